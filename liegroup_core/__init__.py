@@ -1,0 +1,16 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Dynamics of multibody systems integrated on their Lie group SE(3)^n. Imports no ROS.
+
+    from liegroup_core import Simulation, load_scene
+
+    simulation = Simulation(load_scene("heavy_top"), method="rkmk4", step=1e-3)
+    simulation.advance(1000)
+    print(simulation.sample().poses["top"])
+"""
+from .errors import SceneError, SimulationError
+from .model.sample import Sample
+from .scene.description import Scene
+from .scene.load import load_scene
+from .simulation import Simulation
+
+__all__ = ["Sample", "Scene", "SceneError", "Simulation", "SimulationError", "load_scene"]

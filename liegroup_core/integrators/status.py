@@ -1,0 +1,22 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a run of steps ended: the codes that kernels return and what they mean to a user."""
+import math
+
+OK = 0
+NOT_FINITE = 1
+ROTATION_TOO_LARGE = 2
+DEPENDENT_ROWS = 3
+
+# dexp^-1 is singular at a rotation of 2 pi within a step and loses digits near it: its norm is
+# (t/2)/sin(t/2), 62 at 2 pi - 0.1. Beyond pi a step is legal and rarely accurate.
+LARGEST_ROTATION = 2.0 * math.pi - 0.1
+LARGE_ROTATION = math.pi
+
+MESSAGES = {
+    NOT_FINITE: "the state is no longer finite: the step is too large for this motion, or a force "
+                "is; take a smaller step",
+    ROTATION_TOO_LARGE: "a body turns by nearly a full turn within one step, where the method has "
+                        "no solution; take a smaller step",
+    DEPENDENT_ROWS: "the rows of joint {joint} depend on those of other joints at this pose "
+                    "(a singular pose or a redundant joint)",
+}

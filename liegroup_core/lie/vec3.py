@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Vectors and matrices of R^3 as tuples: the arithmetic every kernel is written in.
+
+A vector is (x, y, z), a matrix its nine entries row by row. Tuples live in registers: a cross
+product of tuples costs about 1 ns, of arrays 15 ns and an allocation. Arrays are read by row and
+column, never through a slice: a slice costs two atomic operations on a reference count.
+"""
+from .._compile import kernel
+
+ZERO3 = (0.0, 0.0, 0.0)
+IDENTITY3 = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+
+
+@kernel
+def load3(array, row, start):
+    """Three entries of a row of a two-dimensional array, from `start` on."""
+    return (array[row, start], array[row, start + 1], array[row, start + 2])
+
+
+@kernel
+def store3(vector, array_out, row, start):
+    """Write a vector to a row of a two-dimensional array, from `start` on."""
+    array_out[row, start] = vector[0]
+    array_out[row, start + 1] = vector[1]
+    array_out[row, start + 2] = vector[2]
+
+
+@kernel
+def load9(array, row, start):
+    """Nine entries of a row of a two-dimensional array: a matrix, row by row."""
+    return (array[row, start], array[row, start + 1], array[row, start + 2],
+            array[row, start + 3], array[row, start + 4], array[row, start + 5],
+            array[row, start + 6], array[row, start + 7], array[row, start + 8])
+
+
+@kernel
+def store9(matrix, array_out, row, start):
+    """Write a matrix, row by row, to a row of a two-dimensional array, from `start` on."""
+    for i in range(9):
+        array_out[row, start + i] = matrix[i]
+
+
+@kernel
+def vector3(field):
+    """A three-component field of a record as a vector."""
+    return (field[0], field[1], field[2])
+
+
+@kernel
+def matrix3(field):
+    """A nine-component field of a record as a matrix."""
+    return (field[0], field[1], field[2], field[3], field[4], field[5], field[6], field[7],
+            field[8])
+
+
+@kernel
+def add3(a, b):
+    """a + b"""
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
+
+
+@kernel
+def sub3(a, b):
+    """a - b"""
+    return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
+
+
+@kernel
+def scale3(s, a):
+    """s a"""
+    return (s * a[0], s * a[1], s * a[2])
+
+
+@kernel
+def axpy3(s, a, b):
+    """s a + b"""
+    return (s * a[0] + b[0], s * a[1] + b[1], s * a[2] + b[2])
+
+
+@kernel
+def dot3(a, b):
+    """a . b"""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@kernel
+def cross3(a, b):
+    """a x b"""
+    return (a[1] * b[2] - a[2] * b[1],
+            a[2] * b[0] - a[0] * b[2],
+            a[0] * b[1] - a[1] * b[0])
+
+
+@kernel
+def matvec3(m, a):
+    """m a"""
+    return (m[0] * a[0] + m[1] * a[1] + m[2] * a[2],
+            m[3] * a[0] + m[4] * a[1] + m[5] * a[2],
+            m[6] * a[0] + m[7] * a[1] + m[8] * a[2])
+
+
+@kernel
+def tmatvec3(m, a):
+    """m^T a"""
+    return (m[0] * a[0] + m[3] * a[1] + m[6] * a[2],
+            m[1] * a[0] + m[4] * a[1] + m[7] * a[2],
+            m[2] * a[0] + m[5] * a[1] + m[8] * a[2])
+
+
+@kernel
+def matmul3(m, n):
+    """m n"""
+    return (m[0] * n[0] + m[1] * n[3] + m[2] * n[6],
+            m[0] * n[1] + m[1] * n[4] + m[2] * n[7],
+            m[0] * n[2] + m[1] * n[5] + m[2] * n[8],
+            m[3] * n[0] + m[4] * n[3] + m[5] * n[6],
+            m[3] * n[1] + m[4] * n[4] + m[5] * n[7],
+            m[3] * n[2] + m[4] * n[5] + m[5] * n[8],
+            m[6] * n[0] + m[7] * n[3] + m[8] * n[6],
+            m[6] * n[1] + m[7] * n[4] + m[8] * n[7],
+            m[6] * n[2] + m[7] * n[5] + m[8] * n[8])
+
+
+@kernel
+def transpose3(m):
+    """m^T"""
+    return (m[0], m[3], m[6], m[1], m[4], m[7], m[2], m[5], m[8])
+
+
+@kernel
+def tmatmul3(m, n):
+    """m^T n"""
+    return matmul3(transpose3(m), n)

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sample: an immutable copy of a state with names, the only thing that leaves the core."""
+from functools import cached_property
+
+import numpy as np
+
+from ..dynamics import invariants
+from ..joints.pairs import position_residual
+from ..lie.so3 import so3_to_quaternion
+
+
+class Sample:
+    """State of a mechanism at one instant.
+
+    time, time_ns, steps : s, ns, and number of steps since the start or the last reset
+    pose  : (n, 12) per body R row by row, then r in m; body frame -> world
+    twist : (n, 6) per body omega rad/s, v m/s; body axes, v of the frame's origin
+    What follows from these is computed when it is asked for, and once.
+    """
+
+    def __init__(self, layout, time, time_ns, steps, pose, twist):
+        self._layout = layout
+        self.time, self.time_ns, self.steps = time, time_ns, steps
+        self.pose, self.twist = pose, twist
+        pose.flags.writeable = twist.flags.writeable = False
+
+    @property
+    def body_names(self):
+        """Names of the bodies in the order of `pose` and `twist`."""
+        return self._layout.body_names
+
+    def _by_body(self, values):
+        return dict(zip(self._layout.body_names, values))
+
+    @cached_property
+    def pose_matrices(self):
+        """(n, 4, 4) homogeneous poses, body frame -> world."""
+        matrices = np.zeros((len(self.pose), 4, 4))
+        matrices[:, :3, :3] = self.pose[:, :9].reshape(-1, 3, 3)
+        matrices[:, :3, 3] = self.pose[:, 9:]
+        matrices[:, 3, 3] = 1.0
+        return matrices
+
+    @cached_property
+    def poses(self):
+        """{body: (4, 4)} homogeneous poses, body frame -> world."""
+        return self._by_body(self.pose_matrices)
+
+    @cached_property
+    def twists(self):
+        """{body: (6,)} (omega, v), body-fixed."""
+        return self._by_body(self.twist)
+
+    @cached_property
+    def positions(self):
+        """{body: (3,)} of the body frame's origin, m, world axes."""
+        return self._by_body(self.pose[:, 9:])
+
+    @cached_property
+    def quaternions(self):
+        """{body: (4,)} x, y, z, w of the rotation body -> world, w >= 0."""
+        return self._by_body(np.array([so3_to_quaternion(tuple(row[:9])) for row in self.pose]))
+
+    @cached_property
+    def energy(self):
+        """Kinetic energy plus potential energy of gravity and springs, J."""
+        return invariants.energy(self._layout.model, self.pose, self.twist)
+
+    @cached_property
+    def spatial_momentum(self):
+        """(6,) angular momentum about the world origin, then linear momentum; world axes."""
+        return np.concatenate(
+            invariants.spatial_momentum(self._layout.model, self.pose, self.twist))
+
+    @cached_property
+    def joint_residuals(self):
+        """{joint: norm of its position residual}, m and rad."""
+        matrices = {**self.poses, "world": np.eye(4)}
+        residuals = {}
+        for joint, (parent_frame, child_frame) in zip(self._layout.scene.joints,
+                                                      self._layout.joint_frames):
+            relative = (np.linalg.inv(matrices[joint.parent] @ parent_frame)
+                        @ matrices[joint.child] @ child_frame)
+            residuals[joint.name] = float(np.linalg.norm(position_residual(joint.type, relative)))
+        return residuals
+
+    @cached_property
+    def constraint_residual(self):
+        """The largest joint residual, 0 without joints."""
+        return max(self.joint_residuals.values(), default=0.0)

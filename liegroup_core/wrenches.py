@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Applied wrenches: who pushes which body, from which step on and for how many steps.
+
+A source holds at most one wrench on a body; a later one of the same source replaces it when its
+turn comes, a zero one ends it. Sources add. Everything happens at step boundaries, so a wrench is
+constant over whole steps and all their stages, and a list of the changes repeats a run exactly.
+"""
+from typing import NamedTuple
+
+import numpy as np
+
+NEVER = 1 << 62                             # a step that is never reached
+
+
+class AppliedWrench(NamedTuple):
+    """The sum of all wrenches on a body from a step on.
+
+    step   : number of the first step over which it acts
+    body   : name of the body
+    wrench : (6,) torque N m, force N; body axes, about the body frame's origin
+    """
+
+    step: int
+    body: str
+    wrench: tuple
+
+
+class _Command(NamedTuple):
+    start: int
+    end: int
+    number: int                             # order of arrival: of two at the same step the later wins
+    source: str
+    body: int
+    wrench: tuple
+
+
+class WrenchSchedule:
+    """The wrenches that act and those that wait for their time, counted in steps."""
+
+    def __init__(self, body_count):
+        self.total = np.zeros((body_count, 6))
+        self._waiting = []
+        self._acting = {}
+        self._arrived = 0
+
+    def command(self, source, body, wrench, start, end):
+        """Let `source` apply `wrench` (6,) to body number `body` over the steps start <= k < end."""
+        self._arrived += 1
+        wrench = tuple(float(x) for x in wrench)
+        self._waiting.append(_Command(start, end, self._arrived, source, body, wrench))
+        self._waiting.sort(key=lambda c: (c.start, c.number))
+
+    def clear(self, source):
+        """End all that this source does or means to do. It takes effect with the next update."""
+        self._waiting = [c for c in self._waiting if c.source != source]
+        for key in [key for key in self._acting if key[0] == source]:
+            self._acting[key] = self._acting[key]._replace(end=0)
+
+    def update(self, step):
+        """Make `total` the wrenches of this step; return the bodies whose sum changed."""
+        touched = set()
+        while self._waiting and self._waiting[0].start <= step:
+            command = self._waiting.pop(0)
+            touched.add(command.body)
+            self._acting[command.source, command.body] = command
+        for key, command in list(self._acting.items()):
+            if command.end <= step or not any(command.wrench):
+                touched.add(command.body)
+                del self._acting[key]
+        changed = []
+        for body in sorted(touched):
+            # Summed in the order of the sources' names: the same wrenches give the same bits.
+            acting = [self._acting[key].wrench for key in sorted(self._acting) if key[1] == body]
+            total = np.sum(acting, axis=0) if acting else np.zeros(6)
+            if not np.array_equal(total, self.total[body]):
+                self.total[body] = total
+                changed.append(body)
+        return changed
+
+    def next_change(self):
+        """The first step at which a waiting wrench starts or an acting one ends."""
+        starts = [c.start for c in self._waiting[:1]]
+        return min(starts + [c.end for c in self._acting.values()], default=NEVER)
