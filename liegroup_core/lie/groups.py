@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""SO(3) and SE(3) for use from Python: NumPy matrices in and out, over the kernels.
+
+Group elements are matrices, (3, 3) and (4, 4); elements of the algebra are coordinate vectors,
+(3,) rotation vector in rad and (6,) screw (xi, eta), angular part first; operators on the
+algebra are (3, 3) and (6, 6) matrices. Quaternions are (x, y, z, w). dexp is right-translated:
+d/dt exp(X) exp(X)^-1 = hat(dexp(X) Xdot), so the body-fixed twist is dexp(-X) Xdot.
+
+Every function takes arrays with any leading dimensions. A wrong shape, a number that is not
+finite and a matrix that is not in the group raise ValueError. Accuracy: see the kernels and
+test/contract/test_lie_groups.py. A call costs microseconds an item: in loops over steps, call
+the kernels from a kernel.
+"""
+import numpy as np
+
+from .se3 import se3_ad, se3_Ad, se3_dexp, se3_dexpinv, se3_exp, se3_inverse, se3_log
+from .so3 import (so3_dexp, so3_dexpinv, so3_exp, so3_from_quaternion, so3_log,
+                  so3_to_quaternion)
+from .vec3 import cross3, transpose3
+
+# Largest entry of R^T R - I in a matrix still taken for a rotation: one rounded to single
+# precision (a few 6e-8) passes, a scaled one does not.
+ROTATION_TOLERANCE = 1e-6
+
+UNIT3 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+ZERO3 = (0.0, 0.0, 0.0)
+UNIT6 = tuple((e, ZERO3) for e in UNIT3) + tuple((ZERO3, e) for e in UNIT3)
+
+
+def _checked(value, shape, what):
+    """`value` as float64 (..., *shape), all finite, or ValueError; `what` names the argument."""
+    wanted = f"(..., {', '.join(map(str, shape))})"
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"{what} must be numbers of shape {wanted}") from None
+    if array.shape[-len(shape):] != shape:
+        raise ValueError(f"{what} must have shape {wanted}, got {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{what} must be finite, got NaN or infinity")
+    return array
+
+
+def _rotation(value, what):
+    """Checked rotation matrices, flattened: (..., 9)."""
+    R = _checked(value, (3, 3), what)
+    defect = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(initial=0.0)
+    if defect > ROTATION_TOLERANCE:
+        raise ValueError(f"{what} is not a rotation: R^T R differs from I by {defect:.1e}")
+    if (np.linalg.det(R) < 0.0).any():
+        raise ValueError(f"{what} is not a rotation but a reflection: det R = -1")
+    return R.reshape(R.shape[:-2] + (9,))
+
+
+def _pose(value, what):
+    """Checked pose matrices as flattened rotation (..., 9) and position (..., 3)."""
+    C = _checked(value, (4, 4), what)
+    if (np.abs(C[..., 3, :] - (0.0, 0.0, 0.0, 1.0)) > ROTATION_TOLERANCE).any():
+        raise ValueError(f"{what} is not a pose: its last row must be 0 0 0 1")
+    return _rotation(C[..., :3, :3], what), C[..., :3, 3]
+
+
+def _screw(value, what):
+    """Checked 6-vectors as angular (..., 3) and linear part (..., 3)."""
+    X = _checked(value, (6,), what)
+    return X[..., :3], X[..., 3:]
+
+
+def _each(function, shape, *arrays):
+    """Apply `function`, tuples in and `shape` out, to the last dimension of all arrays."""
+    lead = arrays[0].shape[:-1]
+    rows = (array.reshape(-1, array.shape[-1]).tolist() for array in arrays)
+    items = [function(*map(tuple, row)) for row in zip(*rows)]
+    return np.array(items, dtype=np.float64).reshape(lead + shape)
+
+
+def _matrix3(kernel, a):
+    """The matrix of the map w -> kernel(a, w): its columns are the images of the axes."""
+    return np.transpose([kernel(a, e) for e in UNIT3])
+
+
+def _matrix6(kernel, a, b):
+    """The matrix of the map (w, v) -> kernel(a, b, w, v)."""
+    return np.transpose([np.concatenate(kernel(a, b, *e)) for e in UNIT6])
+
+
+def _matrix4(R, r):
+    """The matrix of a pose."""
+    return (*R[:3], r[0], *R[3:6], r[1], *R[6:], r[2], 0.0, 0.0, 0.0, 1.0)
+
+
+class SO3:
+    """Rotation group: rotation vectors xi (3,), rad; rotation matrices R (3, 3)."""
+
+    @staticmethod
+    def hat(xi):
+        """The antisymmetric matrix of xi: hat(xi) w = xi x w."""
+        return _each(lambda x: _matrix3(cross3, x), (3, 3), _checked(xi, (3,), "xi"))
+
+    @staticmethod
+    def vee(matrix):
+        """The vector of (the antisymmetric part of) a matrix: the inverse of hat."""
+        m = _checked(matrix, (3, 3), "matrix")
+        m = 0.5 * (m - np.swapaxes(m, -1, -2))
+        return np.stack((m[..., 2, 1], m[..., 0, 2], m[..., 1, 0]), axis=-1)
+
+    @staticmethod
+    def exp(xi):
+        """Rotation matrix of a rotation vector of any length."""
+        return _each(so3_exp, (3, 3), _checked(xi, (3,), "xi"))
+
+    @staticmethod
+    def log(R):
+        """Rotation vector of a rotation matrix, |xi| <= pi; at pi either sign may come."""
+        return _each(so3_log, (3,), _rotation(R, "R"))
+
+    @staticmethod
+    def inverse(R):
+        """R^T."""
+        return _each(transpose3, (3, 3), _rotation(R, "R"))
+
+    @staticmethod
+    def Ad(R):
+        """Matrix of the adjoint action, Ad w = vee(R hat(w) R^-1): R itself."""
+        return _each(tuple, (3, 3), _rotation(R, "R"))
+
+    @staticmethod
+    def ad(xi):
+        """Matrix of the Lie bracket with xi: hat(xi) itself."""
+        return SO3.hat(xi)
+
+    @staticmethod
+    def dexp(xi):
+        """Right-translated differential of exp (left Jacobian), Rdot R^T = hat(dexp xidot)."""
+        return _each(lambda x: _matrix3(so3_dexp, x), (3, 3), _checked(xi, (3,), "xi"))
+
+    @staticmethod
+    def dexpinv(xi):
+        """Inverse of dexp, |xi| < 2 pi; grows like 1/(2 pi - |xi|)."""
+        return _each(lambda x: _matrix3(so3_dexpinv, x), (3, 3), _checked(xi, (3,), "xi"))
+
+    @staticmethod
+    def to_quaternion(R):
+        """Unit quaternion (x, y, z, w), w >= 0, of a rotation matrix."""
+        return _each(so3_to_quaternion, (4,), _rotation(R, "R"))
+
+    @staticmethod
+    def from_quaternion(quaternion):
+        """Rotation matrix of a quaternion (x, y, z, w) of any norm in 1e-100 ... 1e100."""
+        q = _checked(quaternion, (4,), "quaternion")
+        norm = np.linalg.norm(q, axis=-1)
+        if ((norm < 1e-100) | (norm > 1e100)).any():
+            raise ValueError("quaternion must not be zero, and its norm within 1e-100 ... 1e100")
+        return _each(so3_from_quaternion, (3, 3), q)
+
+
+class SE3:
+    """Rigid-body motions: screws X = (xi, eta) (6,), rad and m; pose matrices C (4, 4)."""
+
+    @staticmethod
+    def hat(X):
+        """The matrix [[hat(xi), eta], [0, 0]] of a screw."""
+        xi, eta = _screw(X, "X")
+        out = np.zeros(xi.shape[:-1] + (4, 4))
+        out[..., :3, :3] = SO3.hat(xi)
+        out[..., :3, 3] = eta
+        return out
+
+    @staticmethod
+    def vee(matrix):
+        """The screw of a matrix: the inverse of hat."""
+        m = _checked(matrix, (4, 4), "matrix")
+        return np.concatenate((SO3.vee(m[..., :3, :3]), m[..., :3, 3]), axis=-1)
+
+    @staticmethod
+    def exp(X):
+        """Pose of a screw, |xi| of any size."""
+        return _each(lambda x, e: _matrix4(*se3_exp(x, e)), (4, 4), *_screw(X, "X"))
+
+    @staticmethod
+    def log(C):
+        """Screw of a pose, |xi| <= pi; at pi either sign of xi may come."""
+        return _each(lambda R, r: np.concatenate(se3_log(R, r)), (6,), *_pose(C, "C"))
+
+    @staticmethod
+    def inverse(C):
+        """C^-1."""
+        return _each(lambda R, r: _matrix4(*se3_inverse(R, r)), (4, 4), *_pose(C, "C"))
+
+    @staticmethod
+    def Ad(C):
+        """Matrix of the adjoint action, Ad V = vee(C hat(V) C^-1): [[R, 0], [hat(r) R, R]]."""
+        return _each(lambda R, r: _matrix6(se3_Ad, R, r), (6, 6), *_pose(C, "C"))
+
+    @staticmethod
+    def ad(X):
+        """Matrix of the Lie bracket with X: [[hat(xi), 0], [hat(eta), hat(xi)]]."""
+        return _each(lambda x, e: _matrix6(se3_ad, x, e), (6, 6), *_screw(X, "X"))
+
+    @staticmethod
+    def dexp(X):
+        """Right-translated differential of exp (left Jacobian), Cdot C^-1 = hat(dexp Xdot)."""
+        return _each(lambda x, e: _matrix6(se3_dexp, x, e), (6, 6), *_screw(X, "X"))
+
+    @staticmethod
+    def dexpinv(X):
+        """Inverse of dexp, |xi| < 2 pi; grows like |eta|/(2 pi - |xi|)^2."""
+        return _each(lambda x, e: _matrix6(se3_dexpinv, x, e), (6, 6), *_screw(X, "X"))

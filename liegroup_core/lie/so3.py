@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rotation group SO(3): exp, log, right-translated dexp and its inverse, quaternions.
+
+Kernels on tuples: xi rotation vector (3), rad; R rotation matrix (9, row by row); quaternion
+(x, y, z, w). dexp is right-translated, Rdot R^T = hat(dexp_xi xidot), so the body-fixed angular
+velocity is omega = dexp_{-xi} xidot, and xidot = dexpinv_{-xi} omega.
+
+Arguments that are not finite raise nothing; exp, dexp and dexpinv of them are not finite.
+"""
+import math
+
+from .._compile import kernel
+from .coefficients import dexpinv_coefficients, exp_coefficients
+from .vec3 import cross3, dot3
+
+
+@kernel
+def so3_exp(xi):
+    """Rotation matrix of a rotation vector (Rodrigues): I + sin t/t xi^ + (1-cos t)/t^2 xi^ xi^.
+
+    Error of an entry: 6 + 1.5 t units of 2^-53 (test/contract/test_lie_groups.py, as all below).
+    Source: (6.6).
+    """
+    s, c, _ = exp_coefficients(dot3(xi, xi))
+    x, y, z = xi
+    return (1.0 - c * (y * y + z * z), c * x * y - s * z, c * x * z + s * y,
+            c * x * y + s * z, 1.0 - c * (x * x + z * z), c * y * z - s * x,
+            c * x * z - s * y, c * y * z + s * x, 1.0 - c * (x * x + y * y))
+
+
+@kernel
+def so3_to_quaternion(R):
+    """Unit quaternion (x, y, z, w), w >= 0, of a rotation matrix (Shepperd's choice of the root).
+
+    The largest of the four components comes from a root of a number >= 1, whatever R is;
+    the others are divided by it. At a half turn, w = 0, either sign of the axis may come.
+    """
+    trace = R[0] + R[4] + R[8]
+    if trace >= R[0] and trace >= R[4] and trace >= R[8]:
+        root = math.sqrt(1.0 + trace)
+        f = 0.5 / root
+        q = (f * (R[7] - R[5]), f * (R[2] - R[6]), f * (R[3] - R[1]), 0.5 * root)
+    elif R[0] >= R[4] and R[0] >= R[8]:
+        root = math.sqrt(1.0 + R[0] - R[4] - R[8])
+        f = 0.5 / root
+        q = (0.5 * root, f * (R[1] + R[3]), f * (R[2] + R[6]), f * (R[7] - R[5]))
+    elif R[4] >= R[8]:
+        root = math.sqrt(1.0 + R[4] - R[0] - R[8])
+        f = 0.5 / root
+        q = (f * (R[1] + R[3]), 0.5 * root, f * (R[5] + R[7]), f * (R[2] - R[6]))
+    else:
+        root = math.sqrt(1.0 + R[8] - R[0] - R[4])
+        f = 0.5 / root
+        q = (f * (R[2] + R[6]), f * (R[5] + R[7]), 0.5 * root, f * (R[3] - R[1]))
+    if q[3] < 0.0:
+        return (-q[0], -q[1], -q[2], -q[3])
+    return q
+
+
+@kernel
+def so3_from_quaternion(q):
+    """Rotation matrix of a quaternion (x, y, z, w), divided by its norm. q = 0 gives NaN."""
+    x, y, z, w = q
+    n = x * x + y * y + z * z + w * w
+    s = 2.0 / n if n > 0.0 else math.nan
+    return (1.0 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y),
+            s * (x * y + w * z), 1.0 - s * (x * x + z * z), s * (y * z - w * x),
+            s * (x * z - w * y), s * (y * z + w * x), 1.0 - s * (x * x + y * y))
+
+
+@kernel
+def so3_log(R):
+    """Rotation vector of a rotation matrix, |xi| <= pi: the inverse of exp.
+
+    By the quaternion and atan2, so no digits are lost near 0 or near pi (trace and arccos lose
+    half of them at both ends). At a half turn either sign of the axis may come.
+    Error: 10 units of 2^-53 of t, after the error of exp, down to t = 1e-300.
+    """
+    x, y, z, w = so3_to_quaternion(R)
+    n = math.sqrt(x * x + y * y + z * z)
+    # n = 0 where the squares underflow: then the limit is exact. A coarse n cancels.
+    f = 2.0 * math.atan2(n, w) / n if n > 0.0 else 2.0 / w
+    return (f * x, f * y, f * z)
+
+
+@kernel
+def so3_dexp(xi, w):
+    """Right-translated differential of exp, dexp_xi applied to w.
+
+    w + (1-cos t)/t^2 xi x w + (t-sin t)/t^3 xi x (xi x w).
+    Error of an entry of the matrix: 5e-16, for t <= 2 pi.
+    Source: (6.10).
+    """
+    _, c, d = exp_coefficients(dot3(xi, xi))
+    a = cross3(xi, w)
+    aa = cross3(xi, a)
+    return (w[0] + c * a[0] + d * aa[0],
+            w[1] + c * a[1] + d * aa[1],
+            w[2] + c * a[2] + d * aa[2])
+
+
+@kernel
+def so3_dexpinv(xi, w):
+    """Inverse of dexp_xi applied to w, |xi| < 2 pi: w - 1/2 xi x w + b xi x (xi x w).
+
+    Grows like 1 / (2 pi - t) towards a full turn, where dexp_xi is singular.
+    Error of an entry of the matrix: 5e-16 for t <= pi; beyond, times (pi / (2 pi - t))^3.
+    """
+    b, _ = dexpinv_coefficients(dot3(xi, xi))
+    a = cross3(xi, w)
+    aa = cross3(xi, a)
+    return (w[0] - 0.5 * a[0] + b * aa[0],
+            w[1] - 0.5 * a[1] + b * aa[1],
+            w[2] - 0.5 * a[2] + b * aa[2])
