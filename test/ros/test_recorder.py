@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The recorder under load, in a killed process, on a full disk: what is lost and what is said."""
+
+import json
+import signal
+import threading
+import time
+
+import numpy as np
+import pytest
+from example_run import SCENE, python
+from mcap.reader import make_reader
+
+from liegroup_sim_ros.messages import ClockCodec, PoseStampedCodec
+from liegroup_sim_ros.recorder import Recorder, RecorderError
+from liegroup_sim_ros.recording import RecordingError, read_recording
+
+
+def test_a_killed_process_loses_at_most_the_flush_interval(tmp_path):
+    """Stamps are the machine's monotonic clock, so the parent knows how much is missing."""
+    path = tmp_path / "killed.mcap"
+    flush_interval, duration = 0.2, 2.0
+    child = python("""
+        import sys, time
+        from example_run import PoseStampedCodec, Recorder, attachments
+        recorder = Recorder(sys.argv[1], attachments(), flush_interval=float(sys.argv[2]))
+        channel = recorder.add_channel("/sim_node/top/pose", PoseStampedCodec.TYPE)
+        print("running", flush=True)
+        while True:
+            now = time.monotonic_ns()
+            recorder.write(channel, now, PoseStampedCodec("world").encode(
+                now, (0, 0, 0), (0, 0, 0, 1)))
+            time.sleep(5e-3)              # too few to fill a chunk: only time closes one
+        """, path, flush_interval)
+    assert child.stdout.readline() == "running\n"
+    started = time.monotonic_ns()
+    time.sleep(duration)
+    killed = time.monotonic_ns()
+    child.send_signal(signal.SIGKILL)
+    child.communicate(timeout=20)
+
+    recording = read_recording(path)
+    stamps = recording.pose["top"].stamp_ns
+    assert not recording.complete and "not finished" in recording.problem
+    assert recording.scene_text == SCENE and recording.pacing is None
+    assert recording.lost == {} and (np.diff(stamps) > 0).all()
+    assert stamps[0] < started + 0.5e9
+    # 0.5 s more than promised, for a machine so busy that the recorder's thread has to wait.
+    assert killed - stamps[-1] < (flush_interval + 0.5) * 1e9
+    assert len(stamps) > 100
+
+
+def test_a_full_disk_ends_the_recording_and_not_the_run(tmp_path):
+    """A limit on the file size stands for the disk: part of a write is taken, the rest refused."""
+    path = tmp_path / "full.mcap"
+    child = python("""
+        import json, os, resource, sys
+        from example_run import PoseStampedCodec, Recorder, attachments
+        resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))
+        recorder = Recorder(sys.argv[1], attachments(), flush_interval=0.05, queue_size=100)
+        channel = recorder.add_channel("/sim_node/top/pose", PoseStampedCodec.TYPE)
+        codec = PoseStampedCodec("world")
+        for i in range(20_000):           # noise, 56 bytes each: 1.1 MB whatever the compression
+            noise = [b / 7 + c / 13 for b, c in zip(os.urandom(7), os.urandom(7))]
+            recorder.write(channel, i, codec.encode(i, noise[:3], noise[3:]))
+        recorder.add_channel("/late", PoseStampedCodec.TYPE)
+        recorder.close()
+        recorder.close()
+        print(json.dumps([recorder.written, recorder.lost, recorder.queued, recorder.failure]))
+        """, path)
+    output, errors = child.communicate(timeout=60)
+    assert child.returncode == 0, errors
+    written, lost, queued, failure = json.loads(output)
+    assert errors.splitlines() == [failure]
+    assert "File too large" in failure and str(path) in failure and "\n" not in failure
+    assert lost > 0 and written + lost == 20_000 and queued == 0
+    recording = read_recording(path)           # what counts as written is really there
+    assert len(recording.pose["top"].stamp_ns) >= written > 0
+    assert not recording.complete and recording.lost == {}
+
+
+def test_a_disk_that_is_full_at_the_very_end_is_noticed(tmp_path):
+    """The last three bytes do not fit: the system takes part of a write and reports no error."""
+    child = python("""
+        import json, resource, sys
+        from example_run import ClockCodec, Recorder, attachments
+
+        def record(path):
+            with Recorder(path, attachments()) as recorder:
+                channel = recorder.add_channel("/clock", ClockCodec.TYPE)
+                recorder.write(channel, 1, ClockCodec.encode(1))
+            return recorder
+
+        size = record(sys.argv[1] + "/1.mcap").bytes
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size - 3, size - 3))
+        short = record(sys.argv[1] + "/2.mcap")
+        print(json.dumps([size, short.bytes, short.failure]))
+        """, tmp_path)
+    size, short, failure = json.loads(child.communicate(timeout=60)[0])
+    assert short == size - 3 and "File too large" in failure
+
+
+def test_a_fast_producer_waits_and_nothing_is_lost(tmp_path):
+    path = tmp_path / "fast.mcap"
+    codec = PoseStampedCodec("world")
+    payload = codec.encode(0, (1, 2, 3), (0, 0, 0, 1))
+    longest = 0
+    with Recorder(path, queue_size=1000) as recorder:
+        channel = recorder.add_channel("/pose", codec.TYPE)
+        for i in range(200_000):
+            recorder.write(channel, i, payload)
+            longest = max(longest, recorder.queued)
+    assert recorder.written == 200_000 and recorder.lost == 0
+    assert 900 < longest <= 1000               # the queue did fill, and its bound held
+    with open(path, "rb") as stream:
+        sequences = [message.sequence for _, _, message in
+                     make_reader(stream).iter_messages(log_time_order=False)]
+    assert sequences == list(range(1, 200_001))
+
+
+def test_many_threads_share_one_recorder(tmp_path):
+    path = tmp_path / "threads.mcap"
+    with Recorder(path, queue_size=100) as recorder:
+        shared = recorder.add_channel("/clock", ClockCodec.TYPE)
+
+        def produce():
+            for i in range(2000):
+                recorder.write(shared, i, ClockCodec.encode(i))
+
+        threads = [threading.Thread(target=produce) for _ in range(4)]
+        for thread in threads:
+            thread.start()
+        late = recorder.add_channel("/late/clock", ClockCodec.TYPE)
+        recorder.write(late, 7, ClockCodec.encode(7))
+        for thread in threads:
+            thread.join()
+    with open(path, "rb") as stream:
+        messages = [(channel.topic, message.sequence) for _, channel, message in
+                    make_reader(stream).iter_messages(log_time_order=False)]
+    assert sorted(messages) == ([("/clock", i) for i in range(1, 8001)] + [("/late/clock", 1)])
+
+
+def test_close_twice_from_two_threads_and_write_after_it(tmp_path):
+    recorder = Recorder(tmp_path / "run.mcap")
+    channel = recorder.add_channel("/clock", ClockCodec.TYPE)
+    recorder.write(channel, 0, ClockCodec.encode(0))
+    other = threading.Thread(target=recorder.close)
+    other.start()
+    recorder.close()
+    other.join()
+    recorder.write(channel, 1, ClockCodec.encode(1))
+    recorder.close()
+    assert (recorder.written, recorder.lost, recorder.queued) == (1, 1, 0)
+    assert recorder.failure is None
+    with open(recorder.path, "rb") as stream:
+        assert make_reader(stream).get_summary().statistics.message_count == 1
+
+
+def test_a_run_that_dies_by_an_exception_is_finished(tmp_path):
+    child = python("""
+        import sys
+        from example_run import ClockCodec, Recorder
+        recorder = Recorder(sys.argv[1])
+        recorder.write(recorder.add_channel("/clock", ClockCodec.TYPE), 3, ClockCodec.encode(3))
+        raise SystemExit(5)
+        """, tmp_path / "run.mcap")
+    assert child.communicate(timeout=20) == ("", "") and child.returncode == 5
+    with open(tmp_path / "run.mcap", "rb") as stream:
+        assert make_reader(stream).get_summary().statistics.message_count == 1
+
+
+@pytest.mark.parametrize("name, said", [
+    ("there.mcap", "it exists already; remove it or choose another name"),
+    ("there.mcap/run.mcap", "exists|Not a directory"),
+    ("run.bag", "must end in .mcap, or be an existing folder"),
+    ("x" * 300 + ".mcap", "File name too long"),
+    ("/proc/run.mcap", "cannot record to /proc/run.mcap: "),
+])
+def test_a_path_that_cannot_be_written_is_one_clear_line(tmp_path, name, said):
+    (tmp_path / "there.mcap").write_text("precious")
+    with pytest.raises(RecorderError, match=said) as caught:
+        Recorder(tmp_path / name)
+    assert "\n" not in str(caught.value)
+    assert (tmp_path / "there.mcap").read_text() == "precious"
+
+
+def test_in_a_folder_the_file_gets_a_name_of_its_own(tmp_path):
+    with Recorder(str(tmp_path)) as recorder:
+        pass
+    assert list(tmp_path.iterdir()) == [recorder.path] and recorder.path.suffix == ".mcap"
+    with pytest.raises(RecordingError, match='no attachment "settings.json"'):
+        read_recording(recorder.path)
+
+
+def test_an_unknown_type_is_one_clear_line(tmp_path):
+    with Recorder(tmp_path / "run.mcap") as recorder:
+        with pytest.raises(RecorderError, match="cannot record /x: no_such_msgs/msg/Thing"):
+            recorder.add_channel("/x", "no_such_msgs/msg/Thing")
+
+
+def test_reading_and_recording_import_no_ros():
+    child = python("""
+        import sys
+        import liegroup_sim_ros.messages, liegroup_sim_ros.recorder, liegroup_sim_ros.recording
+        print([name for name in sys.modules if name.split(".")[0] in
+               ("rclpy", "geometry_msgs", "std_msgs", "rosidl_parser", "ament_index_python")])
+        """)
+    assert child.communicate(timeout=20) == ("[]\n", "")

@@ -1,0 +1,211 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings read back, by us and by independent readers, and what is left of damaged ones."""
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+from example_run import (BODIES, END_NS, INITIAL, PACING, SCENE, SETTINGS, START_NS, TOPICS,
+                         attachments, record_run)
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
+
+from liegroup_sim_ros.messages import PoseStampedCodec, TwistStampedCodec
+from liegroup_sim_ros.recorder import Recorder
+from liegroup_sim_ros.recording import RecordingError, read_recording
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    path = tmp_path_factory.mktemp("logs") / "new" / "folder" / "run.mcap"
+    return path, record_run(path)
+
+
+def test_read_back_is_what_was_written(run):
+    path, written = run
+    recording = read_recording(path)
+    assert (recording.scene_text, recording.settings, recording.initial_state,
+            recording.pacing) == (SCENE, SETTINGS, INITIAL, PACING)
+    assert recording.complete and recording.problem is None and recording.lost == {}
+    assert recording.topics == {topic: len(rows) for topic, rows in written.items()}
+    assert recording.bodies == BODIES
+    for body in BODIES:
+        for track, topics, codec in ((recording.pose, TOPICS["pose"], PoseStampedCodec),
+                                     (recording.twist, TOPICS["twist"], TwistStampedCodec)):
+            stamps, payloads = zip(*written[topics[body]])
+            assert track[body].payloads == list(payloads)
+            assert track[body].stamp_ns.tolist() == list(stamps)
+        decoded = PoseStampedCodec.decode([data for _, data in written[TOPICS["pose"][body]]])
+        assert np.array_equal(recording.pose[body].position, decoded.position)
+        assert np.array_equal(recording.pose[body].quaternion, decoded.quaternion)
+        decoded = TwistStampedCodec.decode([data for _, data in written[TOPICS["twist"][body]]])
+        assert np.array_equal(recording.twist[body].twist, decoded.twist)
+    assert recording.applied_wrench == [(END_NS, "arm_2", (1, 2, 3, 4, 5, 6.5))]
+    assert recording.events == [(START_NS, "start", "spinning top"), (END_NS, "stop", "done")]
+    assert recording.diagnostics == [(END_NS, {"energy": "1.5", "lost": "0"})]
+
+
+def test_mcap_sees_the_same_bytes_stamps_and_sequences(run):
+    path, written = run
+    read = {}
+    with open(path, "rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        for _, channel, message in reader.iter_messages(log_time_order=False):
+            rows = read.setdefault(channel.topic, [])
+            rows.append((message.log_time, message.data))
+            assert message.publish_time == message.log_time
+            assert message.sequence == len(rows)
+        assert read == written
+        assert {a.name: a.data for a in reader.iter_attachments()} == {
+            **{name: data for name, (_, data) in attachments().items()},
+            "pacing.json": json.dumps(PACING).encode()}
+        assert reader.get_header().profile == "ros2"
+        assert {m.name: m.metadata for m in reader.iter_metadata()}["run"] == {"operator": "test"}
+
+
+def test_three_readers_decode_every_message_to_the_same_values(run):
+    path, written = run
+
+    def numbers(message):
+        """Stamp, frame and all numbers of a decoded message, in the message's own order."""
+        if hasattr(message, "clock"):
+            return (message.clock.sec, message.clock.nanosec)
+        if hasattr(message, "msg"):
+            return (message.stamp.sec, message.stamp.nanosec, message.name, message.msg)
+        header = (message.header.stamp.sec, message.header.stamp.nanosec, message.header.frame_id)
+        if hasattr(message, "status"):
+            return header + tuple((pair.key, pair.value)
+                                  for status in message.status for pair in status.values)
+        if hasattr(message, "pose"):
+            parts = (message.pose.position, "xyz"), (message.pose.orientation, "xyzw")
+        elif hasattr(message, "twist"):
+            parts = (message.twist.linear, "xyz"), (message.twist.angular, "xyz")
+        else:
+            parts = (message.wrench.force, "xyz"), (message.wrench.torque, "xyz")
+        return header + tuple(getattr(part, name) for part, names in parts for name in names)
+
+    by_mcap, by_rosbags = {}, {}
+    with open(path, "rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        for _, channel, message, decoded in reader.iter_decoded_messages(log_time_order=False):
+            by_mcap.setdefault(channel.topic, []).append((message.log_time, numbers(decoded)))
+    with AnyReader([path]) as reader:
+        for connection, stamp_ns, data in reader.messages():
+            decoded = numbers(reader.deserialize(data, connection.msgtype))
+            by_rosbags.setdefault(connection.topic, []).append((stamp_ns, decoded))
+    assert by_mcap == by_rosbags
+    assert by_mcap.keys() == written.keys()
+
+    # And ours: the numbers of the fast codecs, put back into the order of the messages.
+    recording = read_recording(path)
+    for body in BODIES:
+        pose, twist = recording.pose[body], recording.twist[body]
+        theirs = [row[3:] for _, row in by_mcap[TOPICS["pose"][body]]]
+        assert np.array_equal(np.hstack([pose.position, pose.quaternion]), theirs)
+        theirs = [row[3:] for _, row in by_mcap[TOPICS["twist"][body]]]
+        assert np.array_equal(np.hstack([twist.twist[:, 3:], twist.twist[:, :3]]), theirs)
+    assert by_mcap[TOPICS["applied_wrench"]] == [
+        (END_NS, (3, 0, "arm_2", 4, 5, 6.5, 1, 2, 3))]
+
+
+def test_rosbag2_finds_its_metadata_and_indexes(run):
+    path, written = run
+    with open(path, "rb") as stream:
+        reader = make_reader(stream)
+        summary = reader.get_summary()
+        bag = yaml.safe_load({m.name: m.metadata for m in reader.iter_metadata()}
+                             ["rosbag2"]["serialized_metadata"])
+    counts = {topic: len(rows) for topic, rows in written.items()}
+    statistics = summary.statistics
+    assert statistics.message_count == bag["message_count"] == sum(counts.values())
+    assert all(chunk.message_index_length > 0 for chunk in summary.chunk_indexes)
+    assert (bag["version"], bag["storage_identifier"]) == (9, "mcap")
+    assert (bag["starting_time"]["nanoseconds_since_epoch"] == statistics.message_start_time
+            == START_NS)
+    assert bag["duration"]["nanoseconds"] == END_NS - START_NS
+    assert statistics.message_end_time == END_NS
+    topics = {entry["topic_metadata"]["name"]: entry
+              for entry in bag["topics_with_message_count"]}
+    assert {name: entry["message_count"] for name, entry in topics.items()} == counts
+    for channel in summary.channels.values():
+        said = topics[channel.topic]["topic_metadata"]
+        assert channel.message_encoding == said["serialization_format"] == "cdr"
+        assert summary.schemas[channel.schema_id].encoding == "ros2msg"
+        assert summary.schemas[channel.schema_id].name == said["type"]
+        assert channel.metadata["topic_type_hash"] == said["type_description_hash"]
+        assert (yaml.safe_load(channel.metadata["offered_qos_profiles"])
+                == said["offered_qos_profiles"])
+    with AnyReader([path]) as reader:
+        qos = {c.topic: c.ext.offered_qos_profiles[0] for c in reader.connections}
+    assert qos["/clock"].reliability.name == "BEST_EFFORT"
+    assert qos[TOPICS["events"]].durability.name == "TRANSIENT_LOCAL"
+    assert qos[TOPICS["pose"]["top"]].reliability.name == "RELIABLE"
+    assert qos[TOPICS["pose"]["top"]].history.name == "KEEP_LAST"
+
+
+def test_a_file_cut_anywhere_gives_its_beginning_or_one_clear_line(run, tmp_path):
+    path, written = run
+    whole, cut = path.read_bytes(), tmp_path / "cut.mcap"
+    everything = PoseStampedCodec.decode(
+        [data for _, data in written[TOPICS["pose"]["top"]]]).position
+    read = 0
+    for size in [*range(0, 60, 7), *np.linspace(60, len(whole) - 1, 120).astype(int).tolist()]:
+        cut.write_bytes(whole[:size])
+        try:
+            recording = read_recording(cut)
+        except RecordingError as error:
+            assert "\n" not in str(error) and str(error).startswith(f"{cut}: ")
+            continue
+        position = recording.pose["top"].position
+        assert not recording.complete and str(cut) in recording.problem
+        assert np.array_equal(position, everything[:len(position)])
+        read += len(position) > 0
+    assert read > 10                           # the file has several chunks
+
+
+def test_a_damaged_chunk_is_skipped_counted_and_told(run, tmp_path):
+    path, written = run
+    with open(path, "rb") as stream:
+        chunks = make_reader(stream).get_summary().chunk_indexes
+    assert len(chunks) > 2
+    data = bytearray(path.read_bytes())
+    at = chunks[1].chunk_start_offset + chunks[1].chunk_length // 2
+    data[at:at + 40] = bytes(b ^ 0x55 for b in data[at:at + 40])
+    (tmp_path / "damaged.mcap").write_bytes(data)
+    recording = read_recording(tmp_path / "damaged.mcap")
+    assert not recording.complete and "1 damaged chunk(s) skipped" in recording.problem
+    assert recording.lost.keys() >= set(TOPICS["pose"].values())
+    for topic, lost in recording.lost.items():
+        assert recording.topics[topic] + lost == len(written[topic])
+
+
+@pytest.mark.parametrize("content, said", [
+    (None, "No such file"), (b"", "not an MCAP file"),
+    (b"#!/bin/sh\nexit 0\n", "not an MCAP file")])
+def test_what_is_no_recording_is_one_clear_line(tmp_path, content, said):
+    if content is not None:
+        (tmp_path / "x.mcap").write_bytes(content)
+    with pytest.raises(RecordingError, match=said):
+        read_recording(tmp_path / "x.mcap")
+    with pytest.raises(RecordingError, match="directory"):
+        read_recording(tmp_path)
+
+
+@pytest.mark.parametrize("name, data, said", [
+    ("settings.json", b"{}", "it has format None, this version reads format 1"),
+    ("settings.json", b"{", 'its attachment "settings.json" is damaged'),
+    ("settings.json", b'{"format": 1}', "lack an entry: KeyError"),
+    ("initial_state.json", b"[]", "lack an entry"),
+    ("scene.yaml", None, 'no attachment "scene.yaml"'),
+])
+def test_bad_attachments_are_one_clear_line(tmp_path, name, data, said):
+    files = attachments()
+    files[name] = ("application/json", data)
+    if data is None:
+        del files[name]
+    Recorder(tmp_path / "run.mcap", files).close()
+    with pytest.raises(RecordingError, match=said) as caught:
+        read_recording(tmp_path / "run.mcap")
+    assert "\n" not in str(caught.value)
