@@ -71,17 +71,10 @@ def build_model(scene):
 
 
 def _joint_rows(scene, index):
-    """Body indices (parent, child) and rows A Ad(F_b^-1) (k, 6) of every joint of the scene.
-
-    A joint whose child is the world changes sides: the pair allows the same motion either way.
-    """
-    ends, jacobians = [], []
-    for joint, (parent_frame, child_frame) in zip(scene.joints, resolve_frames(scene)):
-        parent, child, frame = index[joint.parent], index[joint.child], child_frame
-        if child == WORLD:
-            parent, child, frame = child, parent, parent_frame
-        ends.append((parent, child))
-        jacobians.append(LOWER_PAIRS[joint.type].forbidden @ SE3.Ad(np.linalg.inv(frame)))
+    """Body indices (parent, child) and rows A Ad(F_b^-1) (k, 6) of every joint of the scene."""
+    ends = [(index[joint.parent], index[joint.child]) for joint in scene.joints]
+    jacobians = [LOWER_PAIRS[joint.type].forbidden @ SE3.Ad(np.linalg.inv(child_frame))
+                 for joint, (_, child_frame) in zip(scene.joints, resolve_frames(scene))]
     return ends, jacobians
 
 

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cost of a step, compile time cold and warm, and memory that steps allocate.
+
+    python benchmarks/step_cost.py [--repeat 15]
+
+Prints medians with the fastest and slowest run. Nothing is asserted here: figures depend on the
+machine and on what else it does.
+"""
+import argparse
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+import tracemalloc
+
+from rich.console import Console
+from rich.table import Table
+
+from liegroup_core import Simulation, load_scene
+
+STEPS = 20_000
+START = ("import time; t = time.perf_counter()\n"
+         "from liegroup_core import Simulation, load_scene\n"
+         "Simulation(load_scene('heavy_top'))\n"
+         "print(time.perf_counter() - t)")
+
+
+def microseconds_per_step(scene, group, repeat):
+    """Times of one step, us, one figure per run of STEPS steps from the initial state."""
+    simulation = Simulation(load_scene(scene), method="rkmk4", step=1e-4, group=group)
+    times = []
+    for _ in range(repeat):
+        simulation.reset()
+        start = time.perf_counter()
+        simulation.advance(STEPS)
+        times.append((time.perf_counter() - start) / STEPS * 1e6)
+    return times
+
+
+def start_up_seconds(cache):
+    """Seconds from `import` to a ready simulation in a new process with this cache folder."""
+    run = subprocess.run([sys.executable, "-c", START], capture_output=True, text=True, check=True,
+                         env={**os.environ, "LIEGROUP_CACHE_DIR": cache})
+    return float(run.stdout)
+
+
+def bytes_allocated(steps):
+    """Growth of Python's and NumPy's traced memory over so many steps in one call."""
+    simulation = Simulation(load_scene("heavy_top"), step=1e-4)
+    simulation.advance(10)
+    tracemalloc.start()
+    before = tracemalloc.get_traced_memory()[0]
+    simulation.advance(steps)
+    after = tracemalloc.get_traced_memory()[0]
+    tracemalloc.stop()
+    return after - before
+
+
+def main():
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--repeat", type=int, default=15)
+    options = parser.parse_args()
+    table = Table(title="RKMK4, us per step")
+    for column in ("scene", "group", "median", "fastest", "slowest"):
+        table.add_column(column, justify="left" if column in ("scene", "group") else "right")
+    for scene in ("heavy_top", "free_body", "double_pendulum"):
+        for group in ("se3", "so3xr3"):
+            times = microseconds_per_step(scene, group, options.repeat)
+            table.add_row(scene, group, f"{statistics.median(times):.3f}", f"{min(times):.3f}",
+                          f"{max(times):.3f}")
+    console = Console()
+    console.print(table)
+    with tempfile.TemporaryDirectory() as cache:
+        cold = start_up_seconds(cache)
+        warm = sorted(start_up_seconds(cache) for _ in range(5))
+    console.print(f"start-up with compilation {cold:.1f} s, from the cache {warm[2]:.2f} s "
+                  f"(median of 5, {warm[0]:.2f}..{warm[-1]:.2f})")
+    console.print(f"bytes allocated by 1000 steps {bytes_allocated(1000)}, "
+                  f"by 100000 steps {bytes_allocated(100_000)}")
+
+
+if __name__ == "__main__":
+    main()

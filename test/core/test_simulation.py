@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Simulation as its user sees it: stepping, settings, and what happens when it cannot go on."""
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import mechanisms
+from liegroup_core import Scene, SceneError, Simulation, SimulationError, load_scene
+from liegroup_core.integrators.methods import METHODS
+from liegroup_core.integrators.status import DEPENDENT_ROWS, NOT_FINITE, ROTATION_TOO_LARGE
+from liegroup_core.scene.description import Body, Frame, Joint
+
+
+@pytest.mark.parametrize("group", ["se3", "so3xr3"])
+def test_the_same_bits_however_the_steps_are_asked_for(group):
+    scene = mechanisms.named("net")
+    whole, pieces = Simulation(scene, group=group), Simulation(scene, group=group)
+    whole.advance(100)
+    for count in (1, 2, 0, 47, 50):
+        pieces.advance(count)
+    for mine, theirs in zip(whole.state(), pieces.state()):
+        assert mine.tobytes() == theirs.tobytes()
+    assert pieces.steps == 100 and pieces.time_ns == 100_000_000
+
+
+def test_reset_gives_the_same_run_again():
+    simulation = Simulation(load_scene("heavy_top"))
+    simulation.apply_wrench("top", (1, 2, 3, 4, 5, 6))
+    simulation.advance(50)
+    simulation.reset()
+    assert simulation.steps == 0 and simulation.time == 0.0
+    simulation.advance(50)
+    other = Simulation(load_scene("heavy_top"))
+    other.advance(50)
+    assert simulation.state()[0].tobytes() == other.state()[0].tobytes()
+
+
+def test_a_sample_is_a_copy_with_names():
+    simulation = Simulation(load_scene("double_pendulum"))
+    sample = simulation.sample()
+    before = sample.pose.copy()
+    simulation.advance(10)
+    assert np.array_equal(sample.pose, before)
+    assert list(sample.poses) == list(sample.twists) == [b.name for b in simulation.scene.bodies]
+    assert set(sample.joint_residuals) == {joint.name for joint in simulation.scene.joints}
+    with pytest.raises(ValueError):
+        sample.pose[0, 0] = 2.0
+
+
+def test_steps_too_large_stop_with_the_last_good_state():
+    """At 150 rad/s a step of 0.1 s asks for 15 rad: beyond 2 pi there is no solution."""
+    simulation = Simulation(load_scene("lagrangian_top"), step=0.1)
+    before = simulation.state()
+    with pytest.raises(SimulationError, match="smaller step") as failure:
+        simulation.advance(10)
+    assert failure.value.status in (ROTATION_TOO_LARGE, NOT_FINITE)
+    assert "\n" not in str(failure.value)
+    assert simulation.steps == 0
+    for mine, theirs in zip(simulation.state(), before):
+        assert mine.tobytes() == theirs.tobytes()
+
+
+def test_overflow_stops_with_the_last_good_state():
+    simulation = Simulation(load_scene("free_body"), step=1.0)
+    simulation.apply_wrench("body", (0, 0, 0, 1e308, 0, 0))
+    with pytest.raises(SimulationError) as failure:
+        simulation.advance(1000)
+    assert failure.value.status == NOT_FINITE
+    assert np.isfinite(simulation.state()[0]).all() and np.isfinite(simulation.state()[1]).all()
+    simulation.reset()
+    simulation.advance(10)
+    assert simulation.steps == 10
+
+
+def test_a_rotation_beyond_pi_warns_once(caplog):
+    simulation = Simulation(load_scene("lagrangian_top"), step=1 / 40)
+    simulation.advance(1)
+    simulation.advance(1)
+    assert len([r for r in caplog.records if "more than pi" in r.message]) == 1
+
+
+def two_links(second_length):
+    """Links of 1 m and `second_length` m on ball joints between ground points 2 m apart."""
+    angle = np.arccos((1 + 4 - second_length ** 2) / 4)
+    corner = np.array([np.cos(angle), np.sin(angle), 0.0])
+    pin = np.array([2.0, 0.0, 0.0])
+    other = np.arctan2(*(corner - pin)[[1, 0]])
+    inertia = (0.05, 0.1, 0.1)
+    return Scene(name="links", gravity=(0, 0, -9.81), bodies=[
+        Body(name="first", mass=1.0, inertia=inertia, position=corner / 2,
+             rotation_vector=(0, 0, angle)),
+        Body(name="second", mass=1.0, inertia=inertia, position=(corner + pin) / 2,
+             rotation_vector=(0, 0, other))],
+        joints=[
+            Joint(name="left", type="spherical", parent="world", child="first",
+                  child_frame=Frame(position=(-0.5, 0, 0))),
+            Joint(name="right", type="spherical", parent="world", child="second",
+                  child_frame=Frame(position=(-second_length / 2, 0, 0))),
+            Joint(name="middle", type="spherical", parent="first", child="second",
+                  parent_frame=Frame(position=(0.5, 0, 0)))])
+
+
+def test_rows_that_depend_are_refused_when_the_model_is_built():
+    with pytest.raises(SceneError, match="constrains what other joints constrain"):
+        Simulation(two_links(1.0))
+
+
+def test_a_singular_pose_stops_and_names_the_joint():
+    """Both links along x: the middle joint's row along x follows from the other two joints'."""
+    simulation = Simulation(two_links(1.5))
+    simulation.advance(10)
+    pose = np.zeros((2, 12))
+    pose[0, :9] = np.eye(3).ravel()
+    pose[1, :9] = np.diag([-1.0, -1.0, 1.0]).ravel()
+    pose[0, 9], pose[1, 9] = 0.5, 2.0 - 0.75
+    simulation.set_state(pose, np.zeros((2, 6)), steps=10)
+    with pytest.raises(SimulationError, match="joint (left|right|middle) depend") as failure:
+        simulation.advance(5)
+    assert failure.value.status == DEPENDENT_ROWS and simulation.steps == 10
+
+
+@pytest.mark.parametrize("setting, text", [
+    ({"method": "rk9"}, "unknown method 'rk9'; there are: rkmk4"),
+    ({"group": "so3"}, "unknown group 'so3'; there are: se3, so3xr3"),
+    ({"step": 0.0}, "positive"), ({"step": float("nan")}, "positive"), ({"step": "1"}, "positive"),
+])
+def test_wrong_settings_say_what_would_be_right(setting, text):
+    with pytest.raises(ValueError, match=text):
+        Simulation(load_scene("free_body"), **setting)
+
+
+def test_a_state_that_is_none_is_refused():
+    simulation = Simulation(load_scene("free_body"))
+    pose, twist = simulation.state()
+    with pytest.raises(ValueError, match=r"\(1, 12\)"):
+        simulation.set_state(pose[:, :9], twist)
+    with pytest.raises(ValueError, match="not finite"):
+        simulation.set_state(pose, twist * np.nan)
+
+
+@pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
+def test_tableau(method):
+    """Row sums and the order conditions up to order 4, exact to rounding."""
+    a, b, c = method.a, method.b, method.c
+    assert np.allclose(np.triu(a), 0.0, atol=0.0) and np.allclose(a.sum(axis=1), c, atol=1e-15)
+    conditions = [(1, b.sum(), 1), (2, b @ c, 1 / 2), (3, b @ c**2, 1 / 3), (3, b @ a @ c, 1 / 6),
+                  (4, b @ c**3, 1 / 4), (4, (b * c) @ a @ c, 1 / 8), (4, b @ a @ c**2, 1 / 12),
+                  (4, b @ a @ a @ c, 1 / 24)]
+    for order, value, wanted in conditions:
+        if order <= method.order:
+            assert value == pytest.approx(wanted, abs=1e-15)
+
+
+def test_without_the_compiler_the_same_numbers():
+    """Plain Python rounds as machine code does: no fast-math. libm's last bit may differ."""
+    code = ("import sys; sys.path.insert(0, sys.argv[1]); import mechanisms; "
+            "from liegroup_core import Simulation; "
+            "s = Simulation(mechanisms.named('net'), group='so3xr3'); s.advance(20); "
+            "print(s.state()[0].tobytes().hex(), s.sample().energy.hex())")
+    here = os.path.dirname(os.path.dirname(__file__))
+
+    def run(disable):
+        return subprocess.run(
+            [sys.executable, "-c", code, here], capture_output=True, text=True, check=True,
+            env={**os.environ, "NUMBA_DISABLE_JIT": disable}).stdout.split()
+
+    plain, fast = run("1"), run("0")
+    plain_pose, fast_pose = (np.frombuffer(bytes.fromhex(r[0])) for r in (plain, fast))
+    assert np.abs(plain_pose - fast_pose).max() <= 1e-13
+    assert float.fromhex(plain[1]) == pytest.approx(float.fromhex(fast[1]), rel=1e-12)

@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scenes made for tests: random mechanisms of every kind of joint, consistent by construction."""
+import numpy as np
+from scipy.linalg import null_space
+
+import naive
+from liegroup_core import Scene
+from liegroup_core.lie.groups import SE3, SO3
+from liegroup_core.scene.consistency import resolve_frames
+from liegroup_core.scene.description import Body, Frame, Joint, SpringDamper
+
+GRAVITY = (0.3, -0.2, -9.81)
+
+
+def random_pose(rng, size=1.0):
+    pose = np.eye(4)
+    pose[:3, :3] = SO3.exp(rng.normal(size=3))
+    pose[:3, 3] = size * rng.normal(size=3)
+    return pose
+
+
+def random_body(rng, name, pose):
+    """A body with a full inertia matrix that keeps the triangle inequality."""
+    points = rng.normal(size=(4, 3)) * 0.3
+    inertia = sum(0.5 * ((p @ p) * np.eye(3) - np.outer(p, p)) for p in points)
+    return Body(name=name, mass=float(rng.uniform(0.5, 3.0)),
+                inertia=[*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2]],
+                position=pose[:3, 3], rotation_vector=SO3.log(pose[:3, :3]))
+
+
+def allowed_motion(rng, kind):
+    """A pose of the subgroup of a joint kind."""
+    motion = np.eye(4)
+    turn = {"spherical": rng.normal(size=3), "revolute": [0.0, 0.0, rng.normal()]}[kind]
+    motion[:3, :3] = SO3.exp(turn)
+    return motion
+
+
+def frame(pose):
+    return Frame(position=pose[:3, 3], rotation_vector=SO3.log(pose[:3, :3]))
+
+
+def mechanism(rng, links, springs=2, loops=()):
+    """A scene from links (parent, child, kind), the parents first; loops close what is there.
+
+    Each loop (a, b, kind) is a joint whose frame on b is left to the poses. All bodies move, with
+    twists in the null space of the joints' Jacobian.
+    """
+    poses, joints = {"world": np.eye(4)}, []
+    for parent, child, kind in links:
+        at_parent, at_child = random_pose(rng, 0.4), random_pose(rng, 0.4)
+        poses[child] = (poses[parent] @ at_parent @ allowed_motion(rng, kind)
+                        @ np.linalg.inv(at_child))
+        joints.append(Joint(name=f"j{len(joints)}", type=kind, parent=parent, child=child,
+                            parent_frame=frame(at_parent), child_frame=frame(at_child)))
+    for parent, child, kind in loops:
+        joints.append(Joint(name=f"j{len(joints)}", type=kind, parent=parent, child=child,
+                            parent_frame=frame(random_pose(rng, 0.5))))
+    del poses["world"]
+    bodies = [random_body(rng, name, pose) for name, pose in poses.items()]
+    names = [*poses, "world"]
+    forces = []
+    for i in range(springs):
+        parent, child = rng.choice(len(names)), rng.choice(len(bodies))
+        if parent != child:
+            forces.append(SpringDamper(
+                name=f"s{i}", parent=names[parent], child=names[child],
+                parent_point=rng.normal(size=3), child_point=rng.normal(size=3),
+                stiffness=50.0, damping=float(i), rest_length=0.4 * i))
+    scene = Scene(name="made", gravity=GRAVITY, bodies=bodies, joints=joints, forces=forces)
+    return moving(rng, scene)
+
+
+def moving(rng, scene):
+    """The scene with random twists that its joints allow."""
+    matrices = {body.name: body.pose for body in scene.bodies}
+    rows = naive.jacobian(scene, resolve_frames(scene), matrices)
+    free = null_space(rows, rcond=1e-6) if len(rows) else np.eye(6 * len(matrices))
+    twists = (free @ rng.normal(size=free.shape[1])).reshape(-1, 6)
+    # The differences leave 1e-10: exact rows take the rest away.
+    rows = exact_jacobian(scene)
+    twists = twists.ravel() - np.linalg.pinv(rows) @ (rows @ twists.ravel())
+    bodies = [body.model_copy(update={"angular_velocity": tuple(twist[:3]),
+                                      "linear_velocity": tuple(twist[3:])})
+              for body, twist in zip(scene.bodies, twists.reshape(-1, 6))]
+    return Scene(name=scene.name, gravity=scene.gravity, bodies=bodies, joints=scene.joints,
+                 forces=scene.forces)
+
+
+def exact_jacobian(scene):
+    """A V_rel of all joints as a dense matrix, from the definition of V_rel."""
+    from liegroup_core.joints.pairs import LOWER_PAIRS
+    index = {body.name: i for i, body in enumerate(scene.bodies)}
+    poses = {body.name: body.pose for body in scene.bodies} | {"world": np.eye(4)}
+    rows = [np.zeros((0, 6 * len(index)))]
+    for joint, (at_parent, at_child) in zip(scene.joints, resolve_frames(scene)):
+        relative = (np.linalg.inv(poses[joint.parent] @ at_parent) @ poses[joint.child] @ at_child)
+        block = np.zeros((6, 6 * len(index)))
+        if joint.child in index:
+            at = 6 * index[joint.child]
+            block[:, at:at + 6] = SE3.Ad(np.linalg.inv(at_child))
+        if joint.parent in index:
+            at = 6 * index[joint.parent]
+            block[:, at:at + 6] = -SE3.Ad(np.linalg.inv(relative) @ np.linalg.inv(at_parent))
+        rows.append(LOWER_PAIRS[joint.type].forbidden @ block)
+    return np.concatenate(rows)
+
+
+def chain(n, kind="spherical", length=0.1, mass=0.1):
+    """n equal rods along x, pinned to the world and to each other; hinges turn about y."""
+    inertia = (mass * length ** 2 / 600, mass * length ** 2 / 12, mass * length ** 2 / 12)
+    bodies = [Body(name=f"rod{i}", mass=mass, inertia=inertia,
+                   position=((i + 0.5) * length, 0, 0)) for i in range(n)]
+    names = ["world"] + [body.name for body in bodies]
+    joints = [Joint(name=f"pin{i}", type=kind, parent=names[i], child=names[i + 1],
+                    child_frame=Frame(position=(-length / 2, 0, 0), axis=(0, 1, 0)))
+              for i in range(n)]
+    return Scene(name="chain", gravity=(0, 0, -9.81), bodies=bodies, joints=joints)
+
+
+TREE = [("world", "a", "revolute"), ("a", "b", "spherical"), ("a", "c", "revolute"),
+        ("c", "d", "revolute"), ("world", "e", "spherical")]
+MECHANISMS = {
+    "ball": ([("world", "a", "spherical")], []),
+    "pendulum": ([("world", "a", "revolute")], []),
+    "chain of balls": ([("world", "a", "spherical"), ("a", "b", "spherical"),
+                        ("b", "c", "spherical")], []),
+    "chain of hinges": ([("world", "a", "revolute"), ("a", "b", "revolute"),
+                         ("b", "c", "revolute")], []),
+    "tree": (TREE, []),
+    "loop of hinges and balls": ([("world", "a", "revolute"), ("a", "b", "spherical"),
+                                  ("b", "c", "spherical")], [("world", "c", "revolute")]),
+    "net": (TREE, [("b", "e", "spherical"), ("world", "d", "spherical")]),
+}
+
+
+def named(name, seed=0):
+    """One of MECHANISMS, random but the same each time."""
+    links, loops = MECHANISMS[name]
+    return mechanism(np.random.default_rng([seed, len(name)]), links, loops=loops)

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Slow, obvious twins of kernels: dense matrices, differences, nothing shared with the engine."""
+import numpy as np
+from scipy.linalg import expm
+
+from liegroup_core.joints.pairs import position_residual
+
+
+def hat(w):
+    """Cross-product matrix of w (3,)."""
+    return np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
+
+
+def displaced(matrix, twist):
+    """Pose (4, 4) moved along a body twist (6,): C expm(hat V)."""
+    generator = np.zeros((4, 4))
+    generator[:3, :3] = hat(twist[:3])
+    generator[:3, 3] = twist[3:]
+    return matrix @ expm(generator)
+
+
+def residual(scene, frames, matrices):
+    """Position residuals of all joints, one below the other; matrices {body: (4, 4)}."""
+    matrices = {**matrices, "world": np.eye(4)}
+    parts = [position_residual(
+        joint.type, np.linalg.inv(matrices[joint.parent] @ parent) @ matrices[joint.child] @ child)
+        for joint, (parent, child) in zip(scene.joints, frames)]
+    return np.concatenate(parts) if parts else np.zeros(0)
+
+
+def jacobian(scene, frames, matrices, step=1e-6):
+    """d residual / d (body twists) by central differences, (rows, 6 n)."""
+    columns = []
+    for name in matrices:
+        for c in range(6):
+            nudge = step * np.eye(6)[c]
+            ahead = residual(scene, frames, {**matrices, name: displaced(matrices[name], nudge)})
+            behind = residual(scene, frames, {**matrices, name: displaced(matrices[name], -nudge)})
+            columns.append((ahead - behind) / (2 * step))
+    return np.array(columns).T
+
+
+def applied_wrenches(scene, matrices, twists):
+    """{body: (6,)} of gravity and spring-dampers in body axes, from the definitions."""
+    wrenches = {}
+    for body in scene.bodies:
+        R = matrices[body.name][:3, :3]
+        wrenches[body.name] = np.concatenate(
+            [np.zeros(3), body.mass * R.T @ np.array(scene.gravity)])
+    for spring in scene.forces:
+        ends = []
+        for name, point in ((spring.parent, spring.parent_point),
+                            (spring.child, spring.child_point)):
+            matrix = matrices.get(name, np.eye(4))
+            twist = twists.get(name, np.zeros(6))
+            point = np.array(point)
+            ends.append((name, point, matrix[:3, :3] @ point + matrix[:3, 3],
+                         matrix[:3, :3] @ (twist[3:] + np.cross(twist[:3], point))))
+        d, ddot = ends[1][2] - ends[0][2], ends[1][3] - ends[0][3]
+        length = np.linalg.norm(d)
+        tension = (spring.stiffness * (length - spring.rest_length)
+                   + spring.damping * (d @ ddot) / length)
+        for sign, (name, point, _, _) in zip((1.0, -1.0), ends):
+            if name in wrenches:
+                force = sign * tension * matrices[name][:3, :3].T @ d / length
+                wrenches[name] += np.concatenate([np.cross(point, force), force])
+    return wrenches
+
+
+def accelerations(scene, frames, matrices, twists, jacobian_rate):
+    """{body: (6,)} Vdot from the dense saddle-point system (6.22).
+
+    jacobian_rate : (rows,) of Jdot V
+    """
+    names = list(matrices)
+    n = len(names)
+    wrenches = applied_wrenches(scene, matrices, twists)
+    mass, right = np.zeros((6 * n, 6 * n)), np.zeros(6 * n)
+    for i, body in enumerate(scene.bodies):
+        at = slice(6 * i, 6 * i + 6)
+        inertia, w, v = body.inertia_matrix, twists[body.name][:3], twists[body.name][3:]
+        mass[at, at][:3, :3] = inertia
+        mass[at, at][3:, 3:] = body.mass * np.eye(3)
+        gyroscopic = np.concatenate([-np.cross(w, inertia @ w), -body.mass * np.cross(w, v)])
+        right[at] = wrenches[body.name] + gyroscopic
+    J = jacobian(scene, frames, matrices)
+    system = np.block([[mass, J.T], [J, np.zeros((len(J), len(J)))]])
+    solution = np.linalg.solve(system, np.concatenate([right, -jacobian_rate]))
+    return {name: solution[6 * i:6 * i + 6] for i, name in enumerate(names)}
