@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Consistent initial values: joints close at the initial poses, initial twists respect them.
+
+With the pose C of a body (body to world) and the joint frames F_a, F_b in the frames of parent
+and child,
+
+    C_rel = F_a^-1 C_a^-1 C_b F_b                        lies in the joint's subgroup
+    V_rel = Ad(F_b^-1) V_b - Ad(C_rel^-1) Ad(F_a^-1) V_a   satisfies A V_rel = 0
+
+The chapter's index 1 equations keep both if they hold at the start, and only then. Plain NumPy,
+once per scene.
+"""
+
+import numpy as np
+
+from ..errors import SceneError
+from ..joints.pairs import LOWER_PAIRS, position_residual
+from ..lie.groups import SE3
+from .description import WORLD
+
+# A scene may be typed with round numbers or come from double precision arithmetic: its numbers
+# are then right to about 1e-15 of their size, and sums over a long chain to 1e-12. Values rounded
+# to six digits are not consistent; they are refused with the values that would be.
+TOLERANCE = 1e-9
+
+
+def _start(scene):
+    """Pose (4, 4) and twist (6,) of every body, and of the world, at the start."""
+    start = {body.name: (body.pose, body.twist) for body in scene.bodies}
+    return start | {WORLD: (np.eye(4), np.zeros(6))}
+
+
+def resolve_frames(scene):
+    """Joint frames of every joint, in the order of scene.joints.
+
+    returns list of (F_a, F_b), (4, 4) each: pose of the joint frame in the frame of the parent
+    and in that of the child, m. A frame the scene leaves out is where the other one is at the
+    initial poses.
+    """
+    start = _start(scene)
+    frames = []
+    for joint in scene.joints:
+        C_a, C_b = start[joint.parent][0], start[joint.child][0]
+        F_a = joint.parent_frame.pose if joint.parent_frame else None
+        F_b = joint.child_frame.pose if joint.child_frame else None
+        if F_a is None:
+            F_a = SE3.inverse(C_a) @ C_b @ F_b
+        elif F_b is None:
+            F_b = SE3.inverse(C_b) @ C_a @ F_a
+        frames.append((F_a, F_b))
+    return frames
+
+
+def check_consistency(scene):
+    """Raise SceneError for the first joint that is open or moves against itself at the start."""
+    start = _start(scene)
+    problems = []
+    for i, (joint, (F_a, F_b)) in enumerate(zip(scene.joints, resolve_frames(scene))):
+        (C_a, V_a), (C_b, V_b) = start[joint.parent], start[joint.child]
+        C_rel = SE3.inverse(C_a @ F_a) @ C_b @ F_b
+        text = (_open(joint, C_rel, (C_a, C_b, F_a, F_b))
+                or _moving(joint, C_rel, F_a, F_b, V_a, V_b))
+        if text:
+            problems.append((i, f'joints[{i}] "{joint.name}": {text}'))
+    if problems:
+        i, text = problems[0]
+        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+        raise SceneError(text + more, place=("joints", i))
+
+
+def _parts(kind, values):
+    """Size of the linear and of the angular part of a residual, from the rows of A."""
+    angular = LOWER_PAIRS[kind].forbidden[:, :3].any(axis=1)
+    return np.linalg.norm(values[~angular]), np.linalg.norm(values[angular])
+
+
+def _open(joint, C_rel, poses):
+    """What is wrong with the initial poses at a joint, or None."""
+    gap, tilt = _parts(joint.type, position_residual(joint.type, C_rel))
+    size = max(np.abs(pose[:3, 3]).max() for pose in poses)
+    if max(gap, tilt) <= TOLERANCE * (1.0 + size):
+        return None
+    return (f"does not close at the initial poses: gap {gap:.3g} m, tilt {tilt:.3g} rad; "
+            "leave out parent_frame or child_frame to put the joint where the other one is, "
+            f'or move "{joint.child}" or the frames')
+
+
+def _moving(joint, C_rel, F_a, F_b, V_a, V_b):
+    """What is wrong with the initial twists at a joint, or None."""
+    A = LOWER_PAIRS[joint.type].forbidden
+    to_child, to_joint = SE3.Ad(F_b), SE3.Ad(SE3.inverse(F_b))
+    from_parent = SE3.Ad(SE3.inverse(C_rel)) @ SE3.Ad(SE3.inverse(F_a))
+    V_rel = to_joint @ V_b - from_parent @ V_a
+    slip, turn = _parts(joint.type, A @ V_rel)
+    # the terms of the sums above: what their round-off is relative to
+    size = max((np.abs(to_joint) @ np.abs(V_b)).max(), (np.abs(from_parent) @ np.abs(V_a)).max())
+    if max(slip, turn) <= TOLERANCE * (1.0 + size):
+        return None
+    # The rows of A are unit vectors: taking their part out of V_rel leaves what the pair allows.
+    V_ok = to_child @ (V_rel - A.T @ (A @ V_rel) + from_parent @ V_a)
+    return (f"the initial velocities violate the joint by {slip:.3g} m/s and {turn:.3g} rad/s; "
+            f'"{joint.child}" would follow it with angular_velocity {_written(V_ok[:3], size)} '
+            f"and linear_velocity {_written(V_ok[3:], size)}")
+
+
+def _written(vector, size):
+    """Numbers to copy into a scene: twelve digits, round-off written as 0."""
+    rounded = (0.0 if abs(x) < 1e-14 * size else float(f"{x:.12g}") for x in vector)
+    return f"[{', '.join(f'{x:.12g}' for x in rounded)}]"

@@ -1,0 +1,260 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The numbers, vectors and names a scene is written with, and how a wrong one is refused.
+
+Every rule raises ValueError with a text that continues the name of the value ("must be greater
+than 0"), or SceneError with a whole sentence. `Described`, the base of all scene models, turns
+what comes out into one SceneError whose text says where it is, what is wrong and what was got.
+"""
+
+import difflib
+import math
+import numbers
+import re
+import reprlib
+from collections.abc import Mapping, Sequence
+from typing import Annotated
+
+import numpy as np
+from pydantic import (AfterValidator, BaseModel, BeforeValidator, ConfigDict, ValidationError,
+                      model_validator)
+
+from ..errors import SceneError
+
+# Squares and products of three numbers of this size still fit into a float (1.8e308).
+LARGEST_NUMBER = 1e100
+
+# Four components typed with three digits are off by up to 5e-4 each, their norm by at most 1e-3.
+QUATERNION_NORM_TOLERANCE = 1e-3
+
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
+
+
+def shown(value):
+    """Short text of any value, for a message."""
+    if value is None:
+        return "nothing"
+    short = reprlib.Repr()
+    short.maxlist = short.maxtuple = short.maxdict = 6
+    short.maxlevel = 2
+    short.maxstring = short.maxother = short.maxlong = 40
+    try:
+        return short.repr(value)
+    except ValueError:  # an integer too long to be written in decimal
+        return f"a value of type {type(value).__name__}"
+
+
+def suggestion(word, options):
+    """What can be meant by an unknown word: the one it resembles, if any, and all there are."""
+    close = difflib.get_close_matches(str(word), options, n=1, cutoff=0.7)
+    meant = f'did you mean "{close[0]}"? ' if close else ""
+    return f"{meant}known are {', '.join(options[:12])}{', ...' if len(options) > 12 else ''}"
+
+
+def _number(value):
+    if isinstance(value, bool) or not isinstance(value, numbers.Real):
+        raise ValueError("must be a number, without quotes or unit")
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise ValueError("must be finite")
+    if abs(number) > LARGEST_NUMBER:
+        raise ValueError(f"must be at most {LARGEST_NUMBER:g} in size")
+    return number
+
+
+def _positive(number):
+    if not number > 0.0:
+        raise ValueError("must be greater than 0")
+    return number
+
+
+def _not_negative(number):
+    if number < 0.0:
+        raise ValueError("must not be negative")
+    return number
+
+
+def listed(value):
+    """A list out of what may stand for one (list, tuple, array)."""
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, (str, bytes)) or not isinstance(value, Sequence):
+        raise ValueError("must be a list")
+    return list(value)
+
+
+def _three(value):
+    value = listed(value)
+    if len(value) != 3:
+        raise ValueError("must have 3 numbers [x, y, z]")
+    return value
+
+
+def _four(value):
+    value = listed(value)
+    if len(value) != 4:
+        raise ValueError("must have 4 numbers [x, y, z, w]")
+    return value
+
+
+def _unit(quaternion):
+    norm = math.hypot(*quaternion)
+    if not abs(norm - 1.0) <= QUATERNION_NORM_TOLERANCE:
+        raise ValueError(f"must have norm 1 within {QUATERNION_NORM_TOLERANCE:g} (it is then "
+                         f"normalised), but the norm is {norm:.6g}")
+    return quaternion
+
+
+def _within_a_turn(vector):
+    angle = math.hypot(*vector)
+    if angle > 2.0 * math.pi:
+        raise ValueError(f"must be at most one turn (2 pi) long, but is {angle:.6g}; "
+                         "it is in radians, not in degrees")
+    return vector
+
+
+def _direction(vector):
+    # the inverse of a length below this is out of range, like the numbers themselves
+    if not math.hypot(*vector) >= 1.0 / LARGEST_NUMBER:
+        raise ValueError("must not be zero: give the direction of the joint's axis")
+    return vector
+
+
+def _inertia(moments):
+    if len(moments) not in (3, 6):
+        raise ValueError("must have 3 numbers [Ixx, Iyy, Izz] or 6 [Ixx, Iyy, Izz, Ixy, Ixz, Iyz]")
+    scale = max(abs(moment) for moment in moments) or 1.0
+    small, middle, large = np.linalg.eigvalsh(inertia_matrix(moments) / scale)
+    principal = ", ".join(f"{scale * moment:.6g}" for moment in (small, middle, large))
+    # Eigenvalues of a scaled 3x3 matrix are right to a few 1e-16, so that a zero one may come out
+    # as 1e-16; a real rod of diameter d and length L has the ratio (d / L)^2, above 1e-12.
+    if not small > 1e-12:
+        hint = ("a rod without thickness has none about its own axis: give it a small one, 1e-6 "
+                "of the largest" if small > -1e-12 and middle > 1e-12 else "check order and signs")
+        raise ValueError("must be positive definite, but its principal moments are "
+                         f"{principal}; {hint}")
+    # Three moments typed with seven digits are off by up to 5e-7 of the largest each, or of their
+    # sum, 2 large: together 1e-6 large. A flat plate is allowed to sit on the bound.
+    if large > small + middle + 1e-6 * large:
+        raise ValueError(
+            f"must be that of a real body: the largest of its principal moments {principal} "
+            "must not exceed the sum of the other two; check units, order and signs")
+    return moments
+
+
+def inertia_matrix(moments):
+    """(3, 3) symmetric matrix of [Ixx, Iyy, Izz] or [Ixx, Iyy, Izz, Ixy, Ixz, Iyz]."""
+    xx, yy, zz, xy, xz, yz = (*moments, 0.0, 0.0, 0.0)[:6]
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def _text(value):
+    if not isinstance(value, str):
+        raise ValueError("must be text")
+    return value
+
+
+def _name(value):
+    if not isinstance(value, str) or not _NAME.fullmatch(value):
+        raise ValueError("must be a name: a letter, then letters, digits or _, 64 at most")
+    return str(value)
+
+
+Number = Annotated[float, BeforeValidator(_number)]
+Positive = Annotated[Number, AfterValidator(_positive)]
+NotNegative = Annotated[Number, AfterValidator(_not_negative)]
+Vector3 = Annotated[tuple[Number, Number, Number], BeforeValidator(_three)]
+RotationVector = Annotated[Vector3, AfterValidator(_within_a_turn)]
+Direction = Annotated[Vector3, AfterValidator(_direction)]
+Quaternion = Annotated[tuple[Number, Number, Number, Number], BeforeValidator(_four),
+                       AfterValidator(_unit)]
+Inertia = Annotated[tuple[Number, ...], BeforeValidator(listed), AfterValidator(_inertia)]
+Text = Annotated[str, BeforeValidator(_text)]
+Name = Annotated[str, BeforeValidator(_name)]
+
+
+def place_text(place, values):
+    """Path inside a scene as people read it: `bodies[0] "top": parent_frame.position[2]`.
+
+    place  : keys and indices from the scene, or from one of its parts, inwards
+    values : the mapping the place is in, for the name of the entry
+    returns the text, without a blank at its end; empty for the scene itself
+    """
+    text = ""
+    for step in place:
+        text += f"[{step}]" if isinstance(step, int) else f".{step}" if text else str(step)
+    if len(place) < 2 or not isinstance(place[1], int):
+        return text
+    head = f"{place[0]}[{place[1]}]"
+    try:
+        entry = values[place[0]][place[1]]
+        name = entry["name"] if isinstance(entry, Mapping) else entry.name
+    except (LookupError, TypeError, AttributeError):
+        name = None
+    label = f' "{name}"' if isinstance(name, str) and _NAME.fullmatch(name) else ""
+    rest = text[len(head):].removeprefix(".")
+    return f"{head}{label}: {rest}" if rest else f"{head}{label}:"
+
+
+def _refusal(cls, errors, values):
+    """SceneError for the first of pydantic's errors, in the form of this project."""
+    first = errors[0]
+    cause = first.get("ctx", {}).get("error")
+    path = place_text(first["loc"], values)
+    if isinstance(cause, SceneError):  # a whole sentence, about something inside `loc`
+        place = first["loc"] + (cause.place or ())
+        path = path if path.endswith(":") or not path else f"{path}:"
+        message = f"{path} {cause}".strip()
+    else:
+        place = first["loc"]
+        rule = str(cause) if cause else (
+            f"must be {first['ctx']['expected']}" if first["type"] == "literal_error"
+            else f"is refused: {first['msg']}")
+        message = f"{path} {rule}, got {shown(first['input'])}".strip()
+    if cls.__name__ != "Scene":
+        name = values.get("name")
+        label = f' "{name}"' if isinstance(name, str) and _NAME.fullmatch(name) else ""
+        message = f"{cls.__name__}{label}: {message}"
+    more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
+    return SceneError(message + more, place)
+
+
+class _Refusing(type(BaseModel)):
+    """Makes a model called with wrong values raise SceneError."""
+
+    def __call__(cls, /, **values):
+        try:
+            return super().__call__(**values)
+        except ValidationError as error:
+            refusal = _refusal(cls, error.errors(include_url=False), values)
+        raise refusal
+
+
+class Described(BaseModel, metaclass=_Refusing):
+    """Base of all scene models: frozen, checked when made, unknown keys refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _keys(cls, data):
+        """Refuse what is no mapping, has unknown keys or lacks one; a misspelt key is both."""
+        if isinstance(data, cls):
+            return data
+        if not isinstance(data, Mapping):
+            raise ValueError(f"must be a mapping with the keys {', '.join(cls.model_fields)}")
+        for key in data:
+            if key not in cls.model_fields:
+                hint = suggestion(key, list(cls.model_fields))
+                raise SceneError(f"unknown key {shown(key)}; {hint}", place=(key,))
+        for key, field in cls.model_fields.items():
+            if field.is_required() and key not in data:
+                raise SceneError(f"{key} is missing: give the {field.description}", place=(key,))
+        return data
+
+    def model_copy(self, *, update=None, deep=False):
+        """Changed copy, checked like a new one; its values never change, so deep is the same."""
+        return type(self)(**{key: getattr(self, key) for key in self.model_fields_set}
+                          | (update or {}))
