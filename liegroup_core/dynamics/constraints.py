@@ -91,22 +91,32 @@ def assemble_rows(model, work, pose, twist, world_axes, bias_out):
 
 
 @kernel
+def _add_product(model, work, e, columns):
+    """Add product e, J_i G_j^T, to its block of S, which has so many columns."""
+    m = len(model.joints)
+    place = model.products[e, 0]
+    i = model.products[e, 1]
+    row_i = model.products[e, 2] * m + i
+    row_j = model.products[e, 4] * m + model.products[e, 3]
+    for r in range(model.joints[i]["rows"]):
+        for c in range(columns):
+            work.solve[place + r * columns + c] += dot6(
+                work.jacobian, row_i, 6 * r, work.mobility, row_j, 6 * c)
+
+
+@kernel
 def assemble_solve(model, work):
     """S = J M^-1 J^T, lower triangle of blocks, into work.solve."""
     for i in range(len(work.solve)):
         work.solve[i] = model.solve_constant[i]
-    m = len(model.joints)
     for e in range(len(model.products)):
-        place = model.products[e, 0]
-        i = model.products[e, 1]
-        j = model.products[e, 3]
-        row_i = model.products[e, 2] * m + i
-        row_j = model.products[e, 4] * m + j
-        columns = model.joints[j]["rows"]
-        for r in range(model.joints[i]["rows"]):
-            for c in range(columns):
-                work.solve[place + r * columns + c] += dot6(
-                    work.jacobian, row_i, 6 * r, work.mobility, row_j, 6 * c)
+        columns = model.joints[model.products[e, 3]]["rows"]
+        if columns == 3:
+            _add_product(model, work, e, 3)
+        elif columns == 5:
+            _add_product(model, work, e, 5)
+        else:
+            _add_product(model, work, e, columns)
 
 
 @kernel
