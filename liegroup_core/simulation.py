@@ -27,7 +27,6 @@ class Layout:
 
     scene: Scene
     model: Model
-    joint_order: tuple                      # model joint j is scene.joints[joint_order[j]]
     joint_frames: tuple                     # (parent frame, child frame) in the scene's order
 
     @property
@@ -42,8 +41,7 @@ class Layout:
 
 def make_layout(scene):
     """Build the model of a scene. Raises SceneError."""
-    model, order = build_model(scene)
-    return Layout(scene, model, tuple(order), tuple(resolve_frames(scene)))
+    return Layout(scene, build_model(scene), tuple(resolve_frames(scene)))
 
 
 class Simulation:
@@ -192,7 +190,7 @@ class Simulation:
     def _explain(self, status):
         joint = ""
         if status & 0xff == DEPENDENT_ROWS:
-            joint = self.scene.joints[self.layout.joint_order[status >> 8]].name
+            joint = self.scene.joints[status >> 8].name
         return (f"stopped at t = {self.time:.9g} s (step {self.steps}, h = {self.step:g} s): "
                 + MESSAGES[status & 0xff].format(joint=joint))
 

@@ -3,36 +3,23 @@
 
 Solves (6.22)
     M Vdot + J^T lambda = Q,   J Vdot = bias
-by S lambda = J M^-1 Q - bias with S = J M^-1 J^T. In body frames at the centre of mass M is
-block diagonal (Theta, m I), so its inverse is free. Q holds the gyroscopic terms with the sign
-that (6.30) misses: torque -w x Theta w, force -m w x v.
+In body frames at the centre of mass M is block diagonal (Theta, m I). Q holds the gyroscopic
+terms with the sign that (6.30) misses: torque -w x Theta w, force -m w x v.
 """
 from .._compile import kernel
 from ..forces.gravity import add_wrench as add_gravity
 from ..forces.spring_damper import add_wrench as add_springs
 from ..lie.vec3 import cross3, load3, matrix3, matvec3
-from ..model.arrays import WORLD
-from .block_cholesky import factorise, substitute
-from .constraints import assemble_rows, assemble_solve, constraint_force, dot6
-
-
-@kernel
-def _divide_by_mass(model, wrench, acceleration_out):
-    """acceleration = M^-1 wrench, body by body."""
-    for i in range(len(model.bodies)):
-        inverse_mass = model.bodies[i]["inverse_mass"]
-        angular = matvec3(matrix3(model.bodies[i]["inverse_inertia"]), load3(wrench, i, 0))
-        for c in range(3):
-            acceleration_out[i, c] = angular[c]
-            acceleration_out[i, 3 + c] = inverse_mass * wrench[i, 3 + c]
+from .constraints import assemble
+from .saddle_point import factorise, substitute
 
 
 @kernel
 def accelerations(model, work, pose, twist, external, world_axes):
-    """Vdot of all bodies into work.acceleration, multipliers into work.multiplier.
+    """Vdot of all bodies, and the multipliers, into work.solution.
 
     pose (n, 12), twist (n, 6), external (n, 6): applied wrenches in body axes about the centre
-    of mass; world_axes: see assemble_rows
+    of mass; world_axes: see `assemble`
     returns -1, or the joint whose rows depend on others at this pose
     """
     for i in range(len(model.bodies)):
@@ -45,27 +32,23 @@ def accelerations(model, work, pose, twist, external, world_axes):
             work.wrench[i, 3 + c] = external[i, 3 + c] + mass * gyro_v[c]
     add_gravity(model, pose, work.wrench)
     add_springs(model.springs, pose, twist, work.wrench)
-    _divide_by_mass(model, work.wrench, work.acceleration)
-    m = len(model.joints)
-    if m == 0:
+    if len(model.joints) == 0:
+        for i in range(len(model.bodies)):
+            at = model.bodies[i]["start"]
+            angular = matvec3(matrix3(model.bodies[i]["inverse_inertia"]),
+                              load3(work.wrench, i, 0))
+            for c in range(3):
+                work.solution[at + c] = angular[c]
+                work.solution[at + 3 + c] = model.bodies[i]["inverse_mass"] * work.wrench[i, 3 + c]
         return -1
-
-    assemble_rows(model, work, pose, twist, world_axes, work.multiplier)
-    for j in range(m):
-        a = model.joints[j]["parent"]
-        b = model.joints[j]["child"]
-        for r in range(model.joints[j]["rows"]):
-            value = dot6(work.jacobian, j, 6 * r, work.acceleration, b, 0)
-            if a != WORLD:
-                value += dot6(work.jacobian, m + j, 6 * r, work.acceleration, a, 0)
-            row = model.joints[j]["row_start"] + r
-            work.multiplier[row] = value - work.multiplier[row]
-    if not model.solve_is_constant:
-        assemble_solve(model, work)
-        dependent = factorise(model, work.solve)
+    for i in range(len(model.bodies)):
+        at = model.bodies[i]["start"]
+        for c in range(6):
+            work.solution[at + c] = work.wrench[i, c]
+    assemble(model, work, pose, twist, world_axes)
+    if not model.is_constant:
+        dependent = factorise(model, work.matrix)
         if dependent >= 0:
             return dependent
-    substitute(model, work.solve, work.multiplier)
-    constraint_force(model, work, -1.0, work.wrench)
-    _divide_by_mass(model, work.wrench, work.acceleration)
+    substitute(model, work.matrix, work.solution)
     return -1

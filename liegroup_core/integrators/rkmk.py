@@ -116,7 +116,9 @@ def _evaluate(model, work, group, stage, external):
         row = stage * n + i
         w = load3(work.stage_twist, i, 0)
         v = load3(work.stage_twist, i, 3)
-        linear = load3(work.acceleration, i, 3)
+        at = model.bodies[i]["start"]
+        angular = (work.solution[at], work.solution[at + 1], work.solution[at + 2])
+        linear = (work.solution[at + 3], work.solution[at + 4], work.solution[at + 5])
         if group != SE3:
             rot = load9(work.stage_pose, i, 0)
             linear = matvec3(rot, add3(linear, cross3(w, v)))
@@ -131,7 +133,7 @@ def _evaluate(model, work, group, stage, external):
                 w = so3_dexpinv(xi, w)
         store3(w, work.slopes, row, 0)
         store3(v, work.slopes, row, 3)
-        store3(load3(work.acceleration, i, 0), work.slopes, row, 6)
+        store3(angular, work.slopes, row, 6)
         store3(linear, work.slopes, row, 9)
     return OK
 

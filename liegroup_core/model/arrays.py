@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The arrays that kernels see: a constant Model, and Work, scratch memory without meaning of its own.
 
-Bodies keep the order of the scene. Joints stand in the order in which the solve eliminates them.
+Bodies and joints keep the order of the scene; vertices, which are both, stand in the order in
+which the solve eliminates them.
 Body frames sit at the centre of mass. Twist (omega, v) and wrench (torque, force) are
 components in body axes; a pose is R row by row, then r: twelve numbers.
 
@@ -20,6 +21,7 @@ WORLD = -1                                  # index of the world where a body is
 BODY = np.dtype([
     ("mass", "f8"), ("inverse_mass", "f8"),                       # kg, 1/kg
     ("inertia", "f8", (9,)), ("inverse_inertia", "f8", (9,)),     # kg m^2 about the COM, body axes
+    ("start", "i8"),                                              # its place in Work.solution
 ], align=True)
 
 SPRING_DAMPER = np.dtype([
@@ -30,38 +32,42 @@ SPRING_DAMPER = np.dtype([
 
 JOINT = np.dtype([
     ("parent", "i8"), ("child", "i8"),      # body index; the parent may be WORLD, the child not
-    ("rows", "i8"), ("row_start", "i8"),    # number of rows k, and its first among all rows
-    ("diagonal", "i8"),                     # place of its diagonal block of S
+    ("rows", "i8"), ("start", "i8"),        # number of rows k, and their place in Work.solution
+    ("child_place", "i8"), ("child_turned", "i8"),    # block of the child's rows J_b in K: its
+    ("parent_place", "i8"), ("parent_turned", "i8"),  # place, and 1 where it holds J_b^T; parent
+], align=True)
+
+VERTEX = np.dtype([                         # body or joint in the order of elimination
+    ("joint", "i8"),                        # which joint; -1: a body
+    ("size", "i8"), ("start", "i8"),        # its scalars and their place in Work.solution
+    ("diagonal", "i8"),                     # place of its diagonal block of K
     ("column_start", "i8"), ("column_end", "i8"),     # its range of Model.columns
     ("update_start", "i8"), ("update_end", "i8"),     # its range of Model.updates
 ], align=True)
 
 
 class Model(NamedTuple):
-    """What does not change while a scene is integrated. The last five: see sparsity.py."""
+    """What does not change while a scene is integrated. K and its blocks: see sparsity.py."""
 
     gravity: np.ndarray            # (1, 3) m/s^2, world axes
     bodies: np.ndarray             # (n,) of BODY
     springs: np.ndarray            # (ns,) of SPRING_DAMPER
     joints: np.ndarray             # (m,) of JOINT
-    child_jacobian: np.ndarray     # (m, 36) rows A Ad(F_b^-1), the first 6 k used
-    child_mobility: np.ndarray     # (m, 36) the same rows times M_b^-1
-    products: np.ndarray           # (p, 5) place, joint i, side i, joint j, side j: S += J_i G_j^T
-    columns: np.ndarray            # (b, 2) a block below the diagonal: joint of its rows, place
-    updates: np.ndarray            # (u, 5) target place, places of L_i and L_k, joints i and k
-    solve_constant: np.ndarray     # (blocks,) the part of S that no pose changes, or its factor
-    solve_is_constant: bool        # True: all of S is constant and solve_constant is its factor
+    child_jacobian: np.ndarray     # (m, 36) rows J_b = A Ad(F_b^-1), the first 6 k used
+    vertices: np.ndarray           # (n + m,) of VERTEX
+    columns: np.ndarray            # (b, 2) a block below the diagonal: vertex of its rows, place
+    updates: np.ndarray            # (u, 5) target place, places of L_i and L_w, vertices i and w
+    pivot_floor: np.ndarray        # (6 n + rows,) pivots below are zero: rows depend on others
+    constant: np.ndarray           # (blocks,) the part of K that no pose changes, or its factor
+    is_constant: bool              # True: no pose changes K, and `constant` is its factor
 
 
 class Work(NamedTuple):
     """Scratch memory of one simulation; nothing in it outlives a call."""
 
-    jacobian: np.ndarray           # (2 m, 36) child side (constant), then parent side
-    mobility: np.ndarray           # (2 m, 36) the same rows times M^-1
-    solve: np.ndarray              # (blocks,) S, then its factor in place
-    multiplier: np.ndarray         # (rows,) lambda
-    wrench: np.ndarray             # (n, 6) sum of applied and constraint wrenches
-    acceleration: np.ndarray       # (n, 6) Vdot
+    matrix: np.ndarray             # (blocks,) K, then its factor in place
+    solution: np.ndarray           # (6 n + rows,) right-hand side, then Vdot and lambda
+    wrench: np.ndarray             # (n, 6) sum of the applied wrenches
     stage_pose: np.ndarray         # (n, 12)
     stage_twist: np.ndarray        # (n, 6)
     velocity: np.ndarray           # (n, 6) velocity on the group at the start of the step
@@ -71,14 +77,8 @@ class Work(NamedTuple):
 
 def make_work(model, stages):
     """Allocate the scratch memory of a model for a method of so many stages."""
-    n, m = len(model.bodies), len(model.joints)
-    work = Work(
-        jacobian=np.zeros((2 * m, 36)), mobility=np.zeros((2 * m, 36)),
-        solve=model.solve_constant.copy(),
-        multiplier=np.zeros(int(model.joints["rows"].sum())),
-        wrench=np.zeros((n, 6)), acceleration=np.zeros((n, 6)),
-        stage_pose=np.zeros((n, 12)), stage_twist=np.zeros((n, 6)), velocity=np.zeros((n, 6)),
-        slopes=np.zeros((stages * n, 12)), report=np.zeros(1))
-    work.jacobian[:m] = model.child_jacobian
-    work.mobility[:m] = model.child_mobility
-    return work
+    n = len(model.bodies)
+    return Work(
+        matrix=model.constant.copy(), solution=np.zeros(len(model.pivot_floor)),
+        wrench=np.zeros((n, 6)), stage_pose=np.zeros((n, 12)), stage_twist=np.zeros((n, 6)),
+        velocity=np.zeros((n, 6)), slopes=np.zeros((stages * n, 12)), report=np.zeros(1))

@@ -1,17 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scene -> Model: names become indices, frames become Jacobian rows, the solve gets its structure."""
-from collections import defaultdict
-
 import numpy as np
 
-from ..dynamics.block_cholesky import factorise
-from ..dynamics.constraints import assemble_rows, assemble_solve
+from ..dynamics.constraints import assemble
+from ..dynamics.saddle_point import factorise
 from ..errors import SceneError
 from ..joints.pairs import LOWER_PAIRS
 from ..lie.groups import SE3
 from ..scene.consistency import check_consistency, resolve_frames
-from .arrays import BODY, JOINT, SPRING_DAMPER, WORLD, Model, make_work
+from .arrays import BODY, JOINT, SPRING_DAMPER, VERTEX, WORLD, Model, make_work
 from .sparsity import block_layout, elimination_order
+
+# A pivot this small against its row's own S_rr is rounding: 1e-13 is some hundred times what k
+# rows leave. A ratio of neighbouring masses of 1e8 makes good pivots of 1e-8.
+SMALLEST_PIVOT = 1e-13
 
 
 def initial_state(scene):
@@ -23,51 +25,92 @@ def initial_state(scene):
 
 
 def build_model(scene):
-    """Model of a scene, and the scene's index of each of the model's joints.
+    """Model of a scene, its joints in the order of the scene.
 
-    returns (model, joint_order): joint j of the model is scene.joints[joint_order[j]]
     raises SceneError: joints that do not close, velocities against them, rows that depend
     """
     check_consistency(scene)
     index = {body.name: i for i, body in enumerate(scene.bodies)} | {"world": WORLD}
-    bodies = np.array([(body.mass, 1.0 / body.mass, body.inertia_matrix.ravel(),
-                        np.linalg.inv(body.inertia_matrix).ravel()) for body in scene.bodies],
-                      dtype=BODY)
     ends, jacobians = _joint_rows(scene, index)
-    touching = defaultdict(set)
-    for j, (parent, child) in enumerate(ends):
-        for body in (parent, child):
+    n, m = len(scene.bodies), len(ends)
+    rows = [len(jacobian) for jacobian in jacobians]
+
+    # Vertices: bodies 0..n-1, then joints.
+    sizes = [6] * n + rows
+    neighbours = [set() for _ in sizes]
+    for j, pair in enumerate(ends):
+        for body in pair:
             if body != WORLD:
-                touching[body].add(j)
-    neighbours = [set().union(*(touching[body] for body in pair if body != WORLD)) - {j}
-                  for j, pair in enumerate(ends)]
-    order, below = elimination_order(neighbours)
-    ends = [ends[j] for j in order]
-    jacobians = [jacobians[j] for j in order]
-    rows = np.array([len(jacobian) for jacobian in jacobians], dtype=np.int64)
+                neighbours[body].add(n + j)
+                neighbours[n + j].add(body)
+    order, below = elimination_order(sizes, neighbours, n)
+    position = {v: p for p, v in enumerate(order)}
+    sizes = np.array([sizes[v] for v in order], dtype=np.int64)
+    starts = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64)
+    place, size, ranges, columns, updates = block_layout(sizes, below)
+    vertices = np.array([(order[p] - n if order[p] >= n else -1, sizes[p], starts[p], *ranges[p])
+                         for p in range(n + m)], dtype=VERTEX)
 
-    m = len(order)
-    child_jacobian, child_mobility = np.zeros((m, 36)), np.zeros((m, 36))
-    for j, jacobian in enumerate(jacobians):
-        child = ends[j][1]
-        inverse_inertia = bodies[child]["inverse_inertia"].reshape(3, 3)
-        moved = np.hstack([jacobian[:, :3] @ inverse_inertia,
-                           jacobian[:, 3:] * bodies[child]["inverse_mass"]])
-        child_jacobian[j, :jacobian.size] = jacobian.ravel()
-        child_mobility[j, :moved.size] = moved.ravel()
+    bodies = np.array([(body.mass, 1.0 / body.mass, body.inertia_matrix.ravel(),
+                        np.linalg.inv(body.inertia_matrix).ravel(), starts[position[i]])
+                       for i, body in enumerate(scene.bodies)], dtype=BODY)
+    joints = np.zeros(m, dtype=JOINT)
+    child_jacobian = np.zeros((m, 36))
+    for j, (parent, child) in enumerate(ends):
+        joints[j] = (parent, child, rows[j], starts[position[n + j]],
+                     *_block(place, position, n + j, child),
+                     *_block(place, position, n + j, parent))
+        child_jacobian[j, :6 * rows[j]] = jacobians[j].ravel()
 
-    place, size, ranges, columns, updates = block_layout(rows, below)
-    constant, products = _products(ends, rows, place, size, child_jacobian, child_mobility)
-    row_start = np.concatenate([[0], np.cumsum(rows)[:-1]]) if m else rows
-    joints = np.array([(*ends[j], rows[j], row_start[j], *ranges[j]) for j in range(m)],
-                      dtype=JOINT)
     model = Model(
         gravity=np.array([scene.gravity], dtype=float), bodies=bodies,
         springs=_springs(scene, index), joints=joints, child_jacobian=child_jacobian,
-        child_mobility=child_mobility, products=products, columns=columns, updates=updates,
-        solve_constant=constant, solve_is_constant=len(products) == 0)
-    _factorise_once(model, scene, order)
-    return model, order
+        vertices=vertices, columns=columns, updates=updates,
+        pivot_floor=_pivot_floor(scene, bodies, joints, jacobians, int(sizes.sum())),
+        constant=_constant_part(scene, place, position, bodies, joints, jacobians, size),
+        is_constant=all(parent == WORLD for parent, _ in ends))
+    _factorise_once(model, scene)
+    return model
+
+
+def _block(place, position, joint, body):
+    """Place of the block of a joint and a body in K, and 1 if it holds the rows as columns."""
+    if body == WORLD:
+        return -1, 0
+    turned = position[body] > position[joint]
+    return place[max(position[joint], position[body]), min(position[joint], position[body])], turned
+
+
+def _constant_part(scene, place, position, bodies, joints, jacobians, size):
+    """M and the children's rows in the flat array of K; the rest zero."""
+    constant = np.zeros(size)
+    for i, body in enumerate(scene.bodies):
+        block = np.zeros((6, 6))
+        block[:3, :3] = body.inertia_matrix
+        block[3:, 3:] = body.mass * np.eye(3)
+        at = place[position[i], position[i]]
+        constant[at:at + 36] = block.ravel()
+    for joint, jacobian in zip(joints, jacobians):
+        at = joint["child_place"]
+        block = jacobian.T if joint["child_turned"] else jacobian
+        constant[at:at + block.size] = block.ravel()
+    return constant
+
+
+def _pivot_floor(scene, bodies, joints, jacobians, count):
+    """Smallest good pivot of every scalar of K: none for bodies, a fraction of S_rr for rows.
+
+    S = J M^-1 J^T is what a row's pivot would be without any other row. Both ends of a joint count
+    about the same here, so its child's part stands for all of it.
+    """
+    floor = np.zeros(count)
+    for joint, jacobian in zip(joints, jacobians):
+        body = bodies[joint["child"]]
+        moved = np.hstack([jacobian[:, :3] @ body["inverse_inertia"].reshape(3, 3),
+                           jacobian[:, 3:] * body["inverse_mass"]])
+        floor[joint["start"]:joint["start"] + len(jacobian)] = (
+            SMALLEST_PIVOT * (jacobian * moved).sum(axis=1))
+    return floor
 
 
 def _joint_rows(scene, index):
@@ -78,33 +121,6 @@ def _joint_rows(scene, index):
     return ends, jacobians
 
 
-def _products(ends, rows, place, size, jacobian, mobility):
-    """The constant part of S, and the products J_i G_j^T that depend on the pose.
-
-    Two joints (or a joint and itself) are coupled once for every moving body they share; side 0
-    is the child's, whose rows are constant, side 1 the parent's.
-    """
-    constant, products = np.zeros(size), []
-    sides = defaultdict(list)
-    for j, (parent, child) in enumerate(ends):
-        sides[child].append((j, 0))
-        if parent != WORLD:
-            sides[parent].append((j, 1))
-    for incident in sides.values():
-        for i, side_i in incident:
-            for j, side_j in incident:
-                if i < j:
-                    continue
-                at = place[i, j]
-                if side_i == side_j == 0:
-                    block = (jacobian[i].reshape(6, 6)[:rows[i]]
-                             @ mobility[j].reshape(6, 6)[:rows[j]].T)
-                    constant[at:at + block.size] += block.ravel()
-                else:
-                    products.append((at, i, side_i, j, side_j))
-    return constant, np.array(sorted(products), dtype=np.int64).reshape(-1, 5)
-
-
 def _springs(scene, index):
     """The scene's spring-dampers as rows of SPRING_DAMPER."""
     rows = [(index[s.parent], index[s.child], s.parent_point, s.child_point,
@@ -113,18 +129,14 @@ def _springs(scene, index):
     return np.array(rows, dtype=SPRING_DAMPER)
 
 
-def _factorise_once(model, scene, order):
-    """Factorise S at the initial state: at once for good where no pose changes it."""
+def _factorise_once(model, scene):
+    """Factorise K at the initial state: at once for good where no pose changes it."""
+    pose, twist = initial_state(scene)
     work = make_work(model, 1)
-    solve = model.solve_constant if model.solve_is_constant else work.solve
-    if not model.solve_is_constant:
-        pose, twist = initial_state(scene)
-        assemble_rows(model, work, pose, twist, False, work.multiplier)
-        assemble_solve(model, work)
-    dependent = factorise(model, solve)
+    assemble(model, work, pose, twist, False)
+    dependent = factorise(model, model.constant if model.is_constant else work.matrix)
     if dependent >= 0:
-        joint = scene.joints[order[dependent]]
         raise SceneError(
-            f"joint {joint.name} constrains what other joints constrain already (its rows depend "
-            "on theirs); replace it by a joint that leaves more freedom, or leave it out",
-            ("joints", order[dependent]))
+            f"joint {scene.joints[dependent].name} constrains what other joints constrain already "
+            "(its rows depend on theirs); replace it by a joint that leaves more freedom, or "
+            "leave it out", ("joints", dependent))
