@@ -11,6 +11,7 @@ from .errors import SimulationError
 from .integrators.methods import GROUPS, METHODS
 from .integrators.rkmk import advance
 from .integrators.status import DEPENDENT_ROWS, LARGE_ROTATION, MESSAGES, OK
+from .joints.pairs import LOWER_PAIRS
 from .model.arrays import Model, make_work
 from .model.build import build_model, initial_state
 from .model.sample import Sample
@@ -28,11 +29,20 @@ class Layout:
     scene: Scene
     model: Model
     joint_frames: tuple                     # (parent frame, child frame) in the scene's order
+    elements: tuple                         # (scene joint, kept rows) of each joint of the model
 
     @property
     def body_names(self):
         """Names of the bodies in the order of all arrays."""
         return tuple(body.name for body in self.scene.bodies)
+
+    @property
+    def dropped_rows(self):
+        """[(joint, row)] left out because they depend on others, rows named wx..vz."""
+        kept = {joint: rows for joint, rows in self.elements}
+        return [(joint.name, name) for j, joint in enumerate(self.scene.joints)
+                for r, name in enumerate(LOWER_PAIRS[joint.type].row_names)
+                if r not in kept.get(j, ())]
 
     def sample(self, pose, twist, time=0.0, time_ns=0, steps=0):
         """Sample of a given state: pose (n, 12), twist (n, 6)."""
@@ -41,7 +51,8 @@ class Layout:
 
 def make_layout(scene):
     """Build the model of a scene. Raises SceneError."""
-    return Layout(scene, build_model(scene), tuple(resolve_frames(scene)))
+    model, elements = build_model(scene)
+    return Layout(scene, model, tuple(resolve_frames(scene)), tuple(elements))
 
 
 class Simulation:
@@ -68,7 +79,7 @@ class Simulation:
         self.tableau = METHODS[method]
         self._work = make_work(self.layout.model, len(self.tableau.b))
         self._body = {name: i for i, name in enumerate(self.layout.body_names)}
-        self._warned = False
+        self._warned = self._warned_singular = False
         self.reset()
         warm_up(self._touch)
 
@@ -109,6 +120,15 @@ class Simulation:
     def time_ns(self):
         """The same as an integer of nanoseconds, rounded from the step count."""
         return round(self.steps * self.step * 1e9)
+
+    @property
+    def singular_solves(self):
+        """How often the accelerations were solved at a singular pose, since the simulation was made.
+
+        There rows depend on each other that do not elsewhere (a parallelogram folded flat); the
+        solve is regularised and refined, and where the joints leave it open the masses decide.
+        """
+        return int(self._work.report[1])
 
     @property
     def next_wrench_change(self):
@@ -181,6 +201,10 @@ class Simulation:
                 raise SimulationError(self._explain(status), status & 0xff)
             if self.steps >= end:
                 break
+        if self._work.report[1] and not self._warned_singular:
+            self._warned_singular = True
+            log.warning("a singular pose was met before t = %g s: where the joints leave the motion "
+                        "open the masses decide", self.time)
         if not self._warned and self._work.report[0] > LARGE_ROTATION ** 2:
             self._warned = True
             log.warning("a body turned by more than pi within one step (%.3g rad before t = %g s): "
@@ -190,7 +214,7 @@ class Simulation:
     def _explain(self, status):
         joint = ""
         if status & 0xff == DEPENDENT_ROWS:
-            joint = self.scene.joints[status >> 8].name
+            joint = self.scene.joints[self.layout.elements[status >> 8][0]].name
         return (f"stopped at t = {self.time:.9g} s (step {self.steps}, h = {self.step:g} s): "
                 + MESSAGES[status & 0xff].format(joint=joint))
 

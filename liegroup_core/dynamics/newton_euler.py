@@ -11,16 +11,20 @@ from ..forces.gravity import add_wrench as add_gravity
 from ..forces.spring_damper import add_wrench as add_springs
 from ..lie.vec3 import cross3, load3, matrix3, matvec3
 from .constraints import assemble
-from .saddle_point import factorise, substitute
+from .saddle_point import REGULARISATION, solve
+
+# The shift is 1e-8 of a row: so much smaller the error of all other directions gets by each
+# refinement, divided by the squared sine of the angle between rows.
+REFINEMENTS_WHEN_SINGULAR = 4
 
 
 @kernel
-def accelerations(model, work, pose, twist, external, world_axes):
+def accelerations(model, work, pose, twist, external):
     """Vdot of all bodies, and the multipliers, into work.solution.
 
     pose (n, 12), twist (n, 6), external (n, 6): applied wrenches in body axes about the centre
-    of mass; world_axes: see `assemble`
-    returns -1, or the joint whose rows depend on others at this pose
+    of mass
+    returns -1, or the joint whose rows depend on others, which a regularised solve could not mend
     """
     for i in range(len(model.bodies)):
         w = load3(twist, i, 0)
@@ -45,10 +49,14 @@ def accelerations(model, work, pose, twist, external, world_axes):
         at = model.bodies[i]["start"]
         for c in range(6):
             work.solution[at + c] = work.wrench[i, c]
-    assemble(model, work, pose, twist, world_axes)
-    if not model.is_constant:
-        dependent = factorise(model, work.matrix)
-        if dependent >= 0:
-            return dependent
-    substitute(model, work.matrix, work.solution)
-    return -1
+    dependent = -1
+    refinements, shift = model.refinements, 0.0
+    for _ in range(2):
+        assemble(model, work, pose, twist)
+        dependent = solve(model, work, refinements, shift)
+        if dependent < 0:
+            return -1
+        # A singular pose: once more, and where the joints leave it open the masses decide.
+        refinements, shift = REFINEMENTS_WHEN_SINGULAR, REGULARISATION
+        work.report[1] += 1.0
+    return dependent

@@ -15,13 +15,19 @@ a block, which was measured to take a quarter to a third of the time.
 import math
 
 from .._compile import kernel
+from ..lie.vec3 import matrix3, matvec3
+from ..model.arrays import WORLD
+
+# A row that depends on others is given this many times its pivot floor instead of nothing.
+REGULARISATION = 1e2
 
 
 @kernel
-def _factorise_diagonal(solve, place, k, sign, floor, first):
+def _factorise_diagonal(solve, place, k, sign, floor, first, shift):
     """Cholesky factor of sign times one k x k block, in place.
 
     floor : smallest good pivot of every scalar, from entry `first` on
+    shift : multiple of that floor to add to the diagonal
     returns False when a pivot is below it
     """
     # First L D without roots, D as reciprocals: one pivot waits for the division of the last, and
@@ -29,6 +35,8 @@ def _factorise_diagonal(solve, place, k, sign, floor, first):
     for r in range(k):
         for c in range(r + 1):
             total = sign * solve[place + r * k + c]
+            if c == r:
+                total += shift * floor[first + r]
             for q in range(c):
                 total -= solve[place + r * k + q] * (solve[place + c * k + q]
                                                      * solve[place + q * k + q])
@@ -69,14 +77,15 @@ def _subtract_square(solve, target, left, rows, k, sign):
 
 
 @kernel
-def _eliminate(model, solve, v, k, sign, usual, other):
+def _eliminate(model, solve, v, k, sign, usual, other, shift):
     """Eliminate vertex v of k scalars; False when one of its pivots is too small.
 
     usual, other : sizes that most of its neighbours have, as constants
     """
     vertices = model.vertices
     place = vertices[v]["diagonal"]
-    if not _factorise_diagonal(solve, place, k, sign, model.pivot_floor, vertices[v]["start"]):
+    if not _factorise_diagonal(solve, place, k, sign, model.pivot_floor, vertices[v]["start"],
+                               shift):
         return False
     for b in range(vertices[v]["column_start"], vertices[v]["column_end"]):
         rows = vertices[model.columns[b, 0]]["size"]
@@ -111,21 +120,22 @@ def _eliminate(model, solve, v, k, sign, usual, other):
 
 
 @kernel
-def factorise(model, solve):
+def factorise(model, solve, shift):
     """Overwrite the lower triangle of K by its factor L.
 
+    shift : 0, or a multiple of the pivot floors to take from the zeros on the joints' diagonal
     returns -1, or the joint (number in model.joints) whose rows depend on others: K is singular
     """
     for v in range(len(model.vertices)):
         k = model.vertices[v]["size"]
         if model.vertices[v]["joint"] < 0:
-            good = _eliminate(model, solve, v, 6, 1.0, 3, 5)
+            good = _eliminate(model, solve, v, 6, 1.0, 3, 5, 0.0)
         elif k == 3:
-            good = _eliminate(model, solve, v, 3, -1.0, 6, 3)
+            good = _eliminate(model, solve, v, 3, -1.0, 6, 3, shift)
         elif k == 5:
-            good = _eliminate(model, solve, v, 5, -1.0, 6, 5)
+            good = _eliminate(model, solve, v, 5, -1.0, 6, 5, shift)
         else:
-            good = _eliminate(model, solve, v, k, -1.0, 6, 3)
+            good = _eliminate(model, solve, v, k, -1.0, 6, 3, shift)
         if not good:
             return model.vertices[v]["joint"]
     return -1
@@ -224,3 +234,72 @@ def substitute(model, solve, x):
             _backward(model, solve, x, v, 5, 6, 5)
         else:
             _backward(model, solve, x, v, k, 6, 3)
+
+
+@kernel
+def _subtract_rows(matrix, place, turned, rows, x, row_start, body_start, y_out):
+    """Both products of the block J of a joint and a body: y -= (J^T lambda, J x)."""
+    for r in range(rows):
+        for c in range(6):
+            value = matrix[place + (c * rows + r if turned == 1 else r * 6 + c)]
+            y_out[row_start + r] -= value * x[body_start + c]
+            y_out[body_start + c] -= value * x[row_start + r]
+
+
+@kernel
+def _subtract_product(model, matrix, x, y_out):
+    """y -= K x, with K as `assemble` leaves it."""
+    bodies = model.bodies
+    for i in range(len(bodies)):
+        at = bodies[i]["start"]
+        angular = matvec3(matrix3(bodies[i]["inertia"]), (x[at], x[at + 1], x[at + 2]))
+        for c in range(3):
+            y_out[at + c] -= angular[c]
+            y_out[at + 3 + c] -= bodies[i]["mass"] * x[at + 3 + c]
+    for j in range(len(model.joints)):
+        a = model.joints[j]["parent"]
+        b = model.joints[j]["child"]
+        rows = model.joints[j]["rows"]
+        start = model.joints[j]["start"]
+        _subtract_rows(matrix, model.joints[j]["child_place"], model.joints[j]["child_turned"],
+                       rows, x, start, bodies[b]["start"], y_out)
+        if a != WORLD:
+            _subtract_rows(matrix, model.joints[j]["parent_place"],
+                           model.joints[j]["parent_turned"], rows, x, start,
+                           bodies[a]["start"], y_out)
+
+
+@kernel
+def solve(model, work, refinements, shift):
+    """Solve K x = b, with so many steps of iterative refinement.
+
+    work.matrix   : K, overwritten by its factor (a constant K is factorised already)
+    work.solution : b, overwritten by x
+    shift         : of `factorise`. After some refinements x solves the equations without it, but
+                    for directions in which K is singular: there the joints are ignored
+    returns -1, or the joint whose rows depend on others
+    """
+    matrix = work.matrix
+    if model.is_constant:
+        matrix = model.constant
+    else:
+        if refinements > 0:
+            for i in range(len(work.matrix)):
+                work.kept[i] = work.matrix[i]
+            for i in range(len(work.right)):
+                work.right[i] = work.solution[i]
+        dependent = factorise(model, work.matrix, shift)
+        if dependent >= 0:
+            return dependent
+    x = work.solution
+    for step in range(refinements + 1):
+        if step > 0:
+            x = work.residual
+            for i in range(len(work.right)):
+                x[i] = work.right[i]
+            _subtract_product(model, work.kept, work.solution, x)
+        substitute(model, matrix, x)
+        if step > 0:
+            for i in range(len(work.right)):
+                work.solution[i] += x[i]
+    return -1

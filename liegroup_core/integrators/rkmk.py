@@ -107,8 +107,7 @@ def _evaluate(model, work, group, stage, external):
 
     returns OK or DEPENDENT_ROWS + (joint << 8)
     """
-    dependent = accelerations(model, work, work.stage_pose, work.stage_twist, external,
-                              group != SE3)
+    dependent = accelerations(model, work, work.stage_pose, work.stage_twist, external)
     if dependent >= 0:
         return DEPENDENT_ROWS + (dependent << 8)
     n = len(model.bodies)

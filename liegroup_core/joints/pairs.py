@@ -34,6 +34,11 @@ class LowerPair:
     forbidden: np.ndarray
     text: str
 
+    @property
+    def row_names(self):
+        """Names of the rows: the coordinate of the relative twist that each one forbids."""
+        return tuple(_COORDINATES[int(np.argmax(row))] for row in self.forbidden)
+
 
 def _forbid(*names):
     """Rows of A that forbid the named coordinates of the relative twist."""

@@ -60,6 +60,7 @@ class Model(NamedTuple):
     pivot_floor: np.ndarray        # (6 n + rows,) pivots below are zero: rows depend on others
     constant: np.ndarray           # (blocks,) the part of K that no pose changes, or its factor
     is_constant: bool              # True: no pose changes K, and `constant` is its factor
+    refinements: int               # steps of iterative refinement that each solve takes
 
 
 class Work(NamedTuple):
@@ -67,12 +68,16 @@ class Work(NamedTuple):
 
     matrix: np.ndarray             # (blocks,) K, then its factor in place
     solution: np.ndarray           # (6 n + rows,) right-hand side, then Vdot and lambda
+    kept: np.ndarray               # as matrix and solution twice: for refinement
+    right: np.ndarray
+    residual: np.ndarray
     wrench: np.ndarray             # (n, 6) sum of the applied wrenches
     stage_pose: np.ndarray         # (n, 12)
     stage_twist: np.ndarray        # (n, 6)
     velocity: np.ndarray           # (n, 6) velocity on the group at the start of the step
     slopes: np.ndarray             # (s n, 12) stages k of each body: algebra, then velocity part
-    report: np.ndarray             # (1,) largest squared rotation of a stage so far, rad^2
+    report: np.ndarray             # (2,) largest squared rotation of a stage so far, rad^2;
+                                   # number of solves at a singular pose
 
 
 def make_work(model, stages):
@@ -80,5 +85,7 @@ def make_work(model, stages):
     n = len(model.bodies)
     return Work(
         matrix=model.constant.copy(), solution=np.zeros(len(model.pivot_floor)),
+        kept=model.constant.copy(), right=np.zeros(len(model.pivot_floor)),
+        residual=np.zeros(len(model.pivot_floor)),
         wrench=np.zeros((n, 6)), stage_pose=np.zeros((n, 12)), stage_twist=np.zeros((n, 6)),
-        velocity=np.zeros((n, 6)), slopes=np.zeros((stages * n, 12)), report=np.zeros(1))
+        velocity=np.zeros((n, 6)), slopes=np.zeros((stages * n, 12)), report=np.zeros(2))

@@ -4,16 +4,20 @@ import numpy as np
 
 from ..dynamics.constraints import assemble
 from ..dynamics.saddle_point import factorise
-from ..errors import SceneError
 from ..joints.pairs import LOWER_PAIRS
 from ..lie.groups import SE3
 from ..scene.consistency import check_consistency, resolve_frames
 from .arrays import BODY, JOINT, SPRING_DAMPER, VERTEX, WORLD, Model, make_work
+from .redundancy import kept_rows
 from .sparsity import block_layout, elimination_order
 
-# A pivot this small against its row's own S_rr is rounding: 1e-13 is some hundred times what k
-# rows leave. A ratio of neighbouring masses of 1e8 makes good pivots of 1e-8.
-SMALLEST_PIVOT = 1e-13
+# A pivot this small against its row's own S_rr belongs to a singular pose: the sine of the angle by
+# which the row misses those it depends on is then below 1e-5. Nearer, the drift of a loop, 1e-9
+# say, would be divided by that sine. A ratio of neighbouring masses of 1e8 makes good pivots of 1e-8.
+SMALLEST_PIVOT = 1e-10
+
+# From here on a step of refinement costs less than the digits that are lost without it.
+LARGE_MASS_RATIO = 1e3
 
 
 def initial_state(scene):
@@ -25,13 +29,20 @@ def initial_state(scene):
 
 
 def build_model(scene):
-    """Model of a scene, its joints in the order of the scene.
+    """Model of a scene, and for each of its joints (scene joint, kept rows (k,)).
 
-    raises SceneError: joints that do not close, velocities against them, rows that depend
+    Rows that depend on others for good are left out, and a joint without any is no joint.
+    raises SceneError: joints that do not close, velocities against them
     """
     check_consistency(scene)
     index = {body.name: i for i, body in enumerate(scene.bodies)} | {"world": WORLD}
-    ends, jacobians = _joint_rows(scene, index)
+    frames = resolve_frames(scene)
+    jacobians = [LOWER_PAIRS[joint.type].forbidden @ SE3.Ad(np.linalg.inv(child_frame))
+                 for joint, (_, child_frame) in zip(scene.joints, frames)]
+    keep = kept_rows(scene, frames, jacobians)
+    elements = [(j, np.flatnonzero(mask)) for j, mask in enumerate(keep) if mask.any()]
+    jacobians = [jacobians[j][rows] for j, rows in elements]
+    ends = [(index[scene.joints[j].parent], index[scene.joints[j].child]) for j, _ in elements]
     n, m = len(scene.bodies), len(ends)
     rows = [len(jacobian) for jacobian in jacobians]
 
@@ -68,9 +79,13 @@ def build_model(scene):
         vertices=vertices, columns=columns, updates=updates,
         pivot_floor=_pivot_floor(scene, bodies, joints, jacobians, int(sizes.sum())),
         constant=_constant_part(scene, place, position, bodies, joints, jacobians, size),
-        is_constant=all(parent == WORLD for parent, _ in ends))
-    _factorise_once(model, scene)
-    return model
+        is_constant=all(parent == WORLD for parent, _ in ends),
+        refinements=_refinements(bodies, ends))
+    if model.is_constant:
+        work = make_work(model, 1)
+        assemble(model, work, *initial_state(scene))
+        factorise(model, model.constant, 0.0)
+    return model, elements
 
 
 def _block(place, position, joint, body):
@@ -113,14 +128,6 @@ def _pivot_floor(scene, bodies, joints, jacobians, count):
     return floor
 
 
-def _joint_rows(scene, index):
-    """Body indices (parent, child) and rows A Ad(F_b^-1) (k, 6) of every joint of the scene."""
-    ends = [(index[joint.parent], index[joint.child]) for joint in scene.joints]
-    jacobians = [LOWER_PAIRS[joint.type].forbidden @ SE3.Ad(np.linalg.inv(child_frame))
-                 for joint, (_, child_frame) in zip(scene.joints, resolve_frames(scene))]
-    return ends, jacobians
-
-
 def _springs(scene, index):
     """The scene's spring-dampers as rows of SPRING_DAMPER."""
     rows = [(index[s.parent], index[s.child], s.parent_point, s.child_point,
@@ -129,14 +136,7 @@ def _springs(scene, index):
     return np.array(rows, dtype=SPRING_DAMPER)
 
 
-def _factorise_once(model, scene):
-    """Factorise K at the initial state: at once for good where no pose changes it."""
-    pose, twist = initial_state(scene)
-    work = make_work(model, 1)
-    assemble(model, work, pose, twist, False)
-    dependent = factorise(model, model.constant if model.is_constant else work.matrix)
-    if dependent >= 0:
-        raise SceneError(
-            f"joint {scene.joints[dependent].name} constrains what other joints constrain already "
-            "(its rows depend on theirs); replace it by a joint that leaves more freedom, or "
-            "leave it out", ("joints", dependent))
+def _refinements(bodies, ends):
+    """Steps of iterative refinement: one for joined bodies of very different mass, else none."""
+    ratios = [1.0] + [bodies[a]["mass"] / bodies[b]["mass"] for a, b in ends if a != WORLD]
+    return int(max(max(ratio, 1.0 / ratio) for ratio in ratios) > LARGE_MASS_RATIO)

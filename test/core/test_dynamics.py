@@ -14,8 +14,7 @@ from liegroup_core.scene.consistency import resolve_frames
 def engine_accelerations(simulation):
     pose, twist = simulation.state()
     work = simulation._work
-    assert accelerations(simulation.layout.model, work, pose, twist, np.zeros_like(twist),
-                         False) == -1
+    assert accelerations(simulation.layout.model, work, pose, twist, np.zeros_like(twist)) == -1
     return {name: work.solution[body["start"]:body["start"] + 6].copy()
             for name, body in zip(simulation.layout.body_names, simulation.layout.model.bodies)}
 
