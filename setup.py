@@ -26,7 +26,7 @@ setup(
     ],
     # ROS 2 itself is not listed: it comes from the sourced workspace or, see Makefile, as wheels.
     install_requires=[
-        "mcap",
+        "mcap>=1.5",
         "mcap-ros2-support",
         "numba>=0.60",
         "numpy>=1.26",

@@ -15,7 +15,12 @@ import sys
 import threading
 import traceback
 
-import rclpy
+try:
+    import rclpy
+except ImportError as error:
+    print(f"sim_node: ROS 2 is needed: {error}; source a ROS 2 workspace, or pip install "
+          "'ros-jazzy-rclpy[fastrtps]' ros-jazzy-common-interfaces", file=sys.stderr)
+    sys.exit(2)
 from geometry_msgs.msg import WrenchStamped
 from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.executors import SingleThreadedExecutor
@@ -251,6 +256,9 @@ def main(args=None):
         return EXIT_WRONG_INPUT
     finally:
         rclpy.try_shutdown()
+        # A signal that comes now would meet Python's own handlers, in the middle of its end.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
 
 
 def _spin(node, signals):

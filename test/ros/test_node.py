@@ -46,6 +46,13 @@ class Shared:
         return min(stamp_ns(messages[-1].header.stamp)
                    for messages in (self.pose, self.twist, self.cube_twist))
 
+    def pause(self, client):
+        """Pause the node; the stamp at which it stands, once all messages up to it have come."""
+        assert client.call(f"{NODE}/pause").success
+        client.until(lambda: self.events[-1].name == "pause"
+                     and self.now_ns() == stamp_ns(self.events[-1].stamp))
+        return self.now_ns()
+
     def figures(self):
         return {pair.key: pair.value for pair in self.diagnostics[-1].status[0].values}
 
@@ -203,9 +210,7 @@ def test_wrench_publisher_with_incompatible_qos_is_named(client, node):
 def test_step_takes_exactly_as_many_steps_while_paused(client, node):
     refused = client.call(f"{NODE}/step")
     assert not refused.success and "~/pause first" in refused.message
-    assert client.call(f"{NODE}/pause").success
-    client.spin(0.3)
-    still, count = node.now_ns(), len(node.pose)
+    still, count = node.pause(client), len(node.pose)
     client.spin(0.3)
     assert len(node.pose) == count
     for steps in (1, 7, 25):
@@ -230,9 +235,7 @@ def test_step_takes_exactly_as_many_steps_while_paused(client, node):
 def test_reset_restores_the_state_and_time_goes_on(client, node):
     node.push("puck", force=(5.0, 0.0, 0.0), torque=(0.0, 1.0, 0.0))
     client.until(lambda: node.twist[-1].twist.linear.x != 0.0)
-    assert client.call(f"{NODE}/pause").success
-    client.spin(0.3)
-    before, count = node.now_ns(), len(node.pose)
+    before, count = node.pause(client), len(node.pose)
     assert client.call(f"{NODE}/reset").success
     client.until(lambda: node.now_ns() > before)
     assert node.now_ns() == before + STEP_NS and len(node.pose) == count + 1
