@@ -124,8 +124,8 @@ def _push(args):
             spin_until(lambda: False, due - time.monotonic())
     finally:
         publisher.publish(zero)
+        seconds = time.monotonic() - start
         publisher.wait_for_all_acked(Duration(seconds=ANSWER))
-    seconds = time.monotonic() - start
 
     def vanished():
         ours = [m for m in applied if m.header.frame_id == args.body]
