@@ -9,7 +9,7 @@ that (6.30) misses: torque -w x Theta w, force -m w x v.
 """
 from .._compile import kernel
 from ..forces.gravity import add_wrench as add_gravity
-from ..forces.spring_damper import add_wrench as add_springs
+from ..forces.kinds import add_wrenches
 from ..lie.vec3 import cross3, load3, matrix3, matvec3
 from ..model.arrays import WORLD
 from .block_cholesky import factorise, substitute
@@ -32,7 +32,7 @@ def accelerations(model, work, pose, twist, external, world_axes):
     """Vdot of all bodies into work.acceleration, multipliers into work.multiplier.
 
     pose (n, 12), twist (n, 6), external (n, 6): applied wrenches in body axes about the centre
-    of mass; world_axes: see assemble_rows
+    of mass; world_axes: see assemble_rows; work.angle and work.acting: see Work
     returns -1, or the joint whose rows depend on others at this pose
     """
     for i in range(len(model.bodies)):
@@ -44,7 +44,7 @@ def accelerations(model, work, pose, twist, external, world_axes):
             work.wrench[i, c] = external[i, c] + gyro_w[c]
             work.wrench[i, 3 + c] = external[i, 3 + c] + mass * gyro_v[c]
     add_gravity(model, pose, work.wrench)
-    add_springs(model.springs, pose, twist, work.wrench)
+    add_wrenches(model.forces, work.angle, work.acting, pose, twist, work.wrench)
     _divide_by_mass(model, work.wrench, work.acceleration)
     m = len(model.joints)
     if m == 0:

@@ -5,7 +5,7 @@ Bodies keep the order of the scene. Joints stand in the order in which the solve
 Body frames sit at the centre of mass. Twist (omega, v) and wrench (torque, force) are
 components in body axes; a pose is R row by row, then r: twelve numbers.
 
-    n bodies, m joints, ns spring-dampers, s stages of the Runge-Kutta method
+    n bodies, m joints, s stages of the Runge-Kutta method
     a "row" of a joint is one forbidden direction of relative motion: a row of the Jacobian J
 
 A kind of thing is one structured array, a record per thing: kernels are handed few arrays, and
@@ -22,12 +22,6 @@ BODY = np.dtype([
     ("inertia", "f8", (9,)), ("inverse_inertia", "f8", (9,)),     # kg m^2 about the COM, body axes
 ], align=True)
 
-SPRING_DAMPER = np.dtype([
-    ("parent", "i8"), ("child", "i8"),                            # body index or WORLD
-    ("parent_point", "f8", (3,)), ("child_point", "f8", (3,)),    # m, in the frame of each
-    ("stiffness", "f8"), ("damping", "f8"), ("rest_length", "f8"),    # N/m, N s/m, m
-], align=True)
-
 JOINT = np.dtype([
     ("parent", "i8"), ("child", "i8"),      # body index; the parent may be WORLD, the child not
     ("rows", "i8"), ("row_start", "i8"),    # number of rows k, and its first among all rows
@@ -42,7 +36,7 @@ class Model(NamedTuple):
 
     gravity: np.ndarray            # (1, 3) m/s^2, world axes
     bodies: np.ndarray             # (n,) of BODY
-    springs: np.ndarray            # (ns,) of SPRING_DAMPER
+    forces: tuple                  # Forces: the rows of every kind (forces/kinds.py)
     joints: np.ndarray             # (m,) of JOINT
     child_jacobian: np.ndarray     # (m, 36) rows A Ad(F_b^-1), the first 6 k used
     child_mobility: np.ndarray     # (m, 36) the same rows times M_b^-1
@@ -54,7 +48,7 @@ class Model(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Scratch memory of one simulation; nothing in it outlives a call."""
+    """Scratch memory of one simulation; nothing but `angle` outlives a call."""
 
     jacobian: np.ndarray           # (2 m, 36) child side (constant), then parent side
     mobility: np.ndarray           # (2 m, 36) the same rows times M^-1
@@ -66,6 +60,8 @@ class Work(NamedTuple):
     stage_twist: np.ndarray        # (n, 6)
     velocity: np.ndarray           # (n, 6) velocity on the group at the start of the step
     slopes: np.ndarray             # (s n, 12) stages k of each body: algebra, then velocity part
+    angle: np.ndarray              # rad, of each torsional spring at the last finished step: state
+    acting: np.ndarray             # bool, of each applied wrench of the scene: input of a call
     report: np.ndarray             # (1,) largest squared rotation of a stage so far, rad^2
 
 
@@ -78,7 +74,9 @@ def make_work(model, stages):
         multiplier=np.zeros(int(model.joints["rows"].sum())),
         wrench=np.zeros((n, 6)), acceleration=np.zeros((n, 6)),
         stage_pose=np.zeros((n, 12)), stage_twist=np.zeros((n, 6)), velocity=np.zeros((n, 6)),
-        slopes=np.zeros((stages * n, 12)), report=np.zeros(1))
+        slopes=np.zeros((stages * n, 12)),
+        angle=np.zeros(len(model.forces.torsional_spring_damper)),
+        acting=np.zeros(len(model.forces.applied_wrench), dtype=bool), report=np.zeros(1))
     work.jacobian[:m] = model.child_jacobian
     work.mobility[:m] = model.child_mobility
     return work

@@ -7,10 +7,11 @@ import numpy as np
 from ..dynamics.block_cholesky import factorise
 from ..dynamics.constraints import assemble_rows, assemble_solve
 from ..errors import SceneError
+from ..forces.kinds import make_forces
 from ..joints.pairs import LOWER_PAIRS
 from ..lie.groups import SE3
 from ..scene.consistency import check_consistency, resolve_frames
-from .arrays import BODY, JOINT, SPRING_DAMPER, WORLD, Model, make_work
+from .arrays import BODY, JOINT, WORLD, Model, make_work
 from .sparsity import block_layout, elimination_order
 
 
@@ -63,7 +64,7 @@ def build_model(scene):
                       dtype=JOINT)
     model = Model(
         gravity=np.array([scene.gravity], dtype=float), bodies=bodies,
-        springs=_springs(scene, index), joints=joints, child_jacobian=child_jacobian,
+        forces=_forces(scene, index), joints=joints, child_jacobian=child_jacobian,
         child_mobility=child_mobility, products=products, columns=columns, updates=updates,
         solve_constant=constant, solve_is_constant=len(products) == 0)
     _factorise_once(model, scene, order)
@@ -105,12 +106,11 @@ def _products(ends, rows, place, size, jacobian, mobility):
     return constant, np.array(sorted(products), dtype=np.int64).reshape(-1, 5)
 
 
-def _springs(scene, index):
-    """The scene's spring-dampers as rows of SPRING_DAMPER."""
-    rows = [(index[s.parent], index[s.child], s.parent_point, s.child_point,
-             s.stiffness, s.damping, s.rest_length)
-            for s in scene.forces if s.type == "spring_damper"]
-    return np.array(rows, dtype=SPRING_DAMPER)
+def _forces(scene, index):
+    """The scene's forces as rows of every kind."""
+    ends = {joint.name: (index[joint.parent], index[joint.child], *frames)
+            for joint, frames in zip(scene.joints, resolve_frames(scene))}
+    return make_forces(scene.forces, index, ends)
 
 
 def _factorise_once(model, scene, order):
