@@ -216,7 +216,7 @@ class Simulation:
                         math.sqrt(self._work.report[0]), self.time)
 
     def _take(self, steps):
-        """Take steps over which no wrench changes, or a single one in parts if one changes in it.
+        """Take steps over which no wrench changes, or only the next one, in parts, if one does in it.
 
         returns (steps done, status)
         """

@@ -16,9 +16,8 @@ ROUNDING = 4.0 * np.finfo(float).eps
 
 
 def acting_at(rows, time):
-    """Which rows of applied_wrench act from a time on, (k,) bool."""
-    just_after = time * (1.0 + ROUNDING)
-    return (rows["start"] <= just_after) & (just_after < rows["end"])
+    """Which rows of applied_wrench act at a time, (k,) bool."""
+    return (rows["start"] <= time) & (time < rows["end"])
 
 
 class Timetable:
@@ -38,7 +37,7 @@ class Timetable:
                 continue
             before = nearest - (nearest * step > time)
             self._inside.setdefault(before, []).append(float(time))
-            changes |= {before, before + 1}
+            changes.add(before)
         self._changes = sorted(changes)
 
     def next_change(self, steps):

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..dynamics import invariants
 from ..forces import kinds
-from ..forces.timetable import acting_at
+from ..forces.timetable import ROUNDING, acting_at
 from ..joints.pairs import position_residual
 from ..lie.so3 import so3_to_quaternion
 
@@ -78,8 +78,9 @@ class Sample:
         """Rate of the energy, W: what motors and the scene's applied wrenches give, and dampers
         and drag take. Wrenches applied from outside the scene come on top."""
         forces = self._layout.model.forces
-        return kinds.power(forces, acting_at(forces.applied_wrench, self.time), self.pose,
-                           self.twist)
+        # A wrench that starts at this very time acts, whichever way the time was rounded.
+        acting = acting_at(forces.applied_wrench, self.time * (1.0 + ROUNDING))
+        return kinds.power(forces, acting, self.pose, self.twist)
 
     @cached_property
     def spatial_momentum(self):

@@ -129,7 +129,10 @@ def test_turns_belong_to_the_state():
     assert simulation.state()[0].tobytes() == other.state()[0].tobytes()
     assert simulation.sample().energy == other.sample().energy
     # a sample keeps its turns while the simulation goes on
-    assert middle.energy == pytest.approx(simulation.sample().energy, rel=1e-12)
+    before = simulation.sample()
+    simulation.advance(500)
+    assert before.energy == pytest.approx(simulation.sample().energy, rel=1e-11)
+    assert abs(before.angles[0] - simulation.sample().angles[0]) > np.pi
     other.set_state(middle.pose, middle.twist)
     assert other.sample().angles[0] == pytest.approx(
         middle.angles[0] - 2 * np.pi * round(middle.angles[0] / (2 * np.pi)), abs=1e-12)
@@ -252,13 +255,15 @@ def test_linear_spring_damper(joint_type):
 
 
 @ON_A_LINE
-def test_linear_motor(joint_type):
-    force, limit = 3.0, 2.0
+@pytest.mark.parametrize("force", [3.0, -3.0])
+def test_linear_motor(joint_type, force):
+    """v = limit (1 - e^{-t/T}) with T = m limit / |force|, in the direction of the force."""
+    limit = 2.0
     simulation, mass = along_z(LinearMotor(name="drive", joint="slider", force=force,
                                            speed_limit=limit), joint_type)
-    constant = mass * limit / force
+    constant = mass * limit / abs(force)
     simulation.advance(100)
-    wanted = 0.5 + limit * (2.0 - constant * (1.0 - np.exp(-2.0 / constant)))
+    wanted = 0.5 + np.sign(force) * limit * (2.0 - constant * (1.0 - np.exp(-2.0 / constant)))
     # local errors (h/T)^5 / 120 of the speed, summed with what is left of them, over the time T
     bound = 2 * limit * constant * (0.02 / constant) ** 4 / 120
     assert separation(simulation.sample()) == pytest.approx(wanted, abs=bound)
@@ -449,3 +454,20 @@ def test_timetable():
     assert [a.tolist() for a in acting] == [[True, True, False], [True, True, True],
                                             [True, True, False]]
     assert table.parts(5)[0][1].tolist() == [True, False, False]
+
+
+@pytest.mark.parametrize("steps, step, time, sign", [(35, 0.01, 0.35, 1), (22, 0.03, 0.66, -1)])
+def test_a_time_in_decimals_is_the_step_it_means(steps, step, time, sign):
+    """In binary steps * step is a rounding above or below the time."""
+    assert np.sign(steps * step - time) == sign
+    body = Body(name="b", mass=1.0, inertia=INERTIA)
+    for key, before, after in (("start", 0.0, 1.0), ("end", 1.0, 0.0)):
+        simulation = Simulation(Scene(name="s", gravity=(0, 0, 0), bodies=[
+            body.model_copy(update={"linear_velocity": (1, 0, 0)})], forces=[
+            ConstantWrench(name="push", body="b", force=(1, 0, 0), **{key: time})]), step=step)
+        table = Timetable(simulation.layout.model.forces.applied_wrench, step)
+        assert [len(table.parts(k)) for k in (steps - 1, steps)] == [1, 1]
+        assert [bool(table.parts(k)[0][1][0]) for k in (steps - 1, steps)] == [before, after]
+        pose, twist = simulation.state()
+        simulation.set_state(pose, twist, steps=steps)
+        assert simulation.sample().power == after
