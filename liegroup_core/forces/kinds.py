@@ -94,19 +94,15 @@ def power(forces, acting, pose, twist):
 
 
 @kernel
-def count_turns(forces, pose, angle):
-    """Replace the angles by those at a pose near the last one, less than half a turn on."""
-    torsional_spring_damper.count_turns(forces.torsional_spring_damper, pose, angle)
+def too_fast(forces, h, pose, twist):
+    """The torsional spring whose turns cannot be counted over a step h, or -1.
+
+    pose, twist : at the end of the step. Its joint turns by half a turn or more.
+    """
+    return torsional_spring_damper.too_fast(forces.torsional_spring_damper, h, pose, twist)
 
 
 @kernel
-def finish_step(forces, h, pose, twist, angle):
-    """What forces keep of a finished step of size h: the angles that are counted.
-
-    pose, twist : at the end of the step
-    returns -1, or the torsional spring that turns too fast to be counted; then nothing is changed
-    """
-    fast = torsional_spring_damper.too_fast(forces.torsional_spring_damper, h, pose, twist)
-    if fast < 0:
-        count_turns(forces, pose, angle)
-    return fast
+def count_turns(forces, pose, angle):
+    """Replace the angles by those at the end of a step, less than half a turn on."""
+    torsional_spring_damper.count_turns(forces.torsional_spring_damper, pose, angle)

@@ -63,15 +63,14 @@ def power(rows, pose, twist):
 
 @kernel
 def count_turns(rows, pose, angle):
-    """Replace the angles (k,) by those at a pose near the last one, less than half a turn on."""
+    """Replace the angles (k,) by those at a pose that is less than half a turn on."""
     for e in range(len(rows)):
         angle[e] = turn.angle(rows[e], pose, angle[e])
 
 
 @kernel
 def too_fast(rows, h, pose, twist):
-    """The first row whose joint turns by half a turn or more in a time h (its turns cannot be
-    counted), or -1."""
+    """The first row whose joint turns by half a turn or more in a time h, or -1."""
     for e in range(len(rows)):
         row = rows[e]
         if abs(h * turn.rate(row, pose, twist, turn.axis(row, pose))) >= math.pi:

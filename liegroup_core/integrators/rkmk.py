@@ -11,7 +11,7 @@ import math
 
 from .._compile import borrowed, kernel
 from ..dynamics.newton_euler import accelerations
-from ..forces.kinds import finish_step
+from ..forces.kinds import count_turns, too_fast
 from ..lie.se3 import se3_compose, se3_dexpinv, se3_exp
 from ..lie.so3 import so3_dexpinv, so3_exp
 from ..lie.vec3 import (add3, axpy3, cross3, dot3, load3, load9, matmul3, matvec3, scale3, store3,
@@ -192,8 +192,9 @@ def advance(model, work, a, b, group, h, steps, pose, twist, external):
             return done, status
         if not _is_finite(work.stage_pose, work.stage_twist):
             return done, NOT_FINITE
-        fast = finish_step(model.forces, h, work.stage_pose, work.stage_twist, work.angle)
+        fast = too_fast(model.forces, h, work.stage_pose, work.stage_twist)
         if fast >= 0:
             return done, TURNS_NOT_COUNTED + (fast << 8)
+        count_turns(model.forces, work.stage_pose, work.angle)
         _copy(work.stage_pose, work.stage_twist, pose, twist)
     return steps, OK
