@@ -56,12 +56,12 @@ class Work(NamedTuple):
     multiplier: np.ndarray         # (rows,) lambda
     wrench: np.ndarray             # (n, 6) sum of applied and constraint wrenches
     acceleration: np.ndarray       # (n, 6) Vdot
+    angle: np.ndarray              # rad, of each torsional spring at the last finished step: state
+    acting: np.ndarray             # bool, of each applied wrench of the scene: input of a call
     stage_pose: np.ndarray         # (n, 12)
     stage_twist: np.ndarray        # (n, 6)
     velocity: np.ndarray           # (n, 6) velocity on the group at the start of the step
     slopes: np.ndarray             # (s n, 12) stages k of each body: algebra, then velocity part
-    angle: np.ndarray              # rad, of each torsional spring at the last finished step: state
-    acting: np.ndarray             # bool, of each applied wrench of the scene: input of a call
     report: np.ndarray             # (1,) largest squared rotation of a stage so far, rad^2
 
 
@@ -73,10 +73,10 @@ def make_work(model, stages):
         solve=model.solve_constant.copy(),
         multiplier=np.zeros(int(model.joints["rows"].sum())),
         wrench=np.zeros((n, 6)), acceleration=np.zeros((n, 6)),
-        stage_pose=np.zeros((n, 12)), stage_twist=np.zeros((n, 6)), velocity=np.zeros((n, 6)),
-        slopes=np.zeros((stages * n, 12)),
         angle=np.zeros(len(model.forces.torsional_spring_damper)),
-        acting=np.zeros(len(model.forces.applied_wrench), dtype=bool), report=np.zeros(1))
+        acting=np.zeros(len(model.forces.applied_wrench), dtype=bool),
+        stage_pose=np.zeros((n, 12)), stage_twist=np.zeros((n, 6)), velocity=np.zeros((n, 6)),
+        slopes=np.zeros((stages * n, 12)), report=np.zeros(1))
     work.jacobian[:m] = model.child_jacobian
     work.mobility[:m] = model.child_mobility
     return work
