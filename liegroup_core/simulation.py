@@ -8,9 +8,13 @@ import numpy as np
 
 from ._compile import warm_up
 from .errors import SimulationError
+from .forces import kinds
+from .forces.timetable import Timetable
+from .forces.torsional_spring_damper import UNKNOWN_TURN
 from .integrators.methods import GROUPS, METHODS
 from .integrators.rkmk import advance
-from .integrators.status import DEPENDENT_ROWS, LARGE_ROTATION, MESSAGES, OK
+from .integrators.status import (DEPENDENT_ROWS, LARGE_ROTATION, MESSAGES, OK,
+                                 TURNS_NOT_COUNTED)
 from .joints.pairs import LOWER_PAIRS
 from .model.arrays import Model, make_work
 from .model.build import build_model, initial_state
@@ -44,9 +48,23 @@ class Layout:
                 for r, name in enumerate(LOWER_PAIRS[joint.type].row_names)
                 if r not in kept.get(j, ())]
 
-    def sample(self, pose, twist, time=0.0, time_ns=0, steps=0):
-        """Sample of a given state: pose (n, 12), twist (n, 6)."""
-        return Sample(self, time, time_ns, steps, np.array(pose), np.array(twist))
+    def sample(self, pose, twist, time=0.0, time_ns=0, steps=0, near=None):
+        """Sample of a given state: pose (n, 12), twist (n, 6).
+
+        near : (k,) rad, angles of the torsional springs a little before, `Sample.angles`; a pose
+               does not tell whole turns. None: no joint has turned more than half a turn
+        """
+        near = None if near is None else np.array(near)
+        return Sample(self, time, time_ns, steps, np.array(pose), np.array(twist), near)
+
+    def angles(self, pose, near=None):
+        """Angles (k,) of the torsional springs at a pose (n, 12), rad; near: as in `sample`."""
+        forces = self.model.forces
+        angles = np.full(len(forces.torsional_spring_damper), UNKNOWN_TURN)
+        if near is not None:
+            angles[:] = near
+        kinds.count_turns(forces, pose, angles)
+        return angles
 
 
 def make_layout(scene):
@@ -79,23 +97,29 @@ class Simulation:
         self.tableau = METHODS[method]
         self._work = make_work(self.layout.model, len(self.tableau.b))
         self._body = {name: i for i, name in enumerate(self.layout.body_names)}
+        self._timetable = Timetable(self.layout.model.forces.applied_wrench, self.step)
         self._warned = self._warned_singular = False
-        self.reset()
         warm_up(self._touch)
 
     def _touch(self):
         """Call every kernel once, so that none is compiled later, in the middle of a run."""
+        self.reset()
         self._advance(0)
         sample = self.sample()
-        return sample.energy, sample.spatial_momentum, sample.quaternions
+        return sample.energy, sample.power, sample.spatial_momentum, sample.quaternions
 
     def reset(self):
         """Back to the initial state of the scene, at step 0, without wrenches."""
         pose, twist = initial_state(self.scene)
         self.set_state(pose, twist)
 
-    def set_state(self, pose, twist, steps=0):
-        """Continue from a state: pose (n, 12), twist (n, 6), at a step count. Ends all wrenches."""
+    def set_state(self, pose, twist, steps=0, angles=None):
+        """Continue from a state: pose (n, 12), twist (n, 6), at a step count.
+
+        angles : (k,) rad, `Sample.angles` of the state: how often torsional springs are wound,
+                 which a pose does not tell. None: less than half a turn, as at the start of a scene
+        Ends what `apply_wrench` does. The wrenches of the scene follow the step count.
+        """
         n = len(self._body)
         pose, twist = np.array(pose, dtype=float), np.array(twist, dtype=float)
         if pose.shape != (n, 12) or twist.shape != (n, 6):
@@ -103,6 +127,10 @@ class Simulation:
                              f"got {pose.shape} and {twist.shape}")
         if not (np.isfinite(pose).all() and np.isfinite(twist).all()):
             raise ValueError("the state has a number that is not finite")
+        k = len(self._work.angle)
+        if angles is not None and (np.shape(angles) != (k,) or not np.isfinite(angles).all()):
+            raise ValueError(f"expected {k} finite angles of torsional springs, got {angles!r}")
+        self._work.angle[:] = self.layout.angles(pose, angles)
         self._pose, self._twist, self.steps = pose, twist, int(steps)
         self._schedule = WrenchSchedule(n)
         self._applied = []
@@ -191,11 +219,9 @@ class Simulation:
                 self._applied.append(AppliedWrench(
                     self.steps, self.layout.body_names[body],
                     tuple(self._schedule.total[body].tolist())))
-            wanted = min(end, self._schedule.next_change()) - self.steps
-            done, status = advance(
-                self.layout.model, self._work, self.tableau.a, self.tableau.b.reshape(1, -1),
-                GROUPS[self.group], self.step, wanted, self._pose, self._twist,
-                self._schedule.total)
+            wanted = min(end, self._schedule.next_change(),
+                         self._timetable.next_change(self.steps)) - self.steps
+            done, status = self._take(wanted)
             self.steps += done
             if status != OK:
                 raise SimulationError(self._explain(status), status & 0xff)
@@ -211,13 +237,40 @@ class Simulation:
                         "the result is hardly accurate, take a smaller step",
                         math.sqrt(self._work.report[0]), self.time)
 
+    def _take(self, steps):
+        """Take steps over which no wrench changes, or only the next one, in parts, if one does in it.
+
+        returns (steps done, status)
+        """
+        parts = self._timetable.parts(self.steps)
+        if len(parts) == 1 or steps == 0:
+            return self._integrate(*parts[0], steps)
+        good = self._pose.copy(), self._twist.copy(), self._work.angle.copy()
+        for duration, acting in parts:
+            _, status = self._integrate(duration, acting, 1)
+            if status != OK:
+                self._pose[:], self._twist[:], self._work.angle[:] = good
+                return 0, status
+        return 1, OK
+
+    def _integrate(self, h, acting, steps):
+        """Take steps of size h while the wrenches `acting` of the scene act: `rkmk.advance`."""
+        self._work.acting[:] = acting
+        return advance(self.layout.model, self._work, self.tableau.a,
+                       self.tableau.b.reshape(1, -1), GROUPS[self.group], h, steps, self._pose,
+                       self._twist, self._schedule.total)
+
     def _explain(self, status):
-        joint = ""
+        joint = force = ""
         if status & 0xff == DEPENDENT_ROWS:
             joint = self.scene.joints[self.layout.elements[status >> 8][0]].name
+        if status & 0xff == TURNS_NOT_COUNTED:
+            springs = [f for f in self.scene.forces if f.type == "torsional_spring_damper"]
+            force = springs[status >> 8].name
         return (f"stopped at t = {self.time:.9g} s (step {self.steps}, h = {self.step:g} s): "
-                + MESSAGES[status & 0xff].format(joint=joint))
+                + MESSAGES[status & 0xff].format(joint=joint, force=force))
 
     def sample(self):
         """The present state as a Sample."""
-        return self.layout.sample(self._pose, self._twist, self.time, self.time_ns, self.steps)
+        return self.layout.sample(self._pose, self._twist, self.time, self.time_ns, self.steps,
+                                  self._work.angle)

@@ -8,7 +8,7 @@ terms with the sign that (6.30) misses: torque -w x Theta w, force -m w x v.
 """
 from .._compile import kernel
 from ..forces.gravity import add_wrench as add_gravity
-from ..forces.spring_damper import add_wrench as add_springs
+from ..forces.kinds import add_wrenches
 from ..lie.vec3 import cross3, load3, matrix3, matvec3
 from .constraints import assemble
 from .saddle_point import REGULARISATION, solve
@@ -23,7 +23,7 @@ def accelerations(model, work, pose, twist, external):
     """Vdot of all bodies, and the multipliers, into work.solution.
 
     pose (n, 12), twist (n, 6), external (n, 6): applied wrenches in body axes about the centre
-    of mass
+    of mass; work.angle and work.acting: see Work
     returns -1, or the joint whose rows depend on others, which a regularised solve could not mend
     """
     for i in range(len(model.bodies)):
@@ -35,7 +35,7 @@ def accelerations(model, work, pose, twist, external):
             work.wrench[i, c] = external[i, c] + gyro_w[c]
             work.wrench[i, 3 + c] = external[i, 3 + c] + mass * gyro_v[c]
     add_gravity(model, pose, work.wrench)
-    add_springs(model.springs, pose, twist, work.wrench)
+    add_wrenches(model.forces, work.angle, work.acting, pose, twist, work.wrench)
     if len(model.joints) == 0:
         for i in range(len(model.bodies)):
             at = model.bodies[i]["start"]

@@ -11,12 +11,14 @@ import math
 
 from .._compile import borrowed, kernel
 from ..dynamics.newton_euler import accelerations
+from ..forces.kinds import count_turns, too_fast
 from ..lie.se3 import se3_compose, se3_dexpinv, se3_exp
 from ..lie.so3 import so3_dexpinv, so3_exp
 from ..lie.vec3 import (add3, axpy3, cross3, dot3, load3, load9, matmul3, matvec3, scale3, store3,
                         store9, tmatvec3)
 from .methods import SE3
-from .status import DEPENDENT_ROWS, LARGEST_ROTATION, NOT_FINITE, OK, ROTATION_TOO_LARGE
+from .status import (DEPENDENT_ROWS, LARGEST_ROTATION, NOT_FINITE, OK, ROTATION_TOO_LARGE,
+                     TURNS_NOT_COUNTED)
 
 
 @kernel
@@ -166,7 +168,8 @@ def advance(model, work, a, b, group, h, steps, pose, twist, external):
     a (s, s), b (1, s) : tableau
     external (n, 6)    : applied wrenches in body axes, constant over these steps
     returns (steps done, status): fewer than asked when status is not OK (low byte; the rest names
-    the joint of DEPENDENT_ROWS). Pose and twist are then those of the last good step.
+    the joint of DEPENDENT_ROWS or the torsional spring of TURNS_NOT_COUNTED). Pose, twist and
+    work.angle are then those of the last good step.
     """
     model, work = borrowed(model), borrowed(work)
     a, b, external = borrowed(a), borrowed(b), borrowed(external)
@@ -190,5 +193,9 @@ def advance(model, work, a, b, group, h, steps, pose, twist, external):
             return done, status
         if not _is_finite(work.stage_pose, work.stage_twist):
             return done, NOT_FINITE
+        fast = too_fast(model.forces, h, work.stage_pose, work.stage_twist)
+        if fast >= 0:
+            return done, TURNS_NOT_COUNTED + (fast << 8)
+        count_turns(model.forces, work.stage_pose, work.angle)
         _copy(work.stage_pose, work.stage_twist, pose, twist)
     return steps, OK

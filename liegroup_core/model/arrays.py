@@ -6,7 +6,7 @@ which the solve eliminates them.
 Body frames sit at the centre of mass. Twist (omega, v) and wrench (torque, force) are
 components in body axes; a pose is R row by row, then r: twelve numbers.
 
-    n bodies, m joints, ns spring-dampers, s stages of the Runge-Kutta method
+    n bodies, m joints, s stages of the Runge-Kutta method
     a "row" of a joint is one forbidden direction of relative motion: a row of the Jacobian J
 
 A kind of thing is one structured array, a record per thing: kernels are handed few arrays, and
@@ -22,12 +22,6 @@ BODY = np.dtype([
     ("mass", "f8"), ("inverse_mass", "f8"),                       # kg, 1/kg
     ("inertia", "f8", (9,)), ("inverse_inertia", "f8", (9,)),     # kg m^2 about the COM, body axes
     ("start", "i8"),                                              # its place in Work.solution
-], align=True)
-
-SPRING_DAMPER = np.dtype([
-    ("parent", "i8"), ("child", "i8"),                            # body index or WORLD
-    ("parent_point", "f8", (3,)), ("child_point", "f8", (3,)),    # m, in the frame of each
-    ("stiffness", "f8"), ("damping", "f8"), ("rest_length", "f8"),    # N/m, N s/m, m
 ], align=True)
 
 JOINT = np.dtype([
@@ -51,7 +45,7 @@ class Model(NamedTuple):
 
     gravity: np.ndarray            # (1, 3) m/s^2, world axes
     bodies: np.ndarray             # (n,) of BODY
-    springs: np.ndarray            # (ns,) of SPRING_DAMPER
+    forces: tuple                  # Forces: the rows of every kind (forces/kinds.py)
     joints: np.ndarray             # (m,) of JOINT
     child_jacobian: np.ndarray     # (m, 36) rows J_b = A Ad(F_b^-1), the first 6 k used
     vertices: np.ndarray           # (n + m,) of VERTEX
@@ -64,7 +58,7 @@ class Model(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Scratch memory of one simulation; nothing in it outlives a call."""
+    """Scratch memory of one simulation; nothing but `angle` outlives a call."""
 
     matrix: np.ndarray             # (blocks,) K, then its factor in place
     solution: np.ndarray           # (6 n + rows,) right-hand side, then Vdot and lambda
@@ -72,6 +66,8 @@ class Work(NamedTuple):
     right: np.ndarray
     residual: np.ndarray
     wrench: np.ndarray             # (n, 6) sum of the applied wrenches
+    angle: np.ndarray              # rad, of each torsional spring at the last finished step: state
+    acting: np.ndarray             # bool, of each applied wrench of the scene: input of a call
     stage_pose: np.ndarray         # (n, 12)
     stage_twist: np.ndarray        # (n, 6)
     velocity: np.ndarray           # (n, 6) velocity on the group at the start of the step
@@ -86,6 +82,8 @@ def make_work(model, stages):
     return Work(
         matrix=model.constant.copy(), solution=np.zeros(len(model.pivot_floor)),
         kept=model.constant.copy(), right=np.zeros(len(model.pivot_floor)),
-        residual=np.zeros(len(model.pivot_floor)),
-        wrench=np.zeros((n, 6)), stage_pose=np.zeros((n, 12)), stage_twist=np.zeros((n, 6)),
+        residual=np.zeros(len(model.pivot_floor)), wrench=np.zeros((n, 6)),
+        angle=np.zeros(len(model.forces.torsional_spring_damper)),
+        acting=np.zeros(len(model.forces.applied_wrench), dtype=bool),
+        stage_pose=np.zeros((n, 12)), stage_twist=np.zeros((n, 6)),
         velocity=np.zeros((n, 6)), slopes=np.zeros((stages * n, 12)), report=np.zeros(2))

@@ -4,10 +4,11 @@ import numpy as np
 
 from ..dynamics.constraints import assemble
 from ..dynamics.saddle_point import factorise
+from ..forces.kinds import make_forces
 from ..joints.pairs import LOWER_PAIRS
 from ..lie.groups import SE3
 from ..scene.consistency import check_consistency, resolve_frames
-from .arrays import BODY, JOINT, SPRING_DAMPER, VERTEX, WORLD, Model, make_work
+from .arrays import BODY, JOINT, VERTEX, WORLD, Model, make_work
 from .redundancy import kept_rows
 from .sparsity import block_layout, elimination_order
 
@@ -75,7 +76,7 @@ def build_model(scene):
 
     model = Model(
         gravity=np.array([scene.gravity], dtype=float), bodies=bodies,
-        springs=_springs(scene, index), joints=joints, child_jacobian=child_jacobian,
+        forces=_forces(scene, index, frames), joints=joints, child_jacobian=child_jacobian,
         vertices=vertices, columns=columns, updates=updates,
         pivot_floor=_pivot_floor(scene, bodies, joints, jacobians, int(sizes.sum())),
         constant=_constant_part(scene, place, position, bodies, joints, jacobians, size),
@@ -128,12 +129,11 @@ def _pivot_floor(scene, bodies, joints, jacobians, count):
     return floor
 
 
-def _springs(scene, index):
-    """The scene's spring-dampers as rows of SPRING_DAMPER."""
-    rows = [(index[s.parent], index[s.child], s.parent_point, s.child_point,
-             s.stiffness, s.damping, s.rest_length)
-            for s in scene.forces if s.type == "spring_damper"]
-    return np.array(rows, dtype=SPRING_DAMPER)
+def _forces(scene, index, frames):
+    """The scene's forces as rows of every kind."""
+    ends = {joint.name: (index[joint.parent], index[joint.child], *pair)
+            for joint, pair in zip(scene.joints, frames)}
+    return make_forces(scene.forces, index, ends)
 
 
 def _refinements(bodies, ends):

@@ -5,6 +5,8 @@ from functools import cached_property
 import numpy as np
 
 from ..dynamics import invariants
+from ..forces import kinds
+from ..forces.timetable import ROUNDING, acting_at
 from ..joints.pairs import position_residual
 from ..lie.so3 import so3_to_quaternion
 
@@ -18,8 +20,8 @@ class Sample:
     What follows from these is computed when it is asked for, and once.
     """
 
-    def __init__(self, layout, time, time_ns, steps, pose, twist):
-        self._layout = layout
+    def __init__(self, layout, time, time_ns, steps, pose, twist, near):
+        self._layout, self._near = layout, near
         self.time, self.time_ns, self.steps = time, time_ns, steps
         self.pose, self.twist = pose, twist
         pose.flags.writeable = twist.flags.writeable = False
@@ -62,9 +64,23 @@ class Sample:
         return self._by_body(np.array([so3_to_quaternion(tuple(row[:9])) for row in self.pose]))
 
     @cached_property
+    def angles(self):
+        """(k,) angle of each torsional spring in the order of the scene, over many turns, rad."""
+        return self._layout.angles(self.pose, self._near)
+
+    @cached_property
     def energy(self):
         """Kinetic energy plus potential energy of gravity and springs, J."""
-        return invariants.energy(self._layout.model, self.pose, self.twist)
+        return invariants.energy(self._layout.model, self.angles, self.pose, self.twist)
+
+    @cached_property
+    def power(self):
+        """Rate of the energy, W: what motors and the scene's applied wrenches give, and dampers
+        and drag take. Wrenches applied from outside the scene come on top."""
+        forces = self._layout.model.forces
+        # A wrench that starts at this very time acts, whichever way the time was rounded.
+        acting = acting_at(forces.applied_wrench, self.time * (1.0 + ROUNDING))
+        return kinds.power(forces, acting, self.pose, self.twist)
 
     @cached_property
     def spatial_momentum(self):
