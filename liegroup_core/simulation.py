@@ -8,10 +8,10 @@ import numpy as np
 
 from ._compile import warm_up
 from .errors import SimulationError
-from .integrators.methods import GROUPS, METHODS
-from .integrators.rkmk import advance
+from .integrators import check_options, make_integrator
+from .integrators.methods import GROUPS, METHODS, is_positive
 from .integrators.status import DEPENDENT_ROWS, LARGE_ROTATION, MESSAGES, OK
-from .model.arrays import Model, make_work
+from .model.arrays import Model
 from .model.build import build_model, initial_state
 from .model.sample import Sample
 from .scene.consistency import resolve_frames
@@ -51,24 +51,28 @@ class Simulation:
 
     scene  : Scene, from `load_scene` or built in code
     method : name of METHODS, "rkmk4"
-    step   : step size h, s
+    step   : step size h, s; a method with error control takes substeps within it
     group  : "se3" for SE(3)^n, or "so3xr3" for (SO(3) x R^3)^n
+    options: further settings that the method has, see its family in `integrators`:
+             dexpinv="exact" or "truncated"  for all of Runge-Kutta type
+             rtol=1e-6, atol=1e-6            tolerances of rkmk54
     raises SceneError for a scene that cannot be simulated, ValueError for a wrong setting
 
-    Order and constraint residuals: test/verification/test_heavy_top.py.
+    Orders: test/verification/test_orders.py; constraint residuals: test_heavy_top.py.
     """
 
-    def __init__(self, scene, method="rkmk4", step=1e-3, group="se3"):
+    def __init__(self, scene, method="rkmk4", step=1e-3, group="se3", **options):
         if method not in METHODS:
             raise ValueError(f"unknown method {method!r}; there are: {', '.join(METHODS)}")
         if group not in GROUPS:
             raise ValueError(f"unknown group {group!r}; there are: {', '.join(GROUPS)}")
-        if not (isinstance(step, (int, float)) and math.isfinite(step) and step > 0.0):
+        if not is_positive(step):
             raise ValueError(f"the step must be a positive number of seconds, got {step!r}")
         self.scene, self.method, self.step, self.group = scene, method, float(step), group
+        self.options = check_options(method, options)
         self.layout = make_layout(scene)
-        self.tableau = METHODS[method]
-        self._work = make_work(self.layout.model, len(self.tableau.b))
+        self._integrator = make_integrator(method, self.layout, group, self.step, self.options)
+        self._work = self._integrator.work
         self._body = {name: i for i, name in enumerate(self.layout.body_names)}
         self._warned = False
         self.reset()
@@ -97,6 +101,7 @@ class Simulation:
         self._pose, self._twist, self.steps = pose, twist, int(steps)
         self._schedule = WrenchSchedule(n)
         self._applied = []
+        self._integrator.restart()
 
     def state(self):
         """Copies of pose (n, 12) and twist (n, 6)."""
@@ -111,6 +116,11 @@ class Simulation:
     def time_ns(self):
         """The same as an integer of nanoseconds, rounded from the step count."""
         return round(self.steps * self.step * 1e9)
+
+    @property
+    def substeps(self):
+        """Numbers of good substeps and of attempts since the state was set; else (0, 0)."""
+        return self._integrator.substeps
 
     @property
     def next_wrench_change(self):
@@ -174,10 +184,8 @@ class Simulation:
                     self.steps, self.layout.body_names[body],
                     tuple(self._schedule.total[body].tolist())))
             wanted = min(end, self._schedule.next_change()) - self.steps
-            done, status = advance(
-                self.layout.model, self._work, self.tableau.a, self.tableau.b.reshape(1, -1),
-                GROUPS[self.group], self.step, wanted, self._pose, self._twist,
-                self._schedule.total)
+            done, status = self._integrator.advance(wanted, self._pose, self._twist,
+                                                    self._schedule.total)
             self.steps += done
             if status != OK:
                 raise SimulationError(self._explain(status), status & 0xff)

@@ -6,6 +6,8 @@ OK = 0
 NOT_FINITE = 1
 ROTATION_TOO_LARGE = 2
 DEPENDENT_ROWS = 3
+SUBSTEP_TOO_SMALL = 4
+TOO_MANY_SUBSTEPS = 5
 
 # dexp^-1 is singular at a rotation of 2 pi within a step and loses digits near it: its norm is
 # (t/2)/sin(t/2), 62 at 2 pi - 0.1. Beyond pi a step is legal and rarely accurate.
@@ -19,4 +21,8 @@ MESSAGES = {
                         "no solution; take a smaller step",
     DEPENDENT_ROWS: "the rows of joint {joint} depend on those of other joints at this pose "
                     "(a singular pose or a redundant joint)",
+    SUBSTEP_TOO_SMALL: "the tolerance cannot be met by any substep: a force jumps, or the tolerance "
+                       "is below rounding; raise atol and rtol",
+    TOO_MANY_SUBSTEPS: "the tolerance asks for too many substeps within one step: take a smaller "
+                       "step or larger tolerances; of a stiff scene, another method",
 }

@@ -64,9 +64,11 @@ class Work(NamedTuple):
     acceleration: np.ndarray       # (n, 6) Vdot
     stage_pose: np.ndarray         # (n, 12)
     stage_twist: np.ndarray        # (n, 6)
+    start_pose: np.ndarray         # (n, 12) at the start of a step that is taken in substeps
+    start_twist: np.ndarray        # (n, 6)
     velocity: np.ndarray           # (n, 6) velocity on the group at the start of the step
-    slopes: np.ndarray             # (s n, 12) stages k of each body: algebra, then velocity part
-    report: np.ndarray             # (1,) largest squared rotation of a stage so far, rad^2
+    slopes: np.ndarray             # ((s + 1) n, 12) k of stages and end: algebra, then velocity part
+    report: np.ndarray             # (2,) largest squared rotation of a stage, rad^2: so far, this step
 
 
 def make_work(model, stages):
@@ -78,7 +80,8 @@ def make_work(model, stages):
         multiplier=np.zeros(int(model.joints["rows"].sum())),
         wrench=np.zeros((n, 6)), acceleration=np.zeros((n, 6)),
         stage_pose=np.zeros((n, 12)), stage_twist=np.zeros((n, 6)), velocity=np.zeros((n, 6)),
-        slopes=np.zeros((stages * n, 12)), report=np.zeros(1))
+        start_pose=np.zeros((n, 12)), start_twist=np.zeros((n, 6)),
+        slopes=np.zeros(((stages + 1) * n, 12)), report=np.zeros(2))
     work.jacobian[:m] = model.child_jacobian
     work.mobility[:m] = model.child_mobility
     return work
