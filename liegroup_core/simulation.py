@@ -184,7 +184,7 @@ class Simulation:
                     self.steps, self.layout.body_names[body],
                     tuple(self._schedule.total[body].tolist())))
             wanted = min(end, self._schedule.next_change()) - self.steps
-            done, status = self._integrator.advance(wanted, self._pose, self._twist,
+            done, status = self._integrator.advance(self.step, wanted, self._pose, self._twist,
                                                     self._schedule.total)
             self.steps += done
             if status != OK:

@@ -28,6 +28,21 @@ def _divide_by_mass(model, wrench, acceleration_out):
 
 
 @kernel
+def wrenches(model, pose, twist, external, wrench_out):
+    """Q: applied wrenches, forces and gyroscopic terms of all bodies into wrench_out (n, 6)."""
+    for i in range(len(model.bodies)):
+        w = load3(twist, i, 0)
+        gyro_w = cross3(matvec3(matrix3(model.bodies[i]["inertia"]), w), w)
+        gyro_v = cross3(load3(twist, i, 3), w)
+        mass = model.bodies[i]["mass"]
+        for c in range(3):
+            wrench_out[i, c] = external[i, c] + gyro_w[c]
+            wrench_out[i, 3 + c] = external[i, 3 + c] + mass * gyro_v[c]
+    add_gravity(model, pose, wrench_out)
+    add_springs(model.springs, pose, twist, wrench_out)
+
+
+@kernel
 def accelerations(model, work, pose, twist, external, world_axes):
     """Vdot of all bodies into work.acceleration, multipliers into work.multiplier.
 
@@ -35,16 +50,7 @@ def accelerations(model, work, pose, twist, external, world_axes):
     of mass; world_axes: see assemble_rows
     returns -1, or the joint whose rows depend on others at this pose
     """
-    for i in range(len(model.bodies)):
-        w = load3(twist, i, 0)
-        gyro_w = cross3(matvec3(matrix3(model.bodies[i]["inertia"]), w), w)
-        gyro_v = cross3(load3(twist, i, 3), w)
-        mass = model.bodies[i]["mass"]
-        for c in range(3):
-            work.wrench[i, c] = external[i, c] + gyro_w[c]
-            work.wrench[i, 3 + c] = external[i, 3 + c] + mass * gyro_v[c]
-    add_gravity(model, pose, work.wrench)
-    add_springs(model.springs, pose, twist, work.wrench)
+    wrenches(model, pose, twist, external, work.wrench)
     _divide_by_mass(model, work.wrench, work.acceleration)
     m = len(model.joints)
     if m == 0:

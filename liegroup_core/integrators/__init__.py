@@ -5,14 +5,15 @@ An integrator is made by `family(method, layout, group, step, options)` and has
     options(method)  {name: (default, what it may be, check)} of what a user can set, static
     work             scratch memory; work.report[0] is the largest squared rotation of a stage
     restart()        forget what lasts between calls, because a state was set
-    advance(steps, pose, twist, external) -> (steps done, status), in place; external (n, 6) is
+    advance(h, steps, pose, twist, external) -> (steps done, status), in place; external (n, 6) is
                      constant over these steps; pose and twist stay the last good ones
     substeps         (good ones, attempts) since the restart, (0, 0) where there are none
 """
+from .generalized_alpha import GeneralizedAlpha
 from .methods import METHODS
 from .rkmk import MuntheKaas
 
-FAMILIES = {"rkmk": MuntheKaas}
+FAMILIES = {"rkmk": MuntheKaas, "generalized_alpha": GeneralizedAlpha}
 
 
 def check_options(method, options):

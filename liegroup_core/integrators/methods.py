@@ -13,6 +13,7 @@ test/contract/test_methods.py, test/verification/test_orders.py.
     rkmk4          4     the classical method: the chapter's (6.25)
     rkmk54         6+1   Dormand and Prince 5(4): substeps between samples by error control
     rkmk8         12     the advancing method of Dormand and Prince's 8(5,3)
+    generalized_alpha    implicit, for stiff scenes; joints at position level
 """
 import math
 from collections.abc import Callable
@@ -106,4 +107,6 @@ METHODS = {method.name: method for method in (
            _dormand_prince_5),
     Method("rkmk8", "rkmk", 8, "Hairer, Norsett and Wanner, Solving ODEs I, DOP853",
            _dormand_prince_8),
+    Method("generalized_alpha", "generalized_alpha", 2,
+           "Bruels, Cardona and Arnold, Mech. Mach. Theory 48 (2012) 121-137"),
 )}

@@ -284,7 +284,7 @@ class MuntheKaas:
             np.vstack([tableau.a, tableau.b]), error,
             EXACT if options["dexpinv"] == "exact" else max(method.order - 2, 0),
             float(options.get("rtol", 0.0)), float(options.get("atol", 1.0)))
-        self._model, self._group, self._h = layout.model, GROUPS[group], step
+        self._model, self._group, self._longest = layout.model, GROUPS[group], step
         self.work = make_work(layout.model, stages)
         self._control = np.zeros(3)
         self.restart()
@@ -299,14 +299,14 @@ class MuntheKaas:
 
     def restart(self):
         """Forget what lasts between calls: the state is a new one."""
-        self._control[:] = self._h, 0.0, 0.0
+        self._control[:] = self._longest, 0.0, 0.0
 
     @property
     def substeps(self):
         """Numbers of good substeps and of attempts since the restart; (0, 0) without error control."""
         return int(self._control[1]), int(self._control[2])
 
-    def advance(self, steps, pose, twist, external):
-        """Take steps in place; returns (steps done, status)."""
-        return advance(self._model, self.work, self._scheme, self._group, self._h, steps,
-                       pose, twist, external, self._control)
+    def advance(self, h, steps, pose, twist, external):
+        """Take steps of size h in place; returns (steps done, status)."""
+        return advance(self._model, self.work, self._scheme, self._group, h, steps, pose, twist,
+                       external, self._control)

@@ -6,8 +6,9 @@ OK = 0
 NOT_FINITE = 1
 ROTATION_TOO_LARGE = 2
 DEPENDENT_ROWS = 3
-SUBSTEP_TOO_SMALL = 4
-TOO_MANY_SUBSTEPS = 5
+SUBSTEP_TOO_SMALL = 5
+TOO_MANY_SUBSTEPS = 6
+NOT_CONVERGED = 7
 
 # dexp^-1 is singular at a rotation of 2 pi within a step and loses digits near it: its norm is
 # (t/2)/sin(t/2), 62 at 2 pi - 0.1. Beyond pi a step is legal and rarely accurate.
@@ -25,4 +26,6 @@ MESSAGES = {
                        "is below rounding; raise atol and rtol",
     TOO_MANY_SUBSTEPS: "the tolerance asks for too many substeps within one step: take a smaller "
                        "step or larger tolerances; of a stiff scene, another method",
+    NOT_CONVERGED: "the equations of an implicit step were not solved by Newton's method: the step "
+                   "is too large for this motion, or the pose is singular; take a smaller step",
 }
