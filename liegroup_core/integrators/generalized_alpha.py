@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Generalised-alpha method on the group with the joints at position level (index 3).
 
-For stiff scenes: implicit, of order 2, with a damping of what the step cannot resolve that the user
-sets, rho_inf from 1 (none) to 0 (all of it within one step). One step, velocities V on the group:
+For stiff scenes: implicit, of order 2, with a damping of what the step cannot resolve that the
+user sets, rho_inf from 1 (none) to 0 (all of it within one step). One step, velocities V on the
+group:
     q_1 = q_0 exp psi ,   psi = h V_0 + h^2 ((1/2 - beta) a_0 + beta a_1)
     V_1 = V_0 + h ((1 - gamma) a_0 + gamma a_1)
     (1 - alpha_m) a_1 + alpha_m a_0 = (1 - alpha_f) Vdot_1 + alpha_f Vdot_0
     M Vdot_1 + J^T lambda = Q(q_1, V_1) ,   g(q_1) = 0
     alpha_m = (2 rho - 1)/(rho + 1), alpha_f = rho/(rho + 1),
     gamma = 1/2 + alpha_f - alpha_m, beta = (gamma + 1/2)^2 / 4
-The joints stay closed to the tolerance of Newton's method, 1e-12, on both groups and at every step
+The joints stay closed to rounding on both groups and at every step
 size; their velocities are off by O(h^2). On SO(3) x R^3 V is (omega, rdot), see rkmk.py.
 
 Newton's method in x = (Vdot_1, lambda): with sigma = d psi/d Vdot_1 the joints' equations are
@@ -40,12 +41,15 @@ from .motion import copy_state, displace, group_velocity, is_finite, orthonormal
 from .status import (DEPENDENT_ROWS, LARGEST_ROTATION, NOT_CONVERGED, NOT_FINITE, OK,
                      ROTATION_TOO_LARGE)
 
-# Newton's method ends at corrections of the poses below this, rad and m, and m of the largest
-# coordinate: a few roundings of it. It has converged by then to well below.
-TOLERANCE, ROUNDING = 1e-12, 1e-15
-# New factors are made when a correction is more than this part of the one before.
-SLOW = 0.2
-MOST_ITERATIONS = 20
+# Newton's method ends when a correction of the poses, rad and m, is this part of the largest
+# coordinate or of 1: some ten roundings. What is left of it in a pose is 2 / h times that in the
+# velocity. Where rounding is larger, corrections stop shrinking: then so many times that.
+TOLERANCE, STUCK = 2e-15, 100.0
+# New factors are made when a correction is more than SLOW times the one before; a correction is
+# halved when the next one is more than GROWTH times as large. Some growth must pass: a stiff
+# spring that the first guess stretches pulls so hard that corrections grow before they shrink.
+SLOW, GROWTH = 0.1, 10.0
+MOST_ITERATIONS = 50
 DISPLACEMENT = 1e-7         # rad and m, of a pose for differences: half the digits are right
 
 
@@ -70,7 +74,9 @@ class Memory(NamedTuple):
     x: np.ndarray           # (N,) Vdot_1, then lambda
     start: np.ndarray       # (N,) x before the first iteration
     residual: np.ndarray    # (N,)
-    base: np.ndarray        # (N,) residual, then correction
+    base: np.ndarray        # (N,) residual that differences are taken from
+    correction: np.ndarray  # (N,) by which x was corrected last
+    next: np.ndarray        # (N,) residual, then the next correction
     matrix: np.ndarray      # (N, N) factors of the derivative of the residual
     pivots: np.ndarray      # (N,) row that was exchanged with each
     factored: np.ndarray    # (1,) bool: `matrix` holds factors
@@ -88,7 +94,7 @@ def _frame(pose, body, frame, j, at):
 
 @kernel
 def _position_residuals(model, memory, pose, scale, out, first):
-    """scale g of all joints from out[first] on: A (tilt_x, tilt_y, turn_z, p), smooth next to 0."""
+    """scale g of all joints from out[first] on, g = A (tilt_x, tilt_y, turn_z, p)."""
     for j in range(len(model.joints)):
         rot_a, at_a = _frame(pose, model.joints[j]["parent"], memory.frames, j, 0)
         rot_b, at_b = _frame(pose, model.joints[j]["child"], memory.frames, j, 12)
@@ -203,6 +209,7 @@ def _solve(matrix, pivots, x):
     size = len(pivots)
     for k in range(size):
         x[k], x[pivots[k]] = x[pivots[k]], x[k]
+    for k in range(size):
         for r in range(k + 1, size):
             x[r] -= matrix[r, k] * x[k]
     for k in range(size - 1, -1, -1):
@@ -230,50 +237,79 @@ def _differentiate(model, work, memory, numbers, group, h, pose, external):
 
 
 @kernel
-def _newton(model, work, memory, numbers, group, h, pose, external):
-    """Solve one step for memory.x, from memory.x on; returns a status."""
-    size = len(memory.x)
+def _correct(model, memory, numbers, h):
+    """Correction for the residual in memory.next, in its place; its largest displacement."""
+    _solve(memory.matrix, memory.pivots, memory.next)
     largest = 0.0
+    for k in range(6 * len(model.bodies)):
+        # NaN becomes the largest, and stays it.
+        if not abs(memory.next[k]) <= largest:
+            largest = abs(memory.next[k])
+    return largest * _sigma(numbers, h)
+
+
+@kernel
+def _tolerance(model, memory, pose):
+    """Correction of a pose at which Newton's method ends, m and rad."""
+    largest = 1.0
     for i in range(len(model.bodies)):
         r = load3(pose, i, 9)
         largest = max(largest, math.sqrt(dot3(r, r)))
-    tolerance = TOLERANCE + ROUNDING * largest
+    for j in range(len(model.joints)):
+        for at in (9, 21):
+            r = load3(memory.frames, j, at)
+            largest = max(largest, math.sqrt(dot3(r, r)))
+    return TOLERANCE * largest
+
+
+@kernel
+def _newton(model, work, memory, numbers, group, h, pose, external):
+    """Solve one step for memory.x, from memory.x on; returns a status."""
+    size = len(memory.x)
+    tolerance = _tolerance(model, memory, pose)
     for k in range(size):
         memory.start[k] = memory.x[k]
-    kept_factors = memory.factored[0]
-    stale = not kept_factors
-    previous = math.inf
+    old_factors = memory.factored[0]
+    status, previous = OK, math.inf
     for _ in range(MOST_ITERATIONS):
         status = _residual(model, work, memory, numbers, group, h, pose, external)
-        if status == OK:
-            for k in range(size):
-                memory.base[k] = memory.residual[k]
-            if stale:
-                status = _differentiate(model, work, memory, numbers, group, h, pose, external)
-                stale = False
         correction = math.inf
-        if status == OK:
-            _solve(memory.matrix, memory.pivots, memory.base)
-            correction = 0.0
+        if status == OK and memory.factored[0]:
             for k in range(size):
-                memory.x[k] -= memory.base[k]
-                # NaN becomes the largest, and stays it
-                if k < 6 * len(model.bodies) and not abs(memory.base[k]) <= correction:
-                    correction = abs(memory.base[k])
-            correction *= _sigma(numbers, h)
-        if correction <= tolerance:
-            return OK
-        if not correction <= SLOW * previous:
-            stale = True
-            if kept_factors:
-                # Old factors may have led astray: begin again with new ones.
-                kept_factors = False
-                correction = math.inf
+                memory.next[k] = memory.residual[k]
+            correction = _correct(model, memory, numbers, h)
+        if (STUCK * tolerance < previous < math.inf) and not correction < GROWTH * previous:
+            if old_factors:
+                # They have led astray: begin again with new ones.
+                old_factors = memory.factored[0] = False
+                previous = math.inf
                 for k in range(size):
                     memory.x[k] = memory.start[k]
-            elif status != OK:
+            else:
+                for k in range(size):
+                    memory.correction[k] *= 0.5
+                    memory.x[k] += memory.correction[k]
+            continue
+        if status != OK:
+            return status
+        if not memory.factored[0] or max(SLOW * previous, STUCK * tolerance) < correction:
+            for k in range(size):
+                memory.base[k] = memory.residual[k]
+            status = _differentiate(model, work, memory, numbers, group, h, pose, external)
+            if status != OK:
                 return status
+            old_factors = False
+            for k in range(size):
+                memory.next[k] = memory.base[k]
+            correction = _correct(model, memory, numbers, h)
+        for k in range(size):
+            memory.correction[k] = memory.next[k]
+            memory.x[k] -= memory.correction[k]
+        if correction <= tolerance or SLOW * previous < correction <= STUCK * tolerance:
+            return OK
         previous = correction
+    if status != OK:
+        return status
     return NOT_CONVERGED
 
 
@@ -321,8 +357,8 @@ class GeneralizedAlpha:
 
     rho_inf : spectral radius at infinite step size, 0..1
 
-    What lasts is Vdot, its mean a, lambda and the factors. They start from the index-1 accelerations
-    after `restart`, and where the wrenches or the step size jump.
+    What lasts is Vdot, its mean a, lambda and the factors. They start from the index-1
+    accelerations after `restart`, and where the wrenches or the step size jump.
     """
 
     substeps = (0, 0)
@@ -345,6 +381,7 @@ class GeneralizedAlpha:
             frames=frames, forbidden=forbidden, rate=np.zeros((n, 6)), mean=np.zeros((n, 6)),
             old=np.zeros((n, 6)), body_rate=np.zeros((n, 6)), x=np.zeros(size),
             start=np.zeros(size), residual=np.zeros(size), base=np.zeros(size),
+            correction=np.zeros(size), next=np.zeros(size),
             matrix=np.zeros((size, size)), pivots=np.zeros(size, dtype=np.int64),
             factored=np.zeros(1, dtype=bool))
         self._model, self._group = model, GROUPS[group]

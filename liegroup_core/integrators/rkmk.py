@@ -14,9 +14,9 @@ is the difference of two such methods in the algebra, one screw (dxi, deta) and 
 difference (dw, dv) for every body. A substep is good when for every body
     |dxi|^2/atol^2 + |deta|^2/atol^2 + |dw|^2/tol_w^2 + |dv|^2/tol_v^2 <= 1
     tol_w = atol + rtol max(|w_0|, |w_1|),   tol_v = atol + rtol max(|v_0|, |v_1|)
-in rad, m, rad/s and m/s. A pose has no natural size (where the world's origin is must not matter), so
-its error is held absolutely. The largest body counts and not a mean, which would let a
-single fast body hide among many slow ones.
+in rad, m, rad/s and m/s. A pose has no natural size (where the world's origin is must not matter),
+so its error is held absolutely. The largest body counts and not a mean, which would let a single
+fast body hide among many slow ones.
 """
 import math
 from typing import NamedTuple
@@ -292,7 +292,8 @@ class MuntheKaas:
     @staticmethod
     def options(method):
         """{name: (default, what it may be, check)} of the options this method takes."""
-        found = {"dexpinv": ("exact", "'exact' or 'truncated'", ("exact", "truncated").__contains__)}
+        kinds = ("exact", "truncated")
+        found = {"dexpinv": (kinds[0], " or ".join(map(repr, kinds)), kinds.__contains__)}
         if method.tableau.e is not None:
             found["rtol"] = found["atol"] = (1e-6, "a positive number", is_positive)
         return found
@@ -303,7 +304,7 @@ class MuntheKaas:
 
     @property
     def substeps(self):
-        """Numbers of good substeps and of attempts since the restart; (0, 0) without error control."""
+        """Numbers of good substeps and of attempts since the restart; 0 without error control."""
         return int(self._control[1]), int(self._control[2])
 
     def advance(self, h, steps, pose, twist, external):

@@ -22,10 +22,10 @@ MESSAGES = {
                         "no solution; take a smaller step",
     DEPENDENT_ROWS: "the rows of joint {joint} depend on those of other joints at this pose "
                     "(a singular pose or a redundant joint)",
-    SUBSTEP_TOO_SMALL: "the tolerance cannot be met by any substep: a force jumps, or the tolerance "
-                       "is below rounding; raise atol and rtol",
+    SUBSTEP_TOO_SMALL: "the tolerance cannot be met by any substep: a force jumps, or the "
+                       "tolerance is below rounding; raise atol and rtol",
     TOO_MANY_SUBSTEPS: "the tolerance asks for too many substeps within one step: take a smaller "
-                       "step or larger tolerances; of a stiff scene, another method",
-    NOT_CONVERGED: "the equations of an implicit step were not solved by Newton's method: the step "
-                   "is too large for this motion, or the pose is singular; take a smaller step",
+                       "step or larger tolerances; for a stiff scene another method",
+    NOT_CONVERGED: "Newton's method does not solve the equations of an implicit step: it is too "
+                   "large for this motion, or the pose is singular; take a smaller step",
 }
