@@ -77,11 +77,12 @@ def _cache_folder():
 CACHE_FOLDER = _cache_folder() if numba is not None else None
 
 
-def kernel(function):
+def kernel(function, inline=True):
     """Compile `function` on its first call, without the GIL; without Numba, return it as it is.
 
     Kernels are inlined into their callers: handing a tuple of arrays to a function copies them all
-    and counts references, which was measured to cost as much as the mechanics.
+    and counts references, which was measured to cost as much as the mechanics. With inline=False a
+    large one that is called from several places is compiled once for all of them.
     Fast-math stays off: it would undo the small-angle code. Division follows IEEE 754 in machine
     code and raises ZeroDivisionError in plain Python, so kernels branch before they divide.
     """
@@ -91,7 +92,7 @@ def kernel(function):
     before = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(CACHE_FOLDER or "")
     try:
-        return numba.njit(nogil=True, error_model="numpy", forceinline=True,
+        return numba.njit(nogil=True, error_model="numpy", forceinline=inline,
                           cache=CACHE_FOLDER is not None)(function)
     finally:
         numba.config.CACHE_DIR = before

@@ -11,12 +11,12 @@ from .errors import SimulationError
 from .forces import kinds
 from .forces.timetable import Timetable
 from .forces.torsional_spring_damper import UNKNOWN_TURN
-from .integrators.methods import GROUPS, METHODS
-from .integrators.rkmk import advance
+from .integrators import check_options, make_integrator
+from .integrators.methods import GROUPS, METHODS, is_positive
 from .integrators.status import (DEPENDENT_ROWS, LARGE_ROTATION, MESSAGES, OK,
                                  TURNS_NOT_COUNTED)
 from .joints.pairs import LOWER_PAIRS
-from .model.arrays import Model, make_work
+from .model.arrays import Model
 from .model.build import build_model, initial_state
 from .model.sample import Sample
 from .scene.consistency import resolve_frames
@@ -78,24 +78,28 @@ class Simulation:
 
     scene  : Scene, from `load_scene` or built in code
     method : name of METHODS, "rkmk4"
-    step   : step size h, s
+    step   : step size h, s; a method with error control takes substeps within it
     group  : "se3" for SE(3)^n, or "so3xr3" for (SO(3) x R^3)^n
+    options: further settings that the method has, see its family in `integrators`:
+             dexpinv="exact" or "truncated"  for all of Runge-Kutta type
+             rtol=1e-6, atol=1e-6            tolerances of rkmk54
     raises SceneError for a scene that cannot be simulated, ValueError for a wrong setting
 
-    Order and constraint residuals: test/verification/test_heavy_top.py.
+    Orders: test/verification/test_orders.py; constraint residuals: test_heavy_top.py.
     """
 
-    def __init__(self, scene, method="rkmk4", step=1e-3, group="se3"):
+    def __init__(self, scene, method="rkmk4", step=1e-3, group="se3", **options):
         if method not in METHODS:
             raise ValueError(f"unknown method {method!r}; there are: {', '.join(METHODS)}")
         if group not in GROUPS:
             raise ValueError(f"unknown group {group!r}; there are: {', '.join(GROUPS)}")
-        if not (isinstance(step, (int, float)) and math.isfinite(step) and step > 0.0):
+        if not is_positive(step):
             raise ValueError(f"the step must be a positive number of seconds, got {step!r}")
         self.scene, self.method, self.step, self.group = scene, method, float(step), group
+        self.options = check_options(method, options)
         self.layout = make_layout(scene)
-        self.tableau = METHODS[method]
-        self._work = make_work(self.layout.model, len(self.tableau.b))
+        self._integrator = make_integrator(method, self.layout, group, self.step, self.options)
+        self._work = self._integrator.work
         self._body = {name: i for i, name in enumerate(self.layout.body_names)}
         self._timetable = Timetable(self.layout.model.forces.applied_wrench, self.step)
         self._warned = self._warned_singular = False
@@ -134,6 +138,7 @@ class Simulation:
         self._pose, self._twist, self.steps = pose, twist, int(steps)
         self._schedule = WrenchSchedule(n)
         self._applied = []
+        self._integrator.restart()
 
     def state(self):
         """Copies of pose (n, 12) and twist (n, 6)."""
@@ -156,7 +161,12 @@ class Simulation:
         There rows depend on each other that do not elsewhere (a parallelogram folded flat); the
         solve is regularised and refined, and where the joints leave it open the masses decide.
         """
-        return int(self._work.report[1])
+        return int(self._work.report[2])
+
+    @property
+    def substeps(self):
+        """Numbers of good substeps and of attempts since the state was set; else (0, 0)."""
+        return self._integrator.substeps
 
     @property
     def next_wrench_change(self):
@@ -227,7 +237,7 @@ class Simulation:
                 raise SimulationError(self._explain(status), status & 0xff)
             if self.steps >= end:
                 break
-        if self._work.report[1] and not self._warned_singular:
+        if self._work.report[2] and not self._warned_singular:
             self._warned_singular = True
             log.warning("a singular pose was met before t = %g s: where the joints leave the motion "
                         "open the masses decide", self.time)
@@ -254,11 +264,9 @@ class Simulation:
         return 1, OK
 
     def _integrate(self, h, acting, steps):
-        """Take steps of size h while the wrenches `acting` of the scene act: `rkmk.advance`."""
+        """Take steps of size h while the wrenches `acting` of the scene act: see `integrators`."""
         self._work.acting[:] = acting
-        return advance(self.layout.model, self._work, self.tableau.a,
-                       self.tableau.b.reshape(1, -1), GROUPS[self.group], h, steps, self._pose,
-                       self._twist, self._schedule.total)
+        return self._integrator.advance(h, steps, self._pose, self._twist, self._schedule.total)
 
     def _explain(self, status):
         joint = force = ""

@@ -118,6 +118,27 @@ def chain(n, kind="spherical", length=0.1, mass=0.1):
     return Scene(name="chain", gravity=(0, 0, -9.81), bodies=bodies, joints=joints)
 
 
+def two_links(second_length):
+    """Links of 1 m and `second_length` m on ball joints between ground points 2 m apart."""
+    angle = np.arccos((1 + 4 - second_length ** 2) / 4)
+    corner = np.array([np.cos(angle), np.sin(angle), 0.0])
+    pin = np.array([2.0, 0.0, 0.0])
+    other = np.arctan2(*(corner - pin)[[1, 0]])
+    inertia = (0.05, 0.1, 0.1)
+    return Scene(name="links", gravity=(0, 0, -9.81), bodies=[
+        Body(name="first", mass=1.0, inertia=inertia, position=corner / 2,
+             rotation_vector=(0, 0, angle)),
+        Body(name="second", mass=1.0, inertia=inertia, position=(corner + pin) / 2,
+             rotation_vector=(0, 0, other))],
+        joints=[
+            Joint(name="left", type="spherical", parent="world", child="first",
+                  child_frame=Frame(position=(-0.5, 0, 0))),
+            Joint(name="right", type="spherical", parent="world", child="second",
+                  child_frame=Frame(position=(-second_length / 2, 0, 0))),
+            Joint(name="middle", type="spherical", parent="first", child="second",
+                  parent_frame=Frame(position=(0.5, 0, 0)))])
+
+
 TREE = [("world", "a", "revolute"), ("a", "b", "spherical"), ("a", "c", "revolute"),
         ("c", "d", "revolute"), ("world", "e", "spherical")]
 MECHANISMS = {

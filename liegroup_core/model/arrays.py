@@ -66,24 +66,30 @@ class Work(NamedTuple):
     right: np.ndarray
     residual: np.ndarray
     wrench: np.ndarray             # (n, 6) sum of the applied wrenches
+    acceleration: np.ndarray       # (n, 6) Vdot
     angle: np.ndarray              # rad, of each torsional spring at the last finished step: state
     acting: np.ndarray             # bool, of each applied wrench of the scene: input of a call
     stage_pose: np.ndarray         # (n, 12)
     stage_twist: np.ndarray        # (n, 6)
+    start_pose: np.ndarray         # (n, 12) at the start of a step that is taken in substeps
+    start_twist: np.ndarray        # (n, 6)
+    start_angle: np.ndarray        # angle there
     velocity: np.ndarray           # (n, 6) velocity on the group at the start of the step
-    slopes: np.ndarray             # (s n, 12) stages k of each body: algebra, then velocity part
-    report: np.ndarray             # (2,) largest squared rotation of a stage so far, rad^2;
+    slopes: np.ndarray             # ((s + 1) n, 12) k of stages and end: algebra, then velocity part
+    report: np.ndarray             # (3,) largest squared rotation of a stage, rad^2: so far, this step;
                                    # number of solves at a singular pose
 
 
 def make_work(model, stages):
     """Allocate the scratch memory of a model for a method of so many stages."""
     n = len(model.bodies)
+    springs = len(model.forces.torsional_spring_damper)
     return Work(
         matrix=model.constant.copy(), solution=np.zeros(len(model.pivot_floor)),
         kept=model.constant.copy(), right=np.zeros(len(model.pivot_floor)),
         residual=np.zeros(len(model.pivot_floor)), wrench=np.zeros((n, 6)),
-        angle=np.zeros(len(model.forces.torsional_spring_damper)),
+        acceleration=np.zeros((n, 6)), angle=np.zeros(springs), start_angle=np.zeros(springs),
         acting=np.zeros(len(model.forces.applied_wrench), dtype=bool),
         stage_pose=np.zeros((n, 12)), stage_twist=np.zeros((n, 6)),
-        velocity=np.zeros((n, 6)), slopes=np.zeros((stages * n, 12)), report=np.zeros(2))
+        start_pose=np.zeros((n, 12)), start_twist=np.zeros((n, 6)), velocity=np.zeros((n, 6)),
+        slopes=np.zeros(((stages + 1) * n, 12)), report=np.zeros(3))
