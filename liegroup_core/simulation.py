@@ -2,7 +2,8 @@
 """Simulation: a scene, a method and a step; advance, sample, push."""
 import logging
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -27,8 +28,16 @@ class Layout:
 
     scene: Scene
     model: Model
-    joint_order: tuple                      # model joint j is scene.joints[joint_order[j]]
+    joint_order: tuple                      # model joint j is of scene.joints[joint_order[j]]
     joint_frames: tuple                     # (parent frame, child frame) in the scene's order
+
+    @cached_property
+    def joint_of_row(self):
+        """(all rows,) index of the scene's joint that a position residual belongs to."""
+        elements, joints = self.model.elements, self.model.joints
+        owners = np.zeros(len(elements), dtype=np.int64)
+        owners[joints["element"]] = self.joint_order
+        return np.repeat(owners, elements["rows"])
 
     @property
     def body_names(self):
@@ -46,6 +55,26 @@ def make_layout(scene):
     return Layout(scene, model, tuple(order), tuple(resolve_frames(scene)))
 
 
+STABILISATIONS = ("none", "projection", "baumgarte")
+# Baumgarte's time in steps if none is given: explicit methods are stable down to about half a step.
+BAUMGARTE_STEPS = 10
+
+
+def _stabilised(model, kind, time, step):
+    """The model with a stabilisation switched on; ValueError for a wrong setting."""
+    if kind not in STABILISATIONS:
+        raise ValueError(f"unknown stabilisation {kind!r}; there are: {', '.join(STABILISATIONS)}")
+    if time is None:
+        time = BAUMGARTE_STEPS * step
+    elif kind != "baumgarte":
+        raise ValueError(f"baumgarte_time goes with stabilisation 'baumgarte', not with {kind!r}")
+    if not (isinstance(time, (int, float)) and math.isfinite(time) and time >= step):
+        raise ValueError(f"baumgarte_time must be a number of seconds, at least the step of {step:g} "
+                         f"s, got {time!r}")
+    return model._replace(projects=kind == "projection",
+                          baumgarte_rate=1.0 / time if kind == "baumgarte" else 0.0)
+
+
 class Simulation:
     """A mechanism that is integrated step by step on its Lie group.
 
@@ -53,12 +82,17 @@ class Simulation:
     method : name of METHODS, "rkmk4"
     step   : step size h, s
     group  : "se3" for SE(3)^n, or "so3xr3" for (SO(3) x R^3)^n
+    stabilisation : what is done about joints that open by the errors of integration: "none";
+                    "projection", which closes them again after every step; or "baumgarte", which
+                    lets their errors die out within some baumgarte_time
+    baumgarte_time : s, at least the step; ten steps if left out
     raises SceneError for a scene that cannot be simulated, ValueError for a wrong setting
 
     Order and constraint residuals: test/verification/test_heavy_top.py.
     """
 
-    def __init__(self, scene, method="rkmk4", step=1e-3, group="se3"):
+    def __init__(self, scene, method="rkmk4", step=1e-3, group="se3", stabilisation="none",
+                 baumgarte_time=None):
         if method not in METHODS:
             raise ValueError(f"unknown method {method!r}; there are: {', '.join(METHODS)}")
         if group not in GROUPS:
@@ -66,7 +100,10 @@ class Simulation:
         if not (isinstance(step, (int, float)) and math.isfinite(step) and step > 0.0):
             raise ValueError(f"the step must be a positive number of seconds, got {step!r}")
         self.scene, self.method, self.step, self.group = scene, method, float(step), group
-        self.layout = make_layout(scene)
+        self.stabilisation = stabilisation
+        layout = make_layout(scene)
+        self.layout = replace(layout, model=_stabilised(layout.model, stabilisation, baumgarte_time,
+                                                        self.step))
         self.tableau = METHODS[method]
         self._work = make_work(self.layout.model, len(self.tableau.b))
         self._body = {name: i for i, name in enumerate(self.layout.body_names)}
@@ -78,7 +115,8 @@ class Simulation:
         """Call every kernel once, so that none is compiled later, in the middle of a run."""
         self._advance(0)
         sample = self.sample()
-        return sample.energy, sample.spatial_momentum, sample.quaternions
+        return (sample.energy, sample.spatial_momentum, sample.quaternions,
+                sample.constraint_residual)
 
     def reset(self):
         """Back to the initial state of the scene, at step 0, without wrenches."""

@@ -11,9 +11,9 @@ from .._compile import kernel
 from ..forces.gravity import add_wrench as add_gravity
 from ..forces.spring_damper import add_wrench as add_springs
 from ..lie.vec3 import cross3, load3, matrix3, matvec3
-from ..model.arrays import WORLD
 from .block_cholesky import factorise, substitute
-from .constraints import assemble_rows, assemble_solve, constraint_force, dot6
+from .constraints import (add_baumgarte, assemble_rows, assemble_solve, constraint_force,
+                          row_velocity)
 
 
 @kernel
@@ -51,14 +51,12 @@ def accelerations(model, work, pose, twist, external, world_axes):
         return -1
 
     assemble_rows(model, work, pose, twist, world_axes, work.multiplier)
+    if model.baumgarte_rate > 0.0:
+        add_baumgarte(model, work, pose, twist, work.multiplier)
     for j in range(m):
-        a = model.joints[j]["parent"]
-        b = model.joints[j]["child"]
         for r in range(model.joints[j]["rows"]):
-            value = dot6(work.jacobian, j, 6 * r, work.acceleration, b, 0)
-            if a != WORLD:
-                value += dot6(work.jacobian, m + j, 6 * r, work.acceleration, a, 0)
             row = model.joints[j]["row_start"] + r
+            value = row_velocity(model, work, j, r, work.acceleration)
             work.multiplier[row] = value - work.multiplier[row]
     if not model.solve_is_constant:
         assemble_solve(model, work)

@@ -11,6 +11,7 @@ import math
 
 from .._compile import borrowed, kernel
 from ..dynamics.newton_euler import accelerations
+from ..dynamics.projection import project
 from ..lie.se3 import se3_compose, se3_dexpinv, se3_exp
 from ..lie.so3 import so3_dexpinv, so3_exp
 from ..lie.vec3 import (add3, axpy3, cross3, dot3, load3, load9, matmul3, matvec3, scale3, store3,
@@ -189,5 +190,9 @@ def advance(model, work, a, b, group, h, steps, pose, twist, external):
             return done, status
         if not _is_finite(work.stage_pose, work.stage_twist):
             return done, NOT_FINITE
+        if model.projects:
+            _, status = project(model, work, work.stage_pose, work.stage_twist)
+            if status != OK:
+                return done, status
         _copy(work.stage_pose, work.stage_twist, pose, twist)
     return steps, OK

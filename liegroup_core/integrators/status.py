@@ -6,6 +6,7 @@ OK = 0
 NOT_FINITE = 1
 ROTATION_TOO_LARGE = 2
 DEPENDENT_ROWS = 3
+NOT_PROJECTED = 8
 
 # dexp^-1 is singular at a rotation of 2 pi within a step and loses digits near it: its norm is
 # (t/2)/sin(t/2), 62 at 2 pi - 0.1. Beyond pi a step is legal and rarely accurate.
@@ -19,4 +20,6 @@ MESSAGES = {
                         "no solution; take a smaller step",
     DEPENDENT_ROWS: "the rows of joint {joint} depend on those of other joints at this pose "
                     "(a singular pose or a redundant joint)",
+    NOT_PROJECTED: "the joints cannot be closed again by small displacements: the step is too large "
+                   "for this motion; take a smaller step",
 }

@@ -7,10 +7,10 @@ import numpy as np
 from ..dynamics.block_cholesky import factorise
 from ..dynamics.constraints import assemble_rows, assemble_solve
 from ..errors import SceneError
-from ..joints.pairs import LOWER_PAIRS
+from ..joints.elements import PAIR
 from ..lie.groups import SE3
-from ..scene.consistency import check_consistency, resolve_frames
-from .arrays import BODY, JOINT, SPRING_DAMPER, WORLD, Model, make_work
+from ..scene.consistency import check_consistency, resolve_elements, resolve_frames
+from .arrays import BODY, ELEMENT, JOINT, SPRING_DAMPER, WORLD, Model, make_work
 from .sparsity import block_layout, elimination_order
 
 
@@ -25,7 +25,7 @@ def initial_state(scene):
 def build_model(scene):
     """Model of a scene, and the scene's index of each of the model's joints.
 
-    returns (model, joint_order): joint j of the model is scene.joints[joint_order[j]]
+    returns (model, joint_order): joint j of the model is an element of scene.joints[joint_order[j]]
     raises SceneError: joints that do not close, velocities against them, rows that depend
     """
     check_consistency(scene)
@@ -33,7 +33,8 @@ def build_model(scene):
     bodies = np.array([(body.mass, 1.0 / body.mass, body.inertia_matrix.ravel(),
                         np.linalg.inv(body.inertia_matrix).ravel()) for body in scene.bodies],
                       dtype=BODY)
-    ends, jacobians = _joint_rows(scene, index)
+    elements, owners, jacobians = _elements(scene, index)
+    ends = [(int(element["parent"]), int(element["child"])) for element in elements]
     touching = defaultdict(set)
     for j, (parent, child) in enumerate(ends):
         for body in (parent, child):
@@ -56,33 +57,55 @@ def build_model(scene):
         child_jacobian[j, :jacobian.size] = jacobian.ravel()
         child_mobility[j, :moved.size] = moved.ravel()
 
+    kinds = elements["kind"][order]
     place, size, ranges, columns, updates = block_layout(rows, below)
-    constant, products = _products(ends, rows, place, size, child_jacobian, child_mobility)
+    constant, products = _products(ends, kinds, rows, place, size, child_jacobian, child_mobility)
     row_start = np.concatenate([[0], np.cumsum(rows)[:-1]]) if m else rows
-    joints = np.array([(*ends[j], rows[j], row_start[j], *ranges[j]) for j in range(m)],
-                      dtype=JOINT)
+    joints = np.array([(*ends[j], kinds[j], order[j], rows[j], row_start[j], *ranges[j])
+                       for j in range(m)], dtype=JOINT)
+    first = elements["row_start"][order]
     model = Model(
         gravity=np.array([scene.gravity], dtype=float), bodies=bodies,
-        springs=_springs(scene, index), joints=joints, child_jacobian=child_jacobian,
-        child_mobility=child_mobility, products=products, columns=columns, updates=updates,
-        solve_constant=constant, solve_is_constant=len(products) == 0)
-    _factorise_once(model, scene, order)
-    return model, order
+        springs=_springs(scene, index), elements=elements, joints=joints,
+        row_residual=np.repeat(first - row_start, rows) + np.arange(rows.sum()),
+        child_jacobian=child_jacobian, child_mobility=child_mobility, products=products,
+        columns=columns, updates=updates, solve_constant=constant,
+        solve_is_constant=len(products) == 0)
+    owners = [owners[j] for j in order]
+    _factorise_once(model, scene, owners)
+    return model, owners
 
 
-def _joint_rows(scene, index):
-    """Body indices (parent, child) and rows A Ad(F_b^-1) (k, 6) of every joint of the scene."""
-    ends = [(index[joint.parent], index[joint.child]) for joint in scene.joints]
-    jacobians = [LOWER_PAIRS[joint.type].forbidden @ SE3.Ad(np.linalg.inv(child_frame))
-                 for joint, (_, child_frame) in zip(scene.joints, resolve_frames(scene))]
-    return ends, jacobians
+def _elements(scene, index):
+    """The joints of a scene as constraint elements.
+
+    returns (elements, owners, jacobians): (m,) of ELEMENT, the index of the joint each belongs to,
+    and its rows A Ad(F_b^-1) (k, 6)
+    """
+    records, owners, jacobians = [], [], []
+    first = 0
+    frames = resolve_frames(scene)
+    for i, (joint, parts) in enumerate(zip(scene.joints, resolve_elements(scene))):
+        F_a, F_b = frames[i]
+        for part in parts:
+            rows = len(part.forbidden)
+            forbidden = np.zeros(36)
+            forbidden[:6 * rows] = part.forbidden.ravel()
+            records.append((
+                part.kind, index[joint.parent], index[joint.child], rows, first,
+                F_a[:3, :3].ravel(), F_a[:3, 3], F_b[:3, :3].ravel(), F_b[:3, 3],
+                forbidden, part.turns_freely, part.pitch, part.length))
+            owners.append(i)
+            jacobians.append(part.forbidden @ SE3.Ad(SE3.inverse(F_b)))
+            first += rows
+    return np.array(records, dtype=ELEMENT), owners, jacobians
 
 
-def _products(ends, rows, place, size, jacobian, mobility):
+def _products(ends, kinds, rows, place, size, jacobian, mobility):
     """The constant part of S, and the products J_i G_j^T that depend on the pose.
 
     Two joints (or a joint and itself) are coupled once for every moving body they share; side 0
-    is the child's, whose rows are constant, side 1 the parent's.
+    is the child's, whose rows are constant if it is a PAIR, side 1 the parent's.
     """
     constant, products = np.zeros(size), []
     sides = defaultdict(list)
@@ -96,7 +119,7 @@ def _products(ends, rows, place, size, jacobian, mobility):
                 if i < j:
                     continue
                 at = place[i, j]
-                if side_i == side_j == 0:
+                if side_i == side_j == 0 and kinds[i] == kinds[j] == PAIR:
                     block = (jacobian[i].reshape(6, 6)[:rows[i]]
                              @ mobility[j].reshape(6, 6)[:rows[j]].T)
                     constant[at:at + block.size] += block.ravel()
