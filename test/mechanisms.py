@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scenes made for tests: random mechanisms of every kind of joint, consistent by construction."""
+import functools
+
 import numpy as np
 from scipy.linalg import null_space
 
@@ -173,6 +175,7 @@ MECHANISMS = {
 }
 
 
+@functools.lru_cache(maxsize=None)
 def named(name, seed=0):
     """One of MECHANISMS, random but the same each time."""
     links, loops = MECHANISMS[name]

@@ -17,6 +17,18 @@ def displaced(matrix, twist):
     return matrix @ expm(generator)
 
 
+def matrices(pose):
+    """Poses (n, 4, 4) of rows (n, 12) of R, row by row, and r."""
+    found = np.tile(np.eye(4), (len(pose), 1, 1))
+    found[:, :3, :3], found[:, :3, 3] = pose[:, :9].reshape(-1, 3, 3), pose[:, 9:]
+    return found
+
+
+def flat(found):
+    """The inverse of `matrices`."""
+    return np.concatenate([found[:, :3, :3].reshape(-1, 9), found[:, :3, 3]], axis=1)
+
+
 def joint_residual(joint, parent, child, length):
     """What a joint forbids, as products of the axes of its frames and of the way between them.
 

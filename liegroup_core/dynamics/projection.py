@@ -81,8 +81,8 @@ def project(model, work, pose, twist):
         position_residuals(model, pose, work.residual)
         assemble_rows(model, work, pose, twist, False, work.multiplier)
         closed = _is_closed(model, work, pose)
-        # At the end S is that of the last displacement: the same up to the size of that.
-        if not model.solve_is_constant and not (closed and rounds > 0):
+        # A gap that one round closed is below 1e-8, the root of rounding: S is the same up to that.
+        if not model.solve_is_constant and not (closed and rounds == 1):
             assemble_solve(model, work)
             dependent = factorise(model, work.solve)
             if dependent >= 0:

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+import engine
 import mechanisms
 import naive
 from liegroup_core import Simulation
-from liegroup_core.dynamics.constraints import assemble_rows, position_residuals
 from liegroup_core.joints import (LOWER_PAIRS, elements_of, forbidden_rows, position_residual,
                                   rotation_z_to)
 from liegroup_core.scene.consistency import resolve_elements
@@ -245,52 +245,16 @@ def test_a_rod_carries_a_conical_pendulum():
 
 # ---------------------------------------------------------------- the kernels of the engine
 
-def matrices(pose):
-    """Poses (n, 4, 4) of rows of twelve."""
-    found = np.tile(np.eye(4), (len(pose), 1, 1))
-    found[:, :3, :3], found[:, :3, 3] = pose[:, :9].reshape(-1, 3, 3), pose[:, 9:]
-    return found
-
-
-def flat(found):
-    """The inverse of `matrices`."""
-    return np.concatenate([found[:, :3, :3].reshape(-1, 9), found[:, :3, 3]], axis=1)
-
-
-def engine_residual(model, found):
-    values = np.zeros(int(model.elements["rows"].sum()))
-    position_residuals(model, flat(found), values)
-    return values[model.row_residual]
-
-
-def engine_rows(simulation, world_axes=False):
-    """Dense J and bias at the state of a simulation, rows in the order of the solve."""
-    model, work = simulation.layout.model, simulation._work
-    pose, twist = simulation.state()
-    bias = np.zeros(len(model.row_residual))
-    assemble_rows(model, work, pose, twist, world_axes, bias)
-    J = np.zeros((len(bias), 6 * len(pose)))
-    m = len(model.joints)
-    for j, joint in enumerate(model.joints):
-        for r in range(joint["rows"]):
-            row = joint["row_start"] + r
-            for side, body in ((0, joint["child"]), (m, joint["parent"])):
-                if body >= 0:
-                    J[row, 6 * body:6 * body + 6] += work.jacobian[side + j, 6 * r:6 * r + 6]
-    return J, bias
-
-
 @pytest.mark.parametrize("name", mechanisms.MECHANISMS)
 def test_the_kernel_has_the_residuals_of_the_joints(name):
     """At poses where nothing is closed, too."""
     rng = np.random.default_rng(3)
     simulation = Simulation(mechanisms.named(name))
     layout = simulation.layout
-    found = matrices(simulation.state()[0])
+    found = naive.matrices(simulation.state()[0])
     for size in (0.0, 0.1, 3.0):
         moved = np.array([C @ motion(size * rng.normal(size=6)) for C in found])
-        values = np.zeros(len(layout.joint_of_row))
-        position_residuals(layout.model, flat(moved), values)
+        values = engine.residual(layout.model, moved)
         where = dict(zip(layout.body_names, moved)) | {"world": np.eye(4)}
         for i, (joint, frames, parts) in enumerate(zip(
                 layout.scene.joints, layout.joint_frames, resolve_elements(layout.scene))):
@@ -308,13 +272,13 @@ def test_rows_and_bias_are_the_slopes_of_the_residual(name, seed):
     1e-3 leave 1e-9 times the fourth and more powers of twists of up to 5."""
     simulation = Simulation(mechanisms.named(name, seed))
     model = simulation.layout.model
-    found, twist = matrices(simulation.state()[0]), simulation.state()[1]
-    J, bias = engine_rows(simulation)
+    found, twist = naive.matrices(simulation.state()[0]), simulation.state()[1]
+    J, bias = engine.rows(simulation)
     columns = []
     for c in range(6 * len(found)):
         nudge = np.zeros(6 * len(found))
         nudge[c] = 1e-6
-        moved = [engine_residual(model, np.array([
+        moved = [engine.residual(model, np.array([
             naive.displaced(C, X) for C, X in zip(found, sign * nudge.reshape(-1, 6))]))
             for sign in (1, -1)]
         columns.append((moved[0] - moved[1]) / 2e-6)
@@ -322,7 +286,7 @@ def test_rows_and_bias_are_the_slopes_of_the_residual(name, seed):
     assert np.abs(J @ twist.ravel()).max() <= 1e-13 * max(1.0, np.abs(J).max())
 
     def along(t):
-        return engine_residual(model, np.array([naive.displaced(C, t * V)
+        return engine.residual(model, np.array([naive.displaced(C, t * V)
                                                 for C, V in zip(found, twist)]))
 
     h = 1e-3
@@ -330,5 +294,5 @@ def test_rows_and_bias_are_the_slopes_of_the_residual(name, seed):
         12 * h * h)
     np.testing.assert_allclose(-bias, rate, atol=1e-8 * (1.0 + np.abs(bias).max()))
     # Both ways of keeping a violation agree where there is none.
-    np.testing.assert_allclose(engine_rows(simulation, True)[1], bias,
+    np.testing.assert_allclose(engine.rows(simulation, world_axes=True)[1], bias,
                                atol=1e-12 * (1.0 + np.abs(bias).max()))
