@@ -56,7 +56,7 @@ def make_layout(scene):
 
 
 STABILISATIONS = ("none", "projection", "baumgarte")
-# Baumgarte's time in steps if none is given: explicit methods are stable down to about half a step.
+# Baumgarte's time in steps if none is given. Explicit methods are stable down to half a step.
 BAUMGARTE_STEPS = 10
 
 
@@ -69,8 +69,8 @@ def _stabilised(model, kind, time, step):
     elif kind != "baumgarte":
         raise ValueError(f"baumgarte_time goes with stabilisation 'baumgarte', not with {kind!r}")
     if not (isinstance(time, (int, float)) and math.isfinite(time) and time >= step):
-        raise ValueError(f"baumgarte_time must be a number of seconds, at least the step of {step:g} "
-                         f"s, got {time!r}")
+        raise ValueError("baumgarte_time must be a number of seconds, at least the step of "
+                         f"{step:g} s, got {time!r}")
     return model._replace(projects=kind == "projection",
                           baumgarte_rate=1.0 / time if kind == "baumgarte" else 0.0)
 
@@ -102,8 +102,8 @@ class Simulation:
         self.scene, self.method, self.step, self.group = scene, method, float(step), group
         self.stabilisation = stabilisation
         layout = make_layout(scene)
-        self.layout = replace(layout, model=_stabilised(layout.model, stabilisation, baumgarte_time,
-                                                        self.step))
+        self.layout = replace(layout, model=_stabilised(
+            layout.model, stabilisation, baumgarte_time, self.step))
         self.tableau = METHODS[method]
         self._work = make_work(self.layout.model, len(self.tableau.b))
         self._body = {name: i for i, name in enumerate(self.layout.body_names)}

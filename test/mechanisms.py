@@ -170,7 +170,8 @@ MECHANISMS = {
                     ("a", "d", "planar"), ("d", "e", "prismatic"), ("e", "f", "fixed"),
                     ("f", "g", "distance"), ("g", "h", "revolute")],
                    [("c", "g", "distance"), ("world", "h", "universal")]),
-    "floating": ([("world", "a", None), ("a", "b", "universal"), ("b", "c", "prismatic"), ("b", "d", "spherical")],
+    "floating": ([("world", "a", None), ("a", "b", "universal"), ("b", "c", "prismatic"),
+                  ("b", "d", "spherical")],
                  [("c", "d", "distance")]),
 }
 

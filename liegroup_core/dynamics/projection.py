@@ -9,7 +9,7 @@ Velocities: the least change, measured by its kinetic energy, with J (V + dV) = 
 Both are done by forces of the joints, which come in pairs: without a joint to the world the second
 changes no momentum, and the first does not move the centre of mass. While a body is turned by the
 first its velocity stays what it is in the world, and its angular velocity what it is in the body:
-so kinetic energy and linear momentum stay.
+so kinetic energy and linear momentum stay. Displacements are the least ones up to second order.
 
 Source: Terze, Mueller and Zlatar, ref. [34] of the chapter, with the mass matrix as the weight.
 """
@@ -22,7 +22,7 @@ from .block_cholesky import factorise, substitute
 from .constraints import (add_transposed, assemble_rows, assemble_solve, position_residuals,
                           row_velocity)
 
-# Newton's method doubles the digits: from a gap of a tenth of the mechanism four or five rounds.
+# Newton's method doubles the digits: a gap of a tenth of the mechanism takes four or five rounds.
 MOST_ROUNDS = 20
 # A residual is a sum of some ten products, each right to half of 2^-52 of the lengths in it.
 ROUND_OFF = 16 * 2.0 ** -52
@@ -81,7 +81,7 @@ def project(model, work, pose, twist):
         position_residuals(model, pose, work.residual)
         assemble_rows(model, work, pose, twist, False, work.multiplier)
         closed = _is_closed(model, work, pose)
-        # A gap that one round closed is below 1e-8, the root of rounding: S is the same up to that.
+        # A gap that one round closed was below 1e-8, the root of rounding: S has hardly changed.
         if not model.solve_is_constant and not (closed and rounds == 1):
             assemble_solve(model, work)
             dependent = factorise(model, work.solve)

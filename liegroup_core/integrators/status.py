@@ -20,6 +20,6 @@ MESSAGES = {
                         "no solution; take a smaller step",
     DEPENDENT_ROWS: "the rows of joint {joint} depend on those of other joints at this pose "
                     "(a singular pose or a redundant joint)",
-    NOT_PROJECTED: "the joints cannot be closed again by small displacements: the step is too large "
-                   "for this motion; take a smaller step",
+    NOT_PROJECTED: "the joints cannot be closed again by small displacements: the step is too "
+                   "large for this motion; take a smaller step",
 }

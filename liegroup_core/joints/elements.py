@@ -83,7 +83,7 @@ def position_residual(elements, C_rel):
 
 
 def forbidden_rows(elements, C_rel):
-    """Rows (k, 6) of relative twist, in the child's joint frame, that elements forbid at a pose."""
+    """Rows (k, 6) of relative twist, in the child's joint frame, that elements forbid at C_rel."""
     rot, p = C_rel[:3, :3], C_rel[:3, 3]
     parts = [np.zeros((0, 6))]
     for element in elements:

@@ -65,11 +65,10 @@ LOWER_PAIRS = {
         "slider: the frames share their axes, the child slides along z"),
     "cylindrical": LowerPair(
         ("wx", "wy", "vx", "vy"),
-        "shaft in a sleeve: the frames share the z axis, the child turns about and slides along z"),
+        "shaft in a sleeve: the frames share the z axis, the child turns about it and slides"),
     "planar": LowerPair(
         ("wx", "wy", "vz"),
-        "plate on a plate: the frames share the x-y plane, the child slides in it and turns about "
-        "z"),
+        "plate on a plate: the frames share the x-y plane, the child slides and turns in it"),
     "screw": LowerPair(
         ("wx", "wy", "vx", "vy", "vz"),
         "nut on a bolt: the frames share the z axis, the child turns about z and moves along it "

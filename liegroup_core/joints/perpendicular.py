@@ -30,6 +30,6 @@ def perpendicular_residual(rot):
     """Angle between x and y beyond a right angle, with a minus sign; rad.
 
     rot : rotation of the child's joint frame in the parent's one. x . y = rot_xy, and the cross
-    product has the length of the rest of that row. The slope by g is 1 where they are perpendicular.
+    product has the length of the rest of that row. Its slope by g is 1 at the right angle.
     """
     return math.atan2(rot[1], math.hypot(rot[0], rot[2]))

@@ -32,7 +32,7 @@ SPRING_DAMPER = np.dtype([
 ], align=True)
 
 ELEMENT = np.dtype([
-    ("kind", "i8"), ("parent", "i8"), ("child", "i8"),      # body index; only a parent may be WORLD
+    ("kind", "i8"), ("parent", "i8"), ("child", "i8"),      # the last two as in JOINT
     ("rows", "i8"), ("row_start", "i8"),    # its rows, and the first of them, in a residual
     ("parent_rotation", "f8", (9,)), ("parent_point", "f8", (3,)),    # its frame in the parent, m
     ("child_rotation", "f8", (9,)), ("child_point", "f8", (3,)),      # and in the child

@@ -25,7 +25,7 @@ def initial_state(scene):
 def build_model(scene):
     """Model of a scene, and the scene's index of each of the model's joints.
 
-    returns (model, joint_order): joint j of the model is an element of scene.joints[joint_order[j]]
+    returns (model, joint_order): joint j of the model is of scene.joints[joint_order[j]]
     raises SceneError: joints that do not close, velocities against them, rows that depend
     """
     check_consistency(scene)

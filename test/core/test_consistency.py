@@ -127,8 +127,8 @@ def test_a_distance_left_out_is_the_one_at_the_start():
     assert element.length == 5.0
     check_consistency(rod())
     check_consistency(rod(5.0))
-    with pytest.raises(SceneError, match=r"joints\[0\] \"j\": does not close .* gap 1 m, tilt 0 rad; "
-                                         "leave out length to keep the distance"):
+    with pytest.raises(SceneError, match=r"joints\[0\] \"j\": does not close .* gap 1 m, tilt 0 "
+                                         "rad; leave out length to keep the distance"):
         check_consistency(rod(4.0))
     with pytest.raises(SceneError, match="gap 2 m, tilt 0 rad"):
         check_consistency(rod(2.0, reach=(0, 0, 0)))
