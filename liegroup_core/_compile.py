@@ -77,7 +77,21 @@ def _cache_folder():
 CACHE_FOLDER = _cache_folder() if numba is not None else None
 
 
-def kernel(function, inline=True):
+def _compile(function, inlined):
+    """Let Numba compile `function` on its first call; without Numba, return it as it is."""
+    if numba is None:
+        return function
+    # Only while decorating: other packages of the same process keep their own cache folder.
+    before = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = str(CACHE_FOLDER or "")
+    try:
+        return numba.njit(nogil=True, error_model="numpy", forceinline=inlined,
+                          cache=CACHE_FOLDER is not None)(function)
+    finally:
+        numba.config.CACHE_DIR = before
+
+
+def kernel(function):
     """Compile `function` on its first call, without the GIL; without Numba, return it as it is.
 
     Kernels are inlined into their callers: handing a tuple of arrays to a function copies them all
@@ -86,16 +100,15 @@ def kernel(function, inline=True):
     Fast-math stays off: it would undo the small-angle code. Division follows IEEE 754 in machine
     code and raises ZeroDivisionError in plain Python, so kernels branch before they divide.
     """
-    if numba is None:
-        return function
-    # Only while decorating: other packages of the same process keep their own cache folder.
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(CACHE_FOLDER or "")
-    try:
-        return numba.njit(nogil=True, error_model="numpy", forceinline=inline,
-                          cache=CACHE_FOLDER is not None)(function)
-    finally:
-        numba.config.CACHE_DIR = before
+    return _compile(function, True)
+
+
+def subroutine(function):
+    """A kernel that is not inlined: for what is long and is called once a step at most.
+
+    It is compiled once, however many callers it has; its arrays should be `borrowed` again.
+    """
+    return _compile(function, False)
 
 
 def _without_owner(context, builder, kind, value):

@@ -2,7 +2,8 @@
 """Simulation: a scene, a method and a step; advance, sample, push."""
 import logging
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -15,11 +16,9 @@ from .integrators import check_options, make_integrator
 from .integrators.methods import GROUPS, METHODS, is_positive
 from .integrators.status import (DEPENDENT_ROWS, LARGE_ROTATION, MESSAGES, OK,
                                  TURNS_NOT_COUNTED)
-from .joints.pairs import LOWER_PAIRS
 from .model.arrays import Model
 from .model.build import build_model, initial_state
 from .model.sample import Sample
-from .scene.consistency import resolve_frames
 from .scene.description import Scene
 from .wrenches import NEVER, AppliedWrench, WrenchSchedule
 
@@ -33,7 +32,14 @@ class Layout:
     scene: Scene
     model: Model
     joint_frames: tuple                     # (parent frame, child frame) in the scene's order
-    elements: tuple                         # (scene joint, kept rows) of each joint of the model
+    owners: tuple                           # scene joint of each element of the model
+    row_names: tuple                        # names of the rows of each element
+    kept_rows: tuple                        # numbers of the rows of each element that are solved for
+
+    @cached_property
+    def joint_of_row(self):
+        """(all rows,) index of the scene's joint that a position residual belongs to."""
+        return np.repeat(np.array(self.owners, dtype=np.int64), self.model.elements["rows"])
 
     @property
     def body_names(self):
@@ -42,11 +48,10 @@ class Layout:
 
     @property
     def dropped_rows(self):
-        """[(joint, row)] left out because they depend on others, rows named wx..vz."""
-        kept = {joint: rows for joint, rows in self.elements}
-        return [(joint.name, name) for j, joint in enumerate(self.scene.joints)
-                for r, name in enumerate(LOWER_PAIRS[joint.type].row_names)
-                if r not in kept.get(j, ())]
+        """[(joint, row)] left out because they depend on others; rows are named wx..vz."""
+        return [(self.scene.joints[self.owners[e]].name, name)
+                for e, (names, kept) in enumerate(zip(self.row_names, self.kept_rows))
+                for r, name in enumerate(names) if r not in kept]
 
     def sample(self, pose, twist, time=0.0, time_ns=0, steps=0, near=None):
         """Sample of a given state: pose (n, 12), twist (n, 6).
@@ -69,8 +74,27 @@ class Layout:
 
 def make_layout(scene):
     """Build the model of a scene. Raises SceneError."""
-    model, elements = build_model(scene)
-    return Layout(scene, model, tuple(resolve_frames(scene)), tuple(elements))
+    return Layout(scene, *build_model(scene))
+
+
+STABILISATIONS = ("none", "projection", "baumgarte")
+# Baumgarte's time in steps if none is given. Explicit methods are stable down to half a step.
+BAUMGARTE_STEPS = 10
+
+
+def _stabilised(model, kind, time, step):
+    """The model with a stabilisation switched on; ValueError for a wrong setting."""
+    if kind not in STABILISATIONS:
+        raise ValueError(f"unknown stabilisation {kind!r}; there are: {', '.join(STABILISATIONS)}")
+    if time is None:
+        time = BAUMGARTE_STEPS * step
+    elif kind != "baumgarte":
+        raise ValueError(f"baumgarte_time goes with stabilisation 'baumgarte', not with {kind!r}")
+    if not (isinstance(time, (int, float)) and math.isfinite(time) and time >= step):
+        raise ValueError("baumgarte_time must be a number of seconds, at least the step of "
+                         f"{step:g} s, got {time!r}")
+    return model._replace(projects=kind == "projection",
+                          baumgarte_rate=1.0 / time if kind == "baumgarte" else 0.0)
 
 
 class Simulation:
@@ -80,6 +104,10 @@ class Simulation:
     method : name of METHODS, "rkmk4"
     step   : step size h, s; a method with error control takes substeps within it
     group  : "se3" for SE(3)^n, or "so3xr3" for (SO(3) x R^3)^n
+    stabilisation : what is done about joints that open by the errors of integration: "none";
+                    "projection", which closes them again after every step; or "baumgarte", which
+                    lets their errors die out within some baumgarte_time
+    baumgarte_time : s, at least the step; ten steps if left out
     options: further settings that the method has, see its family in `integrators`:
              dexpinv="exact" or "truncated"  for all of Runge-Kutta type
              rtol=1e-6, atol=1e-6            tolerances of rkmk54
@@ -88,7 +116,8 @@ class Simulation:
     Orders: test/verification/test_orders.py; constraint residuals: test_heavy_top.py.
     """
 
-    def __init__(self, scene, method="rkmk4", step=1e-3, group="se3", **options):
+    def __init__(self, scene, method="rkmk4", step=1e-3, group="se3", stabilisation="none",
+                 baumgarte_time=None, **options):
         if method not in METHODS:
             raise ValueError(f"unknown method {method!r}; there are: {', '.join(METHODS)}")
         if group not in GROUPS:
@@ -97,7 +126,10 @@ class Simulation:
             raise ValueError(f"the step must be a positive number of seconds, got {step!r}")
         self.scene, self.method, self.step, self.group = scene, method, float(step), group
         self.options = check_options(method, options)
-        self.layout = make_layout(scene)
+        self.stabilisation = stabilisation
+        layout = make_layout(scene)
+        self.layout = replace(layout, model=_stabilised(
+            layout.model, stabilisation, baumgarte_time, self.step))
         self._integrator = make_integrator(method, self.layout, group, self.step, self.options)
         self._work = self._integrator.work
         self._body = {name: i for i, name in enumerate(self.layout.body_names)}
@@ -110,7 +142,8 @@ class Simulation:
         self.reset()
         self._advance(0)
         sample = self.sample()
-        return sample.energy, sample.power, sample.spatial_momentum, sample.quaternions
+        return (sample.energy, sample.power, sample.spatial_momentum, sample.quaternions,
+                sample.constraint_residual)
 
     def reset(self):
         """Back to the initial state of the scene, at step 0, without wrenches."""
@@ -268,10 +301,15 @@ class Simulation:
         self._work.acting[:] = acting
         return self._integrator.advance(h, steps, self._pose, self._twist, self._schedule.total)
 
+    def _joint_name(self, joint):
+        """Name of the scene's joint behind a joint of the model."""
+        element = self.layout.model.joints[joint]["element"]
+        return self.scene.joints[self.layout.owners[element]].name
+
     def _explain(self, status):
         joint = force = ""
         if status & 0xff == DEPENDENT_ROWS:
-            joint = self.scene.joints[self.layout.elements[status >> 8][0]].name
+            joint = self._joint_name(status >> 8)
         if status & 0xff == TURNS_NOT_COUNTED:
             springs = [f for f in self.scene.forces if f.type == "torsional_spring_damper"]
             force = springs[status >> 8].name

@@ -10,7 +10,7 @@ from .._compile import kernel
 from ..forces.gravity import add_wrench as add_gravity
 from ..forces.kinds import add_wrenches
 from ..lie.vec3 import cross3, load3, matrix3, matvec3
-from .constraints import assemble
+from .constraints import add_baumgarte, assemble
 from .saddle_point import REGULARISATION, solve
 
 # The shift is 1e-8 of a row: so much smaller the error of all other directions gets by each
@@ -59,6 +59,8 @@ def accelerations(model, work, pose, twist, external):
     refinements, shift = model.refinements, 0.0
     for _ in range(2):
         assemble(model, work, pose, twist)
+        if model.baumgarte_rate > 0.0:
+            add_baumgarte(model, work, pose)
         dependent = solve(model, work, refinements, shift)
         if dependent < 0:
             break

@@ -25,6 +25,7 @@ import numpy as np
 
 from .._compile import borrowed, kernel
 from ..dynamics.newton_euler import accelerations
+from ..dynamics.projection import project
 from ..forces.kinds import count_turns, too_fast
 from ..lie.coefficients import dexpinv_coefficients, truncated_dexpinv_coefficients
 from ..lie.se3 import se3_dexpinv_of
@@ -140,7 +141,8 @@ def _stages(model, work, scheme, group, h, pose, twist, external, known):
     """One step of size h from pose and twist, its end in work.stage_pose and work.stage_twist.
 
     known : True when the first stage's slopes are in work.slopes already
-    returns OK, NOT_FINITE, ROTATION_TOO_LARGE or DEPENDENT_ROWS + (joint << 8)
+    returns OK, NOT_FINITE, ROTATION_TOO_LARGE, DEPENDENT_ROWS + (joint << 8) or
+    TURNS_NOT_COUNTED + (spring << 8)
     """
     n = len(model.bodies)
     stages = scheme.a.shape[1]
@@ -162,6 +164,9 @@ def _stages(model, work, scheme, group, h, pose, twist, external, known):
                 _store_slope(work, scheme, group, n, i, stage)
     if not is_finite(work.stage_pose, work.stage_twist):
         return NOT_FINITE
+    fast = too_fast(model.forces, h, work.stage_pose, work.stage_twist)
+    if fast >= 0:
+        return TURNS_NOT_COUNTED + (fast << 8)
     return OK
 
 
@@ -234,16 +239,18 @@ def _step(model, work, scheme, group, h, pose, twist, external, control, known):
             for i in range(n):
                 _store_slope(work, scheme, group, n, i, 0)
             control[1] += 1.0
+            known = not model.projects
         elif status != OK:
             return status, False
-        fast = too_fast(model.forces, size, work.stage_pose, work.stage_twist)
-        if fast >= 0:
-            return TURNS_NOT_COUNTED + (fast << 8), False
+        if model.projects:
+            _, status = project(model, work, work.stage_pose, work.stage_twist)
+            if status != OK:
+                return status, False
         count_turns(model.forces, work.stage_pose, work.angle)
         copy_state(work.stage_pose, work.stage_twist, pose, twist)
         work.report[0] = max(work.report[0], work.report[1])
         left = left - size if count > 1 else 0.0
-    return OK, controlled
+    return OK, known
 
 
 @kernel

@@ -10,6 +10,7 @@ TURNS_NOT_COUNTED = 4
 SUBSTEP_TOO_SMALL = 5
 TOO_MANY_SUBSTEPS = 6
 NOT_CONVERGED = 7
+NOT_PROJECTED = 8
 
 # dexp^-1 is singular at a rotation of 2 pi within a step and loses digits near it: its norm is
 # (t/2)/sin(t/2), 62 at 2 pi - 0.1. Beyond pi a step is legal and rarely accurate.
@@ -31,4 +32,6 @@ MESSAGES = {
                        "step or larger tolerances; for a stiff scene another method",
     NOT_CONVERGED: "Newton's method does not solve the equations of an implicit step: it is too "
                    "large for this motion, or the pose is singular; take a smaller step",
+    NOT_PROJECTED: "the joints cannot be closed again by small displacements: the step is too "
+                   "large for this motion; take a smaller step",
 }

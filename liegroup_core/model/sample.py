@@ -5,9 +5,9 @@ from functools import cached_property
 import numpy as np
 
 from ..dynamics import invariants
+from ..dynamics.constraints import position_residuals
 from ..forces import kinds
 from ..forces.timetable import ROUNDING, acting_at
-from ..joints.pairs import position_residual
 from ..lie.so3 import so3_to_quaternion
 
 
@@ -91,14 +91,11 @@ class Sample:
     @cached_property
     def joint_residuals(self):
         """{joint: norm of its position residual}, m and rad."""
-        matrices = {**self.poses, "world": np.eye(4)}
-        residuals = {}
-        for joint, (parent_frame, child_frame) in zip(self._layout.scene.joints,
-                                                      self._layout.joint_frames):
-            relative = (np.linalg.inv(matrices[joint.parent] @ parent_frame)
-                        @ matrices[joint.child] @ child_frame)
-            residuals[joint.name] = float(np.linalg.norm(position_residual(joint.type, relative)))
-        return residuals
+        model, joints = self._layout.model, self._layout.scene.joints
+        residual = np.zeros(len(self._layout.joint_of_row))
+        position_residuals(model, self.pose, residual)
+        squares = np.bincount(self._layout.joint_of_row, residual ** 2, len(joints))
+        return {joint.name: float(square) for joint, square in zip(joints, np.sqrt(squares))}
 
     @cached_property
     def constraint_residual(self):

@@ -18,12 +18,13 @@ import yaml
 from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
 
 from ..errors import SceneError
-from ..joints.pairs import LOWER_PAIRS, rotation_z_to
+from ..joints.elements import PLAIN_JOINTS
+from ..joints.pairs import rotation_z_to
 from ..lie.groups import SO3
 from .forces import (ConstantWrench, Drag, LinearMotor, LinearSpringDamper, Motor, SpringDamper,
                      TorsionalSpringDamper)
-from .values import (Described, Direction, Inertia, Name, Positive, Quaternion, RotationVector,
-                     Text, Vector3, inertia_matrix, listed, suggestion)
+from .values import (Described, Direction, Inertia, Name, Number, Positive, Quaternion,
+                     RotationVector, Text, Vector3, inertia_matrix, listed, suggestion)
 
 WORLD = "world"
 
@@ -120,12 +121,11 @@ class Body(_Placed):
         return np.array(self.angular_velocity + self.linear_velocity)
 
 
-class Joint(Described):
-    """Lower pair between a body and another one or the world."""
+class _Joint(Described):
+    """What all joints between a body and another one or the world have."""
 
     name: Name = Field(description="name, unique among joints and forces")
-    type: Literal[tuple(LOWER_PAIRS)] = Field(
-        description=f"kind of joint: {' or '.join(LOWER_PAIRS)}")
+    type: str
     parent: Text = Field(description="name of a body, or world")
     child: Text = Field(description="name of a body")
     parent_frame: Frame | None = Field(
@@ -142,7 +142,33 @@ class Joint(Described):
         return self
 
 
-JOINTS = (Joint,)
+class Joint(_Joint):
+    """Joint without a parameter: a lower pair, or a universal joint."""
+
+    type: Literal[PLAIN_JOINTS] = Field(
+        description=f"kind of joint: {', '.join(PLAIN_JOINTS[:-1])} or {PLAIN_JOINTS[-1]}")
+
+
+class ScrewJoint(_Joint):
+    """Nut on a bolt: turning about z moves the child along z."""
+
+    type: Literal["screw"] = Field("screw", description="screw")
+    pitch: Number = Field(
+        description="way along z in m for every radian, positive for a right-handed thread")
+
+
+class DistanceJoint(_Joint):
+    """Massless rod between the origins of two frames."""
+
+    type: Literal["distance"] = Field("distance", description="distance")
+    parent_frame: Frame = Field(description="frame in the frame of the parent; its origin counts")
+    child_frame: Frame = Field(description="frame in the frame of the child; its origin counts")
+    length: Positive | None = Field(
+        None, description="distance of the origins in m, greater than 0; if left out, it is the "
+        "one at the start")
+
+
+JOINTS = (Joint, ScrewJoint, DistanceJoint)
 FORCES = (SpringDamper, TorsionalSpringDamper, LinearSpringDamper, Motor, LinearMotor, Drag,
           ConstantWrench)
 
@@ -271,7 +297,8 @@ _Dumper.add_representer(str, _Dumper.represent_str)
 def _written_out(scene):
     """YAML text of a scene made in code; numbers are written so that they read back the same."""
     values: dict[str, Any] = scene.model_dump(exclude_unset=True)
-    for force, written in zip(scene.forces, values.get("forces", ())):
-        written.setdefault("type", force.type)
+    for key in ("joints", "forces"):
+        for entry, written in zip(getattr(scene, key), values.get(key, ())):
+            written.setdefault("type", entry.type)
     return yaml.dump(values, Dumper=_Dumper, sort_keys=False, default_flow_style=None,
                      width=float("inf"))
