@@ -143,7 +143,7 @@ def difference(state, motion):
 
 def test_gravity_is_minus_the_gradient_of_its_energy():
     rng = np.random.default_rng(3)
-    model, _ = build_model(mechanisms.named("tree"))
+    model, *_ = build_model(mechanisms.named("tree"))
     matrices = np.array([mechanisms.random_pose(rng) for _ in model.bodies])
     wrench = np.zeros((len(matrices), 6))
     gravity.add_wrench(model, flat(matrices), wrench)
