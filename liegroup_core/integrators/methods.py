@@ -19,6 +19,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from numbers import Real
 
 import numpy as np
 
@@ -29,7 +30,8 @@ GROUPS = {"se3": SE3, "so3xr3": SO3XR3}
 
 def is_positive(value):
     """True for a finite number above zero."""
-    return isinstance(value, (int, float)) and math.isfinite(value) and value > 0.0
+    return (isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
+            and value > 0.0)
 
 
 @dataclass(frozen=True)

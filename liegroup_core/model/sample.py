@@ -41,6 +41,7 @@ class Sample:
         matrices[:, :3, :3] = self.pose[:, :9].reshape(-1, 3, 3)
         matrices[:, :3, 3] = self.pose[:, 9:]
         matrices[:, 3, 3] = 1.0
+        matrices.flags.writeable = False
         return matrices
 
     @cached_property
