@@ -56,6 +56,7 @@ class Simulation:
     options: further settings that the method has, see its family in `integrators`:
              dexpinv="exact" or "truncated"  for all of Runge-Kutta type
              rtol=1e-6, atol=1e-6            tolerances of rkmk54
+             rho_inf=0.8                     damping of generalized_alpha
     raises SceneError for a scene that cannot be simulated, ValueError for a wrong setting
 
     Orders: test/verification/test_orders.py; constraint residuals: test_heavy_top.py.
@@ -76,7 +77,7 @@ class Simulation:
         self._body = {name: i for i, name in enumerate(self.layout.body_names)}
         self._warned = False
         self.reset()
-        warm_up(self._touch)
+        warm_up(self._touch, METHODS[method].family)
 
     def _touch(self):
         """Call every kernel once, so that none is compiled later, in the middle of a run."""
@@ -171,8 +172,8 @@ class Simulation:
         """Take `steps` steps.
 
         raises SimulationError, one line, when the integration cannot go on: NaN or overflow, a
-        turn of nearly 2 pi in a step, a singular pose. State and `steps` are then those of the
-        last good step.
+        turn of nearly 2 pi in a step, a singular pose, an implicit step without a solution, a
+        tolerance out of reach. State and `steps` are then those of the last good step.
         """
         self._advance(int(steps))
 

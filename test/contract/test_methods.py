@@ -15,7 +15,7 @@ from scipy.integrate import RK45
 
 import mechanisms
 from liegroup_core import Simulation, SimulationError, load_scene
-from liegroup_core.integrators import FAMILIES, check_options
+from liegroup_core.integrators import FAMILIES, check_options, rkmk
 from liegroup_core.integrators.methods import METHODS
 from liegroup_core.integrators.status import (DEPENDENT_ROWS, NOT_CONVERGED, NOT_FINITE,
                                               ROTATION_TOO_LARGE, SUBSTEP_TOO_SMALL,
@@ -264,6 +264,25 @@ def test_substeps_are_deterministic_counted_and_forgotten():
     assert simulation.substeps == (good, attempts)
     assert simulation.state()[0].tobytes() == state
     assert Simulation(load_scene("heavy_top")).substeps == (0, 0)
+
+
+def test_error_norm_is_the_documented_one():
+    """The largest body's |dxi|, |deta| by atol, |dw|, |dv| by atol + rtol |velocity|."""
+    simulation = Simulation(mechanisms.named("chain of balls"), method="rkmk54", rtol=3e-4,
+                            atol=2e-5)
+    integrator = simulation._integrator
+    n, stages = 3, len(METHODS["rkmk54"].tableau.e)
+    rng = np.random.default_rng(4)
+    slopes = rng.normal(size=(stages, n, 12))
+    before, after = rng.normal(size=(2, n, 6))
+    integrator.work.slopes[:] = slopes.reshape(-1, 12)
+    integrator.work.stage_twist[:] = after
+    delta = 0.01 * np.einsum("s,snc->nc", METHODS["rkmk54"].tableau.e, slopes).reshape(n, 4, 3)
+    size = np.maximum(*(np.linalg.norm(v.reshape(n, 2, 3), axis=2) for v in (before, after)))
+    tolerance = 2e-5 + 3e-4 * np.hstack([np.zeros((n, 2)), size])
+    expected = np.sqrt(((np.linalg.norm(delta, axis=2) / tolerance) ** 2).sum(axis=1)).max()
+    found = rkmk._error(simulation.layout.model, integrator.work, integrator._scheme, 0.01, before)
+    assert found == pytest.approx(expected, rel=1e-12)
 
 
 def test_a_tolerance_out_of_reach_ends_with_a_status():
