@@ -3,75 +3,72 @@
 
 Solves (6.22)
     M Vdot + J^T lambda = Q,   J Vdot = bias
-by S lambda = J M^-1 Q - bias with S = J M^-1 J^T. In body frames at the centre of mass M is
-block diagonal (Theta, m I), so its inverse is free. Q holds the gyroscopic terms with the sign
-that (6.30) misses: torque -w x Theta w, force -m w x v.
+In body frames at the centre of mass M is block diagonal (Theta, m I). Q holds the gyroscopic
+terms with the sign that (6.30) misses: torque -w x Theta w, force -m w x v.
 """
 from .._compile import kernel
 from ..forces.gravity import add_wrench as add_gravity
-from ..forces.spring_damper import add_wrench as add_springs
+from ..forces.kinds import add_wrenches
 from ..lie.vec3 import cross3, load3, matrix3, matvec3
-from ..model.arrays import WORLD
-from .block_cholesky import factorise, substitute
-from .constraints import assemble_rows, assemble_solve, constraint_force, dot6
+from .constraints import add_baumgarte, assemble
+from .saddle_point import REGULARISATION, solve
+
+# The shift is 1e-8 of a row: so much smaller the error of all other directions gets by each
+# refinement, divided by the squared sine of the angle between rows.
+REFINEMENTS_WHEN_SINGULAR = 4
 
 
 @kernel
-def _divide_by_mass(model, wrench, acceleration_out):
-    """acceleration = M^-1 wrench, body by body."""
-    for i in range(len(model.bodies)):
-        inverse_mass = model.bodies[i]["inverse_mass"]
-        angular = matvec3(matrix3(model.bodies[i]["inverse_inertia"]), load3(wrench, i, 0))
-        for c in range(3):
-            acceleration_out[i, c] = angular[c]
-            acceleration_out[i, 3 + c] = inverse_mass * wrench[i, 3 + c]
-
-
-@kernel
-def wrenches(model, pose, twist, external, wrench_out):
-    """Q: applied wrenches, forces and gyroscopic terms of all bodies into wrench_out (n, 6)."""
+def wrenches(model, work, pose, twist, external):
+    """Q: applied wrenches, forces and gyroscopic terms of all bodies into work.wrench (n, 6)."""
     for i in range(len(model.bodies)):
         w = load3(twist, i, 0)
         gyro_w = cross3(matvec3(matrix3(model.bodies[i]["inertia"]), w), w)
         gyro_v = cross3(load3(twist, i, 3), w)
         mass = model.bodies[i]["mass"]
         for c in range(3):
-            wrench_out[i, c] = external[i, c] + gyro_w[c]
-            wrench_out[i, 3 + c] = external[i, 3 + c] + mass * gyro_v[c]
-    add_gravity(model, pose, wrench_out)
-    add_springs(model.springs, pose, twist, wrench_out)
+            work.wrench[i, c] = external[i, c] + gyro_w[c]
+            work.wrench[i, 3 + c] = external[i, 3 + c] + mass * gyro_v[c]
+    add_gravity(model, pose, work.wrench)
+    add_wrenches(model.forces, work.angle, work.acting, pose, twist, work.wrench)
 
 
 @kernel
-def accelerations(model, work, pose, twist, external, world_axes):
-    """Vdot of all bodies into work.acceleration, multipliers into work.multiplier.
+def accelerations(model, work, pose, twist, external):
+    """Vdot of all bodies into work.acceleration, the multipliers into work.solution.
 
     pose (n, 12), twist (n, 6), external (n, 6): applied wrenches in body axes about the centre
-    of mass; world_axes: see assemble_rows
-    returns -1, or the joint whose rows depend on others at this pose
+    of mass; work.angle and work.acting: see Work
+    returns -1, or the joint whose rows depend on others, which a regularised solve could not mend
     """
-    wrenches(model, pose, twist, external, work.wrench)
-    _divide_by_mass(model, work.wrench, work.acceleration)
-    m = len(model.joints)
-    if m == 0:
+    wrenches(model, work, pose, twist, external)
+    if len(model.joints) == 0:
+        for i in range(len(model.bodies)):
+            angular = matvec3(matrix3(model.bodies[i]["inverse_inertia"]),
+                              load3(work.wrench, i, 0))
+            inverse_mass = model.bodies[i]["inverse_mass"]
+            for c in range(3):
+                work.acceleration[i, c] = angular[c]
+                work.acceleration[i, 3 + c] = inverse_mass * work.wrench[i, 3 + c]
         return -1
-
-    assemble_rows(model, work, pose, twist, world_axes, work.multiplier)
-    for j in range(m):
-        a = model.joints[j]["parent"]
-        b = model.joints[j]["child"]
-        for r in range(model.joints[j]["rows"]):
-            value = dot6(work.jacobian, j, 6 * r, work.acceleration, b, 0)
-            if a != WORLD:
-                value += dot6(work.jacobian, m + j, 6 * r, work.acceleration, a, 0)
-            row = model.joints[j]["row_start"] + r
-            work.multiplier[row] = value - work.multiplier[row]
-    if not model.solve_is_constant:
-        assemble_solve(model, work)
-        dependent = factorise(model, work.solve)
-        if dependent >= 0:
-            return dependent
-    substitute(model, work.solve, work.multiplier)
-    constraint_force(model, work, -1.0, work.wrench)
-    _divide_by_mass(model, work.wrench, work.acceleration)
-    return -1
+    for i in range(len(model.bodies)):
+        at = model.bodies[i]["start"]
+        for c in range(6):
+            work.solution[at + c] = work.wrench[i, c]
+    dependent = -1
+    refinements, shift = model.refinements, 0.0
+    for _ in range(2):
+        assemble(model, work, pose, twist)
+        if model.baumgarte_rate > 0.0:
+            add_baumgarte(model, work, pose)
+        dependent = solve(model, work, refinements, shift)
+        if dependent < 0:
+            break
+        # A singular pose: once more, and where the joints leave it open the masses decide.
+        refinements, shift = REFINEMENTS_WHEN_SINGULAR, REGULARISATION
+        work.report[2] += 1.0
+    for i in range(len(model.bodies)):
+        at = model.bodies[i]["start"]
+        for c in range(6):
+            work.acceleration[i, c] = work.solution[at + c]
+    return dependent

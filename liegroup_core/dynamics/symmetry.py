@@ -30,7 +30,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-from ..forces import gravity, spring_damper
+from ..forces import gravity, kinds
 from ..joints.pairs import LOWER_PAIRS
 from ..lie.groups import SE3
 from ..model.build import build_model
@@ -82,8 +82,8 @@ def conserved_momentum(scene):
     kept = []
     for group in _groups(scene):
         acting = _without_round_off(wrenches[:, group])
-        centre = np.array([model.body_mass[group] @ pose[group, 9:] for pose in drawn])
-        centre /= model.body_mass[group].sum()
+        mass = np.array([scene.bodies[i].mass for i in group])
+        centre = np.array([mass @ pose[group, 9:] for pose in drawn]) / mass.sum()
         reactions = _reactions(scene, frames, group)
         names = tuple(scene.bodies[i].name for i in group)
         kept += [KeptMomentum(names, *found) for found in _kept(acting, reactions, centre, size)
@@ -161,10 +161,13 @@ def _reaction_point(reactions):
 
 
 def _outer_wrenches(model, pose, rng):
-    """Gravity and springs on every body at a pose, at random velocities; (n, 6), world origin."""
+    """Gravity and all forces on every body at a pose, moving at random; (n, 6), world origin."""
     wrench = np.zeros((len(pose), 6))
     gravity.add_wrench(model, pose, wrench)
-    spring_damper.add_wrench(model.springs, pose, rng.normal(size=(len(pose), 6)), wrench)
+    forces = model.forces
+    kinds.add_wrenches(forces, rng.normal(size=len(forces.torsional_spring_damper)),
+                       np.ones(len(forces.applied_wrench), dtype=bool), pose,
+                       rng.normal(size=(len(pose), 6)), wrench)
     turn, place = pose[:, :9].reshape(-1, 3, 3), pose[:, 9:]
     force = np.einsum("nij,nj->ni", turn, wrench[:, 3:])
     torque = np.einsum("nij,nj->ni", turn, wrench[:, :3]) + np.cross(place, force)
@@ -218,9 +221,11 @@ def _generic_pose(scene, frames, size, rng):
 def _groups(scene):
     """Index lists of the bodies that hang together without the world."""
     label = {body.name: i for i, body in enumerate(scene.bodies)}
+    # Forces about a joint add nothing to the joint; those on one body link nothing.
     for link in (*scene.joints, *scene.forces):
-        if WORLD not in (link.parent, link.child):
-            old, new = label[link.child], label[link.parent]
+        child, parent = getattr(link, "child", WORLD), getattr(link, "parent", WORLD)
+        if WORLD not in (parent, child):
+            old, new = label[child], label[parent]
             label = {name: new if value == old else value for name, value in label.items()}
     groups = {}
     for i, body in enumerate(scene.bodies):
@@ -232,7 +237,8 @@ def _size(scene, frames):
     """A length of the mechanism, m: its largest coordinate, or 1 if all are zero."""
     points = [body.position for body in scene.bodies]
     points += [frame[:3, 3] for pair in frames for frame in pair]
-    points += [point for force in scene.forces for point in (force.parent_point, force.child_point)]
+    points += [getattr(force, name) for force in scene.forces
+               for name in ("parent_point", "child_point", "point") if hasattr(force, name)]
     return float(np.abs(np.array(points)).max()) or 1.0
 
 

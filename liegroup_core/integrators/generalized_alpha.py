@@ -16,30 +16,29 @@ size; their velocities are off by O(h^2). On SO(3) x R^3 V is (omega, rdot), see
 Newton's method in x = (Vdot_1, lambda): with sigma = d psi/d Vdot_1 the joints' equations are
 g / sigma = 0, which makes the matrix [[I, M^-1 J^T], [J, 0]] plus O(h): it does not degenerate for
 small steps as the one for psi does. The matrix is taken by differences, so every kind of force is
-treated implicitly without formulas of its own. It is dense: its factors cost (6 n + rows)^3 / 3,
-which is small up to about ten bodies and too much for a hundred; they are kept over iterations
-and steps as long as the iteration converges quickly.
+treated implicitly without formulas of its own. It is dense: its factors cost (6 n + rows)^3 / 3
+multiplications, which suits some ten bodies (a chain of 3, 10, 30: about 10, 100, 1000 us a step)
+and not a hundred. They are kept over iterations and steps while the iteration converges quickly.
 
 Source: Bruels, Cardona and Arnold, Mech. Mach. Theory 48 (2012) 121-137, table 1; the scaling
 after Bottasso, Bauchau and Cardona, J. Comput. Nonlinear Dyn. 2 (2007).
 """
 import math
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from .._compile import borrowed, kernel
-from ..dynamics.constraints import assemble_rows, constraint_force
+from .._compile import borrowed, kernel, subroutine
+from ..dynamics.constraints import assemble, position_residuals
 from ..dynamics.newton_euler import accelerations, wrenches
-from ..joints.pairs import LOWER_PAIRS
-from ..lie.vec3 import (add3, axpy3, cross3, dot3, load3, load9, matmul3, matrix3, matvec3, scale3,
-                        store3, store9, sub3, tmatmul3, tmatvec3)
+from ..forces.kinds import count_turns, too_fast
+from ..lie.vec3 import (axpy3, cross3, dot3, load3, load9, matrix3, matvec3, scale3, store3,
+                        store9, sub3, tmatvec3, vector3)
 from ..model.arrays import WORLD, make_work
 from .methods import GROUPS, SE3
 from .motion import copy_state, displace, group_velocity, is_finite, orthonormal
 from .status import (DEPENDENT_ROWS, LARGEST_ROTATION, NOT_CONVERGED, NOT_FINITE, OK,
-                     ROTATION_TOO_LARGE)
+                     ROTATION_TOO_LARGE, TURNS_NOT_COUNTED)
 
 # Newton's method ends when a correction of the poses, rad and m, is this part of the largest
 # coordinate or of 1: some ten roundings. What is left of it in a pose is 2 / h times that in the
@@ -65,8 +64,6 @@ class Coefficients(NamedTuple):
 class Memory(NamedTuple):
     """What the method holds beside pose, twist and Work; N = 6 n + rows."""
 
-    frames: np.ndarray      # (m, 24) of each joint: R and r in the parent, R and r in the child
-    forbidden: np.ndarray   # (m, 36) rows A of each joint
     rate: np.ndarray        # (n, 6) Vdot_0 on the group
     mean: np.ndarray        # (n, 6) a_0
     old: np.ndarray         # (n, 6) (alpha_f Vdot_0 - alpha_m a_0) / (1 - alpha_m)
@@ -83,28 +80,22 @@ class Memory(NamedTuple):
 
 
 @kernel
-def _frame(pose, body, frame, j, at):
-    """Rotation and place in the world of a frame of joint j that is fixed in a body."""
-    rot, r = load9(frame, j, at), load3(frame, j, at + 9)
-    if body == WORLD:
-        return rot, r
-    turn = load9(pose, body, 0)
-    return matmul3(turn, rot), add3(load3(pose, body, 9), matvec3(turn, r))
-
-
-@kernel
-def _position_residuals(model, memory, pose, scale, out, first):
-    """scale g of all joints from out[first] on, g = A (tilt_x, tilt_y, turn_z, p)."""
+def _subtract_constraint_wrenches(model, work, multiplier, first):
+    """work.wrench -= J^T lambda, J of the last `assemble`, lambda from multiplier[first] on."""
     for j in range(len(model.joints)):
-        rot_a, at_a = _frame(pose, model.joints[j]["parent"], memory.frames, j, 0)
-        rot_b, at_b = _frame(pose, model.joints[j]["child"], memory.frames, j, 12)
-        rot = tmatmul3(rot_a, rot_b)
-        p = tmatvec3(rot_a, sub3(at_b, at_a))
-        angles = (-rot[5], rot[2], math.atan2(rot[3] - rot[1], rot[0] + rot[4]))
-        for r in range(model.joints[j]["rows"]):
-            value = (dot3(load3(memory.forbidden, j, 6 * r), angles)
-                     + dot3(load3(memory.forbidden, j, 6 * r + 3), p))
-            out[first + model.joints[j]["row_start"] + r] = scale * value
+        a = model.joints[j]["parent"]
+        b = model.joints[j]["child"]
+        rows = model.joints[j]["rows"]
+        place = model.joints[j]["parent_place"]
+        row_step, step = 6, 1
+        if model.joints[j]["parent_turned"] == 1:
+            row_step, step = 1, rows
+        for r in range(rows):
+            value = multiplier[first + model.joints[j]["first"] + r]
+            for c in range(6):
+                work.wrench[b, c] -= value * work.child_jacobian[j, 6 * r + c]
+                if a != WORLD:
+                    work.wrench[a, c] -= value * work.matrix[place + r * row_step + c * step]
 
 
 @kernel
@@ -150,7 +141,7 @@ def _move(model, work, memory, numbers, group, h, pose):
     return OK
 
 
-@partial(kernel, inline=False)
+@subroutine
 def _residual(model, work, memory, numbers, group, h, pose, external):
     """Equations of one step at memory.x into memory.residual; the state as by `_move`.
 
@@ -162,11 +153,9 @@ def _residual(model, work, memory, numbers, group, h, pose, external):
     if status != OK:
         return status
     n = len(model.bodies)
-    wrenches(model, work.stage_pose, work.stage_twist, external, work.wrench)
-    assemble_rows(model, work, work.stage_pose, work.stage_twist, False, work.multiplier)
-    for row in range(len(work.multiplier)):
-        work.multiplier[row] = memory.x[6 * n + row]
-    constraint_force(model, work, -1.0, work.wrench)
+    wrenches(model, work, work.stage_pose, work.stage_twist, external)
+    assemble(model, work, work.stage_pose, work.stage_twist)
+    _subtract_constraint_wrenches(model, work, memory.x, 6 * n)
     for i in range(n):
         angular = matvec3(matrix3(model.bodies[i]["inverse_inertia"]), load3(work.wrench, i, 0))
         inverse_mass = model.bodies[i]["inverse_mass"]
@@ -174,8 +163,10 @@ def _residual(model, work, memory, numbers, group, h, pose, external):
             memory.residual[6 * i + c] = memory.body_rate[i, c] - angular[c]
             memory.residual[6 * i + 3 + c] = (memory.body_rate[i, 3 + c]
                                               - inverse_mass * work.wrench[i, 3 + c])
-    _position_residuals(model, memory, work.stage_pose, 1.0 / _sigma(numbers, h),
-                        memory.residual, 6 * n)
+    position_residuals(model, work.stage_pose, work.gap)
+    for row in range(len(model.row_residual)):
+        gap = work.gap[model.row_residual[row]]
+        memory.residual[6 * n + row] = gap / _sigma(numbers, h)
     return OK
 
 
@@ -249,16 +240,16 @@ def _correct(model, memory, numbers, h):
 
 
 @kernel
-def _tolerance(model, memory, pose):
+def _tolerance(model, pose):
     """Correction of a pose at which Newton's method ends, m and rad."""
     largest = 1.0
     for i in range(len(model.bodies)):
         r = load3(pose, i, 9)
         largest = max(largest, math.sqrt(dot3(r, r)))
-    for j in range(len(model.joints)):
-        for at in (9, 21):
-            r = load3(memory.frames, j, at)
-            largest = max(largest, math.sqrt(dot3(r, r)))
+    for e in range(len(model.elements)):
+        a = vector3(model.elements[e]["parent_point"])
+        b = vector3(model.elements[e]["child_point"])
+        largest = max(largest, math.sqrt(max(dot3(a, a), dot3(b, b))))
     return TOLERANCE * largest
 
 
@@ -266,7 +257,7 @@ def _tolerance(model, memory, pose):
 def _newton(model, work, memory, numbers, group, h, pose, external):
     """Solve one step for memory.x, from memory.x on; returns a status."""
     size = len(memory.x)
-    tolerance = _tolerance(model, memory, pose)
+    tolerance = _tolerance(model, pose)
     for k in range(size):
         memory.start[k] = memory.x[k]
     old_factors = memory.factored[0]
@@ -336,6 +327,10 @@ def advance(model, work, memory, numbers, group, h, steps, pose, twist, external
             status = _move(model, work, memory, numbers, group, h, pose)
         if status == OK and not is_finite(work.stage_pose, work.stage_twist):
             status = NOT_FINITE
+        if status == OK:
+            fast = too_fast(model.forces, h, work.stage_pose, work.stage_twist)
+            if fast >= 0:
+                status = TURNS_NOT_COUNTED + (fast << 8)
         if status != OK:
             for k in range(len(memory.x)):
                 memory.x[k] = memory.start[k]
@@ -347,6 +342,7 @@ def advance(model, work, memory, numbers, group, h, steps, pose, twist, external
                 memory.rate[i, c] = memory.x[6 * i + c]
                 memory.mean[i, c] = (memory.old[i, c] + inverse * (1.0 - numbers.alpha_f)
                                      * memory.rate[i, c])
+        count_turns(model.forces, work.stage_pose, work.angle)
         copy_state(work.stage_pose, work.stage_twist, pose, twist)
         work.report[0] = max(work.report[0], work.report[1])
     return steps, OK
@@ -369,18 +365,15 @@ class GeneralizedAlpha:
         gamma = 0.5 + alpha_f - alpha_m
         self._numbers = Coefficients(alpha_m, alpha_f, 0.25 * (gamma + 0.5) ** 2, gamma)
         model = layout.model
-        n, m, rows = len(model.bodies), len(model.joints), int(model.joints["rows"].sum())
-        frames, forbidden = np.zeros((m, 24)), np.zeros((m, 36))
-        for j, order in enumerate(layout.joint_order):
-            for side, frame in enumerate(layout.joint_frames[order]):
-                frames[j, 12 * side:12 * side + 12] = [*frame[:3, :3].ravel(), *frame[:3, 3]]
-            directions = LOWER_PAIRS[layout.scene.joints[order].type].forbidden
-            forbidden[j, :directions.size] = directions.ravel()
-        size = 6 * n + rows
+        if model.projects or model.baumgarte_rate > 0.0:
+            raise ValueError("generalized_alpha keeps the joints closed by itself: it goes with "
+                             "stabilisation 'none'")
+        n = len(model.bodies)
+        size = 6 * n + len(model.row_residual)
         self._memory = Memory(
-            frames=frames, forbidden=forbidden, rate=np.zeros((n, 6)), mean=np.zeros((n, 6)),
-            old=np.zeros((n, 6)), body_rate=np.zeros((n, 6)), x=np.zeros(size),
-            start=np.zeros(size), residual=np.zeros(size), base=np.zeros(size),
+            rate=np.zeros((n, 6)), mean=np.zeros((n, 6)), old=np.zeros((n, 6)),
+            body_rate=np.zeros((n, 6)), x=np.zeros(size), start=np.zeros(size),
+            residual=np.zeros(size), base=np.zeros(size),
             correction=np.zeros(size), next=np.zeros(size),
             matrix=np.zeros((size, size)), pivots=np.zeros(size, dtype=np.int64),
             factored=np.zeros(1, dtype=bool))
@@ -399,18 +392,19 @@ class GeneralizedAlpha:
 
     def advance(self, h, steps, pose, twist, external):
         """Take steps of size h in place; returns (steps done, status)."""
-        if self._started_for is None or self._started_for != (h, external.tobytes()):
+        now = (h, external.tobytes(), self.work.acting.tobytes())
+        if self._started_for != now:
             dependent = self._start(pose, twist, external)
             if dependent >= 0:
                 return 0, DEPENDENT_ROWS + (dependent << 8)
-            self._started_for = (h, external.tobytes())
+            self._started_for = now
         return advance(self._model, self.work, self._memory, self._numbers, self._group, h, steps,
                        pose, twist, external)
 
     def _start(self, pose, twist, external):
         """Vdot, a and lambda from the index-1 equations; -1, or the joint whose rows depend."""
         work, memory = self.work, self._memory
-        dependent = accelerations(self._model, work, pose, twist, external, self._group != SE3)
+        dependent = accelerations(self._model, work, pose, twist, external)
         if dependent < 0:
             memory.rate[:] = work.acceleration
             if self._group != SE3:
@@ -418,7 +412,9 @@ class GeneralizedAlpha:
                 linear = work.acceleration[:, 3:] + np.cross(twist[:, :3], twist[:, 3:])
                 memory.rate[:, 3:] = np.einsum("nij,nj->ni", turn, linear)
             memory.mean[:] = memory.rate
-            memory.x[:] = np.concatenate([memory.rate.ravel(), work.multiplier])
+            multipliers = [work.solution[joint["start"]:joint["start"] + joint["rows"]]
+                           for joint in self._model.joints]
+            memory.x[:] = np.concatenate([memory.rate.ravel(), *multipliers])
             memory.factored[0] = False
         return dependent
 

@@ -25,6 +25,8 @@ import numpy as np
 
 from .._compile import borrowed, kernel
 from ..dynamics.newton_euler import accelerations
+from ..dynamics.projection import project
+from ..forces.kinds import count_turns, too_fast
 from ..lie.coefficients import dexpinv_coefficients, truncated_dexpinv_coefficients
 from ..lie.se3 import se3_dexpinv_of
 from ..lie.so3 import so3_dexpinv_of
@@ -34,7 +36,7 @@ from ..model.arrays import make_work
 from .methods import GROUPS, SE3, is_positive
 from .motion import copy_state, displace, group_velocity, is_finite, orthonormal
 from .status import (DEPENDENT_ROWS, LARGEST_ROTATION, NOT_FINITE, OK, ROTATION_TOO_LARGE,
-                     SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS)
+                     SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS, TURNS_NOT_COUNTED)
 
 EXACT = -1                  # Scheme.highest: dexpinv in closed form
 
@@ -139,7 +141,8 @@ def _stages(model, work, scheme, group, h, pose, twist, external, known):
     """One step of size h from pose and twist, its end in work.stage_pose and work.stage_twist.
 
     known : True when the first stage's slopes are in work.slopes already
-    returns OK, NOT_FINITE, ROTATION_TOO_LARGE or DEPENDENT_ROWS + (joint << 8)
+    returns OK, NOT_FINITE, ROTATION_TOO_LARGE, DEPENDENT_ROWS + (joint << 8) or
+    TURNS_NOT_COUNTED + (spring << 8)
     """
     n = len(model.bodies)
     stages = scheme.a.shape[1]
@@ -154,14 +157,16 @@ def _stages(model, work, scheme, group, h, pose, twist, external, known):
             if status != OK:
                 return status
         if stage < stages or len(scheme.error) > 0:
-            dependent = accelerations(model, work, work.stage_pose, work.stage_twist, external,
-                                      group != SE3)
+            dependent = accelerations(model, work, work.stage_pose, work.stage_twist, external)
             if dependent >= 0:
                 return DEPENDENT_ROWS + (dependent << 8)
             for i in range(n):
                 _store_slope(work, scheme, group, n, i, stage)
     if not is_finite(work.stage_pose, work.stage_twist):
         return NOT_FINITE
+    fast = too_fast(model.forces, h, work.stage_pose, work.stage_twist)
+    if fast >= 0:
+        return TURNS_NOT_COUNTED + (fast << 8)
     return OK
 
 
@@ -234,12 +239,18 @@ def _step(model, work, scheme, group, h, pose, twist, external, control, known):
             for i in range(n):
                 _store_slope(work, scheme, group, n, i, 0)
             control[1] += 1.0
+            known = not model.projects
         elif status != OK:
             return status, False
+        if model.projects:
+            _, status = project(model, work, work.stage_pose, work.stage_twist)
+            if status != OK:
+                return status, False
+        count_turns(model.forces, work.stage_pose, work.angle)
         copy_state(work.stage_pose, work.stage_twist, pose, twist)
         work.report[0] = max(work.report[0], work.report[1])
         left = left - size if count > 1 else 0.0
-    return OK, controlled
+    return OK, known
 
 
 @kernel
@@ -250,7 +261,8 @@ def advance(model, work, scheme, group, h, steps, pose, twist, external, control
     control (3,)    : next substep in s, numbers of good substeps and of all attempts so far; only
                       used and changed by schemes with error control
     returns (steps done, status): fewer than asked when status is not OK (low byte; the rest names
-    the joint of DEPENDENT_ROWS). Pose and twist are then those of the last good step.
+    the joint of DEPENDENT_ROWS or the torsional spring of TURNS_NOT_COUNTED). Pose, twist and
+    work.angle are then those of the last good step.
     """
     model, work, scheme = borrowed(model), borrowed(work), borrowed(scheme)
     pose, twist = borrowed(pose), borrowed(twist)
@@ -259,11 +271,15 @@ def advance(model, work, scheme, group, h, steps, pose, twist, external, control
     for done in range(steps):
         if len(scheme.error) > 0:
             copy_state(pose, twist, work.start_pose, work.start_twist)
+            for i in range(len(work.angle)):
+                work.start_angle[i] = work.angle[i]
         substep = control[0]
         status, known = _step(model, work, scheme, group, h, pose, twist, external, control, known)
         if status != OK:
             if len(scheme.error) > 0:
                 copy_state(work.start_pose, work.start_twist, pose, twist)
+                for i in range(len(work.angle)):
+                    work.angle[i] = work.start_angle[i]
                 control[0] = substep
             return done, status
     return steps, OK

@@ -1,17 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scene -> Model: names become indices, frames become Jacobian rows, the solve gets its structure."""
-from collections import defaultdict
-
 import numpy as np
 
-from ..dynamics.block_cholesky import factorise
-from ..dynamics.constraints import assemble_rows, assemble_solve
-from ..errors import SceneError
-from ..joints.pairs import LOWER_PAIRS
+from ..dynamics.constraints import assemble
+from ..dynamics.saddle_point import factorise
+from ..forces.kinds import make_forces
+from ..joints.elements import DISTANCE, PAIR, PERPENDICULAR
 from ..lie.groups import SE3
-from ..scene.consistency import check_consistency, resolve_frames
-from .arrays import BODY, JOINT, SPRING_DAMPER, WORLD, Model, make_work
+from ..scene.consistency import check_consistency, resolve_elements, resolve_frames
+from .arrays import BODY, ELEMENT, JOINT, VERTEX, WORLD, Model, make_work
+from .redundancy import kept_rows
 from .sparsity import block_layout, elimination_order
+
+# A pivot this small against its row's own S_rr belongs to a singular pose: the sine of the angle by
+# which the row misses those it depends on is then below 1e-5. Nearer, the drift of a loop, 1e-9
+# say, would be divided by that sine. A ratio of neighbouring masses of 1e8 makes good pivots of 1e-8.
+SMALLEST_PIVOT = 1e-10
+
+# From here on a step of refinement costs less than the digits that are lost without it.
+LARGE_MASS_RATIO = 1e3
 
 
 def initial_state(scene):
@@ -23,108 +30,154 @@ def initial_state(scene):
 
 
 def build_model(scene):
-    """Model of a scene, and the scene's index of each of the model's joints.
+    """Model of a scene and the names behind it, as in simulation.Layout.
 
-    returns (model, joint_order): joint j of the model is scene.joints[joint_order[j]]
-    raises SceneError: joints that do not close, velocities against them, rows that depend
+    returns (model, frames, owners, row_names, kept): the frames of every joint, then for each
+    element of the model its scene joint, the names of its rows, and the rows that are solved for.
+    Rows that depend on others for good are left out, and an element without any is no joint.
+    raises SceneError: joints that do not close, velocities against them
     """
     check_consistency(scene)
     index = {body.name: i for i, body in enumerate(scene.bodies)} | {"world": WORLD}
-    bodies = np.array([(body.mass, 1.0 / body.mass, body.inertia_matrix.ravel(),
-                        np.linalg.inv(body.inertia_matrix).ravel()) for body in scene.bodies],
-                      dtype=BODY)
-    ends, jacobians = _joint_rows(scene, index)
-    touching = defaultdict(set)
-    for j, (parent, child) in enumerate(ends):
-        for body in (parent, child):
+    frames = resolve_frames(scene)
+    parts = resolve_elements(scene)
+    elements, owners = _elements(scene, index, frames, parts)
+    keep = np.concatenate([np.zeros(0, dtype=bool), *kept_rows(scene, frames, parts)])
+    kept = [tuple(np.flatnonzero(keep[first:first + rows]).tolist())
+            for first, rows in zip(elements["row_start"], elements["rows"])]
+    solved = [e for e, rows in enumerate(kept) if rows]
+    ends = [(int(elements[e]["parent"]), int(elements[e]["child"])) for e in solved]
+    n, m = len(scene.bodies), len(ends)
+    rows = [len(kept[e]) for e in solved]
+    jacobians = [_constant_rows(elements[e])[list(kept[e])] for e in solved]
+
+    # Vertices: bodies 0..n-1, then joints.
+    sizes = [6] * n + rows
+    neighbours = [set() for _ in sizes]
+    for j, pair in enumerate(ends):
+        for body in pair:
             if body != WORLD:
-                touching[body].add(j)
-    neighbours = [set().union(*(touching[body] for body in pair if body != WORLD)) - {j}
-                  for j, pair in enumerate(ends)]
-    order, below = elimination_order(neighbours)
-    ends = [ends[j] for j in order]
-    jacobians = [jacobians[j] for j in order]
-    rows = np.array([len(jacobian) for jacobian in jacobians], dtype=np.int64)
+                neighbours[body].add(n + j)
+                neighbours[n + j].add(body)
+    order, below = elimination_order(sizes, neighbours, n)
+    position = {v: p for p, v in enumerate(order)}
+    sizes = np.array([sizes[v] for v in order], dtype=np.int64)
+    starts = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64)
+    place, size, ranges, columns, updates = block_layout(sizes, below)
+    vertices = np.array([(order[p] - n if order[p] >= n else -1, sizes[p], starts[p], *ranges[p])
+                         for p in range(n + m)], dtype=VERTEX)
 
-    m = len(order)
-    child_jacobian, child_mobility = np.zeros((m, 36)), np.zeros((m, 36))
-    for j, jacobian in enumerate(jacobians):
-        child = ends[j][1]
-        inverse_inertia = bodies[child]["inverse_inertia"].reshape(3, 3)
-        moved = np.hstack([jacobian[:, :3] @ inverse_inertia,
-                           jacobian[:, 3:] * bodies[child]["inverse_mass"]])
-        child_jacobian[j, :jacobian.size] = jacobian.ravel()
-        child_mobility[j, :moved.size] = moved.ravel()
+    bodies = np.array([(body.mass, 1.0 / body.mass, body.inertia_matrix.ravel(),
+                        np.linalg.inv(body.inertia_matrix).ravel(), starts[position[i]])
+                       for i, body in enumerate(scene.bodies)], dtype=BODY)
+    joints = np.zeros(m, dtype=JOINT)
+    child_jacobian = np.zeros((m, 36))
+    firsts = np.concatenate([[0], np.cumsum(rows)])
+    for j, (parent, child) in enumerate(ends):
+        joints[j] = (parent, child, elements[solved[j]]["kind"], solved[j], rows[j],
+                     starts[position[n + j]], firsts[j],
+                     *_block(place, position, n + j, child),
+                     *_block(place, position, n + j, parent))
+        child_jacobian[j, :6 * rows[j]] = jacobians[j].ravel()
 
-    place, size, ranges, columns, updates = block_layout(rows, below)
-    constant, products = _products(ends, rows, place, size, child_jacobian, child_mobility)
-    row_start = np.concatenate([[0], np.cumsum(rows)[:-1]]) if m else rows
-    joints = np.array([(*ends[j], rows[j], row_start[j], *ranges[j]) for j in range(m)],
-                      dtype=JOINT)
     model = Model(
         gravity=np.array([scene.gravity], dtype=float), bodies=bodies,
-        springs=_springs(scene, index), joints=joints, child_jacobian=child_jacobian,
-        child_mobility=child_mobility, products=products, columns=columns, updates=updates,
-        solve_constant=constant, solve_is_constant=len(products) == 0)
-    _factorise_once(model, scene, order)
-    return model, order
+        forces=_forces(scene, index, frames), elements=elements, joints=joints,
+        row_residual=np.array([elements[e]["row_start"] + r for e in solved for r in kept[e]],
+                              dtype=np.int64),
+        child_jacobian=child_jacobian, vertices=vertices, columns=columns, updates=updates,
+        pivot_floor=_pivot_floor(bodies, joints, jacobians, int(sizes.sum())),
+        constant=_constant_part(scene, place, position, joints, jacobians, size),
+        is_constant=all(joint["parent"] == WORLD and joint["kind"] == PAIR for joint in joints),
+        refinements=_refinements(bodies, ends))
+    if model.is_constant:
+        work = make_work(model, 1)
+        assemble(model, work, *initial_state(scene))
+        factorise(model, model.constant, 0.0)
+    names = tuple(part.names for elements in parts for part in elements)
+    return model, tuple(frames), owners, names, tuple(kept)
 
 
-def _joint_rows(scene, index):
-    """Body indices (parent, child) and rows A Ad(F_b^-1) (k, 6) of every joint of the scene."""
-    ends = [(index[joint.parent], index[joint.child]) for joint in scene.joints]
-    jacobians = [LOWER_PAIRS[joint.type].forbidden @ SE3.Ad(np.linalg.inv(child_frame))
-                 for joint, (_, child_frame) in zip(scene.joints, resolve_frames(scene))]
-    return ends, jacobians
+def _elements(scene, index, frames, parts):
+    """The joints of a scene as constraint elements: (of ELEMENT, scene joint of each)."""
+    records, owners = [], []
+    first = 0
+    for i, (joint, (F_a, F_b), elements) in enumerate(zip(scene.joints, frames, parts)):
+        for part in elements:
+            rows = len(part.forbidden)
+            forbidden = np.zeros(36)
+            forbidden[:6 * rows] = part.forbidden.ravel()
+            records.append((
+                part.kind, index[joint.parent], index[joint.child], rows, first,
+                F_a[:3, :3].ravel(), F_a[:3, 3], F_b[:3, :3].ravel(), F_b[:3, 3],
+                forbidden, part.turns_freely, part.pitch, part.length))
+            owners.append(i)
+            first += rows
+    return np.array(records, dtype=ELEMENT), tuple(owners)
 
 
-def _products(ends, rows, place, size, jacobian, mobility):
-    """The constant part of S, and the products J_i G_j^T that depend on the pose.
+def _constant_rows(element):
+    """Rows A Ad(F_b^-1) (k, 6) of a PAIR; zeros of an element whose row depends on the pose."""
+    frame = np.eye(4)
+    frame[:3, :3] = element["child_rotation"].reshape(3, 3)
+    frame[:3, 3] = element["child_point"]
+    return element["forbidden"][:6 * element["rows"]].reshape(-1, 6) @ SE3.Ad(SE3.inverse(frame))
 
-    Two joints (or a joint and itself) are coupled once for every moving body they share; side 0
-    is the child's, whose rows are constant, side 1 the parent's.
+
+def _block(place, position, joint, body):
+    """Place of the block of a joint and a body in K, and 1 if it holds the rows as columns."""
+    if body == WORLD:
+        return -1, 0
+    turned = position[body] > position[joint]
+    return place[max(position[joint], position[body]), min(position[joint], position[body])], turned
+
+
+def _constant_part(scene, place, position, joints, jacobians, size):
+    """M and the children's rows in the flat array of K; the rest zero."""
+    constant = np.zeros(size)
+    for i, body in enumerate(scene.bodies):
+        block = np.zeros((6, 6))
+        block[:3, :3] = body.inertia_matrix
+        block[3:, 3:] = body.mass * np.eye(3)
+        at = place[position[i], position[i]]
+        constant[at:at + 36] = block.ravel()
+    for joint, jacobian in zip(joints, jacobians):
+        at = joint["child_place"]
+        block = jacobian.T if joint["child_turned"] else jacobian
+        constant[at:at + block.size] = block.ravel()
+    return constant
+
+
+def _pivot_floor(bodies, joints, jacobians, count):
+    """Smallest good pivot of every scalar of K: none for bodies, a fraction of S_rr for rows.
+
+    S = J M^-1 J^T is what a row's pivot would be without any other row. Both ends of a joint count
+    about the same here, so its child's part stands for all of it; of an element whose row depends
+    on the pose, the mobility of the child's joint frame.
     """
-    constant, products = np.zeros(size), []
-    sides = defaultdict(list)
-    for j, (parent, child) in enumerate(ends):
-        sides[child].append((j, 0))
-        if parent != WORLD:
-            sides[parent].append((j, 1))
-    for incident in sides.values():
-        for i, side_i in incident:
-            for j, side_j in incident:
-                if i < j:
-                    continue
-                at = place[i, j]
-                if side_i == side_j == 0:
-                    block = (jacobian[i].reshape(6, 6)[:rows[i]]
-                             @ mobility[j].reshape(6, 6)[:rows[j]].T)
-                    constant[at:at + block.size] += block.ravel()
-                else:
-                    products.append((at, i, side_i, j, side_j))
-    return constant, np.array(sorted(products), dtype=np.int64).reshape(-1, 5)
+    floor = np.zeros(count)
+    for joint, jacobian in zip(joints, jacobians):
+        body = bodies[joint["child"]]
+        if joint["kind"] == PERPENDICULAR:
+            jacobian = np.eye(3, 6)
+        elif joint["kind"] == DISTANCE:
+            jacobian = np.eye(6)[3:]
+        moved = np.hstack([jacobian[:, :3] @ body["inverse_inertia"].reshape(3, 3),
+                           jacobian[:, 3:] * body["inverse_mass"]])
+        size = (jacobian * moved).sum(axis=1)
+        floor[joint["start"]:joint["start"] + joint["rows"]] = SMALLEST_PIVOT * (
+            size if joint["kind"] == PAIR else size.min())
+    return floor
 
 
-def _springs(scene, index):
-    """The scene's spring-dampers as rows of SPRING_DAMPER."""
-    rows = [(index[s.parent], index[s.child], s.parent_point, s.child_point,
-             s.stiffness, s.damping, s.rest_length)
-            for s in scene.forces if s.type == "spring_damper"]
-    return np.array(rows, dtype=SPRING_DAMPER)
+def _forces(scene, index, frames):
+    """The scene's forces as rows of every kind."""
+    ends = {joint.name: (index[joint.parent], index[joint.child], *pair)
+            for joint, pair in zip(scene.joints, frames)}
+    return make_forces(scene.forces, index, ends)
 
 
-def _factorise_once(model, scene, order):
-    """Factorise S at the initial state: at once for good where no pose changes it."""
-    work = make_work(model, 1)
-    solve = model.solve_constant if model.solve_is_constant else work.solve
-    if not model.solve_is_constant:
-        pose, twist = initial_state(scene)
-        assemble_rows(model, work, pose, twist, False, work.multiplier)
-        assemble_solve(model, work)
-    dependent = factorise(model, solve)
-    if dependent >= 0:
-        joint = scene.joints[order[dependent]]
-        raise SceneError(
-            f"joint {joint.name} constrains what other joints constrain already (its rows depend "
-            "on theirs); replace it by a joint that leaves more freedom, or leave it out",
-            ("joints", order[dependent]))
+def _refinements(bodies, ends):
+    """Steps of iterative refinement: one for joined bodies of very different mass, else none."""
+    ratios = [1.0] + [bodies[a]["mass"] / bodies[b]["mass"] for a, b in ends if a != WORLD]
+    return int(max(max(ratio, 1.0 / ratio) for ratio in ratios) > LARGE_MASS_RATIO)

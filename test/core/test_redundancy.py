@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Closed loops: which rows are dropped, singular poses, and ratios of masses."""
+import mpmath
+import numpy as np
+import pytest
+
+from liegroup_core import Scene, Simulation
+from liegroup_core.dynamics.newton_euler import accelerations
+from liegroup_core.lie.groups import SO3
+from liegroup_core.model.redundancy import loop_joints
+from liegroup_core.scene.description import Body, Frame, Joint
+
+
+def bar(name, start, end, rate=0.0, start_velocity=(0.0, 0.0), mass=1.0):
+    """A bar in the x-y plane from start to end, turning about z at `rate`; x along the bar."""
+    start, end = np.array(start, dtype=float), np.array(end, dtype=float)
+    along = end - start
+    length, angle = np.linalg.norm(along), np.arctan2(along[1], along[0])
+    turned = SO3.exp([0.0, 0.0, angle])
+    velocity = np.append(start_velocity + rate * np.array([-along[1], along[0]]) / 2, 0.0)
+    return Body(name=name, mass=mass, inertia=(mass * 1e-3, *[mass * length ** 2 / 12] * 2),
+                position=(*(start + end) / 2, 0.0), rotation_vector=(0.0, 0.0, angle),
+                angular_velocity=(0.0, 0.0, rate), linear_velocity=turned.T @ velocity)
+
+
+def hinge(name, parent, child, offset, kind="revolute"):
+    return Joint(name=name, type=kind, parent=parent, child=child,
+                 child_frame=Frame(position=(offset, 0.0, 0.0)))
+
+
+def parallelogram(angle, rate, kinds=("revolute",) * 4, gravity=(0.0, 0.0, 0.0)):
+    """Crank and rocker of 1 m, coupler and ground of 2 m, turning as a parallelogram."""
+    tip = np.array([np.cos(angle), np.sin(angle)])
+    speed = rate * np.array([-tip[1], tip[0]])
+    pin = np.array([2.0, 0.0])
+    return Scene(name="parallelogram", gravity=gravity, bodies=[
+        bar("crank", (0, 0), tip, rate), bar("coupler", tip, tip + pin, 0.0, speed),
+        bar("rocker", pin, tip + pin, rate)],
+        joints=[hinge("a", "world", "crank", -0.5, kinds[0]),
+                hinge("b", "crank", "coupler", -1.0, kinds[1]),
+                hinge("c", "coupler", "rocker", 0.5, kinds[2]),
+                hinge("d", "world", "rocker", -0.5, kinds[3])])
+
+
+def test_a_tree_has_no_loop_joints():
+    assert loop_joints([("world", "a"), ("a", "b"), ("a", "c")]) == []
+    assert loop_joints([("world", "a"), ("a", "b"), ("b", "world"), ("b", "c")]) == [0, 1, 2]
+    assert loop_joints([("x", "a"), ("a", "b"), ("b", "c"), ("c", "a")]) == [1, 2, 3]
+
+
+def test_planar_four_bar_drops_the_row_out_of_its_plane():
+    """Three revolute joints and a spherical one: 18 rows of rank 17."""
+    layout = Simulation(parallelogram(1.0, 2.0, ("revolute", "revolute", "spherical", "revolute"))
+                        ).layout
+    assert layout.dropped_rows == [("c", "vz")]
+
+
+@pytest.mark.parametrize("angle", [1.0, 0.0])
+def test_a_singular_start_is_not_taken_for_redundancy(angle):
+    """Four hinges: 20 rows of rank 17, also when the start is flat, where the rank is 16."""
+    layout = Simulation(parallelogram(angle, 2.0)).layout
+    assert len(layout.dropped_rows) == 3
+    assert {row for _, row in layout.dropped_rows} <= {"wx", "wy", "vz"}
+
+
+def test_coaxial_hinges_are_one():
+    scene = Scene(name="door", gravity=(0, 0, -9.81), bodies=[bar("door", (0, 0), (1, 0))], joints=[
+        hinge("low", "world", "door", -0.5),
+        Joint(name="high", type="revolute", parent="world", child="door",
+              child_frame=Frame(position=(-0.5, 0, 0.7)))])
+    simulation = Simulation(scene)
+    assert [joint for joint, _ in simulation.layout.dropped_rows] == ["high"] * 5
+    simulation.apply_wrench("door", (0, 0, 1.0, 0, 0, 0))
+    simulation.advance(1000)
+    # (1/12 + 1/4) kg m^2 about the hinge, 1 N m for 1 s: 3 rad/s; RK4 is exact on a constant rate.
+    assert simulation.sample().twists["door"][2] == pytest.approx(3.0, rel=1e-12)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.3])
+def test_a_flat_parallelogram_is_crossed_at_speed(angle):
+    """Without gravity crank and rocker turn at a constant rate: angle + rate t, for 0.6 turns.
+
+    The pose is flat, and K singular, after half a turn, from angle 0 at a step exactly. There the
+    loop's drift, 1e-9 m at these steps, is divided by the sine of the angle that the nearest stage
+    has to the flat pose, 1e-5 at least: 1e-3 is that quotient, with ten times for its rate.
+    """
+    rate = 2.0 * np.pi
+    for step in (1e-3, 2.5e-4):
+        simulation = Simulation(parallelogram(angle, rate), step=step)
+        start = simulation.sample().energy
+        for _ in range(40):
+            simulation.advance(round(0.6 / step) // 40)
+            sample = simulation.sample()
+            expected = SO3.exp([0.0, 0.0, angle + rate * sample.time])
+            for name in ("crank", "rocker"):
+                assert np.abs(sample.poses[name][:3, :3] - expected).max() <= 1e-3
+            assert sample.energy == pytest.approx(start, rel=1e-3)
+        assert (simulation.singular_solves > 0) == (angle == 0.0)
+
+
+def exact_accelerations(model, pose, scene):
+    """Vdot at rest from the rows of the model, solved with 60 digits."""
+    mpmath.mp.dps = 60
+    n = len(scene.bodies)
+
+    def matrix(rows):
+        return mpmath.matrix([[mpmath.mpf(float(x)) for x in row] for row in rows])
+
+    rot = [matrix(p[:9].reshape(3, 3)) for p in pose]
+    place = [matrix(p[9:].reshape(3, 1)) for p in pose]
+    rows = []
+    for joint, jacobian in zip(model.joints, model.child_jacobian):
+        a, b = int(joint["parent"]), int(joint["child"])
+        for r in range(joint["rows"]):
+            row = mpmath.zeros(1, 6 * n)
+            alpha, beta = (matrix(jacobian[6 * r + c:6 * r + c + 3].reshape(3, 1)) for c in (0, 3))
+            row[6 * b:6 * b + 6] = mpmath.matrix([[*alpha, *beta]])
+            if a >= 0:
+                turn = rot[b].T * rot[a]
+                p = rot[b].T * (place[a] - place[b])
+                cross = mpmath.matrix([p[1] * beta[2] - p[2] * beta[1],
+                                       p[2] * beta[0] - p[0] * beta[2],
+                                       p[0] * beta[1] - p[1] * beta[0]])
+                row[6 * a:6 * a + 6] = -mpmath.matrix(
+                    [[*(turn.T * (alpha - cross)), *(turn.T * beta)]])
+            rows.append(row)
+    size = 6 * n + len(rows)
+    K, right = mpmath.zeros(size, size), mpmath.zeros(size, 1)
+    for i, body in enumerate(scene.bodies):
+        for r in range(3):
+            for c in range(3):
+                K[6 * i + r, 6 * i + c] = mpmath.mpf(float(body.inertia_matrix[r, c]))
+            K[6 * i + 3 + r, 6 * i + 3 + r] = mpmath.mpf(body.mass)
+        force = rot[i].T * matrix([[g] for g in scene.gravity]) * mpmath.mpf(body.mass)
+        right[6 * i + 3:6 * i + 6] = force
+    for r, row in enumerate(rows):
+        for c in range(6 * n):
+            K[6 * n + r, c] = K[c, 6 * n + r] = row[c]
+    solution = mpmath.lu_solve(K, right)
+    return np.array([float(x) for x in solution[:6 * n]]).reshape(n, 6)
+
+
+@pytest.mark.parametrize("masses", [
+    (1, 1, 1, 1), (1e-8, 1e-8, 1e-8, 1), (1, 1e-8, 1e-8, 1e-8), (1, 1e-8, 1, 1e-8, 1),
+    (1e-4, 1, 1e4, 1e-4)])
+def test_no_digits_are_lost_to_the_ratio_of_masses(masses):
+    """A bent chain of balls, each body's acceleration against 60 digits.
+
+    Rounding of the rows alone moves the accelerations by a few 1e-16 of their size; 1e-13 leaves
+    room for the condition of the chain's shape, and none for a ratio of masses of 1e8.
+    """
+    at, bodies, joints = np.zeros(2), [], []
+    for i, mass in enumerate(masses):
+        to = at + 0.5 * np.array([np.cos(0.4 * i), np.sin(0.4 * i)])
+        bodies.append(bar(f"b{i}", at, to, mass=float(mass)))
+        joints.append(hinge(f"j{i}", f"b{i - 1}" if i else "world", f"b{i}", -0.25, "spherical"))
+        at = to
+    scene = Scene(name="chain", gravity=(1.0, -2.0, -9.81), bodies=bodies, joints=joints)
+    simulation = Simulation(scene)
+    model, work = simulation.layout.model, simulation._work
+    pose, _ = simulation.state()
+    still = np.zeros((len(masses), 6))
+    assert accelerations(model, work, pose, still, still) == -1
+    expected = exact_accelerations(model, pose, scene)
+    for i, body in enumerate(model.bodies):
+        found = work.solution[body["start"]:body["start"] + 6]
+        assert np.abs(found - expected[i]).max() <= 1e-13 * np.abs(expected[i]).max(), i
