@@ -115,6 +115,7 @@ class Simulation:
     options: further settings that the method has, see its family in `integrators`:
              dexpinv="exact" or "truncated"  for all of Runge-Kutta type
              rtol=1e-6, atol=1e-6            tolerances of rkmk54
+             rho_inf=0.8                     damping of generalized_alpha
     raises SceneError for a scene that cannot be simulated, ValueError for a wrong setting
 
     Orders: test/verification/test_orders.py; constraint residuals: test_heavy_top.py.
@@ -139,7 +140,7 @@ class Simulation:
         self._body = {name: i for i, name in enumerate(self.layout.body_names)}
         self._timetable = Timetable(self.layout.model.forces.applied_wrench, self.step)
         self._warned = self._warned_singular = False
-        warm_up(self._touch)
+        warm_up(self._touch, METHODS[method].family)
 
     def _touch(self):
         """Call every kernel once, so that none is compiled later, in the middle of a run."""
@@ -253,7 +254,8 @@ class Simulation:
 
         raises ValueError for any other number; SimulationError, one line, when the integration
         cannot go on: NaN or overflow, a turn of nearly 2 pi in a step, joints that cannot be
-        closed. State and `steps` are then those of the last good step.
+        closed, an implicit step without a solution, a tolerance out of reach. State and `steps`
+        are then those of the last good step.
         """
         if isinstance(steps, bool) or not isinstance(steps, Integral) or steps < 0:
             raise ValueError(f"steps must be a whole number, 0 or more, got {steps!r}")
@@ -297,6 +299,7 @@ class Simulation:
             _, status = self._integrate(duration, acting, 1)
             if status != OK:
                 self._pose[:], self._twist[:], self._work.angle[:] = good
+                self._integrator.restart()
                 return 0, status
         return 1, OK
 
