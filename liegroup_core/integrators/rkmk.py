@@ -157,7 +157,7 @@ def _stages(model, work, scheme, group, h, pose, twist, external, known):
             status = _move(model, work, scheme, group, h, stage, stage == stages, pose)
             if status != OK:
                 return status
-            if stage == stages and group == SE3:
+            if stage == stages and group == SE3 and model.baumgarte_rate == 0.0:
                 clear_ground_slip(model, work.stage_twist)
         if stage < stages or len(scheme.error) > 0:
             dependent = accelerations(model, work, work.stage_pose, work.stage_twist, external)

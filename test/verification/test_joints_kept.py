@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import mechanisms
-from liegroup_core import Simulation
+from liegroup_core import Simulation, SimulationError
 from liegroup_core.integrators.methods import METHODS
 from liegroup_core.joints import LOWER_PAIRS
 
@@ -36,7 +36,10 @@ def opening(kind, group, step, seed, method, steps=1000):
     start = simulation.sample().positions["a"]
     moved, of_moved, of_bound = 1.0, 0.0, 0.0
     for _ in range(50):
-        simulation.advance(steps // 50)
+        try:
+            simulation.advance(steps // 50)
+        except SimulationError:         # Euler's method winds the body up: until then it was kept
+            break
         sample = simulation.sample()
         moved = max(moved, np.linalg.norm(sample.positions["a"] - start))
         of_moved = max(of_moved, sample.constraint_residual / moved)
