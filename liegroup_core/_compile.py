@@ -142,13 +142,14 @@ else:
         return arrays
 
 
-def warm_up(call):
+def warm_up(call, name):
     """Run `call` once so that all kernels it uses are compiled, and say so when that takes time.
 
     call : a function without arguments that runs one small simulation
+    name : which kernels these are; every name is compiled once
     returns the seconds it took
     """
-    done = CACHE_FOLDER / "complete" if CACHE_FOLDER is not None else None
+    done = CACHE_FOLDER / f"complete-{name}" if CACHE_FOLDER is not None else None
     if not compiled():
         log.warning("numba is not installed or is disabled: the simulation runs as plain Python, "
                     "some hundred times slower (pip install numba)")

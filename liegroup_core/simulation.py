@@ -111,6 +111,7 @@ class Simulation:
     options: further settings that the method has, see its family in `integrators`:
              dexpinv="exact" or "truncated"  for all of Runge-Kutta type
              rtol=1e-6, atol=1e-6            tolerances of rkmk54
+             rho_inf=0.8                     damping of generalized_alpha
     raises SceneError for a scene that cannot be simulated, ValueError for a wrong setting
 
     Orders: test/verification/test_orders.py; constraint residuals: test_heavy_top.py.
@@ -135,7 +136,7 @@ class Simulation:
         self._body = {name: i for i, name in enumerate(self.layout.body_names)}
         self._timetable = Timetable(self.layout.model.forces.applied_wrench, self.step)
         self._warned = self._warned_singular = False
-        warm_up(self._touch)
+        warm_up(self._touch, METHODS[method].family)
 
     def _touch(self):
         """Call every kernel once, so that none is compiled later, in the middle of a run."""

@@ -107,4 +107,6 @@ METHODS = {method.name: method for method in (
            _dormand_prince_5),
     Method("rkmk8", "rkmk", 8, "Hairer, Norsett and Wanner, Solving ODEs I, DOP853",
            _dormand_prince_8),
+    Method("generalized_alpha", "generalized_alpha", 2,
+           "Bruels, Cardona and Arnold, Mech. Mach. Theory 48 (2012) 121-137"),
 )}
