@@ -232,7 +232,7 @@ class GeneralizedAlpha:
         """Take steps of size h in place; returns (steps done, status)."""
         now = h, external.tobytes(), self.work.acting.tobytes()
         if self._started_for != now:
-            dependent = self._start(pose, twist, external)
+            dependent = self._start(h, pose, twist, external)
             if dependent >= 0:
                 return 0, DEPENDENT_ROWS + (dependent << 8)
             self._started_for = now
@@ -242,7 +242,7 @@ class GeneralizedAlpha:
             self.restart()
         return done, status
 
-    def _start(self, pose, twist, external):
+    def _start(self, h, pose, twist, external):
         """Vdot, a and lambda from the index-1 equations; -1, or the joint whose rows depend."""
         work, memory = self.work, self._memory
         dependent = accelerations(self._model, work, pose, twist, external)
@@ -259,7 +259,25 @@ class GeneralizedAlpha:
                 at = memory.rate.size + first
                 memory.x[at:at + rows] = work.solution[start:start + rows]
             memory.factored[0] = False
+            self._shift_mean(h, pose, twist, external)
         return dependent
+
+    def _shift_mean(self, h, pose, twist, external):
+        """Move a from Vdot to where it belongs, alpha_m - alpha_f steps on, by a trial step.
+
+        A step that begins with a = Vdot is of first order only: with wrenches that change at every
+        step the whole run would be.
+        """
+        memory, angle = self._memory, self.work.angle.copy()
+        rate, x = memory.rate.copy(), memory.x.copy()
+        _, status = advance(self._model, self.work, memory, self._numbers, self._group, h, 1,
+                            pose.copy(), twist.copy(), external)
+        # A trial that fails leaves the rate as it is.
+        shift = self._numbers.alpha_m - self._numbers.alpha_f
+        memory.mean[:] = rate + shift * (memory.rate - rate)
+        memory.rate[:], memory.x[:], self.work.angle[:] = rate, x, angle
+        if status != OK:
+            memory.factored[0] = False
 
 
 def _is_part(value):

@@ -354,3 +354,21 @@ def test_generalized_alpha_counts_turns_and_starts_anew_where_a_wrench_does(grou
         found.append(abs(simulation.sample().angles[0] - exact))
     assert slope(counts, found) == pytest.approx(2.0, abs=0.2), found
     assert found[-1] < 1e-3
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_generalized_alpha_is_of_order_two_when_wrenches_change_at_every_step(references, group):
+    """Each change is a new start; the reference takes 16 steps of rkmk4 for each of its own."""
+    scene, _ = references["double pendulum"]
+
+    def end(method, count, parts):
+        simulation = Simulation(scene, method=method, step=1 / (count * parts), group=group)
+        for k in range(count):
+            simulation.apply_wrench("second", (0, 0, 0, 3.0 * np.sin(7 * k / count), 0, 0))
+            simulation.advance(parts)
+        return simulation.state()[0]
+
+    counts = (128, 256, 512)
+    found = [np.abs(end("generalized_alpha", count, 1) - end("rkmk4", count, 16)).max()
+             for count in counts]
+    assert slope(counts, found) == pytest.approx(2.0, abs=0.2), found
