@@ -197,6 +197,28 @@ def clear_ground_slip(model, twist):
                                 + dot3(load3(model.ground_projector, j, 6 * r + 3), v))
 
 
+@kernel
+def subtract_joint_forces(model, work, multipliers, at, wrench_out):
+    """Take J^T lambda from the wrenches (n, 6), with the rows that `assemble` has left.
+
+    multipliers : lambda of Model.row_residual from entry `at` on
+    """
+    for j in range(len(model.joints)):
+        a = model.joints[j]["parent"]
+        b = model.joints[j]["child"]
+        rows = model.joints[j]["rows"]
+        row_step, step = 6, 1
+        if model.joints[j]["parent_turned"] == 1:
+            row_step, step = 1, rows
+        for r in range(rows):
+            value = multipliers[at + model.joints[j]["first"] + r]
+            place = model.joints[j]["parent_place"] + r * row_step
+            for c in range(6):
+                wrench_out[b, c] -= value * work.child_jacobian[j, 6 * r + c]
+                if a != WORLD:
+                    wrench_out[a, c] -= value * work.matrix[place + c * step]
+
+
 @subroutine
 def add_baumgarte(model, work, pose):
     """Add Baumgarte's terms to the bias that `assemble` has left."""

@@ -10,35 +10,34 @@ group:
     M Vdot_1 + J^T lambda = Q(q_1, V_1) ,   g(q_1) = 0
     alpha_m = (2 rho - 1)/(rho + 1), alpha_f = rho/(rho + 1),
     gamma = 1/2 + alpha_f - alpha_m, beta = (gamma + 1/2)^2 / 4
-The joints stay closed to rounding on both groups and at every step
-size; their velocities are off by O(h^2). On SO(3) x R^3 V is (omega, rdot), see rkmk.py.
+Every joint stays closed to rounding, on both groups and at every step size, without stabilisation
+(test/verification/test_orders.py); velocities of the joints are off by O(h^2). On SO(3) x R^3 V is
+(omega, rdot), see rkmk.py.
 
 Newton's method in x = (Vdot_1, lambda): with sigma = d psi/d Vdot_1 the joints' equations are
 g / sigma = 0, which makes the matrix [[I, M^-1 J^T], [J, 0]] plus O(h): it does not degenerate for
 small steps as the one for psi does. The matrix is taken by differences, so every kind of force is
 treated implicitly without formulas of its own. It is dense: its factors cost (6 n + rows)^3 / 3
-multiplications, which suits some ten bodies (a chain of 3, 10, 30: about 10, 100, 1000 us a step)
-and not a hundred. They are kept over iterations and steps while the iteration converges quickly.
+multiplications, which suits some ten bodies and not a hundred. They are kept over iterations and
+steps as long as the iteration converges quickly.
 
 Source: Bruels, Cardona and Arnold, Mech. Mach. Theory 48 (2012) 121-137, table 1; the scaling
 after Bottasso, Bauchau and Cardona, J. Comput. Nonlinear Dyn. 2 (2007).
 """
 import math
-from typing import NamedTuple
 
 import numpy as np
 
-from .._compile import borrowed, kernel, subroutine
-from ..dynamics.constraints import assemble, position_residuals
-from ..dynamics.newton_euler import accelerations, wrenches
+from .._compile import borrowed, kernel
+from ..dynamics.newton_euler import accelerations
 from ..forces.kinds import count_turns, too_fast
-from ..lie.vec3 import (axpy3, cross3, dot3, load3, load9, matrix3, matvec3, scale3, store3,
-                        store9, sub3, tmatvec3, vector3)
-from ..model.arrays import WORLD, make_work
+from ..lie.vec3 import dot3, load3, load9, store9, vector3
+from ..model.arrays import make_work
+from .alpha_equations import Coefficients, Memory, move, residual, sigma
+from .dense_lu import lu_factorise, lu_solve
 from .methods import GROUPS, SE3
-from .motion import copy_state, displace, group_velocity, is_finite, orthonormal
-from .status import (DEPENDENT_ROWS, LARGEST_ROTATION, NOT_CONVERGED, NOT_FINITE, OK,
-                     ROTATION_TOO_LARGE, TURNS_NOT_COUNTED)
+from .motion import copy_state, group_velocity, is_finite, orthonormal
+from .status import DEPENDENT_ROWS, NOT_CONVERGED, NOT_FINITE, OK, TURNS_NOT_COUNTED
 
 # Newton's method ends when a correction of the poses, rad and m, is this part of the largest
 # coordinate or of 1: some ten roundings. What is left of it in a pose is 2 / h times that in the
@@ -52,191 +51,34 @@ MOST_ITERATIONS = 50
 DISPLACEMENT = 1e-7         # rad and m, of a pose for differences: half the digits are right
 
 
-class Coefficients(NamedTuple):
-    """The method's numbers."""
-
-    alpha_m: float
-    alpha_f: float
-    beta: float
-    gamma: float
-
-
-class Memory(NamedTuple):
-    """What the method holds beside pose, twist and Work; N = 6 n + rows."""
-
-    rate: np.ndarray        # (n, 6) Vdot_0 on the group
-    mean: np.ndarray        # (n, 6) a_0
-    old: np.ndarray         # (n, 6) (alpha_f Vdot_0 - alpha_m a_0) / (1 - alpha_m)
-    body_rate: np.ndarray   # (n, 6) Vdot_1 in body axes
-    x: np.ndarray           # (N,) Vdot_1, then lambda
-    start: np.ndarray       # (N,) x before the first iteration
-    residual: np.ndarray    # (N,)
-    base: np.ndarray        # (N,) residual that differences are taken from
-    correction: np.ndarray  # (N,) by which x was corrected last
-    next: np.ndarray        # (N,) residual, then the next correction
-    matrix: np.ndarray      # (N, N) factors of the derivative of the residual
-    pivots: np.ndarray      # (N,) row that was exchanged with each
-    factored: np.ndarray    # (1,) bool: `matrix` holds factors
-
-
-@kernel
-def _subtract_constraint_wrenches(model, work, multiplier, first):
-    """work.wrench -= J^T lambda, J of the last `assemble`, lambda from multiplier[first] on."""
-    for j in range(len(model.joints)):
-        a = model.joints[j]["parent"]
-        b = model.joints[j]["child"]
-        rows = model.joints[j]["rows"]
-        place = model.joints[j]["parent_place"]
-        row_step, step = 6, 1
-        if model.joints[j]["parent_turned"] == 1:
-            row_step, step = 1, rows
-        for r in range(rows):
-            value = multiplier[first + model.joints[j]["first"] + r]
-            for c in range(6):
-                work.wrench[b, c] -= value * work.child_jacobian[j, 6 * r + c]
-                if a != WORLD:
-                    work.wrench[a, c] -= value * work.matrix[place + r * row_step + c * step]
-
-
-@kernel
-def _sigma(numbers, h):
-    """d psi / d Vdot_1, s^2."""
-    return h * h * numbers.beta * (1.0 - numbers.alpha_f) / (1.0 - numbers.alpha_m)
-
-
-@kernel
-def _move(model, work, memory, numbers, group, h, pose):
-    """State at the unknowns: work.stage_pose and stage_twist, memory.body_rate.
-
-    returns OK, ROTATION_TOO_LARGE or NOT_FINITE
-    """
-    part = (1.0 - numbers.alpha_f) / (1.0 - numbers.alpha_m)
-    for i in range(len(model.bodies)):
-        for c in range(0, 6, 3):
-            rate = (memory.x[6 * i + c], memory.x[6 * i + c + 1], memory.x[6 * i + c + 2])
-            a0 = load3(memory.mean, i, c)
-            a1 = axpy3(part, rate, load3(memory.old, i, c))
-            v0 = load3(work.velocity, i, c)
-            store3(axpy3(h, v0, axpy3(h * h * (0.5 - numbers.beta), a0,
-                                      scale3(h * h * numbers.beta, a1))), work.slopes, i, c)
-            store3(axpy3(h * (1.0 - numbers.gamma), a0, axpy3(h * numbers.gamma, a1, v0)),
-                   work.stage_twist, i, c)
-            store3(rate, memory.body_rate, i, c)
-        xi, eta = load3(work.slopes, i, 0), load3(work.slopes, i, 3)
-        rotation = dot3(xi, xi)
-        if not rotation < LARGEST_ROTATION * LARGEST_ROTATION:
-            if rotation < math.inf:
-                return ROTATION_TOO_LARGE
-            return NOT_FINITE
-        work.report[1] = max(work.report[1], rotation)
-        rot, r = displace(group, pose, i, xi, eta)
-        store9(rot, work.stage_pose, i, 0)
-        store3(r, work.stage_pose, i, 9)
-        if group != SE3:
-            w = load3(work.stage_twist, i, 0)
-            v = tmatvec3(rot, load3(work.stage_twist, i, 3))
-            store3(v, work.stage_twist, i, 3)
-            linear = tmatvec3(rot, load3(memory.body_rate, i, 3))
-            store3(sub3(linear, cross3(w, v)), memory.body_rate, i, 3)
-    return OK
-
-
-@subroutine
-def _residual(model, work, memory, numbers, group, h, pose, external):
-    """Equations of one step at memory.x into memory.residual; the state as by `_move`.
-
-    returns OK, ROTATION_TOO_LARGE or NOT_FINITE
-    """
-    model, work, memory = borrowed(model), borrowed(work), borrowed(memory)
-    pose, external = borrowed(pose), borrowed(external)
-    status = _move(model, work, memory, numbers, group, h, pose)
-    if status != OK:
-        return status
-    n = len(model.bodies)
-    wrenches(model, work, work.stage_pose, work.stage_twist, external)
-    assemble(model, work, work.stage_pose, work.stage_twist)
-    _subtract_constraint_wrenches(model, work, memory.x, 6 * n)
-    for i in range(n):
-        angular = matvec3(matrix3(model.bodies[i]["inverse_inertia"]), load3(work.wrench, i, 0))
-        inverse_mass = model.bodies[i]["inverse_mass"]
-        for c in range(3):
-            memory.residual[6 * i + c] = memory.body_rate[i, c] - angular[c]
-            memory.residual[6 * i + 3 + c] = (memory.body_rate[i, 3 + c]
-                                              - inverse_mass * work.wrench[i, 3 + c])
-    position_residuals(model, work.stage_pose, work.gap)
-    for row in range(len(model.row_residual)):
-        gap = work.gap[model.row_residual[row]]
-        memory.residual[6 * n + row] = gap / _sigma(numbers, h)
-    return OK
-
-
-@kernel
-def _factorise(matrix, pivots):
-    """LU factors with row exchanges in place; False for a matrix that has none."""
-    size = len(pivots)
-    for k in range(size):
-        best = k
-        for r in range(k + 1, size):
-            if abs(matrix[r, k]) > abs(matrix[best, k]):
-                best = r
-        pivots[k] = best
-        if not 0.0 < abs(matrix[best, k]) < math.inf:
-            return False
-        if best != k:
-            for c in range(size):
-                matrix[k, c], matrix[best, c] = matrix[best, c], matrix[k, c]
-        for r in range(k + 1, size):
-            factor = matrix[r, k] / matrix[k, k]
-            matrix[r, k] = factor
-            if factor != 0.0:
-                for c in range(k + 1, size):
-                    matrix[r, c] -= factor * matrix[k, c]
-    return True
-
-
-@kernel
-def _solve(matrix, pivots, x):
-    """Solve with the factors of `_factorise`, in place of the right-hand side x."""
-    size = len(pivots)
-    for k in range(size):
-        x[k], x[pivots[k]] = x[pivots[k]], x[k]
-    for k in range(size):
-        for r in range(k + 1, size):
-            x[r] -= matrix[r, k] * x[k]
-    for k in range(size - 1, -1, -1):
-        for c in range(k + 1, size):
-            x[k] -= matrix[k, c] * x[c]
-        x[k] /= matrix[k, k]
-
-
 @kernel
 def _differentiate(model, work, memory, numbers, group, h, pose, external):
     """Factors of the residual's derivative at memory.x, whose residual is memory.base."""
     rates = 6 * len(model.bodies)
     for c in range(len(memory.x)):
         kept = memory.x[c]
-        memory.x[c] += DISPLACEMENT / _sigma(numbers, h) if c < rates else 1.0 + abs(kept)
+        memory.x[c] += DISPLACEMENT / sigma(numbers, h) if c < rates else 1.0 + abs(kept)
         change = memory.x[c] - kept
-        status = _residual(model, work, memory, numbers, group, h, pose, external)
+        status = residual(model, work, memory, numbers, group, h, pose, external)
         memory.x[c] = kept
         if status != OK:
             return status
         for r in range(len(memory.x)):
             memory.matrix[r, c] = (memory.residual[r] - memory.base[r]) / change
-    memory.factored[0] = _factorise(memory.matrix, memory.pivots)
+    memory.factored[0] = lu_factorise(memory.matrix, memory.pivots)
     return OK if memory.factored[0] else NOT_CONVERGED
 
 
 @kernel
 def _correct(model, memory, numbers, h):
     """Correction for the residual in memory.next, in its place; its largest displacement."""
-    _solve(memory.matrix, memory.pivots, memory.next)
+    lu_solve(memory.matrix, memory.pivots, memory.next)
     largest = 0.0
     for k in range(6 * len(model.bodies)):
         # NaN becomes the largest, and stays it.
         if not abs(memory.next[k]) <= largest:
             largest = abs(memory.next[k])
-    return largest * _sigma(numbers, h)
+    return largest * sigma(numbers, h)
 
 
 @kernel
@@ -247,9 +89,9 @@ def _tolerance(model, pose):
         r = load3(pose, i, 9)
         largest = max(largest, math.sqrt(dot3(r, r)))
     for e in range(len(model.elements)):
-        a = vector3(model.elements[e]["parent_point"])
-        b = vector3(model.elements[e]["child_point"])
-        largest = max(largest, math.sqrt(max(dot3(a, a), dot3(b, b))))
+        for r in (vector3(model.elements[e]["parent_point"]),
+                  vector3(model.elements[e]["child_point"])):
+            largest = max(largest, math.sqrt(dot3(r, r)))
     return TOLERANCE * largest
 
 
@@ -263,7 +105,7 @@ def _newton(model, work, memory, numbers, group, h, pose, external):
     old_factors = memory.factored[0]
     status, previous = OK, math.inf
     for _ in range(MOST_ITERATIONS):
-        status = _residual(model, work, memory, numbers, group, h, pose, external)
+        status = residual(model, work, memory, numbers, group, h, pose, external)
         correction = math.inf
         if status == OK and memory.factored[0]:
             for k in range(size):
@@ -309,7 +151,7 @@ def advance(model, work, memory, numbers, group, h, steps, pose, twist, external
     """Take `steps` steps of size h in place of pose (n, 12) and twist (n, 6).
 
     external (n, 6) : applied wrenches in body axes, constant over these steps
-    returns (steps done, status), as rkmk.advance does
+    returns (steps done, status), as rkmk.advance does; when status is not OK, memory is of no use
     """
     model, work, memory = borrowed(model), borrowed(work), borrowed(memory)
     pose, twist, external = borrowed(pose), borrowed(twist), borrowed(external)
@@ -324,17 +166,13 @@ def advance(model, work, memory, numbers, group, h, steps, pose, twist, external
         status = _newton(model, work, memory, numbers, group, h, pose, external)
         work.report[1] = 0.0
         if status == OK:
-            status = _move(model, work, memory, numbers, group, h, pose)
+            status = move(model, work, memory, numbers, group, h, pose)
         if status == OK and not is_finite(work.stage_pose, work.stage_twist):
             status = NOT_FINITE
         if status == OK:
             fast = too_fast(model.forces, h, work.stage_pose, work.stage_twist)
-            if fast >= 0:
-                status = TURNS_NOT_COUNTED + (fast << 8)
+            status = OK if fast < 0 else TURNS_NOT_COUNTED + (fast << 8)
         if status != OK:
-            for k in range(len(memory.x)):
-                memory.x[k] = memory.start[k]
-            memory.factored[0] = False
             return done, status
         for i in range(n):
             store9(orthonormal(load9(work.stage_pose, i, 0)), work.stage_pose, i, 0)
@@ -354,7 +192,7 @@ class GeneralizedAlpha:
     rho_inf : spectral radius at infinite step size, 0..1
 
     What lasts is Vdot, its mean a, lambda and the factors. They start from the index-1
-    accelerations after `restart`, and where the wrenches or the step size jump.
+    accelerations after `restart`, after a failed step, and where wrenches or the step size jump.
     """
 
     substeps = (0, 0)
@@ -366,15 +204,15 @@ class GeneralizedAlpha:
         self._numbers = Coefficients(alpha_m, alpha_f, 0.25 * (gamma + 0.5) ** 2, gamma)
         model = layout.model
         if model.projects or model.baumgarte_rate > 0.0:
-            raise ValueError("generalized_alpha keeps the joints closed by itself: it goes with "
-                             "stabilisation 'none'")
-        n = len(model.bodies)
-        size = 6 * n + len(model.row_residual)
+            raise ValueError(f"{method.name} closes the joints by itself: "
+                             "stabilisation must be 'none'")
+        n, rows = len(model.bodies), len(model.row_residual)
+        size = 6 * n + rows
         self._memory = Memory(
             rate=np.zeros((n, 6)), mean=np.zeros((n, 6)), old=np.zeros((n, 6)),
             body_rate=np.zeros((n, 6)), x=np.zeros(size), start=np.zeros(size),
-            residual=np.zeros(size), base=np.zeros(size),
-            correction=np.zeros(size), next=np.zeros(size),
+            residual=np.zeros(size), base=np.zeros(size), correction=np.zeros(size),
+            next=np.zeros(size),
             matrix=np.zeros((size, size)), pivots=np.zeros(size, dtype=np.int64),
             factored=np.zeros(1, dtype=bool))
         self._model, self._group = model, GROUPS[group]
@@ -392,16 +230,19 @@ class GeneralizedAlpha:
 
     def advance(self, h, steps, pose, twist, external):
         """Take steps of size h in place; returns (steps done, status)."""
-        now = (h, external.tobytes(), self.work.acting.tobytes())
+        now = h, external.tobytes(), self.work.acting.tobytes()
         if self._started_for != now:
-            dependent = self._start(pose, twist, external)
+            dependent = self._start(h, pose, twist, external)
             if dependent >= 0:
                 return 0, DEPENDENT_ROWS + (dependent << 8)
             self._started_for = now
-        return advance(self._model, self.work, self._memory, self._numbers, self._group, h, steps,
-                       pose, twist, external)
+        done, status = advance(self._model, self.work, self._memory, self._numbers, self._group, h,
+                               steps, pose, twist, external)
+        if status != OK:
+            self.restart()
+        return done, status
 
-    def _start(self, pose, twist, external):
+    def _start(self, h, pose, twist, external):
         """Vdot, a and lambda from the index-1 equations; -1, or the joint whose rows depend."""
         work, memory = self.work, self._memory
         dependent = accelerations(self._model, work, pose, twist, external)
@@ -412,11 +253,31 @@ class GeneralizedAlpha:
                 linear = work.acceleration[:, 3:] + np.cross(twist[:, :3], twist[:, 3:])
                 memory.rate[:, 3:] = np.einsum("nij,nj->ni", turn, linear)
             memory.mean[:] = memory.rate
-            multipliers = [work.solution[joint["start"]:joint["start"] + joint["rows"]]
-                           for joint in self._model.joints]
-            memory.x[:] = np.concatenate([memory.rate.ravel(), *multipliers])
+            memory.x[:memory.rate.size] = memory.rate.ravel()
+            for joint in self._model.joints:
+                first, start, rows = (joint[name] for name in ("first", "start", "rows"))
+                at = memory.rate.size + first
+                memory.x[at:at + rows] = work.solution[start:start + rows]
             memory.factored[0] = False
+            self._shift_mean(h, pose, twist, external)
         return dependent
+
+    def _shift_mean(self, h, pose, twist, external):
+        """Move a from Vdot to where it belongs, alpha_m - alpha_f steps on, by a trial step.
+
+        A step that begins with a = Vdot is of first order only: with wrenches that change at every
+        step the whole run would be.
+        """
+        memory, angle = self._memory, self.work.angle.copy()
+        rate, x = memory.rate.copy(), memory.x.copy()
+        _, status = advance(self._model, self.work, memory, self._numbers, self._group, h, 1,
+                            pose.copy(), twist.copy(), external)
+        # A trial that fails leaves the rate as it is.
+        shift = self._numbers.alpha_m - self._numbers.alpha_f
+        memory.mean[:] = rate + shift * (memory.rate - rate)
+        memory.rate[:], memory.x[:], self.work.angle[:] = rate, x, angle
+        if status != OK:
+            memory.factored[0] = False
 
 
 def _is_part(value):

@@ -252,7 +252,7 @@ def test_options_are_refused_where_they_mean_nothing_or_are_wrong():
             ({"method": "rkmk54", "rtol": math.nan}, "rtol must be a positive number"),
             ({"method": "rkmk4", "dexpinv": "none"}, "'exact' or 'truncated', got 'none'"),
             ({"method": "generalized_alpha", "rho_inf": 1.1}, "rho_inf must be a number from 0"),
-            ({"method": "generalized_alpha", "stabilisation": "projection"}, "closed by itself")):
+            ({"method": "generalized_alpha", "stabilisation": "projection"}, "closes the joints")):
         with pytest.raises(ValueError, match=text):
             Simulation(scene, **options)
     assert Simulation(scene, method="rkmk54", rtol=1e-3).options == {

@@ -20,7 +20,8 @@ from scipy.integrate import solve_ivp
 import mechanisms
 from liegroup_core import Scene, Simulation, SimulationError, load_scene
 from liegroup_core.integrators.methods import METHODS
-from liegroup_core.scene.description import Body, Frame, Joint, SpringDamper
+from liegroup_core.scene.description import (Body, ConstantWrench, Frame, Joint, SpringDamper,
+                                             TorsionalSpringDamper)
 
 GROUPS = ("se3", "so3xr3")
 GRAVITY = np.array([0.0, 0.0, -9.81])
@@ -326,3 +327,49 @@ def test_generalized_alpha_is_of_order_two_where_rkmk4_fails(rod, group):
             Simulation(scene, method="rkmk4", group=group, step=1 / count).advance(count)
     # The same scene in small enough steps is no trouble for it.
     assert errors(scene, attitudes, 1, [8192], method="rkmk4", group=group)[0] < 1e-6
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_generalized_alpha_counts_turns_and_starts_anew_where_a_wrench_does(group):
+    """A wheel winds a torsional spring by 4 turns; a torque from 0.3 s to 0.9 s, within steps.
+
+    I thetaddot + k theta = tau: of every torque's start t1 theta gets tau/k (1 - cos w (t - t1)).
+    """
+    I, k, speed, torque, start, end = 0.5, 2.0, 40.0, 30.0, 0.3, 0.9
+    scene = Scene(
+        name="wheel", gravity=(0, 0, 0),
+        bodies=[Body(name="wheel", mass=1.0, inertia=(0.3, 0.4, I),
+                     angular_velocity=(0, 0, speed))],
+        joints=[Joint(name="axle", type="revolute", parent="world", child="wheel",
+                      child_frame=Frame())],
+        forces=[TorsionalSpringDamper(name="spring", joint="axle", stiffness=k),
+                ConstantWrench(name="push", body="wheel", torque=(0, 0, torque), start=start,
+                               end=end)])
+    w = np.sqrt(k / I)
+    exact = speed / w * np.sin(w) + torque / k * (np.cos(w * (1 - end)) - np.cos(w * (1 - start)))
+    assert exact > 8 * np.pi
+    counts, found = (64, 128, 256, 512), []
+    for count in counts:
+        simulation = Simulation(scene, method="generalized_alpha", step=1 / count, group=group)
+        simulation.advance(count)
+        found.append(abs(simulation.sample().angles[0] - exact))
+    assert slope(counts, found) == pytest.approx(2.0, abs=0.2), found
+    assert found[-1] < 1e-3
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_generalized_alpha_is_of_order_two_when_wrenches_change_at_every_step(references, group):
+    """Each change is a new start; the reference takes 16 steps of rkmk4 for each of its own."""
+    scene, _ = references["double pendulum"]
+
+    def end(method, count, parts):
+        simulation = Simulation(scene, method=method, step=1 / (count * parts), group=group)
+        for k in range(count):
+            simulation.apply_wrench("second", (0, 0, 0, 3.0 * np.sin(7 * k / count), 0, 0))
+            simulation.advance(parts)
+        return simulation.state()[0]
+
+    counts = (128, 256, 512)
+    found = [np.abs(end("generalized_alpha", count, 1) - end("rkmk4", count, 16)).max()
+             for count in counts]
+    assert slope(counts, found) == pytest.approx(2.0, abs=0.2), found
