@@ -126,7 +126,7 @@ class Simulation:
             raise ValueError(f"the step must be a positive number of seconds, got {step!r}")
         self.scene, self.method, self.step, self.group = scene, method, float(step), group
         self.options = check_options(method, options)
-        self.stabilisation = stabilisation
+        self.stabilisation, self.baumgarte_time = stabilisation, baumgarte_time
         layout = make_layout(scene)
         self.layout = replace(layout, model=_stabilised(
             layout.model, stabilisation, baumgarte_time, self.step))
@@ -320,3 +320,7 @@ class Simulation:
         """The present state as a Sample."""
         return self.layout.sample(self._pose, self._twist, self.time, self.time_ns, self.steps,
                                   self._work.angle)
+
+    def energy(self):
+        """Kinetic energy plus potential energy of gravity and springs at the present state, J."""
+        return self.sample().energy
