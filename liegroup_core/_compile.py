@@ -95,8 +95,7 @@ def kernel(function):
     """Compile `function` on its first call, without the GIL; without Numba, return it as it is.
 
     Kernels are inlined into their callers: handing a tuple of arrays to a function copies them all
-    and counts references, which was measured to cost as much as the mechanics. With inline=False a
-    large one that is called from several places is compiled once for all of them.
+    and counts references, which was measured to cost as much as the mechanics.
     Fast-math stays off: it would undo the small-angle code. Division follows IEEE 754 in machine
     code and raises ZeroDivisionError in plain Python, so kernels branch before they divide.
     """
@@ -142,13 +141,14 @@ else:
         return arrays
 
 
-def warm_up(call):
+def warm_up(call, name):
     """Run `call` once so that all kernels it uses are compiled, and say so when that takes time.
 
     call : a function without arguments that runs one small simulation
+    name : which kernels these are; every name is compiled once
     returns the seconds it took
     """
-    done = CACHE_FOLDER / "complete" if CACHE_FOLDER is not None else None
+    done = CACHE_FOLDER / f"complete-{name}" if CACHE_FOLDER is not None else None
     if not compiled():
         log.warning("numba is not installed or is disabled: the simulation runs as plain Python, "
                     "some hundred times slower (pip install numba)")

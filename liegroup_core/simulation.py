@@ -4,11 +4,12 @@ import logging
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from numbers import Integral
 
 import numpy as np
 
 from ._compile import warm_up
-from .errors import SimulationError
+from .errors import SceneError, SimulationError
 from .forces import kinds
 from .forces.timetable import Timetable
 from .forces.torsional_spring_damper import UNKNOWN_TURN
@@ -74,7 +75,10 @@ class Layout:
 
 def make_layout(scene):
     """Build the model of a scene. Raises SceneError."""
-    return Layout(scene, *build_model(scene))
+    try:
+        return Layout(scene, *build_model(scene))
+    except SceneError as error:
+        raise scene.located(error) from None
 
 
 STABILISATIONS = ("none", "projection", "baumgarte")
@@ -111,6 +115,7 @@ class Simulation:
     options: further settings that the method has, see its family in `integrators`:
              dexpinv="exact" or "truncated"  for all of Runge-Kutta type
              rtol=1e-6, atol=1e-6            tolerances of rkmk54
+             rho_inf=0.8                     damping of generalized_alpha
     raises SceneError for a scene that cannot be simulated, ValueError for a wrong setting
 
     Orders: test/verification/test_orders.py; constraint residuals: test_heavy_top.py.
@@ -135,7 +140,7 @@ class Simulation:
         self._body = {name: i for i, name in enumerate(self.layout.body_names)}
         self._timetable = Timetable(self.layout.model.forces.applied_wrench, self.step)
         self._warned = self._warned_singular = False
-        warm_up(self._touch)
+        warm_up(self._touch, METHODS[method].family)
 
     def _touch(self):
         """Call every kernel once, so that none is compiled later, in the middle of a run."""
@@ -201,11 +206,6 @@ class Simulation:
         """Numbers of good substeps and of attempts since the state was set; else (0, 0)."""
         return self._integrator.substeps
 
-    @property
-    def next_wrench_change(self):
-        """The first step at which a commanded wrench starts or ends; NEVER if there is none."""
-        return self._schedule.next_change()
-
     def apply_wrench(self, body, wrench, start=None, duration=None, source="api"):
         """Apply a wrench to a body over whole steps.
 
@@ -222,6 +222,9 @@ class Simulation:
         if wrench.shape != (6,) or not np.isfinite(wrench).all():
             raise ValueError("a wrench is six finite numbers (torque, force), got "
                              f"{wrench.tolist()}")
+        for name, value in (("start", start), ("duration", duration)):
+            if value is not None and not math.isfinite(value):
+                raise ValueError(f"{name} must be finite, or None, got {value!r}")
         first = self.steps
         if start is not None:
             # A start that is a step up to rounding is that step, not the next one.
@@ -247,12 +250,15 @@ class Simulation:
         return applied
 
     def advance(self, steps=1):
-        """Take `steps` steps.
+        """Take `steps` steps, a whole number from 0 on.
 
-        raises SimulationError, one line, when the integration cannot go on: NaN or overflow, a
-        turn of nearly 2 pi in a step, a singular pose. State and `steps` are then those of the
-        last good step.
+        raises ValueError for any other number; SimulationError, one line, when the integration
+        cannot go on: NaN or overflow, a turn of nearly 2 pi in a step, joints that cannot be
+        closed, an implicit step without a solution, a tolerance out of reach. State and `steps`
+        are then those of the last good step.
         """
+        if isinstance(steps, bool) or not isinstance(steps, Integral) or steps < 0:
+            raise ValueError(f"steps must be a whole number, 0 or more, got {steps!r}")
         self._advance(int(steps))
 
     def _advance(self, steps):
@@ -293,6 +299,7 @@ class Simulation:
             _, status = self._integrate(duration, acting, 1)
             if status != OK:
                 self._pose[:], self._twist[:], self._work.angle[:] = good
+                self._integrator.restart()
                 return 0, status
         return 1, OK
 

@@ -181,6 +181,22 @@ def assemble(model, work, pose, twist):
         _set_parent_rows(model, work, j, rot, p)
 
 
+@kernel
+def clear_ground_slip(model, twist):
+    """Take from the twists (n, 6) what rounding has left of J V at lower pairs to ground.
+
+    On SE(3) these velocities are kept exactly, but for rounding: a bias of 1e-16 of the forces that
+    always points the same way would let the joint open with the square of time.
+    """
+    for j in range(len(model.joints)):
+        if model.joints[j]["parent"] == WORLD and model.joints[j]["kind"] == PAIR:
+            b = model.joints[j]["child"]
+            w, v = load3(twist, b, 0), load3(twist, b, 3)
+            for r in range(6):
+                twist[b, r] -= (dot3(load3(model.ground_projector, j, 6 * r), w)
+                                + dot3(load3(model.ground_projector, j, 6 * r + 3), v))
+
+
 @subroutine
 def add_baumgarte(model, work, pose):
     """Add Baumgarte's terms to the bias that `assemble` has left."""

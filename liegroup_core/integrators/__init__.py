@@ -9,10 +9,11 @@ An integrator is made by `family(method, layout, group, step, options)` and has
                      constant over these steps; pose and twist stay the last good ones
     substeps         (good ones, attempts) since the restart, (0, 0) where there are none
 """
+from .generalized_alpha import GeneralizedAlpha
 from .methods import METHODS
 from .rkmk import MuntheKaas
 
-FAMILIES = {"rkmk": MuntheKaas}
+FAMILIES = {"rkmk": MuntheKaas, "generalized_alpha": GeneralizedAlpha}
 
 
 def check_options(method, options):

@@ -19,6 +19,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from numbers import Real
 
 import numpy as np
 
@@ -29,7 +30,8 @@ GROUPS = {"se3": SE3, "so3xr3": SO3XR3}
 
 def is_positive(value):
     """True for a finite number above zero."""
-    return isinstance(value, (int, float)) and math.isfinite(value) and value > 0.0
+    return (isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
+            and value > 0.0)
 
 
 @dataclass(frozen=True)
@@ -107,4 +109,6 @@ METHODS = {method.name: method for method in (
            _dormand_prince_5),
     Method("rkmk8", "rkmk", 8, "Hairer, Norsett and Wanner, Solving ODEs I, DOP853",
            _dormand_prince_8),
+    Method("generalized_alpha", "generalized_alpha", 2,
+           "Bruels, Cardona and Arnold, Mech. Mach. Theory 48 (2012) 121-137"),
 )}

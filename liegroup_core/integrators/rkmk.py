@@ -24,6 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .._compile import borrowed, kernel
+from ..dynamics.constraints import clear_ground_slip
 from ..dynamics.newton_euler import accelerations
 from ..dynamics.projection import project
 from ..forces.kinds import count_turns, too_fast
@@ -156,6 +157,8 @@ def _stages(model, work, scheme, group, h, pose, twist, external, known):
             status = _move(model, work, scheme, group, h, stage, stage == stages, pose)
             if status != OK:
                 return status
+            if stage == stages and group == SE3:
+                clear_ground_slip(model, work.stage_twist)
         if stage < stages or len(scheme.error) > 0:
             dependent = accelerations(model, work, work.stage_pose, work.stage_twist, external)
             if dependent >= 0:

@@ -63,6 +63,7 @@ class Model(NamedTuple):
     joints: np.ndarray             # (m,) of JOINT
     row_residual: np.ndarray       # (rows,) which residual is that of a row that is solved for
     child_jacobian: np.ndarray     # (m, 36) rows J_b = A Ad(F_b^-1) of a PAIR, the first 6 k used
+    ground_projector: np.ndarray   # (m, 36) of a PAIR to ground: M^-1 J^T (J M^-1 J^T)^-1 J
     vertices: np.ndarray           # (n + m,) of VERTEX
     columns: np.ndarray            # (b, 2) a block below the diagonal: vertex of its rows, place
     updates: np.ndarray            # (u, 5) target place, places of L_i and L_w, vertices i and w

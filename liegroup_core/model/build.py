@@ -85,7 +85,8 @@ def build_model(scene):
         forces=_forces(scene, index, frames), elements=elements, joints=joints,
         row_residual=np.array([elements[e]["row_start"] + r for e in solved for r in kept[e]],
                               dtype=np.int64),
-        child_jacobian=child_jacobian, vertices=vertices, columns=columns, updates=updates,
+        child_jacobian=child_jacobian,
+        ground_projector=_ground_projector(bodies, joints, jacobians), vertices=vertices, columns=columns, updates=updates,
         pivot_floor=_pivot_floor(bodies, joints, jacobians, int(sizes.sum())),
         constant=_constant_part(scene, place, position, joints, jacobians, size),
         is_constant=all(joint["parent"] == WORLD and joint["kind"] == PAIR for joint in joints),
@@ -148,6 +149,22 @@ def _constant_part(scene, place, position, joints, jacobians, size):
     return constant
 
 
+def _mobility(body, jacobian):
+    """Rows J M^-1 (k, 6) of a body."""
+    return np.hstack([jacobian[:, :3] @ body["inverse_inertia"].reshape(3, 3),
+                      jacobian[:, 3:] * body["inverse_mass"]])
+
+
+def _ground_projector(bodies, joints, jacobians):
+    """(m, 36) what takes from a twist of the child the part that a PAIR to ground forbids."""
+    projectors = np.zeros((len(joints), 36))
+    for projector, joint, jacobian in zip(projectors, joints, jacobians):
+        if joint["parent"] == WORLD and joint["kind"] == PAIR:
+            moved = _mobility(bodies[joint["child"]], jacobian)
+            projector[:] = (moved.T @ np.linalg.solve(jacobian @ moved.T, jacobian)).ravel()
+    return projectors
+
+
 def _pivot_floor(bodies, joints, jacobians, count):
     """Smallest good pivot of every scalar of K: none for bodies, a fraction of S_rr for rows.
 
@@ -162,9 +179,7 @@ def _pivot_floor(bodies, joints, jacobians, count):
             jacobian = np.eye(3, 6)
         elif joint["kind"] == DISTANCE:
             jacobian = np.eye(6)[3:]
-        moved = np.hstack([jacobian[:, :3] @ body["inverse_inertia"].reshape(3, 3),
-                           jacobian[:, 3:] * body["inverse_mass"]])
-        size = (jacobian * moved).sum(axis=1)
+        size = (jacobian * _mobility(body, jacobian)).sum(axis=1)
         floor[joint["start"]:joint["start"] + joint["rows"]] = SMALLEST_PIVOT * (
             size if joint["kind"] == PAIR else size.min())
     return floor

@@ -41,6 +41,7 @@ class Sample:
         matrices[:, :3, :3] = self.pose[:, :9].reshape(-1, 3, 3)
         matrices[:, :3, 3] = self.pose[:, 9:]
         matrices[:, 3, 3] = 1.0
+        matrices.flags.writeable = False
         return matrices
 
     @cached_property
@@ -95,7 +96,7 @@ class Sample:
         residual = np.zeros(len(self._layout.joint_of_row))
         position_residuals(model, self.pose, residual)
         squares = np.bincount(self._layout.joint_of_row, residual ** 2, len(joints))
-        return {joint.name: float(square) for joint, square in zip(joints, np.sqrt(squares))}
+        return {joint.name: float(norm) for joint, norm in zip(joints, np.sqrt(squares))}
 
     @cached_property
     def constraint_residual(self):

@@ -209,6 +209,7 @@ class Scene(Described):
 
     _text: str | None = PrivateAttr(None)
     _source: str | None = PrivateAttr(None)
+    _line_of: Any = PrivateAttr(None)       # function: place in the scene -> line of its text
 
     @property
     def text(self):
@@ -219,6 +220,13 @@ class Scene(Described):
     def source(self):
         """Path or name the scene was read from; its own name if it was made in code."""
         return self._source if self._source is not None else self.name
+
+    def located(self, error):
+        """A SceneError about this scene with file and line, if it was read from a text."""
+        if self._line_of is None:
+            return error
+        return SceneError(f"{self.source}:{self._line_of(error.place or ())}: {error}",
+                          error.place)
 
     @model_validator(mode="after")
     def _check(self):

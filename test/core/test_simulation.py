@@ -96,6 +96,30 @@ def test_wrong_settings_say_what_would_be_right(setting, text):
         Simulation(load_scene("free_body"), **setting)
 
 
+@pytest.mark.parametrize("steps", [-5, 1.7, "3", None, True])
+def test_steps_are_a_whole_number(steps):
+    simulation = Simulation(load_scene("free_body"))
+    with pytest.raises(ValueError, match="whole number"):
+        simulation.advance(steps)
+    assert simulation.steps == 0
+    simulation.advance(np.int64(2))
+    assert simulation.steps == 2
+
+
+@pytest.mark.parametrize("times", [{"start": np.inf}, {"start": np.nan}, {"duration": np.inf}])
+def test_times_of_a_wrench_are_finite(times):
+    with pytest.raises(ValueError, match="must be finite"):
+        Simulation(load_scene("free_body")).apply_wrench("body", (1, 0, 0, 0, 0, 0), **times)
+
+
+def test_what_the_model_refuses_is_told_with_its_line(tmp_path):
+    links = mechanisms.two_links(1.0)
+    path = tmp_path / "links.yaml"
+    path.write_text(links.text)
+    with pytest.raises(SceneError, match=r"links.yaml:\d+: .*stretched or folded"):
+        Simulation(load_scene(path))
+
+
 def test_a_state_that_is_none_is_refused():
     simulation = Simulation(load_scene("free_body"))
     pose, twist = simulation.state()
