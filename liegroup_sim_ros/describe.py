@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`liegroup_sim describe`: what a scene is to the solver, what it keeps, and what a step costs here.
+"""`liegroup_sim describe`: what a scene is to the solver, what it keeps, what a step costs.
 
 The facts come from liegroup_core.model.describe; only the cost of a step is measured. No ROS.
 """
@@ -28,7 +28,8 @@ def add_parser(subparsers):
         description="Bodies, joints and forces of a scene, its degrees of freedom, the rows left "
         "out in closed loops, the structure of the solve, the momentum it keeps, and the measured "
         "cost of a step on this machine.")
-    parser.add_argument("scene", metavar="SCENE", help="scene file, or name of one that comes along")
+    parser.add_argument("scene", metavar="SCENE",
+                        help="scene file, or name of one that comes along")
     parser.add_argument("--json", action="store_true", help="as JSON, on stdout")
     parser.set_defaults(run=run)
 

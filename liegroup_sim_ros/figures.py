@@ -36,8 +36,8 @@ def add_parser(subparsers):
     """Add `figures` to the subcommands of a command line."""
     parser = subparsers.add_parser(
         "figures", help="draw the chapter's Figs. 6.2, 6.4 and 6.5",
-        description="Integrate the heavy top and the planar four-bar with three step sizes on both "
-        "groups, draw how far their joints open, and print the largest errors.")
+        description="Integrate the heavy top and the planar four-bar with three step sizes on "
+        "both groups, draw how far their joints open, and print the largest errors.")
     parser.add_argument("--out", default="figures_out", metavar="DIR",
                         help="folder for the pictures; earlier ones are overwritten "
                         "(default: %(default)s)")

@@ -17,8 +17,8 @@ from .offline import RunError
 from .offline_files import OutputError
 from .recording import RecordingError
 
-WRONG_INPUT = (LieGroupSimError, RecordingError, AnalysisError, DemoError, FiguresError, OutputError,
-               RunError)
+WRONG_INPUT = (LieGroupSimError, RecordingError, AnalysisError, DemoError, FiguresError,
+               OutputError, RunError)
 EXIT_WRONG_INPUT, EXIT_INTERRUPTED = 2, 130
 
 

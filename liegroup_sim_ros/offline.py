@@ -21,7 +21,7 @@ from .offline_files import ArrayFile, LogFile, OutputError
 EXIT_STOPPED = 1
 AT_ONCE = 10_000                            # steps between two looks at the clock, at most
 REDRAW = 0.1                                # s
-OPTIONS = ("dexpinv", "rtol", "atol")       # of the methods, handed on if they are given
+OPTIONS = ("dexpinv", "rtol", "atol", "rho_inf")     # handed on to the method if given
 
 
 class RunError(Exception):
@@ -34,7 +34,8 @@ def add_parser(subparsers):
         "run", help="simulate as fast as it goes, into a file, without ROS",
         description="Simulate a scene as fast as it goes and write the motion to a file: arrays "
         "(*.npz) or a recording (*.mcap) that `liegroup_sim analyze` and other tools read.")
-    parser.add_argument("scene", metavar="SCENE", help="scene file, or name of one that comes along")
+    parser.add_argument("scene", metavar="SCENE",
+                        help="scene file, or name of one that comes along")
     parser.add_argument("--duration", type=float, required=True, metavar="S",
                         help="simulated time in s, a whole number of steps")
     parser.add_argument("--out", required=True, metavar="FILE",
@@ -56,6 +57,7 @@ def add_parser(subparsers):
     for name in ("rtol", "atol"):
         parser.add_argument(f"--{name}", type=float, metavar="X",
                             help="tolerance of a method with error control")
+    parser.add_argument("--rho-inf", type=float, metavar="X", help="damping of generalized_alpha")
     parser.set_defaults(run=run)
 
 
@@ -90,7 +92,7 @@ def run(args):
         if stopped and simulation.steps > file.last_step:
             file.sample(simulation.sample())
         wall = time.monotonic() - started
-        file.finish(simulation, stopped, wall)
+        file.finish(simulation, stopped, code == EXIT_STOPPED, wall)
     if stopped:
         print(f"liegroup_sim: {stopped}; what was computed is in {args.out}", file=sys.stderr)
     else:

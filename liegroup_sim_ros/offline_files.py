@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files of a run without a clock: arrays for NumPy, or a recording like that of the node.
 
-Both have sample(sample), finish(simulation, stopped, wall_seconds), `count` and `last_step`, and
-are closed at the end of their `with` block. They are new files: none is overwritten.
+Both have sample(sample), finish(simulation, stopped, failed, wall_seconds), `count`, `last_step`, and
+are closed at the end of their `with` block; `stopped` is why the run came to no end, or None.
+They are new files: none is overwritten.
 """
 import json
 from pathlib import Path
@@ -62,10 +63,11 @@ class ArrayFile:
             self._arrays[name][self.count] = value
         self.count, self.last_step = self.count + 1, sample.steps
 
-    def finish(self, simulation, stopped, wall_seconds):
+    def finish(self, simulation, stopped, failed, wall_seconds):
         """Write everything. Raises OutputError."""
         settings = attachments.settings(simulation, self._every)
-        settings |= {"stopped": stopped, "wall_seconds": wall_seconds}
+        settings |= {"stopped": stopped, "failed": failed,
+                     "wall_seconds": wall_seconds}
         try:
             np.savez(self._stream, **{name: array[:self.count]
                                       for name, array in self._arrays.items()},
@@ -126,12 +128,12 @@ class LogFile:
             self._recorder.write(twist, stamp, encode_twist(stamp, twists[body].tolist()))
         self.count, self.last_step = self.count + 1, sample.steps
 
-    def finish(self, simulation, stopped, wall_seconds):
+    def finish(self, simulation, stopped, failed, wall_seconds):
         """Say how the run ended, and how fast it was."""
         stamp = simulation.time_ns
-        if stopped:
+        if failed:
             self._event(stamp, "fault", stopped, LogCodec.ERROR)
-        self._event(stamp, "stop", f"stopped at step {simulation.steps}")
+        self._event(stamp, "stop", stopped or f"stopped at step {simulation.steps}")
         self._recorder.add_attachment("pacing.json", *attachments.as_json({
             "ticks": None, "overruns": None, "reanchored": None,
             "lateness_us": {"p50": None, "p99": None, "max": None},

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The four-bar in its plane, by a program of its own: Munthe-Kaas RK4 on SE(2)^3.
 
-Shares nothing with the engine. Here the rows of a joint are those of r_a + R_a p_a - r_b - R_b p_b,
-in world axes and with points of the bodies; they do not depend on where the bodies are. The
-engine's rows are seen from the child's joint frame: once a joint is open, the two differ.
+Shares nothing with the engine. Here the rows of a joint are those of
+r_a + R_a p_a - r_b - R_b p_b, in world axes and with points of the bodies; they do not
+depend on where the bodies are. The engine's rows are seen from the child's joint frame: once a
+joint is open, the two differ.
 """
 import numpy as np
 

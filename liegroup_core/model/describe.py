@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a scene has become: its freedoms, the rows left out, the structure of the solve, what it keeps.
+"""What a scene has become: its freedoms, rows left out, the structure of the solve, what it keeps.
 
 Facts as JSON types, found without taking a step; nothing here depends on the machine.
 """
@@ -15,8 +15,8 @@ def describe(layout):
     returns dict of
         scene, description, gravity  of the scene; gravity in m/s^2
         bodies              [{name, mass}], kg
-        joints              [{name, type, parent, child, rows, dropped}]: names of the rows that the
-                            joint forbids, wx..vz, and of those left out as they depend on others
+        joints              [{name, type, parent, child, rows, dropped}]: names of all its rows,
+                            wx..vz, and of those left out because they depend on others
         forces              [{name, type, on}]: on, names of what it acts between or at
         degrees_of_freedom  6 n - rows that are solved for: freedoms of the mechanism but at
                             singular poses
