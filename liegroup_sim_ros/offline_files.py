@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files of a run without a clock: arrays for NumPy, or a recording like that of the node.
 
-Both have sample(sample), finish(simulation, stopped, failed, wall_seconds), `count`, `last_step`, and
-are closed at the end of their `with` block; `stopped` is why the run came to no end, or None.
+Both have sample(sample), finish(simulation, stopped, failed, wall_seconds), `count`, `last_step`,
+and are closed at the end of their `with` block; `stopped` is why the run came to no end, or None.
 They are new files: none is overwritten.
 """
 import json
