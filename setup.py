@@ -36,7 +36,10 @@ setup(
         "rich",
         "scipy>=1.11",
     ],
-    extras_require={"test": ["hypothesis", "mpmath", "pytest", "rosbags"]},
+    extras_require={
+        "figures": ["matplotlib"],
+        "test": ["hypothesis", "matplotlib", "mpmath", "pytest", "rosbags"],
+    },
     entry_points={
         "console_scripts": [
             "liegroup_sim = liegroup_sim_ros.main:main",

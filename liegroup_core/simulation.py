@@ -327,3 +327,7 @@ class Simulation:
         """The present state as a Sample."""
         return self.layout.sample(self._pose, self._twist, self.time, self.time_ns, self.steps,
                                   self._work.angle)
+
+    def energy(self):
+        """Kinetic energy plus potential energy of gravity and springs at the present state, J."""
+        return self.sample().energy

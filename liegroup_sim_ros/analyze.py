@@ -99,7 +99,8 @@ def _run_figures(recording, motion):
     settings = recording.settings
     last = recording.diagnostics[-1][1] if recording.diagnostics else {}
     timing = dict(recording.pacing) if recording.pacing else _timing_so_far(last)
-    timing["factor_wanted"] = _number(last.get("real_time_factor_wanted"))
+    timing["factor_wanted"] = _number(last.get("real_time_factor_wanted",
+                                               timing.get("real_time_factor_wanted")))
     pushes = [{"body": body, "from_s": stretch.base_ns * 1e-9 + first * stretch.step,
                "to_s": stretch.base_ns * 1e-9 + end * stretch.step if math.isfinite(end) else None}
               for stretch in motion.stretches for first, end, body in stretch.pushed]

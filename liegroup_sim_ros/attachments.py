@@ -21,20 +21,26 @@ def at_start(simulation, node, world_frame, sample_steps, topics):
     """
     scene = simulation.scene
     pose, twist = simulation.state()
-    settings = {
-        "format": 1, "scene": scene.name, "method": simulation.method, "group": simulation.group,
-        "stabilisation": simulation.stabilisation, "baumgarte_time": simulation.baumgarte_time,
-        "options": simulation.options, "step": simulation.step, "steps_per_sample": sample_steps, "node": node,
-        "world_frame": world_frame, "topics": topics, "versions": _versions(),
-        "machine": {"system": platform.platform(), "processor": platform.machine(),
-                    "cores": os.cpu_count()},
-        "wall_start": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())}
+    described = settings(simulation, sample_steps) | {
+        "node": node, "world_frame": world_frame, "topics": topics}
     # JSON writes the shortest text that reads back to the same float64: the state is exact.
     state = {"bodies": list(simulation.layout.body_names), "pose": pose.tolist(),
              "twist": twist.tolist(), "steps": simulation.steps, "stamp_ns": 0}
     return {"scene.yaml": ("application/yaml", scene.text.encode()),
-            "settings.json": as_json(settings),
+            "settings.json": as_json(described),
             "initial_state.json": as_json(state)}
+
+
+def settings(simulation, sample_steps):
+    """What a run was made with, and on what, as JSON types."""
+    return {
+        "format": 1, "scene": simulation.scene.name, "method": simulation.method,
+        "group": simulation.group, "step": simulation.step,
+        "stabilisation": simulation.stabilisation, "baumgarte_time": simulation.baumgarte_time,
+        "options": simulation.options, "steps_per_sample": sample_steps, "versions": _versions(),
+        "machine": {"system": platform.platform(), "processor": platform.machine(),
+                    "cores": os.cpu_count()},
+        "wall_start": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())}
 
 
 def as_json(data):

@@ -1,20 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command `liegroup_sim`: analyse recordings, push a running simulation, show a demo.
+"""The command `liegroup_sim`: describe and run scenes, analyse, push, make figures, show a demo.
 
-Exit code 0 when it is done, 2 and one line on stderr when something given to it is wrong, 130
-after Ctrl-C.
+Exit code 0 when it is done, 2 and one line on stderr when something given to it is wrong, 1 when a
+simulation or a push had to stop, 130 after Ctrl-C.
 """
 import argparse
 import sys
 
 from liegroup_core.errors import LieGroupSimError
 
-from . import __version__, analyze, demo, push
+from . import __version__, analyze, demo, describe, figures, offline, push
 from .analyze import AnalysisError
 from .demo import DemoError
+from .figures import FiguresError
+from .offline import RunError
+from .offline_files import OutputError
 from .recording import RecordingError
 
-WRONG_INPUT = (LieGroupSimError, RecordingError, AnalysisError, DemoError)
+WRONG_INPUT = (LieGroupSimError, RecordingError, AnalysisError, DemoError, FiguresError,
+               OutputError, RunError)
 EXIT_WRONG_INPUT, EXIT_INTERRUPTED = 2, 130
 
 
@@ -26,7 +30,7 @@ def make_parser():
         "a ROS installation: ros2 run liegroup_sim_ros sim_node --ros-args -p scene:=heavy_top")
     parser.add_argument("--version", action="version", version=f"liegroup_sim {__version__}")
     subparsers = parser.add_subparsers(metavar="COMMAND", required=True)
-    for command in (demo, analyze, push):
+    for command in (demo, describe, offline, analyze, push, figures):
         command.add_parser(subparsers)
     return parser
 

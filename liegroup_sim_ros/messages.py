@@ -129,6 +129,24 @@ class ClockCodec:
         return cls._pack(_LITTLE_ENDIAN, *divmod(stamp_ns, 1_000_000_000))
 
 
+class LogCodec:
+    """rcl_interfaces/msg/Log of one event, without file, function and line.
+
+    LogCodec.encode(stamp_ns, level, name, text) -> bytes
+    """
+
+    TYPE = "rcl_interfaces/msg/Log"
+    INFO, ERROR = 20, 40
+
+    @classmethod
+    def encode(cls, stamp_ns, level, name, text):
+        data = struct.pack("<iIB", *divmod(stamp_ns, 1_000_000_000), level)
+        for string in (name, text, "", ""):
+            characters = string.encode() + b"\0"
+            data += bytes(-len(data) % 4) + struct.pack("<I", len(characters)) + characters
+        return _LITTLE_ENDIAN + data + bytes(-len(data) % 4) + struct.pack("<I", 0)
+
+
 def _offset_of_values(frame_size):
     """Where the float64 values start in the payload; frame_size counts the closing NUL."""
     end = _FRAME_ID + frame_size

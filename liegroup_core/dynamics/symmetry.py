@@ -84,7 +84,7 @@ def conserved_momentum(scene):
     drawn = [_generic_pose(scene, frames, forbidden, size, rng) for _ in range(POSES)]
     wrenches = np.array([_outer_wrenches(model, pose, rng) for pose in drawn])  # (POSES, n, 6)
     kept = []
-    for group in _groups(scene):
+    for group in body_groups(scene):
         acting = _without_round_off(wrenches[:, group])
         mass = np.array([scene.bodies[i].mass for i in group])
         centre = np.array([mass @ pose[group, 9:] for pose in drawn]) / mass.sum()
@@ -230,7 +230,7 @@ def _generic_pose(scene, frames, forbidden, size, rng):
     return np.concatenate([poses[:, :3, :3].reshape(-1, 9), poses[:, :3, 3]], axis=1)
 
 
-def _groups(scene):
+def body_groups(scene):
     """Index lists of the bodies that hang together without the world."""
     label = {body.name: i for i, body in enumerate(scene.bodies)}
     # Forces about a joint add nothing to the joint; those on one body link nothing.

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`liegroup_sim run`: simulate without a clock and without ROS, into arrays or into a recording.
+
+Exit code 1 when the integration had to stop, 130 after Ctrl-C; what was computed is written then
+too. Wrong input is refused before a file is opened.
+"""
+import math
+import sys
+import time
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from liegroup_core import Simulation, SimulationError, load_scene
+from liegroup_core.integrators.methods import GROUPS, METHODS
+from liegroup_core.simulation import STABILISATIONS
+
+from .offline_files import ArrayFile, LogFile, OutputError
+
+EXIT_STOPPED = 1
+AT_ONCE = 10_000                            # steps between two looks at the clock, at most
+REDRAW = 0.1                                # s
+OPTIONS = ("dexpinv", "rtol", "atol", "rho_inf")     # handed on to the method if given
+
+
+class RunError(Exception):
+    """The run cannot be made; one line of text, exit code 2."""
+
+
+def add_parser(subparsers):
+    """Add `run` to the subcommands of a command line."""
+    parser = subparsers.add_parser(
+        "run", help="simulate as fast as it goes, into a file, without ROS",
+        description="Simulate a scene as fast as it goes and write the motion to a file: arrays "
+        "(*.npz) or a recording (*.mcap) that `liegroup_sim analyze` and other tools read.")
+    parser.add_argument("scene", metavar="SCENE",
+                        help="scene file, or name of one that comes along")
+    parser.add_argument("--duration", type=float, required=True, metavar="S",
+                        help="simulated time in s, a whole number of steps")
+    parser.add_argument("--out", required=True, metavar="FILE",
+                        help="*.npz or *.mcap, must not exist")
+    parser.add_argument("--every", type=int, default=10, metavar="STEPS",
+                        help="steps from one sample to the next; the last state is always one "
+                        "(default: %(default)s)")
+    parser.add_argument("--method", default="rkmk4", metavar="NAME",
+                        help=f"{', '.join(METHODS)} (default: %(default)s)")
+    parser.add_argument("--step", type=float, default=1e-3, metavar="S",
+                        help="step size in s (default: %(default)g)")
+    parser.add_argument("--group", default="se3", metavar="NAME",
+                        help=f"{' or '.join(GROUPS)} (default: %(default)s)")
+    parser.add_argument("--stabilisation", default="none", metavar="KIND",
+                        help=f"{', '.join(STABILISATIONS)} (default: %(default)s)")
+    parser.add_argument("--baumgarte-time", type=float, metavar="S",
+                        help="time in which joint errors die out (default: ten steps)")
+    parser.add_argument("--dexpinv", metavar="KIND", help="exact or truncated (default: exact)")
+    for name in ("rtol", "atol"):
+        parser.add_argument(f"--{name}", type=float, metavar="X",
+                            help="tolerance of a method with error control")
+    parser.add_argument("--rho-inf", type=float, metavar="X", help="damping of generalized_alpha")
+    parser.set_defaults(run=run)
+
+
+def run(args):
+    """Run the subcommand; returns the exit code. Raises SceneError, RunError, OutputError."""
+    options = {name: getattr(args, name) for name in OPTIONS if getattr(args, name) is not None}
+    kind = {".npz": ArrayFile, ".mcap": LogFile}.get(Path(args.out).suffix)
+    if kind is None:
+        raise RunError(f"{args.out}: the name must end in .npz or .mcap")
+    if args.every < 1:
+        raise RunError(f"--every must be at least 1, got {args.every}")
+    scene = load_scene(args.scene)
+    console = Console(stderr=True)
+    try:
+        with console.status("starting (the first time on a machine compiles: a minute)"):
+            simulation = Simulation(scene, args.method, args.step, args.group,
+                                    args.stabilisation, args.baumgarte_time, **options)
+    except ValueError as error:             # SceneError, too, is one
+        raise RunError(str(error)) from None
+    steps = _whole_steps(args.duration, simulation.step)
+    samples = 1 + -(-steps // args.every)
+    started = time.monotonic()
+    stopped, code = None, 0
+    with kind(args.out, simulation, args.every, samples) as file:
+        file.sample(simulation.sample())
+        try:
+            _simulate(simulation, steps, args.every, file, console)
+        except SimulationError as error:
+            stopped, code = str(error), EXIT_STOPPED
+        except KeyboardInterrupt:
+            stopped, code = f"interrupted at t = {simulation.time:.9g} s", 130
+        if stopped and simulation.steps > file.last_step:
+            file.sample(simulation.sample())
+        wall = time.monotonic() - started
+        file.finish(simulation, stopped, code == EXIT_STOPPED, wall)
+    if stopped:
+        print(f"liegroup_sim: {stopped}; what was computed is in {args.out}", file=sys.stderr)
+    else:
+        print(f"{args.out}: {simulation.time:.9g} s in {steps} steps, {file.count} samples, "
+              f"{wall:.3g} s of wall time")
+    return code
+
+
+def _simulate(simulation, steps, every, file, console):
+    """Take all steps and hand every sample that is due to the file."""
+    with Progress(TextColumn("simulating"), BarColumn(), TextColumn("{task.fields[said]}"),
+                  TimeRemainingColumn(), console=console) as progress:
+        task = progress.add_task("", total=steps, said="")
+        drawn = 0.0
+        while simulation.steps < steps:
+            due = min(steps, (simulation.steps // every + 1) * every)
+            simulation.advance(min(due - simulation.steps, AT_ONCE))
+            if simulation.steps == due:
+                file.sample(simulation.sample())
+            if time.monotonic() > drawn + REDRAW:
+                drawn = time.monotonic()
+                progress.update(task, completed=simulation.steps, said=f"{simulation.time:.3f} s")
+        progress.update(task, completed=steps, said=f"{simulation.time:.3f} s")
+
+
+def _whole_steps(duration, step):
+    """Number of steps of a duration. Raises RunError."""
+    if not (math.isfinite(duration) and duration > 0.0):
+        raise RunError(f"--duration must be a positive number of seconds, got {duration:g}")
+    steps = round(duration / step)
+    # Far above rounding, far below what anyone would not see.
+    if steps < 1 or abs(duration / step - steps) > 1e-6 * steps:
+        nearest = max(1, steps) * step
+        raise RunError(f"--duration {duration:g} s is {duration / step:.6g} steps of {step:g} s, "
+                       f"must be a whole number of them, such as {nearest:.9g}")
+    return steps

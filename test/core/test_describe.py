@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Facts about a scene: counted by hand, or against the dense matrix."""
+import numpy as np
+import pytest
+
+import mechanisms
+from liegroup_core import load_scene
+from liegroup_core.dynamics.constraints import assemble
+from liegroup_core.model.arrays import make_work
+from liegroup_core.model.build import initial_state
+from liegroup_core.model.describe import describe, solve_structure
+from liegroup_core.simulation import make_layout
+from liegroup_sim_ros.chapter_runs import four_bar
+
+
+def test_heavy_top():
+    facts = describe(make_layout(load_scene("heavy_top")))
+    assert facts["degrees_of_freedom"] == 3 and facts["dropped_rows"] == []
+    assert facts["joints"] == [{"name": "pivot", "type": "spherical", "parent": "world",
+                                "child": "top", "rows": ["vx", "vy", "vz"], "dropped": []}]
+    assert facts["forces"] == [{"name": "spring", "type": "spring_damper", "on": ["world", "top"]}]
+    assert facts["solve"]["constant"] and facts["solve"]["unknowns"] == 9
+    # One block of 6, one of 3, and the 3 x 6 between them.
+    assert facts["solve"]["numbers"] == 36 + 9 + 18 and facts["solve"]["blocks"] == 1
+    assert len(facts["kept_momentum"]) == 1
+
+
+def test_a_loop_says_which_row_is_left_out():
+    """A four-bar of three hinges and a ball: 18 rows of rank 17."""
+    facts = describe(make_layout(four_bar()))
+    assert (facts["rows"], facts["solved_rows"], facts["degrees_of_freedom"]) == (18, 17, 1)
+    assert facts["dropped_rows"] == [["coupler_rocker", "vz"]]
+    assert facts["joints"][2]["dropped"] == ["vz"] and facts["joints"][1]["dropped"] == []
+    assert facts["groups"] == [["crank", "coupler", "rocker"]]
+
+
+def test_every_kind_of_joint_has_its_rows_and_no_momentum_is_looked_for():
+    layout = make_layout(mechanisms.named("every kind"))
+    facts = describe(layout)
+    rows = {joint["type"]: joint["rows"] for joint in facts["joints"]}
+    assert rows["universal"] == ["vx", "vy", "vz", "wn"] and rows["distance"] == ["length"]
+    assert sum(len(joint["rows"]) for joint in facts["joints"]) == facts["rows"]
+    assert facts["kept_momentum"] is None
+
+
+@pytest.mark.parametrize("name", ["net", "every kind", "chain of hinges"])
+def test_structure_of_the_solve_is_that_of_the_matrix(name):
+    """Blocks without fill are those that `assemble` writes; a chain has no fill."""
+    layout = make_layout(mechanisms.named(name))
+    model = layout.model
+    found = solve_structure(model)
+    work = make_work(model, 1)
+    work.matrix[:] = np.nan
+    assemble(model, work, *initial_state(layout.scene))
+    written = 0
+    for vertex in model.vertices:
+        for below, place in model.columns[vertex["column_start"]:vertex["column_end"]]:
+            block = work.matrix[place:place + model.vertices[below]["size"] * vertex["size"]]
+            assert np.isfinite(block).all()
+            written += bool(block.any())
+    assert found["blocks"] - found["fill"] == written
+    if name == "chain of hinges":
+        assert found["fill"] == 0
+
+
+def test_operations_of_a_dense_factor():
+    """A free body is one dense block: k^3 / 3 to factorise, 2 k^2 to solve, k = 6."""
+    found = solve_structure(make_layout(load_scene("free_body")).model)
+    assert (found["factor_flops"], found["solve_flops"]) == (72, 72)
+    # All numbers of a ball joint's K are in use: as much as dense Cholesky of 9, about.
+    found = solve_structure(make_layout(load_scene("heavy_top")).model)
+    assert found["factor_flops"] == pytest.approx(9 ** 3 / 3, rel=0.01)
+    assert found["solve_flops"] == 2 * 9 ** 2

@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`liegroup_sim run` and `describe`: files that say what was run, and refusals in one line."""
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from rcl_interfaces.msg import Log
+from rclpy.serialization import deserialize_message, serialize_message
+
+from liegroup_core import Simulation, load_scene
+from liegroup_sim_ros.analyze import analyse
+from liegroup_sim_ros.main import main
+from liegroup_sim_ros.messages import LogCodec
+from liegroup_sim_ros.recording import read_recording
+
+
+def test_arrays_are_those_of_the_simulation(tmp_path, capsys):
+    path = tmp_path / "a.npz"
+    assert main(["run", "double_pendulum", "--duration", "0.095", "--every", "10",
+                 "--step", "1e-3", "--method", "rkmk8", "--group", "so3xr3",
+                 "--stabilisation", "projection", "--out", str(path)]) == 0
+    assert capsys.readouterr().out.startswith(f"{path}: 0.095 s in 95 steps, 11 samples")
+    found = np.load(path)
+    assert found["steps"].tolist() == [*range(0, 91, 10), 95]
+    simulation = Simulation(load_scene("double_pendulum"), "rkmk8", 1e-3, "so3xr3", "projection")
+    for k, step in enumerate(found["steps"]):
+        simulation.advance(int(step) - simulation.steps)
+        sample = simulation.sample()
+        assert found["time"][k] == sample.time and found["energy"][k] == sample.energy
+        assert np.array_equal(found["poses"][k], sample.pose_matrices)
+        assert np.array_equal(found["twists"][k], sample.twist)
+        assert found["residual"][k] == sample.constraint_residual
+    assert found["bodies"].tolist() == ["upper", "lower"]
+    settings = json.loads(str(found["settings"]))
+    assert (settings["method"], settings["stabilisation"]) == ("rkmk8", "projection")
+    assert settings["stopped"] is None and settings["steps_per_sample"] == 10
+    assert str(found["scene"]) == load_scene("double_pendulum").text
+
+
+@pytest.mark.parametrize("more", [
+    ["--method", "rkmk54", "--rtol", "1e-9", "--atol", "1e-9"],
+    ["--stabilisation", "baumgarte", "--baumgarte-time", "0.05", "--group", "so3xr3"]])
+def test_a_recording_is_analysed_like_that_of_the_node(tmp_path, more):
+    """Simulated again from the file's own settings it is the same to the bit."""
+    path = tmp_path / "a.mcap"
+    assert main(["run", "heavy_top", "--duration", "0.5", "--out", str(path), *more]) == 0
+    recording = read_recording(path)
+    assert recording.complete and recording.lost == {}
+    assert [event.name for event in recording.events] == ["start", "stop"]
+    analysis = analyse(recording, reference=False)
+    assert analysis.figures["problems"] == []
+    assert analysis.figures["repeat"] == {"samples": 51, "identical": 51, "stopped": None,
+                                          "first_difference": None}
+    assert analysis.figures["sim_seconds"] == pytest.approx(0.5)
+    assert main(["analyze", str(path), "--no-reference", "--html", str(tmp_path / "a.html")]) == 0
+
+
+@pytest.mark.parametrize("suffix", ["npz", "mcap"])
+def test_a_run_that_stops_leaves_what_was_computed(tmp_path, capsys, suffix):
+    """The top turns by 15 rad in a step of 0.1 s: beyond 2 pi there is no solution."""
+    path = tmp_path / f"a.{suffix}"
+    assert main(["run", "lagrangian_top", "--duration", "1", "--step", "0.1", "--every", "1",
+                 "--out", str(path)]) == 1
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert said.startswith("liegroup_sim: stopped at t = 0 s") and "smaller step" in said
+    if suffix == "npz":
+        found = np.load(path)
+        assert found["steps"].tolist() == [0]
+        assert "smaller step" in json.loads(str(found["settings"]))["stopped"]
+    else:
+        recording = read_recording(path)
+        assert [event.name for event in recording.events] == ["start", "fault", "stop"]
+        assert analyse(recording, reference=False).figures["faults"]
+
+
+@pytest.mark.parametrize("change, said", [
+    ({"--duration": "0.0015"}, "whole number"), ({"--duration": "0"}, "positive"),
+    ({"--duration": "nan"}, "positive"), ({"--every": "0"}, "--every"),
+    ({"--method": "rkmk5"}, "rkmk54"), ({"--group": "so3"}, "so3xr3"), ({"--step": "-1"}, "step"),
+    ({"--stabilisation": "x"}, "projection"), ({"--rtol": "1e-3"}, "no option 'rtol'"),
+    ({"scene": "nope"}, "nope"), ({"--out": "a.txt"}, ".npz or .mcap"),
+    ({"--out": "none/a.npz"}, "cannot be written")])
+def test_wrong_input_is_one_line_and_no_file(tmp_path, monkeypatch, capsys, change, said):
+    monkeypatch.chdir(tmp_path)
+    given = {"scene": "heavy_top", "--duration": "0.01", "--out": "a.npz"} | change
+    arguments = [word for key, value in given.items() if key != "scene" for word in (key, value)]
+    assert main(["run", given["scene"], *arguments]) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and said in err and err.count("\n") == 1 and "Traceback" not in err
+    assert not list(tmp_path.iterdir())
+
+
+def test_no_file_is_overwritten(tmp_path, capsys):
+    for suffix in ("npz", "mcap"):
+        path = tmp_path / f"a.{suffix}"
+        path.write_bytes(b"mine")
+        assert main(["run", "heavy_top", "--duration", "0.01", "--out", str(path)]) == 2
+        assert "exists already" in capsys.readouterr().err and path.read_bytes() == b"mine"
+
+
+def test_a_recording_needs_interface_packages_but_not_rclpy(tmp_path):
+    """One line where the packages are missing; with them, nothing of rclpy is imported."""
+    def run(prelude, name):
+        return subprocess.run(
+            [sys.executable, "-P", "-c", "import sys\n" + prelude + "\n"
+             "from liegroup_sim_ros.main import main\n"
+             f"code = main(['run', 'heavy_top', '--duration', '0.01', '--out', {str(name)!r}])\n"
+             "assert 'rclpy' not in sys.modules\nsys.exit(code)"],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+    assert run("", tmp_path / "a.mcap").returncode == 0
+    hidden = ("import importlib.util as u; find = u.find_spec\n"
+              "u.find_spec = lambda name, *a: None if name.endswith('_msgs') else find(name, *a)")
+    refused = run(hidden, tmp_path / "b.mcap")
+    assert refused.returncode == 2 and "geometry_msgs" in refused.stderr
+    assert "Traceback" not in refused.stderr and not (tmp_path / "b.mcap").exists()
+    assert run(hidden, tmp_path / "b.npz").returncode == 0
+
+
+@pytest.mark.parametrize("name, text", [("", ""), ("start", "abc"), ("fault", "at ω = 1")])
+def test_events_are_encoded_as_ros_does(name, text):
+    data = LogCodec.encode(3_000_000_007, LogCodec.ERROR, name, text)
+    message = deserialize_message(data, Log)
+    assert (message.stamp.sec, message.stamp.nanosec) == (3, 7)
+    assert (message.level, message.name, message.msg, message.line) == (40, name, text, 0)
+    # The bytes in between are whatever was in memory there; ours are zero.
+    assert len(serialize_message(message)) == len(data)
+
+
+def test_describe(capsys):
+    assert main(["describe", "heavy_top"]) == 0
+    out = capsys.readouterr().out
+    for text in ("3 degrees of freedom", "spherical", "angular momentum about", "rkmk8"):
+        assert text in out
+    assert main(["describe", "heavy_top", "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["degrees_of_freedom"] == 3
+    # A step costs its machine something, and twelve stages more than four.
+    assert 0.0 < facts["cost"]["rkmk4"]["step_us"] < facts["cost"]["rkmk8"]["step_us"]
+    assert main(["describe", "nope"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_figures(tmp_path, capsys):
+    pytest.importorskip("matplotlib")
+    assert main(["figures", "--out", str(tmp_path)]) == 0
+    for name in ("fig_6_2", "fig_6_4", "fig_6_5"):
+        data = (tmp_path / f"{name}.png").read_bytes()
+        assert data.startswith(b"\x89PNG") and len(data) > 20_000
+    assert "here" in capsys.readouterr().out

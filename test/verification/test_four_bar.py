@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The planar four-bar of the chapter's Figs. 6.4 and 6.5 against its energy quadrature.
+
+It has one freedom and no force, so its crank speed is a function of its angle alone, and the angle
+after one second, the period and the speed follow from integrals in many digits. Bounds of errors
+are those of an independent implementation of the same method with another form of the joint rows.
+"""
+import numpy as np
+import pytest
+
+from liegroup_core import Simulation
+from liegroup_sim_ros.chapter_runs import CRANK_RATE, four_bar, joint_errors
+from planar_four_bar import PlanarFourBar
+
+ANGLE_1 = -0.765225378176                   # rad, modulo a turn: crank after 1 s
+TURNS_1 = 5.628211                          # turns it has made by then
+SPEED_1 = 31.566340728                      # rad/s there
+PERIOD = 0.179647407394                     # s
+ANGLE_ERROR = {5e-3: 2.1e-1, 2e-3: 2.2e-2, 1e-3: 1.7e-3, 1e-4: 1.87e-7}
+GROUPS = ("se3", "so3xr3")
+
+
+def crank_angle(run):
+    """(k,) rad, counted over all turns from the x axis."""
+    return np.unwrap(np.arctan2(run.poses[:, 0, 1, 0], run.poses[:, 0, 0, 0]))
+
+
+def angle_error(run):
+    return abs((crank_angle(run)[-1] - ANGLE_1 + np.pi) % (2.0 * np.pi) - np.pi)
+
+
+@pytest.fixture(scope="module")
+def runs():
+    return {(group, step): joint_errors(four_bar(), step, group, 1.0)
+            for group in GROUPS for step in ANGLE_ERROR}
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_crank_angle_after_a_second(runs, group):
+    for step, elsewhere in ANGLE_ERROR.items():
+        assert angle_error(runs[group, step]) <= 1.1 * elsewhere
+    assert crank_angle(runs[group, 1e-4])[-1] == pytest.approx(
+        2.0 * np.pi * (0.25 + TURNS_1), abs=2.0 * np.pi * 1e-6)
+
+
+def test_ground_joints_stay_at_round_off_on_se3(runs):
+    for step in ANGLE_ERROR:
+        gap = runs["se3", step].gap.max(axis=0)
+        assert max(gap[0], gap[3]) <= 1e-12
+        assert min(gap[1], gap[2]) > 1e-10
+
+
+def test_the_other_joints_drift_at_order_four_and_all_do_on_so3xr3(runs):
+    for group, joints in (("se3", [1, 2]), ("so3xr3", [0, 1, 2, 3])):
+        coarse, fine = (runs[group, step].gap.max(axis=0)[joints] for step in (1e-3, 1e-4))
+        assert np.log10(coarse / fine) == pytest.approx(4.0, abs=0.1)
+
+
+def test_hinges_keep_their_direction_exactly(runs):
+    """Nothing leaves the plane: with the dependent row left out, its zeros stay zeros."""
+    for run in runs.values():
+        assert not run.tilt.any()
+
+
+def test_the_row_out_of_the_plane_is_left_out():
+    layout = Simulation(four_bar()).layout
+    assert layout.dropped_rows == [("coupler_rocker", "vz")]
+    assert len(layout.model.row_residual) == 17
+
+
+def test_where_the_ball_is_does_not_matter(runs):
+    """As joint 4, where the caption of Fig. 6.5 has it: the same motion in the plane."""
+    other = joint_errors(four_bar(ball="ground_rocker"), 1e-3, "se3", 1.0)
+    run = runs["se3", 1e-3]
+    assert other.gap[:, [1, 2]] == pytest.approx(run.gap[:, [1, 2]], rel=1e-6, abs=1e-12)
+    assert other.gap[:, [0, 3]].max() <= 1e-12
+    assert angle_error(other) == pytest.approx(angle_error(run), rel=1e-6)
+
+
+def speeds(run):
+    """(k,) rad/s of the crank, from its angles by central differences of fourth order."""
+    angle, h = crank_angle(run), run.times[1] - run.times[0]
+    return (8.0 * (angle[3:-1] - angle[1:-3]) - (angle[4:] - angle[:-4])) / (12.0 * h)
+
+
+def test_period_of_the_crank():
+    """Five turns take five periods, when an angle error of 1.1 ANGLE_ERROR counts as time.
+
+    Between samples 1e-4 s apart the angle is a cubic: off by 1e-16 of its fourth derivative, at
+    most 1e7 rad/s^4, over 128, or 1e-11 rad.
+    """
+    run = joint_errors(four_bar(), 1e-4, "se3", 1.0, samples=10_000)
+    angle = crank_angle(run)
+    wanted = np.pi / 2.0 + 5 * 2.0 * np.pi
+    near = np.searchsorted(angle, wanted) + np.arange(-2, 2)
+    time = np.polyval(np.polyfit(angle[near] - wanted, run.times[near] - run.times[near[0]], 3),
+                      0.0) + run.times[near[0]]
+    slowest = 19.6                          # rad/s
+    assert abs(time - 5.0 * PERIOD) <= (1.1 * ANGLE_ERROR[1e-4] + 1e-11) / slowest
+    speed = speeds(run)
+    assert speed.min() == pytest.approx(19.603, abs=1e-3)
+    assert speed.max() == pytest.approx(53.625, abs=1e-3)
+
+
+def test_speed_after_a_second():
+    """Along the run the speed changes by at most 40 rad/s per radian of lag, and by half of the
+    relative error of energy."""
+    simulation = Simulation(four_bar(), step=1e-4)
+    start = simulation.energy()
+    simulation.advance(10_000)
+    lost = abs(simulation.energy() / start - 1.0)
+    assert simulation.sample().twists["crank"][2] == pytest.approx(
+        SPEED_1, abs=40.0 * 1.1 * ANGLE_ERROR[1e-4] + SPEED_1 * lost)
+
+
+def test_energy_drifts_at_order_four(runs):
+    scene = four_bar()
+    for group in GROUPS:
+        drift = {}
+        for step in ANGLE_ERROR:
+            energy = runs[group, step].energy
+            # Bars that turn about an end, and the coupler: 1/2 (w I w + v m v) at the start.
+            assert energy[0] == pytest.approx(sum(
+                0.5 * (body.mass * np.dot(body.linear_velocity, body.linear_velocity)
+                       + body.inertia[2] * body.angular_velocity[2] ** 2)
+                for body in scene.bodies), rel=1e-14)
+            drift[step] = np.abs(energy / energy[0] - 1.0).max()
+            # What a freedom's speed lacks by it, over 34 rad, is more than the angle's error.
+            assert angle_error(runs[group, step]) <= 34.0 * drift[step] / 2.0
+        assert np.log10(drift[1e-3] / drift[1e-4]) == pytest.approx(4.0, abs=0.1)
+
+
+def test_an_implementation_in_the_plane_agrees_and_shows_what_the_rows_do():
+    """As long as joints are closed it is the same motion; then the form of their rows decides."""
+    planar, simulation = PlanarFourBar(four_bar()), Simulation(four_bar(), step=1e-4)
+    assert planar.V[0, 0] == CRANK_RATE
+    for _ in range(10):
+        planar.step(1e-4)
+    simulation.advance(10)
+    sample = simulation.sample()
+    # Joints are open by 1e-13 m then; a local error of the method is as large.
+    assert sample.constraint_residual <= 1e-12
+    assert planar.q[:, 1:] == pytest.approx(sample.pose[:, 9:11], abs=1e-12)
+    assert planar.V[:, 0] == pytest.approx(sample.twist[:, 2], abs=1e-9)
+
+    planar, worst = PlanarFourBar(four_bar()), np.zeros(4)
+    for _ in range(500):
+        planar.step(2e-3)
+        worst = np.maximum(worst, planar.gaps())
+    assert np.angle(np.exp(1j * planar.q[0, 0])) == pytest.approx(-0.743173762, abs=1e-9)
+    assert worst[[1, 2]] == pytest.approx([5.60e-3, 2.03e-4], rel=3e-3)
+    assert max(worst[0], worst[3]) <= 1e-12
