@@ -28,6 +28,9 @@ from ..lie.vec3 import (ZERO3, add3, axpy3, cross3, dot3, load3, load9, matmul3,
                         store3, sub3, tmatmul3, tmatvec3, vector3)
 from ..model.arrays import WORLD
 
+# Part of a twist's largest component below which another one is no motion any more.
+NEXT_TO_NOTHING = 1e-40
+
 
 @kernel
 def _frame(pose, body, rotation, point):
@@ -192,9 +195,13 @@ def clear_ground_slip(model, twist):
         if model.joints[j]["parent"] == WORLD and model.joints[j]["kind"] == PAIR:
             b = model.joints[j]["child"]
             w, v = load3(twist, b, 0), load3(twist, b, 3)
+            size = max(max(abs(w[0]), abs(w[1]), abs(w[2])), max(abs(v[0]), abs(v[1]), abs(v[2])))
             for r in range(6):
-                twist[b, r] -= (dot3(load3(model.ground_projector, j, 6 * r), w)
-                                + dot3(load3(model.ground_projector, j, 6 * r + 3), v))
+                value = twist[b, r] - (dot3(load3(model.ground_projector, j, 6 * r), w)
+                                       + dot3(load3(model.ground_projector, j, 6 * r + 3), v))
+                # What is left of a forbidden direction gets 1e-16 times smaller every step, and
+                # numbers below 1e-308 take a hundred times as long: they make room for zero.
+                twist[b, r] = 0.0 if abs(value) <= NEXT_TO_NOTHING * size else value
 
 
 @kernel
