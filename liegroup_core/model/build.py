@@ -4,10 +4,9 @@ import numpy as np
 
 from ..dynamics.constraints import assemble
 from ..dynamics.saddle_point import factorise
-from ..joints.pairs import LOWER_PAIRS
-from ..lie.groups import SE3
 from ..scene.consistency import check_consistency, resolve_frames
 from .arrays import BODY, JOINT, SPRING_DAMPER, VERTEX, WORLD, Model, make_work
+from .linkage import child_rows
 from .redundancy import kept_rows
 from .sparsity import block_layout, elimination_order
 
@@ -37,7 +36,7 @@ def build_model(scene):
     check_consistency(scene)
     index = {body.name: i for i, body in enumerate(scene.bodies)} | {"world": WORLD}
     frames = resolve_frames(scene)
-    jacobians = [LOWER_PAIRS[joint.type].forbidden @ SE3.Ad(np.linalg.inv(child_frame))
+    jacobians = [child_rows(joint, child_frame)
                  for joint, (_, child_frame) in zip(scene.joints, frames)]
     keep = kept_rows(scene, frames, jacobians)
     elements = [(j, np.flatnonzero(mask)) for j, mask in enumerate(keep) if mask.any()]
