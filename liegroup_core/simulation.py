@@ -15,6 +15,8 @@ from .joints.pairs import LOWER_PAIRS
 from .model.arrays import Model, make_work
 from .model.build import build_model, initial_state
 from .model.sample import Sample
+from .scene.assembly import ready
+from .scene.centres import Offsets
 from .scene.consistency import resolve_frames
 from .scene.description import Scene
 from .wrenches import NEVER, AppliedWrench, WrenchSchedule
@@ -24,9 +26,15 @@ log = logging.getLogger("liegroup_core")
 
 @dataclass(frozen=True)
 class Layout:
-    """The names behind a model's indices."""
+    """The names behind a model's indices, and the frames behind its numbers.
 
-    scene: Scene
+    The model's frames, and those of a state, sit at the centres of mass; those of a Sample and of
+    an applied wrench are the body frames of the scene.
+    """
+
+    scene: Scene                            # as its author wrote it, but assembled
+    centred: Scene                          # the same with its frames at the centres of mass
+    offsets: Offsets                        # between the two
     model: Model
     joint_frames: tuple                     # (parent frame, child frame) in the scene's order
     elements: tuple                         # (scene joint, kept rows) of each joint of the model
@@ -45,14 +53,17 @@ class Layout:
                 if r not in kept.get(j, ())]
 
     def sample(self, pose, twist, time=0.0, time_ns=0, steps=0):
-        """Sample of a given state: pose (n, 12), twist (n, 6)."""
-        return Sample(self, time, time_ns, steps, np.array(pose), np.array(twist))
+        """Sample of body frames as in a Sample or a recording: pose (n, 12), twist (n, 6)."""
+        pose, twist = self.offsets.to_centres(np.array(pose), np.array(twist))
+        return Sample(self, time, time_ns, steps, pose, twist)
 
 
 def make_layout(scene):
     """Build the model of a scene. Raises SceneError."""
-    model, elements = build_model(scene)
-    return Layout(scene, model, tuple(resolve_frames(scene)), tuple(elements))
+    scene, centred = ready(scene)
+    model, elements = build_model(centred)
+    return Layout(scene, centred, Offsets(scene), model, tuple(resolve_frames(scene)),
+                  tuple(elements))
 
 
 class Simulation:
@@ -91,11 +102,14 @@ class Simulation:
 
     def reset(self):
         """Back to the initial state of the scene, at step 0, without wrenches."""
-        pose, twist = initial_state(self.scene)
+        pose, twist = initial_state(self.layout.centred)
         self.set_state(pose, twist)
 
     def set_state(self, pose, twist, steps=0):
-        """Continue from a state: pose (n, 12), twist (n, 6), at a step count. Ends all wrenches."""
+        """Continue from a state: pose (n, 12), twist (n, 6), at a step count. Ends all wrenches.
+
+        The state is the integrator's own, as `state()` gives it: frames at the centres of mass.
+        """
         n = len(self._body)
         pose, twist = np.array(pose, dtype=float), np.array(twist, dtype=float)
         if pose.shape != (n, 12) or twist.shape != (n, 6):
@@ -105,10 +119,15 @@ class Simulation:
             raise ValueError("the state has a number that is not finite")
         self._pose, self._twist, self.steps = pose, twist, int(steps)
         self._schedule = WrenchSchedule(n)
+        self._external = np.zeros((n, 6))   # the same about the centres of mass
         self._applied = []
 
     def state(self):
-        """Copies of pose (n, 12) and twist (n, 6)."""
+        """Copies of pose (n, 12) and twist (n, 6): what the integrator goes on from, to the bit.
+
+        They are of frames with the axes of the body frames and their origins at the centres of
+        mass: not those of `sample()` where a body of the scene has a `com` or an offset shape.
+        """
         return self._pose.copy(), self._twist.copy()
 
     @property
@@ -188,6 +207,8 @@ class Simulation:
         end = self.steps + steps
         while True:
             for body in self._schedule.update(self.steps):
+                self._external[body] = self.layout.offsets.wrench_at_centre(
+                    body, self._schedule.total[body])
                 self._applied.append(AppliedWrench(
                     self.steps, self.layout.body_names[body],
                     tuple(self._schedule.total[body].tolist())))
@@ -195,7 +216,7 @@ class Simulation:
             done, status = advance(
                 self.layout.model, self._work, self.tableau.a, self.tableau.b.reshape(1, -1),
                 GROUPS[self.group], self.step, wanted, self._pose, self._twist,
-                self._schedule.total)
+                self._external)
             self.steps += done
             if status != OK:
                 raise SimulationError(self._explain(status), status & 0xff)
@@ -220,4 +241,4 @@ class Simulation:
 
     def sample(self):
         """The present state as a Sample."""
-        return self.layout.sample(self._pose, self._twist, self.time, self.time_ns, self.steps)
+        return Sample(self.layout, self.time, self.time_ns, self.steps, *self.state())

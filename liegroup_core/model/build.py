@@ -4,7 +4,7 @@ import numpy as np
 
 from ..dynamics.constraints import assemble
 from ..dynamics.saddle_point import factorise
-from ..scene.consistency import check_consistency, resolve_frames
+from ..scene.consistency import resolve_frames
 from .arrays import BODY, JOINT, SPRING_DAMPER, VERTEX, WORLD, Model, make_work
 from .linkage import child_rows
 from .redundancy import kept_rows
@@ -30,10 +30,10 @@ def initial_state(scene):
 def build_model(scene):
     """Model of a scene, and for each of its joints (scene joint, kept rows (k,)).
 
+    scene : consistent, its body frames at the centres of mass (scene.centres)
     Rows that depend on others for good are left out, and a joint without any is no joint.
-    raises SceneError: joints that do not close, velocities against them
+    raises SceneError for a linkage at a pose that it cannot leave
     """
-    check_consistency(scene)
     index = {body.name: i for i, body in enumerate(scene.bodies)} | {"world": WORLD}
     frames = resolve_frames(scene)
     jacobians = [child_rows(joint, child_frame)
