@@ -7,7 +7,7 @@ linkage's size, so that turns and shifts compare. Poses are {body: (4, 4)}, the 
 import numpy as np
 import scipy.linalg
 
-from ..joints.pairs import LOWER_PAIRS, position_residual
+from ..joints.elements import forbidden_rows, position_residual
 from ..lie.groups import SE3
 
 # Singular values of unit rows: a useful one is rarely below 1e-3. Where a linkage is stretched, a
@@ -18,11 +18,6 @@ ROUND_OFF = 4e-16
 MOST_ROUNDS = 50
 LARGEST_TURN = 1.0                          # rad in a round: a full step from afar leads anywhere
 MOST_HALVINGS = 8
-
-
-def child_rows(joint, child_frame):
-    """Rows A Ad(F_b^-1) (k, 6) of a joint on the child's side, in its body frame."""
-    return LOWER_PAIRS[joint.type].forbidden @ SE3.Ad(SE3.inverse(child_frame))
 
 
 def inverse(C):
@@ -42,16 +37,17 @@ def freedoms(matrix):
 class Linkage:
     """Some joints of a scene, and the bodies they hold.
 
-    frames    : (parent frame, child frame) of every joint of the scene, (4, 4) each
-    jacobians : (k, 6) rows on the child's side, in the child's body frame, of every joint
-    joints    : numbers of those that are looked at
-    held      : names of bodies that do not move
+    frames : (parent frame, child frame) of every joint of the scene, (4, 4) each
+    parts  : tuple of joints.elements.Element of every joint of the scene
+    joints : numbers of those that are looked at
+    held   : names of bodies that do not move
     """
 
-    def __init__(self, scene, frames, jacobians, joints, held=()):
+    def __init__(self, scene, frames, parts, joints, held=()):
         self.joints = [scene.joints[j] for j in joints]
         self.frames = [frames[j] for j in joints]
-        self.rows = [jacobians[j] for j in joints]
+        self.parts = [parts[j] for j in joints]
+        self.counts = [sum(len(part.forbidden) for part in elements) for elements in self.parts]
         names = {name for joint in self.joints for name in (joint.parent, joint.child)}
         self.start = {body.name: body.pose for body in scene.bodies} | {"world": np.eye(4)}
         self.bodies = [body.name for body in scene.bodies
@@ -60,13 +56,24 @@ class Linkage:
         offsets = [np.sum(frame[:3, 3] ** 2) for pair in self.frames for frame in pair]
         self.length = np.sqrt(np.mean(offsets or [0.0])) or 1.0
 
+    def relative(self, j, poses):
+        """C_rel of the j-th of the joints: pose of the child's joint frame in the parent's one."""
+        joint, (parent, child) = self.joints[j], self.frames[j]
+        return inverse(poses[joint.parent] @ parent) @ poses[joint.child] @ child
+
+    def joint_rows(self, j, poses):
+        """Rows (k, 6) of the j-th of the joints for the relative twist in the child's body frame."""
+        return forbidden_rows(self.parts[j], self.relative(j, poses)) @ SE3.Ad(
+            inverse(self.frames[j][1]))
+
     def velocity_rows(self, poses, rows=None):
         """Rows (rows, 6 bodies) for twists (omega, v) of the bodies.
 
         rows : (k, 6) for the twist of the child against the parent, in the child's body frame, of
                every joint; those of the joints themselves if left out
         """
-        rows = self.rows if rows is None else rows
+        if rows is None:
+            rows = [self.joint_rows(j, poses) for j in range(len(self.joints))]
         matrix = np.zeros((sum(len(part) for part in rows), 6 * len(self.bodies)))
         first = 0
         for joint, part in zip(self.joints, rows):
@@ -85,7 +92,8 @@ class Linkage:
         """Unit rows (rows, 6 bodies) for velocities (omega length, v)."""
         matrix = self.velocity_rows(poses)
         matrix.reshape(len(matrix), -1, 6)[:, :, :3] /= self.length
-        return matrix / np.linalg.norm(matrix, axis=1, keepdims=True)
+        sizes = np.linalg.norm(matrix, axis=1, keepdims=True)
+        return matrix / np.where(sizes > 0.0, sizes, 1.0)
 
     def residual(self, poses):
         """Position residuals of all joints, m and rad."""
@@ -93,21 +101,14 @@ class Linkage:
                                               for j in range(len(self.joints)))])
 
     def joint_residual(self, j, poses):
-        """Position residual (k,) of the j-th of the joints: its slope is that of the joint's rows.
-
-        `position_residual` is in axes of the parent's frame; in those of the child's frame, which
-        are the rows' own, it has the same size.
-        """
-        joint, (parent, child) = self.joints[j], self.frames[j]
-        relative = inverse(poses[joint.parent] @ parent) @ poses[joint.child] @ child
-        A = LOWER_PAIRS[joint.type].forbidden
-        coordinates = A.T @ position_residual(joint.type, relative)
-        return A @ (coordinates.reshape(2, 3) @ relative[:3, :3]).ravel()
+        """Position residual (k,) of the j-th of the joints; closed, its slope is that of its rows."""
+        return position_residual(self.parts[j], self.relative(j, poses))
 
     def gap(self, j, poses):
         """How far the j-th of the joints is open: m and rad."""
+        rows = forbidden_rows(self.parts[j], self.relative(j, poses))
+        angular = rows[:, :3].any(axis=1) & ~rows[:, 3:].any(axis=1)
         residual = self.joint_residual(j, poses)
-        angular = ~self.rows[j][:, 3:].any(axis=1)
         return np.linalg.norm(residual[~angular]), np.linalg.norm(residual[angular])
 
     def moved(self, poses, step):
@@ -170,15 +171,15 @@ class Linkage:
     def _differences(self, poses):
         """Differences of the residual by twists (omega, v) of the bodies."""
         step = 1e-6
-        matrix = np.zeros((sum(len(rows) for rows in self.rows), 6 * len(self.bodies)))
+        matrix = np.zeros((sum(self.counts), 6 * len(self.bodies)))
         first = 0
-        for j, (joint, rows) in enumerate(zip(self.joints, self.rows)):
+        for j, (joint, count) in enumerate(zip(self.joints, self.counts)):
             for name in {joint.parent, joint.child} & self.place.keys():
                 for c in range(6):
                     nudge = step * np.eye(6)[c] * (1.0 if c < 3 else self.length)
                     ahead, behind = (self.joint_residual(j, poses | {
                         name: poses[name] @ SE3.exp(sign * nudge)}) for sign in (1.0, -1.0))
-                    matrix[first:first + len(rows), self.place[name] + c] = (
+                    matrix[first:first + count, self.place[name] + c] = (
                         (ahead - behind) / (2.0 * np.abs(nudge).max()))
-            first += len(rows)
+            first += count
         return matrix

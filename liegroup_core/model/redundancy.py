@@ -52,20 +52,21 @@ def loop_joints(ends):
     return sorted(set().union(*touching.values())) if touching else []
 
 
-def kept_rows(scene, frames, jacobians):
+def kept_rows(scene, frames, parts):
     """Which rows of every joint to keep: list of (k,) bool.
 
-    frames    : (parent frame, child frame) of every joint, (4, 4) each
-    jacobians : (k, 6) rows on the child's side, in the child's body frame, of every joint
+    frames : (parent frame, child frame) of every joint, (4, 4) each
+    parts  : tuple of joints.elements.Element of every joint
     raises SceneError for a linkage at a pose that it cannot leave
     """
-    keep = [np.ones(len(rows), dtype=bool) for rows in jacobians]
+    keep = [np.ones(sum(len(part.forbidden) for part in elements), dtype=bool)
+            for elements in parts]
     loops = loop_joints([(joint.parent, joint.child) for joint in scene.joints])
     # Joints to ground first: on SE(3) these are kept exactly, so rows are left out elsewhere.
     loops.sort(key=lambda j: scene.joints[j].parent != "world")
     if not loops:
         return keep
-    linkage = Linkage(scene, frames, jacobians, loops)
+    linkage = Linkage(scene, frames, parts, loops)
     places = _generic_poses(linkage)
     matrices = [linkage.jacobian(poses) for poses in places]
     ranks = [np.linalg.matrix_rank(matrix, tol=RANK_TOLERANCE) for matrix in matrices]
@@ -73,7 +74,7 @@ def kept_rows(scene, frames, jacobians):
     if ranks[best] == len(matrices[best]):
         return keep
     chosen = _kept(matrices, ranks, [
-        scene.joints[j].parent == "world" for j in loops for _ in jacobians[j]])
+        scene.joints[j].parent == "world" for j in loops for _ in keep[j]])
     if not _moves_freely(linkage, places[best], matrices[best]):
         numbers = np.repeat(loops, [len(keep[j]) for j in loops])
         joint = int(numbers[np.argmin(chosen)])

@@ -19,9 +19,9 @@ import numpy as np
 
 from ..errors import SceneError
 from ..lie.groups import SE3, SO3
-from ..model.linkage import RANK_TOLERANCE, Linkage, child_rows
+from ..model.linkage import RANK_TOLERANCE, Linkage
 from .centres import Offsets, at_centres_of_mass
-from .consistency import check_consistency, resolve_frames
+from .consistency import check_consistency, resolve_elements, resolve_frames
 from .description import RATES, WORLD
 from .frames import ROTATIONS, Frame
 
@@ -40,15 +40,14 @@ def assembled(scene):
     rates = {j: joint.rate for j, joint in enumerate(scene.joints) if joint.rate is not None}
     scene = _with_joints_written_out(_with_bodies_placed(scene))
     centred = at_centres_of_mass(scene)
-    frames = resolve_frames(centred)
-    rows = [child_rows(joint, F_b) for joint, (_, F_b) in zip(centred.joints, frames)]
+    frames, parts = resolve_frames(centred), resolve_elements(centred)
     joints = range(len(centred.joints))
 
-    linkage = Linkage(centred, frames, rows, joints, {b.name for b in fixed if b.has_pose})
+    linkage = Linkage(centred, frames, parts, joints, {b.name for b in fixed if b.has_pose})
     poses = linkage.nearest(linkage.start)
     if not linkage.is_closed(poses):
         raise _open(linkage, poses)
-    linkage = Linkage(centred, frames, rows, joints)
+    linkage = Linkage(centred, frames, parts, joints)
     twists = _velocities(centred, linkage, poses, rates, {b.name for b in fixed if b.has_twist})
     return _with_start(scene, centred, linkage.length, poses, twists)
 
@@ -116,7 +115,7 @@ def _velocities(scene, linkage, poses, rates, fixed):
         joint, (_, F_b) = scene.joints[j], linkage.frames[j]
         rate_rows[j] = SE3.Ad(SE3.inverse(F_b))[RATES[joint.type]][None]
     J = np.vstack([linkage.velocity_rows(poses), linkage.velocity_rows(poses, rate_rows)])
-    owner = [j for j, rows in enumerate(linkage.rows) for _ in rows] + list(rates)
+    owner = [*np.repeat(range(len(scene.joints)), linkage.counts), *rates]
     wanted = np.zeros(len(J))
     wanted[len(J) - len(rates):] = list(rates.values())
     V = np.concatenate([given[name] for name in linkage.bodies])
@@ -188,7 +187,7 @@ def _open(linkage, poses):
 
 def _contradiction(scene, J, owner, miss):
     """SceneError for the joint whose velocity misses most."""
-    j = owner[int(np.argmax(np.abs(miss)))]
+    j = int(owner[int(np.argmax(np.abs(miss)))])
     turning = ~J.reshape(len(J), -1, 6)[:, :, 3:].any(axis=(1, 2))
     slip, turn = (max((abs(x) for x, i, t in zip(miss, owner, turning) if i == j and t == kind),
                       default=0.0) for kind in (False, True))

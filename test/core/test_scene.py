@@ -14,14 +14,15 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import mechanisms
 from liegroup_core.errors import SceneError
-from liegroup_core.scene import (Body, Frame, Joint, Scene, SpringDamper, find_scene, load_scene,
-                                 scene_from_text)
+from liegroup_core.scene import (Body, DistanceJoint, Frame, Joint, Scene, ScrewJoint,
+                                 SpringDamper, find_scene, load_scene, scene_from_text)
 from liegroup_core.scene import load as load_module
 from liegroup_core.scene.description import FORCES, JOINTS
 from liegroup_core.scene.shapes import SHAPES
 from liegroup_core.scene.values import Described
-from scene_files import ROOT, SCENES, unknown_kinds, with_known_kinds
+from scene_files import ROOT, SCENES, each_scene
 
 GOOD = (Path(__file__).parent / "rig.yaml").read_text(encoding="utf-8")
 PARSERS = sorted({yaml.SafeLoader, getattr(yaml, "CSafeLoader", yaml.SafeLoader)},
@@ -36,7 +37,7 @@ def parser(request, monkeypatch):
 
 # ---------------------------------------------------------------- good scenes
 
-@pytest.mark.parametrize("path", with_known_kinds())
+@each_scene
 def test_every_scene_that_comes_along_loads(path):
     scene = load_scene(path)
     assert scene.name == path.stem
@@ -45,7 +46,7 @@ def test_every_scene_that_comes_along_loads(path):
     assert scene.text == path.read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
+@each_scene
 def test_every_value_in_a_scene_that_comes_along_is_commented(path):
     lines = path.read_text(encoding="utf-8").splitlines()
     for number, line in enumerate(lines):
@@ -187,7 +188,7 @@ def test_a_byte_order_mark_and_windows_line_ends_are_read(parser, tmp_path):
 def test_scenes_are_found_by_name():
     for path in SCENES:
         assert find_scene(path.stem).read_bytes() == path.read_bytes()
-        assert unknown_kinds(path) or load_scene(path.stem).name == path.stem
+        assert load_scene(path.stem).name == path.stem
     with pytest.raises(SceneError) as caught:
         find_scene("heavytop")
     assert 'did you mean "heavy_top"?' in str(caught.value)
@@ -261,13 +262,29 @@ def test_a_scene_is_made_in_code():
     assert pickle.loads(pickle.dumps(again)).text == scene.text
 
 
+def test_every_kind_of_joint_survives_as_text():
+    for name in ("every kind", "screw to ground", "distance to ground"):
+        scene = mechanisms.named(name)
+        again = scene_from_text(scene.text)
+        assert again.joints == scene.joints
+        assert [type(joint) for joint in again.joints] == [type(joint) for joint in scene.joints]
+
+
 @pytest.mark.parametrize("make, message", [
     (lambda: Body(name="top", mass=-1, inertia=[1, 1, 1]),
      'Body "top": mass must be greater than 0, got -1'),
     (lambda: Body(mass=1, inertia=[1, 1, 1]), "Body: name is missing: give the name: a letter,"),
     (lambda: Frame(axis=[0, 0, 0]), "Frame: axis must not be zero"),
     (lambda: Joint(name="j", type="hinge", parent="world", child="a", child_frame=Frame()),
-     "Joint \"j\": type must be 'spherical' or 'revolute', got 'hinge'"),
+     "Joint \"j\": type must be 'spherical', 'revolute', 'prismatic', 'cylindrical', 'planar', "
+     "'fixed' or 'universal', got 'hinge'"),
+    (lambda: ScrewJoint(name="j", parent="world", child="a", child_frame=Frame()),
+     'ScrewJoint "j": pitch is missing: give the way along z in m for every radian'),
+    (lambda: DistanceJoint(name="j", parent="world", child="a", child_frame=Frame()),
+     'DistanceJoint "j": parent_frame is missing: give the frame'),
+    (lambda: DistanceJoint(name="j", parent="world", child="a", child_frame=Frame(),
+                           parent_frame=Frame(), length=0),
+     'DistanceJoint "j": length must be greater than 0, got 0'),
     (lambda: Joint(name="j", type="revolute", parent="world", child="a"),
      'Joint "j": parent_frame or child_frame is missing'),
     (lambda: SpringDamper(name="s", parent="a", child="b", stiffness=1),

@@ -6,14 +6,14 @@ import pytest
 from liegroup_core import Simulation, load_scene
 from liegroup_core.scene import check_consistency
 from liegroup_core.scene.library import chain, four_bar_windows
-from scene_files import with_known_kinds
+from scene_files import each_scene
 
 # Steps for which the error of order 4 of each scene is small, s; the rest take 1 ms.
 STEPS = {"four_bar": 1e-4, "lagrangian_top": 2e-4, "andrews_squeezer": 2e-6,
          "flyball_governor": 5e-5}
 
 
-@pytest.mark.parametrize("path", with_known_kinds())
+@each_scene
 def test_a_scene_builds_and_keeps_its_joints_and_its_energy(path):
     scene = load_scene(path)
     check_consistency(scene)

@@ -11,7 +11,7 @@ from liegroup_core.scene.description import FORCES, JOINTS
 from liegroup_core.scene.load import _read
 from liegroup_core.scene.schema import scene_schema, scene_schema_text
 from liegroup_core.scene.shapes import SHAPES
-from scene_files import ROOT, with_known_kinds
+from scene_files import ROOT, each_scene
 
 GOOD = (ROOT / "test" / "core" / "rig.yaml").read_text(encoding="utf-8")
 VALIDATOR = jsonschema.Draft202012Validator(scene_schema())
@@ -30,7 +30,7 @@ def test_the_schema_is_one():
     jsonschema.Draft202012Validator.check_schema(json.loads(scene_schema_text()))
 
 
-@pytest.mark.parametrize("path", with_known_kinds())
+@each_scene
 def test_every_scene_that_comes_along_validates(path):
     values = _read(path.read_text(encoding="utf-8"), str(path)).value
     assert [error.message for error in VALIDATOR.iter_errors(values)] == []
