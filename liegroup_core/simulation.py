@@ -20,6 +20,8 @@ from .integrators.status import (DEPENDENT_ROWS, LARGE_ROTATION, MESSAGES, OK,
 from .model.arrays import Model
 from .model.build import build_model, initial_state
 from .model.sample import Sample
+from .scene.assembly import ready
+from .scene.centres import Offsets
 from .scene.description import Scene
 from .wrenches import NEVER, AppliedWrench, WrenchSchedule
 
@@ -28,11 +30,17 @@ log = logging.getLogger("liegroup_core")
 
 @dataclass(frozen=True)
 class Layout:
-    """The names behind a model's indices."""
+    """The names behind a model's indices, and the frames behind its numbers.
 
-    scene: Scene
+    The model's frames, and those of a state, sit at the centres of mass; those of a Sample and of
+    an applied wrench are the body frames of the scene.
+    """
+
+    scene: Scene                            # as its author wrote it, but assembled
+    centred: Scene                          # the same with its frames at the centres of mass
+    offsets: Offsets                        # between the two
     model: Model
-    joint_frames: tuple                     # (parent frame, child frame) in the scene's order
+    joint_frames: tuple                     # (parent frame, child frame) of the joints of `centred`
     owners: tuple                           # scene joint of each element of the model
     row_names: tuple                        # names of the rows of each element
     kept_rows: tuple                        # numbers of the rows of each element that are solved for
@@ -55,13 +63,14 @@ class Layout:
                 for r, name in enumerate(names) if r not in kept]
 
     def sample(self, pose, twist, time=0.0, time_ns=0, steps=0, near=None):
-        """Sample of a given state: pose (n, 12), twist (n, 6).
+        """Sample of body frames as in a Sample or a recording: pose (n, 12), twist (n, 6).
 
         near : (k,) rad, angles of the torsional springs a little before, `Sample.angles`; a pose
                does not tell whole turns. None: no joint has turned more than half a turn
         """
         near = None if near is None else np.array(near)
-        return Sample(self, time, time_ns, steps, np.array(pose), np.array(twist), near)
+        pose, twist = self.offsets.to_centres(np.array(pose), np.array(twist))
+        return Sample(self, time, time_ns, steps, pose, twist, near)
 
     def angles(self, pose, near=None):
         """Angles (k,) of the torsional springs at a pose (n, 12), rad; near: as in `sample`."""
@@ -76,7 +85,8 @@ class Layout:
 def make_layout(scene):
     """Build the model of a scene. Raises SceneError."""
     try:
-        return Layout(scene, *build_model(scene))
+        described, centred = ready(scene)
+        return Layout(described, centred, Offsets(described), *build_model(centred))
     except SceneError as error:
         raise scene.located(error) from None
 
@@ -152,12 +162,13 @@ class Simulation:
 
     def reset(self):
         """Back to the initial state of the scene, at step 0, without wrenches."""
-        pose, twist = initial_state(self.scene)
+        pose, twist = initial_state(self.layout.centred)
         self.set_state(pose, twist)
 
     def set_state(self, pose, twist, steps=0, angles=None):
         """Continue from a state: pose (n, 12), twist (n, 6), at a step count.
 
+        The state is the integrator's own, as `state()` gives it: frames at the centres of mass.
         angles : (k,) rad, `Sample.angles` of the state: how often torsional springs are wound,
                  which a pose does not tell. None: less than half a turn, as at the start of a scene
         Ends what `apply_wrench` does. The wrenches of the scene follow the step count.
@@ -175,11 +186,16 @@ class Simulation:
         self._work.angle[:] = self.layout.angles(pose, angles)
         self._pose, self._twist, self.steps = pose, twist, int(steps)
         self._schedule = WrenchSchedule(n)
+        self._external = np.zeros((n, 6))   # the same about the centres of mass
         self._applied = []
         self._integrator.restart()
 
     def state(self):
-        """Copies of pose (n, 12) and twist (n, 6)."""
+        """Copies of pose (n, 12) and twist (n, 6): what the integrator goes on from, to the bit.
+
+        They are of frames with the axes of the body frames and their origins at the centres of
+        mass: not those of `sample()` where a body of the scene has a `com` or an offset shape.
+        """
         return self._pose.copy(), self._twist.copy()
 
     @property
@@ -265,6 +281,8 @@ class Simulation:
         end = self.steps + steps
         while True:
             for body in self._schedule.update(self.steps):
+                self._external[body] = self.layout.offsets.wrench_at_centre(
+                    body, self._schedule.total[body])
                 self._applied.append(AppliedWrench(
                     self.steps, self.layout.body_names[body],
                     tuple(self._schedule.total[body].tolist())))
@@ -306,7 +324,7 @@ class Simulation:
     def _integrate(self, h, acting, steps):
         """Take steps of size h while the wrenches `acting` of the scene act: see `integrators`."""
         self._work.acting[:] = acting
-        return self._integrator.advance(h, steps, self._pose, self._twist, self._schedule.total)
+        return self._integrator.advance(h, steps, self._pose, self._twist, self._external)
 
     def _joint_name(self, joint):
         """Name of the scene's joint behind a joint of the model."""
@@ -325,8 +343,8 @@ class Simulation:
 
     def sample(self):
         """The present state as a Sample."""
-        return self.layout.sample(self._pose, self._twist, self.time, self.time_ns, self.steps,
-                                  self._work.angle)
+        return Sample(self.layout, self.time, self.time_ns, self.steps, *self.state(),
+                      self._work.angle.copy())
 
     def energy(self):
         """Kinetic energy plus potential energy of gravity and springs at the present state, J."""

@@ -35,6 +35,8 @@ from ..forces import gravity, kinds
 from ..joints.elements import PAIR
 from ..lie.groups import SE3
 from ..model.build import build_model
+from ..scene.assembly import ready
+from ..scene.centres import Offsets
 from ..scene.consistency import resolve_elements, resolve_frames
 from ..scene.description import WORLD
 
@@ -74,6 +76,7 @@ def conserved_momentum(scene):
     Raises SceneError for a scene that cannot be simulated.
     Shown by test/core/test_symmetry.py, with counterexamples, along independent integrations.
     """
+    _, scene = ready(scene)
     model, *_ = build_model(scene)
     frames = resolve_frames(scene)
     forbidden = _forbidden(scene)
@@ -99,9 +102,12 @@ def momentum_values(scene, kept, rotation, position, twist):
     """Values of the kept components of one group along a motion.
 
     kept     : KeptMomentum
-    rotation : (k, n, 3, 3), position (k, n, 3) m, twist (k, n, 6) body-fixed, all n bodies
+    rotation : (k, n, 3, 3), position (k, n, 3) m, twist (k, n, 6) of the body frames, all n bodies
     returns (k, components), N m s or N s
     """
+    pose = np.concatenate([rotation.reshape(*rotation.shape[:2], 9), position], axis=2)
+    pose, twist = Offsets(scene).to_centres(pose, twist)
+    position = pose[..., 9:]
     index = [i for i, body in enumerate(scene.bodies) if body.name in kept.bodies]
     mass = np.array([scene.bodies[i].mass for i in index])
     inertia = np.array([scene.bodies[i].inertia_matrix for i in index])

@@ -7,7 +7,7 @@ from ..dynamics.saddle_point import factorise
 from ..forces.kinds import make_forces
 from ..joints.elements import DISTANCE, PAIR, PERPENDICULAR
 from ..lie.groups import SE3
-from ..scene.consistency import check_consistency, resolve_elements, resolve_frames
+from ..scene.consistency import resolve_elements, resolve_frames
 from .arrays import BODY, ELEMENT, JOINT, VERTEX, WORLD, Model, make_work
 from .redundancy import kept_rows
 from .sparsity import block_layout, elimination_order
@@ -32,12 +32,12 @@ def initial_state(scene):
 def build_model(scene):
     """Model of a scene and the names behind it, as in simulation.Layout.
 
+    scene : consistent, its body frames at the centres of mass (scene.centres)
     returns (model, frames, owners, row_names, kept): the frames of every joint, then for each
     element of the model its scene joint, the names of its rows, and the rows that are solved for.
     Rows that depend on others for good are left out, and an element without any is no joint.
-    raises SceneError: joints that do not close, velocities against them
+    raises SceneError for a linkage at a pose that it cannot leave
     """
-    check_consistency(scene)
     index = {body.name: i for i, body in enumerate(scene.bodies)} | {"world": WORLD}
     frames = resolve_frames(scene)
     parts = resolve_elements(scene)

@@ -6,6 +6,12 @@ others is judged at generic poses: the mechanism is moved along its own freedoms
 so that a start in a singular pose is not taken for redundancy, and an overconstrained linkage
 loses the right rows. A tree of joints has no redundant row and is not looked at.
 
+Left out must be rows that can be spared at every pose. With the combinations of rows that vanish,
+U^T J = 0, U with orthonormal columns, the rows D can be spared where the square block U_D is
+regular, and its least singular value says how well. Bricard's linkage has rows whose entry of U
+changes its sign on the way: without such a row the rest loses its rank there, although the linkage
+does nothing special. So the linkage is moved far, and the rows are taken whose block stays best.
+
 Dropping is not the same as solving with a pseudo-inverse: its cut-off, met once by round-off, turns
 the dependent row into a constraint with a wrong right-hand side and destroys the solution while
 every residual looks perfect.
@@ -13,15 +19,14 @@ every residual looks perfect.
 import numpy as np
 
 from ..errors import SceneError
-from ..joints.elements import forbidden_rows, position_residual
 from ..lie.groups import SE3
+from .linkage import RANK_TOLERANCE, Linkage, freedoms
 
-# Singular values of unit rows: a useful one is rarely below 1e-3. Where a linkage is stretched, a gap
-# of CLOSED leaves sqrt(CLOSED) = 1e-6 in place of zero.
-RANK_TOLERANCE = 3e-5
-CLOSED = 1e-12
-GENERIC_POSES = 3
 TURN = 0.3                                  # rad (or characteristic lengths) between these poses
+MOST_POSES, LEAST_POSES = 40, 3             # 40 turns of 0.3 rad lead a crank twice around
+POSES_WORK = 2e8                            # bound on poses times rows cubed: about a second
+# The first rows found to depend are left out unless others are this many times as good.
+MUCH_BETTER = 2.0
 
 
 def loop_joints(ends):
@@ -57,19 +62,20 @@ def kept_rows(scene, frames, parts):
     keep = [np.ones(sum(len(part.forbidden) for part in elements), dtype=bool)
             for elements in parts]
     loops = loop_joints([(joint.parent, joint.child) for joint in scene.joints])
-    # Joints to ground first: on SE(3) these are kept exactly, so rows are dropped elsewhere.
+    # Joints to ground first: on SE(3) these are kept exactly, so rows are left out elsewhere.
     loops.sort(key=lambda j: scene.joints[j].parent != "world")
     if not loops:
         return keep
-    linkage = _Linkage(scene, frames, parts, loops)
-    places = linkage.generic_poses()
+    linkage = Linkage(scene, frames, parts, loops)
+    places = _generic_poses(linkage)
     matrices = [linkage.jacobian(poses) for poses in places]
     ranks = [np.linalg.matrix_rank(matrix, tol=RANK_TOLERANCE) for matrix in matrices]
     best = int(np.argmax(ranks))
     if ranks[best] == len(matrices[best]):
         return keep
-    chosen = _independent(matrices[best])
-    if not linkage.moves_freely(places[best], matrices[best]):
+    chosen = _kept(matrices, ranks, [
+        scene.joints[j].parent == "world" for j in loops for _ in keep[j]])
+    if not _moves_freely(linkage, places[best], matrices[best]):
         numbers = np.repeat(loops, [len(keep[j]) for j in loops])
         joint = int(numbers[np.argmin(chosen)])
         raise SceneError(
@@ -81,6 +87,41 @@ def kept_rows(scene, frames, parts):
         keep[j][:] = chosen[at:at + len(keep[j])]
         at += len(keep[j])
     return keep
+
+
+def _kept(matrices, ranks, grounded):
+    """Mask of the rows to keep.
+
+    matrices : Jacobians at generic poses, unit rows; ranks : theirs
+    grounded : of each row, whether it is of a joint to ground, which is rather kept whole
+    """
+    rank = max(ranks)
+    vanishing = [np.linalg.svd(matrix)[0][:, rank:]
+                 for matrix, found in zip(matrices, ranks) if found == rank]
+    first = np.flatnonzero(~_independent(matrices[int(np.argmax(ranks))]))
+    weight = np.where(grounded, 1.0 / MUCH_BETTER, 1.0)
+    best = _spared(vanishing, weight)
+    better = _quality(best, vanishing) > MUCH_BETTER * _quality(first, vanishing)
+    mask = np.ones(len(grounded), dtype=bool)
+    mask[best if better else first] = False
+    return mask
+
+
+def _quality(rows, vanishing):
+    """How well these rows can be spared where it is worst: 1 at best, 0 not at all."""
+    return min(np.linalg.svd(U[rows], compute_uv=False)[-1] for U in vanishing)
+
+
+def _spared(vanishing, weight):
+    """Rows that can be spared at all poses: one by one that with the largest least remainder."""
+    rest, rows = [U.copy() for U in vanishing], []
+    for _ in range(rest[0].shape[1]):
+        row = int(np.argmax(weight * np.min([np.linalg.norm(U, axis=1) for U in rest], axis=0)))
+        for U in rest:
+            direction = U[row] / (np.linalg.norm(U[row]) or 1.0)
+            U -= np.outer(U @ direction, direction)
+        rows.append(row)
+    return np.array(rows)
 
 
 def _independent(rows):
@@ -97,107 +138,44 @@ def _independent(rows):
     return mask
 
 
-class _Linkage:
-    """The closed part of a scene as dense matrices, lengths in units of its size."""
-
-    def __init__(self, scene, frames, parts, loops):
-        self.joints = [scene.joints[j] for j in loops]
-        self.frames = [frames[j] for j in loops]
-        self.parts = [parts[j] for j in loops]
-        names = {name for joint in self.joints for name in (joint.parent, joint.child)}
-        self.bodies = [body.name for body in scene.bodies if body.name in names]
-        self.start = {body.name: body.pose for body in scene.bodies if body.name in names}
-        offsets = [frame[:3, 3] for pair in self.frames for frame in pair]
-        self.length = np.sqrt(np.mean(np.square(offsets).sum(axis=1))) or 1.0
-
-    def _relative(self, poses):
-        """(joint, elements, child frame, C_rel, C_ba) of every joint at these poses."""
-        poses = {**poses, "world": np.eye(4)}
-        for joint, elements, (parent, child) in zip(self.joints, self.parts, self.frames):
-            between = np.linalg.inv(poses[joint.child]) @ poses[joint.parent]
-            yield joint, elements, child, np.linalg.inv(between @ parent) @ child, between
-
-    def jacobian(self, poses):
-        """Unit rows (rows, 6 bodies) for velocities (omega length, v)."""
-        blocks = []
-        for joint, elements, child, relative, between in self._relative(poses):
-            rows = forbidden_rows(elements, relative) @ SE3.Ad(np.linalg.inv(child))
-            block = np.zeros((len(rows), 6 * len(self.bodies)))
-            at = 6 * self.bodies.index(joint.child)
-            block[:, at:at + 6] = rows
-            if joint.parent != "world":
-                at = 6 * self.bodies.index(joint.parent)
-                block[:, at:at + 6] = -rows @ SE3.Ad(between)
-            blocks.append(block)
-        matrix = np.concatenate(blocks)
-        matrix.reshape(len(matrix), -1, 6)[:, :, :3] /= self.length
-        return matrix / np.linalg.norm(matrix, axis=1, keepdims=True)
-
-    def residual(self, poses):
-        """Position residuals of all joints, m and rad."""
-        return np.concatenate([position_residual(elements, relative)
-                               for _, elements, _, relative, _ in self._relative(poses)])
-
-    def moved(self, poses, step):
-        """Poses moved along body twists; step (6 bodies,) as (omega length, v)."""
-        step = step.reshape(-1, 6) / np.array([self.length] * 3 + [1.0] * 3)
-        return {name: poses[name] @ SE3.exp(twist) for name, twist in zip(self.bodies, step)}
-
-    def closed(self, poses):
-        """The nearest closed poses (Newton on the group, least squares), or None."""
-        for _ in range(30):
-            gap = self.residual(poses)
-            if np.abs(gap).max() <= CLOSED * max(1.0, self.length):
-                return poses
-            poses = self.moved(poses, -np.linalg.lstsq(
-                self._plain_jacobian(poses), gap, rcond=RANK_TOLERANCE)[0])
-        return None
-
-    def _plain_jacobian(self, poses):
-        """Differences of the residual: the residual's own axes, whatever they are."""
-        count = 6 * len(self.bodies)
-        step = 1e-6 * self.length
-        return np.array([
-            (self.residual(self.moved(poses, step * unit))
-             - self.residual(self.moved(poses, -step * unit))) / (2 * step)
-            for unit in np.eye(count)]).T
-
-    def freedoms(self, matrix):
-        """Directions (f, 6 bodies) that a Jacobian leaves free."""
-        _, sizes, directions = np.linalg.svd(matrix)
-        return directions[int((sizes > RANK_TOLERANCE).sum()):]
-
-    def generic_poses(self):
-        """The start, and poses that the linkage can move to, each away from the last."""
-        rng = np.random.default_rng(1)
-        places = [self.start]
-        for _ in range(GENERIC_POSES):
-            free = self.freedoms(self.jacobian(places[-1]))
-            if len(free) == 0:
+def _generic_poses(linkage):
+    """The start, and poses that the linkage can move to, each further on than the last."""
+    rng = np.random.default_rng(1)
+    places, last = [linkage.start], None
+    matrix = linkage.jacobian(linkage.start)
+    count = int(np.clip(POSES_WORK / len(matrix) ** 3, LEAST_POSES, MOST_POSES))
+    for _ in range(count):
+        free = freedoms(matrix)
+        if len(free) == 0:
+            break
+        move = rng.normal(size=len(free)) @ free
+        if last is not None:                    # on along the way, and a little aside
+            move *= 0.5 * np.linalg.norm(last) / np.linalg.norm(move)
+            move += free.T @ (free @ last)
+        move *= TURN * linkage.length / np.abs(move).max()
+        for halving in range(6):
+            closed = linkage.closed(linkage.moved(places[-1], move / 2 ** halving))
+            if closed is not None:
+                places.append(closed)
+                matrix, last = linkage.jacobian(closed), move
                 break
-            move = rng.normal(size=len(free)) @ free
-            move *= TURN * self.length / np.abs(move).max()
-            for halving in range(6):
-                closed = self.closed(self.moved(places[-1], move / 2 ** halving))
-                if closed is not None:
-                    places.append(closed)
-                    break
-        return places
+    return places
 
-    def moves_freely(self, poses, matrix):
-        """True when every freedom of the Jacobian is one of the linkage, not of first order only.
 
-        A real freedom is closed by a correction that shrinks with the square of the step; a
-        stretched linkage is pulled back by all of it.
-        """
-        step = 0.01 * self.length
-        for free in self.freedoms(matrix):
-            moved = self.moved(poses, step * free)
-            closed = self.closed(moved)
-            if closed is None:
-                return False
-            back = np.concatenate([SE3.log(np.linalg.inv(moved[name]) @ closed[name])
-                                   * ([self.length] * 3 + [1.0] * 3) for name in self.bodies])
-            if np.linalg.norm(back) > 0.3 * step:
-                return False
-        return True
+def _moves_freely(linkage, poses, matrix):
+    """True when every freedom of the Jacobian is one of the linkage, not of first order only.
+
+    A real freedom is closed by a correction that shrinks with the square of the step; a
+    stretched linkage is pulled back by all of it.
+    """
+    step = 0.01 * linkage.length
+    for free in freedoms(matrix):
+        moved = linkage.moved(poses, step * free)
+        closed = linkage.closed(moved)
+        if closed is None:
+            return False
+        back = np.concatenate([SE3.log(np.linalg.inv(moved[name]) @ closed[name])
+                               * ([linkage.length] * 3 + [1.0] * 3) for name in linkage.bodies])
+        if np.linalg.norm(back) > 0.3 * step:
+            return False
+    return True

@@ -14,17 +14,22 @@ from ..lie.so3 import so3_to_quaternion
 class Sample:
     """State of a mechanism at one instant.
 
+    layout : Layout of its scene
     time, time_ns, steps : s, ns, and number of steps since the start or the last reset
     pose  : (n, 12) per body R row by row, then r in m; body frame -> world
     twist : (n, 6) per body omega rad/s, v m/s; body axes, v of the frame's origin
+    It is made from the pose and twist of the frames at the centres of mass; what it has is of the
+    body frames of the scene.
     What follows from these is computed when it is asked for, and once.
     """
 
     def __init__(self, layout, time, time_ns, steps, pose, twist, near):
         self._layout, self._near = layout, near
         self.time, self.time_ns, self.steps = time, time_ns, steps
-        self.pose, self.twist = pose, twist
-        pose.flags.writeable = twist.flags.writeable = False
+        self._state = pose, twist
+        self.pose, self.twist = layout.offsets.to_bodies(pose, twist)
+        for array in (pose, twist, self.pose, self.twist):
+            array.flags.writeable = False
 
     @property
     def body_names(self):
@@ -67,12 +72,12 @@ class Sample:
     @cached_property
     def angles(self):
         """(k,) angle of each torsional spring in the order of the scene, over many turns, rad."""
-        return self._layout.angles(self.pose, self._near)
+        return self._layout.angles(self._state[0], self._near)
 
     @cached_property
     def energy(self):
         """Kinetic energy plus potential energy of gravity and springs, J."""
-        return invariants.energy(self._layout.model, self.angles, self.pose, self.twist)
+        return invariants.energy(self._layout.model, self.angles, *self._state)
 
     @cached_property
     def power(self):
@@ -81,20 +86,20 @@ class Sample:
         forces = self._layout.model.forces
         # A wrench that starts at this very time acts, whichever way the time was rounded.
         acting = acting_at(forces.applied_wrench, self.time * (1.0 + ROUNDING))
-        return kinds.power(forces, acting, self.pose, self.twist)
+        return kinds.power(forces, acting, *self._state)
 
     @cached_property
     def spatial_momentum(self):
         """(6,) angular momentum about the world origin, then linear momentum; world axes."""
         return np.concatenate(
-            invariants.spatial_momentum(self._layout.model, self.pose, self.twist))
+            invariants.spatial_momentum(self._layout.model, *self._state))
 
     @cached_property
     def joint_residuals(self):
         """{joint: norm of its position residual}, m and rad."""
         model, joints = self._layout.model, self._layout.scene.joints
         residual = np.zeros(len(self._layout.joint_of_row))
-        position_residuals(model, self.pose, residual)
+        position_residuals(model, self._state[0], residual)
         squares = np.bincount(self._layout.joint_of_row, residual ** 2, len(joints))
         return {joint.name: float(norm) for joint, norm in zip(joints, np.sqrt(squares))}
 

@@ -8,6 +8,8 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from ..errors import SimulationError
+from ..scene.assembly import assembled
+from ..scene.centres import Offsets, at_centres_of_mass
 from ..scene.consistency import resolve_frames
 from .rigid_body_dae import GROUND, JOINT_ROWS, STATE, System, rate
 
@@ -22,11 +24,11 @@ class WrenchChange(NamedTuple):
 
     time: float             # s
     body: str
-    wrench: tuple           # (6,) torque N m, force N; body axes, about the centre of mass
+    wrench: tuple           # (6,) torque N m, force N; body axes, about the body frame's origin
 
 
 class Trajectory(NamedTuple):
-    """Motion of n bodies at k times."""
+    """Motion of the frames of n bodies at k times."""
 
     times: np.ndarray       # (k,) s
     rotation: np.ndarray    # (k, n, 3, 3) body -> world
@@ -61,7 +63,8 @@ def integrate(scene, pose, twist, times, changes=(), start=0.0, rtol=TIGHT):
     """Motion from a state at `start`, with steps that end exactly where a wrench changes.
 
     scene   : Scene
-    pose    : (n, 12) R row by row (body -> world), then r in m, at `start`
+    pose    : (n, 12) R row by row (body -> world), then r in m, at `start`; like the twist of the
+              frames at the centres of mass, as Simulation.state has them
     twist   : (n, 6) body-fixed, at `start`
     times   : (k,) s, increasing, not before `start`
     changes : WrenchChange in the order of their times; before the first one nothing acts
@@ -74,17 +77,21 @@ def integrate(scene, pose, twist, times, changes=(), start=0.0, rtol=TIGHT):
     times = np.asarray(times, dtype=float)
     if len(times) and (times[0] < start or np.any(np.diff(times) < 0.0)):
         raise ValueError("times must increase and not lie before start")
-    system = build_system(scene)
+    scene = assembled(scene)
+    system, offsets = build_system(at_centres_of_mass(scene)), Offsets(scene)
     state = _to_state(np.asarray(pose, dtype=float), np.asarray(twist, dtype=float))
-    pieces = _pieces(scene, times, changes, start)
-    tight = _to_trajectory(times, _run(system, state, times, pieces, rtol))
-    loose = _to_trajectory(times, _run(system, state, times, pieces, LOOSER * rtol))
+    pieces = _pieces(scene, offsets, times, changes, start)
+    tight, loose = (_at_bodies(offsets, _to_trajectory(times, _run(
+        system, state, times, pieces, tolerance))) for tolerance in (rtol, LOOSER * rtol))
     apart = distance(tight, loose)
     return tight, Distance(*(np.maximum.accumulate(part, axis=0) for part in apart))
 
 
 def build_system(scene):
-    """Arrays of a scene. Raises SimulationError for a joint or force without equations here."""
+    """Arrays of a scene with its body frames at the centres of mass.
+
+    Raises SimulationError for a joint or force without equations here.
+    """
     index = {body.name: i for i, body in enumerate(scene.bodies)} | {"world": GROUND}
     for entry, known in [(j, JOINT_ROWS) for j in scene.joints] + [
             (f, ("spring_damper",)) for f in scene.forces]:
@@ -117,8 +124,8 @@ def _table(rows, shape, kind=float):
     return np.array(rows, dtype=kind).reshape((len(rows), *shape))
 
 
-def _pieces(scene, times, changes, start):
-    """(from, to, wrenches (n, 6)) of each interval with constant wrenches."""
+def _pieces(scene, offsets, times, changes, start):
+    """(from, to, wrenches (n, 6) at the centres of mass) of each interval with constant ones."""
     index = {body.name: i for i, body in enumerate(scene.bodies)}
     end = times[-1] if len(times) else start
     wrench = np.zeros((len(scene.bodies), 6))
@@ -130,7 +137,8 @@ def _pieces(scene, times, changes, start):
         if change.time > since:
             pieces.append((since, change.time, wrench.copy()))
             since = change.time
-        wrench[index[change.body]] = change.wrench
+        body = index[change.body]
+        wrench[body] = offsets.wrench_at_centre(body, change.wrench)
     if end > since:
         pieces.append((since, end, wrench))
     return pieces
@@ -179,6 +187,14 @@ def _to_state(pose, twist):
     state[:, 7:10] = turn.apply(twist[:, 3:])
     state[:, 10:13] = twist[:, :3]
     return state.ravel()
+
+
+def _at_bodies(offsets, motion):
+    """The motion of the body frames from that of the frames at the centres of mass."""
+    k, n = motion.position.shape[:2]
+    pose = np.concatenate([motion.rotation.reshape(k, n, 9), motion.position], axis=2)
+    pose, twist = offsets.to_bodies(pose, motion.twist)
+    return motion._replace(position=pose[..., 9:], twist=twist)
 
 
 def _to_trajectory(times, states):

@@ -1,17 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a scene says: bodies, joints and forces, as frozen models that check themselves.
 
-SI units, angles in radians. The world frame is `world`; a body frame sits at the body's centre of
-mass. Rotations turn body components into world components; quaternions are x, y, z, w. Twists are
-(omega, v), angular first, in the axes of the body frame and about its origin.
+SI units, angles in radians. The world frame is `world`; a body frame is fixed to the body, its
+centre of mass at `com` in it. Rotations turn body components into world components; quaternions
+are x, y, z, w. Twists are (omega, v), angular first, in the axes of the body frame and about its
+origin.
 
 A model made from wrong values raises `SceneError`. A new kind of joint or force is one class with
 a `type` (those of forces are in forces.py), and its entry in `JOINTS` or `FORCES`.
 """
 
-import math
-from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Union, get_args
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import yaml
@@ -19,79 +18,34 @@ from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
 
 from ..errors import SceneError
 from ..joints.elements import PLAIN_JOINTS
-from ..joints.pairs import rotation_z_to
-from ..lie.groups import SO3
 from .forces import (ConstantWrench, Drag, LinearMotor, LinearSpringDamper, Motor, SpringDamper,
                      TorsionalSpringDamper)
-from .values import (Described, Direction, Inertia, Name, Number, Positive, Quaternion,
-                     RotationVector, Text, Vector3, inertia_matrix, listed, suggestion)
+from .frames import ROTATIONS, Frame, Placed
+from .shapes import SHAPES
+from .values import (Described, Flag, Inertia, Name, Number, Positive, Quaternion, RotationVector,
+                     Text, Vector3, inertia_matrix, listed, one_of, suggestion)
 
 WORLD = "world"
+# Joints whose motion has one rate: which coordinate of the relative twist it is, the turn about z
+# or, where there is none, the slide along z. Angular first, axes of the child's joint frame.
+RATES = {"revolute": 2, "cylindrical": 2, "planar": 2, "screw": 2, "prismatic": 5}
 
 
-class _Placed(Described):
-    """Position and rotation of a frame in another one."""
-
-    def _one_rotation(self, *keys):
-        given = [key for key in keys if getattr(self, key) is not None]
-        if len(given) > 1:
-            raise SceneError(f"{' and '.join(given)} both give the rotation: keep one of them",
-                             place=(given[1],))
-        return self
-
-    @property
-    def rotation(self):
-        """(3, 3) rotation matrix."""
-        if self.rotation_vector is not None:
-            return SO3.exp(self.rotation_vector)
-        if self.quaternion is not None:
-            return SO3.from_quaternion(self.quaternion)
-        return np.eye(3)
-
-    @property
-    def pose(self):
-        """(4, 4) homogeneous matrix of rotation and position, m."""
-        pose = np.eye(4)
-        pose[:3, :3] = self.rotation
-        pose[:3, 3] = self.position
-        return pose
-
-
-class Frame(_Placed):
-    """Joint frame in the frame of the body (or world) it is fixed to."""
-
-    position: Vector3 = Field(
-        (0.0, 0.0, 0.0), description="origin in m, in the frame it is fixed to")
-    quaternion: Quaternion | None = Field(
-        None, description="rotation as unit quaternion x, y, z, w; no rotation if left out")
-    rotation_vector: RotationVector | None = Field(
-        None, description="rotation as rotation vector in rad, in place of quaternion")
-    axis: Direction | None = Field(
-        None, description="direction of the joint axis, of any length, in place of quaternion: "
-        "the shortest rotation that turns z to it")
-
-    @model_validator(mode="after")
-    def _check(self):
-        return self._one_rotation("quaternion", "rotation_vector", "axis")
-
-    @property
-    def rotation(self):
-        """(3, 3) rotation matrix."""
-        if self.axis is None:
-            return super().rotation
-        return rotation_z_to(np.array(self.axis) / math.hypot(*self.axis))
-
-
-class Body(_Placed):
-    """Rigid body and its state at the start."""
+class Body(Placed):
+    """Rigid body and its state at the start. Mass, inertia and com are there also with a shape."""
 
     name: Name = Field(description="name: a letter, then letters, digits or _; unique, not world")
-    mass: Positive = Field(description="mass in kg, greater than 0")
-    inertia: Inertia = Field(
-        description="inertia about the centre of mass in kg m^2, body axes: [Ixx, Iyy, Izz], or "
-        "[Ixx, Iyy, Izz, Ixy, Ixz, Iyz], the elements of the symmetric matrix")
+    mass: Positive | None = Field(
+        None, description="mass in kg, greater than 0; required without a shape")
+    inertia: Inertia | None = Field(
+        None, description="inertia about the centre of mass in kg m^2, body axes: "
+        "[Ixx, Iyy, Izz], or [Ixx, Iyy, Izz, Ixy, Ixz, Iyz], the elements of the symmetric "
+        "matrix; required without a shape")
+    com: Vector3 = Field((0.0, 0.0, 0.0), description="centre of mass in m, in the body frame")
+    shape: one_of(SHAPES) | None = Field(
+        None, description="solid that gives mass, inertia and com, in place of them")
     position: Vector3 = Field(
-        (0.0, 0.0, 0.0), description="centre of mass at the start in m, world axes")
+        (0.0, 0.0, 0.0), description="origin of the body frame at the start in m, world axes")
     quaternion: Quaternion | None = Field(
         None, description="rotation from body to world axes at the start as unit quaternion "
         "x, y, z, w; no rotation if left out")
@@ -100,20 +54,47 @@ class Body(_Placed):
     angular_velocity: Vector3 = Field(
         (0.0, 0.0, 0.0), description="angular velocity at the start in rad/s, body axes")
     linear_velocity: Vector3 = Field(
-        (0.0, 0.0, 0.0), description="velocity of the centre of mass at the start in m/s, "
-        "body axes")
+        (0.0, 0.0, 0.0), description="velocity of the origin of the body frame at the start in "
+        "m/s, body axes")
+    initial: Literal["guess", "fixed"] = Field(
+        "guess", description="what assembly makes of the pose, and of the velocities, that are "
+        "given here: guess, it starts from them; fixed, it keeps them")
 
     @model_validator(mode="after")
     def _check(self):
         if self.name == WORLD:
             raise SceneError(f'name "{WORLD}" is taken by the fixed frame: choose another',
                              place=("name",))
-        return self._one_rotation("quaternion", "rotation_vector")
+        if self.shape is None:
+            for key in ("mass", "inertia"):
+                if getattr(self, key) is None:
+                    raise SceneError(f"{key} is missing: give the "
+                                     f"{type(self).model_fields[key].description}", place=(key,))
+            return self
+        for key in ("mass", "inertia", "com"):
+            if key in self.model_fields_set:
+                raise SceneError(f"{key} and shape both give the {key}: keep one of them",
+                                 place=(key,))
+        try:
+            self.__dict__.update(self.shape.body)
+        except SceneError as error:
+            raise SceneError(f"shape: {error}", place=("shape",)) from None
+        return self
 
     @property
     def inertia_matrix(self):
         """(3, 3) inertia about the centre of mass, body axes, kg m^2."""
         return inertia_matrix(self.inertia)
+
+    @property
+    def has_pose(self):
+        """True when the scene gives a position or a rotation."""
+        return not self.model_fields_set.isdisjoint(("position", *ROTATIONS))
+
+    @property
+    def has_twist(self):
+        """True when the scene gives a velocity."""
+        return not self.model_fields_set.isdisjoint(("angular_velocity", "linear_velocity"))
 
     @property
     def twist(self):
@@ -134,9 +115,15 @@ class _Joint(Described):
     child_frame: Frame | None = Field(
         None, description="joint frame in the frame of the child; if left out, it is where "
         "parent_frame is at the start")
+    rate: Number | None = Field(
+        None, description="rate at the start, for assembly: of the turn about z in rad/s, or of "
+        "the slide along z in m/s if the joint does not turn")
 
     @model_validator(mode="after")
     def _check(self):
+        if self.rate is not None and self.type not in RATES:
+            raise SceneError(f"rate is not for a {self.type} joint, which has no single one: "
+                             f"it goes with {', '.join(RATES)}", place=("rate",))
         if self.parent_frame is None and self.child_frame is None:
             raise SceneError("parent_frame or child_frame is missing: give at least one of them")
         return self
@@ -175,24 +162,8 @@ FORCES = (SpringDamper, TorsionalSpringDamper, LinearSpringDamper, Motor, Linear
 
 def _entries(classes):
     """Type of a list of entries, each made by the class that its `type` selects."""
-    by_type = {name: cls for cls in classes
-               for name in get_args(cls.model_fields["type"].annotation)}
-
-    def make(value):
-        if isinstance(value, classes):
-            return value
-        if not isinstance(value, Mapping):
-            raise ValueError("must be a mapping of keys to values")
-        kinds = " or ".join(by_type)
-        if "type" not in value:
-            raise SceneError(f"type is missing: give {kinds}", place=("type",))
-        if not isinstance(value["type"], str) or value["type"] not in by_type:
-            raise SceneError(f"type {value['type']!r:.40} is not known; "
-                             f"{suggestion(value['type'], list(by_type))}", place=("type",))
-        return by_type[value["type"]].model_validate(value)
-
     # a key without a value is an empty list
-    return Annotated[tuple[Annotated[Union[classes], BeforeValidator(make)], ...],
+    return Annotated[tuple[one_of(classes), ...],
                      BeforeValidator(lambda value: [] if value is None else listed(value))]
 
 
@@ -202,6 +173,9 @@ class Scene(Described):
     name: Name = Field(description="name of the scene: a letter, then letters, digits or _")
     description: Text = Field("", description="free text")
     gravity: Vector3 = Field(description="gravity in m/s^2, world axes, such as [0, 0, -9.81]")
+    assemble: Flag = Field(
+        False, description="true: the joints close the poses and velocities that the bodies have "
+        "here; false: these are those of the start")
     bodies: Annotated[tuple[Body, ...], BeforeValidator(listed)] = Field(
         description="list of bodies, at least one")
     joints: _entries(JOINTS) = Field((), description="list of joints")
@@ -245,6 +219,12 @@ class Scene(Described):
                 _refuse_unknown("body", link, bodies, key, i)
             else:
                 _refuse_ends(link, bodies, key, i)
+        for key, name in (("bodies", "initial"), ("joints", "rate")):
+            for i, entry in enumerate(getattr(self, key)):
+                if not self.assemble and name in entry.model_fields_set:
+                    raise SceneError(f'{key}[{i}] "{entry.name}": {name} is for assembly: leave '
+                                     "it out, or give the scene assemble: true",
+                                     place=(key, i, name))
         return self
 
 
@@ -308,5 +288,8 @@ def _written_out(scene):
     for key in ("joints", "forces"):
         for entry, written in zip(getattr(scene, key), values.get(key, ())):
             written.setdefault("type", entry.type)
+    for body, written in zip(scene.bodies, values["bodies"]):
+        if written.get("shape"):
+            written["shape"].setdefault("type", body.shape.type)
     return yaml.dump(values, Dumper=_Dumper, sort_keys=False, default_flow_style=None,
                      width=float("inf"))

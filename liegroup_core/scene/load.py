@@ -15,6 +15,7 @@ from pathlib import Path
 import yaml
 
 from ..errors import SceneError
+from .assembly import assembled
 from .consistency import check_consistency
 from .description import Scene
 from .values import shown, suggestion
@@ -61,7 +62,7 @@ def load_scene(name_or_path):
 
 
 def scene_from_text(text, source="scene"):
-    """Scene of a YAML text, for example one that a recording carries.
+    """Scene of a YAML text, for example one that a recording carries; assembled if it is to be.
 
     source : path or name that errors begin with; becomes scene.source
     """
@@ -70,7 +71,7 @@ def scene_from_text(text, source="scene"):
         raise SceneError(f"{source}:{root.line}: a scene must be a mapping with the keys "
                          f"{', '.join(Scene.model_fields)}, got {shown(root.value)}")
     try:
-        scene = Scene(**root.value)
+        scene = assembled(Scene(**root.value))
         scene._text, scene._source, scene._line_of = text, source, root.line_of
         check_consistency(scene)
     except SceneError as error:

@@ -12,11 +12,11 @@ import numbers
 import re
 import reprlib
 from collections.abc import Mapping, Sequence
-from typing import Annotated
+from typing import Annotated, Union, get_args
 
 import numpy as np
 from pydantic import (AfterValidator, BaseModel, BeforeValidator, ConfigDict, ValidationError,
-                      model_validator)
+                      WithJsonSchema, model_validator)
 
 from ..errors import SceneError
 
@@ -107,6 +107,12 @@ def _unit(quaternion):
     return quaternion
 
 
+def _sizes(vector):
+    if not min(vector) > 0.0:
+        raise ValueError("must be three sizes greater than 0")
+    return vector
+
+
 def _within_a_turn(vector):
     angle = math.hypot(*vector)
     if angle > 2.0 * math.pi:
@@ -122,7 +128,8 @@ def _direction(vector):
     return vector
 
 
-def _inertia(moments):
+def real_inertia(moments):
+    """The moments of inertia, if a real body can have them; ValueError if none can."""
     if len(moments) not in (3, 6):
         raise ValueError("must have 3 numbers [Ixx, Iyy, Izz] or 6 [Ixx, Iyy, Izz, Ixy, Ixz, Iyz]")
     scale = max(abs(moment) for moment in moments) or 1.0
@@ -156,23 +163,64 @@ def _text(value):
     return value
 
 
+def _flag(value):
+    if not isinstance(value, (bool, np.bool_)):
+        raise ValueError("must be true or false")
+    return bool(value)
+
+
 def _name(value):
     if not isinstance(value, str) or not _NAME.fullmatch(value):
         raise ValueError("must be a name: a letter, then letters, digits or _, 64 at most")
     return str(value)
 
 
+def _array(item, least, most):
+    """JSON schema of a list of numbers."""
+    return WithJsonSchema({"type": "array", "items": item, "minItems": least, "maxItems": most})
+
+
+_NUMBER = {"type": "number"}
+_POSITIVE = {"type": "number", "exclusiveMinimum": 0}
+
 Number = Annotated[float, BeforeValidator(_number)]
-Positive = Annotated[Number, AfterValidator(_positive)]
-NotNegative = Annotated[Number, AfterValidator(_not_negative)]
-Vector3 = Annotated[tuple[Number, Number, Number], BeforeValidator(_three)]
+Positive = Annotated[Number, AfterValidator(_positive), WithJsonSchema(_POSITIVE)]
+NotNegative = Annotated[Number, AfterValidator(_not_negative),
+                        WithJsonSchema(_NUMBER | {"minimum": 0})]
+Vector3 = Annotated[tuple[Number, Number, Number], BeforeValidator(_three),
+                    _array(_NUMBER, 3, 3)]
+Sizes = Annotated[Vector3, AfterValidator(_sizes), _array(_POSITIVE, 3, 3)]
 RotationVector = Annotated[Vector3, AfterValidator(_within_a_turn)]
 Direction = Annotated[Vector3, AfterValidator(_direction)]
 Quaternion = Annotated[tuple[Number, Number, Number, Number], BeforeValidator(_four),
-                       AfterValidator(_unit)]
-Inertia = Annotated[tuple[Number, ...], BeforeValidator(listed), AfterValidator(_inertia)]
+                       AfterValidator(_unit), _array(_NUMBER, 4, 4)]
+Inertia = Annotated[tuple[Number, ...], BeforeValidator(listed), AfterValidator(real_inertia),
+                    _array(_NUMBER, 3, 6)]
+Flag = Annotated[bool, BeforeValidator(_flag)]
 Text = Annotated[str, BeforeValidator(_text)]
-Name = Annotated[str, BeforeValidator(_name)]
+Name = Annotated[str, BeforeValidator(_name),
+                 WithJsonSchema({"type": "string", "pattern": f"^{_NAME.pattern}$"})]
+
+
+def one_of(classes):
+    """Type of a value made by the one of these models that its key `type` selects."""
+    by_type = {name: cls for cls in classes
+               for name in get_args(cls.model_fields["type"].annotation)}
+
+    def make(value):
+        if isinstance(value, classes):
+            return value
+        if not isinstance(value, Mapping):
+            raise ValueError("must be a mapping of keys to values")
+        kinds = " or ".join(by_type)
+        if "type" not in value:
+            raise SceneError(f"type is missing: give {kinds}", place=("type",))
+        if not isinstance(value["type"], str) or value["type"] not in by_type:
+            raise SceneError(f"type {value['type']!r:.40} is not known; "
+                             f"{suggestion(value['type'], list(by_type))}", place=("type",))
+        return by_type[value["type"]].model_validate(value)
+
+    return Annotated[Union[classes], BeforeValidator(make)]
 
 
 def place_text(place, values):
@@ -256,5 +304,9 @@ class Described(BaseModel, metaclass=_Refusing):
 
     def model_copy(self, *, update=None, deep=False):
         """Changed copy, checked like a new one; its values never change, so deep is the same."""
-        return type(self)(**{key: getattr(self, key) for key in self.model_fields_set}
-                          | (update or {}))
+        return self.remade(**(update or {}))
+
+    def remade(self, leave_out=(), **update):
+        """Changed copy, checked like a new one; the keys in leave_out take their defaults."""
+        values = {key: getattr(self, key) for key in self.model_fields_set if key not in leave_out}
+        return type(self)(**values | update)

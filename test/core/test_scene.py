@@ -20,10 +20,10 @@ from liegroup_core.scene import (Body, DistanceJoint, Frame, Joint, Scene, Screw
                                  SpringDamper, find_scene, load_scene, scene_from_text)
 from liegroup_core.scene import load as load_module
 from liegroup_core.scene.description import FORCES, JOINTS
+from liegroup_core.scene.shapes import SHAPES
 from liegroup_core.scene.values import Described
+from scene_files import ROOT, SCENES, each_scene
 
-ROOT = Path(__file__).resolve().parents[2]
-SCENES = sorted((ROOT / "config" / "scenes").glob("*.yaml"))
 GOOD = (Path(__file__).parent / "rig.yaml").read_text(encoding="utf-8")
 PARSERS = sorted({yaml.SafeLoader, getattr(yaml, "CSafeLoader", yaml.SafeLoader)},
                  key=lambda parser: parser.__name__)
@@ -37,7 +37,7 @@ def parser(request, monkeypatch):
 
 # ---------------------------------------------------------------- good scenes
 
-@pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
+@each_scene
 def test_every_scene_that_comes_along_loads(path):
     scene = load_scene(path)
     assert scene.name == path.stem
@@ -46,7 +46,7 @@ def test_every_scene_that_comes_along_loads(path):
     assert scene.text == path.read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
+@each_scene
 def test_every_value_in_a_scene_that_comes_along_is_commented(path):
     lines = path.read_text(encoding="utf-8").splitlines()
     for number, line in enumerate(lines):
@@ -331,7 +331,7 @@ def test_numbers_and_text_survive_to_the_bit(mass, gravity, position, twist, des
 
 # ---------------------------------------------------------------- documentation
 
-MODELS = (Scene, Body, *JOINTS, Frame, *FORCES)
+MODELS = (Scene, Body, *SHAPES, *JOINTS, Frame, *FORCES)
 
 
 def test_every_field_is_documented():
@@ -341,13 +341,17 @@ def test_every_field_is_documented():
         for key, field in model.model_fields.items():
             value = list(field.default) if type(field.default) is tuple else field.default
             default = ("required" if field.is_required() else
-                       "-" if value is None else "empty" if value in ("", []) else value)
+                       "-" if value is None else "empty" if value in ("", []) else
+                       str(value).lower() if isinstance(value, bool) else value)
             assert f"| `{key}` | {field.description} | {default} |" in text
 
 
 def test_every_model_is_in_the_list():
-    assert {model for base in (Described, *Described.__subclasses__())
-            for model in base.__subclasses__() if not model.__name__.startswith("_")} == {*MODELS}
+    def leaves(model):
+        return {model}.union(*map(leaves, model.__subclasses__())) - (
+            {model} if model.__subclasses__() else set())
+
+    assert leaves(Described) == {*MODELS}
 
 
 def test_the_examples_in_the_documentation_agree():

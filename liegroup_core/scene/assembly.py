@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Assembly: poses and velocities at the start that close all joints, from guesses and joint rates.
+
+A scene with `assemble: true` leaves the start partly to its joints. `assembled` makes the scene
+that is meant, with every pose, velocity and joint frame written out:
+
+1. A body without a pose is put where a joint to a body that has one puts it, both frames together.
+2. A joint frame that is left out is where the other one is at these poses; a length likewise.
+3. Poses: the nearest ones that close all joints (Newton's method on the group). Bodies that are
+   `fixed` keep the pose they were given.
+4. Velocities: with V0 the given ones, the least change in kinetic energy,
+       min (V - V0)^T M (V - V0)   with   J V = 0 ,  rates as given, velocities of `fixed` bodies.
+
+The same text gives the same bits on the same machine. The model itself depends on the result of no
+iteration: frames and lengths come from steps 1 and 2, which only multiply poses.
+"""
+
+import numpy as np
+
+from ..errors import SceneError
+from ..lie.groups import SE3, SO3
+from ..model.linkage import RANK_TOLERANCE, Linkage
+from .centres import Offsets, at_centres_of_mass
+from .consistency import check_consistency, resolve_elements, resolve_frames
+from .description import RATES, WORLD
+from .frames import ROTATIONS, Frame
+
+# Part of the velocities involved by which the found ones may miss; what is left is round-off.
+TOLERANCE = 1e-10
+
+
+def assembled(scene):
+    """The scene with consistent poses and velocities at the start, not to assemble any more.
+
+    raises SceneError naming the joint that cannot be closed, and by how much
+    """
+    if not scene.assemble:
+        return scene
+    fixed = [body for body in scene.bodies if body.initial == "fixed"]
+    rates = {j: joint.rate for j, joint in enumerate(scene.joints) if joint.rate is not None}
+    scene = _with_joints_written_out(_with_bodies_placed(scene))
+    centred = at_centres_of_mass(scene)
+    frames, parts = resolve_frames(centred), resolve_elements(centred)
+    joints = range(len(centred.joints))
+
+    linkage = Linkage(centred, frames, parts, joints, {b.name for b in fixed if b.has_pose})
+    poses = linkage.nearest(linkage.start)
+    if not linkage.is_closed(poses):
+        raise _open(linkage, poses)
+    linkage = Linkage(centred, frames, parts, joints)
+    twists = _velocities(centred, linkage, poses, rates, {b.name for b in fixed if b.has_twist})
+    return _with_start(scene, centred, linkage.length, poses, twists)
+
+
+def ready(scene):
+    """The scene assembled and checked, and the same with its frames at the centres of mass.
+
+    raises SceneError: joints that do not close, velocities against them
+    """
+    scene = assembled(scene)
+    check_consistency(scene)
+    return scene, at_centres_of_mass(scene)
+
+
+def _with_bodies_placed(scene):
+    """Step 1."""
+    poses = {WORLD: np.eye(4)} | {body.name: body.pose for body in scene.bodies if body.has_pose}
+    names = [body.name for body in scene.bodies]
+    joints = list(enumerate(scene.joints))
+    while len(poses) <= len(names):
+        for j, joint in joints:
+            # where a distance joint has its ends together, it has no direction
+            if (joint.parent in poses) != (joint.child in poses) and joint.type != "distance":
+                break
+        else:
+            i = next(i for i, name in enumerate(names) if name not in poses)
+            raise SceneError(f'bodies[{i}] "{names[i]}": has no position, no rotation and no '
+                             "joint to a body that has: give a position", ("bodies", i))
+        if joint.parent_frame is None or joint.child_frame is None:
+            name = joint.child if joint.parent in poses else joint.parent
+            raise SceneError(f'joints[{j}] "{joint.name}": needs both frames: it puts "{name}", '
+                             "which has no position and no rotation, where they meet",
+                             ("joints", j))
+        between = joint.parent_frame.pose @ SE3.inverse(joint.child_frame.pose)
+        if joint.parent in poses:
+            poses[joint.child] = poses[joint.parent] @ between
+        else:
+            poses[joint.parent] = poses[joint.child] @ SE3.inverse(between)
+    return scene.remade(bodies=[body if body.has_pose else body.remade(**_keys(poses[body.name]))
+                                for body in scene.bodies])
+
+
+def _with_joints_written_out(scene):
+    """Step 2. What tells assembly how to go about it is taken out of the scene."""
+    poses = {body.name: body.pose for body in scene.bodies} | {WORLD: np.eye(4)}
+    joints = []
+    for joint, pair in zip(scene.joints, resolve_frames(scene)):
+        found = {key: Frame(**_keys(frame)) for key, frame in zip(
+            ("parent_frame", "child_frame"), pair) if getattr(joint, key) is None}
+        if getattr(joint, "length", 0.0) is None:
+            ends = [poses[name] @ F for name, F in zip((joint.parent, joint.child), pair)]
+            found["length"] = float(np.linalg.norm((ends[1] - ends[0])[:3, 3]))
+        joints.append(joint.remade(("rate",), **found))
+    return scene.remade(("assemble",), joints=joints,
+                        bodies=[body.remade(("initial",)) for body in scene.bodies])
+
+
+def _velocities(scene, linkage, poses, rates, fixed):
+    """Step 4: twists {body: (6,)}, frames at the centres of mass."""
+    given = {body.name: body.twist for body in scene.bodies}
+    if not linkage.bodies:
+        return given
+    rate_rows = [np.zeros((0, 6))] * len(scene.joints)
+    for j in rates:
+        joint, (_, F_b) = scene.joints[j], linkage.frames[j]
+        rate_rows[j] = SE3.Ad(SE3.inverse(F_b))[RATES[joint.type]][None]
+    J = np.vstack([linkage.velocity_rows(poses), linkage.velocity_rows(poses, rate_rows)])
+    owner = [*np.repeat(range(len(scene.joints)), linkage.counts), *rates]
+    wanted = np.zeros(len(J))
+    wanted[len(J) - len(rates):] = list(rates.values())
+    V = np.concatenate([given[name] for name in linkage.bodies])
+
+    # With the mass matrix M = L L^T and V + L^-T x, the least x has the least kinetic energy.
+    bodies = {body.name: body for body in scene.bodies}
+    free = [name for name in linkage.bodies if name not in fixed]
+    inverse = np.zeros((len(V), 6 * len(free)))             # L^-T of the bodies that are free
+    for i, name in enumerate(free):
+        at = linkage.place[name]
+        block = np.linalg.inv(np.linalg.cholesky(bodies[name].inertia_matrix))
+        inverse[at:at + 3, 6 * i:6 * i + 3] = block.T
+        inverse[at + 3:at + 6, 6 * i + 3:6 * i + 6] = np.eye(3) / np.sqrt(bodies[name].mass)
+    A = J @ inverse
+    size = np.linalg.norm(A, axis=1)
+    size[size == 0.0] = 1.0
+    for _ in range(2):                                      # once more for round-off
+        miss = wanted - J @ V
+        V = V + inverse @ np.linalg.lstsq(A / size[:, None], miss / size, rcond=RANK_TOLERANCE)[0]
+    miss = wanted - J @ V
+    scale = np.abs(J) @ np.abs(V) + np.abs(wanted)
+    if (np.abs(miss) > TOLERANCE * (scale.max() + 1.0)).any():
+        raise _contradiction(scene, J, owner, miss)
+    return given | dict(zip(linkage.bodies, V.reshape(-1, 6)))
+
+
+def _with_start(scene, centred, length, poses, twists):
+    """The scene with these poses and twists of the frames at the centres of mass."""
+    pose = np.array([poses[body.name] for body in scene.bodies])
+    twist = np.array([twists[body.name] for body in scene.bodies])
+    # What assembly did not change keeps the numbers it was written with.
+    moved = [not np.array_equal(C, body.pose) for C, body in zip(pose, centred.bodies)]
+    hurried = [not np.array_equal(V, body.twist) for V, body in zip(twist, centred.bodies)]
+    fastest = np.abs(twist).max(axis=0).reshape(2, 3).max(axis=1).repeat(3)
+    flat = np.concatenate([pose[:, :3, :3].reshape(-1, 9), pose[:, :3, 3]], axis=1)
+    flat, twist = Offsets(scene).to_bodies(flat, twist)
+    bodies = []
+    for i, body in enumerate(scene.bodies):
+        if moved[i]:
+            body = body.remade(ROTATIONS, position=_tidy(flat[i, 9:], length), quaternion=_tidy(
+                SO3.to_quaternion(flat[i, :9].reshape(3, 3)), 1.0))
+        if hurried[i]:
+            w, v = np.split(_tidy(twist[i], fastest), 2)
+            body = body.remade(angular_velocity=w, linear_velocity=v)
+        bodies.append(body)
+    return scene.remade(bodies=bodies)
+
+
+def _tidy(values, size):
+    """The numbers without what rounding left where there is none, next to others of `size`."""
+    return np.where(np.abs(values) <= 1e-16 * size, 0.0, values)
+
+
+def _keys(pose):
+    """Keys of a pose (4, 4)."""
+    return {"position": pose[:3, 3], "quaternion": SO3.to_quaternion(pose[:3, :3])}
+
+
+def _open(linkage, poses):
+    """SceneError for the joint that is farthest open."""
+    gaps = [linkage.gap(j, poses) for j in range(len(linkage.joints))]
+    j = int(np.argmax([max(gap / linkage.length, tilt) for gap, tilt in gaps]))
+    gap, tilt = gaps[j]
+    return SceneError(
+        f'joints[{j}] "{linkage.joints[j].name}": cannot be closed: where assembly ends it has a '
+        f"gap of {gap:.3g} m and a tilt of {tilt:.3g} rad; start from poses nearer to closed "
+        "ones, check the lengths, or fix fewer bodies", ("joints", j))
+
+
+def _contradiction(scene, J, owner, miss):
+    """SceneError for the joint whose velocity misses most."""
+    j = int(owner[int(np.argmax(np.abs(miss)))])
+    turning = ~J.reshape(len(J), -1, 6)[:, :, 3:].any(axis=(1, 2))
+    slip, turn = (max((abs(x) for x, i, t in zip(miss, owner, turning) if i == j and t == kind),
+                      default=0.0) for kind in (False, True))
+    return SceneError(
+        f'joints[{j}] "{scene.joints[j].name}": rates of joints and velocities of fixed bodies '
+        f"contradict each other: the nearest motion misses this joint by {slip:.3g} m/s and "
+        f"{turn:.3g} rad/s; give fewer of them", ("joints", j))

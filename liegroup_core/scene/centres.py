@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Centres of mass: the one place that knows that a body frame may sit elsewhere.
+
+The equations are simplest in frames at the centres of mass, so the model is built from the scene
+that `at_centres_of_mass` returns, and what goes in and out is shifted here. With the centre of
+mass at c in the body frame, all in body axes,
+
+    position  r_com = r + R c       velocity  v_com = v + w x c       point  p_com = p - c
+    torque    t_com = t - c x f
+
+Where all centres of mass are at the origins of the body frames nothing is computed, and every
+number keeps its bits.
+"""
+
+import numpy as np
+
+# Which keys of joints and forces hold a place in a body's frame, and which one names that body.
+# A frame shifts with its origin. test/core/test_centres.py looks for fields that are missing.
+PLACES = {"parent_frame": "parent", "child_frame": "child",
+          "parent_point": "parent", "child_point": "child", "point": "body"}
+
+
+def at_centres_of_mass(scene):
+    """The same mechanism with every body frame at the centre of mass: com is zero everywhere.
+
+    scene : not to be assembled any more
+    returns a Scene with masses and inertias in place of shapes; the same one if it has no offsets
+    """
+    com = {body.name: np.array(body.com) for body in scene.bodies}
+    if not any(offset.any() for offset in com.values()):
+        return scene
+    com["world"] = np.zeros(3)
+    return scene.remade(
+        bodies=[_body_at_centre(body) for body in scene.bodies],
+        joints=[_shifted(joint, com) for joint in scene.joints],
+        forces=[_shifted(force, com) for force in scene.forces])
+
+
+def _body_at_centre(body):
+    """The body with its frame at its centre of mass."""
+    com = np.array(body.com)
+    w, v = np.array(body.angular_velocity), np.array(body.linear_velocity)
+    return body.remade(
+        leave_out=("com", "shape"), mass=body.mass, inertia=body.inertia,
+        position=body.position + body.rotation @ com, linear_velocity=v + np.cross(w, com))
+
+
+def _shifted(link, com):
+    """A joint or force with its places in the frames at the centres of mass."""
+    moved = {}
+    for key, end in PLACES.items():
+        place = getattr(link, key, None)
+        if place is None:
+            continue
+        offset = com[getattr(link, end)]
+        moved[key] = (place.remade(position=place.position - offset) if key.endswith("frame")
+                      else np.array(place) - offset)
+    return link.remade(**moved)
+
+
+class Offsets:
+    """Offsets of the centres of mass of all bodies of a scene.
+
+    com : (n, 3) m, in the body frames
+    """
+
+    def __init__(self, scene):
+        self.com = np.array([body.com for body in scene.bodies], dtype=float).reshape(-1, 3)
+        self.none = not self.com.any()
+
+    def to_centres(self, pose, twist):
+        """Poses (..., n, 12) and twists (..., n, 6) of the frames at the centres of mass."""
+        return self._moved(pose, twist, 1.0)
+
+    def to_bodies(self, pose, twist):
+        """Poses (..., n, 12) and twists (..., n, 6) of the body frames; inverse of to_centres."""
+        return self._moved(pose, twist, -1.0)
+
+    def _moved(self, pose, twist, sign):
+        if self.none:
+            return pose, twist
+        pose, twist = np.array(pose), np.array(twist)
+        R = pose[..., :9].reshape(*pose.shape[:-1], 3, 3)
+        pose[..., 9:] += sign * np.einsum("...ij,...j->...i", R, self.com)
+        twist[..., 3:] += sign * np.cross(twist[..., :3], self.com)
+        return pose, twist
+
+    def wrench_at_centre(self, body, wrench):
+        """Wrench (6,) about the centre of mass of body number `body` from one about its frame."""
+        wrench = np.array(wrench, dtype=float)
+        if not self.none:
+            wrench[:3] -= np.cross(self.com[body], wrench[3:])
+        return wrench

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Places of things: position and rotation of a frame in another one."""
+
+import math
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from ..errors import SceneError
+from ..joints.pairs import rotation_z_to
+from ..lie.groups import SO3
+from .values import Described, Direction, Quaternion, RotationVector, Vector3
+
+# The keys that give a rotation, one of which a thing may have.
+ROTATIONS = ("quaternion", "rotation_vector", "axis")
+
+
+class Placed(Described):
+    """Thing with a position and one of the rotations."""
+
+    @model_validator(mode="after")
+    def _one_rotation(self):
+        given = [key for key in ROTATIONS if getattr(self, key, None) is not None]
+        if len(given) > 1:
+            raise SceneError(f"{' and '.join(given)} both give the rotation: keep one of them",
+                             place=(given[1],))
+        return self
+
+    @property
+    def rotation(self):
+        """(3, 3) rotation matrix."""
+        if self.rotation_vector is not None:
+            return SO3.exp(self.rotation_vector)
+        if self.quaternion is not None:
+            return SO3.from_quaternion(self.quaternion)
+        axis = getattr(self, "axis", None)
+        return np.eye(3) if axis is None else rotation_z_to(np.array(axis) / math.hypot(*axis))
+
+    @property
+    def pose(self):
+        """(4, 4) homogeneous matrix of rotation and position, m."""
+        pose = np.eye(4)
+        pose[:3, :3] = self.rotation
+        pose[:3, 3] = self.position
+        return pose
+
+
+class Frame(Placed):
+    """Joint frame in the frame of the body (or world) it is fixed to."""
+
+    position: Vector3 = Field(
+        (0.0, 0.0, 0.0), description="origin in m, in the frame it is fixed to")
+    quaternion: Quaternion | None = Field(
+        None, description="rotation as unit quaternion x, y, z, w; no rotation if left out")
+    rotation_vector: RotationVector | None = Field(
+        None, description="rotation as rotation vector in rad, in place of quaternion")
+    axis: Direction | None = Field(
+        None, description="direction of the joint axis, of any length, in place of quaternion: "
+        "the shortest rotation that turns z to it")

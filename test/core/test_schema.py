@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The JSON schema of scene files: up to date, valid, and of one mind with the loader."""
+import json
+
+import jsonschema
+import pytest
+
+from liegroup_core.errors import SceneError
+from liegroup_core.scene import scene_from_text
+from liegroup_core.scene.description import FORCES, JOINTS
+from liegroup_core.scene.load import _read
+from liegroup_core.scene.schema import scene_schema, scene_schema_text
+from liegroup_core.scene.shapes import SHAPES
+from scene_files import ROOT, each_scene
+
+GOOD = (ROOT / "test" / "core" / "rig.yaml").read_text(encoding="utf-8")
+VALIDATOR = jsonschema.Draft202012Validator(scene_schema())
+
+
+def accepts(text):
+    return VALIDATOR.is_valid(_read(text, "x.yaml").value)
+
+
+def test_the_file_is_up_to_date():
+    """python -m liegroup_core.scene.schema > docs/scene.schema.json"""
+    assert (ROOT / "docs" / "scene.schema.json").read_text(encoding="utf-8") == scene_schema_text()
+
+
+def test_the_schema_is_one():
+    jsonschema.Draft202012Validator.check_schema(json.loads(scene_schema_text()))
+
+
+@each_scene
+def test_every_scene_that_comes_along_validates(path):
+    values = _read(path.read_text(encoding="utf-8"), str(path)).value
+    assert [error.message for error in VALIDATOR.iter_errors(values)] == []
+
+
+def test_every_key_tells_what_it_is():
+    """What an editor shows: each key of each kind has its description."""
+    schema = scene_schema()
+    for model in ("Body", "Frame", *(kind.__name__ for kind in (*JOINTS, *FORCES, *SHAPES))):
+        for key, part in schema["$defs"][model]["properties"].items():
+            assert part["description"], (model, key)
+
+
+@pytest.mark.parametrize("old, new", [
+    ("mass: 2.5", "mass: -1"), ("mass: 2.5", "mass: heavy"), ("mass: 2.5", "masss: 2.5"),
+    ("mass: 2.5", ""), ("name: top", "name: my top"), ("position: [1, 0, 0]", "position: [1, 0]"),
+    ("quaternion: [0, 0, 0, 1]", "quaternion: [0, 0, 0]"), ("type: revolute", "type: hinge"),
+    ("type: revolute", "rate: 3"), ("stiffness: 1e4", "stiffness: -1"),
+    ("stiffness: 1e4", "stiff: 1"), ("gravity: [0, 0, -9.81]", ""),
+    ("description: Two bodies", "description: 5"), ("description: Two bodies", "assemble: on"),
+    ("mass: 2.5\n    inertia: [1.0, 1.1, 1.2]", "shape: {type: box, size: [1, 1, 0], mass: 1}"),
+    ("mass: 2.5\n    inertia: [1.0, 1.1, 1.2]", "shape: {type: box, size: [1, 1, 1]}"),
+    ("mass: 2.5\n    inertia: [1.0, 1.1, 1.2]", "shape: {size: [1, 1, 1], mass: 1}"),
+    ("child_frame: {position: [-1, 0, 0]}", ""),
+])
+def test_what_the_schema_refuses_the_loader_refuses(old, new):
+    assert GOOD.count(old) >= 1
+    text = GOOD.replace(old, new, 1)
+    assert not accepts(text)
+    with pytest.raises(SceneError):
+        scene_from_text(text)
+
+
+@pytest.mark.parametrize("old, new", [
+    ("", ""), ("mass: 2.5", "mass: 1e4"), ("[1.0, 1.1, 1.2]", "&i [1.0, 1.1, 1.2]"),
+    ("forces:", "# forces:"), ("description: Two bodies", "assemble: true"),
+    ("mass: 2.5\n    inertia: [1.0, 1.1, 1.2]", "shape: {type: sphere, radius: 1, density: 1}"),
+    ("mass: 2.5\n    inertia: [1.0, 1.1, 1.2]", "shape: {type: rod, length: 1, mass: 1}"),
+    ("mass: 2.5", "mass: 2.5\n    com: [0, 0, 1]"),
+])
+def test_what_the_loader_takes_the_schema_takes(old, new):
+    text = GOOD.replace(old, new, 1)
+    if new.startswith("#"):
+        text = GOOD[:GOOD.index("forces:")] + "forces:\n"
+    scene_from_text(text)
+    assert accepts(text)
