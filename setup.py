@@ -38,7 +38,7 @@ setup(
     ],
     extras_require={
         "figures": ["matplotlib"],
-        "test": ["hypothesis", "matplotlib", "mpmath", "pytest", "rosbags"],
+        "test": ["hypothesis", "jsonschema", "matplotlib", "mpmath", "pytest", "rosbags"],
     },
     entry_points={
         "console_scripts": [
