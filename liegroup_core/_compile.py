@@ -11,6 +11,7 @@ import hashlib
 import logging
 import os
 import shutil
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -34,9 +35,9 @@ def compiled():
 
 
 def _source_hash():
-    """Hash of every source of this package and of the version of the compiler."""
-    digest = hashlib.sha256(getattr(numba, "__version__", "").encode())
+    """Hash of all that the compiler keeps apart: sources and their place, versions."""
     root = Path(__file__).parent
+    digest = hashlib.sha256(f"{root} {sys.version} {numba.__version__}".encode())
     for path in sorted(root.rglob("*.py")):
         digest.update(str(path.relative_to(root)).encode())
         digest.update(path.read_bytes())

@@ -82,8 +82,8 @@ def conserved_momentum(scene):
     kept = []
     for group in _groups(scene):
         acting = _without_round_off(wrenches[:, group])
-        centre = np.array([model.body_mass[group] @ pose[group, 9:] for pose in drawn])
-        centre /= model.body_mass[group].sum()
+        mass = np.array([scene.bodies[i].mass for i in group])
+        centre = np.array([mass @ pose[group, 9:] for pose in drawn]) / mass.sum()
         reactions = _reactions(scene, frames, group)
         names = tuple(scene.bodies[i].name for i in group)
         kept += [KeptMomentum(names, *found) for found in _kept(acting, reactions, centre, size)
@@ -232,7 +232,8 @@ def _size(scene, frames):
     """A length of the mechanism, m: its largest coordinate, or 1 if all are zero."""
     points = [body.position for body in scene.bodies]
     points += [frame[:3, 3] for pair in frames for frame in pair]
-    points += [point for force in scene.forces for point in (force.parent_point, force.child_point)]
+    points += [point for force in scene.forces
+               for point in (force.parent_point, force.child_point)]
     return float(np.abs(np.array(points)).max()) or 1.0
 
 

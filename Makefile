@@ -1,0 +1,84 @@
+# Everything is made in .venv. A fresh machine needs python3 (3.11 or 3.12), python3-venv and make.
+PYTHON ?= python3
+ARGS ?=
+PIP = .venv/bin/python -m pip --disable-pip-version-check install -q -c config/constraints.txt
+ROS_WHEELS = 'ros-jazzy-rclpy[fastrtps]' ros-jazzy-common-interfaces
+
+# Which Python and which ROS 2: a Jazzy that is sourced and works, else its wheels from PyPI.
+VERSION := $(shell $(PYTHON) -c 'import sys; print("python%d.%d" % sys.version_info[:2])')
+ROS := wheels
+ifeq ($(ROS_DISTRO),jazzy)
+ROS := $(shell $(PYTHON) -c 'import rclpy' 2>/dev/null && echo sourced || echo wheels)
+endif
+ifeq ($(ROS),wheels)
+# What another environment left in the shell would be found before the wheels.
+unexport PYTHONPATH LD_LIBRARY_PATH AMENT_PREFIX_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
+endif
+# Changes with either of the two, and .venv is made anew.
+MADE = .venv/$(VERSION)-$(ROS)
+
+help: ## say what there is; ARGS="..." is handed on to demo and test
+	@sed -n 's/^\([a-z]*\):.*## /make \1 \t/p' Makefile
+
+demo: .venv/installed ## simulate, record, analyse
+	@.venv/bin/liegroup_sim demo $(ARGS)
+
+# Safe path: neither pytest nor a process that a test starts imports this folder in place of the
+# installed package.
+test: .venv/installed ## run the tests against the installed package
+	@PYTHONSAFEPATH=1 .venv/bin/python -m pytest $(ARGS)
+
+bench: .venv/installed ## run the benchmarks
+	@set -e; for script in $(sort $(wildcard benchmarks/*.py)); do \
+	    echo "== $$script"; .venv/bin/python $$script; done
+
+clean: ## remove all that was made here
+	rm -rf .venv build install log demo_out *.egg-info .pytest_cache .hypothesis
+	find . -name __pycache__ -prune -exec rm -rf {} +
+
+check:
+	@case "$(VERSION)" in python3.11|python3.12) ;; *) \
+	    echo "liegroup_sim_ros needs Python 3.11 or 3.12 and $(PYTHON) is not (found:" \
+	         "'$(VERSION)'): name another one, as in make test PYTHON=python3.12"; exit 1;; esac
+	@case "$(ROS_DISTRO)" in ""|jazzy) ;; *) \
+	    echo "liegroup_sim_ros needs ROS 2 Jazzy and this shell is set up for '$(ROS_DISTRO)':" \
+	         "source Jazzy, or use its wheels from PyPI with env -u ROS_DISTRO make ..."; \
+	    exit 1;; esac
+	@case "$(ROS)-$$(uname -m)" in sourced-*|wheels-x86_64) ;; *) \
+	    echo "The wheels of ROS 2 Jazzy on PyPI are for x86_64, this machine is $$(uname -m):" \
+	         "install and source ROS 2 Jazzy first"; exit 1;; esac
+
+$(MADE): config/constraints.txt | check
+	@echo "Making .venv, $(VERSION), ROS 2 Jazzy: $(ROS) (once; about a minute, 0.8 GB)"
+	@$(PYTHON) -m venv --clear $(if $(filter sourced,$(ROS)),--system-site-packages) .venv
+	@$(PIP) setuptools
+	@touch $@
+
+# With the folders: their time changes when a file goes.
+SOURCES = setup.py setup.cfg package.xml \
+    $(shell find $(wildcard liegroup_core liegroup_sim_ros config launch resource) \
+            -name __pycache__ -prune -o -print)
+
+# Not -e: that leaves out the ament marker, the share files and the launcher. Without isolation the
+# pinned setuptools builds. `build` would bring back modules that are gone. The kernels keep the
+# times of their sources, else their compiled code would look stale after every installation.
+.venv/installed: $(MADE) $(SOURCES) | check
+	@echo "Installing liegroup_sim_ros into .venv"
+	@touch $@.started && rm -rf build *.egg-info
+	@$(PIP) --no-build-isolation --use-pep517 $(if $(filter wheels,$(ROS)),$(ROS_WHEELS)) '.[test]'
+	@find liegroup_core -name '*.py' -exec touch -r {} .venv/lib/$(VERSION)/site-packages/{} \;
+	@rm -rf build *.egg-info && mv $@.started $@
+
+constraints: | check
+	@$(PYTHON) -m venv --clear build/resolve
+	@build/resolve/bin/python -m pip install -q --dry-run --ignore-installed --only-binary :all: \
+	    --no-binary empy --report build/report.json \
+	    setuptools colcon-common-extensions $(ROS_WHEELS) '.[test]'
+	@grep '^#' config/constraints.txt > build/header
+	@$(PYTHON) -c 'import json; found = json.load(open("build/report.json"))["install"]; \
+	    print(*sorted("{name}=={version}".format(**each["metadata"]).lower().replace("_", "-") \
+	                  for each in found), sep="\n")' \
+	    | grep -v ^liegroup | cat build/header - > config/constraints.txt
+	@rm -rf build *.egg-info
+
+.PHONY: help demo test bench clean check constraints

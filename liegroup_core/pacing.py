@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pacing: simulated time held to the wall clock, and the account of how well.
+
+Simulated time t is due at the wall time w0 + (t - t0) / factor. The anchor (t0, w0) is set at a
+start, a resume and a change of the factor, so none of them is followed by a burst, and errors do
+not add up from tick to tick. After a late tick the next ones follow at once until the clock is
+caught up with; who is behind by more than CATCH_UP is anchored anew, and that is counted.
+
+All times are in seconds, wall times from a monotonic clock. Lateness is reported in microseconds.
+"""
+import math
+import time
+
+# The operating system wakes a sleeper 40 to 100 us late; from this long before a deadline on, the
+# clock is watched instead. The watching thread keeps the GIL for that time, which is what makes
+# the median lateness 0.1 us: with sleep(0) in the loop it is 18 us.
+WATCH = 150e-6
+
+# How far behind the wall clock ticks still follow at once, s.
+CATCH_UP = 0.1
+
+
+class LatenessHistogram:
+    """Counts of latenesses in bins of equal width on a log scale, in a fixed amount of memory.
+
+    Covers 0.1 us to 100 s; shorter ones count in the first bin, longer ones in the last.
+    A quantile is the upper edge of its bin, at most the largest value: never too low, and too
+    high by at most 10^(1/PER_DECADE), 7.5 % (test_pacing.py). The largest value is exact.
+    """
+
+    PER_DECADE = 32
+    LOWEST = 1e-7                           # s
+    DECADES = 9
+
+    def __init__(self):
+        self._counts = [0] * (self.PER_DECADE * self.DECADES)
+        self.count = 0
+        self.largest = 0.0                  # s
+
+    def add(self, lateness):
+        """Count one lateness in s."""
+        bins = 0
+        if lateness > self.LOWEST:
+            bins = min(int(math.log10(lateness / self.LOWEST) * self.PER_DECADE),
+                       len(self._counts) - 1)
+        self._counts[bins] += 1
+        self.count += 1
+        self.largest = max(self.largest, lateness)
+
+    def quantile(self, fraction):
+        """Lateness in s that `fraction` of the values do not exceed; 0 without values."""
+        rank = max(1, math.ceil(fraction * self.count))
+        seen = 0
+        for i, count in enumerate(self._counts):
+            seen += count
+            if seen >= rank:
+                edge = self.LOWEST * 10.0 ** ((i + 1) / self.PER_DECADE)
+                return min(edge, self.largest)
+        return 0.0
+
+    def microseconds(self):
+        """{"p50", "p99", "max"} in us."""
+        return {"p50": 1e6 * self.quantile(0.5), "p99": 1e6 * self.quantile(0.99),
+                "max": 1e6 * self.largest}
+
+
+class Pacer:
+    """Says when simulated time is due.
+
+    factor : simulated seconds per wall second; 0: as fast as it goes. After a change call `start`
+    clock  : function that returns monotonic seconds
+    sleep  : function of seconds; it may return early, and must then return something true
+
+    ticks      : times that `wait` returned True
+    overruns   : ticks whose deadline had passed when `wait` was called
+    reanchored : times the anchor was set anew because the clock could not be caught up with
+    lateness   : LatenessHistogram of all ticks that had a deadline
+    """
+
+    def __init__(self, factor=1.0, clock=time.monotonic, sleep=time.sleep):
+        self.factor = factor
+        self._clock = clock
+        self._sleep = sleep
+        self.ticks = self.overruns = self.reanchored = 0
+        self.lateness = LatenessHistogram()
+        self._anchor = self._start = self._last = self._mark = (0.0, 0.0)
+        self._spans = (0.0, 0.0)            # simulated and wall seconds of the finished stretches
+        self._factor_seen = 0.0
+
+    def start(self, sim_time):
+        """Run from simulated time `sim_time` on: at the start, at a resume, for a new factor."""
+        self.stop()
+        self._factor_seen = 0.0
+        self._anchor = self._start = self._last = self._mark = (sim_time, self._clock())
+
+    def stop(self):
+        """End the stretch: the time until the next `start` counts nowhere."""
+        self._spans = self._totals()
+        self._start = self._last
+
+    def wait(self, sim_time, longest=math.inf):
+        """Wait until `sim_time` is due, but no longer than about `longest` wall seconds.
+
+        returns True when it is due: take the tick. False: not yet; ask again.
+        """
+        now = self._clock()
+        if self.factor > 0.0:
+            t0, w0 = self._anchor
+            deadline = w0 + (sim_time - t0) / self.factor
+            if deadline > now:
+                if deadline - now > WATCH:
+                    if (self._sleep(min(deadline - now - WATCH, longest))
+                            or deadline - self._clock() > WATCH):
+                        return False
+                while (now := self._clock()) < deadline:
+                    pass
+            else:
+                self.overruns += 1
+            self.lateness.add(now - deadline)
+            if now - deadline > CATCH_UP:
+                self._anchor = (sim_time, now)
+                self.reanchored += 1
+        self.ticks += 1
+        self._last = (sim_time, now)
+        return True
+
+    def _totals(self):
+        """Simulated and wall seconds of all stretches, up to the last tick."""
+        return tuple(span + last - start
+                     for span, last, start in zip(self._spans, self._last, self._start))
+
+    def recent_factor(self):
+        """Achieved real-time factor between the last ticks before this call and the one before."""
+        sim, wall = (last - mark for last, mark in zip(self._last, self._mark))
+        if wall > 0.0:
+            self._factor_seen = sim / wall
+            self._mark = self._last
+        return self._factor_seen
+
+    def report(self):
+        """Account of all stretches, JSON types only; pauses count nowhere."""
+        sim, wall = self._totals()
+        return {"ticks": self.ticks, "overruns": self.overruns, "reanchored": self.reanchored,
+                "lateness_us": self.lateness.microseconds(),
+                "real_time_factor": sim / wall if wall > 0.0 else 0.0,
+                "wall_seconds": wall, "sim_seconds": sim}

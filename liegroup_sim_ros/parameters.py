@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of the simulation node: one table that declares, checks and documents them.
+
+A wrong value, a wrong type or an unknown name raises ParameterError, one line that names the
+parameter, what is wrong and what would be right. Where a real number is asked for, a whole one
+will do.
+"""
+import difflib
+import math
+from types import SimpleNamespace
+from typing import NamedTuple
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.parameter import Parameter
+
+HOLDS = ("one_step", "timeout", "until_replaced")
+
+
+class ParameterError(Exception):
+    """A parameter that cannot be used; one line of text for the user, exit code 2."""
+
+
+class Entry(NamedTuple):
+    """One parameter. Its type is that of its default."""
+
+    name: str
+    default: object
+    text: str
+    read_only: bool = True                  # False: may be set while the node runs
+    choices: tuple = ()
+    low: float | None = None
+    high: float | None = None
+    above: bool = False                     # `low` itself is refused
+
+
+TABLE = (
+    Entry("scene", "", "scene file (YAML)"),
+    Entry("method", "rkmk4", "integration method"),
+    Entry("group", "se3", "configuration space of a body: SE(3) or SO(3) x R^3",
+          choices=("se3", "so3xr3")),
+    Entry("step", 1e-3, "step size, s", low=0.0, high=10.0, above=True),
+    Entry("publish_rate", 100.0, "poses and twists per second of simulated time, Hz; the period "
+          "must be a whole number of steps", low=0.0, high=1e5, above=True),
+    Entry("clock_rate", 100.0, "/clock messages per second of simulated time, Hz; the period must "
+          "be a whole number of steps; 0: no /clock", low=0.0, high=1e5),
+    Entry("real_time_factor", 1.0, "simulated seconds per second; 0: as fast as it goes",
+          read_only=False, low=0.0, high=1e6),
+    Entry("start_paused", False, "wait for ~/resume or ~/step"),
+    Entry("record", "", "file to record to, *.mcap, or an existing folder; empty: no recording"),
+    Entry("world_frame", "world", "frame id of the poses"),
+    Entry("wrench_hold", "timeout", "how long a wrench from ~/wrench acts: for one step, for "
+          "wrench_timeout, or until the next one for this body", read_only=False, choices=HOLDS),
+    Entry("wrench_timeout", 0.1, "how long a wrench acts if wrench_hold is timeout, s of "
+          "simulated time", read_only=False, low=0.0, high=1e6, above=True),
+    Entry("step_count", 1, "steps that one call of ~/step takes", read_only=False,
+          low=1, high=1000000),
+)
+_ENTRIES = {entry.name: entry for entry in TABLE}
+_TYPE_NAMES = {str: "a text", bool: "true or false", int: "a whole number", float: "a number"}
+# Declared by rclpy itself.
+_BUILT_IN = ("use_sim_time", "start_type_description_service")
+
+
+def check(name, value):
+    """The value in its parameter's type. Raises ParameterError."""
+    entry = _ENTRIES[name]
+    wanted = type(entry.default)
+    if wanted is float and type(value) is int:
+        value = float(value)
+    if type(value) is not wanted:
+        raise ParameterError(f"parameter {name}: must be {_TYPE_NAMES[wanted]}, got {value!r}")
+    if entry.choices and value not in entry.choices:
+        raise ParameterError(
+            f"parameter {name}: must be {_listed(entry.choices)}, got {value!r}")
+    if wanted is float and not math.isfinite(value):
+        raise ParameterError(f"parameter {name}: must be finite, got {value!r}")
+    if entry.low is not None and (not entry.low <= value <= entry.high
+                                  or entry.above and value == entry.low):
+        raise ParameterError(f"parameter {name}: must be {_range(entry)}, got {value!r}")
+    return value
+
+
+def read_parameters(node):
+    """Declare all parameters of `node` and return their values, `.name` for each of the table.
+
+    node : was created with automatically_declare_parameters_from_overrides=True; that is how
+           names that nobody knows, which ROS would ignore, are seen and refused
+    returns the values, and `.sample_steps` and `.clock_steps`: steps between two samples and
+            between two /clock messages, 0 for none
+    raises ParameterError
+    """
+    given = {name: parameter.value for name, parameter in node.get_parameters_by_prefix("").items()
+             if name not in _BUILT_IN}
+    for name in given:
+        node.undeclare_parameter(name)      # to be declared again, with its descriptor
+        if name not in _ENTRIES and not name.startswith("qos_overrides."):
+            near = difflib.get_close_matches(name, _ENTRIES, n=1)
+            hint = f"did you mean {near[0]}?" if near else f"there are: {', '.join(_ENTRIES)}"
+            raise ParameterError(f"parameter {name}: unknown; {hint}")
+    values = SimpleNamespace()
+    for entry in TABLE:
+        value = check(entry.name, given.get(entry.name, entry.default))
+        node.declare_parameter(entry.name, value, _descriptor(entry), ignore_override=True)
+        setattr(values, entry.name, value)
+    values.sample_steps = _whole_steps("publish_rate", values.publish_rate, values.step)
+    values.clock_steps = _whole_steps("clock_rate", values.clock_rate, values.step)
+    return values
+
+
+def watch_parameters(node, changed):
+    """Check what is set while the node runs, then call changed(name, value)."""
+    def convert(parameters):
+        return [Parameter(p.name, value=float(p.value))
+                if p.name in _ENTRIES and type(_ENTRIES[p.name].default) is float
+                and type(p.value) is int else p for p in parameters]
+
+    def validate(parameters):
+        try:
+            for parameter in parameters:
+                if parameter.name in _ENTRIES:
+                    check(parameter.name, parameter.value)
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def apply(parameters):
+        for parameter in parameters:
+            if parameter.name in _ENTRIES:
+                changed(parameter.name, parameter.value)
+
+    node.add_pre_set_parameters_callback(convert)
+    node.add_on_set_parameters_callback(validate)
+    node.add_post_set_parameters_callback(apply)
+
+
+def table_text():
+    """The table in Markdown, as docs/node.md has it (test_node.py)."""
+    rows = ["| parameter | default | allowed | settable while running | meaning |",
+            "|---|---|---|---|---|"]
+    for entry in TABLE:
+        default = {"": "empty", False: "false"}.get(entry.default, entry.default)
+        allowed = _listed(entry.choices) or (
+            _range(entry) if entry.low is not None else _TYPE_NAMES[type(entry.default)])
+        rows.append(f"| `{entry.name}` | {default} | {allowed} | "
+                    f"{'no' if entry.read_only else 'yes'} | {entry.text} |")
+    return "\n".join(rows)
+
+
+def _whole_steps(name, rate, step):
+    """Steps in one period of `rate`. Raises ParameterError if that is not a whole number."""
+    if rate == 0.0:
+        return 0
+    steps = 1.0 / (rate * step)
+    whole = max(1, round(steps))
+    if abs(steps - whole) > 1e-6 * whole:   # far above rounding, far below a step in any log
+        nearest = sorted({1.0 / (max(1, n) * step) for n in (math.floor(steps), math.ceil(steps))})
+        raise ParameterError(
+            f"parameter {name}: {rate:g} Hz is {steps:.6g} steps of {step:g} s, must be a whole "
+            f"number of steps; possible: {' or '.join(f'{r:.9g}' for r in nearest)}")
+    return whole
+
+
+def _descriptor(entry):
+    descriptor = ParameterDescriptor(description=entry.text, read_only=entry.read_only)
+    if entry.choices:
+        descriptor.additional_constraints = f"one of: {', '.join(entry.choices)}"
+    elif entry.low is not None:
+        descriptor.additional_constraints = _range(entry)
+        if type(entry.default) is int:
+            descriptor.integer_range = [IntegerRange(from_value=entry.low, to_value=entry.high)]
+        else:
+            descriptor.floating_point_range = [
+                FloatingPointRange(from_value=entry.low, to_value=entry.high)]
+    return descriptor
+
+
+def _range(entry):
+    least = "greater than" if entry.above else "at least"
+    return f"{least} {entry.low:g} and at most {entry.high:g}"
+
+
+def _listed(names):
+    return f"{', '.join(names[:-1])} or {names[-1]}" if names else ""

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`liegroup_sim push`: push a body of a running simulation from another process.
+
+Publishes a wrench at a steady rate, a zero wrench at the end, also after Ctrl-C, and reports what
+the simulation says it applied. The duration is wall time.
+"""
+import math
+import sys
+import time
+
+DISCOVERY = 10.0                            # s; processes see each other after 0.05 to 2.5 s
+ANSWER = 2.0                                # s that a running simulation needs at most to follow
+
+
+class PushError(Exception):
+    """The push cannot be made; one line of text."""
+
+
+def add_parser(subparsers):
+    """Add `push` to the subcommands of a command line."""
+    parser = subparsers.add_parser(
+        "push", help="push a body of a running simulation",
+        description="Apply a wrench to a body of a running simulation node. Force and torque are "
+        "in the axes of the body, the torque about the origin of its frame.")
+    parser.add_argument("body", metavar="BODY", help="name of the body")
+    for name, unit in (("force", "N"), ("torque", "N m")):
+        parser.add_argument(f"--{name}", nargs=3, type=float, metavar=("X", "Y", "Z"),
+                            default=(0.0, 0.0, 0.0), help=f"{unit}, body axes (default: 0 0 0)")
+    parser.add_argument("--duration", type=float, default=1.0, metavar="S",
+                        help="wall time in s (default: %(default)s)")
+    parser.add_argument("--rate", type=float, default=50.0, metavar="HZ",
+                        help="messages per second (default: %(default)s)")
+    parser.add_argument("--node", default="/sim_node", metavar="NAME",
+                        help="the simulation node (default: %(default)s)")
+    parser.set_defaults(run=run)
+
+
+def run(args):
+    """Run the subcommand; returns the exit code."""
+    try:
+        _check(args)
+        import rclpy
+        from rclpy.signals import SignalHandlerOptions
+    except PushError as error:
+        print(f"push: {error}", file=sys.stderr)
+        return 2
+    except ImportError as error:
+        print(f"push: ROS 2 is needed to push: {error}", file=sys.stderr)
+        return 2
+    try:
+        # Ctrl-C must leave the context alive for the zero wrench.
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        print(_push(args))
+        return 0
+    except PushError as error:
+        print(f"push: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("push: interrupted; the zero wrench is sent", file=sys.stderr)
+        return 130
+    finally:
+        rclpy.try_shutdown()
+
+
+def _check(args):
+    numbers = (*args.force, *args.torque, args.duration, args.rate)
+    if not all(map(math.isfinite, numbers)):
+        raise PushError("all numbers must be finite")
+    if not any((*args.force, *args.torque)):
+        raise PushError("nothing to push with: give --force X Y Z or --torque X Y Z")
+    if args.duration <= 0.0 or args.rate <= 0.0:
+        raise PushError("--duration and --rate must be greater than 0")
+
+
+def _push(args):
+    """Push; returns what to tell the user."""
+    import rclpy
+    from geometry_msgs.msg import WrenchStamped
+    from rclpy.duration import Duration
+    from rclpy.executors import SingleThreadedExecutor
+
+    name = "/" + args.node.strip("/")
+    node = rclpy.create_node("liegroup_sim_push")
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    publisher = node.create_publisher(WrenchStamped, f"{name}/wrench", 10)
+    applied = []
+    node.create_subscription(WrenchStamped, f"{name}/applied_wrench", applied.append, 100)
+
+    def spin_until(done, seconds):
+        """True as soon as done() holds, False after so many seconds."""
+        end = time.monotonic() + seconds
+        while not done():
+            if (left := end - time.monotonic()) <= 0.0:
+                return False
+            executor.spin_once(timeout_sec=min(left, 0.02))
+        return True
+
+    def bodies():
+        prefix, suffix = f"{name}/", "/pose"
+        return sorted(topic[len(prefix):-len(suffix)]
+                      for topic, _ in node.get_topic_names_and_types()
+                      if topic.startswith(prefix) and topic.endswith(suffix))
+
+    # Both ways, or the answer would be missed.
+    if not spin_until(lambda: publisher.get_subscription_count()
+                      and node.count_publishers(f"{name}/applied_wrench"), DISCOVERY):
+        raise PushError(f"no simulation node {name} within {DISCOVERY:g} s: is it running, with "
+                        "the same ROS_DOMAIN_ID? --node gives its name")
+    if not spin_until(lambda: args.body in bodies(), ANSWER):
+        raise PushError(f"{name} has no body {args.body!r}; it has: {', '.join(bodies())}")
+    message = WrenchStamped()
+    message.header.frame_id = args.body
+    zero = WrenchStamped(header=message.header)
+    for vector, values in ((message.wrench.force, args.force),
+                           (message.wrench.torque, args.torque)):
+        vector.x, vector.y, vector.z = values
+    start, sent = time.monotonic(), 0
+    try:
+        while sent / args.rate < args.duration:
+            publisher.publish(message)
+            sent += 1
+            due = start + min(sent / args.rate, args.duration)
+            spin_until(lambda: False, due - time.monotonic())
+    finally:
+        publisher.publish(zero)
+        seconds = time.monotonic() - start
+        publisher.wait_for_all_acked(Duration(seconds=ANSWER))
+
+    def vanished():
+        ours = [m for m in applied if m.header.frame_id == args.body]
+        return len(ours) > 1 and ours[-1].wrench == zero.wrench
+
+    spin_until(vanished, ANSWER)
+    text = (f"pushed {args.body} of {name} with force {list(args.force)} N, torque "
+            f"{list(args.torque)} N m for {seconds:.2f} s: {sent} messages, then a zero one\n")
+    stamps = [m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in applied
+              if m.header.frame_id == args.body]
+    if not stamps:
+        return text + "the simulation has not applied it: is it paused? see its log"
+    return text + (f"applied from {stamps[0]:.9g} s to {stamps[-1]:.9g} s of simulated time"
+                   if vanished() else f"applied from {stamps[0]:.9g} s of simulated time on")

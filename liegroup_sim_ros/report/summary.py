@@ -1,0 +1,235 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The figures of an analysis in words: verdict, problems, and the rows of its tables."""
+import math
+
+from rich.table import Table
+from rich.text import Text
+
+# Below this part of the real-time factor asked for, a run was too slow.
+SLOW = 0.99
+MOST_JOINTS = 8         # in the table; the others are in the JSON
+NO_NUMBER = ("not a number", "infinite")
+GROUPS = {"se3": "SE(3)", "so3xr3": "SO(3) x R^3"}
+
+
+def shown(value, unit=""):
+    """A number for people: three digits; what is no number says so."""
+    if value is None:
+        return "-"
+    if not math.isfinite(value):
+        return NO_NUMBER[0] if math.isnan(value) else NO_NUMBER[1]
+    number = f"{value:.3g}" if value else "0"
+    return f"{number} {unit}".strip() if unit != "1" else number
+
+
+def _count(number, noun):
+    return f"{number:.0f} {noun}{'' if number == 1 else 's'}"
+
+
+def find_problems(figures):
+    """What is wrong with the run or its recording, one sentence each; empty if nothing is."""
+    problems = []
+    if figures["file_problem"]:
+        problems.append(f"the file is incomplete: {figures['file_problem']}")
+    if figures["lost_messages"]:
+        problems.append("messages are missing: " + ", ".join(
+            f"{count} of {topic}" for topic, count in figures["lost_messages"].items()))
+    if figures["missing_samples"]:
+        problems.append("missing from the recording: "
+                        + _count(figures["missing_samples"], "sample"))
+    if figures["recorder_lost"]:
+        problems.append(f"the recorder lost {_count(figures['recorder_lost'], 'message')}")
+    if figures["not_finite_samples"]:
+        problems.append(
+            f"NaN or infinity in {_count(figures['not_finite_samples'], 'sample')}, from "
+            f"{shown(figures['first_not_finite_s'], 's')} on: left out of all figures")
+    problems += [f"the run stopped with an error: {text}" for text in figures["faults"]]
+    problems += _replay_problems(figures)
+    timing = figures["timing"]
+    factor, wanted = timing.get("real_time_factor"), timing["factor_wanted"]
+    if wanted and factor is not None and not factor >= SLOW * wanted:
+        problems.append(f"too slow: real-time factor {shown(factor)} of {shown(wanted)}")
+    if timing.get("reanchored"):
+        problems.append(f"more than 0.1 s behind the wall clock, which was given up "
+                        f"{_count(timing['reanchored'], 'time')}")
+    wrong = [name for name, value in _numbers(figures) if not math.isfinite(value)]
+    if wrong:
+        problems.append("not a number: " + ", ".join(wrong[:5]))
+    return problems
+
+
+def _replay_problems(figures):
+    repeat, reference = figures.get("repeat", {}), figures.get("reference", {})
+    problems = []
+    if "failed" in repeat:
+        problems.append(f"it cannot be simulated again: {repeat['failed']}")
+    elif repeat and repeat["identical"] < repeat["samples"]:
+        at = repeat["first_difference"]
+        where = (f"{at['body']} differs from {shown(at['at_s'], 's')} on" if at
+                 else f"it {repeat['stopped']}")
+        problems.append(f"simulated again it is not the same: {where} (another processor or "
+                        "another version of the software may round differently)")
+    if "failed" in reference:
+        problems.append(f"no independent integration: {reference['failed']}")
+    return problems
+
+
+def _numbers(figures, name=""):
+    """(name, value) of every float in the figures."""
+    entries = (figures.items() if isinstance(figures, dict) else enumerate(figures)
+               if isinstance(figures, (list, tuple)) else ())
+    for key, value in entries:
+        path = f"{name}.{key}" if name else str(key)
+        if isinstance(value, float):
+            yield path, value
+        else:
+            yield from _numbers(value, path)
+
+
+def verdict(figures):
+    """One sentence on how wrong the run is; what is wrong beyond that follows as problems."""
+    head = (f"{figures['scene']}, {shown(figures['sim_seconds'], 's')} with {figures['method']} "
+            f"at {shown(figures['step'] * 1e3, 'ms')}")
+    said = []
+    reference = figures.get("reference")
+    if reference and "failed" not in reference:
+        said.append(f"off by at most {_error(reference['position'])} and "
+                    f"{_error(reference['angle'])}")
+    if figures.get("joints"):
+        worst = max(figures["joints"].values(), key=lambda joint: joint["largest"])
+        said.append(f"joints closed to {shown(worst['largest'], worst['unit'])}")
+    if figures.get("energy") and figures["energy"]["relative_drift"] is not None:
+        said.append(f"energy kept to {shown(figures['energy']['relative_drift'])} of the largest "
+                    "kinetic energy")
+    repeat = figures.get("repeat", {})
+    if repeat and repeat.get("identical") == repeat.get("samples"):
+        said.append("simulated again it is the same bit for bit")
+    if figures["timing"].get("real_time_factor"):
+        said.append(f"real-time factor {figures['timing']['real_time_factor']:.3f}")
+    return f"{head}: {'; '.join(said) or 'nothing could be judged'}."
+
+
+def _error(entry):
+    """Size of an error; where the reference is not sure of as much, what it is sure of."""
+    if entry["max"] <= entry["uncertainty"]:
+        return f"{shown(entry['uncertainty'], entry['unit'])} (all the reference can tell)"
+    return shown(entry["max"], entry["unit"])
+
+
+def sections(figures):
+    """The table: [(title, [(what, value, remark)])]."""
+    found = [("Run", _run_rows(figures))]
+    if "reference" in figures and "failed" not in figures["reference"]:
+        found.append(("Error against an independent integration", _error_rows(figures)))
+    if "energy" in figures:
+        found.append(("What it should keep", _kept_rows(figures)))
+    repeat = figures.get("repeat", {})
+    if "identical" in repeat:
+        found.append(("Simulated again", [(
+            "same bytes", f"{repeat['identical']} of {repeat['samples']} samples",
+            "from the recorded start, settings and wrenches")]))
+    found.append(("Real time", _timing_rows(figures["timing"])))
+    found.append(("File", _file_rows(figures)))
+    return found
+
+
+def _run_rows(figures):
+    pushes = figures["pushes"]
+    shown_pushes = "; ".join(
+        f"{p['body']} {p['from_s']:.3f} s to " + (f"{p['to_s']:.3f} s" if p["to_s"] is not None
+                                                  else "the end") for p in pushes[:4])
+    more = f" and {len(pushes) - 4} more" if len(pushes) > 4 else ""
+    refused = figures["wrenches_refused"]
+    return [
+        ("scene", figures["scene"], ", ".join(figures["bodies"][:6])
+         + (f" and {len(figures['bodies']) - 6} more" if len(figures["bodies"]) > 6 else "")),
+        ("method", f"{figures['method']}, step {shown(figures['step'] * 1e3, 'ms')}",
+         f"on {GROUPS.get(figures['group'], figures['group'])}"),
+        ("simulated time", shown(figures["sim_seconds"], "s"),
+         f"{figures['samples']} samples"
+         + (f", {_count(figures['resets'], 'reset')}" if figures["resets"] else "")),
+        ("pushes", str(len(pushes)), shown_pushes + more
+         + (f"; {refused:.0f} wrench messages refused" if refused else "")),
+    ]
+
+
+def _error_rows(figures):
+    names = {"position": "position", "angle": "attitude", "attitude": "attitude |R - Rref|",
+             "angular": "angular velocity", "linear": "velocity"}
+    return [(text, shown(entry["max"], entry["unit"]),
+             f"at the end {shown(entry['final'], entry['unit'])}, "
+             f"reference ± {shown(entry['uncertainty'], entry['unit'])}")
+            for key, text in names.items() for entry in [figures["reference"][key]]]
+
+
+def _kept_rows(figures):
+    energy = figures["energy"]
+    rows = [("energy drift", shown(energy["drift_J"], "J"), _joined(
+        energy["relative_drift"] is not None
+        and f"{shown(energy['relative_drift'])} of the largest kinetic energy",
+        energy["left_out"] and f"without {energy['left_out']}" if energy["drift_J"] is not None
+        else energy["left_out"]))]
+    for entry in figures["momentum"]:
+        rows.append((entry["component"], shown(entry["drift"], entry["unit"]), _joined(
+            f"of at most {shown(entry['largest'], entry['unit'])}",
+            len(figures["bodies"]) > len(entry["bodies"]) and ", ".join(entry["bodies"][:4]),
+            entry["left_out"] and f"without {entry['left_out']}")))
+    if not figures["momentum"]:
+        rows.append(("momentum", "-", "this scene keeps no component of it"))
+    joints = sorted(figures["joints"].items(), key=lambda item: -item[1]["largest"])
+    for name, entry in joints[:MOST_JOINTS]:
+        rows.append((f"joint {name} open by", shown(entry["largest"], entry["unit"]),
+                     f"at {shown(entry['at_s'], 's')}"))
+    if len(joints) > MOST_JOINTS:
+        rows.append((f"{len(joints) - MOST_JOINTS} other joints", "less", ""))
+    return rows
+
+
+def _timing_rows(timing):
+    late = timing["lateness_us"]
+    ticks = timing.get("ticks")
+    return [
+        ("real-time factor", "-" if timing.get("real_time_factor") is None
+         else f"{timing['real_time_factor']:.4f}",
+         "as fast as it goes was wanted" if timing["factor_wanted"] == 0.0
+         else f"wanted {shown(timing['factor_wanted'])}"),
+        ("lateness of a tick", _microseconds(late["p50"]),
+         f"half of them; 99 % within {_microseconds(late['p99'])}, all within "
+         f"{_microseconds(late['max'])}"),
+        ("overruns", "-" if timing.get("overruns") is None else f"{timing['overruns']:.0f}",
+         "" if ticks is None else f"of {ticks:.0f} ticks"),
+    ]
+
+
+def _microseconds(value):
+    return shown(value, "us") if value is None or value < 1e3 else shown(value * 1e-3, "ms")
+
+
+def _file_rows(figures):
+    lost = sum(figures["lost_messages"].values()) + figures["missing_samples"]
+    return [("messages", str(sum(figures["messages"].values())),
+             f"{len(figures['messages'])} topics"),
+            ("lost", str(lost), "by sequence number and by the grid of samples"),
+            ("complete", "yes" if figures["complete"] else "no", figures["file_problem"] or "")]
+
+
+def _joined(*remarks):
+    return "; ".join(remark for remark in remarks if remark)
+
+
+def print_table(figures, console):
+    """Verdict, problems and tables on a terminal."""
+    console.print(Text(figures["verdict"], style="bold"))
+    for problem in figures["problems"]:
+        console.print(Text(f"! {problem}", style="bold red"))
+    for title, rows in sections(figures):
+        table = Table(box=None, show_header=False, padding=(0, 2, 0, 0), title=Text(title),
+                      title_justify="left", title_style="bold")
+        table.add_column(width=24, style="dim")
+        table.add_column(width=18)
+        table.add_column(style="dim", overflow="fold")
+        for what, value, remark in rows:
+            style = "bold red" if value in NO_NUMBER else ""
+            table.add_row(Text(what), Text(value, style=style), Text(remark))
+        console.print()
+        console.print(table)

@@ -1,0 +1,295 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Simulation thread: the only one that touches the simulation; it paces, obeys and puts out.
+
+Commands and wrenches come in from other threads and take effect between two steps. Samples, clock,
+applied wrenches, events and diagnostics go to an output object (outputs.py has the one for ROS).
+Simulated time is an integer of nanoseconds that never goes back: the step count restarts at a
+reset, the stamps continue one step after the last one. Imports no ROS.
+"""
+import math
+import threading
+import time
+from concurrent.futures import Future
+
+from liegroup_core import SimulationError
+from liegroup_core.pacing import Pacer
+
+DIAGNOSTICS_PERIOD = 1.0                    # s of wall time
+
+
+class CommandError(Exception):
+    """A command that makes no sense in the present state; one line of text."""
+
+
+class SimulationServer(threading.Thread):
+    """Runs a simulation in real time.
+
+    simulation   : liegroup_core.Simulation; belongs to this thread from `start` to its end
+    output       : has sample(stamp_ns, sample), clock(stamp_ns),
+                   applied_wrench(stamp_ns, body, wrench6), event(stamp_ns, name, text, failed),
+                   diagnostics(stamp_ns, figures)
+    sample_steps : steps between two samples
+    clock_steps  : steps between two clock messages, 0: none
+    factor       : real-time factor, 0: as fast as it goes
+    paused       : start paused
+
+    The state is "running", "paused" or "faulted": after a SimulationError the last good state
+    stays, and only a reset leads out. `failure` is an exception that ended the thread, or None.
+    """
+
+    def __init__(self, simulation, output, sample_steps, clock_steps, factor=1.0, paused=False):
+        super().__init__(name="simulation", daemon=True)
+        self._simulation = simulation
+        self._output = output
+        self._sample_steps, self._clock_steps = sample_steps, clock_steps
+        self._tick_steps = math.gcd(sample_steps, clock_steps)
+        self._wake = threading.Event()
+        self._lock = threading.Lock()
+        self._commands = []                 # (Future, bound method, arguments)
+        self._wrenches = {}                 # (body, start_ns) -> (wrench, duration)
+        self._stopping = False
+        self._base_ns = 0                   # stamp of step 0
+        self._sampled_ns = None             # stamp of the last sample put out
+        self._acting = {}                   # body -> total wrench, where it is not zero
+        self._reference_energy = None       # J, of the last moment known without a push
+        self.pacer = Pacer(factor, sleep=self._wake.wait)
+        self.state = "paused" if paused else "running"
+        self._state_before_fault = self.state
+        self.stamp_ns = 0
+        self.failure = None
+
+    # From other threads:
+
+    def call(self, command, *arguments):
+        """Future of a command: "pause", "resume", "reset", "step" (count) or "speed" (factor).
+
+        Its result is one line of text; its exception is CommandError. It is cancelled if the
+        server ends first.
+        """
+        future = Future()
+        method = {"pause": self._pause, "resume": self._resume, "reset": self._reset,
+                  "step": self._step, "speed": self._speed}[command]
+        with self._lock:
+            self._commands.append((future, method, arguments))
+        self._wake.set()
+        return future
+
+    def push(self, body, wrench, start_ns, duration):
+        """Apply a wrench (torque, force) to a body, instead of what was pushed before.
+
+        start_ns : stamp of the first step; 0: the next step
+        duration : s of simulated time, None: until the next push of this body
+        """
+        # While nothing moves, a later push with the same start takes the place of the earlier one,
+        # so what waits here does not grow with time.
+        with self._lock:
+            self._wrenches.pop((body, start_ns), None)
+            self._wrenches[body, start_ns] = (wrench, duration)
+
+    def stop(self):
+        """End the thread after the present tick, and wait for it."""
+        self._stopping = True
+        self._wake.set()
+        if self.is_alive():
+            self.join()
+
+    # In the simulation thread:
+
+    def run(self):
+        """Run until `stop`; what ends it otherwise is left in `failure`."""
+        try:
+            self._begin()
+            while not self._stopping:
+                self._wake.clear()
+                self._obey()
+                self._run_on()
+            self.pacer.stop()
+            self._event("stop", f"stopped at step {self._simulation.steps}")
+        except Exception as error:
+            self.failure = error
+        finally:
+            with self._lock:
+                self._stopping = True
+                for future, _, _ in self._commands:
+                    future.cancel()
+
+    def _begin(self):
+        self._event("start", f"{self._simulation.scene.name} at step 0, {self.state}")
+        self._put_out()
+        self._reference_energy = self._simulation.sample().energy
+        self._next_diagnostics = time.monotonic() + DIAGNOSTICS_PERIOD
+        if self.state == "running":
+            self.pacer.start(self._seconds())
+
+    def _run_on(self):
+        """Take the next tick when it is due; else wait for it, for a command or diagnostics."""
+        idle = max(0.0, self._next_diagnostics - time.monotonic())
+        if self.state == "running":
+            tick = self._next_tick()
+            if self.pacer.wait(self._stamp(tick) * 1e-9, idle):
+                self._advance(tick)
+        else:
+            self._wake.wait(idle)
+        if time.monotonic() >= self._next_diagnostics:
+            self._output.diagnostics(self.stamp_ns, self._figures())
+            self._next_diagnostics = max(self._next_diagnostics + DIAGNOSTICS_PERIOD,
+                                         time.monotonic())
+
+    def _obey(self):
+        with self._lock:
+            commands, self._commands = self._commands, []
+        for future, method, arguments in commands:
+            try:
+                future.set_result(method(*arguments))
+            except CommandError as error:
+                future.set_exception(error)
+
+    def _stamp(self, steps):
+        return self._base_ns + round(steps * self._simulation.step * 1e9)
+
+    def _seconds(self):
+        return self.stamp_ns * 1e-9
+
+    def _next_tick(self):
+        """The next step with something to put out; ticks stay on the grid after single steps."""
+        return (self._simulation.steps // self._tick_steps + 1) * self._tick_steps
+
+    def _advance(self, end):
+        """Advance to step `end`, with all output on the way; True if it got there."""
+        simulation = self._simulation
+        while simulation.steps < end and not self._stopping:
+            self._hand_over_wrenches()
+            try:
+                simulation.advance(min(end, self._next_tick()) - simulation.steps)
+            except SimulationError as error:
+                self._fault(str(error))
+                return False
+            self._put_out()
+        return simulation.steps == end
+
+    def _hand_over_wrenches(self):
+        with self._lock:
+            wrenches, self._wrenches = self._wrenches, {}
+        for (body, start_ns), (wrench, duration) in wrenches.items():
+            start = (start_ns - self._base_ns) * 1e-9 if start_ns else None
+            self._simulation.apply_wrench(body, wrench, start, duration, source="topic")
+
+    def _put_out(self, everything=False):
+        """Put out what is due at the present step, in the order of the stamps."""
+        steps = self._simulation.steps
+        for change in self._simulation.drain_applied():
+            self._put_out_wrench(self._stamp(change.step), change.body, change.wrench)
+        self.stamp_ns = self._stamp(steps)
+        if self._clock_steps and (everything or steps % self._clock_steps == 0):
+            self._output.clock(self.stamp_ns)
+        if (everything or steps % self._sample_steps == 0) and self._sampled_ns != self.stamp_ns:
+            self._sampled_ns = self.stamp_ns
+            self._output.sample(self.stamp_ns, self._simulation.sample())
+
+    def _put_out_wrench(self, stamp_ns, body, wrench):
+        self._output.applied_wrench(stamp_ns, body, wrench)
+        self._reference_energy = None
+        if any(wrench):
+            self._acting[body] = wrench
+        else:
+            self._acting.pop(body, None)
+
+    def _event(self, name, text, failed=False):
+        self._output.event(self.stamp_ns, name, text, failed)
+
+    def _fault(self, text):
+        self._put_out(everything=True)
+        self._state_before_fault = self.state
+        self.state = "faulted"
+        self.pacer.stop()
+        self._event("fault", f"{text}; the last good state is kept, ~/reset starts again", True)
+
+    def _must_not_be_faulted(self):
+        if self.state == "faulted":
+            raise CommandError("the simulation has stopped with an error: call ~/reset first")
+
+    # Commands:
+
+    def _pause(self):
+        self._must_not_be_faulted()
+        if self.state == "paused":
+            return "already paused"
+        self.state = "paused"
+        self.pacer.stop()
+        self._event("pause", f"paused at step {self._simulation.steps}")
+        return f"paused at {self._seconds():.9g} s"
+
+    def _resume(self):
+        self._must_not_be_faulted()
+        if self.state == "running":
+            return "already running"
+        self.state = "running"
+        self.pacer.start(self._seconds())
+        self._event("resume", f"running from step {self._simulation.steps}")
+        return f"running from {self._seconds():.9g} s"
+
+    def _reset(self):
+        # Between the old time and the new one lies one step, so that no stamp comes twice.
+        self._base_ns = self.stamp_ns + max(1, round(self._simulation.step * 1e9))
+        self.stamp_ns = self._base_ns
+        with self._lock:
+            self._wrenches.clear()
+        self._simulation.reset()
+        self._event("reset", "initial state, step 0")
+        for body in list(self._acting):
+            self._put_out_wrench(self.stamp_ns, body, (0.0,) * 6)
+        self._put_out(everything=True)
+        self._reference_energy = self._simulation.sample().energy
+        if self.state == "faulted":
+            self.state = self._state_before_fault
+        if self.state == "running":
+            self.pacer.start(self._seconds())
+        return f"initial state at {self._seconds():.9g} s, {self.state}"
+
+    def _step(self, count):
+        self._must_not_be_faulted()
+        if self.state != "paused":
+            raise CommandError("the simulation is running: call ~/pause first")
+        first = self._simulation.steps
+        reached = self._advance(first + count)
+        done = self._simulation.steps - first
+        if reached:
+            self._put_out(everything=True)
+        self._event("step", f"{done} steps, at step {self._simulation.steps}")
+        if not reached:
+            raise CommandError(f"stopped after {done} of {count} steps")
+        return f"{done} steps, at {self._seconds():.9g} s"
+
+    def _speed(self, factor):
+        self.pacer.factor = factor
+        if self.state == "running":
+            self.pacer.start(self._seconds())
+        self._event("speed", f"real-time factor {factor:g}")
+        return f"real-time factor {factor:g}"
+
+    def _figures(self):
+        """{name: number or text} for the diagnostics; units are at the end of the names."""
+        sample = self._simulation.sample()
+        pacing = self.pacer.report()
+        if self._acting:
+            drift = math.nan                # a push changes the energy
+        else:
+            if self._reference_energy is None:
+                self._reference_energy = sample.energy
+            drift = sample.energy - self._reference_energy
+        return {
+            "state": self.state,
+            "sim_time_s": self._seconds(),
+            "steps": sample.steps,
+            "real_time_factor_wanted": self.pacer.factor,
+            "real_time_factor": self.pacer.recent_factor() if self.state == "running" else 0.0,
+            "lateness_p50_us": pacing["lateness_us"]["p50"],
+            "lateness_p99_us": pacing["lateness_us"]["p99"],
+            "lateness_max_us": pacing["lateness_us"]["max"],
+            "ticks": pacing["ticks"],
+            "overruns": pacing["overruns"],
+            "reanchored": pacing["reanchored"],
+            "energy_J": sample.energy,
+            "energy_drift_J": drift,
+            "constraint_residual": sample.constraint_residual,
+        }

@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One package for pip and for colcon (ament_python)."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+NAME = "liegroup_sim_ros"
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="Multibody dynamics on Lie groups, simulated in real time, served to ROS 2 and "
+    "recorded.",
+    maintainer="liegroup_sim_ros developers",
+    license="Apache-2.0",
+    python_requires=">=3.11",
+    packages=find_packages(include=["liegroup_core*", "liegroup_sim_ros*"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        (f"share/{NAME}/config", glob("config/*.yaml")),
+        (f"share/{NAME}/config/scenes", glob("config/scenes/*.yaml")),
+        (f"share/{NAME}/launch", glob("launch/*.launch.*")),
+        (f"lib/{NAME}", ["resource/sim_node"]),
+    ],
+    # ROS 2 itself is not listed: it comes from the sourced workspace or, see Makefile, as wheels.
+    install_requires=[
+        "mcap>=1.5",
+        "mcap-ros2-support",
+        "numba>=0.60",
+        "numpy>=1.26",
+        "plotly",
+        "pydantic>=2",
+        "pyyaml",
+        "rich",
+        "scipy>=1.11",
+    ],
+    extras_require={"test": ["hypothesis", "mpmath", "pytest", "rosbags"]},
+    entry_points={
+        "console_scripts": [
+            "liegroup_sim = liegroup_sim_ros.main:main",
+            "sim_node = liegroup_sim_ros.sim_node:main",
+        ],
+    },
+)

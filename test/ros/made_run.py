@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings as the node makes them, without its threads, so that each can be spoilt somewhere."""
+from example_run import diagnostics_message, log_message
+
+from liegroup_core import Simulation
+from liegroup_sim_ros import attachments
+from liegroup_sim_ros.messages import PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec
+from liegroup_sim_ros.recorder import Recorder
+
+PACING = {"ticks": 100, "overruns": 2, "reanchored": 0, "real_time_factor": 1.0,
+          "lateness_us": {"p50": 0.1, "p99": 40.0, "max": 900.0}, "wall_seconds": 1.0,
+          "sim_seconds": 1.0}
+PAIR = """
+name: pair
+description: "<script>alert(1)</script> & more"
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: left, mass: 1.0, inertia: [0.1, 0.2, 0.25], angular_velocity: [1, 2, 3]}
+  - {name: right, mass: 2.0, inertia: [0.1, 0.1, 0.1], position: [1, 0, 0],
+     angular_velocity: [0, 1, 0]}
+forces:
+  - {name: band, type: spring_damper, parent: left, parent_point: [0.1, 0, 0], child: right,
+     child_point: [0, 0.1, 0], stiffness: 50, rest_length: 0.5}
+"""
+
+
+def record(path, scene, steps, step=2e-3, per_sample=10, group="se3", pushes=(), resets=(),
+           spoil=lambda topic, k, data: data, pacing=PACING, end=True):
+    """Record a run of so many steps.
+
+    pushes : {step: (body, wrench)}, resets : steps at which to go back to the start
+    spoil  : may change a message, or drop it by returning None; k counts those of a topic
+    """
+    simulation = Simulation(scene, "rkmk4", step, group)
+    bodies = [body.name for body in scene.bodies]
+    topics = {"pose": {b: f"/sim_node/{b}/pose" for b in bodies},
+              "twist": {b: f"/sim_node/{b}/twist" for b in bodies},
+              "applied_wrench": "/sim_node/applied_wrench", "events": "/sim_node/events",
+              "clock": None, "diagnostics": "/diagnostics"}
+    count = {}
+    with Recorder(path, attachments.at_start(simulation, "/sim_node", "world", per_sample,
+                                             topics)) as recorder:
+        channel = {t: recorder.add_channel(t, c.TYPE) for kind, c in (
+            ("pose", PoseStampedCodec), ("twist", TwistStampedCodec)) for t in
+            topics[kind].values()}
+        channel[topics["applied_wrench"]] = recorder.add_channel(
+            topics["applied_wrench"], WrenchStampedCodec.TYPE)
+        channel["/sim_node/events"] = recorder.add_channel(
+            "/sim_node/events", "rcl_interfaces/msg/Log", "transient_local")
+        channel["/diagnostics"] = recorder.add_channel(
+            "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+
+        def write(topic, stamp_ns, data):
+            count[topic] = count.get(topic, -1) + 1
+            data = spoil(topic, count[topic], data)
+            if data is not None:
+                recorder.write(channel[topic], stamp_ns, data)
+
+        def put_out():
+            sample = simulation.sample()
+            stamp = base + sample.time_ns
+            for b in bodies:
+                write(topics["pose"][b], stamp, PoseStampedCodec("world").encode(
+                    stamp, sample.positions[b].tolist(), sample.quaternions[b].tolist()))
+                write(topics["twist"][b], stamp, TwistStampedCodec(b).encode(
+                    stamp, sample.twists[b].tolist()))
+
+        base = 0
+        write("/sim_node/events", 0, log_message(0, "start", "<b>begin</b>"))
+        put_out()
+        for k in range(1, steps + 1):
+            if k - 1 in dict(pushes):
+                simulation.apply_wrench(*dict(pushes)[k - 1])
+            simulation.advance()
+            for change in simulation.drain_applied():
+                stamp = base + round(change.step * step * 1e9)
+                write(topics["applied_wrench"], stamp,
+                      WrenchStampedCodec(change.body).encode(stamp, change.wrench))
+            if simulation.steps % per_sample == 0:
+                put_out()
+            if k in resets:
+                base += simulation.time_ns + round(step * 1e9)
+                simulation.reset()
+                write("/sim_node/events", base, log_message(base, "reset", "initial state"))
+                put_out()
+        stamp = base + simulation.time_ns
+        write("/diagnostics", stamp, diagnostics_message(stamp, {
+            "real_time_factor_wanted": "1", "lateness_p50_us": "0.1", "lateness_p99_us": "40",
+            "lateness_max_us": "900"}))
+        if end:
+            write("/sim_node/events", stamp, log_message(stamp, "stop", "done"))
+            recorder.add_attachment("pacing.json", *attachments.as_json(pacing))
+    assert recorder.failure is None
+    return path

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Simulation nodes as processes of their own, and a client in this one, for the tests.
+
+Everything runs in one ROS domain that no other test run is likely to have.
+"""
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import rclpy
+from geometry_msgs.msg import WrenchStamped
+from rcl_interfaces.srv import SetParameters
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
+
+# Two free bodies without gravity: a push has a closed form. `cube` tumbles, `puck` is at rest.
+SCENE = """
+name: two_bodies
+gravity: [0, 0, 0]
+bodies:
+  - {name: puck, mass: 2.0, inertia: [0.3, 0.35, 0.4]}
+  - {name: cube, mass: 1.0, inertia: [0.5, 0.9, 1.2], position: [5, 0, 0],
+     angular_velocity: [0.4, 1.1, 0.3], linear_velocity: [0.1, 0.2, 0.3]}
+"""
+
+PATIENCE = 30.0             # s; for what takes at most 3 s on an idle machine
+COMPILING = 180.0           # s; the first start on a machine compiles
+DOMAIN = 1 + os.getpid() % 100
+ENVIRONMENT = {**os.environ, "ROS_DOMAIN_ID": str(DOMAIN),
+               "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "PYTHONUNBUFFERED": "1"}
+NODE = "import sys; from liegroup_sim_ros.sim_node import main; sys.exit(main())"
+PUSH = ("import argparse, sys; from liegroup_sim_ros import push; p = argparse.ArgumentParser();"
+        "push.add_parser(p.add_subparsers()); a = p.parse_args(); sys.exit(a.run(a))")
+
+
+def python(code, *arguments, env=None):
+    """A Python process of its own session, so that signals to it reach nothing else."""
+    return subprocess.Popen(
+        [sys.executable, "-c", code, *map(str, arguments)], env={**ENVIRONMENT, **(env or {})},
+        start_new_session=True, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+
+class NodeProcess:
+    """A simulation node; `with` ends it. parameters: {name: value}."""
+
+    running = []
+
+    def __init__(self, parameters, remap=(), env=None):
+        arguments = [f"{name}:={value}" for name, value in parameters.items()]
+        self.process = python(NODE, "--ros-args", *(a for p in arguments for a in ("-p", p)),
+                              *(a for r in remap for a in ("-r", r)), env=env)
+
+    def __enter__(self):
+        self.running.append(self)
+        return self
+
+    def __exit__(self, *_):
+        self.running.remove(self)
+        if self.process.poll() is None:
+            os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.communicate()
+
+    def send(self, number):
+        os.killpg(self.process.pid, number)
+
+    def wait(self):
+        """(exit code, stderr) of a process that is ending."""
+        _, errors = self.process.communicate(timeout=PATIENCE)
+        return self.process.returncode, errors
+
+
+class Client:
+    """A ROS node in this process that listens, calls and pushes."""
+
+    def __init__(self):
+        os.environ.update({key: ENVIRONMENT[key] for key in
+                           ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")})
+        self._context = rclpy.Context()
+        self._context.init()
+        self.node = rclpy.create_node("test_client", context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._clients = {}
+
+    def close(self):
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self._context.try_shutdown()
+
+    def listen(self, topic, message_class, qos=200):
+        """A list that grows with the messages of a topic."""
+        messages = []
+        self.node.create_subscription(message_class, topic, messages.append, qos)
+        return messages
+
+    def until(self, condition, seconds=PATIENCE, what="what was waited for"):
+        """Spin until condition() is true, and return that; fail after so many seconds."""
+        end = time.monotonic() + seconds
+        while not (result := condition()):
+            for node in NodeProcess.running:
+                assert node.process.poll() is None, node.process.communicate()[1]
+            assert time.monotonic() < end, f"{what} did not happen within {seconds} s"
+            self._executor.spin_once(timeout_sec=0.05)
+        return result
+
+    def spin(self, seconds):
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self._executor.spin_once(timeout_sec=0.02)
+
+    def call(self, name, service=Trigger, request=None):
+        """Response of a service."""
+        if name not in self._clients:
+            self._clients[name] = self.node.create_client(service, name)
+        client = self._clients[name]
+        self.until(client.service_is_ready, COMPILING, f"service {name}")
+        future = client.call_async(request or service.Request())
+        self.until(future.done, what=f"answer of {name}")
+        return future.result()
+
+    def set(self, node, **values):
+        """Result of setting one parameter, or more."""
+        request = SetParameters.Request(parameters=[
+            Parameter(name, value=value).to_parameter_msg() for name, value in values.items()])
+        return self.call(f"{node}/set_parameters", SetParameters, request).results[-1]
+
+    def pusher(self, node):
+        """push(body, torque, force, stamp_ns) for a node, connected both ways."""
+        publisher = self.node.create_publisher(WrenchStamped, f"{node}/wrench", 100)
+        self.until(publisher.get_subscription_count, COMPILING, f"subscription of {node}")
+
+        def push(body, torque=(0.0, 0.0, 0.0), force=(0.0, 0.0, 0.0), stamp_ns=0):
+            message = WrenchStamped()
+            message.header.frame_id = body
+            message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
+            for vector, values in ((message.wrench.torque, torque),
+                                   (message.wrench.force, force)):
+                vector.x, vector.y, vector.z = values
+            publisher.publish(message)
+
+        return push
+
+
+def stamp_ns(stamp):
+    return stamp.sec * 10**9 + stamp.nanosec
+
+
+def values(message):
+    """(body, (torque, force), stamp in ns) of a WrenchStamped."""
+    torque, force = message.wrench.torque, message.wrench.force
+    return (message.header.frame_id, (torque.x, torque.y, torque.z, force.x, force.y, force.z),
+            stamp_ns(message.header.stamp))

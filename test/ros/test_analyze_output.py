@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What `liegroup_sim analyze` prints and writes, and how it refuses what it cannot read."""
+import json
+import math
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+
+import pytest
+from made_run import PACING, PAIR, record
+from rich.console import Console
+
+from liegroup_core import Simulation
+from liegroup_core.scene.load import scene_from_text
+from liegroup_sim_ros import attachments
+from liegroup_sim_ros.analyze import analyse, as_json
+from liegroup_sim_ros.main import main
+from liegroup_sim_ros.recorder import Recorder
+from liegroup_sim_ros.recording import read_recording
+from liegroup_sim_ros.report.summary import find_problems, print_table
+
+
+def test_not_a_number_is_never_shown_as_fine(tmp_path, capsys):
+    log = record(tmp_path / "a.mcap", scene_from_text(PAIR), 20,
+                 pacing=PACING | {"real_time_factor": 0.5, "reanchored": 3})
+    analysis = analyse(read_recording(log))
+    assert "too slow: real-time factor 0.5 of 1" in analysis.figures["problems"]
+    assert any("wall clock, which was given up 3 times" in text for text in analysis.figures["problems"])
+    figures = analysis.figures | {"energy": analysis.figures["energy"] | {"drift_J": math.nan}}
+    text = as_json(figures)
+    assert json.loads(text, parse_constant=pytest.fail)["energy"]["drift_J"] == "nan"
+    assert find_problems(figures)[-1] == "not a number: energy.drift_J"
+    print_table(figures, Console())
+    assert re.search(r"energy drift\s+not a number", capsys.readouterr().out)
+
+
+class Links(HTMLParser):
+    """Collects what a page would fetch, its scripts and its texts."""
+
+    def __init__(self):
+        super().__init__()
+        self.fetched, self.scripts, self.texts, self.tag = [], [], [], None
+
+    def handle_starttag(self, tag, attributes):
+        self.tag = tag
+        self.fetched += [v for k, v in attributes if k in ("src", "href") and v != "data:,"]
+        if tag == "script":
+            self.scripts.append((dict(attributes), ""))
+
+    def handle_data(self, data):
+        if self.tag == "script":
+            self.scripts[-1] = (self.scripts[-1][0], self.scripts[-1][1] + data)
+        else:
+            self.texts.append(data)
+
+    def handle_endtag(self, tag):
+        self.tag = None
+
+
+def test_page(tmp_path, capsys):
+    """Self-contained, escaped, every plot has finite data, wide and narrow, light and dark."""
+    pushes = [(50, ("left", (0, 0, 1.0, 0, 0, 0))), (80, ("left", (0,) * 6))]
+    log = record(tmp_path / "a.mcap", scene_from_text(PAIR), 400, pushes=pushes)
+    page = tmp_path / "a.html"
+    assert main(["analyze", str(log), "--html", str(page)]) == 0
+    capsys.readouterr()
+    text = page.read_text()
+    links = Links()
+    links.feed(text)
+    assert links.fetched == []
+    assert len(links.scripts) == 3 and "<script>alert(1)" not in text
+    assert "<script>alert(1)</script> & more" in "".join(links.texts)
+    assert "start: <b>begin</b>" in "".join(links.texts)
+    assert 'name="viewport"' in text and "prefers-color-scheme: dark" in text
+    plots = json.loads(next(data for given, data in links.scripts if given.get("id") == "plots"),
+                       parse_constant=pytest.fail)
+    assert len(plots) == 5                  # error, paths, energy, momentum, lateness; no joints
+    for plot in plots:
+        for trace in plot["data"]:
+            assert len(trace["x"]) == len(trace["y"]) > 0
+            assert sum(y is not None for y in trace["y"]) > 0
+    assert plots[0]["layout"]["shapes"][0]["x0"] == pytest.approx(0.1)
+    assert [trace["name"] for trace in plots[1]["data"] if trace["mode"] == "lines"] == [
+        "left", "left, pushed", "right"]
+
+
+@pytest.mark.parametrize("make, said", [
+    (lambda path: None, "No such file"),
+    (lambda path: path.write_bytes(b"not a log"), "not an MCAP file"),
+    (lambda path: path.mkdir(), "Is a directory")])
+def test_bad_files(tmp_path, capsys, make, said):
+    make(tmp_path / "a.mcap")
+    assert main(["analyze", str(tmp_path / "a.mcap")]) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and said in err and err.count("\n") == 1
+    assert err.startswith(f"liegroup_sim: {tmp_path / 'a.mcap'}")
+
+
+def test_other_wrong_input(tmp_path, capsys):
+    """A page that cannot be written is said before the work; a scene that is broken, too."""
+    log = record(tmp_path / "a.mcap", scene_from_text(PAIR), 20)
+    assert main(["analyze", str(log), "--html", str(tmp_path / "no" / "a.html")]) == 2
+    assert "cannot be written" in capsys.readouterr().err
+    broken = Recorder(tmp_path / "b.mcap", dict(
+        attachments.at_start(Simulation(scene_from_text(PAIR)), "/n", "world", 10, {
+            "pose": {}, "twist": {}, "applied_wrench": "/a", "events": "/e", "clock": None,
+            "diagnostics": "/d"}) | {"scene.yaml": ("application/yaml", b"name: 3")}))
+    broken.close()
+    assert main(["analyze", str(tmp_path / "b.mcap")]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1 and "b.mcap" in err
+
+
+def test_works_without_ros(tmp_path):
+    """In a Python where no ROS package can be imported."""
+    log = record(tmp_path / "a.mcap", scene_from_text(PAIR), 100)
+    code = ("import sys\n"
+            "for name in ('rclpy', 'geometry_msgs', 'rcl_interfaces', 'diagnostic_msgs',"
+            " 'builtin_interfaces', 'std_msgs'):\n"
+            "    sys.modules[name] = None\n"
+            "from liegroup_sim_ros.main import main\n"
+            "sys.exit(main(['analyze', sys.argv[1], '--no-reference']))")
+    done = subprocess.run([sys.executable, "-c", code, str(log)], capture_output=True,
+                          text=True)
+    assert done.returncode == 0, done.stderr
+    assert "11 of 11 samples" in " ".join(done.stdout.split())
+
+
+def test_command_line(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["--version"])
+    assert ended.value.code == 0 and re.fullmatch(r"liegroup_sim \d+\.\d+\.\d+\n",
+                                                  capsys.readouterr().out)
+    with pytest.raises(SystemExit) as ended:
+        main(["nonsense"])
+    assert ended.value.code == 2

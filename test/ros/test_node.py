@@ -1,0 +1,311 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The simulation node as a process, over real DDS: what it says, obeys and refuses."""
+import re
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
+from node_process import COMPILING, PATIENCE, PUSH, NodeProcess, python, stamp_ns, values
+from rcl_interfaces.msg import Log
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+
+from liegroup_sim_ros.parameters import TABLE, table_text
+
+STEP_NS = 1_000_000
+PERIOD_NS = 10 * STEP_NS
+NODE = "/sim_node"
+SOURCE = Path(__file__).resolve().parents[2]
+
+
+class Shared:
+    """A running node, and all it has said."""
+
+    def __init__(self, client):
+        self.pose = client.listen(f"{NODE}/puck/pose", PoseStamped)
+        self.twist = client.listen(f"{NODE}/puck/twist", TwistStamped)
+        self.cube_twist = client.listen(f"{NODE}/cube/twist", TwistStamped)
+        self.clock = client.listen("/clock", Clock, QoSProfile(
+            depth=200, reliability=ReliabilityPolicy.BEST_EFFORT))
+        self.applied = client.listen(f"{NODE}/applied_wrench", WrenchStamped)
+        self.events = client.listen(f"{NODE}/events", Log, QoSProfile(
+            depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+        self.diagnostics = client.listen("/diagnostics", DiagnosticArray)
+        self.logged = client.listen("/rosout", Log)
+        self.push = client.pusher(NODE)
+        client.until(lambda: self.pose and self.twist and self.cube_twist and self.clock
+                     and self.diagnostics and self.events, COMPILING, "one message of each")
+
+    def now_ns(self):
+        """Stamp up to which all poses and twists have come."""
+        return min(stamp_ns(messages[-1].header.stamp)
+                   for messages in (self.pose, self.twist, self.cube_twist))
+
+    def pause(self, client):
+        """Pause the node; the stamp at which it stands, once all messages up to it have come."""
+        assert client.call(f"{NODE}/pause").success
+        client.until(lambda: self.events[-1].name == "pause"
+                     and self.now_ns() == stamp_ns(self.events[-1].stamp))
+        return self.now_ns()
+
+    def figures(self):
+        return {pair.key: pair.value for pair in self.diagnostics[-1].status[0].values}
+
+
+@pytest.fixture(scope="module")
+def shared(client, scene):
+    with NodeProcess({"scene": scene}) as process:
+        yield Shared(client)
+        process.send(signal.SIGINT)
+        assert process.wait()[0] == 0
+
+
+@pytest.fixture
+def node(client, shared):
+    """The shared node, running, at the start of its scene, nothing pushed."""
+    assert client.call(f"{NODE}/reset").success
+    assert client.call(f"{NODE}/resume").success
+    count = len(shared.pose)
+    client.until(lambda: len(shared.pose) > count + 5)
+    shared.applied.clear()
+    return shared
+
+
+def test_poses_twists_and_clock_are_complete(client, node):
+    begin = node.now_ns()
+    end = begin + 50 * PERIOD_NS
+    client.until(lambda: node.now_ns() > end)
+    pose, twist, cube = (
+        [m for m in messages if begin < stamp_ns(m.header.stamp) <= end]
+        for messages in (node.pose, node.twist, node.cube_twist))
+    assert {m.header.frame_id for m in pose} == {"world"}
+    assert {m.header.frame_id for m in twist} == {"puck"}
+    assert {m.header.frame_id for m in cube} == {"cube"}
+    expected = list(range(begin + PERIOD_NS, end + 1, PERIOD_NS))
+    for messages in (pose, twist, cube):
+        assert [stamp_ns(m.header.stamp) for m in messages] == expected
+    # The puck is at rest, exactly; the cube keeps its speed, whatever axes it is told in.
+    assert pose[-1].pose.position.x == 0.0 and pose[-1].pose.orientation.w == 1.0
+    speed = [np.linalg.norm([m.twist.linear.x, m.twist.linear.y, m.twist.linear.z]) for m in cube]
+    # RKMK4 at 1 ms: global error of order |omega|^5 h^4 t = 1e-12 within a second.
+    assert np.allclose(speed, np.sqrt(0.14), rtol=1e-10)
+    clocks = [stamp_ns(m.clock) for m in node.clock]
+    assert set(np.diff(clocks[-40:])) == {PERIOD_NS}
+
+
+def test_start_is_told_to_who_comes_later(node):
+    assert node.events[0].name == "start"
+
+
+def test_push_from_another_process_gives_its_impulse(client, node):
+    push = python(PUSH, "push", "puck", "--force", 3, 0, 0, "--torque", 0, 0, 0.8,
+                  "--duration", 0.3)
+    client.until(lambda: push.poll() is not None, what="end of the push")
+    output, errors = push.communicate()
+    assert push.returncode == 0, errors
+    assert re.search(r"pushed puck .* 15 messages, .*\napplied from \S+ s to \S+ s", output)
+    assert len(node.applied) == 2
+    (body, wrench, start), (_, zero, end) = map(values, node.applied)
+    assert (body, wrench, zero) == ("puck", (0.0, 0.0, 0.8, 3.0, 0.0, 0.0), (0.0,) * 6)
+    seconds = (end - start) * 1e-9
+    client.until(lambda: node.now_ns() > end)
+    twist = node.twist[-1].twist
+    # About the principal axis z: omega = torque t / 0.4. The force turns with the body, so the
+    # velocity in world axes is (F / m) times the integral of (cos, sin)(omega' t^2 / 2).
+    assert twist.angular.z == pytest.approx(0.8 * seconds / 0.4, rel=1e-12)
+    assert twist.angular.x == twist.angular.y == 0.0
+    t = np.linspace(0.0, seconds, 20001)
+    angle = 0.5 * (0.8 / 0.4) * t ** 2
+    impulse = np.trapezoid if hasattr(np, "trapezoid") else np.trapz
+    expected = 3.0 / 2.0 * np.hypot(impulse(np.cos(angle), t), impulse(np.sin(angle), t))
+    # Trapezoids of 15 us: error of order 1e-10.
+    assert np.hypot(twist.linear.x, twist.linear.y) == pytest.approx(expected, rel=1e-8)
+    assert twist.linear.z == 0.0
+
+
+def test_push_refuses_a_body_that_is_not_there(node):
+    push = python(PUSH, "push", "bal", "--force", 1, 0, 0)
+    output, errors = push.communicate(timeout=PATIENCE)
+    assert (push.returncode, output) == (1, "")
+    assert errors == "push: /sim_node has no body 'bal'; it has: cube, puck\n"
+
+
+@pytest.mark.parametrize("hold, steps", [("timeout", 100), ("one_step", 1)])
+def test_wrench_ends_after_its_hold_time(client, node, hold, steps):
+    assert client.set(NODE, wrench_hold=hold).successful
+    node.push("puck", force=(0.0, 4.0, 0.0))
+    client.until(lambda: len(node.applied) == 2)
+    (_, wrench, start), (_, zero, end) = map(values, node.applied)
+    assert wrench == (0.0, 0.0, 0.0, 0.0, 4.0, 0.0) and not any(zero)
+    assert end - start == steps * STEP_NS
+    client.until(lambda: node.now_ns() > end)
+    assert node.twist[-1].twist.linear.y == pytest.approx(4.0 / 2.0 * steps * 1e-3, rel=1e-12)
+
+
+def test_wrench_until_replaced(client, node):
+    assert client.set(NODE, wrench_hold="until_replaced").successful
+    node.push("puck", force=(1.0, 0.0, 0.0))
+    client.until(lambda: len(node.applied) == 1)
+    start = values(node.applied[0])[2]
+    client.until(lambda: node.now_ns() > start + 300 * STEP_NS)
+    assert len(node.applied) == 1
+    node.push("puck", force=(-1.0, 0.0, 0.0))
+    client.until(lambda: len(node.applied) == 2)
+    node.push("puck")
+    client.until(lambda: len(node.applied) == 3)
+    assert [values(m)[1][3] for m in node.applied] == [1.0, -1.0, 0.0]
+    assert client.set(NODE, wrench_hold="timeout").successful
+
+
+def test_stamp_to_come_is_kept_and_stamp_past_is_now(client, node):
+    future = node.now_ns() + 333 * STEP_NS + 1      # within a step: the next step boundary
+    node.push("puck", force=(1.0, 0.0, 0.0), stamp_ns=future)
+    node.push("cube", force=(1.0, 0.0, 0.0), stamp_ns=1)
+    client.until(lambda: len(node.applied) == 4)
+    applied = {(body, any(wrench)): stamp for body, wrench, stamp in map(values, node.applied)}
+    # The stamps of a simulation that was reset are offset by whole steps here.
+    assert applied["puck", True] == future + STEP_NS - 1
+    assert applied["puck", False] == applied["puck", True] + 100 * STEP_NS
+    assert applied["cube", True] < applied["puck", True] - 200 * STEP_NS
+
+
+@pytest.mark.parametrize("reason, body, force, ahead, message", [
+    ("not_finite", "puck", (float("nan"), 0.0, 0.0), 0, "for puck: a component is NaN"),
+    ("not_finite", "puck", (0.0, float("-inf"), 0.0), 0, None),
+    ("unknown_frame", "world", (1.0, 0.0, 0.0), 0, "'world' is not a body"),
+    ("no_frame", "", (1.0, 0.0, 0.0), 0, "frame_id is empty"),
+    ("stamp_too_far", "puck", (1.0, 0.0, 0.0), 1_800_000_000 * 10**9, "ahead of the simulated")])
+def test_wrong_wrench_is_refused_counted_and_said_once(
+        client, node, reason, body, force, ahead, message):
+    client.until(lambda: node.figures()["state"] == "running")
+    logged = len(node.logged)
+    key = f"wrenches_refused_{reason}"
+    before = int(node.figures()[key])
+    for _ in range(3):
+        node.push(body, force=force, stamp_ns=ahead)
+    client.until(lambda: int(node.figures()[key]) == before + 3)
+    assert node.applied == []
+    twist = node.twist[-1].twist
+    assert [twist.linear.x, twist.linear.y, twist.angular.z] == [0.0] * 3
+    said = [m.msg for m in node.logged[logged:] if m.msg.startswith("wrench refused")]
+    if message:
+        assert len(said) == 1 and message in said[0]
+    else:
+        assert said == []               # the reason is known from the case before
+
+
+def test_wrench_publisher_with_incompatible_qos_is_named(client, node):
+    publisher = client.node.create_publisher(WrenchStamped, f"{NODE}/wrench", QoSProfile(
+        depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
+    client.until(lambda: any("incompatible QoS" in m.msg and "RELIABILITY" in m.msg
+                             for m in node.logged))
+    client.node.destroy_publisher(publisher)
+
+
+def test_step_takes_exactly_as_many_steps_while_paused(client, node):
+    refused = client.call(f"{NODE}/step")
+    assert not refused.success and "~/pause first" in refused.message
+    still, count = node.pause(client), len(node.pose)
+    client.spin(0.3)
+    assert len(node.pose) == count
+    for steps in (1, 7, 25):
+        assert client.set(NODE, step_count=steps).successful
+        assert client.call(f"{NODE}/step").success
+        still += steps * STEP_NS
+        client.until(lambda: node.now_ns() == still)
+    client.spin(0.2)
+    assert node.now_ns() == still
+    # From a step that is on no grid, running goes on on the grid, with no burst.
+    start = time.monotonic()
+    count = len(node.pose)
+    assert client.call(f"{NODE}/resume").success
+    client.until(lambda: len(node.pose) > count + 30)
+    stamps = [stamp_ns(m.header.stamp) for m in node.pose[count:]]
+    assert 0 < stamps[0] - still < PERIOD_NS
+    assert set(np.diff(stamps)) == {PERIOD_NS}
+    assert time.monotonic() - start > 0.29
+    assert client.set(NODE, step_count=1).successful
+
+
+def test_reset_restores_the_state_and_time_goes_on(client, node):
+    node.push("puck", force=(5.0, 0.0, 0.0), torque=(0.0, 1.0, 0.0))
+    client.until(lambda: node.twist[-1].twist.linear.x != 0.0)
+    before, count = node.pause(client), len(node.pose)
+    assert client.call(f"{NODE}/reset").success
+    client.until(lambda: node.now_ns() > before)
+    assert node.now_ns() == before + STEP_NS and len(node.pose) == count + 1
+    pose, twist = node.pose[-1].pose, node.twist[-1].twist
+    assert (pose.position.x, pose.orientation.y, pose.orientation.w) == (0.0, 0.0, 1.0)
+    assert (twist.linear.x, twist.angular.y) == (0.0, 0.0)
+    # The push is over, too, and that was said at the stamp of the reset.
+    assert values(node.applied[-1]) == ("puck", (0.0,) * 6, before + STEP_NS)
+    assert client.call(f"{NODE}/resume").success
+    client.until(lambda: len(node.pose) > count + 30)
+    stamps = np.array([stamp_ns(m.header.stamp) for m in node.pose])
+    assert (np.diff(stamps) > 0).all()
+    assert node.twist[-1].twist.linear.x == 0.0
+    assert [m.name for m in node.events[-3:]] == ["pause", "reset", "resume"]
+
+
+def test_speed_is_held_and_can_be_changed(client, node):
+    for wanted in (0.5, 2):             # a whole number is a number, too
+        assert client.set(NODE, real_time_factor=wanted).successful
+        client.spin(0.1)
+        begin, start = node.now_ns(), time.monotonic()
+        client.spin(1.0)
+        achieved = (node.now_ns() - begin) * 1e-9 / (time.monotonic() - start)
+        # Two readings, each up to a period and some transport off, on a shared machine.
+        assert achieved == pytest.approx(wanted, rel=0.2)
+    for value in (-1.0, float("nan"), "fast"):
+        assert not client.set(NODE, real_time_factor=value).successful
+    assert not client.set(NODE, step=0.5).successful
+    assert not client.set(NODE, wrench_hold="forever").successful
+    assert client.set(NODE, real_time_factor=1.0).successful
+    names = [m.msg for m in node.events if m.name == "speed"]
+    assert names[-3:] == [f"real-time factor {f}" for f in ("0.5", "2", "1")]
+
+
+def test_divergence_stops_the_simulation_not_the_node(client, node):
+    node.push("cube", torque=(1e306, 1e306, 0.0))
+    client.until(lambda: node.events[-1].name == "fault", what="a fault")
+    client.until(lambda: node.diagnostics[-1].status[0].level == DiagnosticStatus.ERROR)
+    assert node.figures()["state"] == "faulted"
+    last = node.cube_twist[-1].twist.angular
+    assert np.isfinite([last.x, last.y, last.z]).all()
+    refused = client.call(f"{NODE}/resume")
+    assert not refused.success and "~/reset first" in refused.message
+    count = len(node.pose)
+    assert client.call(f"{NODE}/reset").success
+    client.until(lambda: len(node.pose) > count + 10)       # running again, as before
+    client.until(lambda: node.figures()["state"] == "running")
+    speed = node.cube_twist[-1].twist.linear
+    assert np.linalg.norm([speed.x, speed.y, speed.z]) == pytest.approx(np.sqrt(0.14), rel=1e-10)
+
+
+def test_diagnostics_have_the_figures_that_the_docs_name(client, node):
+    client.until(lambda: node.figures()["state"] == "running")
+    figures = node.figures()
+    documented = (SOURCE / "docs" / "node.md").read_text()
+    for key in figures:
+        assert f"`{re.sub('_refused_.*', '_refused_REASON', key)}`" in documented, key
+    assert float(figures["constraint_residual"]) == 0.0
+    assert figures["recorder_lost"] == "0"
+    # Energy of the tumbling cube: nothing acts, the drift is the integrator's, far below 1e-9 J.
+    assert abs(float(figures["energy_drift_J"])) < 1e-9
+    assert node.diagnostics[-1].status[0].name == "/sim_node: simulation"
+
+
+def test_preset_has_the_defaults_of_all_parameters():
+    preset = yaml.safe_load((SOURCE / "config" / "default.yaml").read_text())
+    given = preset["/**"]["ros__parameters"]
+    assert given == {entry.name: entry.default for entry in TABLE} | {"scene": "heavy_top"}
+    assert [type(given[entry.name]) for entry in TABLE] == [type(e.default) for e in TABLE]
+
+
+def test_docs_have_the_table_of_parameters():
+    assert table_text() in (SOURCE / "docs" / "node.md").read_text()

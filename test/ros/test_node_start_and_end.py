@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How the simulation node starts and ends: what it refuses, leaves, and that its file repeats."""
+import os
+import signal
+import time
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseStamped
+from node_process import COMPILING, NodeProcess, stamp_ns
+from rclpy.qos import ReliabilityPolicy
+
+from liegroup_core import Simulation
+from liegroup_core._compile import compiled
+from liegroup_core.scene.load import scene_from_text
+from liegroup_sim_ros.messages import PoseStampedCodec, TwistStampedCodec
+from liegroup_sim_ros.recording import read_recording
+
+
+def repeat(recording):
+    """Simulate a recording again from itself; bytes of all poses and twists, {topic: [...]}."""
+    settings = recording.settings
+    simulation = Simulation(scene_from_text(recording.scene_text), settings["method"],
+                            settings["step"], settings["group"])
+    resets = [event.stamp_ns for event in recording.events if event.name == "reset"]
+    stamps = recording.pose[recording.bodies[0]].stamp_ns.tolist()
+    changes = sorted(recording.applied_wrench)
+    base_ns, repeated = 0, {body: ([], []) for body in recording.bodies}
+    for stamp in stamps:
+        if resets and stamp >= resets[0]:
+            base_ns = resets.pop(0)
+            simulation.reset()
+        while changes and changes[0].stamp_ns <= stamp:
+            change = changes.pop(0)
+            if change.stamp_ns >= base_ns:
+                simulation.apply_wrench(change.body, change.wrench,
+                                        start=(change.stamp_ns - base_ns) * 1e-9)
+        simulation.advance(round((stamp - base_ns) * 1e-9 / settings["step"]) - simulation.steps)
+        sample = simulation.sample()
+        for body, (poses, twists) in repeated.items():
+            poses.append(PoseStampedCodec("world").encode(
+                stamp, sample.positions[body], sample.quaternions[body]))
+            twists.append(TwistStampedCodec(body).encode(stamp, sample.twists[body]))
+    return repeated
+
+
+def test_recording_of_pushes_and_controls_repeats_bit_for_bit(client, scene, tmp_path):
+    """Also: SIGINT twice, as `ros2 launch` sends it, ends the node well and the file whole."""
+    path = tmp_path / "run.mcap"
+    with NodeProcess({"scene": scene, "record": path, "publish_rate": 200.0},
+                     remap=["__node:=recorded"]) as process:
+        push = client.pusher("/recorded")
+        seen = client.listen("/recorded/cube/pose", PoseStamped)
+        client.until(lambda: len(seen) > 20, COMPILING)
+        push("cube", torque=(0.3, -0.2, 0.1), force=(1.0, 2.0, -0.7))
+        push("nobody", force=(1.0, 0.0, 0.0))
+        client.spin(0.25)
+        assert client.call("/recorded/pause").success
+        push("puck", force=(0.1, 0.2, 0.3), torque=(0.01, 0.02, -0.03))
+        client.spin(0.1)
+        assert client.set("/recorded", step_count=13).successful
+        assert client.call("/recorded/step").success
+        assert client.call("/recorded/resume").success
+        push("puck", torque=(0.2, 0.1, 0.0))
+        client.spin(0.05)
+        assert client.call("/recorded/reset").success
+        push("cube", torque=(0.3, 0.2, 0.1), force=(0.0, 0.0, 1.0))
+        client.spin(0.3)
+        for _ in range(3):              # the second and the third come during the clean-up
+            process.send(signal.SIGINT)
+            time.sleep(0.02)
+        code, errors = process.wait()
+    assert code == 0 and "Traceback" not in errors, errors
+    recording = read_recording(path)
+    assert recording.complete and recording.lost == {}
+    assert [event.name for event in recording.events] == [
+        "start", "pause", "step", "resume", "reset", "stop"]
+    assert recording.settings["topics"]["pose"] == {
+        "puck": "/recorded/puck/pose", "cube": "/recorded/cube/pose"}
+    assert len(recording.applied_wrench) >= 6
+    samples = recording.pose["puck"].stamp_ns
+    assert (np.diff(samples) > 0).all()
+    assert recording.pacing["ticks"] > 0
+    repeated = repeat(recording)
+    for body in recording.bodies:
+        assert recording.pose[body].payloads == repeated[body][0]
+        assert recording.twist[body].payloads == repeated[body][1]
+    # What was heard is what was recorded.
+    heard = {stamp_ns(m.header.stamp): m.pose.position.x for m in seen}
+    kept = dict(zip(samples.tolist(), recording.pose["cube"].position[:, 0]))
+    assert len(heard) > 50 and heard.items() <= kept.items()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signal_ends_the_node_and_finishes_its_file(client, scene, tmp_path, number):
+    path = tmp_path / "run.mcap"
+    name = f"/ended_by_{number.name.lower()}"
+    best_effort = f"qos_overrides.{name}/wrench.subscription.reliability"
+    with NodeProcess({"scene": scene, "record": path, "real_time_factor": 0.0,
+                      best_effort: "best_effort"},
+                     remap=[f"__node:={name[1:]}"]) as process:
+        seen = client.listen(f"{name}/puck/pose", PoseStamped, 1)
+        client.until(lambda: seen, COMPILING)
+        wrench, = client.node.get_subscriptions_info_by_topic(f"{name}/wrench")
+        assert wrench.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+        process.send(number)
+        code, errors = process.wait()
+    assert code == 0 and "Traceback" not in errors, errors
+    recording = read_recording(path)
+    assert recording.complete and recording.events[-1].name == "stop"
+    # As fast as it goes is faster than the clock.
+    assert recording.pacing["real_time_factor"] > 1.0
+
+
+@pytest.mark.skipif(not compiled(), reason="nothing is compiled")
+def test_signal_while_compiling_ends_the_node(scene, tmp_path):
+    path = tmp_path / "run.mcap"
+    with NodeProcess({"scene": scene, "record": path},
+                     env={"LIEGROUP_CACHE_DIR": str(tmp_path)}) as process:
+        for line in process.process.stderr:
+            if "compiling" in line:
+                break
+        time.sleep(1.0)
+        process.send(signal.SIGTERM)
+        code, errors = process.wait()
+    assert code == 0 and "Traceback" not in errors, errors
+    assert not path.exists()
+
+
+@pytest.mark.parametrize("parameters, message", [
+    ({"scene": "''"}, "parameter scene: is empty"),
+    ({"scene": ""}, "Couldn't parse parameter override rule: '-p scene:='"),
+    ({"scene": "no_such_scene.yaml"}, "no_such_scene"),
+    ({"method": "euler"}, "unknown method 'euler'"),
+    ({"stepp": 0.001}, "parameter stepp: unknown; did you mean step?"),
+    ({"step": -0.001}, "parameter step: must be greater than 0"),
+    ({"step": "fast"}, "parameter step: must be a number, got 'fast'"),
+    ({"publish_rate": 300.0}, "300 Hz is 3.33333 steps of 0.001 s"),
+    ({"wrench_hold": "forever"}, "must be one_step, timeout or until_replaced"),
+    ({"record": "/proc/no/folder.mcap"}, "cannot record to /proc/no/folder.mcap")])
+def test_wrong_parameter_is_one_line_and_exit_code_2(scene, parameters, message):
+    with NodeProcess({"scene": scene, **parameters}) as process:
+        code, errors = process.wait()
+    lines = [line for line in errors.splitlines() if not line.startswith("[INFO]")]
+    assert code == 2 and len(lines) == 1 and message in lines[0], errors
+    assert lines[0].startswith("sim_node: ")
+
+
+def test_two_nodes_in_two_namespaces(client, scene):
+    both = [NodeProcess({"scene": scene, "clock_rate": 0.0, "world_frame": f"map_{ns}"},
+                        remap=[f"__ns:=/{ns}"]) for ns in ("a", "b")]
+    with both[0], both[1]:
+        heard = {ns: client.listen(f"/{ns}/sim_node/puck/pose", PoseStamped) for ns in "ab"}
+        client.until(lambda: heard["a"] and heard["b"], COMPILING)
+        for ns in "ab":
+            assert {m.header.frame_id for m in heard[ns]} == {f"map_{ns}"}
+        assert client.call("/a/sim_node/pause").success
+        client.spin(0.3)
+        counts = len(heard["a"]), len(heard["b"])
+        client.spin(0.3)
+        assert len(heard["a"]) == counts[0] and len(heard["b"]) > counts[1]
+        for process in both:
+            os.killpg(process.process.pid, signal.SIGINT)
+        assert [process.wait()[0] for process in both] == [0, 0]

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The installed package is what pip, the ament index and `ros2 run` expect of it."""
+import importlib.metadata
+import os
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import pytest
+from ament_index_python.packages import get_package_prefix, get_package_share_directory
+
+import liegroup_core
+import liegroup_sim_ros
+
+NAME = "liegroup_sim_ros"
+SOURCE = Path(__file__).resolve().parents[2]
+
+# Imports every module of the packages named, then prints which modules that brought.
+IMPORT_ALL = """
+import importlib, pkgutil, sys
+for name in sys.argv[1:]:
+    module = importlib.import_module(name)
+    for found in pkgutil.walk_packages(getattr(module, "__path__", []), name + "."):
+        importlib.import_module(found.name)
+print(*sys.modules)
+"""
+
+
+@pytest.fixture(autouse=True)
+def ament_path(monkeypatch):
+    """What setup.bash does for a workspace; nobody does it for a pip install."""
+    sourced = os.environ.get("AMENT_PREFIX_PATH")
+    monkeypatch.setenv("AMENT_PREFIX_PATH",
+                       os.pathsep.join(filter(None, [sourced, sys.prefix])))
+
+
+def imported_by(*names):
+    printed = subprocess.run([sys.executable, "-P", "-c", IMPORT_ALL, *names], check=True,
+                             stdout=subprocess.PIPE, text=True).stdout
+    return set(printed.split())
+
+
+def test_tests_run_against_the_installed_package():
+    site_packages = Path(importlib.metadata.distribution(NAME).locate_file("")).resolve()
+    for package in (liegroup_core, liegroup_sim_ros):
+        assert Path(package.__file__).resolve().is_relative_to(site_packages)
+
+
+def test_version_is_the_same_everywhere():
+    package_xml = ElementTree.parse(SOURCE / "package.xml")
+    assert package_xml.findtext("name") == NAME
+    assert package_xml.findtext("version") == importlib.metadata.version(NAME)
+    assert liegroup_sim_ros.__version__ == importlib.metadata.version(NAME)
+
+
+def test_share_files_are_installed():
+    share = Path(get_package_share_directory(NAME))
+    files = [path.relative_to(SOURCE)
+             for pattern in ("package.xml", "config/*.yaml", "config/scenes/*.yaml",
+                             "launch/*.launch.*")
+             for path in SOURCE.glob(pattern)]
+    assert Path("config/scenes/heavy_top.yaml") in files
+    for file in files:
+        assert (share / file).read_bytes() == (SOURCE / file).read_bytes()
+
+
+def test_ros2_run_finds_the_node_and_it_answers():
+    node = Path(get_package_prefix(NAME), "lib", NAME, "sim_node")
+    ended = subprocess.run([node, "--ros-args", "-p", "scene:=no_such_scene"],
+                           stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=60)
+    assert ended.returncode == 2
+    assert "no_such_scene" in ended.stdout
+    assert "Traceback" not in ended.stdout
+
+
+def test_core_imports_no_ros():
+    modules = imported_by("liegroup_core")
+    assert "liegroup_core.simulation" in modules
+    roots = {name.partition(".")[0] for name in modules}
+    assert not {root for root in roots if root.endswith(("_msgs", "_srvs", "_interfaces"))}
+    assert not roots & {"rclpy", "rosidl_runtime_py", "rosidl_parser", NAME}
+
+
+def test_analysis_does_without_rclpy():
+    assert "rclpy" not in imported_by(*(f"{NAME}.{part}" for part in
+                                        ("messages", "recording", "analyze", "report")))
