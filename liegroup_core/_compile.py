@@ -77,6 +77,20 @@ def _cache_folder():
 CACHE_FOLDER = _cache_folder() if numba is not None else None
 
 
+def _compile(function, inlined):
+    """Let Numba compile `function` on its first call; without Numba, return it as it is."""
+    if numba is None:
+        return function
+    # Only while decorating: other packages of the same process keep their own cache folder.
+    before = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = str(CACHE_FOLDER or "")
+    try:
+        return numba.njit(nogil=True, error_model="numpy", forceinline=inlined,
+                          cache=CACHE_FOLDER is not None)(function)
+    finally:
+        numba.config.CACHE_DIR = before
+
+
 def kernel(function):
     """Compile `function` on its first call, without the GIL; without Numba, return it as it is.
 
@@ -85,16 +99,15 @@ def kernel(function):
     Fast-math stays off: it would undo the small-angle code. Division follows IEEE 754 in machine
     code and raises ZeroDivisionError in plain Python, so kernels branch before they divide.
     """
-    if numba is None:
-        return function
-    # Only while decorating: other packages of the same process keep their own cache folder.
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(CACHE_FOLDER or "")
-    try:
-        return numba.njit(nogil=True, error_model="numpy", forceinline=True,
-                          cache=CACHE_FOLDER is not None)(function)
-    finally:
-        numba.config.CACHE_DIR = before
+    return _compile(function, True)
+
+
+def subroutine(function):
+    """A kernel that is not inlined: for what is long and is called once a step at most.
+
+    It is compiled once, however many callers it has; its arrays should be `borrowed` again.
+    """
+    return _compile(function, False)
 
 
 def _without_owner(context, builder, kind, value):
@@ -128,13 +141,14 @@ else:
         return arrays
 
 
-def warm_up(call):
+def warm_up(call, name):
     """Run `call` once so that all kernels it uses are compiled, and say so when that takes time.
 
     call : a function without arguments that runs one small simulation
+    name : which kernels these are; every name is compiled once
     returns the seconds it took
     """
-    done = CACHE_FOLDER / "complete" if CACHE_FOLDER is not None else None
+    done = CACHE_FOLDER / f"complete-{name}" if CACHE_FOLDER is not None else None
     if not compiled():
         log.warning("numba is not installed or is disabled: the simulation runs as plain Python, "
                     "some hundred times slower (pip install numba)")

@@ -2,20 +2,24 @@
 """Simulation: a scene, a method and a step; advance, sample, push."""
 import logging
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
+from numbers import Integral
 
 import numpy as np
 
 from ._compile import warm_up
-from .errors import SimulationError
-from .integrators.methods import GROUPS, METHODS
-from .integrators.rkmk import advance
-from .integrators.status import DEPENDENT_ROWS, LARGE_ROTATION, MESSAGES, OK
-from .joints.pairs import LOWER_PAIRS
-from .model.arrays import Model, make_work
+from .errors import SceneError, SimulationError
+from .forces import kinds
+from .forces.timetable import Timetable
+from .forces.torsional_spring_damper import UNKNOWN_TURN
+from .integrators import check_options, make_integrator
+from .integrators.methods import GROUPS, METHODS, is_positive
+from .integrators.status import (DEPENDENT_ROWS, LARGE_ROTATION, MESSAGES, OK,
+                                 TURNS_NOT_COUNTED)
+from .model.arrays import Model
 from .model.build import build_model, initial_state
 from .model.sample import Sample
-from .scene.consistency import resolve_frames
 from .scene.description import Scene
 from .wrenches import NEVER, AppliedWrench, WrenchSchedule
 
@@ -29,7 +33,14 @@ class Layout:
     scene: Scene
     model: Model
     joint_frames: tuple                     # (parent frame, child frame) in the scene's order
-    elements: tuple                         # (scene joint, kept rows) of each joint of the model
+    owners: tuple                           # scene joint of each element of the model
+    row_names: tuple                        # names of the rows of each element
+    kept_rows: tuple                        # numbers of the rows of each element that are solved for
+
+    @cached_property
+    def joint_of_row(self):
+        """(all rows,) index of the scene's joint that a position residual belongs to."""
+        return np.repeat(np.array(self.owners, dtype=np.int64), self.model.elements["rows"])
 
     @property
     def body_names(self):
@@ -38,21 +49,56 @@ class Layout:
 
     @property
     def dropped_rows(self):
-        """[(joint, row)] left out because they depend on others, rows named wx..vz."""
-        kept = {joint: rows for joint, rows in self.elements}
-        return [(joint.name, name) for j, joint in enumerate(self.scene.joints)
-                for r, name in enumerate(LOWER_PAIRS[joint.type].row_names)
-                if r not in kept.get(j, ())]
+        """[(joint, row)] left out because they depend on others; rows are named wx..vz."""
+        return [(self.scene.joints[self.owners[e]].name, name)
+                for e, (names, kept) in enumerate(zip(self.row_names, self.kept_rows))
+                for r, name in enumerate(names) if r not in kept]
 
-    def sample(self, pose, twist, time=0.0, time_ns=0, steps=0):
-        """Sample of a given state: pose (n, 12), twist (n, 6)."""
-        return Sample(self, time, time_ns, steps, np.array(pose), np.array(twist))
+    def sample(self, pose, twist, time=0.0, time_ns=0, steps=0, near=None):
+        """Sample of a given state: pose (n, 12), twist (n, 6).
+
+        near : (k,) rad, angles of the torsional springs a little before, `Sample.angles`; a pose
+               does not tell whole turns. None: no joint has turned more than half a turn
+        """
+        near = None if near is None else np.array(near)
+        return Sample(self, time, time_ns, steps, np.array(pose), np.array(twist), near)
+
+    def angles(self, pose, near=None):
+        """Angles (k,) of the torsional springs at a pose (n, 12), rad; near: as in `sample`."""
+        forces = self.model.forces
+        angles = np.full(len(forces.torsional_spring_damper), UNKNOWN_TURN)
+        if near is not None:
+            angles[:] = near
+        kinds.count_turns(forces, pose, angles)
+        return angles
 
 
 def make_layout(scene):
     """Build the model of a scene. Raises SceneError."""
-    model, elements = build_model(scene)
-    return Layout(scene, model, tuple(resolve_frames(scene)), tuple(elements))
+    try:
+        return Layout(scene, *build_model(scene))
+    except SceneError as error:
+        raise scene.located(error) from None
+
+
+STABILISATIONS = ("none", "projection", "baumgarte")
+# Baumgarte's time in steps if none is given. Explicit methods are stable down to half a step.
+BAUMGARTE_STEPS = 10
+
+
+def _stabilised(model, kind, time, step):
+    """The model with a stabilisation switched on; ValueError for a wrong setting."""
+    if kind not in STABILISATIONS:
+        raise ValueError(f"unknown stabilisation {kind!r}; there are: {', '.join(STABILISATIONS)}")
+    if time is None:
+        time = BAUMGARTE_STEPS * step
+    elif kind != "baumgarte":
+        raise ValueError(f"baumgarte_time goes with stabilisation 'baumgarte', not with {kind!r}")
+    if not (isinstance(time, (int, float)) and math.isfinite(time) and time >= step):
+        raise ValueError("baumgarte_time must be a number of seconds, at least the step of "
+                         f"{step:g} s, got {time!r}")
+    return model._replace(projects=kind == "projection",
+                          baumgarte_rate=1.0 / time if kind == "baumgarte" else 0.0)
 
 
 class Simulation:
@@ -60,42 +106,62 @@ class Simulation:
 
     scene  : Scene, from `load_scene` or built in code
     method : name of METHODS, "rkmk4"
-    step   : step size h, s
+    step   : step size h, s; a method with error control takes substeps within it
     group  : "se3" for SE(3)^n, or "so3xr3" for (SO(3) x R^3)^n
+    stabilisation : what is done about joints that open by the errors of integration: "none";
+                    "projection", which closes them again after every step; or "baumgarte", which
+                    lets their errors die out within some baumgarte_time
+    baumgarte_time : s, at least the step; ten steps if left out
+    options: further settings that the method has, see its family in `integrators`:
+             dexpinv="exact" or "truncated"  for all of Runge-Kutta type
+             rtol=1e-6, atol=1e-6            tolerances of rkmk54
+             rho_inf=0.8                     damping of generalized_alpha
     raises SceneError for a scene that cannot be simulated, ValueError for a wrong setting
 
-    Order and constraint residuals: test/verification/test_heavy_top.py.
+    Orders: test/verification/test_orders.py; constraint residuals: test_heavy_top.py.
     """
 
-    def __init__(self, scene, method="rkmk4", step=1e-3, group="se3"):
+    def __init__(self, scene, method="rkmk4", step=1e-3, group="se3", stabilisation="none",
+                 baumgarte_time=None, **options):
         if method not in METHODS:
             raise ValueError(f"unknown method {method!r}; there are: {', '.join(METHODS)}")
         if group not in GROUPS:
             raise ValueError(f"unknown group {group!r}; there are: {', '.join(GROUPS)}")
-        if not (isinstance(step, (int, float)) and math.isfinite(step) and step > 0.0):
+        if not is_positive(step):
             raise ValueError(f"the step must be a positive number of seconds, got {step!r}")
         self.scene, self.method, self.step, self.group = scene, method, float(step), group
-        self.layout = make_layout(scene)
-        self.tableau = METHODS[method]
-        self._work = make_work(self.layout.model, len(self.tableau.b))
+        self.options = check_options(method, options)
+        self.stabilisation, self.baumgarte_time = stabilisation, baumgarte_time
+        layout = make_layout(scene)
+        self.layout = replace(layout, model=_stabilised(
+            layout.model, stabilisation, baumgarte_time, self.step))
+        self._integrator = make_integrator(method, self.layout, group, self.step, self.options)
+        self._work = self._integrator.work
         self._body = {name: i for i, name in enumerate(self.layout.body_names)}
+        self._timetable = Timetable(self.layout.model.forces.applied_wrench, self.step)
         self._warned = self._warned_singular = False
-        self.reset()
-        warm_up(self._touch)
+        warm_up(self._touch, METHODS[method].family)
 
     def _touch(self):
         """Call every kernel once, so that none is compiled later, in the middle of a run."""
+        self.reset()
         self._advance(0)
         sample = self.sample()
-        return sample.energy, sample.spatial_momentum, sample.quaternions
+        return (sample.energy, sample.power, sample.spatial_momentum, sample.quaternions,
+                sample.constraint_residual)
 
     def reset(self):
         """Back to the initial state of the scene, at step 0, without wrenches."""
         pose, twist = initial_state(self.scene)
         self.set_state(pose, twist)
 
-    def set_state(self, pose, twist, steps=0):
-        """Continue from a state: pose (n, 12), twist (n, 6), at a step count. Ends all wrenches."""
+    def set_state(self, pose, twist, steps=0, angles=None):
+        """Continue from a state: pose (n, 12), twist (n, 6), at a step count.
+
+        angles : (k,) rad, `Sample.angles` of the state: how often torsional springs are wound,
+                 which a pose does not tell. None: less than half a turn, as at the start of a scene
+        Ends what `apply_wrench` does. The wrenches of the scene follow the step count.
+        """
         n = len(self._body)
         pose, twist = np.array(pose, dtype=float), np.array(twist, dtype=float)
         if pose.shape != (n, 12) or twist.shape != (n, 6):
@@ -103,9 +169,14 @@ class Simulation:
                              f"got {pose.shape} and {twist.shape}")
         if not (np.isfinite(pose).all() and np.isfinite(twist).all()):
             raise ValueError("the state has a number that is not finite")
+        k = len(self._work.angle)
+        if angles is not None and (np.shape(angles) != (k,) or not np.isfinite(angles).all()):
+            raise ValueError(f"expected {k} finite angles of torsional springs, got {angles!r}")
+        self._work.angle[:] = self.layout.angles(pose, angles)
         self._pose, self._twist, self.steps = pose, twist, int(steps)
         self._schedule = WrenchSchedule(n)
         self._applied = []
+        self._integrator.restart()
 
     def state(self):
         """Copies of pose (n, 12) and twist (n, 6)."""
@@ -128,12 +199,12 @@ class Simulation:
         There rows depend on each other that do not elsewhere (a parallelogram folded flat); the
         solve is regularised and refined, and where the joints leave it open the masses decide.
         """
-        return int(self._work.report[1])
+        return int(self._work.report[2])
 
     @property
-    def next_wrench_change(self):
-        """The first step at which a commanded wrench starts or ends; NEVER if there is none."""
-        return self._schedule.next_change()
+    def substeps(self):
+        """Numbers of good substeps and of attempts since the state was set; else (0, 0)."""
+        return self._integrator.substeps
 
     def apply_wrench(self, body, wrench, start=None, duration=None, source="api"):
         """Apply a wrench to a body over whole steps.
@@ -151,6 +222,9 @@ class Simulation:
         if wrench.shape != (6,) or not np.isfinite(wrench).all():
             raise ValueError("a wrench is six finite numbers (torque, force), got "
                              f"{wrench.tolist()}")
+        for name, value in (("start", start), ("duration", duration)):
+            if value is not None and not math.isfinite(value):
+                raise ValueError(f"{name} must be finite, or None, got {value!r}")
         first = self.steps
         if start is not None:
             # A start that is a step up to rounding is that step, not the next one.
@@ -176,12 +250,15 @@ class Simulation:
         return applied
 
     def advance(self, steps=1):
-        """Take `steps` steps.
+        """Take `steps` steps, a whole number from 0 on.
 
-        raises SimulationError, one line, when the integration cannot go on: NaN or overflow, a
-        turn of nearly 2 pi in a step, a singular pose. State and `steps` are then those of the
-        last good step.
+        raises ValueError for any other number; SimulationError, one line, when the integration
+        cannot go on: NaN or overflow, a turn of nearly 2 pi in a step, joints that cannot be
+        closed, an implicit step without a solution, a tolerance out of reach. State and `steps`
+        are then those of the last good step.
         """
+        if isinstance(steps, bool) or not isinstance(steps, Integral) or steps < 0:
+            raise ValueError(f"steps must be a whole number, 0 or more, got {steps!r}")
         self._advance(int(steps))
 
     def _advance(self, steps):
@@ -191,17 +268,15 @@ class Simulation:
                 self._applied.append(AppliedWrench(
                     self.steps, self.layout.body_names[body],
                     tuple(self._schedule.total[body].tolist())))
-            wanted = min(end, self._schedule.next_change()) - self.steps
-            done, status = advance(
-                self.layout.model, self._work, self.tableau.a, self.tableau.b.reshape(1, -1),
-                GROUPS[self.group], self.step, wanted, self._pose, self._twist,
-                self._schedule.total)
+            wanted = min(end, self._schedule.next_change(),
+                         self._timetable.next_change(self.steps)) - self.steps
+            done, status = self._take(wanted)
             self.steps += done
             if status != OK:
                 raise SimulationError(self._explain(status), status & 0xff)
             if self.steps >= end:
                 break
-        if self._work.report[1] and not self._warned_singular:
+        if self._work.report[2] and not self._warned_singular:
             self._warned_singular = True
             log.warning("a singular pose was met before t = %g s: where the joints leave the motion "
                         "open the masses decide", self.time)
@@ -211,13 +286,44 @@ class Simulation:
                         "the result is hardly accurate, take a smaller step",
                         math.sqrt(self._work.report[0]), self.time)
 
+    def _take(self, steps):
+        """Take steps over which no wrench changes, or only the next one, in parts, if one does in it.
+
+        returns (steps done, status)
+        """
+        parts = self._timetable.parts(self.steps)
+        if len(parts) == 1 or steps == 0:
+            return self._integrate(*parts[0], steps)
+        good = self._pose.copy(), self._twist.copy(), self._work.angle.copy()
+        for duration, acting in parts:
+            _, status = self._integrate(duration, acting, 1)
+            if status != OK:
+                self._pose[:], self._twist[:], self._work.angle[:] = good
+                self._integrator.restart()
+                return 0, status
+        return 1, OK
+
+    def _integrate(self, h, acting, steps):
+        """Take steps of size h while the wrenches `acting` of the scene act: see `integrators`."""
+        self._work.acting[:] = acting
+        return self._integrator.advance(h, steps, self._pose, self._twist, self._schedule.total)
+
+    def _joint_name(self, joint):
+        """Name of the scene's joint behind a joint of the model."""
+        element = self.layout.model.joints[joint]["element"]
+        return self.scene.joints[self.layout.owners[element]].name
+
     def _explain(self, status):
-        joint = ""
+        joint = force = ""
         if status & 0xff == DEPENDENT_ROWS:
-            joint = self.scene.joints[self.layout.elements[status >> 8][0]].name
+            joint = self._joint_name(status >> 8)
+        if status & 0xff == TURNS_NOT_COUNTED:
+            springs = [f for f in self.scene.forces if f.type == "torsional_spring_damper"]
+            force = springs[status >> 8].name
         return (f"stopped at t = {self.time:.9g} s (step {self.steps}, h = {self.step:g} s): "
-                + MESSAGES[status & 0xff].format(joint=joint))
+                + MESSAGES[status & 0xff].format(joint=joint, force=force))
 
     def sample(self):
         """The present state as a Sample."""
-        return self.layout.sample(self._pose, self._twist, self.time, self.time_ns, self.steps)
+        return self.layout.sample(self._pose, self._twist, self.time, self.time_ns, self.steps,
+                                  self._work.angle)

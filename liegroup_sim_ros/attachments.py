@@ -23,7 +23,8 @@ def at_start(simulation, node, world_frame, sample_steps, topics):
     pose, twist = simulation.state()
     settings = {
         "format": 1, "scene": scene.name, "method": simulation.method, "group": simulation.group,
-        "step": simulation.step, "steps_per_sample": sample_steps, "node": node,
+        "stabilisation": simulation.stabilisation, "baumgarte_time": simulation.baumgarte_time,
+        "options": simulation.options, "step": simulation.step, "steps_per_sample": sample_steps, "node": node,
         "world_frame": world_frame, "topics": topics, "versions": _versions(),
         "machine": {"system": platform.platform(), "processor": platform.machine(),
                     "cores": os.cpu_count()},

@@ -11,10 +11,9 @@ from rclpy.serialization import serialize_message
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 
-from .messages import ClockCodec, PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec
+from liegroup_core.pacing import SLOW
 
-# Below this part of the real-time factor that was asked for, the diagnostics warn.
-SLOW = 0.95
+from .messages import ClockCodec, PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec
 
 
 class Stream:
@@ -63,6 +62,7 @@ class Outputs:
     def __init__(self, node, bodies, world_frame, clock, figures):
         self._name = node.get_fully_qualified_name()
         self._figures = figures
+        self._logger = node.get_logger()
         self._pose = {b: Stream(node, f"~/{b}/pose", PoseStamped) for b in bodies}
         self._twist = {b: Stream(node, f"~/{b}/twist", TwistStamped) for b in bodies}
         # Many bodies may be pushed at one step.
@@ -107,7 +107,9 @@ class Outputs:
         self._applied.send(stamp_ns, self._encode_wrench[body](stamp_ns, wrench))
 
     def event(self, stamp_ns, name, text, failed=False):
-        """Something that happened to the run."""
+        """Something that happened to the run; what ends it is logged, too."""
+        if failed:
+            self._logger.error(text)
         message = Log(stamp=Time(nanoseconds=stamp_ns).to_msg(), name=name, msg=text,
                       level=Log.ERROR if failed else Log.INFO)
         self._events.send(stamp_ns, serialize_message(message))

@@ -14,6 +14,9 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 
+from liegroup_core.integrators.methods import GROUPS, METHODS
+from liegroup_core.simulation import STABILISATIONS
+
 HOLDS = ("one_step", "timeout", "until_replaced")
 
 
@@ -36,9 +39,11 @@ class Entry(NamedTuple):
 
 TABLE = (
     Entry("scene", "", "scene file (YAML)"),
-    Entry("method", "rkmk4", "integration method"),
+    Entry("method", "rkmk4", "integration method", choices=tuple(METHODS)),
+    Entry("stabilisation", "none", "what is done about joints that open by errors of integration",
+          choices=STABILISATIONS),
     Entry("group", "se3", "configuration space of a body: SE(3) or SO(3) x R^3",
-          choices=("se3", "so3xr3")),
+          choices=tuple(GROUPS)),
     Entry("step", 1e-3, "step size, s", low=0.0, high=10.0, above=True),
     Entry("publish_rate", 100.0, "poses and twists per second of simulated time, Hz; the period "
           "must be a whole number of steps", low=0.0, high=1e5, above=True),

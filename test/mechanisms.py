@@ -1,15 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scenes made for tests: random mechanisms of every kind of joint, consistent by construction."""
+import functools
+
 import numpy as np
 from scipy.linalg import null_space
 
 import naive
 from liegroup_core import Scene
+from liegroup_core.joints import LOWER_PAIRS, forbidden_rows
 from liegroup_core.lie.groups import SE3, SO3
-from liegroup_core.scene.consistency import resolve_frames
-from liegroup_core.scene.description import Body, Frame, Joint, SpringDamper
+from liegroup_core.scene.consistency import resolve_elements, resolve_frames
+from liegroup_core.scene.description import (Body, DistanceJoint, Frame, Joint, ScrewJoint,
+                                             SpringDamper)
 
 GRAVITY = (0.3, -0.2, -9.81)
+PITCH = 0.3
+KINDS = (*LOWER_PAIRS, "universal", "distance")
 
 
 def random_pose(rng, size=1.0):
@@ -29,11 +35,31 @@ def random_body(rng, name, pose):
 
 
 def allowed_motion(rng, kind):
-    """A pose of the subgroup of a joint kind."""
+    """A random pose that a kind of joint allows its two frames, angles beyond a turn included."""
+    angle, slide = 4.0 * rng.normal(), rng.normal(size=3)
+    turn, shift = {
+        "spherical": (rng.normal(size=3), (0, 0, 0)),
+        "revolute": ((0, 0, angle), (0, 0, 0)),
+        "prismatic": ((0, 0, 0), (0, 0, slide[2])),
+        "cylindrical": ((0, 0, angle), (0, 0, slide[2])),
+        "planar": ((0, 0, angle), (slide[0], slide[1], 0)),
+        "screw": ((0, 0, angle), (0, 0, PITCH * angle)),
+        "fixed": ((0, 0, 0), (0, 0, 0)),
+        "universal": ((angle, 0, 0), (0, 0, 0)),
+        "distance": (rng.normal(size=3), slide),
+    }[kind]
     motion = np.eye(4)
-    turn = {"spherical": rng.normal(size=3), "revolute": [0.0, 0.0, rng.normal()]}[kind]
-    motion[:3, :3] = SO3.exp(turn)
+    motion[:3, :3], motion[:3, 3] = SO3.exp(turn), shift
+    if kind == "universal":
+        motion[:3, :3] = motion[:3, :3] @ SO3.exp((0, rng.normal(), 0))
     return motion
+
+
+def joint(kind, **keys):
+    """A joint of any kind between two frames."""
+    if kind == "screw":
+        return ScrewJoint(pitch=PITCH, **keys)
+    return DistanceJoint(**keys) if kind == "distance" else Joint(type=kind, **keys)
 
 
 def frame(pose):
@@ -43,19 +69,25 @@ def frame(pose):
 def mechanism(rng, links, springs=2, loops=()):
     """A scene from links (parent, child, kind), the parents first; loops close what is there.
 
-    Each loop (a, b, kind) is a joint whose frame on b is left to the poses. All bodies move, with
-    twists in the null space of the joints' Jacobian.
+    A link of kind None is a body without a joint.
+
+    Each loop (a, b, kind) is a joint whose frame on b is left to the poses, or a distance that is.
+    All bodies move, with twists in the null space of the joints' Jacobian.
     """
     poses, joints = {"world": np.eye(4)}, []
     for parent, child, kind in links:
+        if kind is None:
+            poses[child] = random_pose(rng)
+            continue
         at_parent, at_child = random_pose(rng, 0.4), random_pose(rng, 0.4)
         poses[child] = (poses[parent] @ at_parent @ allowed_motion(rng, kind)
                         @ np.linalg.inv(at_child))
-        joints.append(Joint(name=f"j{len(joints)}", type=kind, parent=parent, child=child,
+        joints.append(joint(kind, name=f"j{len(joints)}", parent=parent, child=child,
                             parent_frame=frame(at_parent), child_frame=frame(at_child)))
     for parent, child, kind in loops:
-        joints.append(Joint(name=f"j{len(joints)}", type=kind, parent=parent, child=child,
-                            parent_frame=frame(random_pose(rng, 0.5))))
+        keys = {"child_frame": frame(random_pose(rng, 0.5))} if kind == "distance" else {}
+        joints.append(joint(kind, name=f"j{len(joints)}", parent=parent, child=child,
+                            parent_frame=frame(random_pose(rng, 0.5)), **keys))
     del poses["world"]
     bodies = [random_body(rng, name, pose) for name, pose in poses.items()]
     names = [*poses, "world"]
@@ -89,20 +121,20 @@ def moving(rng, scene):
 
 def exact_jacobian(scene):
     """A V_rel of all joints as a dense matrix, from the definition of V_rel."""
-    from liegroup_core.joints.pairs import LOWER_PAIRS
     index = {body.name: i for i, body in enumerate(scene.bodies)}
     poses = {body.name: body.pose for body in scene.bodies} | {"world": np.eye(4)}
     rows = [np.zeros((0, 6 * len(index)))]
-    for joint, (at_parent, at_child) in zip(scene.joints, resolve_frames(scene)):
-        relative = (np.linalg.inv(poses[joint.parent] @ at_parent) @ poses[joint.child] @ at_child)
+    for link, (at_parent, at_child), elements in zip(scene.joints, resolve_frames(scene),
+                                                     resolve_elements(scene)):
+        relative = np.linalg.inv(poses[link.parent] @ at_parent) @ poses[link.child] @ at_child
         block = np.zeros((6, 6 * len(index)))
-        if joint.child in index:
-            at = 6 * index[joint.child]
+        if link.child in index:
+            at = 6 * index[link.child]
             block[:, at:at + 6] = SE3.Ad(np.linalg.inv(at_child))
-        if joint.parent in index:
-            at = 6 * index[joint.parent]
+        if link.parent in index:
+            at = 6 * index[link.parent]
             block[:, at:at + 6] = -SE3.Ad(np.linalg.inv(relative) @ np.linalg.inv(at_parent))
-        rows.append(LOWER_PAIRS[joint.type].forbidden @ block)
+        rows.append(forbidden_rows(elements, relative) @ block)
     return np.concatenate(rows)
 
 
@@ -118,6 +150,27 @@ def chain(n, kind="spherical", length=0.1, mass=0.1):
     return Scene(name="chain", gravity=(0, 0, -9.81), bodies=bodies, joints=joints)
 
 
+def two_links(second_length):
+    """Links of 1 m and `second_length` m on ball joints between ground points 2 m apart."""
+    angle = np.arccos((1 + 4 - second_length ** 2) / 4)
+    corner = np.array([np.cos(angle), np.sin(angle), 0.0])
+    pin = np.array([2.0, 0.0, 0.0])
+    other = np.arctan2(*(corner - pin)[[1, 0]])
+    inertia = (0.05, 0.1, 0.1)
+    return Scene(name="links", gravity=(0, 0, -9.81), bodies=[
+        Body(name="first", mass=1.0, inertia=inertia, position=corner / 2,
+             rotation_vector=(0, 0, angle)),
+        Body(name="second", mass=1.0, inertia=inertia, position=(corner + pin) / 2,
+             rotation_vector=(0, 0, other))],
+        joints=[
+            Joint(name="left", type="spherical", parent="world", child="first",
+                  child_frame=Frame(position=(-0.5, 0, 0))),
+            Joint(name="right", type="spherical", parent="world", child="second",
+                  child_frame=Frame(position=(-second_length / 2, 0, 0))),
+            Joint(name="middle", type="spherical", parent="first", child="second",
+                  parent_frame=Frame(position=(0.5, 0, 0)))])
+
+
 TREE = [("world", "a", "revolute"), ("a", "b", "spherical"), ("a", "c", "revolute"),
         ("c", "d", "revolute"), ("world", "e", "spherical")]
 MECHANISMS = {
@@ -131,9 +184,20 @@ MECHANISMS = {
     "loop of hinges and balls": ([("world", "a", "revolute"), ("a", "b", "spherical"),
                                   ("b", "c", "spherical")], [("world", "c", "revolute")]),
     "net": (TREE, [("b", "e", "spherical"), ("world", "d", "spherical")]),
+    **{f"{kind} to ground": ([("world", "a", kind)], []) for kind in KINDS},
+    **{f"{kind} between bodies": ([("world", "a", "spherical"), ("a", "b", kind)], [])
+       for kind in KINDS},
+    "every kind": ([("world", "a", "cylindrical"), ("a", "b", "universal"), ("b", "c", "screw"),
+                    ("a", "d", "planar"), ("d", "e", "prismatic"), ("e", "f", "fixed"),
+                    ("f", "g", "distance"), ("g", "h", "revolute")],
+                   [("c", "g", "distance"), ("world", "h", "universal")]),
+    "floating": ([("world", "a", None), ("a", "b", "universal"), ("b", "c", "prismatic"),
+                  ("b", "d", "spherical")],
+                 [("c", "d", "distance")]),
 }
 
 
+@functools.lru_cache(maxsize=None)
 def named(name, seed=0):
     """One of MECHANISMS, random but the same each time."""
     links, loops = MECHANISMS[name]

@@ -3,8 +3,6 @@
 import numpy as np
 from scipy.linalg import expm
 
-from liegroup_core.joints.pairs import position_residual
-
 
 def hat(w):
     """Cross-product matrix of w (3,)."""
@@ -19,13 +17,56 @@ def displaced(matrix, twist):
     return matrix @ expm(generator)
 
 
+def matrices(pose):
+    """Poses (n, 4, 4) of rows (n, 12) of R, row by row, and r."""
+    found = np.tile(np.eye(4), (len(pose), 1, 1))
+    found[:, :3, :3], found[:, :3, 3] = pose[:, :9].reshape(-1, 3, 3), pose[:, 9:]
+    return found
+
+
+def flat(found):
+    """The inverse of `matrices`."""
+    return np.concatenate([found[:, :3, :3].reshape(-1, 9), found[:, :3, 3]], axis=1)
+
+
+def joint_residual(joint, parent, child, length):
+    """What a joint forbids, as products of the axes of its frames and of the way between them.
+
+    parent, child : (4, 4) poses of the joint frames in the world
+    length        : m, of a distance joint
+    returns (rows,), zero where the joint is closed; other rows than the engine's, of the same span
+    """
+    (x, y, z), (u, v, w) = parent[:3, :3].T, child[:3, :3].T
+    d = child[:3, 3] - parent[:3, 3]
+    together, aligned = [*d], [x @ w, y @ w]
+    if joint.type == "screw":
+        turn = np.arctan2(y @ u - x @ v, x @ u + y @ v)
+        turns = np.round((z @ d / joint.pitch - turn) / (2 * np.pi))
+        return np.array([*aligned, x @ d, y @ d, z @ d - joint.pitch * (turn + 2 * np.pi * turns)])
+    return np.array({
+        "spherical": together,
+        "revolute": together + aligned,
+        "prismatic": [*aligned, x @ v, x @ d, y @ d],
+        "cylindrical": [*aligned, x @ d, y @ d],
+        "planar": [*aligned, z @ d],
+        "fixed": [*together, *aligned, x @ v],
+        "universal": [*together, x @ v],
+        "distance": [np.sqrt(d @ d) - length],
+    }[joint.type])
+
+
 def residual(scene, frames, matrices):
-    """Position residuals of all joints, one below the other; matrices {body: (4, 4)}."""
+    """Residuals of all joints, one below the other; matrices {body: (4, 4)}."""
     matrices = {**matrices, "world": np.eye(4)}
-    parts = [position_residual(
-        joint.type, np.linalg.inv(matrices[joint.parent] @ parent) @ matrices[joint.child] @ child)
-        for joint, (parent, child) in zip(scene.joints, frames)]
-    return np.concatenate(parts) if parts else np.zeros(0)
+    starts = {body.name: body.pose for body in scene.bodies} | {"world": np.eye(4)}
+    parts = [np.zeros(0)]
+    for joint, (parent, child) in zip(scene.joints, frames):
+        # a distance that the scene leaves out is the one at the start
+        length = getattr(joint, "length", None) or np.linalg.norm(
+            (starts[joint.parent] @ parent)[:3, 3] - (starts[joint.child] @ child)[:3, 3])
+        parts.append(joint_residual(joint, matrices[joint.parent] @ parent,
+                                    matrices[joint.child] @ child, length))
+    return np.concatenate(parts)
 
 
 def jacobian(scene, frames, matrices, step=1e-6):

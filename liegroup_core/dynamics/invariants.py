@@ -1,15 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Energy and spatial momentum of a state."""
 from .._compile import kernel
+from ..forces import kinds
 from ..forces.gravity import energy as gravity_energy
-from ..forces.spring_damper import energy as spring_energy
 from ..lie.vec3 import add3, cross3, dot3, load3, load9, matrix3, matvec3, scale3
 
 
 @kernel
-def energy(model, pose, twist):
-    """Kinetic plus potential energy (gravity, springs), J. pose (n, 12), twist (n, 6)"""
-    total = gravity_energy(model, pose) + spring_energy(model.springs, pose)
+def energy(model, angle, pose, twist):
+    """Kinetic plus potential energy (gravity, springs), J.
+
+    angle : (k,) rad, of each torsional spring; pose (n, 12), twist (n, 6)
+    """
+    total = gravity_energy(model, pose) + kinds.energy(model.forces, angle, pose)
     for i in range(len(model.bodies)):
         w = load3(twist, i, 0)
         v = load3(twist, i, 3)

@@ -8,9 +8,9 @@ terms with the sign that (6.30) misses: torque -w x Theta w, force -m w x v.
 """
 from .._compile import kernel
 from ..forces.gravity import add_wrench as add_gravity
-from ..forces.spring_damper import add_wrench as add_springs
+from ..forces.kinds import add_wrenches
 from ..lie.vec3 import cross3, load3, matrix3, matvec3
-from .constraints import assemble
+from .constraints import add_baumgarte, assemble
 from .saddle_point import REGULARISATION, solve
 
 # The shift is 1e-8 of a row: so much smaller the error of all other directions gets by each
@@ -19,13 +19,8 @@ REFINEMENTS_WHEN_SINGULAR = 4
 
 
 @kernel
-def accelerations(model, work, pose, twist, external):
-    """Vdot of all bodies, and the multipliers, into work.solution.
-
-    pose (n, 12), twist (n, 6), external (n, 6): applied wrenches in body axes about the centre
-    of mass
-    returns -1, or the joint whose rows depend on others, which a regularised solve could not mend
-    """
+def wrenches(model, work, pose, twist, external):
+    """Q: applied wrenches, forces and gyroscopic terms of all bodies into work.wrench (n, 6)."""
     for i in range(len(model.bodies)):
         w = load3(twist, i, 0)
         gyro_w = cross3(matvec3(matrix3(model.bodies[i]["inertia"]), w), w)
@@ -35,15 +30,26 @@ def accelerations(model, work, pose, twist, external):
             work.wrench[i, c] = external[i, c] + gyro_w[c]
             work.wrench[i, 3 + c] = external[i, 3 + c] + mass * gyro_v[c]
     add_gravity(model, pose, work.wrench)
-    add_springs(model.springs, pose, twist, work.wrench)
+    add_wrenches(model.forces, work.angle, work.acting, pose, twist, work.wrench)
+
+
+@kernel
+def accelerations(model, work, pose, twist, external):
+    """Vdot of all bodies into work.acceleration, the multipliers into work.solution.
+
+    pose (n, 12), twist (n, 6), external (n, 6): applied wrenches in body axes about the centre
+    of mass; work.angle and work.acting: see Work
+    returns -1, or the joint whose rows depend on others, which a regularised solve could not mend
+    """
+    wrenches(model, work, pose, twist, external)
     if len(model.joints) == 0:
         for i in range(len(model.bodies)):
-            at = model.bodies[i]["start"]
             angular = matvec3(matrix3(model.bodies[i]["inverse_inertia"]),
                               load3(work.wrench, i, 0))
+            inverse_mass = model.bodies[i]["inverse_mass"]
             for c in range(3):
-                work.solution[at + c] = angular[c]
-                work.solution[at + 3 + c] = model.bodies[i]["inverse_mass"] * work.wrench[i, 3 + c]
+                work.acceleration[i, c] = angular[c]
+                work.acceleration[i, 3 + c] = inverse_mass * work.wrench[i, 3 + c]
         return -1
     for i in range(len(model.bodies)):
         at = model.bodies[i]["start"]
@@ -53,10 +59,16 @@ def accelerations(model, work, pose, twist, external):
     refinements, shift = model.refinements, 0.0
     for _ in range(2):
         assemble(model, work, pose, twist)
+        if model.baumgarte_rate > 0.0:
+            add_baumgarte(model, work, pose)
         dependent = solve(model, work, refinements, shift)
         if dependent < 0:
-            return -1
+            break
         # A singular pose: once more, and where the joints leave it open the masses decide.
         refinements, shift = REFINEMENTS_WHEN_SINGULAR, REGULARISATION
-        work.report[1] += 1.0
+        work.report[2] += 1.0
+    for i in range(len(model.bodies)):
+        at = model.bodies[i]["start"]
+        for c in range(6):
+            work.acceleration[i, c] = work.solution[at + c]
     return dependent

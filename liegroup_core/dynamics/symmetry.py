@@ -23,18 +23,19 @@ work are the null space of these wrenches. So
   the same, with rest length or with the spring elsewhere on the body: nothing is kept, unless p0
                               lies above or below o
 A pose of a closed loop is taken without the closing joint: no component is named that is not
-kept. A component kept only by particular motions (a plane pendulum) is not found.
+kept. A component kept only by particular motions (a plane pendulum) is not found, nor is any of a
+scene with a joint that is no lower pair.
 """
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
 
-from ..forces import gravity, spring_damper
-from ..joints.pairs import LOWER_PAIRS
+from ..forces import gravity, kinds
+from ..joints.elements import PAIR
 from ..lie.groups import SE3
 from ..model.build import build_model
-from ..scene.consistency import resolve_frames
+from ..scene.consistency import resolve_elements, resolve_frames
 from ..scene.description import WORLD
 
 # More poses than unknowns; each is generic with probability one, and the draw is always the same.
@@ -73,18 +74,21 @@ def conserved_momentum(scene):
     Raises SceneError for a scene that cannot be simulated.
     Shown by test/core/test_symmetry.py, with counterexamples, along independent integrations.
     """
-    model, _ = build_model(scene)
+    model, *_ = build_model(scene)
     frames = resolve_frames(scene)
+    forbidden = _forbidden(scene)
+    if forbidden is None:
+        return ()
     rng = np.random.default_rng(6)
     size = _size(scene, frames)
-    drawn = [_generic_pose(scene, frames, size, rng) for _ in range(POSES)]
+    drawn = [_generic_pose(scene, frames, forbidden, size, rng) for _ in range(POSES)]
     wrenches = np.array([_outer_wrenches(model, pose, rng) for pose in drawn])  # (POSES, n, 6)
     kept = []
     for group in _groups(scene):
         acting = _without_round_off(wrenches[:, group])
         mass = np.array([scene.bodies[i].mass for i in group])
         centre = np.array([mass @ pose[group, 9:] for pose in drawn]) / mass.sum()
-        reactions = _reactions(scene, frames, group)
+        reactions = _reactions(scene, frames, forbidden, group)
         names = tuple(scene.bodies[i].name for i in group)
         kept += [KeptMomentum(names, *found) for found in _kept(acting, reactions, centre, size)
                  if len(found[1]) + len(found[2]) > 0]
@@ -161,10 +165,13 @@ def _reaction_point(reactions):
 
 
 def _outer_wrenches(model, pose, rng):
-    """Gravity and springs on every body at a pose, at random velocities; (n, 6), world origin."""
+    """Gravity and all forces on every body at a pose, moving at random; (n, 6), world origin."""
     wrench = np.zeros((len(pose), 6))
     gravity.add_wrench(model, pose, wrench)
-    spring_damper.add_wrench(model.springs, pose, rng.normal(size=(len(pose), 6)), wrench)
+    forces = model.forces
+    kinds.add_wrenches(forces, rng.normal(size=len(forces.torsional_spring_damper)),
+                       np.ones(len(forces.applied_wrench), dtype=bool), pose,
+                       rng.normal(size=(len(pose), 6)), wrench)
     turn, place = pose[:, :9].reshape(-1, 3, 3), pose[:, 9:]
     force = np.einsum("nij,nj->ni", turn, wrench[:, 3:])
     torque = np.einsum("nij,nj->ni", turn, wrench[:, :3]) + np.cross(place, force)
@@ -179,27 +186,35 @@ def _without_round_off(wrenches):
     return total
 
 
-def _reactions(scene, frames, group):
+def _reactions(scene, frames, forbidden, group):
     """Rows of wrenches about the world origin that joints to the world can exert on a group."""
     names = {scene.bodies[i].name for i in group}
     rows = [np.zeros((0, 6))]
-    for joint, (F_a, _) in zip(scene.joints, frames):
+    for joint, (F_a, _), A in zip(scene.joints, frames, forbidden):
         if joint.parent == WORLD and joint.child in names:
             # The work on a world screw is that on the same screw seen from the joint frame.
-            rows.append(LOWER_PAIRS[joint.type].forbidden @ SE3.Ad(SE3.inverse(F_a)))
+            rows.append(A @ SE3.Ad(SE3.inverse(F_a)))
     return np.vstack(rows)
 
 
-def _generic_pose(scene, frames, size, rng):
+def _forbidden(scene):
+    """A (k, 6) of every joint; None if one is no lower pair, whose rows depend on the pose."""
+    parts = resolve_elements(scene)
+    if any(part.kind != PAIR for elements in parts for part in elements):
+        return None
+    return [elements[0].forbidden for elements in parts]
+
+
+def _generic_pose(scene, frames, forbidden, size, rng):
     """Pose (n, 12) with every joint of a spanning tree moved at random along its freedoms."""
-    joints = list(zip(scene.joints, frames))
+    joints = list(zip(scene.joints, frames, forbidden))
     waiting = [body.name for body in scene.bodies]
     placed = {WORLD: np.eye(4)}
     while waiting:
-        for joint, (F_a, F_b) in joints:
+        for joint, (F_a, F_b), A in joints:
             if (joint.parent in placed) == (joint.child in placed):
                 continue
-            free = scipy.linalg.null_space(LOWER_PAIRS[joint.type].forbidden)
+            free = scipy.linalg.null_space(A)
             moved = F_a @ SE3.exp(free @ rng.normal(size=free.shape[1])) @ SE3.inverse(F_b)
             if joint.parent in placed:
                 placed[joint.child] = placed[joint.parent] @ moved
@@ -218,9 +233,11 @@ def _generic_pose(scene, frames, size, rng):
 def _groups(scene):
     """Index lists of the bodies that hang together without the world."""
     label = {body.name: i for i, body in enumerate(scene.bodies)}
+    # Forces about a joint add nothing to the joint; those on one body link nothing.
     for link in (*scene.joints, *scene.forces):
-        if WORLD not in (link.parent, link.child):
-            old, new = label[link.child], label[link.parent]
+        child, parent = getattr(link, "child", WORLD), getattr(link, "parent", WORLD)
+        if WORLD not in (parent, child):
+            old, new = label[child], label[parent]
             label = {name: new if value == old else value for name, value in label.items()}
     groups = {}
     for i, body in enumerate(scene.bodies):
@@ -232,8 +249,8 @@ def _size(scene, frames):
     """A length of the mechanism, m: its largest coordinate, or 1 if all are zero."""
     points = [body.position for body in scene.bodies]
     points += [frame[:3, 3] for pair in frames for frame in pair]
-    points += [point for force in scene.forces
-               for point in (force.parent_point, force.child_point)]
+    points += [getattr(force, name) for force in scene.forces
+               for name in ("parent_point", "child_point", "point") if hasattr(force, name)]
     return float(np.abs(np.array(points)).max()) or 1.0
 
 

@@ -8,71 +8,79 @@ direction is missing (l = 0), the rest length and the damper contribute nothing.
 """
 import math
 
+import numpy as np
+
 from .._compile import kernel
-from ..lie.vec3 import (add3, axpy3, cross3, dot3, load3, load9, matvec3, scale3, sub3, tmatvec3,
-                        vector3)
-from ..model.arrays import WORLD
+from ..lie.vec3 import dot3, scale3, sub3, vector3
+from .points import apply_force, point, point_velocity
+
+ROW = np.dtype([
+    ("parent", "i8"), ("child", "i8"),                            # body index or WORLD
+    ("parent_point", "f8", (3,)), ("child_point", "f8", (3,)),    # m, in the frame of each
+    ("stiffness", "f8"), ("damping", "f8"), ("rest_length", "f8"),    # N/m, N s/m, m
+], align=True)
+
+
+def make_row(spring, index, ends):
+    """Row of a SpringDamper of a scene; see kinds.make_forces."""
+    return (index[spring.parent], index[spring.child], spring.parent_point, spring.child_point,
+            spring.stiffness, spring.damping, spring.rest_length)
 
 
 @kernel
-def _point(pose, body, place):
-    """World position of a point of a body (of the world: the point itself)."""
-    if body == WORLD:
-        return place
-    return add3(load3(pose, body, 9), matvec3(load9(pose, body, 0), place))
+def _line(row, pose):
+    """The vector from the parent's point to the child's point, world axes."""
+    return sub3(point(pose, row["child"], vector3(row["child_point"])),
+                point(pose, row["parent"], vector3(row["parent_point"])))
 
 
 @kernel
-def _point_velocity(pose, twist, body, place):
-    """World velocity of a point that is fixed in a body."""
-    if body == WORLD:
-        return (0.0, 0.0, 0.0)
-    in_body = add3(load3(twist, body, 3), cross3(load3(twist, body, 0), place))
-    return matvec3(load9(pose, body, 0), in_body)
+def _line_rate(row, pose, twist):
+    """Rate of that vector."""
+    return sub3(point_velocity(pose, twist, row["child"], vector3(row["child_point"])),
+                point_velocity(pose, twist, row["parent"], vector3(row["parent_point"])))
 
 
 @kernel
-def _apply(pose, body, place, force, wrench_out):
-    """Add a force in world axes that acts at a point of a body to its wrench in body axes."""
-    if body == WORLD:
-        return
-    in_body = tmatvec3(load9(pose, body, 0), force)
-    torque = cross3(place, in_body)
-    for c in range(3):
-        wrench_out[body, c] += torque[c]
-        wrench_out[body, 3 + c] += in_body[c]
-
-
-@kernel
-def add_wrench(springs, pose, twist, wrench_out):
-    """Add the wrenches of all spring-dampers (springs: (ns,) of SPRING_DAMPER)."""
-    for e in range(len(springs)):
-        row = springs[e]
-        parent, child = row["parent"], row["child"]
-        at_parent = vector3(row["parent_point"])
-        at_child = vector3(row["child_point"])
-        d = sub3(_point(pose, child, at_child), _point(pose, parent, at_parent))
+def add_wrench(rows, pose, twist, wrench_out):
+    """Add the wrenches of all spring-dampers (rows: (k,) of ROW)."""
+    for e in range(len(rows)):
+        row = rows[e]
+        d = _line(row, pose)
         factor = row["stiffness"]
         length = math.sqrt(dot3(d, d))
         if length > 0.0:
             factor -= row["stiffness"] * row["rest_length"] / length
             if row["damping"] > 0.0:
-                ddot = sub3(_point_velocity(pose, twist, child, at_child),
-                            _point_velocity(pose, twist, parent, at_parent))
+                ddot = _line_rate(row, pose, twist)
                 factor += row["damping"] * (dot3(d, ddot) / length) / length
         force = scale3(-factor, d)
-        _apply(pose, child, at_child, force, wrench_out)
-        _apply(pose, parent, at_parent, scale3(-1.0, force), wrench_out)
+        apply_force(pose, row["child"], vector3(row["child_point"]), force, wrench_out)
+        apply_force(pose, row["parent"], vector3(row["parent_point"]), scale3(-1.0, force),
+                    wrench_out)
 
 
 @kernel
-def energy(springs, pose):
+def energy(rows, pose):
     """Potential energy sum k (l - l0)^2 / 2 of all springs, J."""
     total = 0.0
-    for e in range(len(springs)):
-        row = springs[e]
-        d = axpy3(-1.0, _point(pose, row["parent"], vector3(row["parent_point"])),
-                  _point(pose, row["child"], vector3(row["child_point"])))
+    for e in range(len(rows)):
+        row = rows[e]
+        d = _line(row, pose)
         stretch = math.sqrt(dot3(d, d)) - row["rest_length"]
         total += 0.5 * row["stiffness"] * stretch * stretch
+    return total
+
+
+@kernel
+def power(rows, pose, twist):
+    """Power -sum c ldot^2 of all dampers, W; never positive."""
+    total = 0.0
+    for e in range(len(rows)):
+        row = rows[e]
+        d = _line(row, pose)
+        squared = dot3(d, d)
+        if squared > 0.0:
+            along = dot3(d, _line_rate(row, pose, twist))
+            total -= row["damping"] * along * along / squared
     return total

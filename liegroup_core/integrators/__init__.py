@@ -1,1 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
+"""Integrators by family: each takes the methods of METHODS that name it.
+
+An integrator is made by `family(method, layout, group, step, options)` and has
+    options(method)  {name: (default, what it may be, check)} of what a user can set, static
+    work             scratch memory; work.report[0] is the largest squared rotation of a stage
+    restart()        forget what lasts between calls, because a state was set
+    advance(h, steps, pose, twist, external) -> (steps done, status), in place; external (n, 6) is
+                     constant over these steps; pose and twist stay the last good ones
+    substeps         (good ones, attempts) since the restart, (0, 0) where there are none
+"""
+from .generalized_alpha import GeneralizedAlpha
+from .methods import METHODS
+from .rkmk import MuntheKaas
+
+FAMILIES = {"rkmk": MuntheKaas, "generalized_alpha": GeneralizedAlpha}
+
+
+def check_options(method, options):
+    """The options of a method completed by its defaults. Raises ValueError, one line."""
+    known = FAMILIES[METHODS[method].family].options(METHODS[method])
+    for name, value in options.items():
+        if name not in known:
+            raise ValueError(f"method {method} has no option {name!r}; it has: {', '.join(known)}")
+        _, text, is_good = known[name]
+        if not is_good(value):
+            raise ValueError(f"{name} must be {text}, got {value!r}")
+    return {name: options.get(name, default) for name, (default, _, _) in known.items()}
+
+
+def make_integrator(method, layout, group, step, options):
+    """The integrator of a method's name, its options checked by `check_options`."""
+    entry = METHODS[method]
+    return FAMILIES[entry.family](entry, layout, group, step, options)

@@ -1,16 +1,37 @@
 # SPDX-License-Identifier: Apache-2.0
 """The integration methods as data: an explicit Runge-Kutta tableau is all a Munthe-Kaas method is.
 
-A new explicit method is one entry of METHODS. Tests check row sums, order conditions, and the
-order on a problem whose rotations do not commute.
+A new explicit method is one entry of METHODS. Tests check row sums, the order conditions of all
+rooted trees up to the stated order, and the order on problems whose rotations do not commute:
+test/contract/test_methods.py, test/verification/test_orders.py.
+
+    name         stages  what it is
+    rkmk1          1     Lie-Euler
+    rkmk2          2     explicit midpoint
+    rkmk2_heun     2     Heun: explicit trapezium
+    rkmk3          3     Ralston; the advancing method of Bogacki and Shampine's pair
+    rkmk4          4     the classical method: the chapter's (6.25)
+    rkmk54         6+1   Dormand and Prince 5(4): substeps between samples by error control
+    rkmk8         12     the advancing method of Dormand and Prince's 8(5,3)
+    generalized_alpha    implicit, for stiff scenes; joints at position level
 """
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
+from numbers import Real
 
 import numpy as np
 
 # The groups a pose can move on; GROUPS[name] is the code that the kernels know.
 SE3, SO3XR3 = 0, 1
 GROUPS = {"se3": SE3, "so3xr3": SO3XR3}
+
+
+def is_positive(value):
+    """True for a finite number above zero."""
+    return (isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
+            and value > 0.0)
 
 
 @dataclass(frozen=True)
@@ -20,25 +41,74 @@ class Tableau:
     a : (s, s) strictly lower triangular
     b : (s,) weights
     c : (s,) nodes, the row sums of a
+    e : (s + 1,) weights of the error estimate, the last one of the slope at the end of the step;
+        None for a method without error control
     """
 
-    name: str
-    order: int
     a: np.ndarray
     b: np.ndarray
     c: np.ndarray
+    e: np.ndarray | None
+
+
+@dataclass(frozen=True)
+class Method:
+    """One method: what a user and the documentation want to know of it.
+
+    family       : which integrator takes it, see integrators/__init__.py
+    coefficients : of a Runge-Kutta method, function without arguments that returns (a, b) or
+                   (a, b, e), a without the zeros on and above the diagonal
+    """
+
+    name: str
+    family: str
+    order: int
     source: str
+    coefficients: Callable | None = None
+
+    @cached_property
+    def tableau(self):
+        """Tableau of a Runge-Kutta method."""
+        a, b, *e = self.coefficients()
+        full = np.zeros((len(b), len(b)))
+        for i, row in enumerate(a):
+            full[i, :len(row)] = row
+        return Tableau(full, np.array(b, dtype=float), full.sum(axis=1),
+                       np.array(e[0], dtype=float) if e else None)
 
 
-def _tableau(name, order, a, b, source):
-    stages = len(b)
-    full = np.zeros((stages, stages))
-    for i, row in enumerate(a):
-        full[i, :len(row)] = row
-    return Tableau(name, order, full, np.array(b, dtype=float), full.sum(axis=1), source)
+def _dormand_prince_5():
+    """The pair's fifth-order method, and the difference to its fourth-order one."""
+    a = [[], [1 / 5], [3 / 40, 9 / 40], [44 / 45, -56 / 15, 32 / 9],
+         [19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729],
+         [9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656]]
+    b = [35 / 384, 0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84]
+    fourth = [5179 / 57600, 0, 7571 / 16695, 393 / 640, -92097 / 339200, 187 / 2100, 1 / 40]
+    return a, b, np.append(b, 0.0) - fourth
 
 
-METHODS = {t.name: t for t in (
-    _tableau("rkmk4", 4, [[], [1 / 2], [0, 1 / 2], [0, 0, 1]], [1 / 6, 1 / 3, 1 / 3, 1 / 6],
-             "Kutta 1901, as Munthe-Kaas method: Munthe-Kaas, BIT 38 (1998) 92-111; (6.25)"),
+def _dormand_prince_8():
+    """Taken from SciPy, whose import is as long as all of ours: only where this method is used."""
+    from scipy.integrate import DOP853
+    return DOP853.A, DOP853.B
+
+
+METHODS = {method.name: method for method in (
+    Method("rkmk1", "rkmk", 1, "Euler 1768",
+           lambda: ([[]], [1])),
+    Method("rkmk2", "rkmk", 2, "Runge 1895",
+           lambda: ([[], [1 / 2]], [0, 1])),
+    Method("rkmk2_heun", "rkmk", 2, "Heun 1900",
+           lambda: ([[], [1]], [1 / 2, 1 / 2])),
+    Method("rkmk3", "rkmk", 3, "Ralston 1962; Bogacki and Shampine, Appl. Math. Lett. 2 (1989)",
+           lambda: ([[], [1 / 2], [0, 3 / 4]], [2 / 9, 1 / 3, 4 / 9])),
+    Method("rkmk4", "rkmk", 4,
+           "Kutta 1901, as Munthe-Kaas method: Munthe-Kaas, BIT 38 (1998) 92-111; (6.25)",
+           lambda: ([[], [1 / 2], [0, 1 / 2], [0, 0, 1]], [1 / 6, 1 / 3, 1 / 3, 1 / 6])),
+    Method("rkmk54", "rkmk", 5, "Dormand and Prince, J. Comput. Appl. Math. 6 (1980) 19-26",
+           _dormand_prince_5),
+    Method("rkmk8", "rkmk", 8, "Hairer, Norsett and Wanner, Solving ODEs I, DOP853",
+           _dormand_prince_8),
+    Method("generalized_alpha", "generalized_alpha", 2,
+           "Bruels, Cardona and Arnold, Mech. Mach. Theory 48 (2012) 121-137"),
 )}

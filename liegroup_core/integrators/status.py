@@ -6,6 +6,11 @@ OK = 0
 NOT_FINITE = 1
 ROTATION_TOO_LARGE = 2
 DEPENDENT_ROWS = 3
+TURNS_NOT_COUNTED = 4
+SUBSTEP_TOO_SMALL = 5
+TOO_MANY_SUBSTEPS = 6
+NOT_CONVERGED = 7
+NOT_PROJECTED = 8
 
 # dexp^-1 is singular at a rotation of 2 pi within a step and loses digits near it: its norm is
 # (t/2)/sin(t/2), 62 at 2 pi - 0.1. Beyond pi a step is legal and rarely accurate.
@@ -19,4 +24,14 @@ MESSAGES = {
                         "no solution; take a smaller step",
     DEPENDENT_ROWS: "the rows of joint {joint} depend on those of other joints at this pose "
                     "(a singular pose or a redundant joint)",
+    TURNS_NOT_COUNTED: "the joint of {force} turns by half a turn or more within one step, where "
+                       "its turns cannot be counted; take a smaller step",
+    SUBSTEP_TOO_SMALL: "the tolerance cannot be met by any substep: a force jumps, or the "
+                       "tolerance is below rounding; raise atol and rtol",
+    TOO_MANY_SUBSTEPS: "the tolerance asks for too many substeps within one step: take a smaller "
+                       "step or larger tolerances; for a stiff scene another method",
+    NOT_CONVERGED: "Newton's method does not solve the equations of an implicit step: it is too "
+                   "large for this motion, or the pose is singular; take a smaller step",
+    NOT_PROJECTED: "the joints cannot be closed again by small displacements: the step is too "
+                   "large for this motion; take a smaller step",
 }

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Joints as data: the table of lower pairs and the position residual they share."""
+"""Joints as data: the table of lower pairs, and the elements that every joint is made of."""
 
-from .pairs import LOWER_PAIRS, LowerPair, position_residual, rotation_z_to
+from .elements import elements_of, forbidden_rows, position_residual
+from .pairs import LOWER_PAIRS, LowerPair, rotation_z_to
 
-__all__ = ["LOWER_PAIRS", "LowerPair", "position_residual", "rotation_z_to"]
+__all__ = ["LOWER_PAIRS", "LowerPair", "elements_of", "forbidden_rows", "position_residual",
+           "rotation_z_to"]

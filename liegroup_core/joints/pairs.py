@@ -9,16 +9,19 @@ move in a subgroup H of SE(3). It is therefore described by a constant matrix A 
 whose rows span the complement of the Lie algebra of H, and by nothing else:
 
     velocity      A V_rel = 0
-    position      A (tilt_x, tilt_y, turn_z, p_x, p_y, p_z) = 0
+    position      A (tilt_x, tilt_y, turn, x, y, z) = 0
 
 Twists are (omega, v), angular first, in the axes of the child's joint frame. Where a pair has an
 axis, it is the z axis of both joint frames. A new lower pair is one row in `LOWER_PAIRS`.
 """
 
+import math
 from dataclasses import dataclass
-from math import atan2, hypot
 
 import numpy as np
+
+from .._compile import kernel
+from ..lie.vec3 import tmatvec3
 
 _COORDINATES = ("wx", "wy", "wz", "vx", "vy", "vz")
 
@@ -27,35 +30,52 @@ _COORDINATES = ("wx", "wy", "wz", "vx", "vy", "vz")
 class LowerPair:
     """One lower pair.
 
-    forbidden : (k, 6) A, rows of forbidden relative twist, angular first, read-only
-    text      : what the pair lets the child do, for people
+    coordinates : names of the coordinates of the relative twist that it forbids
+    text        : what the pair lets the child do, for people
+    has_pitch   : True: the child moves by `pitch` (m/rad) along z for every turn about it, so
+                  that v_z - pitch w_z is forbidden in place of v_z
     """
 
-    forbidden: np.ndarray
+    coordinates: tuple
     text: str
+    has_pitch: bool = False
+
+    def forbidden(self, pitch=0.0):
+        """A (k, 6), rows of forbidden relative twist, angular first."""
+        rows = np.eye(6)[[_COORDINATES.index(name) for name in self.coordinates]]
+        if self.has_pitch:
+            rows[self.coordinates.index("vz"), _COORDINATES.index("wz")] = -pitch
+        return rows
 
     @property
-    def row_names(self):
-        """Names of the rows: the coordinate of the relative twist that each one forbids."""
-        return tuple(_COORDINATES[int(np.argmax(row))] for row in self.forbidden)
-
-
-def _forbid(*names):
-    """Rows of A that forbid the named coordinates of the relative twist."""
-    rows = np.eye(6)[[_COORDINATES.index(name) for name in names]]
-    rows.flags.writeable = False
-    return rows
+    def turns_freely(self):
+        """True when every rotation is allowed: no axis is marked out."""
+        return not any(name.startswith("w") for name in self.coordinates)
 
 
 LOWER_PAIRS = {
     "spherical": LowerPair(
-        _forbid("vx", "vy", "vz"),
-        "ball joint: the frames share their origin, the child turns freely about it",
-    ),
+        ("vx", "vy", "vz"),
+        "ball joint: the frames share their origin, the child turns freely about it"),
     "revolute": LowerPair(
-        _forbid("wx", "wy", "vx", "vy", "vz"),
-        "hinge: the frames share origin and z axis, the child turns about z",
-    ),
+        ("wx", "wy", "vx", "vy", "vz"),
+        "hinge: the frames share origin and z axis, the child turns about z"),
+    "prismatic": LowerPair(
+        ("wx", "wy", "wz", "vx", "vy"),
+        "slider: the frames share their axes, the child slides along z"),
+    "cylindrical": LowerPair(
+        ("wx", "wy", "vx", "vy"),
+        "shaft in a sleeve: the frames share the z axis, the child turns about it and slides"),
+    "planar": LowerPair(
+        ("wx", "wy", "vz"),
+        "plate on a plate: the frames share the x-y plane, the child slides and turns in it"),
+    "screw": LowerPair(
+        ("wx", "wy", "vx", "vy", "vz"),
+        "nut on a bolt: the frames share the z axis, the child turns about z and moves along it "
+        "by pitch for every radian", has_pitch=True),
+    "fixed": LowerPair(
+        ("wx", "wy", "wz", "vx", "vy", "vz"),
+        "weld: the frames stay together"),
 }
 
 
@@ -70,7 +90,7 @@ def rotation_z_to(axis):
     is singular (`test_rotation_z_to_is_a_rotation_to_round_off`).
     """
     x, y, z = (float(component) for component in axis)
-    horizontal = hypot(x, y)
+    horizontal = math.hypot(x, y)
     u_x, u_y = (x / horizontal, y / horizontal) if horizontal > 0.0 else (1.0, 0.0)
     bend = 1.0 - z
     return np.array([
@@ -80,24 +100,35 @@ def rotation_z_to(axis):
     ])
 
 
-def position_residual(kind, C_rel):
-    """How far a relative pose is from the subgroup of a lower pair; zero exactly on it.
+@kernel
+def pair_coordinates(rot, p, turns_freely, pitch):
+    """Six coordinates of a relative pose of which a lower pair's A forbids some.
 
-    kind  : name in LOWER_PAIRS
-    C_rel : (4, 4) pose of the child's joint frame in the parent's joint frame
-    returns (k,) in the order of the rows of A: rad for angular rows, m for linear ones
+    rot, p       : C_rel, pose of the child's joint frame in the parent's one
+    turns_freely : see LowerPair
+    pitch        : m/rad of a screw, else 0
+    returns (tilt_x, tilt_y, turn) rad, (x, y, z) m; next to H, d(A coordinates) = A V_rel
 
-    The rotation is split into a turn about z and a tilt of the z axis (swing and twist). The tilt
-    is the rotation vector that tilts z, its angle from atan2 of sine and cosine: an axis that
-    points the wrong way is a residual of pi, not of zero. Next to H the residual changes as
-    A V_rel does, seen in the parent's joint frame instead of the child's. Not for the hot loop.
+    R = Rz(turn) tilt (twist and swing), the tilt about a horizontal axis of the child's frame, its
+    angle from atan2 of sine and cosine: a z axis that points the wrong way is a residual of pi,
+    not of 0. The place is seen in the axes of the element of H next to C_rel, so in those of
+    Rz(turn), and in the child's where every rotation is allowed. A screw turns many times: of all
+    angles turn + 2 pi k the one next to z / pitch is taken, z then being right to half a thread.
     """
-    R, p = C_rel[:3, :3], C_rel[:3, 3]
-    axis_x, axis_y, axis_z = R[:, 2]
-    sine = hypot(axis_x, axis_y)
-    angle = atan2(sine, axis_z)
-    # the tilt's axis is z cross the child's axis; upside down, every horizontal axis would do
-    u_x, u_y = (-axis_y / sine, axis_x / sine) if sine > 0.0 else (1.0, 0.0)
-    turn = atan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])
-    coordinates = np.array([angle * u_x, angle * u_y, turn, *p])
-    return LOWER_PAIRS[kind].forbidden @ coordinates
+    if turns_freely:
+        return (0.0, 0.0, 0.0), tmatvec3(rot, p)
+    # The third row of R is the parent's z axis seen from the child, z x (tilt axis) times sine.
+    sine = math.hypot(rot[6], rot[7])
+    angle = math.atan2(sine, rot[8])
+    tilt_x, tilt_y = angle, 0.0             # upside down, every horizontal axis would do
+    if sine > 0.0:
+        tilt_x, tilt_y = angle * (rot[7] / sine), -angle * (rot[6] / sine)
+    turn = math.atan2(rot[3] - rot[1], rot[0] + rot[4])
+    c, s = math.cos(turn), math.sin(turn)
+    x, y, z = c * p[0] + s * p[1], c * p[1] - s * p[0], p[2]
+    lead = 2.0 * math.pi * pitch
+    ahead = z - pitch * turn
+    # Not for a pitch of 0, nor for one so small that no digit of the turn is left in z.
+    if abs(ahead) < 1e15 * abs(lead):
+        turn += 2.0 * math.pi * math.floor(ahead / lead + 0.5)
+    return (tilt_x, tilt_y, turn), (x, y, z)

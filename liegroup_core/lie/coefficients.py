@@ -154,3 +154,28 @@ def dexpinv_coefficients(x):
         b = 0.25 * (b + 0.5 * f)
         x *= 4.0
     return b, u
+
+
+@kernel
+def truncated_dexpinv_coefficients(highest, x):
+    """Coefficients of the series of dexpinv, sum of (B_j / j!) ad^j, up to a power of ad.
+
+    highest : last power j of the sum, 0 or more; beyond 7 nothing is added
+    x       : t^2, rad^2
+    returns (first, b, u): factor of -ad, and b and u as above
+
+    An RK method of order p keeps its order with highest = p - 2 (test/contract/test_methods.py).
+    Source: (6.40), its sum with (-ad)^j.
+    """
+    first, b, u = 0.0, 0.0, 0.0
+    if highest >= 1:
+        first = 0.5
+    if highest >= 2:
+        b = DEXPINV_SERIES[0]
+    if highest >= 4:
+        b += DEXPINV_SERIES[1] * x
+        u = DEXPINV_SLOPE_SERIES[0]
+    if highest >= 6:
+        b += DEXPINV_SERIES[2] * x * x
+        u += DEXPINV_SLOPE_SERIES[1] * x
+    return first, b, u

@@ -106,14 +106,23 @@ def se3_dexpinv(xi, eta, w, v):
     factor (xi . eta)/t^4 of the last term.
     """
     b, u = dexpinv_coefficients(dot3(xi, xi))
+    return se3_dexpinv_of(0.5, b, u, xi, eta, w, v)
+
+
+@kernel
+def se3_dexpinv_of(first, b, u, xi, eta, w, v):
+    """w - first ad_X + b ad_X^2 + ... applied to (w, v), see `dexpinv_coefficients`.
+
+    Of the even powers of ad_X, all are multiples of the second; on SE(3) their slope u enters too.
+    """
     q = dot3(xi, eta) * u
     a = cross3(xi, w)
     aa = cross3(xi, a)
     g = add3(cross3(eta, w), cross3(xi, v))
     gg = add3(cross3(eta, a), cross3(xi, g))
-    return ((w[0] - 0.5 * a[0] + b * aa[0],
-             w[1] - 0.5 * a[1] + b * aa[1],
-             w[2] - 0.5 * a[2] + b * aa[2]),
-            (v[0] - 0.5 * g[0] + b * gg[0] + q * aa[0],
-             v[1] - 0.5 * g[1] + b * gg[1] + q * aa[1],
-             v[2] - 0.5 * g[2] + b * gg[2] + q * aa[2]))
+    return ((w[0] - first * a[0] + b * aa[0],
+             w[1] - first * a[1] + b * aa[1],
+             w[2] - first * a[2] + b * aa[2]),
+            (v[0] - first * g[0] + b * gg[0] + q * aa[0],
+             v[1] - first * g[1] + b * gg[1] + q * aa[1],
+             v[2] - first * g[2] + b * gg[2] + q * aa[2]))

@@ -107,8 +107,14 @@ def so3_dexpinv(xi, w):
     Error of an entry of the matrix: 5e-16 for t <= pi; beyond, times (pi / (2 pi - t))^3.
     """
     b, _ = dexpinv_coefficients(dot3(xi, xi))
+    return so3_dexpinv_of(0.5, b, xi, w)
+
+
+@kernel
+def so3_dexpinv_of(first, b, xi, w):
+    """w - first xi x w + b xi x (xi x w), see `dexpinv_coefficients`."""
     a = cross3(xi, w)
     aa = cross3(xi, a)
-    return (w[0] - 0.5 * a[0] + b * aa[0],
-            w[1] - 0.5 * a[1] + b * aa[1],
-            w[2] - 0.5 * a[2] + b * aa[2])
+    return (w[0] - first * a[0] + b * aa[0],
+            w[1] - first * a[1] + b * aa[1],
+            w[2] - first * a[2] + b * aa[2])

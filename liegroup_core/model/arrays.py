@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The arrays that kernels see: a constant Model, and Work, scratch memory without meaning of its own.
 
-Bodies and joints keep the order of the scene; vertices, which are both, stand in the order in
-which the solve eliminates them.
+A joint of the scene is one or two constraint elements (joints.elements). Bodies and `elements`
+keep the order of the scene; an element has all rows and its geometry. `joints` are those elements
+of which rows are solved for. Vertices, bodies and joints together, stand in the order in which the
+solve eliminates them.
 Body frames sit at the centre of mass. Twist (omega, v) and wrench (torque, force) are
 components in body axes; a pose is R row by row, then r: twelve numbers.
 
-    n bodies, m joints, ns spring-dampers, s stages of the Runge-Kutta method
-    a "row" of a joint is one forbidden direction of relative motion: a row of the Jacobian J
+    n bodies, m joints, s stages of the Runge-Kutta method
+    a "row" is one forbidden direction of relative motion: a row of the Jacobian J
 
 A kind of thing is one structured array, a record per thing: kernels are handed few arrays, and
 reading a field costs no reference count.
@@ -24,15 +26,20 @@ BODY = np.dtype([
     ("start", "i8"),                                              # its place in Work.solution
 ], align=True)
 
-SPRING_DAMPER = np.dtype([
-    ("parent", "i8"), ("child", "i8"),                            # body index or WORLD
-    ("parent_point", "f8", (3,)), ("child_point", "f8", (3,)),    # m, in the frame of each
-    ("stiffness", "f8"), ("damping", "f8"), ("rest_length", "f8"),    # N/m, N s/m, m
+ELEMENT = np.dtype([
+    ("kind", "i8"), ("parent", "i8"), ("child", "i8"),      # the last two as in JOINT
+    ("rows", "i8"), ("row_start", "i8"),    # its rows, and the first of them, in a residual
+    ("parent_rotation", "f8", (9,)), ("parent_point", "f8", (3,)),    # its frame in the parent, m
+    ("child_rotation", "f8", (9,)), ("child_point", "f8", (3,)),      # and in the child
+    ("forbidden", "f8", (36,)), ("turns_freely", "i8"),     # A of a PAIR, see joints.elements
+    ("pitch", "f8"), ("length", "f8"),                      # m/rad, m
 ], align=True)
 
 JOINT = np.dtype([
     ("parent", "i8"), ("child", "i8"),      # body index; the parent may be WORLD, the child not
-    ("rows", "i8"), ("start", "i8"),        # number of rows k, and their place in Work.solution
+    ("kind", "i8"), ("element", "i8"),      # kind of element, and its index in Model.elements
+    ("rows", "i8"), ("start", "i8"),        # rows k it solves for, and their place in Work.solution
+    ("first", "i8"),                        # the first of them in Model.row_residual and Work.slip
     ("child_place", "i8"), ("child_turned", "i8"),    # block of the child's rows J_b in K: its
     ("parent_place", "i8"), ("parent_turned", "i8"),  # place, and 1 where it holds J_b^T; parent
 ], align=True)
@@ -51,9 +58,12 @@ class Model(NamedTuple):
 
     gravity: np.ndarray            # (1, 3) m/s^2, world axes
     bodies: np.ndarray             # (n,) of BODY
-    springs: np.ndarray            # (ns,) of SPRING_DAMPER
+    forces: tuple                  # Forces: the rows of every kind (forces/kinds.py)
+    elements: np.ndarray           # of ELEMENT
     joints: np.ndarray             # (m,) of JOINT
-    child_jacobian: np.ndarray     # (m, 36) rows J_b = A Ad(F_b^-1), the first 6 k used
+    row_residual: np.ndarray       # (rows,) which residual is that of a row that is solved for
+    child_jacobian: np.ndarray     # (m, 36) rows J_b = A Ad(F_b^-1) of a PAIR, the first 6 k used
+    ground_projector: np.ndarray   # (m, 36) of a PAIR to ground: M^-1 J^T (J M^-1 J^T)^-1 J
     vertices: np.ndarray           # (n + m,) of VERTEX
     columns: np.ndarray            # (b, 2) a block below the diagonal: vertex of its rows, place
     updates: np.ndarray            # (u, 5) target place, places of L_i and L_w, vertices i and w
@@ -61,31 +71,48 @@ class Model(NamedTuple):
     constant: np.ndarray           # (blocks,) the part of K that no pose changes, or its factor
     is_constant: bool              # True: no pose changes K, and `constant` is its factor
     refinements: int               # steps of iterative refinement that each solve takes
+    projects: bool = False         # True: every step ends with dynamics.projection
+    baumgarte_rate: float = 0.0    # 1/s, see dynamics.constraints; 0: no such terms
 
 
 class Work(NamedTuple):
-    """Scratch memory of one simulation; nothing in it outlives a call."""
+    """Scratch memory of one simulation; nothing but `angle` outlives a call."""
 
+    child_jacobian: np.ndarray     # (m, 36) rows J_b at this pose, those of a PAIR constant
+    slip: np.ndarray               # (rows,) J V
+    gap: np.ndarray                # (all rows,) position residuals of the elements
     matrix: np.ndarray             # (blocks,) K, then its factor in place
     solution: np.ndarray           # (6 n + rows,) right-hand side, then Vdot and lambda
     kept: np.ndarray               # as matrix and solution twice: for refinement
     right: np.ndarray
     residual: np.ndarray
     wrench: np.ndarray             # (n, 6) sum of the applied wrenches
+    acceleration: np.ndarray       # (n, 6) Vdot
+    angle: np.ndarray              # rad, of each torsional spring at the last finished step: state
+    acting: np.ndarray             # bool, of each applied wrench of the scene: input of a call
     stage_pose: np.ndarray         # (n, 12)
     stage_twist: np.ndarray        # (n, 6)
+    start_pose: np.ndarray         # (n, 12) at the start of a step that is taken in substeps
+    start_twist: np.ndarray        # (n, 6)
+    start_angle: np.ndarray        # angle there
     velocity: np.ndarray           # (n, 6) velocity on the group at the start of the step
-    slopes: np.ndarray             # (s n, 12) stages k of each body: algebra, then velocity part
-    report: np.ndarray             # (2,) largest squared rotation of a stage so far, rad^2;
+    slopes: np.ndarray             # ((s + 1) n, 12) k of stages and end: algebra, then velocity part
+    report: np.ndarray             # (3,) largest squared rotation of a stage, rad^2: so far, this step;
                                    # number of solves at a singular pose
 
 
 def make_work(model, stages):
     """Allocate the scratch memory of a model for a method of so many stages."""
-    n = len(model.bodies)
+    n, rows = len(model.bodies), len(model.row_residual)
+    springs = len(model.forces.torsional_spring_damper)
     return Work(
+        child_jacobian=model.child_jacobian.copy(), slip=np.zeros(rows),
+        gap=np.zeros(int(model.elements["rows"].sum())),
         matrix=model.constant.copy(), solution=np.zeros(len(model.pivot_floor)),
         kept=model.constant.copy(), right=np.zeros(len(model.pivot_floor)),
-        residual=np.zeros(len(model.pivot_floor)),
-        wrench=np.zeros((n, 6)), stage_pose=np.zeros((n, 12)), stage_twist=np.zeros((n, 6)),
-        velocity=np.zeros((n, 6)), slopes=np.zeros((stages * n, 12)), report=np.zeros(2))
+        residual=np.zeros(len(model.pivot_floor)), wrench=np.zeros((n, 6)),
+        acceleration=np.zeros((n, 6)), angle=np.zeros(springs), start_angle=np.zeros(springs),
+        acting=np.zeros(len(model.forces.applied_wrench), dtype=bool),
+        stage_pose=np.zeros((n, 12)), stage_twist=np.zeros((n, 6)),
+        start_pose=np.zeros((n, 12)), start_twist=np.zeros((n, 6)), velocity=np.zeros((n, 6)),
+        slopes=np.zeros(((stages + 1) * n, 12)), report=np.zeros(3))

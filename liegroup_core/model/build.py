@@ -4,10 +4,11 @@ import numpy as np
 
 from ..dynamics.constraints import assemble
 from ..dynamics.saddle_point import factorise
-from ..joints.pairs import LOWER_PAIRS
+from ..forces.kinds import make_forces
+from ..joints.elements import DISTANCE, PAIR, PERPENDICULAR
 from ..lie.groups import SE3
-from ..scene.consistency import check_consistency, resolve_frames
-from .arrays import BODY, JOINT, SPRING_DAMPER, VERTEX, WORLD, Model, make_work
+from ..scene.consistency import check_consistency, resolve_elements, resolve_frames
+from .arrays import BODY, ELEMENT, JOINT, VERTEX, WORLD, Model, make_work
 from .redundancy import kept_rows
 from .sparsity import block_layout, elimination_order
 
@@ -29,22 +30,26 @@ def initial_state(scene):
 
 
 def build_model(scene):
-    """Model of a scene, and for each of its joints (scene joint, kept rows (k,)).
+    """Model of a scene and the names behind it, as in simulation.Layout.
 
-    Rows that depend on others for good are left out, and a joint without any is no joint.
+    returns (model, frames, owners, row_names, kept): the frames of every joint, then for each
+    element of the model its scene joint, the names of its rows, and the rows that are solved for.
+    Rows that depend on others for good are left out, and an element without any is no joint.
     raises SceneError: joints that do not close, velocities against them
     """
     check_consistency(scene)
     index = {body.name: i for i, body in enumerate(scene.bodies)} | {"world": WORLD}
     frames = resolve_frames(scene)
-    jacobians = [LOWER_PAIRS[joint.type].forbidden @ SE3.Ad(np.linalg.inv(child_frame))
-                 for joint, (_, child_frame) in zip(scene.joints, frames)]
-    keep = kept_rows(scene, frames, jacobians)
-    elements = [(j, np.flatnonzero(mask)) for j, mask in enumerate(keep) if mask.any()]
-    jacobians = [jacobians[j][rows] for j, rows in elements]
-    ends = [(index[scene.joints[j].parent], index[scene.joints[j].child]) for j, _ in elements]
+    parts = resolve_elements(scene)
+    elements, owners = _elements(scene, index, frames, parts)
+    keep = np.concatenate([np.zeros(0, dtype=bool), *kept_rows(scene, frames, parts)])
+    kept = [tuple(np.flatnonzero(keep[first:first + rows]).tolist())
+            for first, rows in zip(elements["row_start"], elements["rows"])]
+    solved = [e for e, rows in enumerate(kept) if rows]
+    ends = [(int(elements[e]["parent"]), int(elements[e]["child"])) for e in solved]
     n, m = len(scene.bodies), len(ends)
-    rows = [len(jacobian) for jacobian in jacobians]
+    rows = [len(kept[e]) for e in solved]
+    jacobians = [_constant_rows(elements[e])[list(kept[e])] for e in solved]
 
     # Vertices: bodies 0..n-1, then joints.
     sizes = [6] * n + rows
@@ -67,25 +72,57 @@ def build_model(scene):
                        for i, body in enumerate(scene.bodies)], dtype=BODY)
     joints = np.zeros(m, dtype=JOINT)
     child_jacobian = np.zeros((m, 36))
+    firsts = np.concatenate([[0], np.cumsum(rows)])
     for j, (parent, child) in enumerate(ends):
-        joints[j] = (parent, child, rows[j], starts[position[n + j]],
+        joints[j] = (parent, child, elements[solved[j]]["kind"], solved[j], rows[j],
+                     starts[position[n + j]], firsts[j],
                      *_block(place, position, n + j, child),
                      *_block(place, position, n + j, parent))
         child_jacobian[j, :6 * rows[j]] = jacobians[j].ravel()
 
     model = Model(
         gravity=np.array([scene.gravity], dtype=float), bodies=bodies,
-        springs=_springs(scene, index), joints=joints, child_jacobian=child_jacobian,
-        vertices=vertices, columns=columns, updates=updates,
-        pivot_floor=_pivot_floor(scene, bodies, joints, jacobians, int(sizes.sum())),
-        constant=_constant_part(scene, place, position, bodies, joints, jacobians, size),
-        is_constant=all(parent == WORLD for parent, _ in ends),
+        forces=_forces(scene, index, frames), elements=elements, joints=joints,
+        row_residual=np.array([elements[e]["row_start"] + r for e in solved for r in kept[e]],
+                              dtype=np.int64),
+        child_jacobian=child_jacobian,
+        ground_projector=_ground_projector(bodies, joints, jacobians), vertices=vertices, columns=columns, updates=updates,
+        pivot_floor=_pivot_floor(bodies, joints, jacobians, int(sizes.sum())),
+        constant=_constant_part(scene, place, position, joints, jacobians, size),
+        is_constant=all(joint["parent"] == WORLD and joint["kind"] == PAIR for joint in joints),
         refinements=_refinements(bodies, ends))
     if model.is_constant:
         work = make_work(model, 1)
         assemble(model, work, *initial_state(scene))
         factorise(model, model.constant, 0.0)
-    return model, elements
+    names = tuple(part.names for elements in parts for part in elements)
+    return model, tuple(frames), owners, names, tuple(kept)
+
+
+def _elements(scene, index, frames, parts):
+    """The joints of a scene as constraint elements: (of ELEMENT, scene joint of each)."""
+    records, owners = [], []
+    first = 0
+    for i, (joint, (F_a, F_b), elements) in enumerate(zip(scene.joints, frames, parts)):
+        for part in elements:
+            rows = len(part.forbidden)
+            forbidden = np.zeros(36)
+            forbidden[:6 * rows] = part.forbidden.ravel()
+            records.append((
+                part.kind, index[joint.parent], index[joint.child], rows, first,
+                F_a[:3, :3].ravel(), F_a[:3, 3], F_b[:3, :3].ravel(), F_b[:3, 3],
+                forbidden, part.turns_freely, part.pitch, part.length))
+            owners.append(i)
+            first += rows
+    return np.array(records, dtype=ELEMENT), tuple(owners)
+
+
+def _constant_rows(element):
+    """Rows A Ad(F_b^-1) (k, 6) of a PAIR; zeros of an element whose row depends on the pose."""
+    frame = np.eye(4)
+    frame[:3, :3] = element["child_rotation"].reshape(3, 3)
+    frame[:3, 3] = element["child_point"]
+    return element["forbidden"][:6 * element["rows"]].reshape(-1, 6) @ SE3.Ad(SE3.inverse(frame))
 
 
 def _block(place, position, joint, body):
@@ -96,7 +133,7 @@ def _block(place, position, joint, body):
     return place[max(position[joint], position[body]), min(position[joint], position[body])], turned
 
 
-def _constant_part(scene, place, position, bodies, joints, jacobians, size):
+def _constant_part(scene, place, position, joints, jacobians, size):
     """M and the children's rows in the flat array of K; the rest zero."""
     constant = np.zeros(size)
     for i, body in enumerate(scene.bodies):
@@ -112,28 +149,47 @@ def _constant_part(scene, place, position, bodies, joints, jacobians, size):
     return constant
 
 
-def _pivot_floor(scene, bodies, joints, jacobians, count):
+def _mobility(body, jacobian):
+    """Rows J M^-1 (k, 6) of a body."""
+    return np.hstack([jacobian[:, :3] @ body["inverse_inertia"].reshape(3, 3),
+                      jacobian[:, 3:] * body["inverse_mass"]])
+
+
+def _ground_projector(bodies, joints, jacobians):
+    """(m, 36) what takes from a twist of the child the part that a PAIR to ground forbids."""
+    projectors = np.zeros((len(joints), 36))
+    for projector, joint, jacobian in zip(projectors, joints, jacobians):
+        if joint["parent"] == WORLD and joint["kind"] == PAIR:
+            moved = _mobility(bodies[joint["child"]], jacobian)
+            projector[:] = (moved.T @ np.linalg.solve(jacobian @ moved.T, jacobian)).ravel()
+    return projectors
+
+
+def _pivot_floor(bodies, joints, jacobians, count):
     """Smallest good pivot of every scalar of K: none for bodies, a fraction of S_rr for rows.
 
     S = J M^-1 J^T is what a row's pivot would be without any other row. Both ends of a joint count
-    about the same here, so its child's part stands for all of it.
+    about the same here, so its child's part stands for all of it; of an element whose row depends
+    on the pose, the mobility of the child's joint frame.
     """
     floor = np.zeros(count)
     for joint, jacobian in zip(joints, jacobians):
         body = bodies[joint["child"]]
-        moved = np.hstack([jacobian[:, :3] @ body["inverse_inertia"].reshape(3, 3),
-                           jacobian[:, 3:] * body["inverse_mass"]])
-        floor[joint["start"]:joint["start"] + len(jacobian)] = (
-            SMALLEST_PIVOT * (jacobian * moved).sum(axis=1))
+        if joint["kind"] == PERPENDICULAR:
+            jacobian = np.eye(3, 6)
+        elif joint["kind"] == DISTANCE:
+            jacobian = np.eye(6)[3:]
+        size = (jacobian * _mobility(body, jacobian)).sum(axis=1)
+        floor[joint["start"]:joint["start"] + joint["rows"]] = SMALLEST_PIVOT * (
+            size if joint["kind"] == PAIR else size.min())
     return floor
 
 
-def _springs(scene, index):
-    """The scene's spring-dampers as rows of SPRING_DAMPER."""
-    rows = [(index[s.parent], index[s.child], s.parent_point, s.child_point,
-             s.stiffness, s.damping, s.rest_length)
-            for s in scene.forces if s.type == "spring_damper"]
-    return np.array(rows, dtype=SPRING_DAMPER)
+def _forces(scene, index, frames):
+    """The scene's forces as rows of every kind."""
+    ends = {joint.name: (index[joint.parent], index[joint.child], *pair)
+            for joint, pair in zip(scene.joints, frames)}
+    return make_forces(scene.forces, index, ends)
 
 
 def _refinements(bodies, ends):

@@ -13,7 +13,7 @@ every residual looks perfect.
 import numpy as np
 
 from ..errors import SceneError
-from ..joints.pairs import position_residual
+from ..joints.elements import forbidden_rows, position_residual
 from ..lie.groups import SE3
 
 # Singular values of unit rows: a useful one is rarely below 1e-3. Where a linkage is stretched, a gap
@@ -47,20 +47,21 @@ def loop_joints(ends):
     return sorted(set().union(*touching.values())) if touching else []
 
 
-def kept_rows(scene, frames, jacobians):
+def kept_rows(scene, frames, parts):
     """Which rows of every joint to keep: list of (k,) bool.
 
-    frames    : (parent frame, child frame) of every joint, (4, 4) each
-    jacobians : (k, 6) rows on the child's side, in the child's body frame, of every joint
+    frames : (parent frame, child frame) of every joint, (4, 4) each
+    parts  : tuple of joints.elements.Element of every joint
     raises SceneError for a linkage at a pose that it cannot leave
     """
-    keep = [np.ones(len(rows), dtype=bool) for rows in jacobians]
+    keep = [np.ones(sum(len(part.forbidden) for part in elements), dtype=bool)
+            for elements in parts]
     loops = loop_joints([(joint.parent, joint.child) for joint in scene.joints])
     # Joints to ground first: on SE(3) these are kept exactly, so rows are dropped elsewhere.
     loops.sort(key=lambda j: scene.joints[j].parent != "world")
     if not loops:
         return keep
-    linkage = _Linkage(scene, frames, jacobians, loops)
+    linkage = _Linkage(scene, frames, parts, loops)
     places = linkage.generic_poses()
     matrices = [linkage.jacobian(poses) for poses in places]
     ranks = [np.linalg.matrix_rank(matrix, tol=RANK_TOLERANCE) for matrix in matrices]
@@ -99,27 +100,33 @@ def _independent(rows):
 class _Linkage:
     """The closed part of a scene as dense matrices, lengths in units of its size."""
 
-    def __init__(self, scene, frames, jacobians, loops):
+    def __init__(self, scene, frames, parts, loops):
         self.joints = [scene.joints[j] for j in loops]
         self.frames = [frames[j] for j in loops]
-        self.rows = [jacobians[j] for j in loops]
+        self.parts = [parts[j] for j in loops]
         names = {name for joint in self.joints for name in (joint.parent, joint.child)}
         self.bodies = [body.name for body in scene.bodies if body.name in names]
         self.start = {body.name: body.pose for body in scene.bodies if body.name in names}
         offsets = [frame[:3, 3] for pair in self.frames for frame in pair]
         self.length = np.sqrt(np.mean(np.square(offsets).sum(axis=1))) or 1.0
 
+    def _relative(self, poses):
+        """(joint, elements, child frame, C_rel, C_ba) of every joint at these poses."""
+        poses = {**poses, "world": np.eye(4)}
+        for joint, elements, (parent, child) in zip(self.joints, self.parts, self.frames):
+            between = np.linalg.inv(poses[joint.child]) @ poses[joint.parent]
+            yield joint, elements, child, np.linalg.inv(between @ parent) @ child, between
+
     def jacobian(self, poses):
         """Unit rows (rows, 6 bodies) for velocities (omega length, v)."""
         blocks = []
-        poses = {**poses, "world": np.eye(4)}
-        for joint, rows in zip(self.joints, self.rows):
+        for joint, elements, child, relative, between in self._relative(poses):
+            rows = forbidden_rows(elements, relative) @ SE3.Ad(np.linalg.inv(child))
             block = np.zeros((len(rows), 6 * len(self.bodies)))
             at = 6 * self.bodies.index(joint.child)
             block[:, at:at + 6] = rows
             if joint.parent != "world":
                 at = 6 * self.bodies.index(joint.parent)
-                between = np.linalg.inv(poses[joint.child]) @ poses[joint.parent]
                 block[:, at:at + 6] = -rows @ SE3.Ad(between)
             blocks.append(block)
         matrix = np.concatenate(blocks)
@@ -128,10 +135,8 @@ class _Linkage:
 
     def residual(self, poses):
         """Position residuals of all joints, m and rad."""
-        poses = {**poses, "world": np.eye(4)}
-        return np.concatenate([position_residual(
-            joint.type, np.linalg.inv(poses[joint.parent] @ parent) @ poses[joint.child] @ child)
-            for joint, (parent, child) in zip(self.joints, self.frames)])
+        return np.concatenate([position_residual(elements, relative)
+                               for _, elements, _, relative, _ in self._relative(poses)])
 
     def moved(self, poses, step):
         """Poses moved along body twists; step (6 bodies,) as (omega length, v)."""

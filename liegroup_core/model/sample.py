@@ -5,7 +5,9 @@ from functools import cached_property
 import numpy as np
 
 from ..dynamics import invariants
-from ..joints.pairs import position_residual
+from ..dynamics.constraints import position_residuals
+from ..forces import kinds
+from ..forces.timetable import ROUNDING, acting_at
 from ..lie.so3 import so3_to_quaternion
 
 
@@ -18,8 +20,8 @@ class Sample:
     What follows from these is computed when it is asked for, and once.
     """
 
-    def __init__(self, layout, time, time_ns, steps, pose, twist):
-        self._layout = layout
+    def __init__(self, layout, time, time_ns, steps, pose, twist, near):
+        self._layout, self._near = layout, near
         self.time, self.time_ns, self.steps = time, time_ns, steps
         self.pose, self.twist = pose, twist
         pose.flags.writeable = twist.flags.writeable = False
@@ -39,6 +41,7 @@ class Sample:
         matrices[:, :3, :3] = self.pose[:, :9].reshape(-1, 3, 3)
         matrices[:, :3, 3] = self.pose[:, 9:]
         matrices[:, 3, 3] = 1.0
+        matrices.flags.writeable = False
         return matrices
 
     @cached_property
@@ -62,9 +65,23 @@ class Sample:
         return self._by_body(np.array([so3_to_quaternion(tuple(row[:9])) for row in self.pose]))
 
     @cached_property
+    def angles(self):
+        """(k,) angle of each torsional spring in the order of the scene, over many turns, rad."""
+        return self._layout.angles(self.pose, self._near)
+
+    @cached_property
     def energy(self):
         """Kinetic energy plus potential energy of gravity and springs, J."""
-        return invariants.energy(self._layout.model, self.pose, self.twist)
+        return invariants.energy(self._layout.model, self.angles, self.pose, self.twist)
+
+    @cached_property
+    def power(self):
+        """Rate of the energy, W: what motors and the scene's applied wrenches give, and dampers
+        and drag take. Wrenches applied from outside the scene come on top."""
+        forces = self._layout.model.forces
+        # A wrench that starts at this very time acts, whichever way the time was rounded.
+        acting = acting_at(forces.applied_wrench, self.time * (1.0 + ROUNDING))
+        return kinds.power(forces, acting, self.pose, self.twist)
 
     @cached_property
     def spatial_momentum(self):
@@ -75,14 +92,11 @@ class Sample:
     @cached_property
     def joint_residuals(self):
         """{joint: norm of its position residual}, m and rad."""
-        matrices = {**self.poses, "world": np.eye(4)}
-        residuals = {}
-        for joint, (parent_frame, child_frame) in zip(self._layout.scene.joints,
-                                                      self._layout.joint_frames):
-            relative = (np.linalg.inv(matrices[joint.parent] @ parent_frame)
-                        @ matrices[joint.child] @ child_frame)
-            residuals[joint.name] = float(np.linalg.norm(position_residual(joint.type, relative)))
-        return residuals
+        model, joints = self._layout.model, self._layout.scene.joints
+        residual = np.zeros(len(self._layout.joint_of_row))
+        position_residuals(model, self.pose, residual)
+        squares = np.bincount(self._layout.joint_of_row, residual ** 2, len(joints))
+        return {joint.name: float(norm) for joint, norm in zip(joints, np.sqrt(squares))}
 
     @cached_property
     def constraint_residual(self):

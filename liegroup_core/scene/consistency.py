@@ -4,8 +4,8 @@
 With the pose C of a body (body to world) and the joint frames F_a, F_b in the frames of parent
 and child,
 
-    C_rel = F_a^-1 C_a^-1 C_b F_b                        lies in the joint's subgroup
-    V_rel = Ad(F_b^-1) V_b - Ad(C_rel^-1) Ad(F_a^-1) V_a   satisfies A V_rel = 0
+    C_rel = F_a^-1 C_a^-1 C_b F_b                        is one that the joint allows
+    V_rel = Ad(F_b^-1) V_b - Ad(C_rel^-1) Ad(F_a^-1) V_a   satisfies A V_rel = 0, A its rows
 
 The chapter's index 1 equations keep both if they hold at the start, and only then. Plain NumPy,
 once per scene.
@@ -14,7 +14,7 @@ once per scene.
 import numpy as np
 
 from ..errors import SceneError
-from ..joints.pairs import LOWER_PAIRS, position_residual
+from ..joints.elements import elements_of, forbidden_rows, position_residual
 from ..lie.groups import SE3
 from .description import WORLD
 
@@ -51,15 +51,32 @@ def resolve_frames(scene):
     return frames
 
 
+def resolve_elements(scene):
+    """Constraint elements of every joint, in the order of scene.joints: list of tuples of Element.
+
+    A length the scene leaves out is the distance at the initial poses.
+    """
+    start = _start(scene)
+    return [elements_of(joint, _relative(start, joint, *frames))
+            for joint, frames in zip(scene.joints, resolve_frames(scene))]
+
+
+def _relative(start, joint, F_a, F_b):
+    """C_rel of a joint at the initial poses."""
+    return SE3.inverse(start[joint.parent][0] @ F_a) @ start[joint.child][0] @ F_b
+
+
 def check_consistency(scene):
     """Raise SceneError for the first joint that is open or moves against itself at the start."""
     start = _start(scene)
     problems = []
     for i, (joint, (F_a, F_b)) in enumerate(zip(scene.joints, resolve_frames(scene))):
         (C_a, V_a), (C_b, V_b) = start[joint.parent], start[joint.child]
-        C_rel = SE3.inverse(C_a @ F_a) @ C_b @ F_b
-        text = (_open(joint, C_rel, (C_a, C_b, F_a, F_b))
-                or _moving(joint, C_rel, F_a, F_b, V_a, V_b))
+        C_rel = _relative(start, joint, F_a, F_b)
+        elements = elements_of(joint, C_rel)
+        rows = forbidden_rows(elements, C_rel)
+        text = (_open(joint, elements, rows, C_rel, (C_a, C_b, F_a, F_b))
+                or _moving(joint, rows, C_rel, F_a, F_b, V_a, V_b))
         if text:
             problems.append((i, f'joints[{i}] "{joint.name}": {text}'))
     if problems:
@@ -68,36 +85,39 @@ def check_consistency(scene):
         raise SceneError(text + more, place=("joints", i))
 
 
-def _parts(kind, values):
-    """Size of the linear and of the angular part of a residual, from the rows of A."""
-    angular = LOWER_PAIRS[kind].forbidden[:, :3].any(axis=1)
+def _parts(rows, values):
+    """Size of the linear and of the angular part of a residual, from its rows."""
+    angular = rows[:, :3].any(axis=1) & ~rows[:, 3:].any(axis=1)
     return np.linalg.norm(values[~angular]), np.linalg.norm(values[angular])
 
 
-def _open(joint, C_rel, poses):
+def _open(joint, elements, rows, C_rel, poses):
     """What is wrong with the initial poses at a joint, or None."""
-    gap, tilt = _parts(joint.type, position_residual(joint.type, C_rel))
+    gap, tilt = _parts(rows, position_residual(elements, C_rel))
     size = max(np.abs(pose[:3, 3]).max() for pose in poses)
     if max(gap, tilt) <= TOLERANCE * (1.0 + size):
+        if joint.type == "distance" and np.linalg.norm(C_rel[:3, 3]) <= TOLERANCE * (1.0 + size):
+            return ("holds two points together that are at the same place, so that it has no "
+                    "direction; use a spherical joint, or move one of the frames")
         return None
+    remedy = ("leave out length to keep the distance there is" if joint.type == "distance" else
+              "leave out parent_frame or child_frame to put the joint where the other one is")
     return (f"does not close at the initial poses: gap {gap:.3g} m, tilt {tilt:.3g} rad; "
-            "leave out parent_frame or child_frame to put the joint where the other one is, "
-            f'or move "{joint.child}" or the frames')
+            f'{remedy}, or move "{joint.child}" or the frames')
 
 
-def _moving(joint, C_rel, F_a, F_b, V_a, V_b):
-    """What is wrong with the initial twists at a joint, or None."""
-    A = LOWER_PAIRS[joint.type].forbidden
+def _moving(joint, A, C_rel, F_a, F_b, V_a, V_b):
+    """What is wrong with the initial twists at a joint of rows A, or None."""
     to_child, to_joint = SE3.Ad(F_b), SE3.Ad(SE3.inverse(F_b))
     from_parent = SE3.Ad(SE3.inverse(C_rel)) @ SE3.Ad(SE3.inverse(F_a))
     V_rel = to_joint @ V_b - from_parent @ V_a
-    slip, turn = _parts(joint.type, A @ V_rel)
+    slip, turn = _parts(A, A @ V_rel)
     # the terms of the sums above: what their round-off is relative to
     size = max((np.abs(to_joint) @ np.abs(V_b)).max(), (np.abs(from_parent) @ np.abs(V_a)).max())
     if max(slip, turn) <= TOLERANCE * (1.0 + size):
         return None
-    # The rows of A are unit vectors: taking their part out of V_rel leaves what the pair allows.
-    V_ok = to_child @ (V_rel - A.T @ (A @ V_rel) + from_parent @ V_a)
+    # The shortest change of V_rel to what the joint allows.
+    V_ok = to_child @ (V_rel - np.linalg.pinv(A) @ (A @ V_rel) + from_parent @ V_a)
     return (f"the initial velocities violate the joint by {slip:.3g} m/s and {turn:.3g} rad/s; "
             f'"{joint.child}" would follow it with angular_velocity {_written(V_ok[:3], size)} '
             f"and linear_velocity {_written(V_ok[3:], size)}")

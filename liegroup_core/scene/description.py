@@ -6,7 +6,7 @@ mass. Rotations turn body components into world components; quaternions are x, y
 (omega, v), angular first, in the axes of the body frame and about its origin.
 
 A model made from wrong values raises `SceneError`. A new kind of joint or force is one class with
-a `type`, and its entry in `JOINTS` or `FORCES`.
+a `type` (those of forces are in forces.py), and its entry in `JOINTS` or `FORCES`.
 """
 
 import math
@@ -18,9 +18,12 @@ import yaml
 from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
 
 from ..errors import SceneError
-from ..joints.pairs import LOWER_PAIRS, rotation_z_to
+from ..joints.elements import PLAIN_JOINTS
+from ..joints.pairs import rotation_z_to
 from ..lie.groups import SO3
-from .values import (Described, Direction, Inertia, Name, NotNegative, Positive, Quaternion,
+from .forces import (ConstantWrench, Drag, LinearMotor, LinearSpringDamper, Motor, SpringDamper,
+                     TorsionalSpringDamper)
+from .values import (Described, Direction, Inertia, Name, Number, Positive, Quaternion,
                      RotationVector, Text, Vector3, inertia_matrix, listed, suggestion)
 
 WORLD = "world"
@@ -118,12 +121,11 @@ class Body(_Placed):
         return np.array(self.angular_velocity + self.linear_velocity)
 
 
-class Joint(Described):
-    """Lower pair between a body and another one or the world."""
+class _Joint(Described):
+    """What all joints between a body and another one or the world have."""
 
     name: Name = Field(description="name, unique among joints and forces")
-    type: Literal[tuple(LOWER_PAIRS)] = Field(
-        description=f"kind of joint: {' or '.join(LOWER_PAIRS)}")
+    type: str
     parent: Text = Field(description="name of a body, or world")
     child: Text = Field(description="name of a body")
     parent_frame: Frame | None = Field(
@@ -140,24 +142,35 @@ class Joint(Described):
         return self
 
 
-class SpringDamper(Described):
-    """Straight spring and damper between two points."""
+class Joint(_Joint):
+    """Joint without a parameter: a lower pair, or a universal joint."""
 
-    name: Name = Field(description="name, unique among joints and forces")
-    type: Literal["spring_damper"] = Field("spring_damper", description="spring_damper")
-    parent: Text = Field(description="name of a body, or world")
-    parent_point: Vector3 = Field(description="attachment point in m, in the frame of the parent")
-    child: Text = Field(description="name of a body")
-    child_point: Vector3 = Field(description="attachment point in m, in the frame of the child")
-    stiffness: NotNegative = Field(description="stiffness in N/m, not negative")
-    damping: NotNegative = Field(
-        0.0, description="damping along the line between the points in N s/m, not negative")
-    rest_length: NotNegative = Field(
-        0.0, description="length without force in m, not negative")
+    type: Literal[PLAIN_JOINTS] = Field(
+        description=f"kind of joint: {', '.join(PLAIN_JOINTS[:-1])} or {PLAIN_JOINTS[-1]}")
 
 
-JOINTS = (Joint,)
-FORCES = (SpringDamper,)
+class ScrewJoint(_Joint):
+    """Nut on a bolt: turning about z moves the child along z."""
+
+    type: Literal["screw"] = Field("screw", description="screw")
+    pitch: Number = Field(
+        description="way along z in m for every radian, positive for a right-handed thread")
+
+
+class DistanceJoint(_Joint):
+    """Massless rod between the origins of two frames."""
+
+    type: Literal["distance"] = Field("distance", description="distance")
+    parent_frame: Frame = Field(description="frame in the frame of the parent; its origin counts")
+    child_frame: Frame = Field(description="frame in the frame of the child; its origin counts")
+    length: Positive | None = Field(
+        None, description="distance of the origins in m, greater than 0; if left out, it is the "
+        "one at the start")
+
+
+JOINTS = (Joint, ScrewJoint, DistanceJoint)
+FORCES = (SpringDamper, TorsionalSpringDamper, LinearSpringDamper, Motor, LinearMotor, Drag,
+          ConstantWrench)
 
 
 def _entries(classes):
@@ -196,6 +209,7 @@ class Scene(Described):
 
     _text: str | None = PrivateAttr(None)
     _source: str | None = PrivateAttr(None)
+    _line_of: Any = PrivateAttr(None)       # function: place in the scene -> line of its text
 
     @property
     def text(self):
@@ -207,6 +221,13 @@ class Scene(Described):
         """Path or name the scene was read from; its own name if it was made in code."""
         return self._source if self._source is not None else self.name
 
+    def located(self, error):
+        """A SceneError about this scene with file and line, if it was read from a text."""
+        if self._line_of is None:
+            return error
+        return SceneError(f"{self.source}:{self._line_of(error.place or ())}: {error}",
+                          error.place)
+
     @model_validator(mode="after")
     def _check(self):
         if not self.bodies:
@@ -216,8 +237,14 @@ class Scene(Described):
         links = [(key, i, link) for key in ("joints", "forces")
                  for i, link in enumerate(getattr(self, key))]
         _refuse_twins([(key, i, link.name) for key, i, link in links])
+        kinds = {joint.name: joint.type for joint in self.joints}
         for key, i, link in links:
-            _refuse_ends(link, bodies, key, i)
+            if hasattr(link, "joint"):
+                _refuse_joint(link, kinds, i)
+            elif hasattr(link, "body"):
+                _refuse_unknown("body", link, bodies, key, i)
+            else:
+                _refuse_ends(link, bodies, key, i)
         return self
 
 
@@ -238,14 +265,30 @@ def _refuse_ends(link, bodies, key, i):
         hint = "name a body" if link.parent == WORLD else "swap parent and child"
         raise SceneError(f"{where}child must be a body, not {WORLD}: {hint}",
                          place=(key, i, "child"))
-    for end, known in (("parent", [WORLD, *bodies]), ("child", bodies)):
-        name = getattr(link, end)
-        if name not in known:
-            raise SceneError(f"{where}{end} {name!r:.40} is no body; {suggestion(name, known)}",
-                             place=(key, i, end))
+    _refuse_unknown("parent", link, [WORLD, *bodies], key, i)
+    _refuse_unknown("child", link, bodies, key, i)
     if link.parent == link.child:
         raise SceneError(f'{where}parent and child are both "{link.child}": '
                          "name two different ones", place=(key, i, "child"))
+
+
+def _refuse_unknown(end, link, known, key, i):
+    """Refuse a joint or force whose `end` is none of the known bodies."""
+    name = getattr(link, end)
+    if name not in known:
+        raise SceneError(f'{key}[{i}] "{link.name}": {end} {name!r:.40} is no body; '
+                         f"{suggestion(name, known)}", place=(key, i, end))
+
+
+def _refuse_joint(force, kinds, i):
+    """Refuse a force on a joint that is not there or does not move the way the force needs."""
+    where, place = f'forces[{i}] "{force.name}": ', ("forces", i, "joint")
+    if force.joint not in kinds:
+        hint = suggestion(force.joint, list(kinds)) if kinds else "the scene has no joints"
+        raise SceneError(f"{where}joint {force.joint!r:.40} is no joint; {hint}", place=place)
+    if kinds[force.joint] not in force.joint_types:
+        raise SceneError(f'{where}joint "{force.joint}" is {kinds[force.joint]}, but {force.type} '
+                         f"needs one that is {' or '.join(force.joint_types)}", place=place)
 
 
 class _Dumper(yaml.SafeDumper):
@@ -262,7 +305,8 @@ _Dumper.add_representer(str, _Dumper.represent_str)
 def _written_out(scene):
     """YAML text of a scene made in code; numbers are written so that they read back the same."""
     values: dict[str, Any] = scene.model_dump(exclude_unset=True)
-    for force, written in zip(scene.forces, values.get("forces", ())):
-        written.setdefault("type", force.type)
+    for key in ("joints", "forces"):
+        for entry, written in zip(getattr(scene, key), values.get(key, ())):
+            written.setdefault("type", entry.type)
     return yaml.dump(values, Dumper=_Dumper, sort_keys=False, default_flow_style=None,
                      width=float("inf"))

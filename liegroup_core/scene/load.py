@@ -71,7 +71,7 @@ def scene_from_text(text, source="scene"):
                          f"{', '.join(Scene.model_fields)}, got {shown(root.value)}")
     try:
         scene = Scene(**root.value)
-        scene._text, scene._source = text, source
+        scene._text, scene._source, scene._line_of = text, source, root.line_of
         check_consistency(scene)
     except SceneError as error:
         line = root.line_of(error.place or ())

@@ -3,8 +3,9 @@
 import numpy as np
 
 from liegroup_core.dynamics.symmetry import conserved_momentum, momentum_values
-from liegroup_core.joints.pairs import LOWER_PAIRS
 
+# Kinds of forces with an energy; with damping they take it, too.
+KEEPING_ENERGY = ("spring_damper", "torsional_spring_damper", "linear_spring_damper")
 # Joint residuals take 50 us each: of longer runs every second, third, ... sample is looked at.
 MOST_RESIDUALS = 40_000
 
@@ -12,21 +13,26 @@ MOST_RESIDUALS = 40_000
 def energy(layout, motion):
     """Energy drift, J: the largest change within intervals in which nothing feeds or takes energy.
 
-    returns (figures, [(times, change)] per interval); figures["drift_J"] is None where the scene
-    has dampers. The relative drift is in parts of the largest kinetic energy, which unlike the
+    returns (figures, [(times, change)] per interval); figures["drift_J"] is None where forces of
+    the scene itself feed or take energy. The relative drift is in parts of the largest kinetic energy, which unlike the
     energy itself does not depend on where heights are counted from.
     """
     scene = layout.scene
     bodies = layout.body_names
-    dampers = [force.name for force in scene.forces if force.damping > 0.0]
+    feeding = [force.name for force in scene.forces
+               if force.type not in KEEPING_ENERGY or force.damping > 0.0]
     kinetic, curves, final = 0.0, [], None
     for stretch in motion.stretches:
         pose = _pose(stretch)
-        total = np.array([layout.sample(*state).energy for state in zip(pose, stretch.twist)])
-        potential = np.array([layout.sample(p, np.zeros_like(v)).energy
-                              for p, v in zip(pose, stretch.twist)])
+        total, potential, angles = [], [], None
+        for p, v in zip(pose, stretch.twist):
+            sample = layout.sample(p, v, near=angles)
+            angles = sample.angles
+            total.append(sample.energy)
+            potential.append(layout.sample(p, np.zeros_like(v), near=angles).energy)
+        total, potential = np.array(total), np.array(potential)
         kinetic = max(kinetic, float((total - potential).max()))
-        if not dampers:
+        if not feeding:
             for first, end in stretch.free(bodies):
                 change = total[first:end] - total[first]
                 curves.append((stretch.log_times[first:end], change))
@@ -36,7 +42,7 @@ def energy(layout, motion):
         "drift_J": worst, "final_J": final, "largest_kinetic_J": kinetic,
         "relative_drift": worst / kinetic if worst is not None and kinetic > 0.0 else None,
         "intervals": len(curves), "seconds": _seconds(curves),
-        "left_out": "the scene has dampers: " + ", ".join(dampers) if dampers else
+        "left_out": "forces feed or take energy: " + ", ".join(feeding) if feeding else
                     _pushed_text(motion, bodies)}, curves
 
 
@@ -73,8 +79,9 @@ def joints(layout, motion):
     worst joint)] per stretch)
     """
     names = [joint.name for joint in layout.scene.joints]
-    units = ["m, rad" if LOWER_PAIRS[joint.type].forbidden[:, :3].any() else "m"
-             for joint in layout.scene.joints]
+    turning = {owner for owner, rows in zip(layout.owners, layout.row_names)
+               if any(row.startswith("w") for row in rows)}
+    units = ["m, rad" if j in turning else "m" for j in range(len(names))]
     if not names:
         return {}, 0, []
     every = max(1, -(-sum(len(s.steps) for s in motion.stretches) * len(names) // MOST_RESIDUALS))

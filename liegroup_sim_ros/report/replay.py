@@ -48,7 +48,9 @@ def repeat(scene, recording, motion):
     returns figures: how many samples have the same bytes in every pose and twist message
     """
     settings = recording.settings
-    simulation = Simulation(scene, settings["method"], settings["step"], settings["group"])
+    simulation = Simulation(scene, settings["method"], settings["step"], settings["group"],
+                            settings.get("stabilisation", "none"),
+                            settings.get("baumgarte_time"), **settings.get("options", {}))
     pose, twist = initial_state(recording)
     pose_codec = PoseStampedCodec(settings["world_frame"])
     twist_codec = {body: TwistStampedCodec(body) for body in recording.bodies}

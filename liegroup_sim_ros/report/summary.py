@@ -5,8 +5,8 @@ import math
 from rich.table import Table
 from rich.text import Text
 
-# Below this part of the real-time factor asked for, a run was too slow.
-SLOW = 0.99
+from liegroup_core.pacing import SLOW
+
 MOST_JOINTS = 8         # in the table; the others are in the JSON
 NO_NUMBER = ("not a number", "infinite")
 GROUPS = {"se3": "SE(3)", "so3xr3": "SO(3) x R^3"}

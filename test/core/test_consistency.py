@@ -1,32 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lower pairs and initial values: residuals vanish on the subgroup, inconsistent starts are named.
+"""Initial values: what the joints allow is taken, inconsistent starts are named.
 
 The expected values come from plain vector algebra (cross products of angular velocities and
-distances, matrix exponentials of SciPy), not from the adjoints the code uses.
+distances), not from the adjoints the code uses.
 """
 
 import re
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
+import mechanisms
 from liegroup_core.errors import SceneError
-from liegroup_core.joints import LOWER_PAIRS, position_residual, rotation_z_to
-from liegroup_core.scene import (Body, Frame, Joint, Scene, check_consistency, load_scene,
-                                 resolve_frames, scene_from_text)
+from liegroup_core.scene import (Body, DistanceJoint, Frame, Joint, Scene, check_consistency,
+                                 load_scene, resolve_elements, resolve_frames, scene_from_text)
 
 EPS = np.finfo(float).eps
-
-
-def motion(twist):
-    """Pose that a constant twist (angular first) leads to after unit time."""
-    (wx, wy, wz), v = twist[:3], twist[3:]
-    generator = np.zeros((4, 4))
-    generator[:3, :3] = [[0, -wz, wy], [wz, 0, -wx], [-wy, wx, 0]]
-    generator[:3, 3] = v
-    return expm(generator)
 
 
 def random_frame(rng):
@@ -35,87 +25,6 @@ def random_frame(rng):
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation.as_matrix(), position
     return pose, {"position": position, "quaternion": rotation.as_quat()}
-
-
-# ---------------------------------------------------------------- the table of lower pairs
-
-@pytest.mark.parametrize("kind", LOWER_PAIRS)
-def test_the_rows_are_read_only_unit_vectors(kind):
-    A = LOWER_PAIRS[kind].forbidden
-    np.testing.assert_array_equal(A @ A.T, np.eye(len(A)))
-    assert set(A.flat) == {0.0, 1.0}
-    with pytest.raises(ValueError):
-        A[0, 0] = 1.0
-    assert LOWER_PAIRS[kind].text
-
-
-@pytest.mark.parametrize("kind, forbidden", [
-    ("spherical", [[0, 0, 0, 1, 0, 0], [0, 0, 0, 0, 1, 0], [0, 0, 0, 0, 0, 1]]),
-    ("revolute", [[1, 0, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0], [0, 0, 0, 1, 0, 0],
-                  [0, 0, 0, 0, 1, 0], [0, 0, 0, 0, 0, 1]])])
-def test_the_rows_are_angular_first_about_z(kind, forbidden):
-    np.testing.assert_array_equal(LOWER_PAIRS[kind].forbidden, forbidden)
-
-
-@pytest.mark.parametrize("kind", LOWER_PAIRS)
-@pytest.mark.parametrize("size", [1e-9, 1e-3, 1.0, 3.0, np.pi, 6.0, 40.0])
-def test_the_residual_vanishes_on_the_subgroup(kind, size):
-    """Subgroup elements are products of motions along single free directions."""
-    rng = np.random.default_rng(1)
-    free = np.flatnonzero(~LOWER_PAIRS[kind].forbidden.any(axis=0))
-    for _ in range(20):
-        C = np.eye(4)
-        for direction in rng.choice(free, size=4):
-            C = C @ motion(size * rng.choice([-1, 1]) * np.eye(6)[direction])
-        # expm of a rotation by `size` is right to about (1 + size) eps, four of them in a row
-        assert np.abs(position_residual(kind, C)).max() <= 8 * (1 + size) * EPS
-
-
-@pytest.mark.parametrize("kind", LOWER_PAIRS)
-@pytest.mark.parametrize("size", [1e-8, 1e-4])
-def test_the_residual_changes_as_the_forbidden_twist(kind, size):
-    """Next to the identity, parent's and child's joint frame have the same axes: d = A V."""
-    rng = np.random.default_rng(2)
-    for _ in range(20):
-        twist = size * rng.uniform(-1, 1, 6)
-        error = position_residual(kind, motion(twist)) - LOWER_PAIRS[kind].forbidden @ twist
-        # second order: products of two components, |omega| and |v| up to sqrt(3) size each;
-        # expm rounds the entries of size 1 beside which the twist stands
-        assert np.abs(error).max() <= 3 * size**2 + 4 * EPS
-
-
-@pytest.mark.parametrize("kind", LOWER_PAIRS)
-def test_every_forbidden_motion_shows_in_full(kind):
-    """A single forbidden motion of any size is a residual of that size, up to half a turn."""
-    for row in LOWER_PAIRS[kind].forbidden:
-        for size in (1e-12, 0.3, 2.0, 3.1):
-            residual = position_residual(kind, motion(size * row))
-            # round-off of the entries of the matrix, of size 1 and `size`
-            assert abs(np.linalg.norm(residual) - size) <= 8 * (1 + size) * EPS
-
-
-def test_an_axis_turned_over_is_half_a_turn_away():
-    for turn in (0.0, 0.4, 2.0):
-        over = motion([0, 0, turn, 0, 0, 0]) @ np.diag([1.0, -1.0, -1.0, 1.0])
-        residual = position_residual("revolute", over)
-        assert np.linalg.norm(residual[:2]) == np.pi and not residual[2:].any()
-        assert not position_residual("spherical", over).any()
-
-
-def test_rotation_z_to_is_a_rotation_to_round_off():
-    rng = np.random.default_rng(3)
-    axes = list(rng.normal(size=(50, 3))) + [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0, -1, 0)]
-    axes += [(tiny, -tiny, sign) for tiny in (1e-300, 1e-170, 1e-16, 1e-8, 1e-3)
-             for sign in (1, -1)]
-    for axis in axes:
-        axis = np.array(axis) / np.linalg.norm(axis)
-        R = rotation_z_to(axis)
-        np.testing.assert_array_equal(R[:, 2], axis)
-        # the unit vectors it is built from are right to 1 eps, and three products are summed
-        np.testing.assert_allclose(R.T @ R, np.eye(3), atol=4 * EPS)
-        assert np.linalg.det(R) > 0.0
-        # shortest: the angle is that between z and the axis, trace = 1 + 2 cos
-        assert abs(np.trace(R) - (1.0 + 2.0 * axis[2])) <= 8 * EPS
 
 
 # ---------------------------------------------------------------- frames
@@ -191,8 +100,48 @@ def test_an_open_joint_is_named_with_gap_and_tilt():
 def test_a_pair_may_start_turned_the_way_it_turns():
     check_consistency(pinned(kind="revolute", rotation_vector=(0, 0, 2.0)))
     check_consistency(pinned(kind="spherical", rotation_vector=(1, -1, 2.0)))
+    check_consistency(pinned(kind="planar", offset=(3, 4, 0), rotation_vector=(0, 0, 2.0)))
+    check_consistency(pinned(kind="cylindrical", offset=(0, 0, 4), rotation_vector=(0, 0, 2.0)))
+    check_consistency(pinned(kind="prismatic", offset=(0, 0, 4)))
+    check_consistency(pinned(kind="universal", rotation_vector=(0, -2.0, 0)))
+    with pytest.raises(SceneError, match="gap 0 m, tilt 2 rad"):
+        check_consistency(pinned(kind="prismatic", offset=(0, 0, 4), rotation_vector=(0, 0, 2.0)))
+    with pytest.raises(SceneError, match="gap 0 m, tilt 0.5 rad"):
+        check_consistency(pinned(kind="universal", rotation_vector=(0, 0, 0.5)))
     with pytest.raises(SceneError, match="tilt 0.001 rad"):
         check_consistency(pinned(kind="revolute", rotation_vector=(0.001, 0, 0)))
+
+
+def rod(length=None, reach=(3, 0, 4), at=(0, 0, 0)):
+    """A body at `at` on a distance joint to the point `reach` further on."""
+    return Scene(
+        name="s", gravity=(0, 0, 0),
+        bodies=[Body(name="b", mass=1, inertia=[1, 1, 1], position=at)],
+        joints=[DistanceJoint(name="j", parent="world", child="b", length=length,
+                              parent_frame=Frame(position=np.add(at, reach)),
+                              child_frame=Frame())])
+
+
+def test_a_distance_left_out_is_the_one_at_the_start():
+    [[element]] = resolve_elements(rod())
+    assert element.length == 5.0
+    check_consistency(rod())
+    check_consistency(rod(5.0))
+    with pytest.raises(SceneError, match=r"joints\[0\] \"j\": does not close .* gap 1 m, tilt 0 "
+                                         "rad; leave out length to keep the distance"):
+        check_consistency(rod(4.0))
+    with pytest.raises(SceneError, match="gap 2 m, tilt 0 rad"):
+        check_consistency(rod(2.0, reach=(0, 0, 0)))
+
+
+@pytest.mark.parametrize("reach, length, at", [
+    ((0, 0, 0), None, 0), ((0, 1e-10, 0), None, 0), ((0, 1e-10, 0), 1e-10, 0),
+    ((1e-4, 0, 0), None, 1e6)])
+def test_a_rod_without_length_is_refused(reach, length, at):
+    """What is small against the round-off of the positions has no direction."""
+    with pytest.raises(SceneError, match="at the same place, .*; use a spherical joint") as caught:
+        check_consistency(rod(length, reach, (at, 0, 0)))
+    assert caught.value.place == ("joints", 0)
 
 
 def test_of_several_open_joints_the_first_is_named():
@@ -204,51 +153,83 @@ def test_of_several_open_joints_the_first_is_named():
 
 # ---------------------------------------------------------------- velocities
 
-def moving(rng, kind, error=np.zeros(6)):
-    """World - a - b that move as their two joints allow, plus an error in the twist of b.
+def allowed_velocity(rng, kind, axes, way, cross_axis):
+    """Relative angular velocity, and that of the child's point against the parent's body there.
 
-    In world axes, with the joint at p and its allowed relative angular velocity u:
-    w_b = w_a + u,  v_b = v_a + w_a x (p - r_a) + w_b x (r_b - p).
+    axes : columns x, y, z of the parent's joint frame in the world
+    way  : from its origin to that of the child's one; cross_axis: y axis of the child's frame
     """
-    R_parent, r_parent, w_parent, v_parent = np.eye(3), np.zeros(3), np.zeros(3), np.zeros(3)
+    x, y, z = axes.T
+    a, b, c = rng.normal(size=3)
+    still, any_turn = np.zeros(3), rng.normal(size=3)
+    across = np.cross(way, any_turn)        # keeps the distance
+    return {"spherical": (any_turn, still), "revolute": (a * z, still),
+            "prismatic": (still, b * z), "cylindrical": (a * z, b * z),
+            "planar": (a * z, b * x + c * y), "screw": (a * z, a * mechanisms.PITCH * z),
+            "fixed": (still, still), "universal": (a * x + b * cross_axis, still),
+            "distance": (any_turn, across)}[kind]
+
+
+def forbidden_direction(kind, axes, way):
+    """A direction in which the joint lets nothing move."""
+    if kind == "distance":
+        return way / np.linalg.norm(way)
+    return axes[:, 2] if kind == "planar" else axes[:, 0]
+
+
+def moving(rng, kind, error=0.0, turn=np.zeros(3)):
+    """World - a - b that move as their two joints allow, and a velocity against the second one.
+
+    error : m/s of b along a forbidden direction; turn: rad/s of b
+    In world axes, with the child's point at q, its relative velocity s and the relative angular
+    velocity u:  w_b = w_a + u,  v_b = v_a + w_a x (q - r_a) + s + w_b x (r_b - q).
+    """
+    parent_pose, w_parent, v_parent = np.eye(4), np.zeros(3), np.zeros(3)
     bodies, joints = [], []
     for parent, child in (("world", "a"), ("a", "b")):
         C, keys = random_frame(rng)
-        R, r = C[:3, :3], C[:3, 3]
-        p, axis = rng.normal(size=3), rng.normal(size=3)
-        u = rng.normal(size=3) if kind == "spherical" else rng.normal() * axis
+        at_parent, _ = random_frame(rng)
+        at_child = at_parent @ mechanisms.allowed_motion(rng, kind)
+        q, way = at_child[:3, 3], at_child[:3, 3] - at_parent[:3, 3]
+        u, s = allowed_velocity(rng, kind, at_parent[:3, :3], way, at_child[:3, 1])
         w = w_parent + u
-        v = v_parent + np.cross(w_parent, p - r_parent) + np.cross(w, r - p)
-        twist = np.r_[R.T @ w, R.T @ v] + (error if child == "b" else 0.0)
+        v = v_parent + np.cross(w_parent, q - parent_pose[:3, 3]) + s + np.cross(w, C[:3, 3] - q)
+        if child == "b":
+            v = v + error * forbidden_direction(kind, at_parent[:3, :3], way)
         bodies.append(Body(name=child, mass=1, inertia=[1, 1, 1], **keys,
-                           angular_velocity=twist[:3], linear_velocity=twist[3:]))
-        # both frames are given: they are turned against each other, about the axis at least
-        other = rng.normal(size=3) if kind == "spherical" else axis
-        joints.append(Joint(
-            name=f"to_{child}", type=kind, parent=parent, child=child,
-            parent_frame=Frame(position=R_parent.T @ (p - r_parent), axis=R_parent.T @ other),
-            child_frame=Frame(position=R.T @ (p - r), axis=R.T @ axis)))
-        R_parent, r_parent, w_parent, v_parent = R, r, w, v
+                           angular_velocity=C[:3, :3].T @ w + (turn if child == "b" else 0.0),
+                           linear_velocity=C[:3, :3].T @ v))
+        # both frames are given
+        joints.append(mechanisms.joint(
+            kind, name=f"to_{child}", parent=parent, child=child,
+            parent_frame=described(np.linalg.inv(parent_pose) @ at_parent),
+            child_frame=described(np.linalg.inv(C) @ at_child)))
+        parent_pose, w_parent, v_parent = C, w, v
     return Scene(name="s", gravity=(0, 0, 0), bodies=bodies, joints=joints)
 
 
-@pytest.mark.parametrize("kind", LOWER_PAIRS)
+def described(pose):
+    """A frame from its pose."""
+    return Frame(position=pose[:3, 3], quaternion=Rotation.from_matrix(pose[:3, :3]).as_quat())
+
+
+@pytest.mark.parametrize("kind", mechanisms.KINDS)
 def test_velocities_that_the_joints_allow_are_consistent(kind):
     rng = np.random.default_rng(5)
     for _ in range(10):
         check_consistency(moving(rng, kind))
 
 
-@pytest.mark.parametrize("kind", LOWER_PAIRS)
+@pytest.mark.parametrize("kind", mechanisms.KINDS)
 def test_a_velocity_against_a_joint_is_named_with_its_size(kind):
     rng = np.random.default_rng(6)
     for _ in range(10):
-        error = np.r_[np.zeros(3), rng.normal(scale=1e-6, size=3)]
+        error = 1e-6 * rng.uniform(0.1, 10)
         with pytest.raises(SceneError) as caught:
             check_consistency(moving(rng, kind, error))
-        size = f"{np.linalg.norm(error):.3g} m/s"
         assert str(caught.value).startswith(
-            f'joints[1] "to_b": the initial velocities violate the joint by {size} and ')
+            'joints[1] "to_b": the initial velocities violate the joint by '
+            f"{error:.3g} m/s and ")
         assert caught.value.place == ("joints", 1)
 
 
@@ -261,11 +242,11 @@ def test_a_turn_against_a_hinge_is_named():
         check_consistency(scene.model_copy(update={"bodies": [turning]}))
 
 
-@pytest.mark.parametrize("kind", LOWER_PAIRS)
+@pytest.mark.parametrize("kind", mechanisms.KINDS)
 def test_the_velocities_the_message_gives_are_consistent(kind):
     rng = np.random.default_rng(7)
     for _ in range(10):
-        scene = moving(rng, kind, rng.normal(size=6))
+        scene = moving(rng, kind, rng.normal(), rng.normal(size=3))
         with pytest.raises(SceneError) as caught:
             check_consistency(scene)
         vectors = re.search(r'"b" would follow it with angular_velocity \[(.*)\] and '

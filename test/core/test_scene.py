@@ -14,9 +14,10 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import mechanisms
 from liegroup_core.errors import SceneError
-from liegroup_core.scene import (Body, Frame, Joint, Scene, SpringDamper, find_scene, load_scene,
-                                 scene_from_text)
+from liegroup_core.scene import (Body, DistanceJoint, Frame, Joint, Scene, ScrewJoint,
+                                 SpringDamper, find_scene, load_scene, scene_from_text)
 from liegroup_core.scene import load as load_module
 from liegroup_core.scene.description import FORCES, JOINTS
 from liegroup_core.scene.values import Described
@@ -261,13 +262,29 @@ def test_a_scene_is_made_in_code():
     assert pickle.loads(pickle.dumps(again)).text == scene.text
 
 
+def test_every_kind_of_joint_survives_as_text():
+    for name in ("every kind", "screw to ground", "distance to ground"):
+        scene = mechanisms.named(name)
+        again = scene_from_text(scene.text)
+        assert again.joints == scene.joints
+        assert [type(joint) for joint in again.joints] == [type(joint) for joint in scene.joints]
+
+
 @pytest.mark.parametrize("make, message", [
     (lambda: Body(name="top", mass=-1, inertia=[1, 1, 1]),
      'Body "top": mass must be greater than 0, got -1'),
     (lambda: Body(mass=1, inertia=[1, 1, 1]), "Body: name is missing: give the name: a letter,"),
     (lambda: Frame(axis=[0, 0, 0]), "Frame: axis must not be zero"),
     (lambda: Joint(name="j", type="hinge", parent="world", child="a", child_frame=Frame()),
-     "Joint \"j\": type must be 'spherical' or 'revolute', got 'hinge'"),
+     "Joint \"j\": type must be 'spherical', 'revolute', 'prismatic', 'cylindrical', 'planar', "
+     "'fixed' or 'universal', got 'hinge'"),
+    (lambda: ScrewJoint(name="j", parent="world", child="a", child_frame=Frame()),
+     'ScrewJoint "j": pitch is missing: give the way along z in m for every radian'),
+    (lambda: DistanceJoint(name="j", parent="world", child="a", child_frame=Frame()),
+     'DistanceJoint "j": parent_frame is missing: give the frame'),
+    (lambda: DistanceJoint(name="j", parent="world", child="a", child_frame=Frame(),
+                           parent_frame=Frame(), length=0),
+     'DistanceJoint "j": length must be greater than 0, got 0'),
     (lambda: Joint(name="j", type="revolute", parent="world", child="a"),
      'Joint "j": parent_frame or child_frame is missing'),
     (lambda: SpringDamper(name="s", parent="a", child="b", stiffness=1),

@@ -17,19 +17,22 @@ DEMO = "import sys; from liegroup_sim_ros.main import main; sys.exit(main(sys.ar
 
 
 def start(*arguments):
+    # What runs in the background of a shell has SIGINT ignored, and hands that on.
     return subprocess.Popen([sys.executable, "-c", DEMO, "demo", *map(str, arguments)], text=True,
-                            stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+                            stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL))
 
 
 def running(out):
-    """Command lines of the processes that name this folder."""
-    lines = []
+    """Numbers of the processes that name this folder."""
+    found = []
     for path in Path("/proc").glob("[0-9]*/cmdline"):
         try:
-            lines.append(path.read_bytes().replace(b"\0", b" ").decode(errors="replace"))
+            if os.fsencode(out) in path.read_bytes():
+                found.append(int(path.parent.name))
         except OSError:         # ended in the meantime
             continue
-    return [line for line in lines if str(out) in line]
+    return found
 
 
 def test_demo(tmp_path):
@@ -69,11 +72,11 @@ def test_ended_early_it_leaves_nothing(tmp_path, number):
         os.kill(demo.pid, number)
         _, errors = demo.communicate(timeout=30.0)
     finally:
-        if demo.poll() is None:
-            demo.kill()
-    assert demo.returncode == 130
+        left = running(out)
+        for process in left:
+            os.kill(process, signal.SIGKILL)
+    assert left == [] and demo.returncode == 130
     assert errors == "liegroup_sim: interrupted\n"
-    assert running(out) == []
 
 
 def test_wrong_input(tmp_path, capsys):

@@ -131,7 +131,7 @@ def test_signal_while_compiling_ends_the_node(scene, tmp_path):
     ({"scene": "''"}, "parameter scene: is empty"),
     ({"scene": ""}, "Couldn't parse parameter override rule: '-p scene:='"),
     ({"scene": "no_such_scene.yaml"}, "no_such_scene"),
-    ({"method": "euler"}, "unknown method 'euler'"),
+    ({"method": "euler"}, "parameter method: must be rkmk1"),
     ({"stepp": 0.001}, "parameter stepp: unknown; did you mean step?"),
     ({"step": -0.001}, "parameter step: must be greater than 0"),
     ({"step": "fast"}, "parameter step: must be a number, got 'fast'"),

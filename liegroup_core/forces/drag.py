@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Drag on a body at its centre of mass, relative to still surroundings.
+
+    force  -(c1 + c2 |v|) v        torque  -(d1 + d2 |omega|) omega
+The same in body and world axes. The quadratic part has a kink in its second derivative at rest.
+"""
+import math
+
+import numpy as np
+
+from .._compile import kernel
+from ..lie.vec3 import dot3, load3
+
+ROW = np.dtype([
+    ("body", "i8"),
+    ("linear", "f8"), ("quadratic", "f8"),                        # N s/m, N s^2/m^2
+    ("angular", "f8"), ("angular_quadratic", "f8"),               # N m s/rad, N m s^2/rad^2
+], align=True)
+
+
+def make_row(drag, index, ends):
+    """Row of a Drag of a scene; see kinds.make_forces."""
+    return (index[drag.body], drag.linear, drag.quadratic, drag.angular, drag.angular_quadratic)
+
+
+@kernel
+def _factors(row, w, v):
+    """What to multiply angular and linear velocity by: N m s/rad and N s/m."""
+    return (row["angular"] + row["angular_quadratic"] * math.sqrt(dot3(w, w)),
+            row["linear"] + row["quadratic"] * math.sqrt(dot3(v, v)))
+
+
+@kernel
+def add_wrench(rows, twist, wrench_out):
+    """Add the wrenches of all rows."""
+    for e in range(len(rows)):
+        row = rows[e]
+        body = row["body"]
+        w = load3(twist, body, 0)
+        v = load3(twist, body, 3)
+        angular, linear = _factors(row, w, v)
+        for c in range(3):
+            wrench_out[body, c] -= angular * w[c]
+            wrench_out[body, 3 + c] -= linear * v[c]
+
+
+@kernel
+def power(rows, twist):
+    """Power of the drag on all bodies, W; never positive."""
+    total = 0.0
+    for e in range(len(rows)):
+        row = rows[e]
+        w = load3(twist, row["body"], 0)
+        v = load3(twist, row["body"], 3)
+        angular, linear = _factors(row, w, v)
+        total -= angular * dot3(w, w) + linear * dot3(v, v)
+    return total

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All kinds of forces between bodies, and what they do together.
+
+A kind is a file with
+    ROW                     what a kernel reads of one force, a record
+    make_row(force, ...)    a force of the scene as such a record
+    add_wrench(rows, ...)   wrenches in body axes about the centre of mass, added to what is there
+    energy(rows, ...)       J, of what can be had back; left out where there is none
+    power(rows, ...)        W, of all the rest: dampers and drag take, motors and pushes give
+and its lines below; the class of the scene is in scene/description.py. Every kind is always there,
+maybe with no rows, so that all scenes share one compiled code. test/contract/test_forces.py holds
+for every kind. Gravity acts on all bodies and stands apart (gravity.py).
+"""
+from typing import NamedTuple
+
+import numpy as np
+
+from .._compile import kernel
+from . import (applied_wrench, drag, linear_motor, linear_spring_damper, motor, spring_damper,
+               torsional_spring_damper)
+
+KINDS = {
+    "spring_damper": spring_damper,
+    "torsional_spring_damper": torsional_spring_damper,
+    "linear_spring_damper": linear_spring_damper,
+    "motor": motor,
+    "linear_motor": linear_motor,
+    "drag": drag,
+    "applied_wrench": applied_wrench,
+}
+
+
+class Forces(NamedTuple):
+    """The forces of a scene: (k,) of ROW of each kind, in the order of the scene."""
+
+    spring_damper: np.ndarray
+    torsional_spring_damper: np.ndarray
+    linear_spring_damper: np.ndarray
+    motor: np.ndarray
+    linear_motor: np.ndarray
+    drag: np.ndarray
+    applied_wrench: np.ndarray
+
+
+def make_forces(described, index, ends):
+    """Rows of the forces of a scene.
+
+    described : the scene's forces
+    index     : {body name: body index, "world": WORLD}
+    ends      : {joint name: (parent's index, child's index, parent frame, child frame)}
+    """
+    return Forces(**{kind: np.array([module.make_row(force, index, ends)
+                                     for force in described if force.type == kind],
+                                    dtype=module.ROW)
+                     for kind, module in KINDS.items()})
+
+
+@kernel
+def add_wrenches(forces, angle, acting, pose, twist, wrench_out):
+    """Add the wrenches of all forces to wrench_out (n, 6).
+
+    angle  : (k,) rad, of each torsional spring at the last finished step
+    acting : (k,) bool, which of the applied wrenches act
+    pose (n, 12), twist (n, 6)
+    """
+    spring_damper.add_wrench(forces.spring_damper, pose, twist, wrench_out)
+    torsional_spring_damper.add_wrench(forces.torsional_spring_damper, angle, pose, twist,
+                                       wrench_out)
+    linear_spring_damper.add_wrench(forces.linear_spring_damper, pose, twist, wrench_out)
+    motor.add_wrench(forces.motor, pose, twist, wrench_out)
+    linear_motor.add_wrench(forces.linear_motor, pose, twist, wrench_out)
+    drag.add_wrench(forces.drag, twist, wrench_out)
+    applied_wrench.add_wrench(forces.applied_wrench, acting, pose, wrench_out)
+
+
+@kernel
+def energy(forces, angle, pose):
+    """Potential energy of all forces, J."""
+    return (spring_damper.energy(forces.spring_damper, pose)
+            + torsional_spring_damper.energy(forces.torsional_spring_damper, angle, pose)
+            + linear_spring_damper.energy(forces.linear_spring_damper, pose))
+
+
+@kernel
+def power(forces, acting, pose, twist):
+    """Power of all forces without their potential part, W: the rate of the mechanical energy."""
+    return (spring_damper.power(forces.spring_damper, pose, twist)
+            + torsional_spring_damper.power(forces.torsional_spring_damper, pose, twist)
+            + linear_spring_damper.power(forces.linear_spring_damper, pose, twist)
+            + motor.power(forces.motor, pose, twist)
+            + linear_motor.power(forces.linear_motor, pose, twist)
+            + drag.power(forces.drag, twist)
+            + applied_wrench.power(forces.applied_wrench, acting, pose, twist))
+
+
+@kernel
+def too_fast(forces, h, pose, twist):
+    """The torsional spring whose turns cannot be counted over a step h, or -1.
+
+    pose, twist : at the end of the step. Its joint turns by half a turn or more.
+    """
+    return torsional_spring_damper.too_fast(forces.torsional_spring_damper, h, pose, twist)
+
+
+@kernel
+def count_turns(forces, pose, angle):
+    """Replace the angles by those at the end of a step, less than half a turn on."""
+    torsional_spring_damper.count_turns(forces.torsional_spring_damper, pose, angle)

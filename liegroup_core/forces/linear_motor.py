@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Motor along the z axis of a joint that slides: force f - |f| sdot / limit, or f without a limit.
+
+The line of motor.py, with force and speed in place of torque and rate.
+"""
+import numpy as np
+
+from .._compile import kernel
+from . import slide
+
+ROW = np.dtype(slide.FIELDS + [
+    ("force", "f8"), ("slope", "f8"),                             # N at rest, N s/m
+], align=True)
+
+
+def make_row(motor, index, ends):
+    """Row of a LinearMotor of a scene; see kinds.make_forces."""
+    slope = 0.0 if motor.speed_limit is None else abs(motor.force) / motor.speed_limit
+    return *slide.fields(*ends[motor.joint]), motor.force, slope
+
+
+@kernel
+def add_wrench(rows, pose, twist, wrench_out):
+    """Add the wrenches of all rows."""
+    for e in range(len(rows)):
+        row = rows[e]
+        force = row["force"] - row["slope"] * slide.rate(row, pose, twist)
+        slide.apply(row, pose, force, wrench_out)
+
+
+@kernel
+def power(rows, pose, twist):
+    """Power sum force * sdot that the motors put in, W."""
+    total = 0.0
+    for e in range(len(rows)):
+        row = rows[e]
+        rate = slide.rate(row, pose, twist)
+        total += (row["force"] - row["slope"] * rate) * rate
+    return total

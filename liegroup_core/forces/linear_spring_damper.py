@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Spring with damper along the z axis of a joint that slides: force -(k (s - s0) + c sdot)."""
+import numpy as np
+
+from .._compile import kernel
+from . import slide
+
+ROW = np.dtype(slide.FIELDS + [
+    ("stiffness", "f8"), ("damping", "f8"), ("rest_position", "f8"),    # N/m, N s/m, m
+], align=True)
+
+
+def make_row(spring, index, ends):
+    """Row of a LinearSpringDamper of a scene; see kinds.make_forces."""
+    return (*slide.fields(*ends[spring.joint]),
+            spring.stiffness, spring.damping, spring.rest_position)
+
+
+@kernel
+def add_wrench(rows, pose, twist, wrench_out):
+    """Add the wrenches of all rows."""
+    for e in range(len(rows)):
+        row = rows[e]
+        force = row["stiffness"] * (row["rest_position"] - slide.coordinate(row, pose))
+        if row["damping"] > 0.0:
+            force -= row["damping"] * slide.rate(row, pose, twist)
+        slide.apply(row, pose, force, wrench_out)
+
+
+@kernel
+def energy(rows, pose):
+    """Potential energy sum k (s - s0)^2 / 2, J."""
+    total = 0.0
+    for e in range(len(rows)):
+        row = rows[e]
+        stretch = slide.coordinate(row, pose) - row["rest_position"]
+        total += 0.5 * row["stiffness"] * stretch * stretch
+    return total
+
+
+@kernel
+def power(rows, pose, twist):
+    """Power -sum c sdot^2 of all dampers, W; never positive."""
+    total = 0.0
+    for e in range(len(rows)):
+        row = rows[e]
+        rate = slide.rate(row, pose, twist)
+        total -= row["damping"] * rate * rate
+    return total

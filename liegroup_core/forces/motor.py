@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Motor about the z axis of a joint: torque tau - |tau| thetadot / limit, or tau without a limit.
+
+This is the line of a DC motor at constant voltage: tau at rest, zero at the rate limit in the
+direction of tau. It holds at every rate: a joint turned faster than the limit is braked, one
+turned backwards is opposed by more than tau. So the torque is smooth and methods keep their
+order.
+"""
+import numpy as np
+
+from .._compile import kernel
+from . import turn
+
+ROW = np.dtype(turn.FIELDS + [
+    ("torque", "f8"), ("slope", "f8"),                            # N m at rest, N m s/rad
+], align=True)
+
+
+def make_row(motor, index, ends):
+    """Row of a Motor of a scene; see kinds.make_forces."""
+    slope = 0.0 if motor.rate_limit is None else abs(motor.torque) / motor.rate_limit
+    return *turn.fields(*ends[motor.joint]), motor.torque, slope
+
+
+@kernel
+def add_wrench(rows, pose, twist, wrench_out):
+    """Add the torques of all rows."""
+    for e in range(len(rows)):
+        row = rows[e]
+        n = turn.axis(row, pose)
+        torque = row["torque"] - row["slope"] * turn.rate(row, pose, twist, n)
+        turn.apply(row, pose, n, torque, wrench_out)
+
+
+@kernel
+def power(rows, pose, twist):
+    """Power sum torque * thetadot that the motors put in, W."""
+    total = 0.0
+    for e in range(len(rows)):
+        row = rows[e]
+        rate = turn.rate(row, pose, twist, turn.axis(row, pose))
+        total += (row["torque"] - row["slope"] * rate) * rate
+    return total

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Points of bodies: where they are, how fast they move, and forces that act there.
+
+body  : body index, or WORLD
+place : (3,) m, the point in the frame of the body
+"""
+from .._compile import kernel
+from ..lie.vec3 import add3, cross3, load3, load9, matvec3, sub3, tmatvec3
+from ..model.arrays import WORLD
+
+
+@kernel
+def world_axes(pose, body, direction):
+    """A direction fixed in a body, seen in world axes."""
+    if body == WORLD:
+        return direction
+    return matvec3(load9(pose, body, 0), direction)
+
+
+@kernel
+def point(pose, body, place):
+    """World position of a point of a body (of the world: the point itself)."""
+    if body == WORLD:
+        return place
+    return add3(load3(pose, body, 9), matvec3(load9(pose, body, 0), place))
+
+
+@kernel
+def place_of(pose, body, position):
+    """The point of a body that is at a world position now: the inverse of `point`."""
+    if body == WORLD:
+        return position
+    return tmatvec3(load9(pose, body, 0), sub3(position, load3(pose, body, 9)))
+
+
+@kernel
+def point_velocity(pose, twist, body, place):
+    """World velocity of a point that is fixed in a body."""
+    if body == WORLD:
+        return (0.0, 0.0, 0.0)
+    in_body = add3(load3(twist, body, 3), cross3(load3(twist, body, 0), place))
+    return matvec3(load9(pose, body, 0), in_body)
+
+
+@kernel
+def apply_force(pose, body, place, force, wrench_out):
+    """Add a force in world axes that acts at a point of a body to its wrench in body axes."""
+    if body == WORLD:
+        return
+    in_body = tmatvec3(load9(pose, body, 0), force)
+    torque = cross3(place, in_body)
+    for c in range(3):
+        wrench_out[body, c] += torque[c]
+        wrench_out[body, 3 + c] += in_body[c]
+
+
+@kernel
+def apply_torque(pose, body, torque, wrench_out):
+    """Add a torque in world axes to the wrench of a body in body axes."""
+    if body == WORLD:
+        return
+    in_body = tmatvec3(load9(pose, body, 0), torque)
+    for c in range(3):
+        wrench_out[body, c] += in_body[c]

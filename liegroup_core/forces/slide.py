@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Slide of a joint along its z axis: coordinate, rate, and a force along it.
+
+With o_a, o_b the origins of the joint frames and z the z axis of the parent's frame,
+    coordinate   s = z . (o_b - o_a)
+    rate         sdot = z . (velocity of o_b - velocity of the parent's point that is at o_b)
+A force f z acts on the child at o_b and -f z on the parent at the same point: the two cancel about
+every point, and their work is f ds exactly, also where a method lets the joint drift by a little
+(test/contract/test_forces.py).
+"""
+from .._compile import kernel
+from ..lie.vec3 import dot3, scale3, sub3, vector3
+from .points import apply_force, place_of, point, point_velocity, world_axes
+
+FIELDS = [
+    ("parent", "i8"), ("child", "i8"),                            # body index or WORLD
+    ("axis", "f8", (3,)),                                         # z in the axes of the parent
+    ("parent_origin", "f8", (3,)), ("child_origin", "f8", (3,)),  # m, in the frame of each
+]
+
+
+def fields(parent, child, parent_frame, child_frame):
+    """Values of FIELDS from body indices and joint frames (4, 4)."""
+    return parent, child, parent_frame[:3, 2], parent_frame[:3, 3], child_frame[:3, 3]
+
+
+@kernel
+def coordinate(row, pose):
+    """s, m."""
+    z = world_axes(pose, row["parent"], vector3(row["axis"]))
+    return dot3(z, sub3(point(pose, row["child"], vector3(row["child_origin"])),
+                        point(pose, row["parent"], vector3(row["parent_origin"]))))
+
+
+@kernel
+def rate(row, pose, twist):
+    """sdot, m/s."""
+    z = world_axes(pose, row["parent"], vector3(row["axis"]))
+    place = vector3(row["child_origin"])
+    at_parent = place_of(pose, row["parent"], point(pose, row["child"], place))
+    return dot3(z, sub3(point_velocity(pose, twist, row["child"], place),
+                        point_velocity(pose, twist, row["parent"], at_parent)))
+
+
+@kernel
+def apply(row, pose, force, wrench_out):
+    """Add the wrench of force * z to the child and take it from the parent."""
+    pull = scale3(force, world_axes(pose, row["parent"], vector3(row["axis"])))
+    place = vector3(row["child_origin"])
+    at_parent = place_of(pose, row["parent"], point(pose, row["child"], place))
+    apply_force(pose, row["child"], place, pull, wrench_out)
+    apply_force(pose, row["parent"], at_parent, scale3(-1.0, pull), wrench_out)

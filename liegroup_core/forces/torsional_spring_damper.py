@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Torsional spring with damper about the z axis of a joint.
+
+    torque on the child  -(k (theta - theta0) + c thetadot)
+The angle theta goes on over many turns (turn.py). Its value at the last finished step is part of
+the state, one number a row: `angle`.
+"""
+import math
+
+import numpy as np
+
+from .._compile import kernel
+from . import turn
+
+ROW = np.dtype(turn.FIELDS + [
+    ("stiffness", "f8"), ("damping", "f8"), ("rest_angle", "f8"),   # N m/rad, N m s/rad, rad
+], align=True)
+
+# An angle whose turns are not known yet is taken nearest to this: in (-pi, pi], and a joint that
+# is set up at half a turn counts as pi, not -pi, whichever round-off makes it.
+UNKNOWN_TURN = 1e-9
+
+
+def make_row(spring, index, ends):
+    """Row of a TorsionalSpringDamper of a scene; see kinds.make_forces."""
+    return (*turn.fields(*ends[spring.joint]),
+            spring.stiffness, spring.damping, spring.rest_angle)
+
+
+@kernel
+def add_wrench(rows, angle, pose, twist, wrench_out):
+    """Add the torques of all rows; angle (k,) rad at the last finished step."""
+    for e in range(len(rows)):
+        row = rows[e]
+        n = turn.axis(row, pose)
+        torque = row["stiffness"] * (row["rest_angle"] - turn.angle(row, pose, angle[e]))
+        if row["damping"] > 0.0:
+            torque -= row["damping"] * turn.rate(row, pose, twist, n)
+        turn.apply(row, pose, n, torque, wrench_out)
+
+
+@kernel
+def energy(rows, angle, pose):
+    """Potential energy sum k (theta - theta0)^2 / 2, J; angle (k,) as for `add_wrench`."""
+    total = 0.0
+    for e in range(len(rows)):
+        row = rows[e]
+        wound = turn.angle(row, pose, angle[e]) - row["rest_angle"]
+        total += 0.5 * row["stiffness"] * wound * wound
+    return total
+
+
+@kernel
+def power(rows, pose, twist):
+    """Power -sum c thetadot^2 of all dampers, W; never positive."""
+    total = 0.0
+    for e in range(len(rows)):
+        row = rows[e]
+        rate = turn.rate(row, pose, twist, turn.axis(row, pose))
+        total -= row["damping"] * rate * rate
+    return total
+
+
+@kernel
+def count_turns(rows, pose, angle):
+    """Replace the angles (k,) by those at a pose that is less than half a turn on."""
+    for e in range(len(rows)):
+        angle[e] = turn.angle(rows[e], pose, angle[e])
+
+
+@kernel
+def too_fast(rows, h, pose, twist):
+    """The first row whose joint turns by half a turn or more in a time h, or -1."""
+    for e in range(len(rows)):
+        row = rows[e]
+        if abs(h * turn.rate(row, pose, twist, turn.axis(row, pose))) >= math.pi:
+            return e
+    return -1

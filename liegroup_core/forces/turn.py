@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Turn of a joint about its z axis: angle, rate, and a torque along it.
+
+With R the rotation of the child's joint frame in the parent's and z_a, z_b the z axes of both,
+    angle   theta = atan2(R10 - R01, R00 + R11)              the twist of swing and twist
+    rate    thetadot = n . (omega_b - omega_a) ,   n = (z_a + z_b) / (1 + z_a . z_b)
+Where the joint keeps the z axes together n is the axis. Where a method lets them drift apart by a
+little, theta is still defined and n still its gradient, so a torque tau n on the child and -tau n
+on the parent does the work tau dtheta exactly (test/contract/test_forces.py).
+
+A rotation tells the angle but for whole turns. These are counted: the angle is the one that lies
+nearest to that of the last step, which is exact while the joint turns by less than half a turn a
+step.
+"""
+import math
+
+from .._compile import kernel
+from ..lie.vec3 import add3, dot3, load3, load9, matmul3, matrix3, scale3, sub3, tmatmul3
+from ..model.arrays import WORLD
+from .points import apply_torque, world_axes
+
+FIELDS = [
+    ("parent", "i8"), ("child", "i8"),                            # body index or WORLD
+    ("parent_axes", "f8", (9,)), ("child_axes", "f8", (9,)),      # joint frame -> axes of each
+]
+
+
+def fields(parent, child, parent_frame, child_frame):
+    """Values of FIELDS from body indices and joint frames (4, 4)."""
+    return parent, child, parent_frame[:3, :3].ravel(), child_frame[:3, :3].ravel()
+
+
+@kernel
+def _frame_axes(pose, body, axes):
+    """Axes of a joint frame in the world: a rotation matrix."""
+    if body == WORLD:
+        return axes
+    return matmul3(load9(pose, body, 0), axes)
+
+
+@kernel
+def angle(row, pose, near):
+    """Angle of the child's joint frame about z, rad: of all that fit the one nearest to `near`."""
+    relative = tmatmul3(_frame_axes(pose, row["parent"], matrix3(row["parent_axes"])),
+                        _frame_axes(pose, row["child"], matrix3(row["child_axes"])))
+    within_a_turn = math.atan2(relative[3] - relative[1], relative[0] + relative[4])
+    turns = math.floor((near - within_a_turn) / (2.0 * math.pi) + 0.5)
+    return within_a_turn + 2.0 * math.pi * turns
+
+
+@kernel
+def axis(row, pose):
+    """n, the gradient of the angle, world axes."""
+    parent_axes = row["parent_axes"]
+    child_axes = row["child_axes"]
+    z_a = world_axes(pose, row["parent"], (parent_axes[2], parent_axes[5], parent_axes[8]))
+    z_b = world_axes(pose, row["child"], (child_axes[2], child_axes[5], child_axes[8]))
+    both = 1.0 + dot3(z_a, z_b)
+    # Axes that point against each other have no angle: such a pose is none of this joint.
+    return scale3(1.0 / both if both > 0.0 else 0.0, add3(z_a, z_b))
+
+
+@kernel
+def rate(row, pose, twist, n):
+    """Rate of the angle, rad/s; n from `axis`."""
+    turning = world_axes(pose, row["child"], load3(twist, row["child"], 0))
+    if row["parent"] != WORLD:
+        turning = sub3(turning, world_axes(pose, row["parent"], load3(twist, row["parent"], 0)))
+    return dot3(n, turning)
+
+
+@kernel
+def apply(row, pose, n, torque, wrench_out):
+    """Add torque * n to the child's wrench and take it from the parent's."""
+    apply_torque(pose, row["child"], scale3(torque, n), wrench_out)
+    apply_torque(pose, row["parent"], scale3(-torque, n), wrench_out)

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What all integrators do with a state: its velocity on the group, displacing it, copying it."""
+import math
+
+from .._compile import kernel
+from ..lie.se3 import se3_compose, se3_exp
+from ..lie.so3 import so3_exp
+from ..lie.vec3 import add3, dot3, load3, load9, matmul3, matvec3, store3
+from .methods import SE3
+
+
+@kernel
+def group_velocity(group, pose, twist, i, out):
+    """Velocity on the group of body i from its body twist."""
+    v = load3(twist, i, 3)
+    if group != SE3:
+        v = matvec3(load9(pose, i, 0), v)
+    store3(load3(twist, i, 0), out, i, 0)
+    store3(v, out, i, 3)
+
+
+@kernel
+def displace(group, pose, i, xi, eta):
+    """pose exp(xi, eta) of body i: rotation and position."""
+    rot = load9(pose, i, 0)
+    r = load3(pose, i, 9)
+    if group == SE3:
+        turn, shift = se3_exp(xi, eta)
+        return se3_compose(rot, r, turn, shift)
+    return matmul3(rot, so3_exp(xi)), add3(r, eta)
+
+
+@kernel
+def orthonormal(rot):
+    """One step of Newton's iteration for the nearest rotation, R (3 I - R^T R) / 2.
+
+    Products of rotations drift from SO(3) by rounding; one iteration squares that drift away.
+    """
+    x, y, z = (rot[0], rot[3], rot[6]), (rot[1], rot[4], rot[7]), (rot[2], rot[5], rot[8])
+    xy, xz, yz = -0.5 * dot3(x, y), -0.5 * dot3(x, z), -0.5 * dot3(y, z)
+    defect = (1.5 - 0.5 * dot3(x, x), xy, xz,
+              xy, 1.5 - 0.5 * dot3(y, y), yz,
+              xz, yz, 1.5 - 0.5 * dot3(z, z))
+    return matmul3(rot, defect)
+
+
+@kernel
+def copy_state(source_pose, source_twist, pose_out, twist_out):
+    """Copy a state."""
+    for i in range(len(source_pose)):
+        for c in range(12):
+            pose_out[i, c] = source_pose[i, c]
+        for c in range(6):
+            twist_out[i, c] = source_twist[i, c]
+
+
+@kernel
+def is_finite(pose, twist):
+    """True when no number of a state is NaN or infinite."""
+    total = 0.0
+    for i in range(len(pose)):
+        for c in range(12):
+            total += abs(pose[i, c])
+        for c in range(6):
+            total += abs(twist[i, c])
+    return total < math.inf

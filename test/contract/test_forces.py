@@ -1,0 +1,276 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What holds for every kind of force; a new kind is tested by giving examples of it here."""
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mechanisms
+from liegroup_core import Simulation
+from liegroup_core.forces import gravity, kinds
+from liegroup_core.lie.groups import SE3
+from liegroup_core.model.arrays import WORLD
+from liegroup_core.model.build import build_model
+from liegroup_core.scene import (ConstantWrench, Drag, LinearMotor, LinearSpringDamper, Motor,
+                                 SpringDamper, TorsionalSpringDamper)
+from liegroup_core.scene.description import FORCES
+from naive import displaced
+
+BODIES = ("a", "b", "c")
+INDEX = {"a": 0, "b": 1, "c": 2, "world": WORLD}
+ON_JOINTS = {"between": ("a", "b"), "ground": ("world", "c")}
+
+# Of each kind one force between bodies, where there is such a thing, and one to the world.
+EXAMPLES = {
+    "spring_damper": [
+        SpringDamper(name="s", parent="a", child="b", parent_point=(0.1, 0.2, 0.3),
+                     child_point=(0.4, -0.2, 0.1), stiffness=50, damping=3, rest_length=0.7),
+        SpringDamper(name="t", parent="world", child="c", parent_point=(0, 0, 1),
+                     child_point=(0.4, 0, 0), stiffness=20)],
+    "torsional_spring_damper": [
+        TorsionalSpringDamper(name="s", joint="between", stiffness=4, damping=0.3, rest_angle=9),
+        TorsionalSpringDamper(name="t", joint="ground", stiffness=2, damping=0.1)],
+    "linear_spring_damper": [
+        LinearSpringDamper(name="s", joint="between", stiffness=40, damping=3, rest_position=0.3),
+        LinearSpringDamper(name="t", joint="ground", stiffness=20, damping=1)],
+    "motor": [Motor(name="s", joint="between", torque=-4, rate_limit=3),
+              Motor(name="t", joint="ground", torque=3)],
+    "linear_motor": [LinearMotor(name="s", joint="between", force=-4, speed_limit=3),
+                     LinearMotor(name="t", joint="ground", force=3)],
+    "drag": [Drag(name="s", body="a", linear=2, quadratic=3, angular=0.5, angular_quadratic=0.7),
+             Drag(name="t", body="b", quadratic=1)],
+    "applied_wrench": [
+        ConstantWrench(name="s", body="a", torque=(1, 2, 3), force=(4, 5, -6), point=(1, 0.2, 3)),
+        ConstantWrench(name="t", body="b", torque=(1, 2, 3), force=(4, 5, -6), point=(1, 0.2, 3),
+                       axes="world")],
+}
+DRIVEN = ("motor", "linear_motor", "applied_wrench")     # their power may be positive
+ELASTIC = [kind for kind, module in kinds.KINDS.items() if hasattr(module, "energy")]
+SEEDS = range(4)
+
+
+class State:
+    """A random state of three free bodies and a force of one kind on them.
+
+    Its joints are frames only: the poses are far from what a joint would allow, up to 0.4 rad of
+    tilt, so that what holds here holds where a method lets a joint drift, too.
+    """
+
+    def __init__(self, kind, seed, described=None):
+        rng = np.random.default_rng([seed, 5])
+        pose = np.array([mechanisms.random_pose(rng) for _ in BODIES])
+        ends = {}
+        for name, (parent, child) in ON_JOINTS.items():
+            F_a, F_b = mechanisms.random_pose(rng), mechanisms.random_pose(rng)
+            moved = SE3.exp([*rng.uniform(-0.3, 0.3, 2), rng.normal(), *rng.normal(size=3)])
+            C_a = np.eye(4) if parent == "world" else pose[INDEX[parent]]
+            pose[INDEX[child]] = C_a @ F_a @ moved @ np.linalg.inv(F_b)
+            ends[name] = (INDEX[parent], INDEX[child], F_a, F_b)
+        self.matrices = pose
+        self.twist = rng.normal(size=(3, 6))
+        self.forces = kinds.make_forces(EXAMPLES[kind] if described is None else described,
+                                        INDEX, ends)
+        self.angle = np.full(len(self.forces.torsional_spring_damper), 20.0)    # three turns
+        kinds.count_turns(self.forces, flat(pose), self.angle)
+        self.acting = np.ones(len(self.forces.applied_wrench), dtype=bool)
+
+    def wrench(self, twist):
+        out = np.zeros((3, 6))
+        kinds.add_wrenches(self.forces, self.angle, self.acting, flat(self.matrices), twist, out)
+        return out
+
+    def energy(self, motion=np.zeros((3, 6))):
+        """Energy after all bodies have moved along these body twists."""
+        moved = [displaced(matrix, twist) for matrix, twist in zip(self.matrices, motion)]
+        return kinds.energy(self.forces, self.angle, flat(moved))
+
+    def power(self, twist):
+        return kinds.power(self.forces, self.acting, flat(self.matrices), twist)
+
+
+def flat(matrices):
+    """Poses (n, 12) of matrices (n, 4, 4)."""
+    matrices = np.array(matrices)
+    return np.concatenate([matrices[:, :3, :3].reshape(-1, 9), matrices[:, :3, 3]], axis=1)
+
+
+def test_every_kind_is_known_everywhere():
+    types = [cls.model_fields["type"].default for cls in FORCES]
+    assert list(kinds.KINDS) == list(kinds.Forces._fields) == types == list(EXAMPLES)
+
+
+@pytest.mark.parametrize("kind", [k for k, m in kinds.KINDS.items() if "parent" in m.ROW.names])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_forces_between_bodies_cancel(kind, seed):
+    """Force and torque about any point sum to zero in world axes.
+
+    A few dozen roundings of terms as large as force times arm, below 1e3 here: 100 * 1e3 * eps.
+    """
+    state = State(kind, seed, EXAMPLES[kind][:1])
+    about = np.random.default_rng(seed).normal(size=3)
+    total, size = np.zeros(6), 0.0
+    for matrix, wrench in zip(state.matrices, state.wrench(state.twist)):
+        torque, force = matrix[:3, :3] @ wrench[:3], matrix[:3, :3] @ wrench[3:]
+        total += np.concatenate([torque + np.cross(matrix[:3, 3] - about, force), force])
+        size = max(size, np.abs(wrench).max())
+    assert size > 0.1
+    assert np.abs(total).max() <= 100 * 1e3 * 2.2e-16
+
+
+@pytest.mark.parametrize("kind", ELASTIC)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_wrench_at_rest_is_minus_the_gradient_of_the_energy(kind, seed):
+    """Five-point differences of step 1e-3 leave 1e-12 of the fifth derivative, and eps / 1e-3 of
+    the energy, both below 1e3: 1e-9."""
+    state = State(kind, seed)
+    wrench = state.wrench(np.zeros((3, 6)))
+    assert np.abs(wrench).max() > 0.1
+    for body in range(3):
+        for c in range(6):
+            motion = np.zeros((3, 6))
+            motion[body, c] = 1e-3
+            assert wrench[body, c] == pytest.approx(-difference(state, motion) / 1e-3, abs=1e-8)
+
+
+def difference(state, motion):
+    """Change of the energy along a small motion, five-point rule."""
+    return (state.energy(-2 * motion) - 8 * state.energy(-motion) + 8 * state.energy(motion)
+            - state.energy(2 * motion)) / 12
+
+
+def test_gravity_is_minus_the_gradient_of_its_energy():
+    rng = np.random.default_rng(3)
+    model, *_ = build_model(mechanisms.named("tree"))
+    matrices = np.array([mechanisms.random_pose(rng) for _ in model.bodies])
+    wrench = np.zeros((len(matrices), 6))
+    gravity.add_wrench(model, flat(matrices), wrench)
+    for body in range(len(matrices)):
+        for c in range(6):
+            ends = []
+            for sign in (1.0, -1.0):
+                moved = matrices.copy()
+                moved[body] = displaced(matrices[body], sign * 1e-4 * np.eye(6)[c])
+                ends.append(gravity.energy(model, flat(moved)))
+            # the energy is linear in the place, so that only eps / 1e-4 of it is left
+            assert wrench[body, c] == pytest.approx((ends[1] - ends[0]) / 2e-4, abs=1e-9)
+
+
+@pytest.mark.parametrize("kind", kinds.KINDS)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_work_is_energy_taken_plus_power(kind, seed):
+    """wrench . twist = -dE/dt + power, at any state; the accuracy is that of the gradient."""
+    state = State(kind, seed)
+    work = np.sum(state.wrench(state.twist) * state.twist)
+    rate = difference(state, 1e-3 * state.twist) / 1e-3 if kind in ELASTIC else 0.0
+    assert state.energy() == 0.0 or kind in ELASTIC
+    assert abs(work) > 1e-3
+    assert work == pytest.approx(state.power(state.twist) - rate, rel=1e-10, abs=1e-8)
+
+
+@pytest.mark.parametrize("kind", [kind for kind in kinds.KINDS if kind not in DRIVEN])
+def test_what_dissipates_never_gives_power(kind):
+    powers = [State(kind, seed).power(State(kind, seed).twist) for seed in range(20)]
+    assert max(powers) < 0.0
+    assert State(kind, 0).power(np.zeros((3, 6))) == 0.0
+
+
+def test_without_rows_nothing_happens():
+    state = State("drag", 0, described=[])
+    wrench = np.random.default_rng(0).normal(size=(3, 6))
+    before = wrench.tobytes()
+    kinds.add_wrenches(state.forces, state.angle, state.acting, flat(state.matrices), state.twist,
+                       wrench)
+    assert wrench.tobytes() == before
+    assert state.energy() == 0.0 and state.power(state.twist) == 0.0
+    assert kinds.too_fast(state.forces, 1e9, flat(state.matrices), state.twist) == -1
+
+
+def test_a_wrench_acts_where_it_is_told_to():
+    state = State("applied_wrench", 0)
+    for acting in ([True, False], [False, True], [False, False]):
+        state.acting[:] = acting
+        wrench = state.wrench(state.twist)
+        assert wrench.any(axis=1).tolist() == [*acting, False]
+        assert (state.power(state.twist) == 0.0) == (not any(acting))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_wrench_in_body_axes_is_that_in_world_axes_turned(seed):
+    both = [ConstantWrench(name=axes, body="a", torque=(1, 2, 3), force=(4, 5, -6), axes=axes)
+            for axes in ("world", "body")]
+    state = State("applied_wrench", seed, both)
+    state.acting[:] = (True, False)
+    in_world = state.wrench(state.twist)[0].reshape(2, 3)
+    np.testing.assert_allclose(in_world @ state.matrices[0][:3, :3].T, [[1, 2, 3], [4, 5, -6]],
+                               atol=1e-14)      # a few roundings of numbers below 9
+
+
+# ---------------------------------------------------------------- along a motion
+
+def busy_scene():
+    """A chain of three hinges with every kind of force that hinges can have."""
+    scene = mechanisms.named("chain of hinges")
+    forces = [
+        *scene.forces,
+        TorsionalSpringDamper(name="coil", joint="j0", stiffness=3, damping=0.05, rest_angle=8),
+        TorsionalSpringDamper(name="inner", joint="j1", stiffness=2, damping=0.02, rest_angle=-4),
+        Motor(name="motor", joint="j2", torque=0.7, rate_limit=9),
+        Motor(name="push", joint="j1", torque=-0.3),
+        Drag(name="air", body="b", linear=0.1, quadratic=0.02, angular=0.01,
+             angular_quadratic=0.003),
+        ConstantWrench(name="wind", body="c", torque=(0.1, 0, 0), force=(1, 0.5, 0),
+                       point=(0.1, 0, 0.2), axes="world"),
+        ConstantWrench(name="jet", body="a", force=(0.4, 0.1, 0), point=(0, 0, 0.3))]
+    return scene.model_copy(update={"forces": tuple(forces)})
+
+
+@pytest.mark.parametrize("group", ["se3", "so3xr3"])
+def test_energy_changes_by_the_power(group):
+    """E(T) - E(0) = integral of the power; step and Simpson's rule are both of order 4."""
+    gaps = []
+    for steps in (500, 1000):
+        simulation = Simulation(busy_scene(), step=1.0 / steps, group=group)
+        samples = [simulation.sample()]
+        for _ in range(steps):
+            simulation.advance()
+            samples.append(simulation.sample())
+        power = np.array([sample.power for sample in samples])
+        integral = (power[0] + power[-1] + 4 * power[1::2].sum() + 2 * power[2:-1:2].sum()) / (
+            3 * steps)
+        gaps.append(abs(samples[-1].energy - samples[0].energy - integral))
+    assert np.abs(power).mean() > 1.0
+    assert gaps[1] < gaps[0] / 12 and gaps[1] < 1e-5 * np.abs(power).mean()
+
+
+@pytest.mark.parametrize("group", ["se3", "so3xr3"])
+def test_the_same_bits_however_the_steps_are_asked_for(group):
+    whole, pieces = (Simulation(busy_scene(), step=2e-3, group=group) for _ in range(2))
+    whole.advance(1500)
+    for _ in range(2):
+        pieces.reset()
+        for count in (1, 0, 7, 492, 1000):
+            pieces.advance(count)
+        for mine, theirs in zip(whole.state(), pieces.state()):
+            assert mine.tobytes() == theirs.tobytes()
+        assert whole.sample().angles.tobytes() == pieces.sample().angles.tobytes()
+
+
+def test_without_the_compiler_the_same_numbers():
+    """Plain Python rounds as machine code does; libm's last bit may differ."""
+    code = ("import sys; sys.path[:0] = sys.argv[1:]; import test_forces; "
+            "s = test_forces.Simulation(test_forces.busy_scene()); s.advance(20); "
+            "p = s.sample(); print(p.pose.tobytes().hex(), p.energy.hex(), p.power.hex())")
+    here = Path(__file__).parent
+
+    def run(disable):
+        out = subprocess.run(
+            [sys.executable, "-c", code, str(here), str(here.parent)], capture_output=True,
+            text=True, check=True, env={**os.environ, "NUMBA_DISABLE_JIT": disable}).stdout.split()
+        return np.frombuffer(bytes.fromhex(out[0])), *map(float.fromhex, out[1:])
+
+    plain, fast = run("1"), run("0")
+    assert np.abs(plain[0] - fast[0]).max() <= 1e-13
+    assert plain[1:] == pytest.approx(fast[1:], rel=1e-12)

@@ -1,0 +1,333 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every registered method must do: its coefficients, and how it behaves behind Simulation.
+
+The order on problems with references: test/verification/test_orders.py.
+"""
+import math
+import os
+import subprocess
+import sys
+from itertools import combinations_with_replacement
+
+import numpy as np
+import pytest
+from scipy.integrate import RK45
+
+import mechanisms
+from liegroup_core import Simulation, SimulationError, load_scene
+from liegroup_core.integrators import FAMILIES, check_options, rkmk
+from liegroup_core.integrators.methods import METHODS
+from liegroup_core.integrators.status import (DEPENDENT_ROWS, NOT_CONVERGED, NOT_FINITE,
+                                              ROTATION_TOO_LARGE, SUBSTEP_TOO_SMALL,
+                                              TOO_MANY_SUBSTEPS)
+
+TABLEAUS = {name: method for name, method in METHODS.items() if method.coefficients}
+CONTROLLED = [name for name, method in TABLEAUS.items() if method.tableau.e is not None]
+UNIT = 2.0 ** -53
+
+
+def rooted_trees(order):
+    """All rooted trees with so many vertices; a tree is the sorted tuple of its subtrees."""
+    if order == 1:
+        return [()]
+    return sorted(set(forests(order - 1, order - 1)))
+
+
+def forests(vertices, largest):
+    """All sorted tuples of trees with so many vertices together, none above `largest`."""
+    if vertices == 0:
+        return [()]
+    found = []
+    for size in range(1, min(vertices, largest) + 1):
+        for count in range(1, vertices // size + 1):
+            for rest in forests(vertices - count * size, size - 1):
+                for trees in combinations_with_replacement(rooted_trees(size), count):
+                    found.append(tuple(sorted(trees + rest)))
+    return found
+
+
+def vertices(tree):
+    return 1 + sum(map(vertices, tree))
+
+
+def density(tree):
+    """gamma(t), the product of the sizes of all subtrees."""
+    return vertices(tree) * math.prod(map(density, tree))
+
+
+def weights(a, tree):
+    """(s,) stage weights of a tree: product over the subtrees of a times theirs."""
+    product = np.ones(len(a))
+    for subtree in tree:
+        product = product * (a @ weights(a, subtree))
+    return product
+
+
+def defect(a, b, tree, wanted):
+    """Violation of the tree's order condition, and what rounding of the coefficients explains.
+
+    Every factor is rounded once and every product and sum of up to s terms again: at most
+    2 vertices (s + 2) units of the sum of all absolute values.
+    """
+    value = b @ weights(a, tree)
+    size = np.abs(b) @ weights(np.abs(a), tree)
+    return abs(value - wanted), 2 * vertices(tree) * (len(b) + 2) * UNIT * max(size, 1.0)
+
+
+def test_there_are_as_many_rooted_trees_as_known():
+    """Numbers of rooted trees with 1..9 vertices: OEIS A000081."""
+    assert [len(rooted_trees(n)) for n in range(1, 10)] == [1, 1, 2, 4, 9, 20, 48, 115, 286]
+
+
+@pytest.mark.parametrize("name", TABLEAUS)
+def test_tableau_is_explicit_and_nodes_are_row_sums(name):
+    tableau = METHODS[name].tableau
+    s = len(tableau.b)
+    assert tableau.a.shape == (s, s) and tableau.c.shape == (s,)
+    assert (np.triu(tableau.a) == 0.0).all()
+    assert np.abs(tableau.a.sum(axis=1) - tableau.c).max() <= s * UNIT * np.abs(tableau.a).max()
+
+
+@pytest.mark.parametrize("name", TABLEAUS)
+def test_all_order_conditions_up_to_the_stated_order(name):
+    method = METHODS[name]
+    a, b = method.tableau.a, method.tableau.b
+    for order in range(1, method.order + 1):
+        for tree in rooted_trees(order):
+            off, allowed = defect(a, b, tree, 1.0 / density(tree))
+            assert off <= allowed, tree
+    # One order more is not reached, and not by a rounding's width.
+    assert max(defect(a, b, tree, 1.0 / density(tree))[0]
+               for tree in rooted_trees(method.order + 1)) > 1e-6
+
+
+@pytest.mark.parametrize("name", CONTROLLED)
+def test_error_estimate_is_of_one_order_less(name):
+    """e is the difference of two methods with the slope at the end as one more stage."""
+    method = METHODS[name]
+    tableau = method.tableau
+    a = np.zeros((len(tableau.b) + 1,) * 2)
+    a[:-1, :-1], a[-1, :-1] = tableau.a, tableau.b
+    for order in range(1, method.order):
+        for tree in rooted_trees(order):
+            off, allowed = defect(a, tableau.e, tree, 0.0)
+            assert off <= allowed, tree
+    assert max(defect(a, tableau.e, tree, 0.0)[0] for tree in rooted_trees(method.order)) > 1e-6
+
+
+def test_dormand_prince_is_that_of_scipy():
+    tableau = METHODS["rkmk54"].tableau
+    assert np.abs(tableau.a[:, :5] - RK45.A).max() <= 2 * UNIT
+    assert np.abs(tableau.b - RK45.B).max() <= UNIT
+    # Differences of weights below 1, each rounded.
+    assert np.abs(tableau.e + RK45.E).max() <= 2 * UNIT
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_entry_is_complete(name):
+    method = METHODS[name]
+    assert method.name == name and method.order >= 1 and method.source
+    assert set(check_options(name, {})) == set(FAMILIES[method.family].options(method))
+
+
+@pytest.mark.parametrize("group", ["se3", "so3xr3"])
+@pytest.mark.parametrize("name", METHODS)
+def test_the_same_bits_however_the_steps_are_asked_for(name, group):
+    """Also with a wrench that starts and ends in between, and again after a reset."""
+    scene = mechanisms.named("net")
+
+    def run(simulation, counts):
+        simulation.reset()
+        simulation.apply_wrench("b", (0.1, 0.2, -0.3, 1.0, 2.0, 3.0), start=0.02, duration=0.03)
+        for count in counts:
+            simulation.advance(count)
+        return b"".join(part.tobytes() for part in simulation.state())
+
+    whole, pieces = (Simulation(scene, method=name, group=group, step=2e-3) for _ in range(2))
+    expected = run(whole, [60])
+    assert run(pieces, [1, 2, 0, 7, 0, 20, 30]) == expected
+    assert run(pieces, [30, 30]) == expected
+    assert whole.steps == 60
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_a_copied_state_goes_on_as_a_new_simulation_does(name):
+    """Nothing that a method keeps between calls survives set_state."""
+    scene = load_scene("heavy_top")
+    used, new = (Simulation(scene, method=name, step=1e-3) for _ in range(2))
+    used.advance(37)
+    pose, twist = used.state()
+    used.set_state(pose, twist)
+    new.set_state(pose, twist)
+    for simulation in (used, new):
+        simulation.advance(20)
+    assert used.state()[0].tobytes() == new.state()[0].tobytes()
+    assert used.state()[1].tobytes() == new.state()[1].tobytes()
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_steps_too_large_stop_with_the_last_good_state(name):
+    """150 rad/s at 0.1 s asks for 15 rad; under error control substeps make that no trouble."""
+    simulation = Simulation(load_scene("lagrangian_top"), method=name, step=0.1)
+    before = simulation.state()
+    if name in CONTROLLED:
+        simulation.advance(1)
+        assert simulation.substeps[0] > 15.0 / (2.0 * math.pi)
+        return
+    with pytest.raises(SimulationError, match="smaller step") as failure:
+        simulation.advance(10)
+    assert failure.value.status in (ROTATION_TOO_LARGE, NOT_FINITE, NOT_CONVERGED)
+    assert "\n" not in str(failure.value) and simulation.steps == 0
+    for mine, theirs in zip(simulation.state(), before):
+        assert mine.tobytes() == theirs.tobytes()
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_overflow_stops_with_the_last_good_state(name):
+    simulation = Simulation(load_scene("free_body"), method=name, step=1.0)
+    simulation.apply_wrench("body", (0, 0, 0, 1e308, 0, 0), start=3.0)
+    with pytest.raises(SimulationError) as failure:
+        simulation.advance(1000)
+    assert failure.value.status in (NOT_FINITE, ROTATION_TOO_LARGE, NOT_CONVERGED)
+    assert np.isfinite(simulation.state()[0]).all() and np.isfinite(simulation.state()[1]).all()
+    assert simulation.steps >= 3
+    stopped = simulation.state()[0].tobytes()
+    with pytest.raises(SimulationError):
+        simulation.advance(1)
+    assert simulation.state()[0].tobytes() == stopped
+    simulation.reset()
+    simulation.advance(2)
+    assert simulation.steps == 2
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_a_singular_pose_is_solved_or_stops_with_the_state_kept(name):
+    """Two links in line between ground points: the middle joint's rows depend on the others'.
+
+    It is open by half a metre there, which an implicit method cannot close within a step.
+    """
+    simulation = Simulation(mechanisms.two_links(1.5), method=name)
+    pose, twist = np.zeros((2, 12)), np.zeros((2, 6))
+    pose[0, :9] = np.eye(3).ravel()
+    pose[1, :9] = np.diag([-1.0, -1.0, 1.0]).ravel()
+    pose[0, 9], pose[1, 9] = 0.5, 2.0 - 0.75
+    simulation.set_state(pose, twist, steps=3)
+    try:
+        simulation.advance(1)
+    except SimulationError as failure:
+        assert failure.status in (DEPENDENT_ROWS, NOT_CONVERGED, ROTATION_TOO_LARGE)
+        assert simulation.steps == 3
+        assert (simulation.state()[0] == pose).all() and (simulation.state()[1] == twist).all()
+    assert simulation.singular_solves > 0
+    # From rest they can only fall by O(h^2).
+    assert np.abs(simulation.state()[0] - pose).max() <= 1e-4
+
+
+@pytest.mark.parametrize("name", [n for n in METHODS if n not in CONTROLLED])
+def test_a_rotation_beyond_pi_warns_once(name, caplog):
+    """A free body turns about an axis of inertia, which every method follows at any step."""
+    simulation = Simulation(load_scene("free_body"), method=name, step=0.5)
+    simulation.set_state(simulation.state()[0], [[0.0, 0.0, 8.0, 0.0, 0.0, 0.0]])
+    simulation.advance(1)
+    simulation.advance(2)
+    assert len([r for r in caplog.records if "more than pi" in r.message]) == 1
+
+
+@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize("group", ["se3", "so3xr3"])
+def test_a_free_body_without_forces_or_motion_stays(name, group):
+    simulation = Simulation(load_scene("free_body"), method=name, group=group, step=0.25)
+    pose = simulation.state()[0]
+    simulation.set_state(pose, np.zeros((1, 6)))
+    simulation.advance(8)
+    assert (simulation.state()[0] == pose).all() and (simulation.state()[1] == 0.0).all()
+
+
+def test_options_are_refused_where_they_mean_nothing_or_are_wrong():
+    scene = load_scene("free_body")
+    for options, text in (
+            ({"method": "rkmk4", "rtol": 1e-6}, "rkmk4 has no option 'rtol'; it has: dexpinv"),
+            ({"method": "rkmk54", "rho_inf": 1.0}, "it has: dexpinv, rtol, atol"),
+            ({"method": "rkmk54", "atol": 0.0}, "atol must be a positive number, got 0.0"),
+            ({"method": "rkmk54", "rtol": math.nan}, "rtol must be a positive number"),
+            ({"method": "rkmk4", "dexpinv": "none"}, "'exact' or 'truncated', got 'none'"),
+            ({"method": "generalized_alpha", "rho_inf": 1.1}, "rho_inf must be a number from 0"),
+            ({"method": "generalized_alpha", "stabilisation": "projection"}, "closed by itself")):
+        with pytest.raises(ValueError, match=text):
+            Simulation(scene, **options)
+    assert Simulation(scene, method="rkmk54", rtol=1e-3).options == {
+        "dexpinv": "exact", "rtol": 1e-3, "atol": 1e-6}
+
+
+def test_substeps_are_deterministic_counted_and_forgotten():
+    simulation = Simulation(load_scene("heavy_top"), method="rkmk54", step=0.1, rtol=1e-9,
+                            atol=1e-9)
+    assert simulation.substeps == (0, 0)
+    simulation.advance(5)
+    good, attempts = simulation.substeps
+    assert 5 < good < attempts
+    state = simulation.state()[0].tobytes()
+    simulation.reset()
+    assert simulation.substeps == (0, 0)
+    simulation.advance(5)
+    assert simulation.substeps == (good, attempts)
+    assert simulation.state()[0].tobytes() == state
+    assert Simulation(load_scene("heavy_top")).substeps == (0, 0)
+
+
+def test_error_norm_is_the_documented_one():
+    """The largest body's |dxi|, |deta| by atol, |dw|, |dv| by atol + rtol |velocity|."""
+    simulation = Simulation(mechanisms.named("chain of balls"), method="rkmk54", rtol=3e-4,
+                            atol=2e-5)
+    integrator = simulation._integrator
+    n, stages = 3, len(METHODS["rkmk54"].tableau.e)
+    rng = np.random.default_rng(4)
+    slopes = rng.normal(size=(stages, n, 12))
+    before, after = rng.normal(size=(2, n, 6))
+    integrator.work.slopes[:] = slopes.reshape(-1, 12)
+    integrator.work.stage_twist[:] = after
+    delta = 0.01 * np.einsum("s,snc->nc", METHODS["rkmk54"].tableau.e, slopes).reshape(n, 4, 3)
+    size = np.maximum(*(np.linalg.norm(v.reshape(n, 2, 3), axis=2) for v in (before, after)))
+    tolerance = 2e-5 + 3e-4 * np.hstack([np.zeros((n, 2)), size])
+    expected = np.sqrt(((np.linalg.norm(delta, axis=2) / tolerance) ** 2).sum(axis=1)).max()
+    found = rkmk._error(simulation.layout.model, integrator.work, integrator._scheme, 0.01, before)
+    assert found == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_tolerance_out_of_reach_ends_with_a_status():
+    """Far below rounding no substep is good; a long step needs too many of them."""
+    simulation = Simulation(load_scene("heavy_top"), method="rkmk54", step=0.01, rtol=1e-40,
+                            atol=1e-40)
+    before = simulation.state()[0].tobytes()
+    with pytest.raises(SimulationError, match="raise atol and rtol") as failure:
+        simulation.advance(1)
+    assert failure.value.status == SUBSTEP_TOO_SMALL
+    assert simulation.state()[0].tobytes() == before and simulation.steps == 0
+    simulation = Simulation(load_scene("heavy_top"), method="rkmk54", step=1000.0)
+    with pytest.raises(SimulationError, match="too many substeps") as failure:
+        simulation.advance(1)
+    assert failure.value.status == TOO_MANY_SUBSTEPS
+    assert simulation.state()[0].tobytes() == before and simulation.steps == 0
+
+
+def test_without_the_compiler_the_same_numbers():
+    """Plain Python rounds as machine code does: no fast-math. libm's last bit may differ."""
+    code = ("import sys; sys.path.insert(0, sys.argv[1]); import mechanisms\n"
+            "from liegroup_core import Simulation\n"
+            "from liegroup_core.integrators.methods import METHODS\n"
+            "for name in METHODS:\n"
+            "    s = Simulation(mechanisms.named('chain of balls'), method=name, step=5e-3)\n"
+            "    s.advance(4)\n"
+            "    print(s.state()[0].tobytes().hex())")
+    here = os.path.dirname(os.path.dirname(__file__))
+
+    def run(disable):
+        lines = subprocess.run(
+            [sys.executable, "-c", code, here], capture_output=True, text=True, check=True,
+            env={**os.environ, "NUMBA_DISABLE_JIT": disable}).stdout.split()
+        return [np.frombuffer(bytes.fromhex(line)) for line in lines]
+
+    plain, fast = run("1"), run("0")
+    assert len(plain) == len(METHODS)
+    for mine, theirs in zip(plain, fast):
+        assert np.abs(mine - theirs).max() <= 1e-13

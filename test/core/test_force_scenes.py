@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Forces in scene files: what is read, and every mistake in one line that says where and what."""
+import math
+
+import pytest
+
+from liegroup_core.errors import SceneError
+from liegroup_core.model.build import build_model
+from liegroup_core.scene import scene_from_text
+
+HEAD = """\
+name: rig
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: a, mass: 1, inertia: [1, 1, 1]}
+  - {name: b, mass: 1, inertia: [1, 1, 1]}
+joints:
+  - {name: ball, type: spherical, parent: world, child: a, child_frame: {}}
+  - {name: hinge, type: revolute, parent: a, child: b, child_frame: {}}
+forces:
+"""
+SPRING = "type: torsional_spring_damper, joint: hinge, stiffness: 5, damping: 1, rest_angle: -20"
+MOTOR = "type: motor, joint: hinge, torque: -5, rate_limit: 100"
+DRAG = "type: drag, body: a, linear: 1, quadratic: 2, angular: 3, angular_quadratic: 4"
+PUSH = ("type: applied_wrench, body: b, force: [1, 2, 3], torque: [4, 5, 6], point: [7, 8, 9], "
+        "axes: world, start: 0.25, end: 0.75")
+
+
+def scene_with(force):
+    return scene_from_text(HEAD + f"  - {{name: it, {force}}}\n", source="x.yaml")
+
+
+def test_every_number_arrives_in_the_model():
+    def row(force):
+        scene = scene_with(force)
+        again = scene_from_text(scene.model_copy(update={}).text)
+        assert again.model_dump() == scene.model_dump()
+        return getattr(build_model(scene)[0].forces, scene.forces[0].type)[0]
+
+    spring = row(SPRING)
+    assert [spring[key] for key in ("parent", "child", "stiffness", "damping", "rest_angle")] == [
+        0, 1, 5, 1, -20]
+    motor = row(MOTOR)
+    assert (motor["torque"], motor["slope"]) == (-5, 0.05)
+    assert row(MOTOR.replace(", rate_limit: 100", ""))["slope"] == 0.0
+    assert row(DRAG).tolist() == (0, 1, 2, 3, 4)
+    push = row(PUSH)
+    assert push["world_axes"] == 1 and push["body"] == 1
+    assert [*push["force"], *push["torque"], *push["point"]] == [*range(1, 10)]
+    assert (push["start"], push["end"]) == (0.25, 0.75)
+    push = row("type: applied_wrench, body: b")
+    assert (push["world_axes"], push["start"], push["end"]) == (0, 0.0, math.inf)
+
+
+@pytest.mark.parametrize("force, message", [
+    (SPRING.replace("hinge", "hing"),
+     "joint 'hing' is no joint; did you mean \"hinge\"? known are ball, hinge"),
+    (SPRING.replace("hinge", "ball"),
+     'joint "ball" is spherical, but torsional_spring_damper needs one that is revolute or '),
+    (MOTOR.replace("hinge", "ball"), 'joint "ball" is spherical, but motor needs one that is '),
+    ("type: linear_motor, joint: hinge, force: 1",
+     'joint "hinge" is revolute, but linear_motor needs one that is prismatic or '),
+    ("type: linear_spring_damper, joint: hinge, stiffness: 1",
+     'joint "hinge" is revolute, but linear_spring_damper needs one that is prismatic or '),
+    (SPRING.replace("joint: hinge, ", ""), "joint is missing: give the name of a joint that "),
+    (SPRING.replace("joint: hinge", "joint: 3"), "joint must be text, got 3"),
+    (SPRING.replace("stiffness: 5", "stiffness: -5"), "stiffness must not be negative, got -5"),
+    (SPRING.replace("-20", ".inf"), "rest_angle must be finite, got inf"),
+    (SPRING.replace("rest_angle", "rest_angel"),
+     "unknown key 'rest_angel'; did you mean \"rest_angle\"?"),
+    (MOTOR.replace("100", "0"), "rate_limit must be greater than 0, got 0"),
+    (MOTOR.replace("torque: -5, ", ""), "torque is missing: give the torque on the child at rest"),
+    (DRAG.replace("body: a", "body: c"), "body 'c' is no body; known are a, b"),
+    (DRAG.replace("body: a", "body: world"), "body 'world' is no body; known are a, b"),
+    (DRAG.replace("quadratic: 2", "quadratic: -2"), "quadratic must not be negative, got -2"),
+    (PUSH.replace("0.75", "0.25"), "end 0.25 must be later than start 0.25: give a later end"),
+    (PUSH.replace("start: 0.25", "start: -1"), "start must not be negative, got -1"),
+    (PUSH.replace("axes: world", "axes: hinge"), "axes must be 'body' or 'world', got 'hinge'"),
+    (PUSH.replace("[1, 2, 3]", "[1, 2]"), "force must have 3 numbers [x, y, z], got [1, 2]"),
+])
+def test_a_mistake_is_one_line(force, message):
+    with pytest.raises(SceneError) as caught:
+        scene_with(force)
+    text = str(caught.value)
+    assert len(text.splitlines()) == 1
+    head, _, rest = text.partition('forces[0] "it": ')
+    assert head == "x.yaml:10: " and rest.startswith(message), text
+
+
+def test_a_joint_force_without_joints():
+    text = HEAD[:HEAD.index("joints:")] + f"forces:\n  - {{name: it, {MOTOR}}}\n"
+    with pytest.raises(SceneError, match="joint 'hinge' is no joint; the scene has no joints"):
+        scene_from_text(text)

@@ -1,0 +1,320 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Joints: rows and residuals of every kind, against the motions they allow and differences.
+
+What a joint allows is said here once more, as motions along single directions and as formulas of
+machines (the thread of a screw, Hooke's joint, the conical pendulum), without the table of rows.
+"""
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import engine
+import mechanisms
+import naive
+from liegroup_core import Simulation
+from liegroup_core.joints import (LOWER_PAIRS, elements_of, forbidden_rows, position_residual,
+                                  rotation_z_to)
+from liegroup_core.scene.consistency import resolve_elements
+from liegroup_core.scene.description import Body, DistanceJoint, Frame, Scene
+
+EPS = np.finfo(float).eps
+WX, WY, WZ, VX, VY, VZ = np.eye(6)
+TURN_OVER = np.diag([1.0, -1.0, -1.0, 1.0])
+
+FREE = {
+    "spherical": lambda pitch: [WX, WY, WZ],
+    "revolute": lambda pitch: [WZ],
+    "prismatic": lambda pitch: [VZ],
+    "cylindrical": lambda pitch: [WZ, VZ],
+    "planar": lambda pitch: [WZ, VX, VY],
+    "screw": lambda pitch: [WZ + pitch * VZ],
+    "fixed": lambda pitch: [],
+}
+
+
+def motion(twist):
+    """Pose that a constant twist (angular first) leads to after unit time."""
+    generator = np.zeros((4, 4))
+    generator[:3, :3] = naive.hat(twist[:3])
+    generator[:3, 3] = twist[3:]
+    return expm(generator)
+
+
+def elements(kind, pitch=0.7, length=0.9):
+    """Elements of a joint of some kind."""
+    return elements_of(SimpleNamespace(type=kind, pitch=pitch, length=length), np.eye(4))
+
+
+def residual(kind, C, **parameters):
+    return position_residual(elements(kind, **parameters), C)
+
+
+def allowed(rng, kind, pitch=0.7, size=1.0):
+    """A pose that a joint allows, from motions along single directions, and its elements."""
+    if kind == "universal":
+        return motion(size * rng.normal() * WX) @ motion(size * rng.normal() * WY), elements(kind)
+    if kind == "distance":
+        C = motion(rng.normal(size=6))
+        return C, elements(kind, length=np.linalg.norm(C[:3, 3]))
+    C = np.eye(4)
+    free = FREE[kind](pitch)
+    for _ in range(4 if free else 0):
+        C = C @ motion(size * rng.choice([-1, 1]) * free[rng.integers(len(free))])
+    return C, elements(kind, pitch)
+
+
+# ---------------------------------------------------------------- the table of lower pairs
+
+@pytest.mark.parametrize("kind", LOWER_PAIRS)
+@pytest.mark.parametrize("pitch", [0.0, 0.7, -3e-3])
+def test_the_rows_forbid_all_but_the_free_motions(kind, pitch):
+    pair = LOWER_PAIRS[kind]
+    A, free = pair.forbidden(pitch), np.reshape(FREE[kind](pitch), (-1, 6))
+    assert not (A @ free.T).any()
+    # No row says what another one says, and rows and free motions make up all six directions.
+    assert np.linalg.matrix_rank(A) == len(A) == 6 - len(free)
+    assert pair.turns_freely == (not A[:, :3].any()) == (len(free) == 3 and not free[:, 3:].any())
+    assert pair.text
+
+
+def test_every_lower_pair_is_there():
+    assert set(LOWER_PAIRS) == set(FREE)
+    assert set(mechanisms.KINDS) == {*FREE, "universal", "distance"}
+
+
+@pytest.mark.parametrize("kind", FREE)
+@pytest.mark.parametrize("size", [1e-9, 1e-3, 1.0, 3.0, np.pi, 6.0, 40.0])
+@pytest.mark.parametrize("pitch", [0.7, -1e-3])
+def test_the_residual_vanishes_on_the_subgroup(kind, size, pitch):
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        C, joint = allowed(rng, kind, pitch, size)
+        # expm of a motion by `size` is right to about (1 + size) eps, four of them in a row
+        assert np.abs(position_residual(joint, C)).max() <= 8 * (1 + size) * EPS
+
+
+@pytest.mark.parametrize("pitch", [1e-3, 0.5, -0.5, 20.0])
+def test_a_screw_may_turn_many_times(pitch):
+    for turns in (-10_000, -7, 0, 1, 1000, 123_456):
+        for angle in (-3.1, 0.0, 0.4, 3.1):
+            C = motion(angle * WZ)
+            C[2, 3] = pitch * (2.0 * math.pi * turns + angle)
+            error = residual("screw", C, pitch=pitch)
+            # z, the turns times 2 pi pitch, and their difference are rounded to its size; the
+            # angle, of size 3, to a few eps
+            assert np.abs(error).max() <= 4 * EPS * (abs(C[2, 3]) + 3.2 * abs(pitch))
+
+
+@pytest.mark.parametrize("pitch", [0.5, -0.5])
+def test_a_screw_is_on_the_thread_next_to_it(pitch):
+    """Half a thread further on the next one is nearer."""
+    lead = 2.0 * math.pi * abs(pitch)
+    for angle in (-2.0, 0.0, 1.0):
+        for off in (-0.49, -0.1, 0.2, 0.49):
+            for threads in (-3, 0, 5):
+                C = motion(angle * WZ)
+                C[2, 3] = pitch * angle + (off + threads) * lead
+                error = residual("screw", C, pitch=pitch)
+                assert error[-1] == pytest.approx(off * lead, abs=1e-13)
+                assert not error[:-1].any()
+
+
+@pytest.mark.parametrize("pitch", [0.0, 5e-324, 1e-300, -1e-30])
+def test_a_screw_without_a_pitch_is_a_hinge(pitch):
+    C = motion(1.2 * WZ)
+    C[:3, 3] = 0.1, -0.2, 0.3
+    error = residual("screw", C, pitch=pitch)
+    np.testing.assert_allclose(error, residual("revolute", C), atol=1e-15)
+    np.testing.assert_allclose(LOWER_PAIRS["screw"].forbidden(0.0),
+                               LOWER_PAIRS["revolute"].forbidden())
+
+
+@pytest.mark.parametrize("kind", FREE)
+def test_every_forbidden_motion_shows_in_full(kind):
+    """A single forbidden motion of any size is a residual of that size, up to half a turn."""
+    for direction in np.eye(6):
+        if any((direction * free).any() for free in FREE[kind](0.0)):
+            continue
+        for size in (1e-12, 0.3, 2.0, 3.1):
+            error = residual(kind, motion(size * direction), pitch=1.0)
+            # round-off of the entries of the matrix, of size 1 and `size`
+            assert abs(np.linalg.norm(error) - size) <= 8 * (1 + size) * EPS
+
+
+@pytest.mark.parametrize("kind", [kind for kind in FREE if kind != "spherical"])
+def test_an_axis_turned_over_is_half_a_turn_away(kind):
+    rng = np.random.default_rng(4)
+    for _ in range(5):
+        C, joint = allowed(rng, kind)
+        error = position_residual(joint, C @ TURN_OVER)
+        # the product of four exponentials is a rotation to a few eps: so is the sine of the tilt
+        assert np.linalg.norm(error[:2]) == pytest.approx(np.pi, abs=16 * EPS)
+    assert np.linalg.norm(residual(kind, TURN_OVER)) == np.pi
+
+
+def test_half_a_turn_about_the_axis_shows_where_it_is_forbidden():
+    half = np.diag([-1.0, -1.0, 1.0, 1.0])
+    for kind in ("prismatic", "fixed"):
+        assert np.linalg.norm(residual(kind, half)) == np.pi
+    assert residual("universal", motion(math.pi / 2 * WZ))[-1] == pytest.approx(-math.pi / 2)
+
+
+@pytest.mark.parametrize("kind", mechanisms.KINDS)
+@pytest.mark.parametrize("size", [1e-8, 1e-4])
+def test_next_to_closed_the_residual_changes_as_the_rows_say(kind, size):
+    """Anywhere the joint allows, in the axes of the child: residual(C exp X) = rows X + O(X^2)."""
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        C, joint = allowed(rng, kind)
+        X = size * rng.uniform(-1, 1, 6)
+        error = position_residual(joint, C @ motion(X)) - forbidden_rows(joint, C) @ X
+        distance = np.linalg.norm(C[:3, 3])
+        reach = 1.0 + distance + (1.0 / distance if kind == "distance" else 0.0)
+        # Second order: products of two vectors of up to sqrt(3) size each, in units in which the
+        # arm or the curvature of a sphere counts; then round-off of a few products.
+        assert np.abs(error).max() <= 6 * reach ** 2 * size ** 2 + 32 * reach * EPS
+
+
+def test_rotation_z_to_is_a_rotation_to_round_off():
+    rng = np.random.default_rng(3)
+    axes = list(rng.normal(size=(50, 3))) + [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0, -1, 0)]
+    axes += [(tiny, -tiny, sign) for tiny in (1e-300, 1e-170, 1e-16, 1e-8, 1e-3)
+             for sign in (1, -1)]
+    for axis in axes:
+        axis = np.array(axis) / np.linalg.norm(axis)
+        R = rotation_z_to(axis)
+        np.testing.assert_array_equal(R[:, 2], axis)
+        # the unit vectors it is built from are right to 1 eps, and three products are summed
+        np.testing.assert_allclose(R.T @ R, np.eye(3), atol=4 * EPS)
+        assert np.linalg.det(R) > 0.0
+        # shortest: the angle is that between z and the axis, trace = 1 + 2 cos
+        assert abs(np.trace(R) - (1.0 + 2.0 * axis[2])) <= 8 * EPS
+
+
+# ---------------------------------------------------------------- joints with own formulas
+
+def test_a_universal_joint_turns_its_shafts_as_hookes_joint_does():
+    """w_b / w_a = cos beta / (1 - sin^2 beta cos^2 gamma), shafts at an angle beta, the cross of
+    shaft a turned by gamma from their plane (any textbook on machines)."""
+    for beta in (0.0, 0.3, 1.2):
+        shaft_b = np.array([math.sin(beta), 0.0, math.cos(beta)])
+        for gamma in (0.0, 0.4, 2.0, -3.0):
+            cross = np.array([math.cos(gamma), math.sin(gamma), 0.0])   # x axis, in yoke a
+            y = np.cross(shaft_b, cross)
+            y /= np.linalg.norm(y)                                      # y axis, in yoke b
+            parent, child = np.eye(4), np.eye(4)
+            parent[:3, :3] = np.column_stack([cross, np.cross([0, 0, 1], cross), [0, 0, 1]])
+            child[:3, :3] = np.column_stack([np.cross(y, shaft_b), y, shaft_b])
+            C = np.linalg.inv(parent) @ child
+            joint = elements("universal")
+            assert np.abs(position_residual(joint, C)).max() <= 4 * EPS
+            ratio = math.cos(beta) / (1.0 - (math.sin(beta) * math.cos(gamma)) ** 2)
+            turning = child[:3, :3].T @ (ratio * shaft_b - [0, 0, 1])
+            # products of unit vectors, times a ratio up to 1 / cos beta = 2.8
+            assert np.abs(forbidden_rows(joint, C) @ [*turning, 0, 0, 0]).max() <= 16 * EPS
+            assert abs(forbidden_rows(joint, C)[-1] @ [*(1.1 * turning + 0.1), 0, 0, 0]) > 1e-3
+
+
+def conical_pendulum(angle=0.6, length=0.8):
+    """A ball on a rod that goes round; its period is 2 pi sqrt(l cos(angle) / g)."""
+    period = 2.0 * math.pi * math.sqrt(length * math.cos(angle) / 9.81)
+    radius = length * math.sin(angle)
+    ball = Body(name="ball", mass=2.0, inertia=(0.1, 0.2, 0.25), angular_velocity=(1.0, 2.0, 3.0),
+                position=(radius, 0, -length * math.cos(angle)),
+                linear_velocity=(0, 2.0 * math.pi * radius / period, 0))
+    rod = DistanceJoint(name="rod", parent="world", child="ball", parent_frame=Frame(),
+                        child_frame=Frame())
+    return period, Scene(name="cone", gravity=(0, 0, -9.81), bodies=[ball], joints=[rod])
+
+
+def test_a_rod_carries_a_conical_pendulum():
+    """After one period the ball, which turns as it likes, is where it began: order four."""
+    period, scene = conical_pendulum()
+    errors = {}
+    for steps in (250, 500, 1000):
+        simulation = Simulation(scene, step=period / steps)
+        start = simulation.sample().positions["ball"]
+        simulation.advance(steps)
+        errors[period / steps] = np.linalg.norm(simulation.sample().positions["ball"] - start)
+    slope = np.polyfit(np.log(list(errors)), np.log(list(errors.values())), 1)[0]
+    # the error of order five of a circle adds to this
+    assert 3.8 <= slope <= 5.2 and min(errors.values()) <= 1e-9
+
+
+# ---------------------------------------------------------------- the kernels of the engine
+
+@pytest.mark.parametrize("name", mechanisms.MECHANISMS)
+def test_the_kernel_has_the_residuals_of_the_joints(name):
+    """At poses where nothing is closed, too."""
+    rng = np.random.default_rng(3)
+    simulation = Simulation(mechanisms.named(name))
+    layout = simulation.layout
+    found = naive.matrices(simulation.state()[0])
+    for size in (0.0, 0.1, 3.0):
+        moved = np.array([C @ motion(size * rng.normal(size=6)) for C in found])
+        values = engine.residual(layout.model, moved)
+        where = dict(zip(layout.body_names, moved)) | {"world": np.eye(4)}
+        for i, (joint, frames, parts) in enumerate(zip(
+                layout.scene.joints, layout.joint_frames, resolve_elements(layout.scene))):
+            C = np.linalg.inv(where[joint.parent] @ frames[0]) @ where[joint.child] @ frames[1]
+            # the same formula of poses with entries up to 20, by another way of multiplying them
+            np.testing.assert_allclose(values[layout.joint_of_row == i],
+                                       position_residual(parts, C), atol=2e-13)
+
+
+@pytest.mark.parametrize("name", mechanisms.MECHANISMS)
+@pytest.mark.parametrize("seed", range(2))
+def test_rows_and_bias_are_the_slopes_of_the_residual(name, seed):
+    """At closed joints dg = J X for C exp X, and d^2 g / dt^2 = -bias along constant twists V with
+    J V = 0. Central differences of step 1e-6 leave 1e-10, five-point second differences of step
+    1e-3 leave 1e-9 times the fourth and more powers of twists of up to 5."""
+    simulation = Simulation(mechanisms.named(name, seed))
+    model = simulation.layout.model
+    found, twist = naive.matrices(simulation.state()[0]), simulation.state()[1]
+    J, bias = engine.rows(simulation)
+    columns = []
+    for i, C in enumerate(found):
+        for nudge in 1e-6 * np.eye(6):
+            moved = [found.copy(), found.copy()]
+            moved[0][i], moved[1][i] = naive.displaced(C, nudge), naive.displaced(C, -nudge)
+            ahead, behind = (engine.residual(model, poses) for poses in moved)
+            columns.append((ahead - behind) / 2e-6)
+    np.testing.assert_allclose(J, np.transpose(columns), atol=2e-9)
+    assert np.abs(J @ twist.ravel()).max() <= 1e-13 * max(1.0, np.abs(J).max())
+
+    def along(t):
+        return engine.residual(model, np.array([naive.displaced(C, t * V)
+                                                for C, V in zip(found, twist)]))
+
+    h = 1e-3
+    rate = (-along(2 * h) + 16 * along(h) - 30 * along(0) + 16 * along(-h) - along(-2 * h)) / (
+        12 * h * h)
+    np.testing.assert_allclose(-bias, rate, atol=1e-8 * (1.0 + np.abs(bias).max()))
+    # Both ways of keeping a violation agree where there is none.
+    np.testing.assert_allclose(engine.rows(simulation)[1], bias,
+                               atol=1e-12 * (1.0 + np.abs(bias).max()))
+
+
+@pytest.mark.parametrize("name", mechanisms.MECHANISMS)
+def test_the_bias_is_the_rate_of_the_rows_where_joints_are_open_too(name):
+    """bias = -Jdot V along C exp(t V), at any pose and twist.
+
+    Central differences of step 1e-4 leave 1e-8 times third powers of the twists.
+    """
+    simulation = Simulation(mechanisms.named(name))
+    rng = np.random.default_rng(8)
+    found = np.array([C @ motion(0.3 * rng.normal(size=6))
+                      for C in naive.matrices(simulation.state()[0])])
+    twist = rng.normal(size=(len(found), 6))
+
+    def speeds(t):
+        pose = naive.flat(np.array([naive.displaced(C, t * V) for C, V in zip(found, twist)]))
+        J, bias = engine.rows(simulation, pose, twist)
+        return J @ twist.ravel(), bias
+
+    h = 1e-4
+    rate = (speeds(h)[0] - speeds(-h)[0]) / (2 * h)
+    np.testing.assert_allclose(rate, -speeds(0.0)[1], atol=1e-6)

@@ -1,0 +1,221 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stabilisation: projection is least squares and no more, Baumgarte's errors die out."""
+import numpy as np
+import pytest
+
+import engine
+import mechanisms
+import naive
+from liegroup_core import Simulation, SimulationError
+from liegroup_core.dynamics.projection import project
+from liegroup_core.integrators.status import DEPENDENT_ROWS, NOT_PROJECTED, OK
+from liegroup_core.lie.groups import SE3
+
+def disturbed(simulation, rng, size):
+    """The state of a simulation, bodies displaced and pushed at random by some size."""
+    pose, twist = simulation.state()
+    displacement = size * rng.normal(size=twist.shape)
+    pose = naive.flat(naive.matrices(pose) @ SE3.exp(displacement))
+    return np.ascontiguousarray(pose), twist + size * rng.normal(size=twist.shape)
+
+
+def projected(simulation, pose, twist):
+    """(rounds, status, pose, twist) after projection of a state."""
+    pose, twist = pose.copy(), twist.copy()
+    rounds, status = project(simulation.layout.model, simulation._work, pose, twist)
+    return rounds, status, pose, twist
+
+
+@pytest.mark.parametrize("name", mechanisms.MECHANISMS)
+@pytest.mark.parametrize("size, most_rounds", [(1e-9, 1), (1e-5, 2), (1e-2, 4)])
+def test_projection_closes_all_joints_to_rounding(name, size, most_rounds):
+    """Newton's method squares the error: 1e-9, 1e-18; 1e-2, 1e-4, 1e-8, 1e-16 and one for luck."""
+    simulation = Simulation(mechanisms.named(name))
+    model = simulation.layout.model
+    rng = np.random.default_rng(1)
+    for _ in range(5):
+        rounds, status, pose, twist = projected(simulation, *disturbed(simulation, rng, size))
+        assert status == OK and rounds <= most_rounds
+        # lengths of up to 8 m at 16 units of 2^-52: see ROUND_OFF
+        assert np.abs(engine.residual(model, naive.matrices(pose))).max() <= 128 * 2.0 ** -52
+        J, _ = engine.rows(simulation, pose, twist)
+        # the size times the condition of S, below 1e4, and 2^-52
+        assert np.abs(J @ twist.ravel()).max() <= 1e-11 * size + 1e-14
+
+
+@pytest.mark.parametrize("name", mechanisms.MECHANISMS)
+def test_the_change_is_the_least_one(name):
+    """M X and M dV are combinations of the rows: nothing is moved that the joints do not ask for.
+
+    The displacement up to second order in its size, 1e-5; the velocity to the rounding of twists
+    of size 10.
+    """
+    scene = mechanisms.named(name)
+    simulation = Simulation(scene)
+    M = engine.masses(scene)
+    rng = np.random.default_rng(2)
+    start_pose, start_twist = disturbed(simulation, rng, 1e-5)
+    _, _, pose, twist = projected(simulation, start_pose, start_twist)
+    J, _ = engine.rows(simulation, pose, twist)
+    X = SE3.log(np.linalg.inv(naive.matrices(start_pose)) @ naive.matrices(pose)).ravel()
+    # At the closed pose, from the velocity as the first part of the projection leaves it.
+    _, _, same, pushed = projected(simulation, pose, start_twist)
+    dV = (pushed - start_twist).ravel()
+    assert same.tobytes() == pose.tobytes()
+    for change, tolerance in ((X, 1e-8), (dV, 1e-14)):
+        impulse = M @ change
+        left = impulse - J.T @ np.linalg.lstsq(J.T, impulse, rcond=None)[0]
+        assert np.abs(left).max() <= tolerance
+        assert 1e-7 < np.abs(impulse).max() < 1e-3
+
+
+@pytest.mark.parametrize("name", mechanisms.MECHANISMS)
+def test_a_consistent_state_stays(name):
+    simulation = Simulation(mechanisms.named(name))
+    pose, twist = simulation.state()
+    rounds, status, new_pose, new_twist = projected(simulation, pose, twist)
+    assert (rounds, status) == (0, OK) and new_pose.tobytes() == pose.tobytes()
+    assert np.abs(new_twist - twist).max() <= 1e-14 * (1.0 + np.abs(twist).max())
+
+
+def momenta(simulation, pose, twist):
+    """Spatial momentum (6,), kinetic energy and centre of mass."""
+    sample = simulation.layout.sample(pose, twist)
+    mass = np.array([body.mass for body in simulation.scene.bodies])
+    M = engine.masses(simulation.scene)
+    return (sample.spatial_momentum, 0.5 * twist.ravel() @ M @ twist.ravel(),
+            mass @ pose[:, 9:] / mass.sum())
+
+
+def test_inner_joints_change_no_momentum():
+    simulation = Simulation(mechanisms.named("floating"))
+    rng = np.random.default_rng(3)
+    pose, _ = simulation.state()
+    twist = rng.normal(size=(len(pose), 6))
+    _, status, _, new_twist = projected(simulation, pose, twist)
+    assert status == OK and np.abs(new_twist - twist).max() > 0.1
+    before, energy, _ = momenta(simulation, pose, twist)
+    after, less, _ = momenta(simulation, pose, new_twist)
+    # sums of products of size 10
+    assert np.abs(after - before).max() <= 1e-13 and less < energy
+
+
+def test_closing_the_joints_keeps_linear_momentum_energy_and_centre_of_mass():
+    """Energy by Pythagoras: what the second part takes away is the energy of its change."""
+    simulation = Simulation(mechanisms.named("floating"))
+    M = engine.masses(simulation.scene)
+    rng = np.random.default_rng(4)
+    pose, twist = disturbed(simulation, rng, 1e-3)
+    _, _, new_pose, new_twist = projected(simulation, pose, twist)
+    before, energy, centre = momenta(simulation, pose, twist)
+    after, now, new_centre = momenta(simulation, new_pose, new_twist)
+    assert np.abs(new_pose - pose).max() > 1e-4
+    # sums of products of size 10
+    assert np.abs(after[3:] - before[3:]).max() <= 1e-13
+    turned = twist.copy()                   # the same velocity in the world, in the new body axes
+    R, new_R = naive.matrices(pose)[:, :3, :3], naive.matrices(new_pose)[:, :3, :3]
+    turned[:, 3:] = np.einsum("nji,njk,nk->ni", new_R, R, twist[:, 3:])
+    change = (new_twist - turned).ravel()
+    assert now + 0.5 * change @ M @ change == pytest.approx(energy, abs=1e-13 * energy)
+    # second order in the displacement, which goes along screws and not along straight lines
+    assert np.abs(new_centre - centre).max() <= 1e-5
+
+
+@pytest.mark.parametrize("kind", mechanisms.LOWER_PAIRS)
+def test_at_ground_joints_projection_changes_nothing(kind):
+    """On SE(3) they are closed to rounding: the runs differ by that, magnified by the motion."""
+    scene = mechanisms.named(f"{kind} to ground")
+    with_it, without = (Simulation(scene, step=2e-3, stabilisation=s)
+                        for s in ("projection", "none"))
+    with_it.advance(500)
+    without.advance(500)
+    for mine, theirs in zip(with_it.state(), without.state()):
+        assert np.abs(mine - theirs).max() <= 1e-11
+    assert with_it.sample().constraint_residual <= 1e-13
+
+
+@pytest.mark.parametrize("name", ["chain of hinges", "every kind", "net", "floating"])
+@pytest.mark.parametrize("group", ["se3", "so3xr3"])
+def test_projection_keeps_order_and_joints(name, group):
+    """Order 4 against a run without projection of a step so small that joints stay closed."""
+    scene = mechanisms.named(name)
+    reference = Simulation(scene, step=1e-4)
+    reference.advance(1000)
+    errors = {}
+    for h in (2e-3, 1e-3, 5e-4):
+        simulation = Simulation(scene, step=h, group=group, stabilisation="projection")
+        simulation.advance(round(0.1 / h))
+        errors[h] = np.abs(simulation.state()[0] - reference.state()[0]).max()
+        # measured on poses of up to 10 m
+        assert simulation.sample().constraint_residual <= 1e-13
+        J, _ = engine.rows(simulation)
+        assert np.abs(J @ simulation.state()[1].ravel()).max() <= 1e-12
+    slope = np.polyfit(np.log(list(errors)), np.log(list(errors.values())), 1)[0]
+    assert slope == pytest.approx(4.0, abs=0.2), errors
+
+
+def test_what_cannot_be_closed_is_reported():
+    """A pendulum of 1 m on a rod that became too short: the last good state stays."""
+    scene = mechanisms.mechanism(np.random.default_rng(5), [("world", "a", "spherical")],
+                                 loops=[("world", "a", "distance")])
+    simulation = Simulation(scene, stabilisation="projection")
+    simulation.advance(10)
+    before = simulation.state()
+    simulation.layout.model.elements["length"][1] += 100.0
+    rounds, status, _, _ = projected(simulation, *before)
+    assert status & 0xff in (NOT_PROJECTED, DEPENDENT_ROWS) and rounds > 0
+    with pytest.raises(SimulationError, match="smaller step|singular pose") as failure:
+        simulation.advance(5)
+    assert failure.value.status in (NOT_PROJECTED, DEPENDENT_ROWS) and simulation.steps == 10
+    for mine, theirs in zip(simulation.state(), before):
+        assert mine.tobytes() == theirs.tobytes()
+
+
+# ---------------------------------------------------------------- Baumgarte
+
+@pytest.mark.parametrize("name", ["net", "every kind"])
+@pytest.mark.parametrize("group", ["se3", "so3xr3"])
+def test_errors_die_out_as_baumgarte_says(name, group):
+    """g = g0 (1 + a t) exp(-a t) for a small gap g0, whose velocity is zero at first."""
+    time = 0.02
+    simulation = Simulation(mechanisms.named(name), step=2e-4, group=group,
+                            stabilisation="baumgarte", baumgarte_time=time)
+    model = simulation.layout.model
+    pose, twist = disturbed(simulation, np.random.default_rng(6), 1e-7)
+    J, _ = engine.rows(simulation, pose, twist)
+    twist = (twist.ravel() - np.linalg.pinv(J) @ (J @ twist.ravel())).reshape(twist.shape)
+    simulation.set_state(pose, twist)
+    gap = engine.residual(model, naive.matrices(pose))
+    for _ in range(10):
+        simulation.advance(50)
+        a_t = simulation.time / time
+        expected = gap * (1.0 + a_t) * np.exp(-a_t)
+        found = engine.residual(model, naive.matrices(simulation.state()[0]))
+        # the frames, in whose axes gaps are measured, turn by some 2 rad/s
+        assert np.abs(found - expected).max() <= 2.0 * simulation.time * np.abs(gap).max()
+    assert np.abs(found).max() <= 0.05 * np.abs(gap).max()      # 6 exp(-5) = 0.040
+
+
+def test_baumgarte_keeps_a_long_run_closed():
+    runs = {}
+    for stabilisation in ("none", "baumgarte", "projection"):
+        simulation = Simulation(mechanisms.named("chain of balls"), step=4e-3,
+                                stabilisation=stabilisation)
+        simulation.advance(1000)
+        runs[stabilisation] = simulation.sample().constraint_residual
+    assert runs["baumgarte"] < 0.1 * runs["none"]
+    assert runs["projection"] < 1e-13
+
+
+# ---------------------------------------------------------------- settings
+
+@pytest.mark.parametrize("setting, text", [
+    ({"stabilisation": "gear"}, "unknown stabilisation 'gear'; there are: none, projection, baum"),
+    ({"baumgarte_time": 0.1}, "goes with stabilisation 'baumgarte', not with 'none'"),
+    ({"stabilisation": "baumgarte", "baumgarte_time": 0.0}, "at least the step of 0.001 s, got 0"),
+    ({"stabilisation": "baumgarte", "baumgarte_time": float("nan")}, "at least the step"),
+    ({"stabilisation": "baumgarte", "baumgarte_time": "1"}, "at least the step"),
+])
+def test_wrong_settings_say_what_would_be_right(setting, text):
+    with pytest.raises(ValueError, match=text):
+        Simulation(mechanisms.named("ball"), **setting)

@@ -1,0 +1,473 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Motions under springs, motors, drag and timed wrenches against their closed forms."""
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from liegroup_core import Scene, Simulation, SimulationError
+from liegroup_core.forces import kinds
+from liegroup_core.forces.timetable import Timetable
+from liegroup_core.integrators.status import ROTATION_TOO_LARGE, TURNS_NOT_COUNTED
+from liegroup_core.joints.pairs import LOWER_PAIRS
+from liegroup_core.scene import (Body, ConstantWrench, Drag, Frame, Joint, LinearMotor,
+                                 LinearSpringDamper, Motor, SpringDamper, TorsionalSpringDamper)
+from liegroup_core.scene.forces import SLIDING
+
+EPS = 2.0 ** -52
+BOTH = pytest.mark.parametrize("group", ["se3", "so3xr3"])
+AXIS = np.array([1.0, 2.0, 2.0]) / 3.0
+START = {"quaternion": (0.1, -0.5, 0.1, 0.8544003745)}     # of no special direction
+
+
+def slope(errors):
+    return np.polyfit(np.log(list(errors)), np.log(list(errors.values())), 1)[0]
+
+
+# ---------------------------------------------------------------- on hinges
+
+INERTIA = (0.3, 0.4, 0.5)
+
+
+def hinged(*forces, spin=0.0):
+    """A body that turns about a ground hinge along AXIS, 0.2 m from its centre of mass."""
+    arm = 0.2 * np.cross(AXIS, [1.0, 0.0, 0.0]) / np.linalg.norm(np.cross(AXIS, [1.0, 0.0, 0.0]))
+    scene = Scene(name="hinged", gravity=(0, 0, 0), bodies=[
+        Body(name="arm", mass=2.0, inertia=INERTIA, position=arm,
+             angular_velocity=spin * AXIS, linear_velocity=np.cross(spin * AXIS, arm))],
+        joints=[Joint(name="hinge", type="revolute", parent="world", child="arm",
+                      parent_frame=Frame(axis=AXIS))], forces=forces)
+    return scene, AXIS @ np.diag(INERTIA) @ AXIS + 2.0 * 0.2 ** 2
+
+
+def pair(*forces, spin=0.0):
+    """Two free bodies with a hinge through both centres of mass; reduced inertia of their turn."""
+    bodies = [Body(name="first", mass=2.0, inertia=INERTIA, angular_velocity=(0, 0, -spin)),
+              Body(name="second", mass=1.0, inertia=(0.1, 0.1, 0.2), position=(0, 0, 0.3))]
+    scene = Scene(name="pair", gravity=(0, 0, 0), bodies=bodies, joints=[
+        Joint(name="hinge", type="revolute", parent="first", child="second",
+              child_frame=Frame())], forces=forces)
+    return scene, 1.0 / (1.0 / INERTIA[2] + 1.0 / 0.2)
+
+
+def principal(sample, scene):
+    """The angle of the hinge from the poses, in (-pi, pi]."""
+    joint = scene.joints[0]
+    turn = sample.poses[joint.child][:3, :3]
+    if joint.parent != "world":
+        turn = sample.poses[joint.parent][:3, :3].T @ turn
+    axis = AXIS if joint.parent == "world" else np.array([0, 0, 1.0])
+    sine = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+    return np.arctan2(0.5 * sine @ axis, 0.5 * (np.trace(turn) - 1.0))
+
+
+@BOTH
+@pytest.mark.parametrize("made", [hinged, pair])
+def test_torsional_oscillator_over_many_turns(made, group):
+    """theta = theta0 + e^{-d t} (A cos wt + B sin wt) from rest, wound by 6.4 turns."""
+    stiffness, damping, rest = 3.0, 0.05, 40.0
+    spring = TorsionalSpringDamper(name="coil", joint="hinge", stiffness=stiffness,
+                                   damping=damping, rest_angle=rest)
+    scene, inertia = made(spring)
+    d = damping / (2 * inertia)
+    w = np.sqrt(stiffness / inertia - d * d)
+
+    def angle(t):
+        return rest * (1.0 - np.exp(-d * t) * (np.cos(w * t) + d / w * np.sin(w * t)))
+
+    errors = {}
+    for h in (8e-3, 4e-3, 2e-3):
+        simulation = Simulation(scene, step=h, group=group)
+        worst, largest = 0.0, 0.0
+        for _ in range(50):
+            simulation.advance(round(0.08 / h))
+            sample = simulation.sample()
+            worst = max(worst, abs(sample.angles[0] - angle(sample.time)))
+            largest = max(largest, sample.angles[0])
+            gap = (sample.angles[0] - principal(sample, scene)) / (2 * np.pi)
+            assert abs(gap - round(gap)) < 1e-12
+        errors[h] = worst
+    assert largest > 10 * 2 * np.pi
+    assert slope(errors) == pytest.approx(4.0, abs=0.1)
+    # The classical method on theta'' = -w^2 theta loses (h w)^4 w t / 120 of the phase.
+    bound = 2 * rest * (2e-3 * w) ** 4 * w * 4.0 / 120
+    assert errors[2e-3] < 1.5 * bound
+
+
+def test_the_energy_of_a_wound_spring_is_kept():
+    scene, _ = hinged(TorsionalSpringDamper(name="coil", joint="hinge", stiffness=3.0,
+                                            rest_angle=40.0))
+    simulation = Simulation(scene, step=1e-3)
+    assert simulation.sample().energy == pytest.approx(0.5 * 3.0 * 40.0 ** 2, rel=4 * EPS)
+    simulation.advance(4000)
+    # The method loses (h w)^6 / 72 = 3e-18 a step at w = 2.4 / s; rounding a few eps a step.
+    assert simulation.sample().energy == pytest.approx(0.5 * 3.0 * 40.0 ** 2, rel=4 * 4000 * EPS)
+
+
+def test_a_joint_at_half_a_turn_starts_at_plus_pi():
+    """Whichever sign round-off gives to the sine."""
+    for turn in (np.pi - 1e-12, np.pi + 1e-12, -np.pi):
+        scene = Scene(name="half", gravity=(0, 0, 0), bodies=[
+            Body(name="a", mass=1, inertia=(1, 1, 1), rotation_vector=(0, 0, turn))], joints=[
+            Joint(name="hinge", type="revolute", parent="world", child="a", parent_frame=Frame(),
+                  child_frame=Frame())],
+            forces=[TorsionalSpringDamper(name="coil", joint="hinge", stiffness=1)])
+        assert Simulation(scene).sample().angles[0] == pytest.approx(np.pi, abs=2e-12)
+
+
+def test_turns_belong_to_the_state():
+    """A pose does not tell them: a state without angles is one that is wound by less than pi."""
+    scene, _ = hinged(TorsionalSpringDamper(name="coil", joint="hinge", stiffness=3.0,
+                                            rest_angle=40.0))
+    simulation, other = Simulation(scene), Simulation(scene)
+    simulation.advance(700)
+    middle = simulation.sample()
+    assert middle.angles[0] > 2 * np.pi
+    other.set_state(*simulation.state(), steps=700, angles=middle.angles)
+    for run in (simulation, other):
+        run.advance(500)
+    assert simulation.state()[0].tobytes() == other.state()[0].tobytes()
+    assert simulation.sample().energy == other.sample().energy
+    # a sample keeps its turns while the simulation goes on
+    before = simulation.sample()
+    simulation.advance(500)
+    assert before.energy == pytest.approx(simulation.sample().energy, rel=1e-11)
+    assert abs(before.angles[0] - simulation.sample().angles[0]) > np.pi
+    other.set_state(middle.pose, middle.twist)
+    assert other.sample().angles[0] == pytest.approx(
+        middle.angles[0] - 2 * np.pi * round(middle.angles[0] / (2 * np.pi)), abs=1e-12)
+    alone = simulation.layout.sample(middle.pose, middle.twist, near=middle.angles + 1.0)
+    assert alone.angles[0] == middle.angles[0]
+    simulation.reset()
+    assert simulation.sample().angles[0] == 0.0
+    for wrong in ([], [1.0, 2.0], [np.nan]):
+        with pytest.raises(ValueError, match="expected 1 finite angles"):
+            simulation.set_state(middle.pose, middle.twist, angles=wrong)
+
+
+def test_turns_that_cannot_be_counted_stop_the_run():
+    """Beyond half a turn a step the nearest angle would be one turn off, and silently so."""
+    scene, inertia = hinged(
+        TorsionalSpringDamper(name="coil", joint="hinge", stiffness=1e-3), spin=70.0)
+    simulation = Simulation(scene, step=0.05)
+    with pytest.raises(SimulationError, match="joint of coil turns by half a turn") as failure:
+        simulation.advance(10)
+    assert failure.value.status == TURNS_NOT_COUNTED
+    assert simulation.steps == 0 and simulation.sample().angles[0] == 0.0
+    slower = Simulation(scene, step=0.04)
+    slower.advance(100)
+    w = np.sqrt(1e-3 / inertia)
+    assert slower.sample().angles[0] == pytest.approx(70.0 / w * np.sin(4.0 * w), rel=1e-9)
+
+
+@BOTH
+@pytest.mark.parametrize("made", [hinged, pair])
+def test_motor_with_a_rate_limit_spins_up_exponentially(made, group):
+    """w = limit (1 - e^{-t/T}) with T = I limit / |torque|, backwards here."""
+    torque, limit = -0.8, 12.0
+    scene, inertia = made(Motor(name="drive", joint="hinge", torque=torque, rate_limit=limit))
+    constant = inertia * limit / abs(torque)
+    errors = {}
+    for h in (0.16, 0.08, 0.04):
+        simulation = Simulation(scene, step=h, group=group)
+        simulation.advance(round(4.8 / h))
+        twists = simulation.sample().twists
+        rate = (AXIS @ twists["arm"][:3] if made is hinged
+                else twists["second"][2] - twists["first"][2])
+        wanted = -limit * (1.0 - np.exp(-4.8 / constant))
+        errors[h] = abs(rate - wanted)
+        assert rate > -limit
+    # Local error (h/T)^5 / 120 of limit, fading: at most t/T e^{-t/T} (h/T)^4 / 120 <= .37 / 120.
+    assert errors[0.04] <= 1.5 * limit * (0.04 / constant) ** 4 * 0.37 / 120
+    assert slope(errors) == pytest.approx(4.0, abs=0.2)
+
+
+def test_a_motor_without_a_limit_gives_constant_torque():
+    scene, inertia = hinged(Motor(name="drive", joint="hinge", torque=0.8))
+    simulation = Simulation(scene, step=0.01)
+    simulation.advance(500)
+    sample = simulation.sample()
+    # 500 additions of the size of the sum, each half an eps, in each of some ten operations
+    assert AXIS @ sample.twists["arm"][:3] == pytest.approx(0.8 / inertia * 5.0, rel=5000 * EPS)
+    assert sample.power == pytest.approx(0.8 * 0.8 / inertia * 5.0, rel=5000 * EPS)
+    assert sample.energy == pytest.approx(0.5 * (0.8 * 5.0) ** 2 / inertia, rel=10000 * EPS)
+
+
+@pytest.mark.parametrize("rate, wanted", [(0.0, 2.0), (6.0, 1.0), (12.0, 0.0), (18.0, -1.0),
+                                          (-12.0, 4.0)])
+def test_the_line_of_a_motor(rate, wanted):
+    """Falling to zero at the limit, braking beyond, and more than at rest if turned backwards."""
+    scene, inertia = hinged(Motor(name="drive", joint="hinge", torque=2.0, rate_limit=12.0),
+                            spin=rate)
+    assert Simulation(scene).sample().power == pytest.approx(wanted * rate, abs=1e-13)
+
+
+# ---------------------------------------------------------------- on sliders
+
+def along_z(force, joint_type):
+    """A simulation of two bodies that move along the z axis of a joint, and their reduced mass.
+
+    joint_type None: two free bodies and the force on a line through their centres of mass, which
+    stay on it
+    """
+    bodies = [Body(name="first", mass=2.0, inertia=INERTIA, **START),
+              Body(name="second", mass=1.0, inertia=(0.1, 0.1, 0.2), position=0.5 * AXIS, **START)]
+    ground = Frame(axis=bodies[0].rotation.T @ AXIS)
+    joint = Joint(name="slider", type=joint_type or "spherical", parent="first", child="second",
+                  parent_frame=ground,
+                  child_frame=Frame(axis=ground.axis) if joint_type else None)
+    scene = Scene(name="line", gravity=(0, 0, 0), bodies=bodies,
+                  joints=[joint] if joint_type else [], forces=[force] if joint_type else [])
+    simulation = Simulation(scene, step=0.02)
+    if joint_type is None:
+        ends = {"slider": (0, 1, ground.pose, ground.pose)}
+        forces = kinds.make_forces([force], {"first": 0, "second": 1}, ends)
+        simulation.layout = replace(simulation.layout,
+                                    model=simulation.layout.model._replace(forces=forces))
+    return simulation, 1.0 / (1.0 / 2.0 + 1.0 / 1.0)
+
+
+ON_A_LINE = pytest.mark.parametrize(
+    "joint_type", [None, *(kind for kind in SLIDING if kind in LOWER_PAIRS and kind != "screw")])
+
+
+def separation(sample):
+    return (sample.positions["second"] - sample.positions["first"]) @ AXIS
+
+
+@ON_A_LINE
+def test_linear_spring_damper(joint_type):
+    stiffness, damping, rest = 30.0, 1.0, 0.8
+    simulation, mass = along_z(LinearSpringDamper(
+        name="coil", joint="slider", stiffness=stiffness, damping=damping, rest_position=rest),
+        joint_type)
+    assert simulation.sample().energy == pytest.approx(0.5 * stiffness * 0.3 ** 2, rel=1e-14)
+    d = damping / (2 * mass)
+    w = np.sqrt(stiffness / mass - d * d)
+    simulation.advance(100)
+    wanted = rest - 0.3 * np.exp(-2 * d) * (np.cos(2 * w) + d / w * np.sin(2 * w))
+    # Phase error (h w)^4 w t / 120, times the amplitude left; the same again from the damping.
+    bound = 2 * 0.3 * np.exp(-2 * d) * (0.02 * w) ** 4 * 2 * w / 120
+    assert separation(simulation.sample()) == pytest.approx(wanted, abs=bound)
+    positions = simulation.sample().positions
+    # the centre of mass of both stays: internal forces, to a few roundings a step
+    assert np.abs(2.0 * positions["first"] + positions["second"] - 0.5 * AXIS).max() < 400 * EPS
+
+
+@ON_A_LINE
+@pytest.mark.parametrize("force", [3.0, -3.0])
+def test_linear_motor(joint_type, force):
+    """v = limit (1 - e^{-t/T}) with T = m limit / |force|, in the direction of the force."""
+    limit = 2.0
+    simulation, mass = along_z(LinearMotor(name="drive", joint="slider", force=force,
+                                           speed_limit=limit), joint_type)
+    constant = mass * limit / abs(force)
+    simulation.advance(100)
+    wanted = 0.5 + np.sign(force) * limit * (2.0 - constant * (1.0 - np.exp(-2.0 / constant)))
+    # local errors (h/T)^5 / 120 of the speed, summed with what is left of them, over the time T
+    bound = 2 * limit * constant * (0.02 / constant) ** 4 / 120
+    assert separation(simulation.sample()) == pytest.approx(wanted, abs=bound)
+
+
+# ---------------------------------------------------------------- drag
+
+def dragged(v=(0, 0, 0), w=(0, 0, 0), **drag):
+    body = Body(name="b", mass=2.0, inertia=INERTIA, linear_velocity=v, angular_velocity=w)
+    return Scene(name="dragged", gravity=(0, 0, 0), bodies=[body],
+                 forces=[Drag(name="air", body="b", **drag)])
+
+
+@BOTH
+def test_linear_drag_decays_exponentially(group):
+    """v = v0 e^{-c t / m}; the spin about a principal axis likewise with its moment."""
+    simulation = Simulation(dragged(v=(3, -2, 1), linear=4.0), step=0.01, group=group)
+    simulation.advance(100)
+    bound = (0.01 * 2.0) ** 4 * 2.0 / 120       # (h c/m)^4 (c/m) t / 120 relative
+    np.testing.assert_allclose(simulation.sample().twists["b"][3:],
+                               np.exp(-2.0) * np.array([3, -2, 1]), rtol=1.1 * bound)
+    travelled = (1.0 - np.exp(-2.0)) / 2.0 * np.array([3, -2, 1])
+    np.testing.assert_allclose(simulation.sample().positions["b"], travelled, rtol=1.1 * bound)
+    simulation = Simulation(dragged(w=(0, 5, 0), angular=0.8), step=0.01, group=group)
+    simulation.advance(100)
+    assert simulation.sample().twists["b"][1] == pytest.approx(5 * np.exp(-2.0), rel=1.1 * bound)
+
+
+@BOTH
+def test_quadratic_drag_decays_like_a_hyperbola(group):
+    """v = v0 / (1 + k v0 t) with k = c/m, way ln(1 + k v0 t) / k; the spin likewise."""
+    speed = np.sqrt(14.0)
+    scene = dragged(v=(3, -2, 1), quadratic=1.0)
+    errors = {}
+    for h in (0.08, 0.04, 0.02):
+        simulation = Simulation(scene, step=h, group=group)
+        simulation.advance(round(2.4 / h))
+        sample = simulation.sample()
+        errors[h] = abs(np.linalg.norm(sample.twists["b"][3:]) - speed / (1 + 0.5 * speed * 2.4))
+        assert np.linalg.norm(sample.positions["b"]) == pytest.approx(
+            np.log(1 + 0.5 * speed * 2.4) / 0.5, rel=1e-4)
+    assert slope(errors) == pytest.approx(4.0, abs=0.3) and errors[0.02] < 1e-8
+    simulation = Simulation(dragged(w=(0, 0, 4), angular_quadratic=0.25), step=0.01, group=group)
+    simulation.advance(100)
+    assert simulation.sample().twists["b"][2] == pytest.approx(4 / (1 + 0.5 * 4), rel=1e-8)
+
+
+# ---------------------------------------------------------------- wrenches with times
+
+def pushed(step, start, end, group="se3", spin=(1, 2, -3), **wrench):
+    body = Body(name="b", mass=2.0, inertia=INERTIA, angular_velocity=spin, **START)
+    return Simulation(Scene(name="pushed", gravity=(0, 0, 0), bodies=[body], forces=[
+        ConstantWrench(name="push", body="b", start=start, end=end, **wrench)]),
+        step=step, group=group)
+
+
+@pytest.mark.parametrize("group, spin", [("se3", (0, 0, 0)), ("so3xr3", (1, 2, -3))])
+@pytest.mark.parametrize("start, end", [(0.1234567, 0.7654321), (0.0, 0.31), (0.50001, 0.50002),
+                                        (0.1, 0.2), (0.8, None), (2.0, 3.0)])
+def test_impulse_is_force_times_time(start, end, group, spin):
+    """Exact but for rounding, whether or not the times fall on steps.
+
+    Also on a spinning body where positions are integrated in world axes; on SE(3) the momentum of
+    a spinning body is as exact as the method.
+    """
+    simulation = pushed(0.01, start, end, group, spin, axes="world", force=(3.0, -1.0, 2.0))
+    simulation.advance(100)
+    assert simulation.steps == 100 and simulation.time == 1.0
+    lasting = max(0.0, min(1.0 if end is None else end, 1.0) - start)
+    momentum = simulation.sample().spatial_momentum[3:]
+    # Rounding of 100 steps of four stages, the rotation back and forth some ten times each.
+    assert np.abs(momentum - lasting * np.array([3.0, -1.0, 2.0])).max() <= 4000 * EPS
+
+
+def test_a_torque_at_rest_gives_its_impulse():
+    simulation = pushed(0.01, 0.1234567, 0.7654321, spin=(0, 0, 0), torque=(0, 0, 2.0),
+                        force=(0, 0, 1.0), point=(0, 0, 4.0))
+    simulation.advance(100)
+    twist = simulation.sample().twists["b"]
+    wanted = [0, 0, 2.0 * 0.6419754 / 0.5, 0, 0, 0.6419754 / 2.0]
+    np.testing.assert_allclose(twist, wanted, atol=4000 * EPS)
+
+
+def test_a_force_off_the_centre_of_mass_turns_the_body():
+    """Force and the same force at the centre with its torque: the same motion."""
+    point, force = np.array([0.3, -0.2, 0.5]), np.array([1.0, 2.0, -3.0])
+    one = pushed(0.01, 0.0, 0.55555, force=force, point=point)
+    two = pushed(0.01, 0.0, 0.55555, force=force, torque=np.cross(point, force))
+    for simulation in (one, two):
+        simulation.advance(100)
+    np.testing.assert_allclose(one.state()[0], two.state()[0], atol=1e-12)
+    assert not np.allclose(one.state()[0], pushed(
+        0.01, 0.0, 0.55555, force=force).state()[0], atol=1e-3)
+
+
+def oscillator(step, **times):
+    """A mass of 2 kg on a spring of 18 N/m (3 rad/s), pushed with 5 N along x for a while."""
+    forces = [SpringDamper(name="spring", parent="world", child="b", parent_point=(0, 0, 0),
+                           child_point=(0, 0, 0), stiffness=18.0)]
+    if times:
+        forces.append(ConstantWrench(name="push", body="b", force=(5.0, 0, 0), **times))
+    return Simulation(Scene(name="oscillator", gravity=(0, 0, 0), bodies=[
+        Body(name="b", mass=2.0, inertia=INERTIA)], forces=forces), step=step)
+
+
+STEPS = {h: round(4.0 / h) for h in (0.1, 0.025, 0.00625)}
+ON, OFF = 2.0 / 3.0, 7.0 / 3.0              # always at 2/3 and 1/3 of a step
+
+
+def pushed_place(t):
+    """f/k (1 - cos w (t - on)) and the same backwards from `off` on."""
+    return 5.0 / 18.0 * ((t > ON) * (1 - np.cos(3.0 * (t - ON)))
+                         - (t > OFF) * (1 - np.cos(3.0 * (t - OFF))))
+
+
+def worst_of_run(simulation, steps):
+    worst = 0.0
+    for _ in range(steps):
+        simulation.advance()
+        sample = simulation.sample()
+        worst = max(worst, abs(sample.positions["b"][0] - pushed_place(sample.time)))
+    return worst
+
+
+def test_a_wrench_between_steps_keeps_the_order():
+    """Order 4 only because the steps are split where it starts and ends.
+
+    Over whole steps, as wrenches from outside are applied, the same push is off by up to half a
+    step in time: of order 1.
+    """
+    split, whole = {}, {}
+    for h, steps in STEPS.items():
+        split[h] = worst_of_run(oscillator(h, start=ON, end=OFF), steps)
+        unsplit = oscillator(h)
+        unsplit.apply_wrench("b", (0, 0, 0, 5.0, 0, 0), start=ON, duration=OFF - ON)
+        whole[h] = worst_of_run(unsplit, steps)
+    assert slope(split) == pytest.approx(4.0, abs=0.1)
+    # phase error (h w)^4 w t / 120 of an amplitude of at most 2 f/k
+    assert split[0.00625] < 2 * 5 / 18 * (0.00625 * 3) ** 4 * 12 / 120
+    assert slope(whole) == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_split_step_that_fails_leaves_the_last_good_one():
+    """The first part of step 2 is good, the second one turns the body much too far."""
+    simulation = pushed(0.1, 0.25, None, torque=(0, 0, 1e6))
+    simulation.advance(2)
+    before = simulation.state()
+    with pytest.raises(SimulationError, match="step 2,") as failure:
+        simulation.advance(10)
+    assert failure.value.status == ROTATION_TOO_LARGE and simulation.steps == 2
+    for mine, theirs in zip(simulation.state(), before):
+        assert mine.tobytes() == theirs.tobytes()
+
+
+def test_the_times_follow_the_step_count():
+    """After set_state and reset, and in a sample's power."""
+    simulation = oscillator(0.1, start=0.25, end=0.5)
+    simulation.advance(10)
+    end = simulation.state()
+    simulation.reset()
+    powers = []
+    for _ in range(10):
+        simulation.advance(1)
+        powers.append(simulation.sample().power)
+    assert [bool(power) for power in powers] == [False, False, True, True] + 6 * [False]
+    for mine, theirs in zip(simulation.state(), end):
+        assert mine.tobytes() == theirs.tobytes()
+    simulation.set_state(*end, steps=3)
+    assert simulation.sample().power != 0.0
+    pose, twist = simulation.state()
+    assert simulation.layout.sample(pose, twist, time=0.3).power != 0.0
+    assert simulation.layout.sample(pose, twist, time=0.5).power == 0.0
+
+
+def test_timetable():
+    rows = np.zeros(3, dtype=kinds.KINDS["applied_wrench"].ROW)
+    rows["start"] = 0.0, 0.3, 0.42
+    rows["end"] = np.inf, 0.5, 0.44
+    table = Timetable(rows, 0.1)            # 3 * 0.1 is not 0.3 in binary, but it is meant
+    changes, step = [], -1
+    while (step := table.next_change(step)) < 100:
+        changes.append(step)
+    assert changes == [0, 3, 4, 5]
+    [(whole, acting)] = table.parts(3)
+    assert whole == 0.1 and acting.tolist() == [True, True, False]
+    durations, acting = zip(*table.parts(4))
+    assert durations == pytest.approx((0.02, 0.02, 0.06), rel=1e-13)
+    assert [a.tolist() for a in acting] == [[True, True, False], [True, True, True],
+                                            [True, True, False]]
+    assert table.parts(5)[0][1].tolist() == [True, False, False]
+
+
+@pytest.mark.parametrize("steps, step, time, sign", [(35, 0.01, 0.35, 1), (22, 0.03, 0.66, -1)])
+def test_a_time_in_decimals_is_the_step_it_means(steps, step, time, sign):
+    """In binary steps * step is a rounding above or below the time."""
+    assert np.sign(steps * step - time) == sign
+    body = Body(name="b", mass=1.0, inertia=INERTIA)
+    for key, before, after in (("start", 0.0, 1.0), ("end", 1.0, 0.0)):
+        simulation = Simulation(Scene(name="s", gravity=(0, 0, 0), bodies=[
+            body.model_copy(update={"linear_velocity": (1, 0, 0)})], forces=[
+            ConstantWrench(name="push", body="b", force=(1, 0, 0), **{key: time})]), step=step)
+        table = Timetable(simulation.layout.model.forces.applied_wrench, step)
+        assert [len(table.parts(k)) for k in (steps - 1, steps)] == [1, 1]
+        assert [bool(table.parts(k)[0][1][0]) for k in (steps - 1, steps)] == [before, after]
+        pose, twist = simulation.state()
+        simulation.set_state(pose, twist, steps=steps)
+        assert simulation.sample().power == after

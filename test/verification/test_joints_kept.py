@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What holds a joint closed without stabilisation, and what does not.
+
+On SE(3) a lower pair to ground moves in a subgroup, and a Munthe-Kaas step along its algebra stays
+there, whatever the step: the index 1 equations are enough. On SO(3) x R^3 that subgroup is none of
+the direct product's wherever turning moves the centre of mass or along the axis: ball, hinge,
+sleeve and screw open, at the method's order, while slider, plate and weld stay closed. Between
+two moving bodies, and for joints that are no subgroups, joints open at the method's order on both.
+"""
+import numpy as np
+import pytest
+
+import mechanisms
+from liegroup_core import Simulation
+from liegroup_core.integrators.methods import METHODS
+from liegroup_core.joints import LOWER_PAIRS
+
+COUPLED = ("spherical", "revolute", "cylindrical", "screw")
+WRENCH = (0.3, -0.2, 0.1, 0.5, 1.0, -0.7)
+SEEDS = (1, 3, 4)
+
+
+def opening(kind, group, step, seed, method, steps=1000):
+    """Largest residual of a pair to ground on the way, and the same against the bound of rounding.
+
+    Random frames, body and start; gravity, and a wrench over the first second.
+    Bound: an acceleration is off by rounding of the forces that cancel in it, here up to 500
+    m/s^2 or rad/s^2: by 1e-13. Nobody sees that without stabilisation, and it adds up to 1e-13
+    t^2 / 2 at worst; a tilt counts over the distance moved.
+    returns (residual / distance moved, residual / bound), the largest each
+    """
+    scene = mechanisms.mechanism(np.random.default_rng([seed, 7]), [("world", "a", kind)],
+                                 springs=0)
+    simulation = Simulation(scene, method=method, step=step, group=group)
+    simulation.apply_wrench("a", WRENCH, duration=1.0)
+    start = simulation.sample().positions["a"]
+    moved, of_moved, of_bound = 1.0, 0.0, 0.0
+    for _ in range(50):
+        simulation.advance(steps // 50)
+        sample = simulation.sample()
+        moved = max(moved, np.linalg.norm(sample.positions["a"] - start))
+        of_moved = max(of_moved, sample.constraint_residual / moved)
+        of_bound = max(of_bound,
+                       sample.constraint_residual / (moved * 1e-13 * (1.0 + sample.time ** 2)))
+    return of_moved, of_bound
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("kind", LOWER_PAIRS)
+def test_every_lower_pair_to_ground_is_kept_on_se3(kind, method):
+    """1000 steps, whatever steps of up to 0.05 s do to the motion itself."""
+    for step in (0.05, 0.01, 0.002):
+        for seed in SEEDS:
+            of_moved, of_bound = opening(kind, "se3", step, seed, method)
+            assert of_bound <= 1.0
+            assert step > 0.01 or of_moved <= 1e-11
+
+
+@pytest.mark.parametrize("kind", LOWER_PAIRS)
+def test_on_so3xr3_only_pairs_that_do_not_couple_turning_and_moving_are_kept(kind):
+    found = [opening(kind, "so3xr3", 0.05, seed, "rkmk4") for seed in SEEDS]
+    if kind in COUPLED:
+        assert max(of_moved for of_moved, _ in found) > 1e-5
+    else:
+        assert max(of_bound for _, of_bound in found) <= 1.0
+
+
+def drift(name, group, step, time, seed):
+    """Largest residual over a time."""
+    simulation = Simulation(mechanisms.named(name, seed), step=step, group=group)
+    worst = 0.0
+    for _ in range(10):
+        simulation.advance(round(time / step) // 10)
+        worst = max(worst, simulation.sample().constraint_residual)
+    return worst
+
+
+@pytest.mark.parametrize("name", [
+    *(f"{kind} between bodies" for kind in mechanisms.KINDS if kind != "fixed"),
+    "universal to ground", "distance to ground", "every kind", "floating"])
+@pytest.mark.parametrize("group", ["se3", "so3xr3"])
+def test_other_joints_open_at_order_four(name, group):
+    drifts = {h: drift(name, group, h, 0.4, 1) for h in (4e-3, 2e-3, 1e-3)}
+    slope = np.polyfit(np.log(list(drifts)), np.log(list(drifts.values())), 1)[0]
+    assert slope == pytest.approx(4.0, abs=0.2), drifts
+    assert min(drifts.values()) > 1e-13
+
+
+def test_a_weld_between_bodies_is_kept_on_se3():
+    """C_b = C_a F with a constant F: a Munthe-Kaas step of both commutes with that product."""
+    assert drift("fixed between bodies", "se3", 4e-3, 0.4, 1) <= 1e-13
+    assert drift("fixed between bodies", "so3xr3", 4e-3, 0.4, 1) > 1e-10
