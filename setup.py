@@ -36,7 +36,11 @@ setup(
         "rich",
         "scipy>=1.11",
     ],
-    extras_require={"test": ["hypothesis", "mpmath", "pytest", "rosbags"]},
+    extras_require={
+        "test": ["hypothesis", "mpmath", "pytest", "rosbags"],
+        # What benchmarks/ compares with; Eigen's headers, for the loop around Pinocchio.
+        "bench": ["cmeel-eigen", "exudyn", "mujoco", "pin"],
+    },
     entry_points={
         "console_scripts": [
             "liegroup_sim = liegroup_sim_ros.main:main",

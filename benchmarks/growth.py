@@ -24,8 +24,8 @@ from side_by_side.measure import seconds_per_step                           # no
 LINKS = (1, 10, 100, 1000)
 # s. Exudyn's implicit method is made for larger steps, and solves more often in them.
 STEP, IMPLICIT_STEP = 1e-4, 1e-3
-# Largest chains, else the memory (pinocchio: 200 balls take 8 GB, growing with the cube) or the time
-# (mujoco: 1000 balls take 5 s per step) is gone. Exudyn's stepper knows balls only.
+# Largest chains. Beyond, the memory is gone (pinocchio: 200 balls take 8 GB, 300 take 27) or the
+# time (mujoco: 1000 balls take 5 s per step). Exudyn's stepper knows balls only.
 LARGEST = {("pinocchio", "ball"): 100, ("pinocchio", "hinge"): 100, ("mujoco", "ball"): 100,
            ("exudyn", "hinge"): 0}
 
@@ -54,7 +54,7 @@ def main():
     parser.add_argument("--json", metavar="FILE", help="write all that was measured")
     options = parser.parse_args()
     shortest, rounds = (0.05, 1) if options.quick else (0.3, 5)
-    console = Console(highlight=False)
+    console = Console(highlight=False, soft_wrap=True)
     codes = [ours, *load_peers(console)]
     ours.prepare()
 

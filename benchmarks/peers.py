@@ -19,7 +19,7 @@ import numpy as np
 from rich.console import Console
 
 from side_by_side import load_peers, ours, problems
-from side_by_side.measure import TARGETS, climb, cost_at, geometric, time_ladders
+from side_by_side.measure import TARGETS, climb, cost_at, time_ladders
 from side_by_side.report import as_data, costs_table, shortfalls
 
 
@@ -37,9 +37,8 @@ def measure(variants, codes, ratio, budget, rounds):
     known = np.abs(exact - variants[0].exact(0)).max()
     entries, ladders = [], []
     for problem in variants:
-        levels = geometric(problem.coarsest, ratio)
         for code in codes:
-            for entry in code.entries(problem, levels):
+            for entry in code.entries(problem, ratio):
                 entries.append(entry)
                 ladders.append(climb(entry, problem, exact, budget))
     time_ladders(ladders, variants[0].duration, rounds)
@@ -74,7 +73,8 @@ def main():
         results, known = measure(variants, [ours, *peers], ratio, budget, rounds)
         problem = variants[0]
         console.print(costs_table(name, problem.title, problem.duration, results))
-        console.print(f"exact end known to {known:.0e}; {time.perf_counter() - start:.0f} s so far\n")
+        console.print(f"exact end known to {known:.0e}; "
+                      f"{time.perf_counter() - start:.0f} s so far\n")
         missed += shortfalls(name, results)
         data[name] = as_data(results) | {"exact_known_to": float(known)}
     console.print("[bold]Where we fall short[/bold]" if missed else "Every target is met.")

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Exudyn, its fast module, with whichever of its solvers suits the problem.
 
-    one body  Lie group node and explicit Runge-Kutta methods. They ignore joints, so a body about a
-              fixed point is a body there with its inertia about it, and its weight a force off it.
+    one body  Lie group node and explicit Runge-Kutta methods. They ignore joints, so a body about
+              a fixed point is a body there, with its inertia about it and its weight off it.
     chain     ObjectKinematicTree, minimal coordinates of hinges, explicit
     loop      planar bodies with joints at velocity level (index 2), implicit trapezoidal rule
 """
@@ -12,7 +12,7 @@ import sys
 
 import numpy as np
 
-from .measure import Entry
+from .measure import Entry, geometric
 from .problems import GROUND, HINGE
 
 sys.exudynFast = True
@@ -72,7 +72,8 @@ def _tree_of_hinges(mbs, problem):
         for joint, turn in zip(problem.tree, np.atleast_1d(turns)):
             angle[joint.child] = turn + (angle[joint.parent] if joint.parent != GROUND else 0.0)
         c, s, zero = np.cos(angle), np.sin(angle), np.zeros(count)
-        return np.array([[c, zero, s], [zero, zero + 1, zero], [-s, zero, c]]).transpose(2, 0, 1), 0.0
+        rotations = np.array([[c, zero, s], [zero, zero + 1, zero], [-s, zero, c]])
+        return rotations.transpose(2, 0, 1), 0.0
     return state
 
 
@@ -85,8 +86,8 @@ def _planar_bodies(mbs, problem):
             referenceCoordinates=[*body.position[:2], 0.0],
             initialVelocities=[*body.velocity[:2], body.omega[2]])))
         made[i] = (mbs.AddObject(items.ObjectRigidBody2D(
-            physicsMass=body.mass, physicsInertia=body.inertia[2, 2], nodeNumber=nodes[i],
-            )), body.position)
+            nodeNumber=nodes[i], physicsMass=body.mass,
+            physicsInertia=body.inertia[2, 2])), body.position)
         marker = mbs.AddMarker(items.MarkerNodePosition(nodeNumber=nodes[i]))
         mbs.AddLoad(items.Force(markerNumber=marker, loadVector=[*body.mass * problem.gravity]))
     markers = []
@@ -168,7 +169,7 @@ class _Run:
         return self.steps
 
 
-def entries(problem, levels):
+def entries(problem, ratio):
     """Explicit methods where there is no constraint, else the implicit one."""
     if problem.loops:
         chosen = [("index 2, planar", _planar_bodies, "TrapezoidalIndex2")]
@@ -179,11 +180,11 @@ def entries(problem, levels):
     else:
         return
     for setting, build, solver in chosen:
-        yield Entry(CODE, setting, levels,
+        yield Entry(CODE, setting, geometric(problem.coarsest, ratio),
                     lambda steps, b=build, s=solver: _Run(problem, b, s, steps))
 
 
 def stepper(problem, step):
-    """Function that takes so many steps of a size from the start; balls only, sparse and implicit."""
+    """Function that takes so many implicit steps of a size from the start; balls only, sparse."""
     return _Run(problem, _spatial_bodies, "TrapezoidalIndex2", round(problem.duration / step),
                 sparse=True).take

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What each setting of each code costs, and how wrong it is: one measure for all.
 
-A ladder of ever finer settings is run once to its end for the errors. Then only the rungs around a
-target are timed, all codes in turn, round by round, so that a slow moment of the machine meets
-them alike. Time is the CPU time of this process over native loops: several threads would all count.
+A ladder of ever finer settings is run once to its end for the errors. Then only the rungs around
+a target are timed, all codes in turn, round by round, so that a slow moment of the machine meets
+them alike. Time is the CPU time of this process over native loops; several threads all count.
 """
 import math
 import statistics
@@ -95,7 +95,7 @@ def _finite(value):
 
 
 def climb(entry, problem, exact, budget):
-    """Rungs of an entry, until two of them meet the last target or the next one would cost `budget` s."""
+    """Rungs of an entry, until two meet the last target or the next one would cost `budget` s."""
     rungs, took = [], 0.0
     for level in entry.levels:
         run = entry.start(level)
@@ -136,7 +136,7 @@ def bracket(rungs, target):
 
 
 def cost_at(rungs, target):
-    """Cost of meeting a target, or None. Between two rungs, error and cost are powers of each other."""
+    """Cost of meeting a target, or None; between rungs, error is taken as a power of the cost."""
     found = bracket(rungs, target)
     if found is None:
         return None

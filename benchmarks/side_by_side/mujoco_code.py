@@ -7,7 +7,7 @@ stiff as the step allows, or it converges to another motion than that of the mec
 import mujoco
 import numpy as np
 
-from .measure import Entry
+from .measure import Entry, geometric
 from .problems import BALL, GROUND, HINGE
 
 CODE = "mujoco"
@@ -90,9 +90,10 @@ class _Run:
         return self.steps
 
 
-def entries(problem, levels):
+def entries(problem, ratio):
     """RK4; the joints are coordinates, loops are springs."""
-    yield Entry(CODE, f"RK4 {problem.joints}".strip(), levels, lambda steps: _Run(problem, steps))
+    yield Entry(CODE, f"RK4 {problem.joints}".strip(), geometric(problem.coarsest, ratio),
+                lambda steps: _Run(problem, steps))
 
 
 def stepper(problem, step):

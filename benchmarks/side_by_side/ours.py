@@ -1,19 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """This package on the problems: each method of order 4 or more, on each group."""
 import logging
+import math
 
-from liegroup_core import Scene, Simulation, SimulationError, load_scene, simulation
+from liegroup_core import Scene, Simulation, SimulationError, load_scene
 from liegroup_core.integrators.methods import GROUPS, METHODS
 from liegroup_core.scene.description import Body, Frame, Joint
+from liegroup_core.simulation import STABILISATIONS
 
-from .measure import Entry
+from .measure import Entry, geometric
 from .problems import BALL, GROUND, HINGE
 
 CODE = "liegroup_core"
 # Methods of lower order are no candidates for any target.
 LOWEST_ORDER = 4
 JOINT_TYPES = {BALL: "spherical", HINGE: "revolute"}
-STABILISATIONS = getattr(simulation, "STABILISATIONS", ("none",))
+LOOSEST, TIGHTEST = 1e-2, 1e-13
 
 
 def prepare():
@@ -40,8 +42,7 @@ def scene_of(problem):
 
 
 def _has_error_control(method):
-    tableau = getattr(METHODS[method], "tableau", METHODS[method])
-    return getattr(tableau, "e", None) is not None
+    return METHODS[method].tableau.e is not None
 
 
 class _Run:
@@ -51,16 +52,24 @@ class _Run:
         self.controlled = _has_error_control(method)
         self.steps = 1 if self.controlled else level
         if self.controlled:
-            options |= {"rtol": level, "atol": level}
+            options = options | {"rtol": level, "atol": level}
         self.simulation = Simulation(scene, method=method, step=problem.duration / self.steps,
                                      **options)
+        self.start = self.simulation.state()
+        # Substeps follow the motion: where it changes, they are paid for as it is at first.
+        self.anew = self.controlled and problem.changes
 
     def reset(self):
-        self.simulation.reset()
+        self.simulation.set_state(*self.start)
 
     def advance(self, times):
         try:
-            self.simulation.advance(times * self.steps)
+            if not self.anew:
+                self.simulation.advance(times * self.steps)
+                return
+            for _ in range(times):
+                self.reset()
+                self.simulation.advance(self.steps)
         except SimulationError as error:
             raise ArithmeticError(str(error)) from None
 
@@ -72,7 +81,15 @@ class _Run:
         return self.simulation.substeps[1] if self.controlled else self.steps
 
 
-def entries(problem, levels):
+def _levels(problem, method, ratio):
+    """Numbers of steps, or tolerances, which make so many more of them."""
+    if not _has_error_control(method):
+        return geometric(problem.coarsest, ratio)
+    count = math.ceil(math.log(LOOSEST / TIGHTEST, ratio) / METHODS[method].order)
+    return [LOOSEST / ratio ** (METHODS[method].order * k) for k in range(count + 1)]
+
+
+def entries(problem, ratio):
     """Every method and group; with loops, every stabilisation."""
     scene = scene_of(problem)
     for stabilisation in STABILISATIONS if problem.loops else ("none",):
@@ -80,13 +97,9 @@ def entries(problem, levels):
             for method in METHODS:
                 if METHODS[method].order < LOWEST_ORDER:
                     continue
-                options, words = {"group": group}, [method, group, problem.joints]
-                if stabilisation != "none":
-                    options["stabilisation"] = stabilisation
-                    words.append(stabilisation)
-                tolerances = [10.0 ** (-k / 2) for k in range(4, 27)]
-                yield Entry(CODE, " ".join(words).strip(),
-                            tolerances if _has_error_control(method) else levels,
+                options = {"group": group, "stabilisation": stabilisation}
+                words = [method, group, problem.joints, stabilisation.replace("none", "")]
+                yield Entry(CODE, " ".join(filter(None, words)), _levels(problem, method, ratio),
                             lambda level, m=method, o=options: _Run(problem, scene, m, level, **o))
 
 

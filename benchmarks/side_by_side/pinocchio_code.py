@@ -10,17 +10,19 @@ import hashlib
 import os
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pinocchio
+from scipy.integrate import DOP853
 
-from .measure import Entry
+from .measure import Entry, geometric
 from .problems import BALL, FREE, GROUND, HINGE
 
 CODE = "pinocchio"
 SOURCE = Path(__file__).with_name("pinocchio_loop.cpp")
-BUILD = Path(__file__).parents[2] / "build" / "benchmarks"
+BUILD = Path(sys.prefix, "benchmarks")
 PREFIX = Path(pinocchio.__file__).parents[4]
 FLAGS = ["-std=c++17", "-O3", "-march=native", "-DNDEBUG", "-w", "-shared", "-fPIC",
          "-DBOOST_MPL_LIMIT_LIST_SIZE=30", "-DBOOST_MPL_CFG_NO_PREPROCESSED_HEADERS",
@@ -31,13 +33,9 @@ MU = 1e-12
 # Rate at which gaps of a loop die out, 1/s: the best of 0, 10, 30, 60, 100, 200 and 300 for P3.
 RATE = 100.0
 
-# Tableaux, the weights below: the classical method, and an order that comes with no code but ours.
-RK4 = [[0, 0, 0, 0], [1 / 2, 0, 0, 0], [0, 1 / 2, 0, 0], [0, 0, 1, 0], [1 / 6, 1 / 3, 1 / 3, 1 / 6]]
-
-
-def _eighth_order():
-    from scipy.integrate import DOP853
-    return np.vstack([DOP853.A, DOP853.B])
+# The classical method, its weights below it.
+RK4 = [[0, 0, 0, 0], [1 / 2, 0, 0, 0], [0, 1 / 2, 0, 0], [0, 0, 1, 0],
+       [1 / 6, 1 / 3, 1 / 3, 1 / 6]]
 
 
 def version():
@@ -109,7 +107,8 @@ class _Run:
             _doubles([body.inertia for body in bodies]), _doubles(problem.gravity),
             _doubles(speeds), len(anchors),
             _integers([[loop.parent, loop.child] for loop in problem.loops]), _doubles(anchors),
-            len(tableau) - 1, _doubles(tableau), highest, ctypes.c_double(MU), ctypes.c_double(RATE)))
+            len(tableau) - 1, _doubles(tableau), highest, ctypes.c_double(MU),
+            ctypes.c_double(RATE)))
 
     def __del__(self):
         LIBRARY.destroy(self.loop)
@@ -132,11 +131,12 @@ class _Run:
         return self.steps
 
 
-def entries(problem, levels):
-    """Order 4, and beyond what is counted our own order 8 around its accelerations."""
+def entries(problem, ratio):
+    """Order 4, and, not counted, our own order 8 around its accelerations."""
+    levels = geometric(problem.coarsest, ratio)
     yield Entry(CODE, f"RK4 {problem.joints}".strip(), levels,
                 lambda steps: _Run(problem, RK4, 2, steps))
-    tableau = _eighth_order()
+    tableau = np.vstack([DOP853.A, DOP853.B])
     yield Entry(CODE, f"our RK8 {problem.joints}".strip(), levels,
                 lambda steps: _Run(problem, tableau, 6, steps), counted=False)
 

@@ -31,7 +31,7 @@ class Body:
 
 @dataclass(frozen=True)
 class Joint:
-    """Pair of kind BALL or HINGE at a point, (3,) in the world; the axis is a hinge's, of length 1."""
+    """Pair of kind BALL or HINGE at a point (3,) in the world; the axis is that of a hinge."""
 
     kind: str
     parent: int
@@ -48,6 +48,7 @@ class Problem:
     loops    : further joints, which close loops
     duration : s, at its end the attitudes are compared
     coarsest : steps for the duration with which to begin
+    changes  : True when the motion is of another kind after the duration
     exact    : function of a fineness 0 or 1 that returns the exact attitudes then, (n, 3, 3)
     """
 
@@ -59,6 +60,7 @@ class Problem:
     gravity: np.ndarray
     duration: float
     coarsest: int
+    changes: bool
     exact: Callable | None = None
 
     @property
@@ -75,7 +77,7 @@ def heavy_top():
     about_pivot = np.diag(inertia) + mass * np.array([1.0, 0.0, 1.0])
     return Problem(
         "P1", "heavy top", (Body(mass, inertia, arm, omega, np.cross(omega, arm)),),
-        (Joint(BALL, GROUND, 0, np.zeros(3)),), (), gravity, 1.0, 40,
+        (Joint(BALL, GROUND, 0, np.zeros(3)),), (), gravity, 1.0, 40, False,
         lambda fineness: references.spinning_body(about_pivot, omega, mass * arm, gravity, 1.0,
                                                   fineness))
 
@@ -85,7 +87,7 @@ def free_body():
     moments, omega = np.array([0.9144, 1.098, 1.66]), np.array([0.45549, 0.82623, 0.03476])
     return Problem(
         "P2", "free body", (Body(1.0, np.diag(moments), np.zeros(3), omega),), (), (), np.zeros(3),
-        10.0, 2,
+        10.0, 2, False,
         lambda fineness: references.spinning_body(moments, omega, np.zeros(3), np.zeros(3), 10.0,
                                                   fineness))
 
@@ -131,9 +133,10 @@ def four_bar():
     rods, still = _Planar(0.05, 1000.0), np.zeros(3)
     first, tip, velocity = rods.add(np.zeros(3), crank, pi / 2, rate, GROUND, still)
     rods.add(tip, rod, coupler_angle, coupler_rate, first, velocity)
-    _, elbow, _ = rods.add(np.array([base, 0.0, 0.0]), rod, rocker_angle, rocker_rate, GROUND, still)
+    foot = np.array([base, 0.0, 0.0])
+    _, elbow, _ = rods.add(foot, rod, rocker_angle, rocker_rate, GROUND, still)
     return Problem("P3", "planar four-bar", tuple(rods.bodies), tuple(rods.tree),
-                   (Joint(HINGE, 1, 2, elbow),), np.array([0.0, -GRAVITY, 0.0]), 1.0, 80,
+                   (Joint(HINGE, 1, 2, elbow),), np.array([0.0, -GRAVITY, 0.0]), 1.0, 80, False,
                    references.four_bar)
 
 
@@ -148,7 +151,7 @@ def windows(count):
         last, tip, velocity = rods.add(foot, 1.0, pi / 2, -1.0, GROUND, still)
         loops.append(Joint(HINGE, coupler, last, tip))
     return Problem(f"{count} windows", "four-bars in a row", tuple(rods.bodies), tuple(rods.tree),
-                   tuple(loops), np.array([0.0, -GRAVITY, 0.0]), 0.1, 100)
+                   tuple(loops), np.array([0.0, -GRAVITY, 0.0]), 0.1, 100, True)
 
 
 def chain(links, kind):
@@ -160,6 +163,6 @@ def chain(links, kind):
     tree = tuple(Joint(kind, i - 1, i, np.array([i * length, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
                  for i in range(links))
     return Problem(f"P4 N={links}", f"chain of {links}", bodies, tree, (),
-                   np.array([0.0, 0.0, -GRAVITY]), 0.5, 12,
+                   np.array([0.0, 0.0, -GRAVITY]), 0.5, 12, True,
                    lambda fineness: references.planar_chain(links, mass, length, GRAVITY, 0.5,
                                                             fineness))

@@ -3,10 +3,10 @@
 
 One rigid body: Taylor series of the quaternion equations in extended precision. Four-bar: one
 degree of freedom, so the time to an angle is an integral of the energy equation. Chain: Lagrange's
-equations in the rods' absolute angles, DOP853. Each takes a fineness, 0 or 1: the difference of the two
-says how well it is known.
+equations in the rods' absolute angles, DOP853. Each takes a fineness, 0 or 1: the difference of
+the two says how well the end is known.
 """
-from math import acos, ceil, hypot, pi, sqrt
+from math import ceil, pi
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -42,11 +42,12 @@ def spinning_body(moments, omega, mass_arm, gravity, duration, fineness):
         q[0] /= np.sqrt((q[0] * q[0]).sum())
     s, v = q[0, 0], q[0, 1:]
     cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
-    return np.array([(s * s - v @ v) * np.eye(3) + 2 * np.outer(v, v) + 2 * s * cross], dtype=float)
+    rotation = (s * s - v @ v) * np.eye(3) + 2 * np.outer(v, v) + 2 * s * cross
+    return rotation[None].astype(float)
 
 
 def _cross(a, b):
-    """np.cross, which rounds extended precision to double in some versions, written out."""
+    """Cross products along the last axis."""
     return np.stack([a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
                      a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2],
                      a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]], axis=-1)
@@ -110,11 +111,13 @@ def four_bar(fineness):
 
 
 def planar_chain(links, mass, length, g, duration, fineness):
-    """(n, 3, 3) attitudes of thin rods that start at rest, level; a_i is how far rod i has dropped.
+    """(n, 3, 3) attitudes of thin rods that start level and at rest.
 
+    a_i is how far rod i points down, e(a) = (cos a, -sin a) in the plane of x and z.
     The centre of rod k is at sum_i c_ki e(a_i), c_ki = length before k, half of it at k. With
-    A = m c^T c and J = m length^2 / 12 for every rod:
-        sum_j (A_ij cos(a_i - a_j) + J d_ij) a_j'' + A_ij sin(a_i - a_j) a_j'^2 = g m cos(a_i) sum_k c_ki
+    A = m c^T c and J = m length^2 / 12, for every rod i
+        sum_j (A_ij cos(a_i - a_j) + J d_ij) a_j'' + A_ij sin(a_i - a_j) a_j'^2
+            = g m cos(a_i) sum_k c_ki
     """
     arm = length * (np.tril(np.ones((links, links)), -1) + np.eye(links) / 2)
     coupling = mass * arm.T @ arm

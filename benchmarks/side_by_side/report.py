@@ -4,7 +4,7 @@ import math
 
 from rich.table import Table
 
-from .measure import TARGETS, bracket
+from .measure import TARGETS
 from .ours import CODE as OURS
 
 # How many times faster than the best of the others to be, at each of TARGETS.
@@ -13,7 +13,7 @@ WORDS = tuple(f"{target:.0e}".replace("e-0", "e-") for target in TARGETS)
 
 
 def best(results, target, ours):
-    """(entry, Cost) of the cheapest counted result of ours, or of the others; None if none met it."""
+    """(entry, Cost) of the cheapest counted result of ours or of the others; None: not met."""
     met = [(entry, costs[target]) for entry, _, costs in results
            if entry.counted and (entry.code == OURS) == ours and costs[target] is not None]
     return min(met, key=lambda pair: pair[1].cost, default=None)
@@ -45,7 +45,7 @@ def _step(cost):
 
 
 def costs_table(name, title, duration, results):
-    """One problem: a line for each setting of the others, and for those of ours that are ever best."""
+    """One problem: a line for each setting of the others, and for those of ours that are best."""
     table = Table(title=f"{name}, {title}, {duration:g} s: CPU ms per simulated s until "
                   "||R - R_exact|| and gaps stay below", title_justify="left")
     table.add_column("code")
@@ -106,17 +106,17 @@ def shortfalls(name, results):
 def as_data(results):
     """Everything that was measured on a problem, for a JSON file."""
     def rung_data(rung):
-        return {"level": rung.level, "attitude_error": rung.attitude_error, "gap": rung.gap,
-                "steps": rung.steps, "cost": rung.cost, "times": rung.times}
+        failed = rung.error == math.inf
+        return {"level": rung.level, "steps": rung.steps, "cost": rung.cost, "times": rung.times,
+                "attitude_error": None if failed else rung.attitude_error,
+                "gap": None if failed else rung.gap}
 
     def entry_data(entry, rungs, costs):
         return {"code": entry.code, "setting": entry.setting, "counted": entry.counted,
                 "rungs": [rung_data(rung) for rung in rungs],
                 "to_target": {word: cost and {"cost": cost.cost, "steps": cost.steps,
                                               "gap": cost.gap}
-                              for word, cost in zip(WORDS, costs.values())},
-                "timed": sorted({i for t in TARGETS for i in bracket(rungs, t) or ()
-                                 if i is not None})}
+                              for word, cost in zip(WORDS, costs.values())}}
 
     return {"entries": [entry_data(*result) for result in results],
             "ratio": {word: ratio(results, target) for word, target in zip(WORDS, TARGETS)},
