@@ -17,7 +17,7 @@ endif
 # Changes with either of the two, and .venv is made anew.
 MADE = .venv/$(VERSION)-$(ROS)
 
-help: ## say what there is; ARGS="..." is handed on to demo and test
+help: ## say what there is; ARGS="..." is handed on to demo, test and bench
 	@sed -n 's/^\([a-z]*\):.*## /make \1 \t/p' Makefile
 
 demo: .venv/installed ## simulate, record, analyse
@@ -28,9 +28,11 @@ demo: .venv/installed ## simulate, record, analyse
 test: .venv/installed ## run the tests against the installed package
 	@PYTHONSAFEPATH=1 .venv/bin/python -m pytest $(ARGS)
 
-bench: .venv/installed ## run the benchmarks
-	@set -e; for script in $(sort $(wildcard benchmarks/*.py)); do \
-	    echo "== $$script"; .venv/bin/python $$script; done
+bench: .venv/peers ## measure, side by side with other software; ARGS=--quick is shorter
+	@set -e; for script in peers growth; do \
+	    echo "== $$script"; .venv/bin/python benchmarks/$$script.py $(ARGS); done
+	@set -e; for script in step_cost top_accuracy; do \
+	    echo "== $$script"; .venv/bin/python benchmarks/$$script.py; done
 
 clean: ## remove all that was made here
 	rm -rf .venv build install log demo_out *.egg-info .pytest_cache .hypothesis
@@ -69,11 +71,18 @@ SOURCES = setup.py setup.cfg package.xml \
 	@find liegroup_core -name '*.py' -exec touch -r {} .venv/lib/$(VERSION)/site-packages/{} \;
 	@rm -rf build *.egg-info && mv $@.started $@
 
+# Without them the benchmarks still run, and say what is left out.
+.venv/peers: .venv/installed
+	@echo "Installing the software to compare with into .venv (once; 0.5 GB)"
+	@$(PIP) $$(.venv/bin/python -c 'from importlib.metadata import requires; \
+	    print(*(each.split(";")[0] for each in requires("liegroup_sim_ros") if "bench" in each))') \
+	    && touch $@ || echo "It cannot be installed here"
+
 constraints: | check
 	@$(PYTHON) -m venv --clear build/resolve
 	@build/resolve/bin/python -m pip install -q --dry-run --ignore-installed --only-binary :all: \
 	    --no-binary empy --report build/report.json \
-	    setuptools colcon-common-extensions $(ROS_WHEELS) '.[test]'
+	    setuptools colcon-common-extensions $(ROS_WHEELS) '.[test,bench]'
 	@grep '^#' config/constraints.txt > build/header
 	@$(PYTHON) -c 'import json; found = json.load(open("build/report.json"))["install"]; \
 	    print(*sorted("{name}=={version}".format(**each["metadata"]).lower().replace("_", "-") \

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""MuJoCo: RK4, all steps of a run in one call of mj_step.
+
+Contacts, limits and friction are switched off. Its loops are springs: a `connect` has to be as
+stiff as the step allows, or it converges to another motion than that of the mechanism.
+"""
+import mujoco
+import numpy as np
+
+from .measure import Entry, geometric
+from .problems import BALL, GROUND, HINGE
+
+CODE = "mujoco"
+# Time constant of a loop's spring in steps, and its impedance: the largest that MuJoCo accepts.
+LOOP_STEPS, LOOP_IMPEDANCE = 2.0, 0.9999
+OFF = (mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
+       | mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS | mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+
+mujoco.set_mju_user_warning(lambda message: None)
+
+
+def version():
+    """Version of the package."""
+    return mujoco.__version__
+
+
+def model_of(problem, step):
+    """The problem as a model; bodies stand at their joints."""
+    spec = mujoco.MjSpec()
+    spec.option.timestep, spec.option.integrator = step, mujoco.mjtIntegrator.mjINT_RK4
+    spec.option.gravity, spec.option.disableflags = problem.gravity, int(OFF)
+    made, origins = {GROUND: spec.worldbody}, {GROUND: np.zeros(3)}
+    for i, body in enumerate(problem.bodies):
+        joint = problem.tree[i] if problem.tree else None
+        parent = joint.parent if joint else GROUND
+        origins[i] = joint.point if joint else body.position
+        made[i] = made[parent].add_body(
+            name=f"b{i}", pos=origins[i] - origins[parent], mass=body.mass,
+            ipos=body.position - origins[i], explicitinertial=True,
+            fullinertia=body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
+        if joint is None:
+            made[i].add_freejoint()
+        elif joint.kind == BALL:
+            made[i].add_joint(type=mujoco.mjtJoint.mjJNT_BALL)
+        else:
+            made[i].add_joint(type=mujoco.mjtJoint.mjJNT_HINGE, axis=joint.axis)
+    for loop in problem.loops:
+        anchor = np.zeros(mujoco.mjNEQDATA)
+        anchor[:3] = loop.point - origins[loop.parent]
+        spec.add_equality(
+            type=mujoco.mjtEq.mjEQ_CONNECT, objtype=mujoco.mjtObj.mjOBJ_BODY, data=anchor,
+            name1=f"b{loop.parent}", name2=f"b{loop.child}", solref=[LOOP_STEPS * step, 1.0],
+            solimp=[LOOP_IMPEDANCE, LOOP_IMPEDANCE, 1.0, 0.5, 2.0])
+    return spec.compile()
+
+
+class _Run:
+    """RK4 with so many steps per duration."""
+
+    def __init__(self, problem, steps):
+        self.problem, self.steps = problem, steps
+        self.model = model_of(problem, problem.duration / steps)
+        self.data = mujoco.MjData(self.model)
+        self.ids = [self.model.body(f"b{i}").id for i in range(len(problem.bodies))]
+
+    def reset(self):
+        bodies, speed = self.problem.bodies, self.data.qvel
+        mujoco.mj_resetData(self.model, self.data)
+        if not self.problem.tree:
+            speed[:] = [*bodies[0].velocity, *bodies[0].omega]
+        for i, joint in enumerate(self.problem.tree):
+            first = self.model.body_dofadr[self.ids[i]]
+            relative = bodies[i].omega
+            if joint.parent != GROUND:
+                relative = relative - bodies[joint.parent].omega
+            if joint.kind == HINGE:
+                speed[first] = relative @ joint.axis
+            else:
+                speed[first:first + 3] = relative
+
+    def advance(self, times):
+        mujoco.mj_step(self.model, self.data, nstep=times * self.steps)
+
+    def end(self):
+        mujoco.mj_forward(self.model, self.data)
+        gap = np.abs(self.data.efc_pos).max() if self.problem.loops else 0.0
+        return self.data.xmat[self.ids].reshape(-1, 3, 3), gap
+
+    def steps_per_duration(self):
+        return self.steps
+
+
+def entries(problem, ratio):
+    """RK4; the joints are coordinates, loops are springs."""
+    yield Entry(CODE, f"RK4 {problem.joints}".strip(), geometric(problem.coarsest, ratio),
+                lambda steps: _Run(problem, steps))
+
+
+def stepper(problem, step):
+    """Function that takes so many RK4 steps of a size, for the cost of one."""
+    run = _Run(problem, round(problem.duration / step))
+    run.reset()
+    return lambda count: mujoco.mj_step(run.model, run.data, nstep=count)

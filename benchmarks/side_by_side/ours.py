@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""This package on the problems: each method of order 4 or more, on each group."""
+import logging
+import math
+
+from liegroup_core import Scene, Simulation, SimulationError, load_scene
+from liegroup_core.integrators.methods import GROUPS, METHODS
+from liegroup_core.scene.description import Body, Frame, Joint
+from liegroup_core.simulation import STABILISATIONS
+
+from .measure import Entry, geometric
+from .problems import BALL, GROUND, HINGE
+
+CODE = "liegroup_core"
+# Methods of lower order are no candidates for any target.
+LOWEST_ORDER = 4
+JOINT_TYPES = {BALL: "spherical", HINGE: "revolute"}
+LOOSEST, TIGHTEST = 1e-2, 1e-13
+
+
+def prepare():
+    """Compile what has to be, and from then on say nothing of steps that are too coarse."""
+    Simulation(load_scene("heavy_top"))
+    logging.getLogger("liegroup_core").setLevel(logging.ERROR)
+
+
+def scene_of(problem):
+    """The problem as a scene: joint frames at the joints' points, hinges turning about their z."""
+    def name(body):
+        return "world" if body == GROUND else f"body{body}"
+
+    bodies = [Body(name=name(i), mass=body.mass, position=body.position,
+                   inertia=body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]],
+                   angular_velocity=body.omega, linear_velocity=body.velocity)
+              for i, body in enumerate(problem.bodies)]
+    joints = [Joint(name=f"joint{i}", type=JOINT_TYPES[joint.kind], parent=name(joint.parent),
+                    child=name(joint.child),
+                    child_frame=Frame(position=joint.point - problem.bodies[joint.child].position,
+                                      axis=joint.axis))
+              for i, joint in enumerate(problem.tree + problem.loops)]
+    return Scene(name="problem", gravity=problem.gravity, bodies=bodies, joints=joints)
+
+
+def _has_error_control(method):
+    return METHODS[method].tableau.e is not None
+
+
+class _Run:
+    """So many steps per duration, or substeps within it as a tolerance asks for them."""
+
+    def __init__(self, problem, scene, method, level, **options):
+        self.controlled = _has_error_control(method)
+        self.steps = 1 if self.controlled else level
+        if self.controlled:
+            options = options | {"rtol": level, "atol": level}
+        self.simulation = Simulation(scene, method=method, step=problem.duration / self.steps,
+                                     **options)
+        self.start = self.simulation.state()
+        # Substeps follow the motion: where it changes, they are paid for as it is at first.
+        self.anew = self.controlled and problem.changes
+
+    def reset(self):
+        self.simulation.set_state(*self.start)
+
+    def advance(self, times):
+        try:
+            if not self.anew:
+                self.simulation.advance(times * self.steps)
+                return
+            for _ in range(times):
+                self.reset()
+                self.simulation.advance(self.steps)
+        except SimulationError as error:
+            raise ArithmeticError(str(error)) from None
+
+    def end(self):
+        sample = self.simulation.sample()
+        return sample.pose_matrices[:, :3, :3], sample.constraint_residual
+
+    def steps_per_duration(self):
+        return self.simulation.substeps[1] if self.controlled else self.steps
+
+
+def _levels(problem, method, ratio):
+    """Numbers of steps, or tolerances, which make so many more of them."""
+    if not _has_error_control(method):
+        return geometric(problem.coarsest, ratio)
+    count = math.ceil(math.log(LOOSEST / TIGHTEST, ratio) / METHODS[method].order)
+    return [LOOSEST / ratio ** (METHODS[method].order * k) for k in range(count + 1)]
+
+
+def entries(problem, ratio):
+    """Every method and group; with loops, every stabilisation."""
+    scene = scene_of(problem)
+    for stabilisation in STABILISATIONS if problem.loops else ("none",):
+        for group in GROUPS:
+            for method in METHODS:
+                if METHODS[method].order < LOWEST_ORDER:
+                    continue
+                options = {"group": group, "stabilisation": stabilisation}
+                words = [method, group, problem.joints, stabilisation.replace("none", "")]
+                yield Entry(CODE, " ".join(filter(None, words)), _levels(problem, method, ratio),
+                            lambda level, m=method, o=options: _Run(problem, scene, m, level, **o))
+
+
+def stepper(problem, step):
+    """Function that takes so many RKMK4 steps of a size from the start."""
+    simulation = Simulation(scene_of(problem), method="rkmk4", step=step)
+
+    def take_steps(count):
+        simulation.reset()
+        simulation.advance(count)
+    return take_steps

@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pinocchio in a native loop: pinocchio_loop.cpp, compiled here against the headers of its wheel.
+
+Pinocchio gives the accelerations; the steps are ours. Everything is instantiated from the headers
+for this machine's processor, as a user who cares for speed would do. Loops are closed by
+constraintDynamics with gains tuned by hand.
+"""
+import ctypes
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pinocchio
+from scipy.integrate import DOP853
+
+from .measure import Entry, geometric
+from .problems import BALL, FREE, GROUND, HINGE
+
+CODE = "pinocchio"
+SOURCE = Path(__file__).with_name("pinocchio_loop.cpp")
+BUILD = Path(sys.prefix, "benchmarks")
+PREFIX = Path(pinocchio.__file__).parents[4]
+FLAGS = ["-std=c++17", "-O3", "-march=native", "-DNDEBUG", "-w", "-shared", "-fPIC",
+         "-DBOOST_MPL_LIMIT_LIST_SIZE=30", "-DBOOST_MPL_CFG_NO_PREPROCESSED_HEADERS",
+         f"-I{PREFIX / 'include'}", f"-I{PREFIX / 'include' / 'eigen3'}"]
+KINDS = {FREE: 0, BALL: 1, HINGE: 2}
+# Regularisation of a loop's redundant row, the value its documentation recommends.
+MU = 1e-12
+# Rate at which gaps of a loop die out, 1/s: the best of 0, 10, 30, 60, 100, 200 and 300 for P3.
+RATE = 100.0
+
+# The classical method, its weights below it.
+RK4 = [[0, 0, 0, 0], [1 / 2, 0, 0, 0], [0, 1 / 2, 0, 0], [0, 0, 1, 0],
+       [1 / 6, 1 / 3, 1 / 3, 1 / 6]]
+
+
+def version():
+    """Version of the package."""
+    return pinocchio.__version__
+
+
+def _library():
+    """The compiled loop, made once for each source, compiler and version."""
+    compiler = shutil.which(os.environ.get("CXX", "g++"))
+    if compiler is None:
+        raise ImportError("there is no C++ compiler for its loop (g++, or what CXX names)")
+    if not (PREFIX / "include" / "eigen3").is_dir():
+        raise ImportError("the headers of Eigen are missing (pip install cmeel-eigen)")
+    key = hashlib.sha256(repr((SOURCE.read_text(), FLAGS, version(), compiler)).encode())
+    path = BUILD / f"pinocchio_loop_{key.hexdigest()[:12]}.so"
+    if not path.exists():
+        print("Compiling the loop around Pinocchio (once; one or two minutes)", flush=True)
+        BUILD.mkdir(parents=True, exist_ok=True)
+        made = path.with_suffix(f".{os.getpid()}")
+        run = subprocess.run([compiler, *FLAGS, str(SOURCE), "-o", str(made)],
+                             capture_output=True, text=True)
+        if run.returncode:
+            error = next((line for line in run.stderr.splitlines() if "error" in line), "")
+            raise ImportError(f"its loop does not compile: {error[:300]}")
+        made.replace(path)
+    library = ctypes.CDLL(str(path))
+    library.make.restype = ctypes.c_void_p
+    library.end_state.restype = ctypes.c_double
+    return library
+
+
+LIBRARY = _library()
+
+
+def _doubles(values):
+    return np.ascontiguousarray(values, dtype=float).ctypes
+
+
+def _integers(values):
+    return np.ascontiguousarray(values, dtype=np.int32).ctypes
+
+
+class _Run:
+    """Munthe-Kaas steps of a tableau, so many per duration."""
+
+    def __init__(self, problem, tableau, highest, steps):
+        self.steps, self.count = steps, len(problem.bodies)
+        self.step = ctypes.c_double(problem.duration / steps)
+        bodies, tree = problem.bodies, problem.tree
+        kinds = [KINDS[joint.kind] for joint in tree] or [KINDS[FREE]]
+        parents = [joint.parent for joint in tree] or [GROUND]
+        points = [joint.point for joint in tree] or [bodies[0].position]
+        axes = [joint.axis for joint in tree] or [np.zeros(3)]
+        origin = {GROUND: np.zeros(3)} | dict(enumerate(points))
+        omega = {GROUND: np.zeros(3)} | {i: body.omega for i, body in enumerate(bodies)}
+        speeds = []
+        for i, (kind, parent, axis) in enumerate(zip(kinds, parents, axes)):
+            relative = omega[i] - omega[parent]
+            speeds += {KINDS[FREE]: [*bodies[i].velocity, *relative], KINDS[BALL]: [*relative],
+                       KINDS[HINGE]: [relative @ axis]}[kind]
+        anchors = [[*(loop.point - origin[loop.parent]), *(loop.point - origin[loop.child])]
+                   for loop in problem.loops]
+        self.loop = ctypes.c_void_p(LIBRARY.make(
+            self.count, _integers(kinds), _integers(parents),
+            _doubles([points[i] - origin[parents[i]] for i in range(self.count)]), _doubles(axes),
+            _doubles([body.mass for body in bodies]),
+            _doubles([body.position - points[i] for i, body in enumerate(bodies)]),
+            _doubles([body.inertia for body in bodies]), _doubles(problem.gravity),
+            _doubles(speeds), len(anchors),
+            _integers([[loop.parent, loop.child] for loop in problem.loops]), _doubles(anchors),
+            len(tableau) - 1, _doubles(tableau), highest, ctypes.c_double(MU),
+            ctypes.c_double(RATE)))
+
+    def __del__(self):
+        LIBRARY.destroy(self.loop)
+
+    def reset(self):
+        LIBRARY.reset(self.loop)
+
+    def take(self, steps):
+        LIBRARY.advance(self.loop, self.step, ctypes.c_long(steps))
+
+    def advance(self, times):
+        self.take(times * self.steps)
+
+    def end(self):
+        rotations = np.zeros((self.count, 3, 3))
+        gap = LIBRARY.end_state(self.loop, _doubles(rotations))
+        return rotations, gap
+
+    def steps_per_duration(self):
+        return self.steps
+
+
+def entries(problem, ratio):
+    """Order 4, and, not counted, our own order 8 around its accelerations."""
+    levels = geometric(problem.coarsest, ratio)
+    yield Entry(CODE, f"RK4 {problem.joints}".strip(), levels,
+                lambda steps: _Run(problem, RK4, 2, steps))
+    tableau = np.vstack([DOP853.A, DOP853.B])
+    yield Entry(CODE, f"our RK8 {problem.joints}".strip(), levels,
+                lambda steps: _Run(problem, tableau, 6, steps), counted=False)
+
+
+def stepper(problem, step):
+    """Function that takes so many RK4 steps of a size, for the cost of one."""
+    run = _Run(problem, RK4, 2, round(problem.duration / step))
+    return run.take

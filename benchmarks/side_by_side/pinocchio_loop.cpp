@@ -1,0 +1,203 @@
+// SPDX-License-Identifier: Apache-2.0
+// Munthe-Kaas steps around Pinocchio's forward dynamics: the loop its user would write.
+//
+// Joint frames stand at the joints, aligned with the world at the start. The state is Pinocchio's
+// (q, v); an increment psi in the tangent space moves it by pinocchio::integrate, and
+//     psi' = dexp^-1_{-psi} v,   v' = aba(q, v)   or   constraintDynamics(q, v) with loops.
+// Nothing is allocated in a step but what Pinocchio allocates.
+#include <cmath>
+#include <memory>
+#include <vector>
+
+#include <pinocchio/algorithm/aba.hpp>
+#include <pinocchio/algorithm/constrained-dynamics.hpp>
+#include <pinocchio/algorithm/joint-configuration.hpp>
+#include <pinocchio/algorithm/kinematics.hpp>
+
+namespace pin = pinocchio;
+using Eigen::Matrix3d;
+using Eigen::MatrixXd;
+using Eigen::Vector3d;
+using Eigen::VectorXd;
+
+enum Kind { FREE = 0, BALL = 1, HINGE = 2 };
+
+struct Loop
+{
+  pin::Model model;
+  std::unique_ptr<pin::Data> data;
+  std::vector<int> kinds;
+  std::vector<pin::RigidConstraintModel> constraints;
+  std::vector<pin::RigidConstraintData> constraint_data;
+  pin::ProximalSettings settings;
+  VectorXd q_start, v_start, q, v, torque, psi, q_stage, v_stage;
+  MatrixXd a, k_q, k_v;  // a: tableau, below it its weights; k: one column per stage
+  int highest;           // last power of ad in dexp^-1
+
+  void evaluate(const VectorXd & q_at, const VectorXd & v_at, int stage)
+  {
+    if (constraints.empty())
+      k_v.col(stage) = pin::aba(model, *data, q_at, v_at, torque);
+    else
+      k_v.col(stage) = pin::constraintDynamics(
+        model, *data, q_at, v_at, torque, constraints, constraint_data, settings);
+  }
+
+  // dexp^-1_{-psi} v = v + [psi, v] / 2 + [psi, [psi, v]] / 12 - ..., joint by joint.
+  void pull_back(const VectorXd & v_at, int stage)
+  {
+    static const double bernoulli[] = {1. / 12, -1. / 720, 1. / 30240, -1. / 1209600};
+    k_q.col(stage) = v_at;
+    for (size_t i = 0; i < kinds.size(); ++i)
+    {
+      const int at = model.joints[i + 1].idx_v();
+      if (kinds[i] == BALL)
+      {
+        const Vector3d u = psi.segment<3>(at), w = v_at.segment<3>(at);
+        Vector3d bracket = u.cross(w), sum = w + 0.5 * bracket;
+        for (int power = 2; power <= highest; power += 2)
+        {
+          bracket = u.cross(bracket);
+          sum += bernoulli[power / 2 - 1] * bracket;
+          bracket = u.cross(bracket);
+        }
+        k_q.col(stage).segment<3>(at) = sum;
+      }
+      else if (kinds[i] == FREE)
+      {
+        const pin::Motion u(psi.segment<6>(at)), w(v_at.segment<6>(at));
+        pin::Motion bracket = u.cross(w), sum = w + 0.5 * bracket;
+        for (int power = 2; power <= highest; power += 2)
+        {
+          bracket = u.cross(bracket);
+          sum += bernoulli[power / 2 - 1] * bracket;
+          bracket = u.cross(bracket);
+        }
+        k_q.col(stage).segment<6>(at) = sum.toVector();
+      }
+    }
+  }
+
+  void step(double h)
+  {
+    const int stages = int(a.cols());
+    k_q.col(0) = v;
+    evaluate(q, v, 0);
+    for (int stage = 1; stage <= stages; ++stage)
+    {
+      psi.setZero();
+      v_stage = v;
+      for (int l = 0; l < stage; ++l)
+        if (a(stage, l) != 0.)
+        {
+          psi += h * a(stage, l) * k_q.col(l);
+          v_stage += h * a(stage, l) * k_v.col(l);
+        }
+      pin::integrate(model, q, psi, q_stage);
+      if (stage == stages)
+        break;
+      pull_back(v_stage, stage);
+      evaluate(q_stage, v_stage, stage);
+    }
+    q.swap(q_stage);
+    v.swap(v_stage);
+  }
+};
+
+extern "C"
+{
+  // kinds, parents (n); points (n, 3) of the joints in the parent's joint frame; axes (n, 3);
+  // masses (n); centres (n, 3) in the joint frame; inertias (n, 9) about the centres; v (nv);
+  // loops (m, 2) bodies; anchors (m, 6) points in the joint frames of the two; a (stages + 1, stages)
+  Loop * make(
+    int n, const int * kinds, const int * parents, const double * points, const double * axes,
+    const double * masses, const double * centres, const double * inertias, const double * gravity,
+    const double * v, int m, const int * loops, const double * anchors, int stages, const double * a,
+    int highest, double mu, double rate)
+  {
+    auto loop = new Loop;
+    pin::Model & model = loop->model;
+    model.gravity.linear() = Eigen::Map<const Vector3d>(gravity);
+    for (int i = 0; i < n; ++i)
+    {
+      const Vector3d axis = Eigen::Map<const Vector3d>(axes + 3 * i);
+      pin::JointModel joint = pin::JointModelRevoluteUnaligned(axis);
+      if (kinds[i] == FREE)
+        joint = pin::JointModelFreeFlyer();
+      else if (kinds[i] == BALL)
+        joint = pin::JointModelSpherical();
+      else if (axis[1] == 1.)
+        joint = pin::JointModelRY();
+      else if (axis[2] == 1.)
+        joint = pin::JointModelRZ();
+      const auto id = model.addJoint(
+        parents[i] + 1, joint,
+        pin::SE3(Matrix3d::Identity(), Eigen::Map<const Vector3d>(points + 3 * i)),
+        "joint" + std::to_string(i));
+      model.appendBodyToJoint(
+        id, pin::Inertia(
+              masses[i], Eigen::Map<const Vector3d>(centres + 3 * i),
+              Eigen::Map<const Matrix3d>(inertias + 9 * i)));
+      loop->kinds.push_back(kinds[i]);
+    }
+    for (int l = 0; l < m; ++l)
+    {
+      const auto at = [&](int end) {
+        return pin::SE3(
+          Matrix3d::Identity(), Eigen::Map<const Vector3d>(anchors + 6 * l + 3 * end));
+      };
+      loop->constraints.emplace_back(
+        pin::CONTACT_3D, model, loops[2 * l] + 1, at(0), loops[2 * l + 1] + 1, at(1));
+      // Gaps die out like those of a critically damped spring of this rate, 1/s.
+      loop->constraints.back().m_baumgarte_parameters = {rate * rate, 2. * rate};
+    }
+    loop->data = std::make_unique<pin::Data>(model);
+    for (const auto & constraint : loop->constraints)
+      loop->constraint_data.emplace_back(constraint);
+    if (m > 0)
+      pin::initConstraintDynamics(model, *loop->data, loop->constraints, loop->constraint_data);
+    loop->settings = pin::ProximalSettings(1e-14, mu, 10);
+    loop->q_start = pin::neutral(model);
+    loop->v_start = Eigen::Map<const VectorXd>(v, model.nv);
+    loop->q = loop->q_stage = loop->q_start;
+    loop->v = loop->v_stage = loop->v_start;
+    loop->torque = loop->psi = VectorXd::Zero(model.nv);
+    loop->k_q = loop->k_v = MatrixXd::Zero(model.nv, stages);
+    loop->a = Eigen::Map<const Eigen::Matrix<double, -1, -1, Eigen::RowMajor>>(a, stages + 1, stages);
+    loop->highest = highest;
+    return loop;
+  }
+
+  void reset(Loop * loop)
+  {
+    loop->q = loop->q_start;
+    loop->v = loop->v_start;
+  }
+
+  void advance(Loop * loop, double h, long steps)
+  {
+    for (long i = 0; i < steps; ++i)
+      loop->step(h);
+  }
+
+  // rotations (n, 9) row-major, world axes; returns the largest distance of two ends of a loop, m
+  double end_state(Loop * loop, double * rotations)
+  {
+    pin::forwardKinematics(loop->model, *loop->data, loop->q);
+    for (size_t i = 0; i < loop->kinds.size(); ++i)
+      Eigen::Map<Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(rotations + 9 * i) =
+        loop->data->oMi[i + 1].rotation();
+    double gap = 0.;
+    for (const auto & c : loop->constraints)
+      gap = std::max(
+        gap, (loop->data->oMi[c.joint1_id].act(c.joint1_placement.translation())
+              - loop->data->oMi[c.joint2_id].act(c.joint2_placement.translation()))
+               .norm());
+    return gap;
+  }
+
+  void destroy(Loop * loop)
+  {
+    delete loop;
+  }
+}

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The problems, in words that every code understands: P1..P4, and chains of any length.
+
+All body frames are aligned with the world at the start, R_i(0) = I, and sit at the centre of
+mass; inertias (3, 3) are about it. So a joint is a point and an axis in the world at the start,
+and no code gets a head start from its own choice of frames. SI units, rad/s.
+"""
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from math import acos, atan2, cos, hypot, pi, sin, sqrt
+
+import numpy as np
+
+from . import references
+
+BALL, HINGE, FREE = "ball", "hinge", "free"
+GROUND = -1
+GRAVITY = 9.81
+
+
+@dataclass(frozen=True)
+class Body:
+    """Rigid body at the start; all vectors (3,) in world axes, which are its own then."""
+
+    mass: float
+    inertia: np.ndarray
+    position: np.ndarray
+    omega: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    velocity: np.ndarray = field(default_factory=lambda: np.zeros(3))
+
+
+@dataclass(frozen=True)
+class Joint:
+    """Pair of kind BALL or HINGE at a point (3,) in the world; the axis is that of a hinge."""
+
+    kind: str
+    parent: int
+    child: int
+    point: np.ndarray
+    axis: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Mechanism and what is asked of it.
+
+    tree     : joint i holds body i to an earlier body or to the ground; empty for a free body
+    loops    : further joints, which close loops
+    duration : s, at its end the attitudes are compared
+    coarsest : steps for the duration with which to begin
+    changes  : True when the motion is of another kind after the duration
+    exact    : function of a fineness 0 or 1 that returns the exact attitudes then, (n, 3, 3)
+    """
+
+    name: str
+    title: str
+    bodies: tuple
+    tree: tuple
+    loops: tuple
+    gravity: np.ndarray
+    duration: float
+    coarsest: int
+    changes: bool
+    exact: Callable | None = None
+
+    @property
+    def joints(self):
+        """Kind of its joints in words."""
+        return {BALL: "balls", HINGE: "hinges"}[self.tree[0].kind] if self.tree else ""
+
+
+def heavy_top():
+    """P1: a fast symmetric top about a fixed point."""
+    mass, inertia = 15.0, np.diag([0.234375, 0.46875, 0.234375])
+    arm, omega = np.array([0.0, 1.0, 0.0]), np.array([0.0, 150.0, -4.61538])
+    gravity = np.array([0.0, 0.0, -GRAVITY])
+    about_pivot = np.diag(inertia) + mass * np.array([1.0, 0.0, 1.0])
+    return Problem(
+        "P1", "heavy top", (Body(mass, inertia, arm, omega, np.cross(omega, arm)),),
+        (Joint(BALL, GROUND, 0, np.zeros(3)),), (), gravity, 1.0, 40, False,
+        lambda fineness: references.spinning_body(about_pivot, omega, mass * arm, gravity, 1.0,
+                                                  fineness))
+
+
+def free_body():
+    """P2: three different principal moments, no force."""
+    moments, omega = np.array([0.9144, 1.098, 1.66]), np.array([0.45549, 0.82623, 0.03476])
+    return Problem(
+        "P2", "free body", (Body(1.0, np.diag(moments), np.zeros(3), omega),), (), (), np.zeros(3),
+        10.0, 2, False,
+        lambda fineness: references.spinning_body(moments, omega, np.zeros(3), np.zeros(3), 10.0,
+                                                  fineness))
+
+
+def _rod_inertia(mass, length, width, angle):
+    """Inertia of a square rod in the xy plane, `angle` from x."""
+    along, across = mass * width ** 2 / 6, mass * (length ** 2 + width ** 2) / 12
+    turn = np.array([[cos(angle), -sin(angle), 0], [sin(angle), cos(angle), 0], [0, 0, 1]])
+    return turn @ np.diag([along, across, across]) @ turn.T
+
+
+class _Planar:
+    """Rods in the xy plane, added one by one, and the joints they come with."""
+
+    def __init__(self, width, density):
+        self.width, self.density = width, density
+        self.bodies, self.tree = [], []
+
+    def add(self, start, length, angle, rate, parent, start_velocity):
+        """A rod on a hinge at its start: (index of the body, end, velocity of the end)."""
+        arm = length / 2 * np.array([cos(angle), sin(angle), 0.0])
+        omega = np.array([0.0, 0.0, rate])
+        mass = self.density * self.width ** 2 * length
+        self.bodies.append(Body(mass, _rod_inertia(mass, length, self.width, angle), start + arm,
+                                omega, start_velocity + np.cross(omega, arm)))
+        last = len(self.bodies) - 1
+        self.tree.append(Joint(HINGE, parent, last, start))
+        return last, start + 2 * arm, start_velocity + np.cross(omega, 2 * arm)
+
+
+def four_bar():
+    """P3: planar four-bar, its crank at 90 degrees turning at 10 pi rad/s, gravity along -y."""
+    crank, rod, base, rate = 0.5, 1.0, 1.0, 10.0 * pi
+    # The elbow is where circles around the crank's tip and the rocker's pivot meet, above.
+    half = hypot(base, crank) / 2
+    line, turn = atan2(-crank, base), acos(half / rod)
+    coupler_angle, rocker_angle = line + turn, line + pi - turn
+    # Coupler and rocker move the elbow alike: along the rocker, and along the coupler.
+    coupler_rate = (-rate * crank * sin(rocker_angle - pi / 2)
+                    / (rod * sin(rocker_angle - coupler_angle)))
+    rocker_rate = (rate * crank * sin(coupler_angle - pi / 2)
+                   / (rod * sin(coupler_angle - rocker_angle)))
+    rods, still = _Planar(0.05, 1000.0), np.zeros(3)
+    first, tip, velocity = rods.add(np.zeros(3), crank, pi / 2, rate, GROUND, still)
+    rods.add(tip, rod, coupler_angle, coupler_rate, first, velocity)
+    foot = np.array([base, 0.0, 0.0])
+    _, elbow, _ = rods.add(foot, rod, rocker_angle, rocker_rate, GROUND, still)
+    return Problem("P3", "planar four-bar", tuple(rods.bodies), tuple(rods.tree),
+                   (Joint(HINGE, 1, 2, elbow),), np.array([0.0, -GRAVITY, 0.0]), 1.0, 80, False,
+                   references.four_bar)
+
+
+def windows(count):
+    """So many square windows of 1 m side by side, upright, their top moving at 1 m/s."""
+    rods, still = _Planar(sqrt(1e-3), 1000.0), np.zeros(3)
+    loops = []
+    last, tip, velocity = rods.add(np.zeros(3), 1.0, pi / 2, -1.0, GROUND, still)
+    for window in range(count):
+        coupler, _, _ = rods.add(tip, 1.0, 0.0, 0.0, last, velocity)
+        foot = np.array([window + 1.0, 0.0, 0.0])
+        last, tip, velocity = rods.add(foot, 1.0, pi / 2, -1.0, GROUND, still)
+        loops.append(Joint(HINGE, coupler, last, tip))
+    return Problem(f"{count} windows", "four-bars in a row", tuple(rods.bodies), tuple(rods.tree),
+                   tuple(loops), np.array([0.0, -GRAVITY, 0.0]), 0.1, 100, True)
+
+
+def chain(links, kind):
+    """P4: rods of 0.1 m and 0.1 kg hang on each other; horizontal along x and at rest."""
+    mass, length, width = 0.1, 0.1, 0.01
+    bodies = tuple(Body(mass, _rod_inertia(mass, length, 0.0, 0.0)
+                        + np.diag([mass * width ** 2 / 6, 0.0, 0.0]),
+                        np.array([(i + 0.5) * length, 0.0, 0.0])) for i in range(links))
+    tree = tuple(Joint(kind, i - 1, i, np.array([i * length, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
+                 for i in range(links))
+    return Problem(f"P4 N={links}", f"chain of {links}", bodies, tree, (),
+                   np.array([0.0, 0.0, -GRAVITY]), 0.5, 12, True,
+                   lambda fineness: references.planar_chain(links, mass, length, GRAVITY, 0.5,
+                                                            fineness))
