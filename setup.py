@@ -37,12 +37,10 @@ setup(
         "scipy>=1.11",
     ],
     extras_require={
-    extras_require={
         "figures": ["matplotlib"],
         "test": ["hypothesis", "jsonschema", "matplotlib", "mpmath", "pytest", "rosbags"],
         # What benchmarks/ compares with; Eigen's headers, for the loop around Pinocchio.
         "bench": ["cmeel-eigen", "exudyn", "mujoco", "pin"],
-    },
     },
     entry_points={
         "console_scripts": [
