@@ -11,6 +11,7 @@ U^T J = 0, U with orthonormal columns, the rows D can be spared where the square
 regular, and its least singular value says how well. Bricard's linkage has rows whose entry of U
 changes its sign on the way: without such a row the rest loses its rank there, although the linkage
 does nothing special. So the linkage is moved far, and the rows are taken whose block stays best.
+Where every row had such a pose, no choice would hold for the whole motion.
 
 Dropping is not the same as solving with a pseudo-inverse: its cut-off, met once by round-off, turns
 the dependent row into a constraint with a wrong right-hand side and destroys the solution while
