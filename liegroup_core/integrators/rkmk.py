@@ -138,33 +138,17 @@ def _store_slope(work, scheme, group, n, i, stage):
 
 
 @kernel
-def _stages(model, work, scheme, group, h, pose, twist, external, known):
-    """One step of size h from pose and twist, its end in work.stage_pose and work.stage_twist.
-
-    known : True when the first stage's slopes are in work.slopes already
-    returns OK, NOT_FINITE, ROTATION_TOO_LARGE, DEPENDENT_ROWS + (joint << 8) or
-    TURNS_NOT_COUNTED + (spring << 8)
-    """
-    n = len(model.bodies)
-    stages = scheme.a.shape[1]
+def _begin(model, work, group, pose, twist):
+    """Stage 0: the state itself."""
     work.report[1] = 0.0
-    for i in range(n):
+    for i in range(len(model.bodies)):
         group_velocity(group, pose, twist, i, work.velocity)
     copy_state(pose, twist, work.stage_pose, work.stage_twist)
-    # The end of a step is one more stage: nothing to evaluate there but for an error estimate.
-    for stage in range(1 if known else 0, stages + 1):
-        if stage > 0:
-            status = _move(model, work, scheme, group, h, stage, stage == stages, pose)
-            if status != OK:
-                return status
-            if stage == stages and group == SE3 and model.baumgarte_rate == 0.0:
-                clear_ground_slip(model, work.stage_twist)
-        if stage < stages or len(scheme.error) > 0:
-            dependent = accelerations(model, work, work.stage_pose, work.stage_twist, external)
-            if dependent >= 0:
-                return DEPENDENT_ROWS + (dependent << 8)
-            for i in range(n):
-                _store_slope(work, scheme, group, n, i, stage)
+
+
+@kernel
+def _check_end(model, work, h):
+    """OK, NOT_FINITE or TURNS_NOT_COUNTED + (spring << 8) for the end of a step of size h."""
     if not is_finite(work.stage_pose, work.stage_twist):
         return NOT_FINITE
     fast = too_fast(model.forces, h, work.stage_pose, work.stage_twist)
@@ -206,54 +190,40 @@ def _change(error):
 
 
 @kernel
-def _step(model, work, scheme, group, h, pose, twist, external, control, known):
-    """One step of size h in place: in one go, or in substeps when the scheme estimates its error.
+def _judge(model, work, scheme, h, size, status, twist, control):
+    """Whether a substep of so much of a step h was good, and the size of the next.
 
-    returns (status, True when the slopes of the new state are those of a first stage already)
+    returns (status, True when it was good): not OK where no smaller substep will be tried
     """
-    controlled = len(scheme.error) > 0
-    n = len(model.bodies)
-    left = h
-    attempts = 0
-    while left > 0.0:
-        size, count = left, 1
-        if controlled:
-            # Equal substeps up to the end of the step: no tiny one is left over.
-            count = max(1, math.ceil(left / control[0] - 1e-6))
-            size = left / count
-            attempts += 1
-        status = _stages(model, work, scheme, group, size, pose, twist, external, known)
-        if controlled:
-            error = math.inf
-            if status == OK:
-                error = _error(model, work, scheme, size, twist)
-            control[0] = min(h, size * _change(error))
-            control[2] += 1.0
-            known = known or status == OK
-            if not error <= 1.0:
-                if control[0] < SMALLEST_SUBSTEP * h:
-                    return (status if status != OK else SUBSTEP_TOO_SMALL), False
-                if attempts >= MOST_SUBSTEPS:
-                    return TOO_MANY_SUBSTEPS, False
-                continue
-            if attempts >= MOST_SUBSTEPS and count > 1:
-                return TOO_MANY_SUBSTEPS, False
-            # The slope at the end is the first of the next substep, taken there as it is.
-            for i in range(n):
-                _store_slope(work, scheme, group, n, i, 0)
-            control[1] += 1.0
-            known = not model.projects
-        elif status != OK:
-            return status, False
-        if model.projects:
-            _, status = project(model, work, work.stage_pose, work.stage_twist)
-            if status != OK:
-                return status, False
-        count_turns(model.forces, work.stage_pose, work.angle)
-        copy_state(work.stage_pose, work.stage_twist, pose, twist)
-        work.report[0] = max(work.report[0], work.report[1])
-        left = left - size if count > 1 else 0.0
-    return OK, known
+    error = math.inf
+    if status == OK:
+        error = _error(model, work, scheme, size, twist)
+    control[0] = min(h, size * _change(error))
+    control[2] += 1.0
+    if error <= 1.0:
+        control[1] += 1.0
+        return OK, True
+    if control[0] < SMALLEST_SUBSTEP * h:
+        return (status if status != OK else SUBSTEP_TOO_SMALL), False
+    return OK, False
+
+
+@kernel
+def _keep(work, pose, twist, control):
+    """Remember the state at the start of a step that is taken in substeps."""
+    copy_state(pose, twist, work.start_pose, work.start_twist)
+    for i in range(len(work.angle)):
+        work.start_angle[i] = work.angle[i]
+    control[3] = control[0]
+
+
+@kernel
+def _restore(work, pose, twist, control):
+    """Back to the state that `_keep` has kept."""
+    copy_state(work.start_pose, work.start_twist, pose, twist)
+    for i in range(len(work.angle)):
+        work.angle[i] = work.start_angle[i]
+    control[0] = control[3]
 
 
 @kernel
@@ -261,30 +231,78 @@ def advance(model, work, scheme, group, h, steps, pose, twist, external, control
     """Take `steps` steps of size h in place of pose (n, 12) and twist (n, 6).
 
     external (n, 6) : applied wrenches in body axes, constant over these steps
-    control (3,)    : next substep in s, numbers of good substeps and of all attempts so far; only
-                      used and changed by schemes with error control
+    control (4,)    : next substep in s, numbers of good substeps and of all attempts so far, next
+                      substep at the start of the step; only for schemes with error control
     returns (steps done, status): fewer than asked when status is not OK (low byte; the rest names
     the joint of DEPENDENT_ROWS or the torsional spring of TURNS_NOT_COUNTED). Pose, twist and
     work.angle are then those of the last good step.
+
+    Steps, substeps and stages are loops of one function: a kernel that contains the mechanics is
+    compiled once more for every function it is inlined into, for many seconds.
     """
     model, work, scheme = borrowed(model), borrowed(work), borrowed(scheme)
     pose, twist = borrowed(pose), borrowed(twist)
     external, control = borrowed(external), borrowed(control)
-    known = False
+    n = len(model.bodies)
+    stages = scheme.a.shape[1]
+    controlled = len(scheme.error) > 0
+    first = 0       # 1: slopes of the first stage are there, the last ones of the substep before
     for done in range(steps):
-        if len(scheme.error) > 0:
-            copy_state(pose, twist, work.start_pose, work.start_twist)
-            for i in range(len(work.angle)):
-                work.start_angle[i] = work.angle[i]
-        substep = control[0]
-        status, known = _step(model, work, scheme, group, h, pose, twist, external, control, known)
-        if status != OK:
-            if len(scheme.error) > 0:
-                copy_state(work.start_pose, work.start_twist, pose, twist)
-                for i in range(len(work.angle)):
-                    work.angle[i] = work.start_angle[i]
-                control[0] = substep
-            return done, status
+        if controlled:
+            _keep(work, pose, twist, control)
+        left = h
+        attempts = 0
+        while left > 0.0:
+            count = 1
+            if controlled:
+                # Equal substeps up to the end of the step: no tiny one is left over.
+                count = max(1, math.ceil(left / control[0] - 1e-6))
+            size = left / count
+            attempts += 1
+            _begin(model, work, group, pose, twist)
+            status = OK
+            # The end is one more stage: nothing to evaluate there but for an error estimate.
+            for stage in range(first, stages + 1):
+                if stage > 0:
+                    status = _move(model, work, scheme, group, size, stage, stage == stages, pose)
+                    if status != OK:
+                        break
+                    if stage == stages and group == SE3 and model.baumgarte_rate == 0.0:
+                        clear_ground_slip(model, work.stage_twist)
+                if stage < stages or controlled:
+                    dependent = accelerations(model, work, work.stage_pose, work.stage_twist,
+                                              external)
+                    if dependent >= 0:
+                        status = DEPENDENT_ROWS + (dependent << 8)
+                        break
+                    for i in range(n):
+                        _store_slope(work, scheme, group, n, i, stage)
+            if status == OK:
+                status = _check_end(model, work, size)
+            if controlled:
+                if status == OK:
+                    first = 1
+                status, good = _judge(model, work, scheme, h, size, status, twist, control)
+                if status == OK and attempts >= MOST_SUBSTEPS and not (good and count == 1):
+                    status = TOO_MANY_SUBSTEPS
+                if status == OK and not good:
+                    continue
+            if status == OK and model.projects:
+                _, status = project(model, work, work.stage_pose, work.stage_twist)
+            if status != OK:
+                if controlled:
+                    _restore(work, pose, twist, control)
+                return done, status
+            if controlled:
+                # The slope at the end is the first of the next substep, taken there as it is;
+                # a projected end has another.
+                for i in range(n):
+                    _store_slope(work, scheme, group, n, i, 0)
+                first = 0 if model.projects else 1
+            count_turns(model.forces, work.stage_pose, work.angle)
+            copy_state(work.stage_pose, work.stage_twist, pose, twist)
+            work.report[0] = max(work.report[0], work.report[1])
+            left = left - size if count > 1 else 0.0
     return steps, OK
 
 
@@ -305,7 +323,7 @@ class MuntheKaas:
             float(options.get("rtol", 0.0)), float(options.get("atol", 1.0)))
         self._model, self._group, self._longest = layout.model, GROUPS[group], step
         self.work = make_work(layout.model, stages)
-        self._control = np.zeros(3)
+        self._control = np.zeros(4)
         self.restart()
 
     @staticmethod
@@ -319,7 +337,7 @@ class MuntheKaas:
 
     def restart(self):
         """Forget what lasts between calls: the state is a new one."""
-        self._control[:] = self._longest, 0.0, 0.0
+        self._control[:] = self._longest, 0.0, 0.0, self._longest
 
     @property
     def substeps(self):
