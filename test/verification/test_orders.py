@@ -63,7 +63,8 @@ def double_pendulum():
     """(scene, end attitudes at 1.25 s): the second body on a ball joint at b1.
 
     r1 = R1 a1, r2 = R1 b1 + R2 a2; with rdot_i = J_i (w1, w2) + nothing else and
-    rddot_i = J_i wdot + g_i, d'Alembert gives (sum m J^T J + I) wdot = sum m J^T (g - g_i) - w x I w.
+    rddot_i = J_i wdot + g_i, d'Alembert gives
+    (sum m J^T J + I) wdot = sum m J^T (g - g_i) - w x I w.
     """
     p = Pair
     scene = Scene(
@@ -130,7 +131,7 @@ def golden(scene, rows):
 
 
 # Problem: (scene and end attitudes of the bodies, time of the end, floor). The floors are what a
-# method of order 8 no longer falls below; the golden attitudes are right to 1e-15, DOP853 to 2e-13.
+# method of order 8 no longer falls below; golden attitudes are right to 1e-15, DOP853 to 2e-13.
 PROBLEMS = {
     "heavy top": (golden("heavy_top", [
         0.72338819974053045, -0.25225153160076429, -0.6427119707001131,
