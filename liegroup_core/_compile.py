@@ -141,6 +141,30 @@ else:
         return arrays
 
 
+def by_type(name, table):
+    """A kernel that stands for one of several: which one, the type of its first argument says.
+
+    name  : what it is called in messages
+    table : {NamedTuple class: kernel}; all take the same arguments
+    The choice is made when a caller is compiled: it costs nothing at run time.
+    """
+    def call(first, *rest):
+        return table[type(first)](first, *rest)
+    call.__name__ = name
+    if compiled():
+        def choose(first, *rest):
+            chosen = table.get(getattr(first, "instance_class", None))
+            if chosen is None:
+                return None
+
+            def forward(first, *rest):
+                return chosen(first, *rest)
+            return forward
+        numba.extending.overload(call, jit_options={
+            "forceinline": True, "nogil": True, "error_model": "numpy"})(choose)
+    return call
+
+
 def warm_up(call, name):
     """Run `call` once so that all kernels it uses are compiled, and say so when that takes time.
 

@@ -20,6 +20,7 @@ from .integrators.status import (DEPENDENT_ROWS, LARGE_ROTATION, MESSAGES, OK,
 from .model.arrays import Model
 from .model.build import build_model, initial_state
 from .model.sample import Sample
+from .planar.build import planar_model
 from .scene.assembly import ready
 from .scene.centres import Offsets
 from .scene.description import Scene
@@ -44,6 +45,13 @@ class Layout:
     owners: tuple                           # scene joint of each element of the model
     row_names: tuple                        # names of the rows of each element
     kept_rows: tuple                        # numbers of the rows of each element that are solved for
+
+    @cached_property
+    def plane(self):
+        """PlanarModel, when the joints hold all bodies in a plane; else None. Without baumgarte."""
+        if self.model.baumgarte_rate > 0.0:
+            return None
+        return planar_model(self.centred, self.model)
 
     @cached_property
     def joint_of_row(self):
@@ -326,9 +334,8 @@ class Simulation:
         self._work.acting[:] = acting
         return self._integrator.advance(h, steps, self._pose, self._twist, self._external)
 
-    def _joint_name(self, joint):
-        """Name of the scene's joint behind a joint of the model."""
-        element = self.layout.model.joints[joint]["element"]
+    def _joint_name(self, element):
+        """Name of the scene's joint behind an element of the model."""
         return self.scene.joints[self.layout.owners[element]].name
 
     def _explain(self, status):

@@ -19,7 +19,7 @@ from ..lie.se3 import se3_compose, se3_exp
 from ..lie.vec3 import dot3, load3, load9, store3, store9, tmatvec3
 from ..model.arrays import WORLD
 from .constraints import assemble, position_residuals
-from .saddle_point import solve
+from .saddle_point import SPATIAL_SIZES, solve
 
 # Newton's method doubles the digits: a gap of a tenth of the mechanism takes four or five rounds.
 MOST_ROUNDS = 20
@@ -69,7 +69,7 @@ def project(model, work, pose, twist):
     """Close all joints at the nearest pose and velocity, in place of pose (n, 12), twist (n, 6).
 
     returns (rounds, status): displacements it took, 0 where the joints were closed to rounding;
-    OK, NOT_PROJECTED or DEPENDENT_ROWS + (joint << 8)
+    OK, NOT_PROJECTED or DEPENDENT_ROWS + (element << 8)
     """
     model, work = borrowed(model), borrowed(work)
     pose, twist = borrowed(pose), borrowed(twist)
@@ -88,9 +88,9 @@ def project(model, work, pose, twist):
                     work.solution[start + r] = -work.slip[first + r]
                 else:
                     work.solution[start + r] = -work.gap[model.row_residual[first + r]]
-        dependent = solve(model, work, model.refinements, 0.0)
+        dependent = solve(model, work, model.refinements, 0.0, SPATIAL_SIZES)
         if dependent >= 0:
-            return rounds, DEPENDENT_ROWS + (dependent << 8)
+            return rounds, DEPENDENT_ROWS + (model.joints[dependent]["element"] << 8)
         for i in range(len(model.bodies)):
             at = model.bodies[i]["start"]
             if closed:

@@ -9,14 +9,18 @@ The pattern (model.sparsity) is fixed when the model is built; here only numbers
 array `solve`. Each diagonal block is eliminated by its Cholesky factor, whose diagonal is kept as
 reciprocals: a division takes as long as ten multiplications.
 
-The usual sizes, 6, 5 and 3, are handed on as constants: the compiler then unrolls the loops over
-a block, which was measured to take a quarter to a third of the time.
+The usual sizes (of a body, 6 scalars or 3 in a plane, and of two kinds of joints) are handed on as
+constants: the compiler then unrolls the loops over a block, which was measured to take a quarter
+to a third of the time.
 """
 import math
 
 from .._compile import kernel
-from ..lie.vec3 import matrix3, matvec3
 from ..model.arrays import WORLD
+
+# Scalars of a body, and of the joints that are most frequent.
+SPATIAL_SIZES = (6, 3, 5)           # ball; hinge, slider
+PLANAR_SIZES = (3, 2, 1)            # hinge, slider; a row that is left of a loop
 
 # A row that depends on others is given this many times its pivot floor instead of nothing.
 REGULARISATION = 1e2
@@ -120,22 +124,24 @@ def _eliminate(model, solve, v, k, sign, usual, other, shift):
 
 
 @kernel
-def factorise(model, solve, shift):
+def factorise(model, solve, shift, sizes):
     """Overwrite the lower triangle of K by its factor L.
 
+    sizes : SPATIAL_SIZES or PLANAR_SIZES
     shift : 0, or a multiple of the pivot floors to take from the zeros on the joints' diagonal
     returns -1, or the joint (number in model.joints) whose rows depend on others: K is singular
     """
+    body, first, second = sizes
     for v in range(len(model.vertices)):
         k = model.vertices[v]["size"]
         if model.vertices[v]["joint"] < 0:
-            good = _eliminate(model, solve, v, 6, 1.0, 3, 5, 0.0)
-        elif k == 3:
-            good = _eliminate(model, solve, v, 3, -1.0, 6, 3, shift)
-        elif k == 5:
-            good = _eliminate(model, solve, v, 5, -1.0, 6, 5, shift)
+            good = _eliminate(model, solve, v, body, 1.0, first, second, 0.0)
+        elif k == first:
+            good = _eliminate(model, solve, v, first, -1.0, body, first, shift)
+        elif k == second:
+            good = _eliminate(model, solve, v, second, -1.0, body, second, shift)
         else:
-            good = _eliminate(model, solve, v, k, -1.0, 6, 3, shift)
+            good = _eliminate(model, solve, v, k, -1.0, body, first, shift)
         if not good:
             return model.vertices[v]["joint"]
     return -1
@@ -207,70 +213,72 @@ def _backward(model, solve, x, v, k, usual, other):
 
 
 @kernel
-def substitute(model, solve, x):
+def substitute(model, solve, x, sizes):
     """Solve K (Vdot, lambda) = (Q, bias) in place.
 
     solve : the factor of `factorise`
-    x     : (6 n + rows,) in the order of the vertices
+    x     : (unknowns,) in the order of the vertices
     """
+    body, first, second = sizes
     count = len(model.vertices)
     for v in range(count):
         k = model.vertices[v]["size"]
         if model.vertices[v]["joint"] < 0:
-            _forward(model, solve, x, v, 6, 1.0, 3, 5)
-        elif k == 3:
-            _forward(model, solve, x, v, 3, -1.0, 6, 3)
-        elif k == 5:
-            _forward(model, solve, x, v, 5, -1.0, 6, 5)
+            _forward(model, solve, x, v, body, 1.0, first, second)
+        elif k == first:
+            _forward(model, solve, x, v, first, -1.0, body, first)
+        elif k == second:
+            _forward(model, solve, x, v, second, -1.0, body, second)
         else:
-            _forward(model, solve, x, v, k, -1.0, 6, 3)
+            _forward(model, solve, x, v, k, -1.0, body, first)
     for v in range(count - 1, -1, -1):
         k = model.vertices[v]["size"]
         if model.vertices[v]["joint"] < 0:
-            _backward(model, solve, x, v, 6, 3, 5)
-        elif k == 3:
-            _backward(model, solve, x, v, 3, 6, 3)
-        elif k == 5:
-            _backward(model, solve, x, v, 5, 6, 5)
+            _backward(model, solve, x, v, body, first, second)
+        elif k == first:
+            _backward(model, solve, x, v, first, body, first)
+        elif k == second:
+            _backward(model, solve, x, v, second, body, second)
         else:
-            _backward(model, solve, x, v, k, 6, 3)
+            _backward(model, solve, x, v, k, body, first)
 
 
 @kernel
-def _subtract_rows(matrix, place, turned, rows, x, row_start, body_start, y_out):
+def _subtract_rows(matrix, place, turned, rows, body, x, row_start, body_start, y_out):
     """Both products of the block J of a joint and a body: y -= (J^T lambda, J x)."""
     for r in range(rows):
-        for c in range(6):
-            value = matrix[place + (c * rows + r if turned == 1 else r * 6 + c)]
+        for c in range(body):
+            value = matrix[place + (c * rows + r if turned == 1 else r * body + c)]
             y_out[row_start + r] -= value * x[body_start + c]
             y_out[body_start + c] -= value * x[row_start + r]
 
 
 @kernel
-def _subtract_product(model, matrix, x, y_out):
-    """y -= K x, with K as `assemble` leaves it."""
+def _subtract_product(model, matrix, x, y_out, body):
+    """y -= K x, with K as `assemble` leaves it: blocks of M in full, a body of so many scalars."""
     bodies = model.bodies
-    for i in range(len(bodies)):
-        at = bodies[i]["start"]
-        angular = matvec3(matrix3(bodies[i]["inertia"]), (x[at], x[at + 1], x[at + 2]))
-        for c in range(3):
-            y_out[at + c] -= angular[c]
-            y_out[at + 3 + c] -= bodies[i]["mass"] * x[at + 3 + c]
+    for v in range(len(model.vertices)):
+        if model.vertices[v]["joint"] < 0:
+            at = model.vertices[v]["start"]
+            place = model.vertices[v]["diagonal"]
+            for r in range(body):
+                for c in range(body):
+                    y_out[at + r] -= matrix[place + r * body + c] * x[at + c]
     for j in range(len(model.joints)):
         a = model.joints[j]["parent"]
         b = model.joints[j]["child"]
         rows = model.joints[j]["rows"]
         start = model.joints[j]["start"]
         _subtract_rows(matrix, model.joints[j]["child_place"], model.joints[j]["child_turned"],
-                       rows, x, start, bodies[b]["start"], y_out)
+                       rows, body, x, start, bodies[b]["start"], y_out)
         if a != WORLD:
             _subtract_rows(matrix, model.joints[j]["parent_place"],
-                           model.joints[j]["parent_turned"], rows, x, start,
+                           model.joints[j]["parent_turned"], rows, body, x, start,
                            bodies[a]["start"], y_out)
 
 
 @kernel
-def solve(model, work, refinements, shift):
+def solve(model, work, refinements, shift, sizes):
     """Solve K x = b, with so many steps of iterative refinement.
 
     work.matrix   : K, overwritten by its factor (a constant K is factorised already)
@@ -288,7 +296,7 @@ def solve(model, work, refinements, shift):
                 work.kept[i] = work.matrix[i]
             for i in range(len(work.right)):
                 work.right[i] = work.solution[i]
-        dependent = factorise(model, work.matrix, shift)
+        dependent = factorise(model, work.matrix, shift, sizes)
         if dependent >= 0:
             return dependent
     x = work.solution
@@ -297,8 +305,8 @@ def solve(model, work, refinements, shift):
             x = work.residual
             for i in range(len(work.right)):
                 x[i] = work.right[i]
-            _subtract_product(model, work.kept, work.solution, x)
-        substitute(model, matrix, x)
+            _subtract_product(model, work.kept, work.solution, x, sizes[0])
+        substitute(model, matrix, x, sizes)
         if step > 0:
             for i in range(len(work.right)):
                 work.solution[i] += x[i]

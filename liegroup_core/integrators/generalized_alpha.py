@@ -234,7 +234,7 @@ class GeneralizedAlpha:
         if self._started_for != now:
             dependent = self._start(h, pose, twist, external)
             if dependent >= 0:
-                return 0, DEPENDENT_ROWS + (dependent << 8)
+                return 0, DEPENDENT_ROWS + (self._model.joints[dependent]["element"] << 8)
             self._started_for = now
         done, status = advance(self._model, self.work, self._memory, self._numbers, self._group, h,
                                steps, pose, twist, external)

@@ -27,6 +27,8 @@ import numpy as np
 SE3, SO3XR3 = 0, 1
 GROUPS = {"se3": SE3, "so3xr3": SO3XR3}
 
+EXACT = -1                  # in place of the last power of ad in dexpinv: closed form
+
 
 def is_positive(value):
     """True for a finite number above zero."""

@@ -48,9 +48,9 @@ def orthonormal(rot):
 def copy_state(source_pose, source_twist, pose_out, twist_out):
     """Copy a state."""
     for i in range(len(source_pose)):
-        for c in range(12):
+        for c in range(source_pose.shape[1]):
             pose_out[i, c] = source_pose[i, c]
-        for c in range(6):
+        for c in range(source_twist.shape[1]):
             twist_out[i, c] = source_twist[i, c]
 
 
@@ -59,8 +59,8 @@ def is_finite(pose, twist):
     """True when no number of a state is NaN or infinite."""
     total = 0.0
     for i in range(len(pose)):
-        for c in range(12):
+        for c in range(pose.shape[1]):
             total += abs(pose[i, c])
-        for c in range(6):
+        for c in range(twist.shape[1]):
             total += abs(twist[i, c])
     return total < math.inf

@@ -11,6 +11,7 @@ SUBSTEP_TOO_SMALL = 5
 TOO_MANY_SUBSTEPS = 6
 NOT_CONVERGED = 7
 NOT_PROJECTED = 8
+OFF_PLANE = 9               # not for a user: the same steps are taken in space
 
 # dexp^-1 is singular at a rotation of 2 pi within a step and loses digits near it: its norm is
 # (t/2)/sin(t/2), 62 at 2 pi - 0.1. Beyond pi a step is legal and rarely accurate.

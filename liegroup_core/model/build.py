@@ -3,14 +3,14 @@
 import numpy as np
 
 from ..dynamics.constraints import assemble
-from ..dynamics.saddle_point import factorise
+from ..dynamics.saddle_point import SPATIAL_SIZES, factorise
 from ..forces.kinds import make_forces
 from ..joints.elements import DISTANCE, PAIR, PERPENDICULAR
 from ..lie.groups import SE3
 from ..scene.consistency import resolve_elements, resolve_frames
-from .arrays import BODY, ELEMENT, JOINT, VERTEX, WORLD, Model, make_work
+from .arrays import BODY, ELEMENT, WORLD, Model, make_work
 from .redundancy import kept_rows
-from .sparsity import block_layout, elimination_order
+from .sparsity import Structure
 
 # A pivot this small against its row's own S_rr belongs to a singular pose: the sine of the angle by
 # which the row misses those it depends on is then below 1e-5. Nearer, the drift of a loop, 1e-9
@@ -47,38 +47,20 @@ def build_model(scene):
             for first, rows in zip(elements["row_start"], elements["rows"])]
     solved = [e for e, rows in enumerate(kept) if rows]
     ends = [(int(elements[e]["parent"]), int(elements[e]["child"])) for e in solved]
-    n, m = len(scene.bodies), len(ends)
+    n = len(scene.bodies)
     rows = [len(kept[e]) for e in solved]
     jacobians = [_constant_rows(elements[e])[list(kept[e])] for e in solved]
 
-    # Vertices: bodies 0..n-1, then joints.
-    sizes = [6] * n + rows
-    neighbours = [set() for _ in sizes]
-    for j, pair in enumerate(ends):
-        for body in pair:
-            if body != WORLD:
-                neighbours[body].add(n + j)
-                neighbours[n + j].add(body)
-    order, below = elimination_order(sizes, neighbours, n)
-    position = {v: p for p, v in enumerate(order)}
-    sizes = np.array([sizes[v] for v in order], dtype=np.int64)
-    starts = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64)
-    place, size, ranges, columns, updates = block_layout(sizes, below)
-    vertices = np.array([(order[p] - n if order[p] >= n else -1, sizes[p], starts[p], *ranges[p])
-                         for p in range(n + m)], dtype=VERTEX)
-
+    structure = Structure(6, n, rows, ends)
     bodies = np.array([(body.mass, 1.0 / body.mass, body.inertia_matrix.ravel(),
-                        np.linalg.inv(body.inertia_matrix).ravel(), starts[position[i]])
+                        np.linalg.inv(body.inertia_matrix).ravel(), structure.start(i))
                        for i, body in enumerate(scene.bodies)], dtype=BODY)
-    joints = np.zeros(m, dtype=JOINT)
-    child_jacobian = np.zeros((m, 36))
-    firsts = np.concatenate([[0], np.cumsum(rows)])
-    for j, (parent, child) in enumerate(ends):
-        joints[j] = (parent, child, elements[solved[j]]["kind"], solved[j], rows[j],
-                     starts[position[n + j]], firsts[j],
-                     *_block(place, position, n + j, child),
-                     *_block(place, position, n + j, parent))
-        child_jacobian[j, :6 * rows[j]] = jacobians[j].ravel()
+    joints = structure.joints()
+    joints["element"] = solved
+    joints["kind"] = elements["kind"][solved]
+    child_jacobian = np.zeros((len(ends), 36))
+    for j, jacobian in enumerate(jacobians):
+        child_jacobian[j, :jacobian.size] = jacobian.ravel()
 
     model = Model(
         gravity=np.array([scene.gravity], dtype=float), bodies=bodies,
@@ -86,15 +68,16 @@ def build_model(scene):
         row_residual=np.array([elements[e]["row_start"] + r for e in solved for r in kept[e]],
                               dtype=np.int64),
         child_jacobian=child_jacobian,
-        ground_projector=_ground_projector(bodies, joints, jacobians), vertices=vertices, columns=columns, updates=updates,
-        pivot_floor=_pivot_floor(bodies, joints, jacobians, int(sizes.sum())),
-        constant=_constant_part(scene, place, position, joints, jacobians, size),
+        ground_projector=_ground_projector(bodies, joints, jacobians),
+        vertices=structure.vertices, columns=structure.columns, updates=structure.updates,
+        pivot_floor=_pivot_floor(bodies, joints, jacobians, structure.unknowns),
+        constant=structure.constant_part([_mass_matrix(body) for body in scene.bodies], jacobians),
         is_constant=all(joint["parent"] == WORLD and joint["kind"] == PAIR for joint in joints),
-        refinements=_refinements(bodies, ends))
+        refinements=refinements(bodies["mass"], ends))
     if model.is_constant:
         work = make_work(model, 1)
         assemble(model, work, *initial_state(scene))
-        factorise(model, model.constant, 0.0)
+        factorise(model, model.constant, 0.0, SPATIAL_SIZES)
     names = tuple(part.names for elements in parts for part in elements)
     return model, tuple(frames), owners, names, tuple(kept)
 
@@ -125,28 +108,12 @@ def _constant_rows(element):
     return element["forbidden"][:6 * element["rows"]].reshape(-1, 6) @ SE3.Ad(SE3.inverse(frame))
 
 
-def _block(place, position, joint, body):
-    """Place of the block of a joint and a body in K, and 1 if it holds the rows as columns."""
-    if body == WORLD:
-        return -1, 0
-    turned = position[body] > position[joint]
-    return place[max(position[joint], position[body]), min(position[joint], position[body])], turned
-
-
-def _constant_part(scene, place, position, joints, jacobians, size):
-    """M and the children's rows in the flat array of K; the rest zero."""
-    constant = np.zeros(size)
-    for i, body in enumerate(scene.bodies):
-        block = np.zeros((6, 6))
-        block[:3, :3] = body.inertia_matrix
-        block[3:, 3:] = body.mass * np.eye(3)
-        at = place[position[i], position[i]]
-        constant[at:at + 36] = block.ravel()
-    for joint, jacobian in zip(joints, jacobians):
-        at = joint["child_place"]
-        block = jacobian.T if joint["child_turned"] else jacobian
-        constant[at:at + block.size] = block.ravel()
-    return constant
+def _mass_matrix(body):
+    """(6, 6) of a body of the scene, about its centre of mass."""
+    matrix = np.zeros((6, 6))
+    matrix[:3, :3] = body.inertia_matrix
+    matrix[3:, 3:] = body.mass * np.eye(3)
+    return matrix
 
 
 def _mobility(body, jacobian):
@@ -192,7 +159,7 @@ def _forces(scene, index, frames):
     return make_forces(scene.forces, index, ends)
 
 
-def _refinements(bodies, ends):
+def refinements(masses, ends):
     """Steps of iterative refinement: one for joined bodies of very different mass, else none."""
-    ratios = [1.0] + [bodies[a]["mass"] / bodies[b]["mass"] for a, b in ends if a != WORLD]
+    ratios = [1.0] + [masses[a] / masses[b] for a, b in ends if a != WORLD]
     return int(max(max(ratio, 1.0 / ratio) for ratio in ratios) > LARGE_MASS_RATIO)

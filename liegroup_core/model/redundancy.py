@@ -68,14 +68,12 @@ def kept_rows(scene, frames, parts):
     if not loops:
         return keep
     linkage = Linkage(scene, frames, parts, loops)
-    places = _generic_poses(linkage)
+    places = generic_poses(linkage)
     matrices = [linkage.jacobian(poses) for poses in places]
-    ranks = [np.linalg.matrix_rank(matrix, tol=RANK_TOLERANCE) for matrix in matrices]
-    best = int(np.argmax(ranks))
-    if ranks[best] == len(matrices[best]):
-        return keep
-    chosen = _kept(matrices, ranks, [
+    chosen, best = independent_rows(matrices, [
         scene.joints[j].parent == "world" for j in loops for _ in keep[j]])
+    if chosen.all():
+        return keep
     if not _moves_freely(linkage, places[best], matrices[best]):
         numbers = np.repeat(loops, [len(keep[j]) for j in loops])
         joint = int(numbers[np.argmin(chosen)])
@@ -90,13 +88,17 @@ def kept_rows(scene, frames, parts):
     return keep
 
 
-def _kept(matrices, ranks, grounded):
-    """Mask of the rows to keep.
+def independent_rows(matrices, grounded):
+    """Which rows to keep, so that they are independent at all poses, as well as can be.
 
-    matrices : Jacobians at generic poses, unit rows; ranks : theirs
+    matrices : Jacobians (rows, columns) at generic poses, unit rows
     grounded : of each row, whether it is of a joint to ground, which is rather kept whole
+    returns (mask, index of a matrix of full rank)
     """
+    ranks = [np.linalg.matrix_rank(matrix, tol=RANK_TOLERANCE) for matrix in matrices]
     rank = max(ranks)
+    if rank == len(grounded):
+        return np.ones(rank, dtype=bool), int(np.argmax(ranks))
     vanishing = [np.linalg.svd(matrix)[0][:, rank:]
                  for matrix, found in zip(matrices, ranks) if found == rank]
     first = np.flatnonzero(~_independent(matrices[int(np.argmax(ranks))]))
@@ -105,7 +107,7 @@ def _kept(matrices, ranks, grounded):
     better = _quality(best, vanishing) > MUCH_BETTER * _quality(first, vanishing)
     mask = np.ones(len(grounded), dtype=bool)
     mask[best if better else first] = False
-    return mask
+    return mask, int(np.argmax(ranks))
 
 
 def _quality(rows, vanishing):
@@ -139,7 +141,7 @@ def _independent(rows):
     return mask
 
 
-def _generic_poses(linkage):
+def generic_poses(linkage):
     """The start, and poses that the linkage can move to, each further on than the last."""
     rng = np.random.default_rng(1)
     places, last = [linkage.start], None

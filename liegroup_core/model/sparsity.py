@@ -16,6 +16,8 @@ import heapq
 
 import numpy as np
 
+from .arrays import JOINT, VERTEX, WORLD
+
 
 def elimination_order(sizes, neighbours, bodies):
     """Order of the vertices, and which later vertices each one is coupled with.
@@ -88,3 +90,72 @@ def block_layout(sizes, below):
         ranges.append((place[j, j], column_start, len(columns), update_start, len(updates)))
     return (place, size, ranges, np.array(columns, dtype=np.int64).reshape(-1, 2),
             np.array(updates, dtype=np.int64).reshape(-1, 5))
+
+
+class Structure:
+    """Blocks of K for some bodies and the joints between them.
+
+    body : scalars of a body, 6 or, in a plane, 3
+    n    : number of bodies
+    rows : scalars of each joint, one at least
+    ends : (parent, child) body of each joint; the parent may be WORLD
+    vertices, columns, updates : of Model
+    """
+
+    def __init__(self, body, n, rows, ends):
+        self._body, self._n, self._rows, self._ends = body, n, rows, ends
+        sizes = [body] * n + list(rows)         # bodies 0..n-1, then joints
+        neighbours = [set() for _ in sizes]
+        for j, pair in enumerate(ends):
+            for end in pair:
+                if end != WORLD:
+                    neighbours[end].add(n + j)
+                    neighbours[n + j].add(end)
+        order, below = elimination_order(sizes, neighbours, n)
+        self._position = {v: p for p, v in enumerate(order)}
+        sizes = np.array([sizes[v] for v in order], dtype=np.int64)
+        self._starts = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64)
+        self.unknowns = int(sizes.sum())
+        self._place, self._size, ranges, self.columns, self.updates = block_layout(sizes, below)
+        self.vertices = np.array(
+            [(order[p] - n if order[p] >= n else -1, sizes[p], self._starts[p], *ranges[p])
+             for p in range(len(order))], dtype=VERTEX)
+
+    def start(self, vertex):
+        """Place of a vertex, body i or joint n + j, in Work.solution."""
+        return self._starts[self._position[vertex]]
+
+    def joints(self):
+        """(m,) of JOINT, all but their kinds and elements."""
+        joints = np.zeros(len(self._ends), dtype=JOINT)
+        firsts = np.concatenate([[0], np.cumsum(self._rows)])
+        for j, (parent, child) in enumerate(self._ends):
+            joint = joints[j]
+            joint["parent"], joint["child"] = parent, child
+            joint["rows"], joint["first"] = self._rows[j], firsts[j]
+            joint["start"] = self.start(self._n + j)
+            joint["child_place"], joint["child_turned"] = self._block(j, child)
+            joint["parent_place"], joint["parent_turned"] = self._block(j, parent)
+        return joints
+
+    def _block(self, joint, body):
+        """Place of the block of a joint and a body in K, and 1 if it holds the rows as columns."""
+        if body == WORLD:
+            return -1, 0
+        joint, body = self._position[self._n + joint], self._position[body]
+        return self._place[max(joint, body), min(joint, body)], int(body > joint)
+
+    def constant_part(self, masses, jacobians):
+        """The flat array of K with M and the children's rows, the rest zero.
+
+        masses    : mass matrix of each body
+        jacobians : (k, body) rows of each joint for its child; zeros where the pose decides
+        """
+        constant = np.zeros(self._size)
+        for i, matrix in enumerate(masses):
+            at = self._place[self._position[i], self._position[i]]
+            constant[at:at + matrix.size] = matrix.ravel()
+        for j, jacobian in enumerate(jacobians):
+            at, turned = self._block(j, self._ends[j][1])
+            constant[at:at + jacobian.size] = (jacobian.T if turned else jacobian).ravel()
+        return constant

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The two spaces a Munthe-Kaas method integrates in: bodies in space, or in a plane.
+
+One driver (rkmk.py) takes the steps of both. What it needs stands in integrators/spatial.py for a
+Model and in planar/motion.py for a PlanarModel; the type of the model chooses:
+
+    enter(model, work, pose, twist, external) -> (pose, twist, external, status)
+                            the arrays to integrate, made of the caller's; not OK: nothing is done
+    leave(model, work, pose, twist, pose_out, twist_out)
+                            the same back into the caller's arrays
+    begin(model, work, group, pose, twist)
+                            the state becomes stage 0: work.stage_pose, stage_twist, velocity
+    move(model, work, scheme, group, h, stage, end, pose) -> status
+                            the pose and twist of a later stage, or of the end of the step
+    evaluate(model, work, external) -> status
+                            accelerations of the stage
+    store_slopes(model, work, scheme, group, stage)
+                            slopes of the stage, from its accelerations
+    check_end(model, work, h) -> status
+                            whether the end of the step is finite, and its turns can be counted
+    error_norm(model, work, scheme, h, twist) -> float
+                            error estimate of the step that began with `twist`: good up to 1
+    close(model, work) -> status
+                            project the end of the step onto the constraints
+    count_turns(model, work)
+                            angles of torsional springs at the end of the step
+"""
+from .._compile import by_type
+from ..model.arrays import Model
+from ..planar import motion as planar
+from ..planar.arrays import PlanarModel
+from . import spatial
+
+
+def _of(name):
+    return by_type(name, {Model: getattr(spatial, name), PlanarModel: getattr(planar, name)})
+
+
+enter, leave, begin, move, evaluate = map(_of, ("enter", "leave", "begin", "move", "evaluate"))
+store_slopes, check_end, error_norm = map(_of, ("store_slopes", "check_end", "error_norm"))
+close, count_turns = map(_of, ("close", "count_turns"))

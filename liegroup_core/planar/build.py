@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which mechanisms live in a plane, and their PlanarModel.
+
+A lower pair moves in the plane when all that it allows does: a hinge along the normal, a slider
+across it, a plate on the plane. Where such pairs connect every body with the world, no body can
+leave the plane, whatever acts on it and whatever its inertia is: they take up all that pushes
+across. Then three scalars a body are enough, the in-plane part of (6.22), to the last digit; all
+other joints, which close loops, are left with what their rows say of motions in the plane.
+
+Axes must be those of the world and, in each body, of the body: then the plane's numbers are those
+of space in another order, and nothing is rounded on the way.
+"""
+import numpy as np
+import scipy.linalg
+
+from ..dynamics.saddle_point import PLANAR_SIZES, factorise
+from ..joints.elements import PAIR
+from ..lie.groups import SE3
+from ..model.arrays import WORLD
+from ..model.build import SMALLEST_PIVOT, initial_state, refinements
+from ..model.linkage import Linkage
+from ..model.redundancy import generic_poses, independent_rows, loop_joints
+from ..model.sparsity import Structure
+from ..scene.consistency import resolve_elements, resolve_frames
+from .arrays import PLANAR_BODY, PlanarModel
+from .state import IN_PLANE
+
+# Planar axes in world axes, as rows, for a normal along z, y and x.
+PLANES = (np.eye(3), np.eye(3)[[2, 0, 1]], np.eye(3)[[1, 2, 0]])
+# In-plane part of a unit row below which it says nothing new.
+ROW_TOLERANCE = 1e-6
+
+
+def planar_model(scene, model):
+    """PlanarModel of a mechanism, or None when its joints do not hold it in a plane.
+
+    scene : its body frames at the centres of mass; model : the Model made of it
+    """
+    if len(model.elements) == 0 or (model.elements["kind"] != PAIR).any():
+        return None
+    pose, _ = initial_state(scene)
+    for world in PLANES:
+        axes = _body_axes(world, pose)
+        if axes is not None and _is_held(world[2], pose, model.elements):
+            return _build(scene, model, world, axes)
+    return None
+
+
+def _body_axes(world, pose):
+    """(n, 3, 3) rows: planar axes of every body in its body axes, or None when they are none.
+
+    Along the normal a body axis must lie; the two others then do for planar axes.
+    """
+    axes = []
+    for R in pose[:, :9].reshape(-1, 3, 3):
+        normal = R.T @ world[2]
+        k = int(np.argmax(np.abs(normal)))
+        if np.abs(np.delete(normal, k)).max() > IN_PLANE:
+            return None
+        # (k+1, k+2, k) is right-handed; for a normal along -k the first two change places.
+        sign = 1.0 if normal[k] > 0.0 else -1.0
+        first, second = (k + 1) % 3, (k + 2) % 3
+        if sign < 0.0:
+            first, second = second, first
+        rows = np.eye(3)[[first, second, k]]
+        rows[2] *= sign
+        axes.append(rows)
+    return np.array(axes)
+
+
+def _is_held(normal, pose, elements):
+    """True when pairs that move in the plane connect every body with the world."""
+    reached, last = {WORLD}, 0
+    links = [(int(e["parent"]), int(e["child"])) for e in elements
+             if _moves_in_plane(normal, pose, e)]
+    while len(reached) > last:
+        last = len(reached)
+        for pair in links:
+            if reached.intersection(pair):
+                reached.update(pair)
+    return len(reached) == len(pose) + 1
+
+
+def _moves_in_plane(normal, pose, element):
+    """True when a pair allows nothing but turns about the normal and shifts across it."""
+    R = pose[element["child"], :9].reshape(3, 3) @ element["child_rotation"].reshape(3, 3)
+    free = scipy.linalg.null_space(element["forbidden"][:6 * element["rows"]].reshape(-1, 6))
+    turns, shifts = R @ free[:3], R @ free[3:]
+    return (np.abs(np.cross(normal, turns.T)).max(initial=0.0) <= IN_PLANE
+            and np.abs(normal @ shifts).max(initial=0.0) <= IN_PLANE)
+
+
+def _build(scene, model, world, axes):
+    """PlanarModel of a mechanism that is held in the plane."""
+    # (6, 3): twist of space of a planar one
+    lift = np.zeros((len(axes), 6, 3))
+    lift[:, :3, 0] = axes[:, 2]
+    lift[:, 3:, 1:] = axes[:, :2].transpose(0, 2, 1)
+    rows = _kept_rows(scene, model.elements, lift)
+    solved = [e for e, kept in enumerate(rows) if len(kept)]
+    jacobians = [rows[e] for e in solved]
+    ends = [(int(model.elements[e]["parent"]), int(model.elements[e]["child"])) for e in solved]
+    n, m = len(axes), len(solved)
+    inertias = [axis[2] @ body["inertia"].reshape(3, 3) @ axis[2]
+                for axis, body in zip(axes, model.bodies)]
+    masses = [np.diag([inertia, body["mass"], body["mass"]])
+              for inertia, body in zip(inertias, model.bodies)]
+    structure = Structure(3, n, [len(jacobian) for jacobian in jacobians], ends)
+    joints = structure.joints()
+    joints["element"] = solved
+    child_jacobian, projectors = np.zeros((m, 9)), np.zeros((m, 9))
+    floor = np.zeros(structure.unknowns)
+    for j, ((parent, child), jacobian) in enumerate(zip(ends, jacobians)):
+        child_jacobian[j, :jacobian.size] = jacobian.ravel()
+        mobility = jacobian / np.diag(masses[child])
+        size = (jacobian * mobility).sum(axis=1)
+        floor[joints[j]["start"]:joints[j]["start"] + len(jacobian)] = SMALLEST_PIVOT * size
+        if parent == WORLD:
+            projectors[j] = (mobility.T @ np.linalg.solve(jacobian @ mobility.T, jacobian)).ravel()
+    planar = PlanarModel(
+        space=model, has_forces=any(len(rows) for rows in model.forces), world=world.reshape(1, 9),
+        gravity=model.gravity @ world[:2].T,
+        bodies=np.array([(body["mass"], inertia, structure.start(i), axis.ravel())
+                         for i, (body, inertia, axis) in enumerate(
+                             zip(model.bodies, inertias, axes))], dtype=PLANAR_BODY),
+        joints=joints, child_jacobian=child_jacobian, ground_projector=projectors,
+        vertices=structure.vertices, columns=structure.columns, updates=structure.updates,
+        pivot_floor=floor, constant=structure.constant_part(masses, jacobians),
+        is_constant=all(parent == WORLD for parent, _ in ends),
+        refinements=refinements(model.bodies["mass"], ends), projects=model.projects)
+    if planar.is_constant:
+        factorise(planar, planar.constant, 0.0, PLANAR_SIZES)
+    return planar
+
+
+def _kept_rows(scene, elements, lift):
+    """Rows (k, 3) of every element for the planar twist of its child, independent of each other."""
+    rows = []
+    for element in elements:
+        frame = np.eye(4)
+        frame[:3, :3] = element["child_rotation"].reshape(3, 3)
+        frame[:3, 3] = element["child_point"]
+        matrix = element["forbidden"][:6 * element["rows"]].reshape(-1, 6)
+        matrix = matrix @ SE3.Ad(SE3.inverse(frame)) @ lift[element["child"]]
+        rows.append(_independent(matrix))
+    loops = loop_joints([(joint.parent, joint.child) for joint in scene.joints])
+    loops.sort(key=lambda j: scene.joints[j].parent != "world")
+    if not loops:
+        return rows
+    # Every joint is one element here: all are pairs.
+    linkage = Linkage(scene, resolve_frames(scene), resolve_elements(scene), loops)
+    index = {body.name: i for i, body in enumerate(scene.bodies)}
+    flat = scipy.linalg.block_diag(*(lift[index[name]] for name in linkage.bodies))
+    flat[:, ::3] /= linkage.length
+    in_space = [rows[j] @ lift[elements[j]["child"]].T for j in loops]
+    matrices = []
+    for poses in generic_poses(linkage):
+        matrix = linkage.velocity_rows(poses, in_space) @ flat
+        matrices.append(matrix / np.linalg.norm(matrix, axis=1, keepdims=True))
+    chosen, _ = independent_rows(matrices, [
+        scene.joints[j].parent == "world" for j in loops for _ in rows[j]])
+    at = 0
+    for j in loops:
+        rows[j], at = rows[j][chosen[at:at + len(rows[j])]], at + len(rows[j])
+    return rows
+
+
+def _independent(matrix):
+    """Those rows of a joint that say something of motions in the plane, each something new."""
+    _, R, order = scipy.linalg.qr(matrix.T, mode="economic", pivoting=True)
+    size = np.abs(np.diag(R))
+    count = int((size > ROW_TOLERANCE * max(size.max(initial=0.0), 1.0)).sum())
+    return matrix[np.sort(order[:count])]

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Index-1 accelerations in the plane: dynamics.constraints and newton_euler, written for SE(2).
+
+With p and R(phi) the parent's place and turn seen from the child, J v = (-v_2, v_1), the twist of
+the parent at the child is W = (omega_a, R v_a - omega_a J p), and (alpha, beta) a row of the child
+    velocity      alpha (omega_b - omega_a) + beta . (v_b - W_v) = 0
+    parent's row  -(alpha - p x beta, R^T beta)
+    acceleration  bias = -beta . (omega_b J W_v - omega_a J v_b + omega_b J e)
+e is the velocity error of the joint, as in dynamics.constraints.
+"""
+from .._compile import kernel
+from ..dynamics.constraints import NEXT_TO_NOTHING
+from ..dynamics.newton_euler import REFINEMENTS_WHEN_SINGULAR
+from ..dynamics.saddle_point import PLANAR_SIZES, REGULARISATION, solve
+from ..model.arrays import WORLD
+from .state import add_forces
+
+
+@kernel
+def _wrenches(model, work, external):
+    """Applied wrenches, gravity, forces and gyroscopic terms into work.solution."""
+    if model.has_forces:
+        add_forces(model, work, work.wrench)
+    gx, gy = model.gravity[0, 0], model.gravity[0, 1]
+    for i in range(len(model.bodies)):
+        at = model.bodies[i]["start"]
+        mass = model.bodies[i]["mass"]
+        c, s = work.stage_pose[i, 0], work.stage_pose[i, 1]
+        w, vx, vy = work.stage_twist[i, 0], work.stage_twist[i, 1], work.stage_twist[i, 2]
+        work.solution[at] = external[i, 0]
+        work.solution[at + 1] = external[i, 1] + mass * (w * vy + (c * gx + s * gy))
+        work.solution[at + 2] = external[i, 2] + mass * ((c * gy - s * gx) - w * vx)
+        if model.has_forces:
+            for r in range(3):
+                work.solution[at + r] += work.wrench[i, r]
+
+
+@kernel
+def _set_bias(model, work, j, w, error, bracket_x, bracket_y):
+    """Bias of the rows of joint j into work.solution.
+
+    w : of the child; error : (omega, v_1, v_2) of the child less that of the parent
+    bracket : linear part of [V_b, W], its angular part is 0
+    """
+    start = model.joints[j]["start"]
+    rows = model.joints[j]["rows"]
+    jacobian = model.child_jacobian
+    ex, ey = 0.0, 0.0
+    for r in range(rows):
+        alpha, x, y = jacobian[j, 3 * r], jacobian[j, 3 * r + 1], jacobian[j, 3 * r + 2]
+        slip = alpha * error[0] + x * error[1] + y * error[2]
+        ex += slip * x
+        ey += slip * y
+    bracket_x -= w * ey
+    bracket_y += w * ex
+    for r in range(rows):
+        work.solution[start + r] = -(jacobian[j, 3 * r + 1] * bracket_x
+                                     + jacobian[j, 3 * r + 2] * bracket_y)
+
+
+@kernel
+def _set_parent_rows(model, work, j, c, s, px, py):
+    """Rows of joint j for its parent into K; turn (c, s) and place p: the parent's from the child."""
+    rows = model.joints[j]["rows"]
+    place = model.joints[j]["parent_place"]
+    row_step, step = 3, 1
+    if model.joints[j]["parent_turned"] == 1:
+        row_step, step = 1, rows
+    jacobian = model.child_jacobian
+    for r in range(rows):
+        alpha, x, y = jacobian[j, 3 * r], jacobian[j, 3 * r + 1], jacobian[j, 3 * r + 2]
+        at = place + r * row_step
+        work.matrix[at] = (px * y - py * x) - alpha
+        work.matrix[at + step] = -(c * x + s * y)
+        work.matrix[at + 2 * step] = s * x - c * y
+
+
+@kernel
+def assemble(model, work):
+    """K of the stage into work.matrix, the bias of the rows into work.solution."""
+    if not model.is_constant:
+        for i in range(len(model.constant)):
+            work.matrix[i] = model.constant[i]
+    pose, twist = work.stage_pose, work.stage_twist
+    for j in range(len(model.joints)):
+        a = model.joints[j]["parent"]
+        b = model.joints[j]["child"]
+        w, vx, vy = twist[b, 0], twist[b, 1], twist[b, 2]
+        if a == WORLD:
+            _set_bias(model, work, j, w, (w, vx, vy), 0.0, 0.0)
+            continue
+        cb, sb = pose[b, 0], pose[b, 1]
+        ca, sa = pose[a, 0], pose[a, 1]
+        c, s = cb * ca + sb * sa, cb * sa - sb * ca
+        dx, dy = pose[a, 2] - pose[b, 2], pose[a, 3] - pose[b, 3]
+        px, py = cb * dx + sb * dy, cb * dy - sb * dx
+        wa, ax, ay = twist[a, 0], twist[a, 1], twist[a, 2]
+        wx, wy = c * ax - s * ay + wa * py, s * ax + c * ay - wa * px
+        _set_bias(model, work, j, w, (w - wa, vx - wx, vy - wy),
+                  wa * vy - w * wy, w * wx - wa * vx)
+        _set_parent_rows(model, work, j, c, s, px, py)
+
+
+@kernel
+def accelerations(model, work, external):
+    """Accelerations of the stage and multipliers into work.solution; external (n, 3).
+
+    returns -1, or the joint whose rows depend on others, which a regularised solve could not mend
+    """
+    dependent = -1
+    refinements, shift = model.refinements, 0.0
+    for _ in range(2):
+        _wrenches(model, work, external)
+        assemble(model, work)
+        dependent = solve(model, work, refinements, shift, PLANAR_SIZES)
+        if dependent < 0:
+            break
+        refinements, shift = REFINEMENTS_WHEN_SINGULAR, REGULARISATION
+        work.report[2] += 1.0
+    return dependent
+
+
+@kernel
+def clear_ground_slip(model, twist):
+    """Take from the twists (n, 3) what rounding has left of the slip of joints to ground."""
+    for j in range(len(model.joints)):
+        if model.joints[j]["parent"] == WORLD:
+            b = model.joints[j]["child"]
+            w, vx, vy = twist[b, 0], twist[b, 1], twist[b, 2]
+            size = max(abs(w), max(abs(vx), abs(vy)))
+            for r in range(3):
+                value = twist[b, r] - (model.ground_projector[j, 3 * r] * w
+                                       + model.ground_projector[j, 3 * r + 1] * vx
+                                       + model.ground_projector[j, 3 * r + 2] * vy)
+                twist[b, r] = 0.0 if abs(value) <= NEXT_TO_NOTHING * size else value
