@@ -1,20 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Block-sparse L D L^T of the saddle-point matrix (6.22) on preallocated dense blocks.
+"""Block-sparse elimination of the saddle-point matrix (6.22) on preallocated dense blocks.
 
-    K = | M  J^T |   =  L D L^T ,   D = +1 for the rows of bodies, -1 for those of joints
+    K = | M  J^T |
         | J   0  |
 
 The pattern (model.sparsity) is fixed when the model is built; here only numbers move. A vertex
 (body or joint) of k scalars owns k columns; a block (i, j) is k_i x k_j, row by row, in the flat
-array `solve`. Each diagonal block is eliminated by its Cholesky factor, whose diagonal is kept as
-reciprocals: a division takes as long as ten multiplications.
+array `solve`. A diagonal block is positive definite, that of a joint but for its sign s = -1, and
+    s K_vv = (W^T d W)^-1 ,     W unit lower triangular, d diagonal
+The inverses W and d are what is kept of it, and s K_iv W^T d of a block below it: then nothing
+waits for the solution of a triangular system, which would take most of the time of so small ones.
 
 The usual sizes (of a body, 6 scalars or 3 in a plane, and of two kinds of joints) are handed on as
 constants: the compiler then unrolls the loops over a block, which was measured to take a quarter
 to a third of the time.
 """
-import math
-
 from .._compile import kernel
 from ..model.arrays import WORLD
 
@@ -27,15 +27,14 @@ REGULARISATION = 1e2
 
 
 @kernel
-def _factorise_diagonal(solve, place, k, sign, floor, first, shift):
-    """Cholesky factor of sign times one k x k block, in place.
+def _invert_diagonal(solve, place, k, sign, floor, first, shift):
+    """W, and on its diagonal d, of one k x k block, in place.
 
     floor : smallest good pivot of every scalar, from entry `first` on
     shift : multiple of that floor to add to the diagonal
     returns False when a pivot is below it
     """
-    # First L D without roots, D as reciprocals: one pivot waits for the division of the last, and
-    # a root would double that wait. The roots, taken afterwards, do not wait for each other.
+    # L / d below the diagonal, d on it
     for r in range(k):
         for c in range(r + 1):
             total = sign * solve[place + r * k + c]
@@ -50,34 +49,46 @@ def _factorise_diagonal(solve, place, k, sign, floor, first, shift):
                 if not total > floor[first + r]:
                     return False
                 solve[place + r * k + r] = 1.0 / total
-    for c in range(k):
-        root = math.sqrt(solve[place + c * k + c])
-        for r in range(c + 1, k):
-            solve[place + r * k + c] *= root
-        solve[place + c * k + c] = root
+    # W = L^-1, row by row: W_rc = -sum_q L_rq W_qc
+    for r in range(1, k):
+        for c in range(r):
+            total = solve[place + r * k + c] * solve[place + c * k + c]
+            for q in range(c + 1, r):
+                total += (solve[place + r * k + q] * solve[place + q * k + q]
+                          * solve[place + q * k + c])
+            solve[place + r * k + c] = -total
     return True
 
 
 @kernel
-def _divide_block(solve, at, place, rows, k, sign):
-    """L_iv = sign K_iv L_vv^-T of one block of `rows` rows."""
+def _times_inverse(solve, at, place, rows, k):
+    """K_iv W^T of one block of `rows` rows, in place."""
     for r in range(rows):
-        for c in range(k):
-            total = sign * solve[at + r * k + c]
+        for c in range(k - 1, 0, -1):
+            total = solve[at + r * k + c]
             for q in range(c):
-                total -= solve[at + r * k + q] * solve[place + c * k + q]
-            solve[at + r * k + c] = total * solve[place + c * k + c]
+                total += solve[at + r * k + q] * solve[place + c * k + q]
+            solve[at + r * k + c] = total
 
 
 @kernel
-def _subtract_square(solve, target, left, rows, k, sign):
-    """K_ii -= sign L_iv L_iv^T, its lower triangle."""
+def _subtract_square(solve, target, left, place, rows, k, sign):
+    """K_ii -= s Y d Y^T with Y = K_iv W^T, its lower triangle."""
     for r in range(rows):
         for c in range(r + 1):
             total = 0.0
             for q in range(k):
-                total += solve[left + r * k + q] * solve[left + c * k + q]
+                total += (solve[left + r * k + q] * solve[place + q * k + q]
+                          * solve[left + c * k + q])
             solve[target + r * rows + c] -= sign * total
+
+
+@kernel
+def _scale(solve, at, place, rows, k, sign):
+    """s Y d of one block, in place."""
+    for r in range(rows):
+        for c in range(k):
+            solve[at + r * k + c] *= sign * solve[place + c * k + c]
 
 
 @kernel
@@ -88,17 +99,16 @@ def _eliminate(model, solve, v, k, sign, usual, other, shift):
     """
     vertices = model.vertices
     place = vertices[v]["diagonal"]
-    if not _factorise_diagonal(solve, place, k, sign, model.pivot_floor, vertices[v]["start"],
-                               shift):
+    if not _invert_diagonal(solve, place, k, sign, model.pivot_floor, vertices[v]["start"], shift):
         return False
     for b in range(vertices[v]["column_start"], vertices[v]["column_end"]):
         rows = vertices[model.columns[b, 0]]["size"]
         if rows == usual:
-            _divide_block(solve, model.columns[b, 1], place, usual, k, sign)
+            _times_inverse(solve, model.columns[b, 1], place, usual, k)
         elif rows == other:
-            _divide_block(solve, model.columns[b, 1], place, other, k, sign)
+            _times_inverse(solve, model.columns[b, 1], place, other, k)
         else:
-            _divide_block(solve, model.columns[b, 1], place, rows, k, sign)
+            _times_inverse(solve, model.columns[b, 1], place, rows, k)
     for u in range(vertices[v]["update_start"], vertices[v]["update_end"]):
         target = model.updates[u, 0]
         left = model.updates[u, 1]
@@ -106,50 +116,35 @@ def _eliminate(model, solve, v, k, sign, usual, other, shift):
         rows = vertices[model.updates[u, 3]]["size"]
         if left == right:
             if rows == usual:
-                _subtract_square(solve, target, left, usual, k, sign)
+                _subtract_square(solve, target, left, place, usual, k, sign)
             elif rows == other:
-                _subtract_square(solve, target, left, other, k, sign)
+                _subtract_square(solve, target, left, place, other, k, sign)
             else:
-                _subtract_square(solve, target, left, rows, k, sign)
+                _subtract_square(solve, target, left, place, rows, k, sign)
             continue
-        # K_iw -= sign L_iv L_wv^T
+        # K_iw -= s Y_i d Y_w^T
         columns = vertices[model.updates[u, 4]]["size"]
         for r in range(rows):
             for c in range(columns):
                 total = 0.0
                 for q in range(k):
-                    total += solve[left + r * k + q] * solve[right + c * k + q]
+                    total += (solve[left + r * k + q] * solve[place + q * k + q]
+                              * solve[right + c * k + q])
                 solve[target + r * columns + c] -= sign * total
+    for b in range(vertices[v]["column_start"], vertices[v]["column_end"]):
+        rows = vertices[model.columns[b, 0]]["size"]
+        if rows == usual:
+            _scale(solve, model.columns[b, 1], place, usual, k, sign)
+        elif rows == other:
+            _scale(solve, model.columns[b, 1], place, other, k, sign)
+        else:
+            _scale(solve, model.columns[b, 1], place, rows, k, sign)
     return True
 
 
 @kernel
-def factorise(model, solve, shift, sizes):
-    """Overwrite the lower triangle of K by its factor L.
-
-    sizes : SPATIAL_SIZES or PLANAR_SIZES
-    shift : 0, or a multiple of the pivot floors to take from the zeros on the joints' diagonal
-    returns -1, or the joint (number in model.joints) whose rows depend on others: K is singular
-    """
-    body, first, second = sizes
-    for v in range(len(model.vertices)):
-        k = model.vertices[v]["size"]
-        if model.vertices[v]["joint"] < 0:
-            good = _eliminate(model, solve, v, body, 1.0, first, second, 0.0)
-        elif k == first:
-            good = _eliminate(model, solve, v, first, -1.0, body, first, shift)
-        elif k == second:
-            good = _eliminate(model, solve, v, second, -1.0, body, second, shift)
-        else:
-            good = _eliminate(model, solve, v, k, -1.0, body, first, shift)
-        if not good:
-            return model.vertices[v]["joint"]
-    return -1
-
-
-@kernel
 def _push_block(solve, block, x, to, at, rows, k):
-    """x_to -= L_block x_at."""
+    """x_to -= block x_at."""
     for r in range(rows):
         total = 0.0
         for q in range(k):
@@ -159,15 +154,15 @@ def _push_block(solve, block, x, to, at, rows, k):
 
 @kernel
 def _forward(model, solve, x, v, k, sign, usual, other):
-    """Solve with column v of L, of k scalars, and take its part from what is below."""
+    """Take the part of vertex v, of k scalars, from what is below it; leave s d W x_v."""
     vertices = model.vertices
     place = vertices[v]["diagonal"]
     at = vertices[v]["start"]
-    for r in range(k):
+    for r in range(k - 1, 0, -1):
         total = x[at + r]
         for q in range(r):
-            total -= solve[place + r * k + q] * x[at + q]
-        x[at + r] = total * solve[place + r * k + r]
+            total += solve[place + r * k + q] * x[at + q]
+        x[at + r] = total
     for b in range(vertices[v]["column_start"], vertices[v]["column_end"]):
         below = vertices[model.columns[b, 0]]
         rows = below["size"]
@@ -178,21 +173,22 @@ def _forward(model, solve, x, v, k, sign, usual, other):
         else:
             _push_block(solve, model.columns[b, 1], x, below["start"], at, rows, k)
     for r in range(k):
-        x[at + r] *= sign
+        x[at + r] *= sign * solve[place + r * k + r]
 
 
 @kernel
 def _pull_block(solve, block, x, at, start, rows, k):
-    """x_at -= L_block^T x_start."""
-    for r in range(rows):
-        value = x[start + r]
-        for q in range(k):
-            x[at + q] -= solve[block + r * k + q] * value
+    """x_at -= block^T x_start."""
+    for q in range(k):
+        total = 0.0
+        for r in range(rows):
+            total += solve[block + r * k + q] * x[start + r]
+        x[at + q] -= total
 
 
 @kernel
 def _backward(model, solve, x, v, k, usual, other):
-    """Take from row v of L^T, of k scalars, what is below, and solve with it."""
+    """Take what is below vertex v, of k scalars, from it, and W^T times the rest."""
     vertices = model.vertices
     place = vertices[v]["diagonal"]
     at = vertices[v]["start"]
@@ -205,33 +201,55 @@ def _backward(model, solve, x, v, k, usual, other):
             _pull_block(solve, model.columns[b, 1], x, at, below["start"], other, k)
         else:
             _pull_block(solve, model.columns[b, 1], x, at, below["start"], rows, k)
-    for r in range(k - 1, -1, -1):
+    for r in range(k - 1):
         total = x[at + r]
         for q in range(r + 1, k):
-            total -= solve[place + q * k + r] * x[at + q]
-        x[at + r] = total * solve[place + r * k + r]
+            total += solve[place + q * k + r] * x[at + q]
+        x[at + r] = total
 
 
 @kernel
-def substitute(model, solve, x, sizes):
-    """Solve K (Vdot, lambda) = (Q, bias) in place.
+def _take(model, solve, x, v, k, sign, usual, other, shift, fresh):
+    """Eliminate vertex v of k scalars from K, if that is fresh, and from the right-hand side."""
+    if fresh and not _eliminate(model, solve, v, k, sign, usual, other, shift):
+        return False
+    _forward(model, solve, x, v, k, sign, usual, other)
+    return True
 
-    solve : the factor of `factorise`
+
+@kernel
+def eliminate(model, solve, x, fresh, shift, sizes):
+    """Forward elimination of K (Vdot, lambda) = (Q, bias) in place of K and its right-hand side.
+
+    solve : the lower triangle of K, if it is `fresh`; else what an earlier call has made of it
     x     : (unknowns,) in the order of the vertices
+    shift : 0, or a multiple of the pivot floors to take from the zeros on the joints' diagonal
+    sizes : SPATIAL_SIZES or PLANAR_SIZES
+    returns -1, or the joint (number in model.joints) whose rows depend on others: K is singular
+
+    Both are done vertex by vertex: while a division of the one is waited for, the other goes on.
     """
     body, first, second = sizes
-    count = len(model.vertices)
-    for v in range(count):
+    for v in range(len(model.vertices)):
         k = model.vertices[v]["size"]
         if model.vertices[v]["joint"] < 0:
-            _forward(model, solve, x, v, body, 1.0, first, second)
+            good = _take(model, solve, x, v, body, 1.0, first, second, 0.0, fresh)
         elif k == first:
-            _forward(model, solve, x, v, first, -1.0, body, first)
+            good = _take(model, solve, x, v, first, -1.0, body, first, shift, fresh)
         elif k == second:
-            _forward(model, solve, x, v, second, -1.0, body, second)
+            good = _take(model, solve, x, v, second, -1.0, body, second, shift, fresh)
         else:
-            _forward(model, solve, x, v, k, -1.0, body, first)
-    for v in range(count - 1, -1, -1):
+            good = _take(model, solve, x, v, k, -1.0, body, first, shift, fresh)
+        if not good:
+            return model.vertices[v]["joint"]
+    return -1
+
+
+@kernel
+def _substitute(model, solve, x, sizes):
+    """Back substitution after `eliminate`, in place."""
+    body, first, second = sizes
+    for v in range(len(model.vertices) - 1, -1, -1):
         k = model.vertices[v]["size"]
         if model.vertices[v]["joint"] < 0:
             _backward(model, solve, x, v, body, first, second)
@@ -281,24 +299,20 @@ def _subtract_product(model, matrix, x, y_out, body):
 def solve(model, work, refinements, shift, sizes):
     """Solve K x = b, with so many steps of iterative refinement.
 
-    work.matrix   : K, overwritten by its factor (a constant K is factorised already)
+    work.matrix   : K, overwritten (a constant K is eliminated already)
     work.solution : b, overwritten by x
-    shift         : of `factorise`. After some refinements x solves the equations without it, but
-                    for directions in which K is singular: there the joints are ignored
+    shift, sizes  : of `eliminate`. After some refinements x solves the equations without a shift,
+                    but for directions in which K is singular: there the joints are ignored
     returns -1, or the joint whose rows depend on others
     """
     matrix = work.matrix
     if model.is_constant:
         matrix = model.constant
-    else:
-        if refinements > 0:
-            for i in range(len(work.matrix)):
-                work.kept[i] = work.matrix[i]
-            for i in range(len(work.right)):
-                work.right[i] = work.solution[i]
-        dependent = factorise(model, work.matrix, shift, sizes)
-        if dependent >= 0:
-            return dependent
+    elif refinements > 0:
+        for i in range(len(work.matrix)):
+            work.kept[i] = work.matrix[i]
+        for i in range(len(work.right)):
+            work.right[i] = work.solution[i]
     x = work.solution
     for step in range(refinements + 1):
         if step > 0:
@@ -306,7 +320,10 @@ def solve(model, work, refinements, shift, sizes):
             for i in range(len(work.right)):
                 x[i] = work.right[i]
             _subtract_product(model, work.kept, work.solution, x, sizes[0])
-        substitute(model, matrix, x, sizes)
+        dependent = eliminate(model, matrix, x, step == 0 and not model.is_constant, shift, sizes)
+        if dependent >= 0:
+            return dependent
+        _substitute(model, matrix, x, sizes)
         if step > 0:
             for i in range(len(work.right)):
                 work.solution[i] += x[i]

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..dynamics.constraints import assemble
-from ..dynamics.saddle_point import SPATIAL_SIZES, factorise
+from ..dynamics.saddle_point import SPATIAL_SIZES, eliminate
 from ..forces.kinds import make_forces
 from ..joints.elements import DISTANCE, PAIR, PERPENDICULAR
 from ..lie.groups import SE3
@@ -77,7 +77,7 @@ def build_model(scene):
     if model.is_constant:
         work = make_work(model, 1)
         assemble(model, work, *initial_state(scene))
-        factorise(model, model.constant, 0.0, SPATIAL_SIZES)
+        eliminate(model, model.constant, work.solution, True, 0.0, SPATIAL_SIZES)
     names = tuple(part.names for elements in parts for part in elements)
     return model, tuple(frames), owners, names, tuple(kept)
 

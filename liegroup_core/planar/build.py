@@ -13,7 +13,7 @@ of space in another order, and nothing is rounded on the way.
 import numpy as np
 import scipy.linalg
 
-from ..dynamics.saddle_point import PLANAR_SIZES, factorise
+from ..dynamics.saddle_point import PLANAR_SIZES, eliminate
 from ..joints.elements import PAIR
 from ..lie.groups import SE3
 from ..model.arrays import WORLD
@@ -129,7 +129,7 @@ def _build(scene, model, world, axes):
         is_constant=all(parent == WORLD for parent, _ in ends),
         refinements=refinements(model.bodies["mass"], ends), projects=model.projects)
     if planar.is_constant:
-        factorise(planar, planar.constant, 0.0, PLANAR_SIZES)
+        eliminate(planar, planar.constant, np.zeros(structure.unknowns), True, 0.0, PLANAR_SIZES)
     return planar
 
 
