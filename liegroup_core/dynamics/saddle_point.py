@@ -61,38 +61,30 @@ def _invert_diagonal(solve, place, k, sign, floor, first, shift):
 
 
 @kernel
-def _times_inverse(solve, at, place, rows, k):
-    """K_iv W^T of one block of `rows` rows, in place."""
+def _times_inverse(solve, spare, at, place, rows, k, sign):
+    """Y = K_iv W^T of one block of `rows` rows into `spare`; s Y d in its place."""
     for r in range(rows):
-        for c in range(k - 1, 0, -1):
+        for c in range(k - 1, -1, -1):
             total = solve[at + r * k + c]
             for q in range(c):
                 total += solve[at + r * k + q] * solve[place + c * k + q]
-            solve[at + r * k + c] = total
+            spare[at + r * k + c] = total
+            solve[at + r * k + c] = total * (sign * solve[place + c * k + c])
 
 
 @kernel
-def _subtract_square(solve, target, left, place, rows, k, sign):
-    """K_ii -= s Y d Y^T with Y = K_iv W^T, its lower triangle."""
+def _subtract_square(solve, spare, target, left, rows, k):
+    """K_ii -= s Y_i d Y_i^T, its lower triangle."""
     for r in range(rows):
         for c in range(r + 1):
             total = 0.0
             for q in range(k):
-                total += (solve[left + r * k + q] * solve[place + q * k + q]
-                          * solve[left + c * k + q])
-            solve[target + r * rows + c] -= sign * total
+                total += solve[left + r * k + q] * spare[left + c * k + q]
+            solve[target + r * rows + c] -= total
 
 
 @kernel
-def _scale(solve, at, place, rows, k, sign):
-    """s Y d of one block, in place."""
-    for r in range(rows):
-        for c in range(k):
-            solve[at + r * k + c] *= sign * solve[place + c * k + c]
-
-
-@kernel
-def _eliminate(model, solve, v, k, sign, usual, other, shift):
+def _eliminate(model, solve, spare, v, k, sign, usual, other, shift):
     """Eliminate vertex v of k scalars; False when one of its pivots is too small.
 
     usual, other : sizes that most of its neighbours have, as constants
@@ -104,11 +96,11 @@ def _eliminate(model, solve, v, k, sign, usual, other, shift):
     for b in range(vertices[v]["column_start"], vertices[v]["column_end"]):
         rows = vertices[model.columns[b, 0]]["size"]
         if rows == usual:
-            _times_inverse(solve, model.columns[b, 1], place, usual, k)
+            _times_inverse(solve, spare, model.columns[b, 1], place, usual, k, sign)
         elif rows == other:
-            _times_inverse(solve, model.columns[b, 1], place, other, k)
+            _times_inverse(solve, spare, model.columns[b, 1], place, other, k, sign)
         else:
-            _times_inverse(solve, model.columns[b, 1], place, rows, k)
+            _times_inverse(solve, spare, model.columns[b, 1], place, rows, k, sign)
     for u in range(vertices[v]["update_start"], vertices[v]["update_end"]):
         target = model.updates[u, 0]
         left = model.updates[u, 1]
@@ -116,11 +108,11 @@ def _eliminate(model, solve, v, k, sign, usual, other, shift):
         rows = vertices[model.updates[u, 3]]["size"]
         if left == right:
             if rows == usual:
-                _subtract_square(solve, target, left, place, usual, k, sign)
+                _subtract_square(solve, spare, target, left, usual, k)
             elif rows == other:
-                _subtract_square(solve, target, left, place, other, k, sign)
+                _subtract_square(solve, spare, target, left, other, k)
             else:
-                _subtract_square(solve, target, left, place, rows, k, sign)
+                _subtract_square(solve, spare, target, left, rows, k)
             continue
         # K_iw -= s Y_i d Y_w^T
         columns = vertices[model.updates[u, 4]]["size"]
@@ -128,17 +120,8 @@ def _eliminate(model, solve, v, k, sign, usual, other, shift):
             for c in range(columns):
                 total = 0.0
                 for q in range(k):
-                    total += (solve[left + r * k + q] * solve[place + q * k + q]
-                              * solve[right + c * k + q])
-                solve[target + r * columns + c] -= sign * total
-    for b in range(vertices[v]["column_start"], vertices[v]["column_end"]):
-        rows = vertices[model.columns[b, 0]]["size"]
-        if rows == usual:
-            _scale(solve, model.columns[b, 1], place, usual, k, sign)
-        elif rows == other:
-            _scale(solve, model.columns[b, 1], place, other, k, sign)
-        else:
-            _scale(solve, model.columns[b, 1], place, rows, k, sign)
+                    total += solve[left + r * k + q] * spare[right + c * k + q]
+                solve[target + r * columns + c] -= total
     return True
 
 
@@ -209,19 +192,20 @@ def _backward(model, solve, x, v, k, usual, other):
 
 
 @kernel
-def _take(model, solve, x, v, k, sign, usual, other, shift, fresh):
+def _take(model, solve, spare, x, v, k, sign, usual, other, shift, fresh):
     """Eliminate vertex v of k scalars from K, if that is fresh, and from the right-hand side."""
-    if fresh and not _eliminate(model, solve, v, k, sign, usual, other, shift):
+    if fresh and not _eliminate(model, solve, spare, v, k, sign, usual, other, shift):
         return False
     _forward(model, solve, x, v, k, sign, usual, other)
     return True
 
 
 @kernel
-def eliminate(model, solve, x, fresh, shift, sizes):
+def eliminate(model, solve, spare, x, fresh, shift, sizes):
     """Forward elimination of K (Vdot, lambda) = (Q, bias) in place of K and its right-hand side.
 
     solve : the lower triangle of K, if it is `fresh`; else what an earlier call has made of it
+    spare : scratch memory as long as `solve`
     x     : (unknowns,) in the order of the vertices
     shift : 0, or a multiple of the pivot floors to take from the zeros on the joints' diagonal
     sizes : SPATIAL_SIZES or PLANAR_SIZES
@@ -233,13 +217,13 @@ def eliminate(model, solve, x, fresh, shift, sizes):
     for v in range(len(model.vertices)):
         k = model.vertices[v]["size"]
         if model.vertices[v]["joint"] < 0:
-            good = _take(model, solve, x, v, body, 1.0, first, second, 0.0, fresh)
+            good = _take(model, solve, spare, x, v, body, 1.0, first, second, 0.0, fresh)
         elif k == first:
-            good = _take(model, solve, x, v, first, -1.0, body, first, shift, fresh)
+            good = _take(model, solve, spare, x, v, first, -1.0, body, first, shift, fresh)
         elif k == second:
-            good = _take(model, solve, x, v, second, -1.0, body, second, shift, fresh)
+            good = _take(model, solve, spare, x, v, second, -1.0, body, second, shift, fresh)
         else:
-            good = _take(model, solve, x, v, k, -1.0, body, first, shift, fresh)
+            good = _take(model, solve, spare, x, v, k, -1.0, body, first, shift, fresh)
         if not good:
             return model.vertices[v]["joint"]
     return -1
@@ -320,7 +304,7 @@ def solve(model, work, refinements, shift, sizes):
             for i in range(len(work.right)):
                 x[i] = work.right[i]
             _subtract_product(model, work.kept, work.solution, x, sizes[0])
-        dependent = eliminate(model, matrix, x, step == 0 and not model.is_constant, shift, sizes)
+        dependent = eliminate(model, matrix, work.spare, x, step == 0 and not model.is_constant, shift, sizes)
         if dependent >= 0:
             return dependent
         _substitute(model, matrix, x, sizes)

@@ -82,6 +82,7 @@ class Work(NamedTuple):
     slip: np.ndarray               # (rows,) J V
     gap: np.ndarray                # (all rows,) position residuals of the elements
     matrix: np.ndarray             # (blocks,) K, then its factor in place
+    spare: np.ndarray              # (blocks,) for the elimination
     solution: np.ndarray           # (6 n + rows,) right-hand side, then Vdot and lambda
     kept: np.ndarray               # as matrix and solution twice: for refinement
     right: np.ndarray
@@ -108,7 +109,8 @@ def make_work(model, stages):
     return Work(
         child_jacobian=model.child_jacobian.copy(), slip=np.zeros(rows),
         gap=np.zeros(int(model.elements["rows"].sum())),
-        matrix=model.constant.copy(), solution=np.zeros(len(model.pivot_floor)),
+        matrix=model.constant.copy(), spare=model.constant.copy(),
+        solution=np.zeros(len(model.pivot_floor)),
         kept=model.constant.copy(), right=np.zeros(len(model.pivot_floor)),
         residual=np.zeros(len(model.pivot_floor)), wrench=np.zeros((n, 6)),
         acceleration=np.zeros((n, 6)), angle=np.zeros(springs), start_angle=np.zeros(springs),

@@ -77,7 +77,7 @@ def build_model(scene):
     if model.is_constant:
         work = make_work(model, 1)
         assemble(model, work, *initial_state(scene))
-        eliminate(model, model.constant, work.solution, True, 0.0, SPATIAL_SIZES)
+        eliminate(model, model.constant, work.spare, work.solution, True, 0.0, SPATIAL_SIZES)
     names = tuple(part.names for elements in parts for part in elements)
     return model, tuple(frames), owners, names, tuple(kept)
 

@@ -59,6 +59,7 @@ class PlanarWork(NamedTuple):
     velocity: np.ndarray           # (n, 3)
     slopes: np.ndarray             # ((s + 1) n, 6)
     matrix: np.ndarray
+    spare: np.ndarray
     solution: np.ndarray
     kept: np.ndarray
     right: np.ndarray
@@ -75,5 +76,6 @@ def make_planar_work(model, work, stages):
         stage_pose=np.zeros((n, 4)), stage_twist=np.zeros((n, 3)),
         start_pose=np.zeros((n, 4)), start_twist=np.zeros((n, 3)), velocity=np.zeros((n, 3)),
         slopes=np.zeros(((stages + 1) * n, 6)), matrix=model.constant.copy(),
+        spare=model.constant.copy(),
         solution=np.zeros(unknowns), kept=model.constant.copy(), right=np.zeros(unknowns),
         residual=np.zeros(unknowns))

@@ -129,7 +129,8 @@ def _build(scene, model, world, axes):
         is_constant=all(parent == WORLD for parent, _ in ends),
         refinements=refinements(model.bodies["mass"], ends), projects=model.projects)
     if planar.is_constant:
-        eliminate(planar, planar.constant, np.zeros(structure.unknowns), True, 0.0, PLANAR_SIZES)
+        eliminate(planar, planar.constant, planar.constant.copy(), np.zeros(structure.unknowns),
+                  True, 0.0, PLANAR_SIZES)
     return planar
 
 
