@@ -102,7 +102,7 @@ def sections(facts):
         ("Forces", [(force["name"], force["type"], " - ".join(force["on"]))
                     for force in facts["forces"]]),
         ("Freedoms", _freedom_rows(facts)),
-        ("Solve", _solve_rows(facts["solve"])),
+        ("Solve", _solve_rows(facts["solve"], facts["plane"])),
         ("What it keeps", _kept_rows(facts)),
         ("Cost of a step on this machine", [
             (method, cost.get("failed") or f"{cost['step_us']:.3g} us",
@@ -121,8 +121,11 @@ def _freedom_rows(facts):
             ("degrees of freedom", str(facts["degrees_of_freedom"]), "what is left")]
 
 
-def _solve_rows(solve):
-    return [("unknowns", str(solve["unknowns"]), "accelerations and multipliers"),
+def _solve_rows(solve, plane):
+    where = ("in space", "six scalars a body") if plane is None else (
+        f"across {plane}", "the joints hold all bodies in a plane: three scalars a body")
+    return [("motion", *where),
+            ("unknowns", str(solve["unknowns"]), "accelerations and multipliers"),
             ("vertices", str(solve["vertices"]), "dense blocks on the diagonal"),
             ("blocks", str(solve["blocks"]),
              f"dense, below the diagonal; {solve['fill']} of them fill"),

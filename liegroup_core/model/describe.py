@@ -22,7 +22,10 @@ def describe(layout):
                             singular poses
         rows, solved_rows   numbers of rows of all joints, and without those left out
         dropped_rows        [[joint, row]]
-        solve               structure of K in (6.22), see `solve_structure`
+        plane               normal, x, y or z, of the plane in which the joints hold all bodies and
+                            Munthe-Kaas methods integrate them; None: bodies in space
+        solve               structure of K in (6.22), of bodies in that plane or in space, see
+                            `solve_structure`
         groups              [[body]]: what joints and forces hang together without the world
         kept_momentum       [{bodies, components}] in words; None where no component can be named,
                             for a joint that is no lower pair
@@ -47,7 +50,8 @@ def describe(layout):
         "degrees_of_freedom": 6 * len(model.bodies) - len(model.row_residual),
         "rows": int(model.elements["rows"].sum()), "solved_rows": len(model.row_residual),
         "dropped_rows": [list(entry) for entry in dropped],
-        "solve": solve_structure(model),
+        "plane": None if layout.plane is None else "xyz"[int(layout.plane.world[0, 6:].argmax())],
+        "solve": solve_structure(model if layout.plane is None else layout.plane),
         "groups": [[scene.bodies[i].name for i in group] for group in body_groups(scene)],
         "kept_momentum": [{"bodies": list(kept.bodies), "components": list(kept.labels)}
                           for kept in conserved_momentum(scene)] if only_pairs else None,
