@@ -21,7 +21,7 @@ from .offline_files import ArrayFile, LogFile, OutputError
 EXIT_STOPPED = 1
 AT_ONCE = 10_000                            # steps between two looks at the clock, at most
 REDRAW = 0.1                                # s
-OPTIONS = ("dexpinv", "rtol", "atol", "rho_inf")     # handed on to the method if given
+OPTIONS = ("dexpinv", "space", "rtol", "atol", "rho_inf")     # handed on to the method if given
 
 
 class RunError(Exception):
@@ -54,6 +54,8 @@ def add_parser(subparsers):
     parser.add_argument("--baumgarte-time", type=float, metavar="S",
                         help="time in which joint errors die out (default: ten steps)")
     parser.add_argument("--dexpinv", metavar="KIND", help="exact or truncated (default: exact)")
+    parser.add_argument("--space", metavar="KIND", help="auto, or space: integrate in space what "
+                        "could be in a plane (default: auto)")
     for name in ("rtol", "atol"):
         parser.add_argument(f"--{name}", type=float, metavar="X",
                             help="tolerance of a method with error control")

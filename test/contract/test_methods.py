@@ -15,7 +15,7 @@ from scipy.integrate import RK45
 
 import mechanisms
 from liegroup_core import Simulation, SimulationError, load_scene
-from liegroup_core.integrators import FAMILIES, check_options, rkmk
+from liegroup_core.integrators import FAMILIES, check_options, spatial
 from liegroup_core.integrators.methods import METHODS
 from liegroup_core.integrators.status import (DEPENDENT_ROWS, NOT_CONVERGED, NOT_FINITE,
                                               ROTATION_TOO_LARGE, SUBSTEP_TOO_SMALL,
@@ -247,10 +247,11 @@ def test_options_are_refused_where_they_mean_nothing_or_are_wrong():
     scene = load_scene("free_body")
     for options, text in (
             ({"method": "rkmk4", "rtol": 1e-6}, "rkmk4 has no option 'rtol'; it has: dexpinv"),
-            ({"method": "rkmk54", "rho_inf": 1.0}, "it has: dexpinv, rtol, atol"),
+            ({"method": "rkmk54", "rho_inf": 1.0}, "it has: dexpinv, space, rtol, atol"),
             ({"method": "rkmk54", "atol": 0.0}, "atol must be a positive number, got 0.0"),
             ({"method": "rkmk54", "rtol": math.nan}, "rtol must be a positive number"),
             ({"method": "rkmk4", "dexpinv": "none"}, "'exact' or 'truncated', got 'none'"),
+            ({"method": "rkmk4", "space": "plane"}, "'auto' or 'space', got 'plane'"),
             ({"method": "generalized_alpha", "rho_inf": 1.1}, "rho_inf must be a number from 0"),
             ({"method": "generalized_alpha", "stabilisation": "projection"}, "closes the joints")):
         with pytest.raises(ValueError, match=text):
@@ -290,7 +291,7 @@ def test_error_norm_is_the_documented_one():
     size = np.maximum(*(np.linalg.norm(v.reshape(n, 2, 3), axis=2) for v in (before, after)))
     tolerance = 2e-5 + 3e-4 * np.hstack([np.zeros((n, 2)), size])
     expected = np.sqrt(((np.linalg.norm(delta, axis=2) / tolerance) ** 2).sum(axis=1)).max()
-    found = rkmk._error(simulation.layout.model, integrator.work, integrator._scheme, 0.01, before)
+    found = spatial.error_norm(simulation.layout.model, integrator.work, integrator._scheme, 0.01, before)
     assert found == pytest.approx(expected, rel=1e-12)
 
 
