@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..model.arrays import Model, Work
+from .tree import COLUMNS
 
 PLANAR_BODY = np.dtype([
     ("mass", "f8"), ("inertia", "f8"),          # kg; kg m^2 about the normal and the COM
@@ -39,6 +40,7 @@ class PlanarModel(NamedTuple):
     is_constant: bool
     refinements: int
     projects: bool
+    links: np.ndarray              # (n,) of tree.LINK where K is not needed, else none
 
 
 class PlanarWork(NamedTuple):
@@ -61,6 +63,7 @@ class PlanarWork(NamedTuple):
     matrix: np.ndarray
     spare: np.ndarray
     solution: np.ndarray
+    links: np.ndarray              # (n, 17) see tree.py
     kept: np.ndarray
     right: np.ndarray
     residual: np.ndarray
@@ -78,4 +81,4 @@ def make_planar_work(model, work, stages):
         slopes=np.zeros(((stages + 1) * n, 6)), matrix=model.constant.copy(),
         spare=model.constant.copy(),
         solution=np.zeros(unknowns), kept=model.constant.copy(), right=np.zeros(unknowns),
-        residual=np.zeros(unknowns))
+        residual=np.zeros(unknowns), links=np.zeros((len(model.links), COLUMNS)))

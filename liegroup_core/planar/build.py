@@ -24,6 +24,7 @@ from ..model.sparsity import Structure
 from ..scene.consistency import resolve_elements, resolve_frames
 from .arrays import PLANAR_BODY, PlanarModel
 from .state import IN_PLANE
+from .tree import tree_links
 
 # Planar axes in world axes, as rows, for a normal along z, y and x.
 PLANES = (np.eye(3), np.eye(3)[[2, 0, 1]], np.eye(3)[[1, 2, 0]])
@@ -117,17 +118,20 @@ def _build(scene, model, world, axes):
         floor[joints[j]["start"]:joints[j]["start"] + len(jacobian)] = SMALLEST_PIVOT * size
         if parent == WORLD:
             projectors[j] = (mobility.T @ np.linalg.solve(jacobian @ mobility.T, jacobian)).ravel()
+    few = refinements(model.bodies["mass"], ends)
+    links = tree_links(len(axes), ends, jacobians if few == 0 else [])
     planar = PlanarModel(
         space=model, has_forces=any(len(rows) for rows in model.forces), world=world.reshape(1, 9),
         gravity=model.gravity @ world[:2].T,
-        bodies=np.array([(body["mass"], inertia, structure.start(i), axis.ravel())
+        bodies=np.array([(body["mass"], inertia, 3 * i if len(links) else structure.start(i),
+                          axis.ravel())
                          for i, (body, inertia, axis) in enumerate(
                              zip(model.bodies, inertias, axes))], dtype=PLANAR_BODY),
         joints=joints, child_jacobian=child_jacobian, ground_projector=projectors,
         vertices=structure.vertices, columns=structure.columns, updates=structure.updates,
         pivot_floor=floor, constant=structure.constant_part(masses, jacobians),
         is_constant=all(parent == WORLD for parent, _ in ends),
-        refinements=refinements(model.bodies["mass"], ends), projects=model.projects)
+        refinements=few, projects=model.projects, links=links)
     if planar.is_constant:
         eliminate(planar, planar.constant, planar.constant.copy(), np.zeros(structure.unknowns),
                   True, 0.0, PLANAR_SIZES)

@@ -14,6 +14,7 @@ from ..dynamics.newton_euler import REFINEMENTS_WHEN_SINGULAR
 from ..dynamics.saddle_point import PLANAR_SIZES, REGULARISATION, solve
 from ..model.arrays import WORLD
 from .state import add_forces
+from .tree import solve_tree
 
 
 @kernel
@@ -107,6 +108,10 @@ def accelerations(model, work, external):
 
     returns -1, or the joint whose rows depend on others, which a regularised solve could not mend
     """
+    if len(model.links) > 0:
+        _wrenches(model, work, external)
+        solve_tree(model, work, work.stage_pose, work.stage_twist)
+        return -1
     dependent = -1
     refinements, shift = model.refinements, 0.0
     for _ in range(2):
