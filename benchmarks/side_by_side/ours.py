@@ -56,8 +56,9 @@ class _Run:
         self.simulation = Simulation(scene, method=method, step=problem.duration / self.steps,
                                      **options)
         self.start = self.simulation.state()
-        # Substeps follow the motion: where it changes, they are paid for as it is at first.
-        self.anew = self.controlled and problem.changes
+        # Substeps follow the motion: where it changes, they are paid for as it is at first. And with
+        # loops, coarse steps end up with open joints, which cost more than the problem does.
+        self.anew = bool(problem.loops) or self.controlled and problem.changes
 
     def reset(self):
         self.simulation.set_state(*self.start)
