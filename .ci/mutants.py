@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which wrong formulas the tests catch: one change at a time, and the test that notices.
 
-    python .ci/mutants.py [WORD ...]        all of them, or those whose name has one of the words
+    python .ci/mutants.py [WORD ...]       all of them, or those whose name has one of the words
 
 Every mutant is one change of a formula in a copy of the sources: a sign, a factor, a frame. The
-tests that belong to it run on the copy, as plain Python, until one fails. Prints a table; exit code
+tests that belong to it run on the copy, as plain Python, until one fails. Prints the table of docs/mutants.md; exit code
 1 when a mutant survives, or when a test fails without one. A few minutes.
 """
 import os
@@ -109,7 +109,7 @@ MUTANTS = [
            "apply_force(pose, row[\"parent\"], vector3(row[\"parent_origin\"]),", FORCES),
     Mutant("drag, quadratic part without the speed", "forces/drag.py",
            'row["linear"] + row["quadratic"] * math.sqrt(dot3(v, v))',
-           'row["linear"] + row["quadratic"]', MOTION[:1] + ("-k", "kind_of_force and drag")),
+           'row["linear"] + row["quadratic"]', ("verification/test_force_motions.py", "-k", "drag")),
     Mutant("applied wrench, other axes", "forces/applied_wrench.py",
            'row["world_axes"] == 1', 'row["world_axes"] == 0', FORCES),
     Mutant("applied wrench, sign of the moment", "forces/applied_wrench.py",
