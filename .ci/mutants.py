@@ -4,8 +4,8 @@
     python .ci/mutants.py [WORD ...]       all of them, or those whose name has one of the words
 
 Every mutant is one change of a formula in a copy of the sources: a sign, a factor, a frame. The
-tests that belong to it run on the copy, as plain Python, until one fails. Prints the table of docs/mutants.md; exit code
-1 when a mutant survives, or when a test fails without one. A few minutes.
+tests that belong to it run on the copy, as plain Python, until one fails. Prints the table of
+docs/mutants.md; exit code 1 when a mutant survives, or when a test fails without one.
 """
 import os
 import re
@@ -23,7 +23,8 @@ JOINTS = ("core/test_joints.py",)
 LIE = ("contract/test_lie_groups.py",)
 FORCES = ("contract/test_forces.py", "-k",
           "cancel or gradient or work_is or dissipates or turned or told")
-PROJECTION = ("core/test_projection.py", "-k", "closes_all or consistent or errors_die and se3-net")
+PROJECTION = ("core/test_projection.py", "-k",
+              "closes_all or consistent or errors_die and se3-net")
 CENTRES = ("core/test_centres.py", "-k", "not symmetry and not whole_motions")
 METHODS = ("contract/test_methods.py", "-k", "tableau or conditions or estimate")
 MOTION = ("verification/test_reference_kinds.py", "-k", "joint and spherical and ground")
@@ -101,7 +102,8 @@ MUTANTS = [
     Mutant("torsional damper, sign", "forces/torsional_spring_damper.py",
            'torque -= row["damping"]', 'torque += row["damping"]', FORCES),
     Mutant("motor, sign of the slope", "forces/motor.py",
-           'torque = row["torque"] - row["slope"]', 'torque = row["torque"] + row["slope"]', FORCES),
+           'torque = row["torque"] - row["slope"]', 'torque = row["torque"] + row["slope"]',
+           FORCES),
     Mutant("slide, both bodies pushed alike", "forces/slide.py",
            "at_parent, scale3(-1.0, pull)", "at_parent, scale3(1.0, pull)", FORCES),
     Mutant("slide, parent pushed at its own origin", "forces/slide.py",
@@ -109,7 +111,8 @@ MUTANTS = [
            "apply_force(pose, row[\"parent\"], vector3(row[\"parent_origin\"]),", FORCES),
     Mutant("drag, quadratic part without the speed", "forces/drag.py",
            'row["linear"] + row["quadratic"] * math.sqrt(dot3(v, v))',
-           'row["linear"] + row["quadratic"]', ("verification/test_force_motions.py", "-k", "drag")),
+           'row["linear"] + row["quadratic"]',
+           ("verification/test_force_motions.py", "-k", "drag")),
     Mutant("applied wrench, other axes", "forces/applied_wrench.py",
            'row["world_axes"] == 1', 'row["world_axes"] == 0', FORCES),
     Mutant("applied wrench, sign of the moment", "forces/applied_wrench.py",

@@ -8,7 +8,7 @@ import argparse
 import os
 import sys
 
-# Before NumPy is loaded: threads make small solves no faster, and on a busy machine 50 times slower.
+# Before NumPy is loaded: threads make small solves slower, on a busy machine many times.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from liegroup_core.errors import LieGroupSimError

@@ -62,13 +62,14 @@ class JointWatch:
         joint = self._layout.scene.joints[self._layout.joint_of_row[worst]].name
         if gap > OPEN and "open" not in self._said:
             self._said.add("open")
-            return (f"joint {joint} is open by {gap:.3g} of the mechanism's size at t = {time:.6g} "
-                    "s: this is its motion no more; use stabilisation projection or a smaller step")
+            return (f"joint {joint} is open by {gap:.3g} of the mechanism's size at t = "
+                    f"{time:.6g} s: this is its motion no more; use stabilisation projection or a "
+                    "smaller step")
         sudden = before is not None and gap > max(SUDDEN * before, TOO_SMALL)
         if sudden and "sudden" not in self._said:
             self._said.add("sudden")
             return (f"joint {joint} opened suddenly, from {before:.3g} to {gap:.3g} of the "
-                    f"mechanism's size shortly before t = {time:.6g} s, as at a singular pose or in "
-                    "a motion too fast for the step: the motion may be another one from there on; "
+                    f"mechanism's size shortly before t = {time:.6g} s, as at a singular pose or "
+                    "in a motion too fast for the step: the motion may be another one from there on; "
                     "use stabilisation projection or a smaller step")
         return None

@@ -83,8 +83,8 @@ def _equations(scene, index, frames, relative):
             threaded = joint.type == "screw" and equation == JOINTS["screw"][-1]
             pitch.append(joint.pitch if threaded else 0.0)
             turn.append(screws if threaded else -1)
-            length.append(_thread(joint, C_rel) if threaded else
-                          _length(joint, described[joint.name]) if equation[0] == DISTANCE else 0.0)
+            length.append(_thread(joint, C_rel) if threaded else 0.0 if equation[0] != DISTANCE
+                          else _length(joint, described[joint.name]))
         screws += joint.type == "screw"
     return Equations(_table(kind, (), int), _table(body, (2,), int), _table(point, (2, 3)),
                      _table(axis, (2, 3)), _table(length, ()), _table(pitch, ()),
