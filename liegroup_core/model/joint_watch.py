@@ -70,6 +70,6 @@ class JointWatch:
             self._said.add("sudden")
             return (f"joint {joint} opened suddenly, from {before:.3g} to {gap:.3g} of the "
                     f"mechanism's size shortly before t = {time:.6g} s, as at a singular pose or "
-                    "in a motion too fast for the step: the motion may be another one from there on; "
-                    "use stabilisation projection or a smaller step")
+                    "in a motion too fast for the step: from there on the motion may be another "
+                    "one; use stabilisation projection or a smaller step")
         return None
