@@ -154,7 +154,6 @@ class Simulation:
         self._body = {name: i for i, name in enumerate(self.layout.body_names)}
         self._timetable = Timetable(self.layout.model.forces.applied_wrench, self.step)
         self._warned = self._warned_singular = False
-        self._watch = JointWatch(self.layout)
         warm_up(self._touch, METHODS[method].family)
 
     def _touch(self):
@@ -194,7 +193,7 @@ class Simulation:
         self._external = np.zeros((n, 6))   # the same about the centres of mass
         self._applied = []
         self.doubt = None
-        self._watch.restart()
+        self._watch = JointWatch(self.layout)
         self._integrator.restart()
 
     def state(self):

@@ -36,6 +36,8 @@ def test_a_singular_pose_that_goes_wrong_is_said(caplog):
     right.advance(300)
     wrong.reset()
     assert wrong.doubt is None
+    wrong.advance(3000)
+    assert "opened suddenly" in wrong.doubt
 
 
 def test_joints_that_are_no_joints_any_more_are_said():
