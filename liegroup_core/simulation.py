@@ -19,6 +19,7 @@ from .integrators.status import (DEPENDENT_ROWS, LARGE_ROTATION, MESSAGES, OK,
                                  TURNS_NOT_COUNTED)
 from .model.arrays import Model
 from .model.build import build_model, initial_state
+from .model.joint_watch import JointWatch
 from .model.sample import Sample
 from .planar.build import planar_model
 from .scene.assembly import ready
@@ -136,6 +137,9 @@ class Simulation:
              rho_inf=0.8                     damping of generalized_alpha
     raises SceneError for a scene that cannot be simulated, ValueError for a wrong setting
 
+    `doubt` is None, or a line of text since joints opened so far or so suddenly that the motion is
+    hardly that of the scene; it is also logged as a warning (model/joint_watch.py).
+
     Orders: test/verification/test_orders.py; constraint residuals: test_heavy_top.py.
     """
 
@@ -196,6 +200,8 @@ class Simulation:
         self._schedule = WrenchSchedule(n)
         self._external = np.zeros((n, 6))   # the same about the centres of mass
         self._applied = []
+        self.doubt = None
+        self._watch = JointWatch(self.layout)
         self._integrator.restart()
 
     def state(self):
@@ -294,18 +300,24 @@ class Simulation:
                 self._applied.append(AppliedWrench(
                     self.steps, self.layout.body_names[body],
                     tuple(self._schedule.total[body].tolist())))
-            wanted = min(end, self._schedule.next_change(),
+                self._watch.restart()
+            wanted = min(end, self._watch.next_look(self.steps), self._schedule.next_change(),
                          self._timetable.next_change(self.steps)) - self.steps
             done, status = self._take(wanted)
             self.steps += done
             if status != OK:
                 raise SimulationError(self._explain(status), status & 0xff)
+            doubt = self._watch.look(self._pose, self.steps, self.time) if done else None
+            if doubt:
+                self.doubt = self.doubt or doubt
+                log.warning(doubt)
             if self.steps >= end:
                 break
         if self._work.report[2] and not self._warned_singular:
             self._warned_singular = True
             log.warning("a singular pose was met before t = %g s: where the joints leave the motion "
-                        "open the masses decide", self.time)
+                        "open the masses decide; use stabilisation projection, which keeps the "
+                        "joints closed there", self.time)
         if not self._warned and self._work.report[0] > LARGE_ROTATION ** 2:
             self._warned = True
             log.warning("a body turned by more than pi within one step (%.3g rad before t = %g s): "

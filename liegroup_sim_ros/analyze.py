@@ -14,6 +14,7 @@ from rich.console import Console
 
 from liegroup_core import SimulationError
 from liegroup_core.scene.load import scene_from_text
+from liegroup_core.model.joint_watch import mechanism_size
 from liegroup_core.simulation import make_layout
 
 from .recording import RecordingError, read_recording
@@ -63,6 +64,7 @@ def analyse(recording, reference=True, tell=lambda text: None):
         figures["momentum"], curves["momentum"] = invariants.momentum(scene, motion)
         figures["joints"], figures["joint_samples"], curves["joints"] = invariants.joints(
             layout, motion)
+        figures["mechanism_size"] = mechanism_size(layout.model)
         tell("simulating again")
         figures["repeat"] = _or_reason(repeat, scene, recording, motion)
         if reference:

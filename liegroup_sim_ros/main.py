@@ -2,10 +2,14 @@
 """The command `liegroup_sim`: describe and run scenes, analyse, push, make figures, show a demo.
 
 Exit code 0 when it is done, 2 and one line on stderr when something given to it is wrong, 1 when a
-simulation or a push had to stop, 130 after Ctrl-C.
+simulation had to stop, 130 after Ctrl-C.
 """
 import argparse
+import os
 import sys
+
+# Before NumPy is loaded: threads make small solves slower, on a busy machine many times.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from liegroup_core.errors import LieGroupSimError
 
@@ -15,10 +19,11 @@ from .demo import DemoError
 from .figures import FiguresError
 from .offline import RunError
 from .offline_files import OutputError
+from .push import PushError
 from .recording import RecordingError
 
 WRONG_INPUT = (LieGroupSimError, RecordingError, AnalysisError, DemoError, FiguresError,
-               OutputError, RunError)
+               OutputError, PushError, RunError)
 EXIT_WRONG_INPUT, EXIT_INTERRUPTED = 2, 130
 
 

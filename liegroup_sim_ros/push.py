@@ -13,7 +13,7 @@ ANSWER = 2.0                                # s that a running simulation needs 
 
 
 class PushError(Exception):
-    """The push cannot be made; one line of text."""
+    """The push cannot be made; one line of text, exit code 2."""
 
 
 def add_parser(subparsers):
@@ -36,27 +36,20 @@ def add_parser(subparsers):
 
 
 def run(args):
-    """Run the subcommand; returns the exit code."""
+    """Run the subcommand; returns the exit code. Raises PushError."""
+    _check(args)
     try:
-        _check(args)
         import rclpy
         from rclpy.signals import SignalHandlerOptions
-    except PushError as error:
-        print(f"push: {error}", file=sys.stderr)
-        return 2
     except ImportError as error:
-        print(f"push: ROS 2 is needed to push: {error}", file=sys.stderr)
-        return 2
+        raise PushError(f"ROS 2 is needed to push: {error}") from None
     try:
         # Ctrl-C must leave the context alive for the zero wrench.
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         print(_push(args))
         return 0
-    except PushError as error:
-        print(f"push: {error}", file=sys.stderr)
-        return 1
     except KeyboardInterrupt:
-        print("push: interrupted; the zero wrench is sent", file=sys.stderr)
+        print("liegroup_sim: interrupted; the zero wrench is sent", file=sys.stderr)
         return 130
     finally:
         rclpy.try_shutdown()

@@ -2,187 +2,118 @@
 """Motion of jointed rigid bodies in the classical formulation: referee of the Lie group engine.
 
 Written to share nothing with the engine: unit quaternions instead of rotation matrices, world
-instead of body velocities, joints as points that coincide and axes that stay aligned instead of
-subgroups of SE(3), one dense solve instead of a sparse one. What both read is the Scene alone.
+instead of body velocities, joints as geometric equations (equations.py) instead of subgroups of
+SE(3), angles that are integrated instead of read off poses, the null space of all joints' rows
+instead of multipliers of some. What both read is the Scene alone.
 
 The state of one body is 13 numbers,
     quaternion (w, x, y, z)   position r   velocity v = rdot, world axes   omega, body axes
-and the accelerations a = (rddot, omegadot) of all bodies follow from Udwadia and Kalaba,
-Proc. R. Soc. Lond. A 439 (1992), 407-410:
-    a = a_free + W (A W)^+ (b - A a_free),     W W^T = M^-1
-where A a = b are the joint equations differentiated twice, M the mass matrix, a_free the motion
-without joints and ^+ the pseudo-inverse, which also serves closed loops with redundant rows.
-Two terms -2 c gdot - c^2 g, zero on the exact motion, keep round-off from piling up in g.
+after which come the angles of the turning joints that need one. With the joint equations
+differentiated twice, A a = b, the accelerations a = (rddot, omegadot) of all bodies are
+    a = A^+ b + N y ,   (N^T M N) y = N^T (f - M A^+ b) ,   A N = 0
+(Laulusa and Bauchau, J. Comput. Nonlinear Dyn. 3 (2008) 011004, section 4). A^+ and N come from
+the singular values of A, which know nothing of the masses: those that are left out are of rows
+that repeat others, as closed loops have them. Two terms -2 c gdot - c^2 g in b, zero on the exact
+motion, keep round-off from piling up in g.
 """
 from typing import NamedTuple
 
 import numpy as np
 
-from .._compile import kernel
+from .._compile import subroutine
+from .equations import STATE, Equations, joint_equations
+from .loads import Loads, add_loads
 
-GROUND = -1             # index of the world where a body is meant
-STATE = 13              # numbers per body
-JOINT_ROWS = {"spherical": 3, "revolute": 5}    # equations of each kind of joint
 DRIFT_DAMPING = 10.0    # 1/s; far below 1/step of a tight integration, so it costs no step size
-# Singular values below this part of the largest belong to redundant rows: those sit at 1e-16,
-# the true ones of a planar four-bar at 0.1 (scaled by masses of like size).
-RANK_CUTOFF = 1e-9
 
 
 class System(NamedTuple):
-    """A scene as arrays; n bodies, m joints, s spring-dampers."""
+    """A scene of n bodies as arrays."""
 
-    gravity: np.ndarray         # (3,) m/s^2
     mass: np.ndarray            # (n,) kg
     inertia: np.ndarray         # (n, 3, 3) kg m^2, about the centre of mass, body axes
-    inertia_inverse: np.ndarray     # (n, 3, 3)
-    weight: np.ndarray          # (6 n, 6 n) W with W W^T = M^-1, M that of (rddot, omegadot)
-    joint_body: np.ndarray      # (m, 2) parent, child; GROUND = -1
-    joint_point: np.ndarray     # (m, 2, 3) m, in the frames of parent and child
-    joint_axes: np.ndarray      # (m, 3, 3) rows: x and y in the parent's, z in the child's axes
-    joint_rows: np.ndarray      # (m,) 3 (point) or 5 (point and axis)
-    spring_body: np.ndarray     # (s, 2)
-    spring_point: np.ndarray    # (s, 2, 3) m
-    spring_law: np.ndarray      # (s, 3) stiffness N/m, damping N s/m, rest length m
+    size: float                 # m, of the mechanism: makes turns and ways comparable in A
+    equations: Equations
+    loads: Loads
 
 
-@kernel
-def rotate(q, x):
-    """The vector x turned by the quaternion q (w, x, y, z) of any norm but zero."""
-    u = q[1:4]
-    t = 2.0 * np.cross(u, x) / np.dot(q, q)
-    return x + q[0] * t + np.cross(u, t)
+@subroutine
+def scaled_equations(system, state, angle, missing_out):
+    """Rows (k, 6 n) of length 1 for (rddot, size omegadot), and b for them, (k,)."""
+    n, k = len(system.mass), len(system.equations.kind)
+    rows, gap = np.zeros((k, 6 * n)), np.zeros((3, k))
+    joint_equations(system.equations, state, angle, rows, gap)
+    for r in range(k):
+        for body in range(n):
+            rows[r, 6 * body + 3:6 * body + 6] /= system.size
+        length = np.sqrt(np.dot(rows[r], rows[r]))
+        scale = 1.0 / length if length > 0.0 else 0.0
+        rows[r] *= scale
+        missing_out[r] = -scale * (gap[2, r] + 2.0 * DRIFT_DAMPING * gap[1, r]
+                                   + DRIFT_DAMPING ** 2 * gap[0, r])
+    return rows
 
 
-@kernel
-def rotate_back(q, x):
-    """The vector x turned by the inverse of q."""
-    u = -q[1:4]
-    t = 2.0 * np.cross(u, x) / np.dot(q, q)
-    return x + q[0] * t + np.cross(u, t)
+@subroutine
+def _jointed(system, rank, state, angle, force, acceleration_out):
+    """Accelerations (n, 6) under forces (n, 6) that follow the joints.
 
-
-@kernel
-def _direction(state, body, fixed):
-    """A direction fixed in a body, its rate, and its second rate without omegadot; world axes."""
-    out = np.zeros((3, 3))
-    if body == GROUND:
-        out[0] = fixed
-        return out
-    q = state[body, 0:4]
-    omega = state[body, 10:13]
-    rate = np.cross(omega, fixed)
-    out[0] = rotate(q, fixed)
-    out[1] = rotate(q, rate)
-    out[2] = rotate(q, np.cross(omega, rate))
-    return out
-
-
-@kernel
-def _point(state, body, fixed):
-    """A point fixed in a body: position, velocity, acceleration without that of the body."""
-    out = _direction(state, body, fixed)
-    if body != GROUND:
-        out[0] += state[body, 4:7]
-        out[1] += state[body, 7:10]
-    return out
-
-
-@kernel
-def _unconstrained(system, state, wrench, out):
-    """Accelerations (rddot, omegadot) without joints: out (n, 6); wrench (n, 6) in body axes."""
-    force = np.zeros((len(system.mass), 6))         # world force, body torque
-    for i in range(len(system.mass)):
-        force[i, 0:3] = system.mass[i] * system.gravity + rotate(state[i, 0:4], wrench[i, 3:6])
-        force[i, 3:6] = wrench[i, 0:3]
-    for s in range(len(system.spring_body)):
-        parent, child = system.spring_body[s]
-        start = _point(state, parent, system.spring_point[s, 0])
-        end = _point(state, child, system.spring_point[s, 1])
-        d = end[0] - start[0]
-        length = np.sqrt(np.dot(d, d))
-        stiffness, damping, rest = system.spring_law[s]
-        pull = -stiffness * d
-        if length > 0.0:
-            unit = d / length
-            pull += (stiffness * rest - damping * np.dot(unit, end[1] - start[1])) * unit
-        for side in range(2):
-            body = system.spring_body[s, side]
-            if body != GROUND:
-                acting = pull if side == 1 else -pull
-                force[body, 0:3] += acting
-                force[body, 3:6] += np.cross(system.spring_point[s, side],
-                                             rotate_back(state[body, 0:4], acting))
-    for i in range(len(system.mass)):
-        omega = state[i, 10:13]
-        torque = force[i, 3:6] - np.cross(omega, system.inertia[i] @ omega)
-        out[i, 0:3] = force[i, 0:3] / system.mass[i]
-        out[i, 3:6] = system.inertia_inverse[i] @ torque
-
-
-@kernel
-def joint_equations(system, state, rows_out, gap_out):
-    """Joint equations g = 0 at one state.
-
-    rows_out : (k, 6 n) A, so that gddot = A a + gap_out[2] with a = (rddot, omegadot) per body
-    gap_out  : (3, k) g (m; for the axes the cosine, rad when small), gdot, gddot at a = 0
+    returns the smallest singular value that counts, and the largest one that does not
     """
-    rows_out[:] = 0.0
-    first = 0
-    for j in range(len(system.joint_rows)):
-        parent, child = system.joint_body[j]
-        # The two points coincide.
-        end = _point(state, child, system.joint_point[j, 1])
-        start = _point(state, parent, system.joint_point[j, 0])
-        for d in range(3):
-            for c in range(3):
-                gap_out[d, first + c] = end[d, c] - start[d, c]
-        for side in range(2):
-            body = system.joint_body[j, side]
-            if body == GROUND:
-                continue
-            sign = 1.0 if side == 1 else -1.0
-            for c in range(3):
-                axis = np.zeros(3)
-                axis[c] = sign
-                rows_out[first + c, 6 * body + c] = sign
-                # axis . (R (omegadot x p)) = omegadot . (p x R^T axis)
-                rows_out[first + c, 6 * body + 3:6 * body + 6] = np.cross(
-                    system.joint_point[j, side], rotate_back(state[body, 0:4], axis))
-        # The child's z axis stays perpendicular to the parent's x and y axes.
-        z = _direction(state, child, system.joint_axes[j, 2])
-        for r in range(3, system.joint_rows[j]):
-            e = _direction(state, parent, system.joint_axes[j, r - 3])
-            gap_out[0, first + r] = np.dot(e[0], z[0])
-            gap_out[1, first + r] = np.dot(e[1], z[0]) + np.dot(e[0], z[1])
-            gap_out[2, first + r] = (np.dot(e[2], z[0]) + 2.0 * np.dot(e[1], z[1])
-                                     + np.dot(e[0], z[2]))
-            row = np.cross(z[0], e[0])
-            rows_out[first + r, 6 * child + 3:6 * child + 6] = rotate_back(state[child, 0:4], row)
-            if parent != GROUND:
-                rows_out[first + r, 6 * parent + 3:6 * parent + 6] = rotate_back(
-                    state[parent, 0:4], -row)
-        first += system.joint_rows[j]
+    n, k = len(system.mass), len(system.equations.kind)
+    missing = np.zeros(k)
+    rows = scaled_equations(system, state, angle, missing)
+    left, singular, right = np.linalg.svd(rows)
+    wanted = np.zeros(6 * n)
+    wanted[:rank] = (left.T @ missing)[:rank] / singular[:rank]
+    given = right.T @ wanted
+    free = np.ascontiguousarray(right[rank:])       # N^T
+    mass = np.zeros((6 * n, 6 * n))         # for (rddot, size omegadot)
+    load = np.zeros(6 * n)
+    for i in range(n):
+        for c in range(3):
+            mass[6 * i + c, 6 * i + c] = system.mass[i]
+            load[6 * i + c] = force[i, c]
+            load[6 * i + 3 + c] = force[i, 3 + c] / system.size
+        mass[6 * i + 3:6 * i + 6, 6 * i + 3:6 * i + 6] = system.inertia[i] / system.size ** 2
+    if rank < 6 * n:
+        reduced = free @ mass @ free.T
+        given += free.T @ np.linalg.solve(reduced, free @ (load - mass @ given))
+    for i in range(n):
+        acceleration_out[i, 0:3] = given[6 * i:6 * i + 3]
+        acceleration_out[i, 3:6] = given[6 * i + 3:6 * i + 6] / system.size
+    return singular[rank - 1], singular[rank] if rank < len(singular) else 0.0
 
 
-@kernel
-def rate(system, flat_state, wrench, flat_out):
-    """Time derivative of the whole state (13 n,) under body wrenches (n, 6)."""
+@subroutine
+def rate(system, rank, flat_state, wrench, acting, flat_out):
+    """Time derivative of the whole state (13 n + t,).
+
+    rank   : of the joint equations
+    wrench : (n, 6) from outside, in body axes; acting (p,) which applied wrenches of the scene act
+    returns the smallest singular value of the joints' rows that counts, and the largest that does
+    not; where state or forces are not finite the derivative is NaN
+    """
     n = len(system.mass)
-    state = flat_state.reshape(n, STATE)
-    out = flat_out.reshape(n, STATE)
+    state, angle = flat_state[:STATE * n].reshape(n, STATE), flat_state[STATE * n:]
+    out = flat_out[:STATE * n].reshape(n, STATE)
+    force = np.zeros((n, 6))
+    add_loads(system.loads, system.mass, state, angle, wrench, acting, force,
+              flat_out[STATE * n:])
     acceleration = np.zeros((n, 6))
-    _unconstrained(system, state, wrench, acceleration)
-    if len(system.joint_rows) > 0:
-        k = system.joint_rows.sum()
-        rows, gap, missing = np.zeros((k, 6 * n)), np.zeros((3, k)), np.zeros(k)
-        joint_equations(system, state, rows, gap)
-        present = rows @ acceleration.reshape(6 * n)
-        for r in range(k):
-            missing[r] = -(present[r] + gap[2, r] + 2.0 * DRIFT_DAMPING * gap[1, r]
-                           + DRIFT_DAMPING ** 2 * gap[0, r])
-        smallest = np.linalg.lstsq(rows @ system.weight, missing, RANK_CUTOFF)[0]
-        acceleration += (system.weight @ smallest).reshape(n, 6)
+    for i in range(n):
+        omega = state[i, 10:13]
+        force[i, 3:6] -= np.cross(omega, system.inertia[i] @ omega)
+    if not (np.isfinite(flat_state).all() and np.isfinite(force).all()):
+        flat_out[:] = np.nan        # LAPACK refuses such numbers
+        return 1.0, 0.0
+    least, left_out = 1.0, 0.0
+    if rank > 0:
+        least, left_out = _jointed(system, rank, state, angle, force, acceleration)
+    else:
+        for i in range(n):
+            acceleration[i, 0:3] = force[i, 0:3] / system.mass[i]
+            acceleration[i, 3:6] = np.linalg.solve(system.inertia[i], force[i, 3:6])
     for i in range(n):
         q = state[i, 0:4]
         omega = state[i, 10:13]
@@ -190,3 +121,4 @@ def rate(system, flat_state, wrench, flat_out):
         out[i, 1:4] = 0.5 * (q[0] * omega + np.cross(q[1:4], omega))
         out[i, 4:7] = state[i, 7:10]
         out[i, 7:13] = acceleration[i]
+    return least, left_out

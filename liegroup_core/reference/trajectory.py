@@ -4,19 +4,23 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.integrate import DOP853
-from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from ..errors import SimulationError
 from ..scene.assembly import assembled
 from ..scene.centres import Offsets, at_centres_of_mass
-from ..scene.consistency import resolve_frames
-from .rigid_body_dae import GROUND, JOINT_ROWS, STATE, System, rate
+from .equations import STATE
+from .rigid_body_dae import rate, scaled_equations
+from .system import build_system
 
 # Just above the least that DOP853 accepts (2.2e-14). The uncertainty of a run is its distance to
 # one that is ten times looser.
 TIGHT = 1e-13
 LOOSER = 10.0
+# Of the singular values of the joints' rows, scaled to length 1: at the start, those below belong
+# to rows that repeat others (the pose is right to 1e-9 or better); and on the way no other may
+# fall below, or one of those rise above, the second number. Ten rods on hinges have 1e-2.
+REDUNDANT, SINGULAR = 1e-8, 1e-6
 
 
 class WrenchChange(NamedTuple):
@@ -71,89 +75,88 @@ def integrate(scene, pose, twist, times, changes=(), start=0.0, rtol=TIGHT):
     returns (Trajectory at `times`, its uncertainty as a Distance: the largest distance so far to
     a run at a tolerance ten times looser)
 
-    Raises SimulationError where the integration cannot go on.
-    Accuracy: test_reference.py, against 45-digit end states.
+    Angles of torsional springs are at most half a turn at `start` and go on from there.
+    Raises SimulationError where the integration cannot go on, as at a singular pose.
+    Accuracy: test_reference.py, against 45-digit end states; test_reference_kinds.py, every kind
+    of joint and force against the engine. BLAS should have one thread (OPENBLAS_NUM_THREADS=1):
+    on a busy machine more of them make these small solves many times slower.
     """
     times = np.asarray(times, dtype=float)
     if len(times) and (times[0] < start or np.any(np.diff(times) < 0.0)):
         raise ValueError("times must increase and not lie before start")
     scene = assembled(scene)
-    system, offsets = build_system(at_centres_of_mass(scene)), Offsets(scene)
-    state = _to_state(np.asarray(pose, dtype=float), np.asarray(twist, dtype=float))
+    pose, offsets = np.asarray(pose, dtype=float), Offsets(scene)
+    system, angles = build_system(at_centres_of_mass(scene), pose)
+    state = np.concatenate([_to_state(pose, np.asarray(twist, dtype=float)), angles])
     pieces = _pieces(scene, offsets, times, changes, start)
+    rank = _rank(system, state)
     tight, loose = (_at_bodies(offsets, _to_trajectory(times, _run(
-        system, state, times, pieces, tolerance))) for tolerance in (rtol, LOOSER * rtol))
+        system, rank, state, times, pieces, tolerance)[:, :STATE * len(pose)]))
+        for tolerance in (rtol, LOOSER * rtol))
     apart = distance(tight, loose)
     return tight, Distance(*(np.maximum.accumulate(part, axis=0) for part in apart))
 
 
-def build_system(scene):
-    """Arrays of a scene with its body frames at the centres of mass.
-
-    Raises SimulationError for a joint or force without equations here.
-    """
-    index = {body.name: i for i, body in enumerate(scene.bodies)} | {"world": GROUND}
-    for entry, known in [(j, JOINT_ROWS) for j in scene.joints] + [
-            (f, ("spring_damper",)) for f in scene.forces]:
-        if entry.type not in known:
-            raise SimulationError(f"the reference integration has no {entry.type} ({entry.name})")
-    inertia = np.array([body.inertia_matrix for body in scene.bodies])
-    inverse = np.linalg.inv(inertia)
-    joints, springs, frames = scene.joints, scene.forces, resolve_frames(scene)
-    return System(
-        gravity=np.array(scene.gravity, dtype=float),
-        mass=np.array([body.mass for body in scene.bodies], dtype=float),
-        inertia=inertia, inertia_inverse=inverse, weight=_weight(scene.bodies, inverse),
-        joint_body=_table([(index[j.parent], index[j.child]) for j in joints], (2,), int),
-        joint_point=_table([(a[:3, 3], b[:3, 3]) for a, b in frames], (2, 3)),
-        joint_axes=_table([(a[:3, 0], a[:3, 1], b[:3, 2]) for a, b in frames], (3, 3)),
-        joint_rows=_table([JOINT_ROWS[j.type] for j in joints], (), int),
-        spring_body=_table([(index[s.parent], index[s.child]) for s in springs], (2,), int),
-        spring_point=_table([(s.parent_point, s.child_point) for s in springs], (2, 3)),
-        spring_law=_table([(s.stiffness, s.damping, s.rest_length) for s in springs], (3,)))
-
-
-def _weight(bodies, inertia_inverse):
-    """W with W W^T = M^-1, block by block."""
-    blocks = [block for body, inverse in zip(bodies, inertia_inverse)
-              for block in (np.eye(3) / np.sqrt(body.mass), np.linalg.cholesky(inverse))]
-    return block_diag(*blocks)
-
-
-def _table(rows, shape, kind=float):
-    return np.array(rows, dtype=kind).reshape((len(rows), *shape))
-
-
 def _pieces(scene, offsets, times, changes, start):
-    """(from, to, wrenches (n, 6) at the centres of mass) of each interval with constant ones."""
+    """The intervals in which no wrench changes.
+
+    returns [(from, to, wrenches (n, 6) at the centres of mass, which applied ones act (p,))]
+    """
     index = {body.name: i for i, body in enumerate(scene.bodies)}
+    pushes = [force for force in scene.forces if force.type == "applied_wrench"]
     end = times[-1] if len(times) else start
+    # In the order of their times, those of the same time in the order given.
+    switches = sorted([(change.time, change) for change in changes]
+                      + [(time, None) for push in pushes for time in (push.start, push.end)
+                         if time is not None], key=lambda switch: switch[0])
     wrench = np.zeros((len(scene.bodies), 6))
     pieces = []
     since = start
-    for change in changes:
-        if change.time >= end:
-            break
-        if change.time > since:
-            pieces.append((since, change.time, wrench.copy()))
-            since = change.time
-        body = index[change.body]
-        wrench[body] = offsets.wrench_at_centre(body, change.wrench)
-    if end > since:
-        pieces.append((since, end, wrench))
+    for time, change in [*switches, (end, None)]:
+        if min(time, end) > since:
+            until = min(time, end)
+            # In the middle no rounding decides what acts.
+            middle = 0.5 * (since + until)
+            acting = np.array([push.start <= middle and (push.end is None or middle < push.end)
+                               for push in pushes], dtype=bool)
+            pieces.append((since, until, wrench.copy(), acting))
+            since = until
+        if change is not None:
+            body = index[change.body]
+            wrench[body] = offsets.wrench_at_centre(body, change.wrench)
     return pieces
 
 
-def _run(system, state, times, pieces, rtol):
-    """States (k, 13 n) at `times`."""
+def _rank(system, state):
+    """Rank of the joint equations at the start, at the widest gap between singular values.
+
+    Rows that repeat others there leave singular values of the size of rounding, or of how far the
+    start is from closed, up to 1e-9 (scene/consistency.py); the others, of rows of length 1, are
+    those of angles between them.
+    """
+    n, k = len(system.mass), len(system.equations.kind)
+    if k == 0:
+        return 0
+    rows = scaled_equations(system, state[:STATE * n].reshape(n, STATE), state[STATE * n:],
+                            np.zeros(k))
+    singular = np.linalg.svd(rows, compute_uv=False)
+    if singular[-1] > REDUNDANT:
+        return len(singular)
+    above = np.maximum(singular, np.finfo(float).eps)
+    ends = np.flatnonzero(singular[1:] <= REDUNDANT) + 1
+    return int(ends[np.argmax(above[ends - 1] / above[ends])])
+
+
+def _run(system, rank, state, times, pieces, rtol):
+    """States (k, 13 n + t) at `times`."""
     out = np.empty((len(times), len(state)))
     done = int(np.searchsorted(times, pieces[0][0], side="right")) if pieces else len(times)
     out[:done] = state
-    step = None
-    for begin, end, wrench in pieces:
-        def function(t, y, wrench=wrench):
+    step, singular = None, [1.0, 0.0]
+    for begin, end, wrench, acting in pieces:
+        def function(t, y, wrench=wrench, acting=acting):
             slope = np.empty_like(y)
-            rate(system, y, wrench, slope)
+            singular[:] = rate(system, rank, y, wrench, acting, slope)
             if not np.isfinite(slope).all():        # DOP853 would look for a step for ever
                 raise SimulationError(f"the reference integration stopped at {t:.6g} s: "
                                       "the state or a wrench is not finite")
@@ -169,6 +172,11 @@ def _run(system, state, times, pieces, rtol):
                 raise SimulationError(f"the reference integration stopped at {solver.t:.6g} s: "
                                       f"{message}")
             steps.append(solver.step_size)
+            # A step ends with the rate at its end; those before may be of poses far off.
+            least, left_out = singular
+            if least < SINGULAR or left_out > SINGULAR:
+                raise SimulationError(f"the reference integration stopped at {solver.t:.6g} s: "
+                                      "at a singular pose, where the joints leave the motion open")
             upto = int(np.searchsorted(times, solver.t, side="right"))
             if upto > done:
                 out[done:upto] = solver.dense_output()(times[done:upto]).T

@@ -5,6 +5,7 @@ import math
 from rich.table import Table
 from rich.text import Text
 
+from liegroup_core.model.joint_watch import OPEN
 from liegroup_core.pacing import SLOW
 
 MOST_JOINTS = 8         # in the table; the others are in the JSON
@@ -44,6 +45,7 @@ def find_problems(figures):
             f"NaN or infinity in {_count(figures['not_finite_samples'], 'sample')}, from "
             f"{shown(figures['first_not_finite_s'], 's')} on: left out of all figures")
     problems += [f"the run stopped with an error: {text}" for text in figures["faults"]]
+    problems += _open_joints(figures)
     problems += _replay_problems(figures)
     timing = figures["timing"]
     factor, wanted = timing.get("real_time_factor"), timing["factor_wanted"]
@@ -56,6 +58,18 @@ def find_problems(figures):
     if wrong:
         problems.append("not a number: " + ", ".join(wrong[:5]))
     return problems
+
+
+def _open_joints(figures):
+    """Joints so far open that the motion is not the scene's any more: the worst one."""
+    if not figures.get("joints"):
+        return []
+    name, worst = max(figures["joints"].items(), key=lambda item: item[1]["largest"])
+    if not worst["largest"] > OPEN * figures["mechanism_size"]:
+        return []
+    return [f"joint {name} is open by {shown(worst['largest'], worst['unit'])}, at "
+            f"{shown(worst['at_s'], 's')}: that is not the motion of this mechanism; use "
+            "stabilisation projection or a smaller step"]
 
 
 def _replay_problems(figures):

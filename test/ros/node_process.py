@@ -32,8 +32,7 @@ DOMAIN = 1 + os.getpid() % 100
 ENVIRONMENT = {**os.environ, "ROS_DOMAIN_ID": str(DOMAIN),
                "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "PYTHONUNBUFFERED": "1"}
 NODE = "import sys; from liegroup_sim_ros.sim_node import main; sys.exit(main())"
-PUSH = ("import argparse, sys; from liegroup_sim_ros import push; p = argparse.ArgumentParser();"
-        "push.add_parser(p.add_subparsers()); a = p.parse_args(); sys.exit(a.run(a))")
+PUSH = "import sys; from liegroup_sim_ros.main import main; sys.exit(main())"
 
 
 def python(code, *arguments, env=None):

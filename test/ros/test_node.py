@@ -131,8 +131,8 @@ def test_push_from_another_process_gives_its_impulse(client, node):
 def test_push_refuses_a_body_that_is_not_there(node):
     push = python(PUSH, "push", "bal", "--force", 1, 0, 0)
     output, errors = push.communicate(timeout=PATIENCE)
-    assert (push.returncode, output) == (1, "")
-    assert errors == "push: /sim_node has no body 'bal'; it has: cube, puck\n"
+    assert (push.returncode, output) == (2, "")
+    assert errors == "liegroup_sim: /sim_node has no body 'bal'; it has: cube, puck\n"
 
 
 @pytest.mark.parametrize("hold, steps", [("timeout", 100), ("one_step", 1)])

@@ -24,9 +24,9 @@ def opening(kind, group, step, seed, method, steps=1000):
     """Largest residual of a pair to ground on the way, and the same against the bound of rounding.
 
     Random frames, body and start; gravity, and a wrench over the first second.
-    Bound: an acceleration is off by rounding of the forces that cancel in it, here up to 500
-    m/s^2 or rad/s^2: by 1e-13. Nobody sees that without stabilisation, and it adds up to 1e-13
-    t^2 / 2 at worst; a tilt counts over the distance moved.
+    Bound: a rate that a joint forbids is rounded to some ten eps of those it allows, and nobody
+    sees that without stabilisation: an acceleration that is off by 2e-14 adds up to 1e-14 t^2; a
+    tilt counts over the distance moved. Measured: up to 0.4 of it, for six seeds.
     returns (residual / distance moved, residual / bound), the largest each
     """
     scene = mechanisms.mechanism(np.random.default_rng([seed, 7]), [("world", "a", kind)],
@@ -44,7 +44,7 @@ def opening(kind, group, step, seed, method, steps=1000):
         moved = max(moved, np.linalg.norm(sample.positions["a"] - start))
         of_moved = max(of_moved, sample.constraint_residual / moved)
         of_bound = max(of_bound,
-                       sample.constraint_residual / (moved * 1e-13 * (1.0 + sample.time ** 2)))
+                       sample.constraint_residual / (moved * 1e-14 * (1.0 + sample.time ** 2)))
     return of_moved, of_bound
 
 
@@ -56,7 +56,7 @@ def test_every_lower_pair_to_ground_is_kept_on_se3(kind, method):
         for seed in SEEDS:
             of_moved, of_bound = opening(kind, "se3", step, seed, method)
             assert of_bound <= 1.0
-            assert step > 0.01 or of_moved <= 1e-11
+            assert of_moved <= 1e-11            # the largest is 4e-12, after a fall of 11 km
 
 
 @pytest.mark.parametrize("kind", LOWER_PAIRS)

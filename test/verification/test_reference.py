@@ -10,12 +10,15 @@ import math
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+import mechanisms
 from liegroup_core.errors import SimulationError
 from liegroup_core.model.build import initial_state
 from liegroup_core.reference import Trajectory, WrenchChange, distance, integrate
-from liegroup_core.reference.rigid_body_dae import joint_equations
-from liegroup_core.reference.trajectory import _to_state, build_system
+from liegroup_core.reference.equations import joint_equations
+from liegroup_core.reference.system import build_system
+from liegroup_core.reference.trajectory import _to_state
 from liegroup_core.scene.description import Body, Frame, Joint, Scene, SpringDamper
 from liegroup_core.scene.load import load_scene
 
@@ -139,45 +142,60 @@ def test_spring_damper_is_a_damped_oscillator():
     assert np.abs(centre - [0.0, 0.9, 0.0]).max() <= 1e-13
 
 
-def test_joint_equations_match_their_rates():
-    """gdot and gddot of both joints against central differences along a curve of free motion.
+@pytest.mark.parametrize("kind", mechanisms.KINDS)
+def test_joint_equations_match_their_rates(kind):
+    """g, gdot, gddot = A a + ... of a joint against central differences along an open motion.
 
-    Differences of step 1e-5 of values of size 1: truncation 1e-10 times third derivatives of some
-    hundred, round-off 1e-16 / 1e-10 for the second difference: 1e-5 covers both.
+    Both bodies move by r = r0 + v t + a t^2 / 2 and turn about a fixed axis of their own at
+    w t + b t^2 / 2. Differences of step 1e-4 leave 1e-8 of third and fourth derivatives of some
+    ten, and round-off 1e-16 / 1e-8 of the second difference: 1e-6 covers both.
     """
-    joints = [Joint(name="ball", type="spherical", parent="a", child="b",
-                    parent_frame=Frame(position=(0.5, 0.1, 0.0)),
-                    child_frame=Frame(position=(-0.5, 0.0, 0.2))),
-              Joint(name="hinge", type="revolute", parent="b", child="a",
-                    parent_frame=Frame(position=(0.1, 0.2, 0.3), axis=(1, 1, 0)),
-                    child_frame=Frame(axis=(0, 1, 2)))]
-    bodies = [Body(name=name, mass=1.0, inertia=(1, 1, 1), position=position,
-                   rotation_vector=turn) for name, position, turn in
-              (("a", (0, 0, 0), (0.3, 0.2, -0.5)), ("b", (1, 0.2, 0.1), (-0.4, 0.7, 0.1)))]
-    system = build_system(Scene(name="open", gravity=(0, 0, 0), bodies=bodies, joints=joints))
-    rng = np.random.default_rng(1)
-    twist = rng.normal(size=(2, 6))
+    rng = np.random.default_rng(4)
+    scene = mechanisms.mechanism(rng, [("world", "a", "spherical"), ("a", "b", kind)], springs=0)
+    scene = scene.model_copy(update={"joints": scene.joints[1:]})
+    start, _ = initial_state(scene)
+    system, angle = build_system(scene, start)
+    axis, (w, b), (v, a) = *rng.normal(size=(1, 2, 3)), rng.normal(size=(2, 2)), rng.normal(
+        size=(2, 2, 3))
+    axis /= np.linalg.norm(axis, axis=1)[:, None]
+    k = len(system.equations.kind)
 
-    def gap(t):
-        """Joint equations at time t of a motion with constant omega and world velocity."""
-        scene = Scene(name="open", gravity=(0, 0, 0), bodies=bodies)
-        pose, _ = initial_state(scene)
+    def at(t):
+        """(A, (g, gdot, gddot without a)) at time t, and the accelerations."""
+        pose, twist = start.copy(), np.zeros((2, 6))
+        for i in range(2):
+            turn = Rotation.from_rotvec((w[i] * t + b[i] * t * t / 2) * axis[i]).as_matrix()
+            pose[i, :9] = (start[i, :9].reshape(3, 3) @ turn).ravel()
+            pose[i, 9:] += v[i] * t + a[i] * t * t / 2
+            twist[i] = (*((w[i] + b[i] * t) * axis[i]),
+                        *(pose[i, :9].reshape(3, 3).T @ (v[i] + a[i] * t)))
+        rows, gap = np.zeros((k, 12)), np.zeros((3, k))
         state = _to_state(pose, twist).reshape(2, 13)
-        turned = integrate(scene, pose, twist, [abs(t)])[0] if t else None
-        assert turned is None or t > 0.0
-        if turned is not None:
-            pose = np.concatenate([turned.rotation[0].reshape(2, 9), turned.position[0]], axis=1)
-            state = _to_state(pose, turned.twist[0]).reshape(2, 13)
-        rows, out = np.zeros((8, 12)), np.zeros((3, 8))
-        joint_equations(system, state, rows, out)
-        return out
+        joint_equations(system.equations, state, angle_at(state, t), rows, gap)
+        return rows, gap
 
-    h = 1e-5
-    values = [gap(t) for t in (0.0, h, 2.0 * h)]
-    first = (values[2][0] - values[0][0]) / (2.0 * h)
-    second = (values[2][1] - values[0][1]) / (2.0 * h)
-    assert np.abs(first - values[1][1]).max() <= 1e-5
-    assert np.abs(second - values[1][2]).max() <= 1e-5
+    def angle_at(state, t):
+        """Angle of a screw: its rate z . (w_b - w_a) integrated by Gauss's rule."""
+        if not len(angle):
+            return angle
+        nodes, weights = np.polynomial.legendre.leggauss(6)
+        total = 0.0
+        for node, weight in zip(nodes, weights):
+            s = t * (1 + node) / 2
+            turned = [Rotation.from_matrix(start[i, :9].reshape(3, 3)) * Rotation.from_rotvec(
+                (w[i] * s + b[i] * s * s / 2) * axis[i]) for i in range(2)]
+            spin = [turned[i].apply((w[i] + b[i] * s) * axis[i]) for i in range(2)]
+            z = turned[0].apply(scene.joints[0].parent_frame.pose[:3, 2])
+            total += weight * t / 2 * (z @ (spin[1] - spin[0]))
+        return angle + total
+
+    h, t = 1e-4, 0.1
+    (rows, now), (_, before), (_, after) = at(t), at(t - h), at(t + h)
+    acceleration = np.concatenate([np.concatenate([a[i], b[i] * axis[i]]) for i in range(2)])
+    assert np.abs(now[1]).max() > 0.1
+    assert np.abs((after[0] - before[0]) / (2 * h) - now[1]).max() <= 1e-6
+    assert np.abs((after[1] - before[1]) / (2 * h) - rows @ acceleration - now[2]).max() <= 1e-6
+    assert np.abs(at(0.0)[1][0]).max() <= 1e-14
 
 
 def test_closed_loop_with_redundant_rows():

@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which wrong formulas the tests catch: one change at a time, and the test that notices.
+
+    python .ci/mutants.py [WORD ...]       all of them, or those whose name has one of the words
+
+Every mutant is one change of a formula in a copy of the sources: a sign, a factor, a frame. The
+tests that belong to it run on the copy, as plain Python, until one fails. Prints the table of
+docs/mutants.md; exit code 1 when a mutant survives, or when a test fails without one.
+"""
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parents[1]
+
+DYNAMICS = ("core/test_dynamics.py",)
+JOINTS = ("core/test_joints.py",)
+LIE = ("contract/test_lie_groups.py",)
+FORCES = ("contract/test_forces.py", "-k",
+          "cancel or gradient or work_is or dissipates or turned or told")
+PROJECTION = ("core/test_projection.py", "-k",
+              "closes_all or consistent or errors_die and se3-net")
+CENTRES = ("core/test_centres.py", "-k", "not symmetry and not whole_motions")
+METHODS = ("contract/test_methods.py", "-k", "tableau or conditions or estimate")
+MOTION = ("verification/test_reference_kinds.py", "-k", "joint and spherical and ground")
+
+
+class Mutant(NamedTuple):
+    """One wrong formula. `right` stands exactly once in the file."""
+
+    name: str
+    file: str           # in liegroup_core/
+    right: str
+    wrong: str
+    tests: tuple        # arguments of pytest
+
+
+MUTANTS = [
+    Mutant("gyroscopic torque, sign", "dynamics/newton_euler.py",
+           'cross3(matvec3(matrix3(model.bodies[i]["inertia"]), w), w)',
+           'cross3(w, matvec3(matrix3(model.bodies[i]["inertia"]), w))', DYNAMICS),
+    Mutant("gyroscopic force, sign", "dynamics/newton_euler.py",
+           "cross3(load3(twist, i, 3), w)", "cross3(w, load3(twist, i, 3))", DYNAMICS),
+    Mutant("gyroscopic force, missing", "dynamics/newton_euler.py",
+           "+ mass * gyro_v[c]", "+ 0.0 * gyro_v[c]", DYNAMICS),
+    Mutant("gravity, in world axes", "forces/gravity.py",
+           "force = tmatvec3(load9(pose, i, 0), gravity)", "force = gravity", FORCES),
+    Mutant("bias, sign of the bracket", "dynamics/constraints.py",
+           "se3_ad(omega, v, parent_w, parent_v)", "se3_ad(parent_w, parent_v, omega, v)",
+           DYNAMICS),
+    Mutant("bias, sign of the rows' rate", "dynamics/constraints.py",
+           "= -rate - (", "= rate - (", DYNAMICS),
+    Mutant("bias, sign of the error's turn", "dynamics/constraints.py",
+           "cross3(omega, e))", "cross3(e, omega))", JOINTS),
+    Mutant("J_a, sign of a column", "dynamics/constraints.py",
+           "work.matrix[at] = -row_w[0]", "work.matrix[at] = row_w[0]", DYNAMICS),
+    Mutant("J_a, sign of the lever", "dynamics/constraints.py",
+           "cross3(p, beta)", "cross3(beta, p)", DYNAMICS),
+    Mutant("J_a, frame", "dynamics/constraints.py",
+           "row_v = tmatvec3(rot, beta)", "row_v = beta", DYNAMICS),
+    Mutant("Baumgarte, sign", "dynamics/constraints.py",
+           '["start"] + r] -= rate * (', '["start"] + r] += rate * (', PROJECTION),
+    Mutant("Baumgarte, half the damping", "dynamics/constraints.py",
+           "2.0 * work.slip", "1.0 * work.slip", PROJECTION),
+    Mutant("projection of positions, sign", "dynamics/projection.py",
+           "= -work.gap[", "= work.gap[", PROJECTION),
+    Mutant("projection of velocities, sign", "dynamics/projection.py",
+           "= -work.slip[", "= work.slip[", PROJECTION),
+    Mutant("universal joint, sign of the rate", "joints/perpendicular.py",
+           "dot3(x, w) * dot3(y, w) - dot3(w, w)", "dot3(x, w) * dot3(y, w) + dot3(w, w)",
+           JOINTS),
+    Mutant("rod, no change of direction", "joints/distance.py",
+           "udot = scale3(inverse,", "udot = scale3(0.0 * inverse,", DYNAMICS),
+    Mutant("screw, sign of the pitch", "joints/pairs.py",
+           '_COORDINATES.index("wz")] = -pitch', '_COORDINATES.index("wz")] = pitch', JOINTS),
+    Mutant("exp, sign of the sine in an entry", "lie/so3.py",
+           "return (1.0 - c * (y * y + z * z), c * x * y - s * z,",
+           "return (1.0 - c * (y * y + z * z), c * x * y + s * z,", LIE),
+    Mutant("dexpinv on SO(3), sign", "lie/so3.py",
+           "return (w[0] - first * a[0]", "return (w[0] + first * a[0]", LIE),
+    Mutant("dexpinv on SE(3), sign", "lie/se3.py",
+           "(v[0] - first * g[0]", "(v[0] + first * g[0]", LIE),
+    Mutant("dexpinv on SE(3), sign of the pitch term", "lie/se3.py",
+           "q = dot3(xi, eta) * u", "q = -dot3(xi, eta) * u", LIE),
+    Mutant("stage, dexpinv of +Psi", "integrators/rkmk.py",
+           "xi = scale3(-1.0, load3(work.slopes, row, 0))",
+           "xi = scale3(1.0, load3(work.slopes, row, 0))", MOTION),
+    Mutant("step, increment on the wrong side", "integrators/motion.py",
+           "se3_compose(rot, r, turn, shift)", "se3_compose(turn, shift, rot, r)", MOTION),
+    Mutant("RKMK4, weights", "integrators/methods.py",
+           "[1 / 6, 1 / 3, 1 / 3, 1 / 6]", "[1 / 6, 1 / 3, 1 / 6, 1 / 3]", METHODS),
+    Mutant("spring, stiffness as damping", "forces/spring_damper.py",
+           'factor += row["damping"]', 'factor += row["stiffness"]', FORCES),
+    Mutant("spring, sign of the rest length", "forces/spring_damper.py",
+           'factor -= row["stiffness"] * row["rest_length"]',
+           'factor += row["stiffness"] * row["rest_length"]', FORCES),
+    Mutant("torsional damper, sign", "forces/torsional_spring_damper.py",
+           'torque -= row["damping"]', 'torque += row["damping"]', FORCES),
+    Mutant("motor, sign of the slope", "forces/motor.py",
+           'torque = row["torque"] - row["slope"]', 'torque = row["torque"] + row["slope"]',
+           FORCES),
+    Mutant("slide, both bodies pushed alike", "forces/slide.py",
+           "at_parent, scale3(-1.0, pull)", "at_parent, scale3(1.0, pull)", FORCES),
+    Mutant("slide, parent pushed at its own origin", "forces/slide.py",
+           "apply_force(pose, row[\"parent\"], at_parent,",
+           "apply_force(pose, row[\"parent\"], vector3(row[\"parent_origin\"]),", FORCES),
+    Mutant("drag, quadratic part without the speed", "forces/drag.py",
+           'row["linear"] + row["quadratic"] * math.sqrt(dot3(v, v))',
+           'row["linear"] + row["quadratic"]',
+           ("verification/test_force_motions.py", "-k", "drag")),
+    Mutant("applied wrench, other axes", "forces/applied_wrench.py",
+           'row["world_axes"] == 1', 'row["world_axes"] == 0', FORCES),
+    Mutant("applied wrench, sign of the moment", "forces/applied_wrench.py",
+           'cross3(vector3(row["point"]), force)', 'cross3(force, vector3(row["point"]))',
+           MOTION[:1] + ("-k", "kind_of_force and applied")),
+    Mutant("wrench from outside, sign of the moment", "scene/centres.py",
+           "wrench[:3] -= np.cross", "wrench[:3] += np.cross", CENTRES),
+    Mutant("velocity at the centre of mass, sign", "scene/centres.py",
+           "linear_velocity=v + np.cross(w, com)", "linear_velocity=v - np.cross(w, com)",
+           CENTRES),
+]
+
+
+def first_failure(folder, tests):
+    """Name of the first test that fails in a copy of the sources, or None."""
+    run = subprocess.run(
+        [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider",
+         "--import-mode=importlib", "-o", "pythonpath=test", f"test/{tests[0]}", *tests[1:]],
+        cwd=folder, capture_output=True, text=True,
+        env={**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(folder)})
+    if run.returncode == 0:
+        return None
+    found = re.search(r"^(?:FAILED|ERROR) \S*?(\w+\.py(?:::\S+)?)", run.stdout, re.MULTILINE)
+    return found.group(1) if found else f"pytest: exit code {run.returncode}"
+
+
+def copy_of_sources(folder):
+    for name in ("liegroup_core", "liegroup_sim_ros", "test", "config", "docs"):
+        shutil.copytree(ROOT / name, folder / name,
+                        ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "setup.cfg", folder)
+
+
+def main(words):
+    chosen = [m for m in MUTANTS if not words or any(word in m.name for word in words)]
+    wrong = 0
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        copy_of_sources(folder)
+        for tests in dict.fromkeys(mutant.tests for mutant in chosen):
+            failed = first_failure(folder, tests)
+            if failed:
+                print(f"without a mutant: {failed} fails")
+                wrong += 1
+        print("| wrong formula | where | caught by |\n|---|---|---|", flush=True)
+        for mutant in chosen:
+            path = folder / "liegroup_core" / mutant.file
+            text = path.read_text()
+            if text.count(mutant.right) != 1:
+                caught = f"NOT MADE: {text.count(mutant.right)} places have the text"
+                wrong += 1
+            else:
+                path.write_text(text.replace(mutant.right, mutant.wrong))
+                caught = first_failure(folder, mutant.tests) or "NOTHING"
+                wrong += caught == "NOTHING"
+                path.write_text(text)
+            print(f"| {mutant.name} | {mutant.file} | {caught} |", flush=True)
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

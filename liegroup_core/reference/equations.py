@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Joints as equations of geometry between directions and points, in world axes.
+
+Every joint is made of three kinds of equations, one row each, as in Haug, Computer Aided
+Kinematics and Dynamics of Mechanical Systems, 1989, chapter 9 (dot-1, dot-2, distance):
+
+    ACROSS    e . f = 0                             a direction e of the parent, f of the child
+    LEVEL     e . d - pitch theta - offset = 0      d from the parent's point to the child's one
+    DISTANCE  (d . d - length^2) / (2 length) = 0
+
+theta is the angle of a screw: its rate is integrated with the motion, so it knows its turns. Each
+equation g = 0 is given with its first and second derivative in time.
+"""
+from typing import NamedTuple
+
+import numpy as np
+
+from .._compile import subroutine
+
+GROUND = -1             # index of the world where a body is meant
+STATE = 13              # numbers per body: quaternion, position, velocity, angular velocity
+ACROSS, LEVEL, DISTANCE = 0, 1, 2
+X, Y, Z = 0, 1, 2       # axes of a joint frame
+
+# The equations of each kind of joint: (ACROSS, axis of the parent's frame, axis of the child's)
+# and (LEVEL, axis of the parent's frame), between the origins of the frames.
+_SAME_POINT = ((LEVEL, X), (LEVEL, Y), (LEVEL, Z))
+_SAME_Z = ((ACROSS, X, Z), (ACROSS, Y, Z))
+_NO_TURN = ((ACROSS, X, Y),)
+_ON_THE_AXIS = ((LEVEL, X), (LEVEL, Y))
+JOINTS = {
+    "spherical": _SAME_POINT,
+    "revolute": _SAME_POINT + _SAME_Z,
+    "prismatic": _ON_THE_AXIS + _SAME_Z + _NO_TURN,
+    "cylindrical": _ON_THE_AXIS + _SAME_Z,
+    "planar": _SAME_Z + ((LEVEL, Z),),
+    "screw": _ON_THE_AXIS + _SAME_Z + ((LEVEL, Z),),
+    "fixed": _SAME_POINT + _SAME_Z + _NO_TURN,
+    "universal": _SAME_POINT + _NO_TURN,
+    "distance": ((DISTANCE,),),
+}
+
+
+class Equations(NamedTuple):
+    """The equations of all joints of a scene; k rows, t turning joints that keep an angle."""
+
+    kind: np.ndarray        # (k,) ACROSS, LEVEL or DISTANCE
+    body: np.ndarray        # (k, 2) parent, child; GROUND = -1
+    point: np.ndarray       # (k, 2, 3) m, in the frames of parent and child
+    axis: np.ndarray        # (k, 2, 3) e in the parent's axes, f in the child's
+    length: np.ndarray      # (k,) m, of a DISTANCE; the offset of a LEVEL
+    pitch: np.ndarray       # (k,) m/rad
+    turn: np.ndarray        # (k,) number of the angle theta, or -1
+
+
+@subroutine
+def rotate(q, x):
+    """The vector x turned by the quaternion q (w, x, y, z) of any norm but zero."""
+    u = q[1:4]
+    t = 2.0 * np.cross(u, x) / np.dot(q, q)
+    return x + q[0] * t + np.cross(u, t)
+
+
+@subroutine
+def rotate_back(q, x):
+    """The vector x turned by the inverse of q."""
+    u = -q[1:4]
+    t = 2.0 * np.cross(u, x) / np.dot(q, q)
+    return x + q[0] * t + np.cross(u, t)
+
+
+@subroutine
+def direction(state, body, fixed):
+    """A direction fixed in a body, its rate, and its second rate without omegadot; world axes."""
+    out = np.zeros((3, 3))
+    if body == GROUND:
+        out[0] = fixed
+        return out
+    q = state[body, 0:4]
+    omega = state[body, 10:13]
+    rate = np.cross(omega, fixed)
+    out[0] = rotate(q, fixed)
+    out[1] = rotate(q, rate)
+    out[2] = rotate(q, np.cross(omega, rate))
+    return out
+
+
+@subroutine
+def point(state, body, fixed):
+    """A point fixed in a body: position, velocity, acceleration without that of the body."""
+    out = direction(state, body, fixed)
+    if body != GROUND:
+        out[0] += state[body, 4:7]
+        out[1] += state[body, 7:10]
+    return out
+
+
+@subroutine
+def turning(state, parent, child):
+    """Angular velocity of the child against the parent, world axes, rad/s."""
+    out = np.zeros(3)
+    if child != GROUND:
+        out += rotate(state[child, 0:4], state[child, 10:13])
+    if parent != GROUND:
+        out -= rotate(state[parent, 0:4], state[parent, 10:13])
+    return out
+
+
+@subroutine
+def _add_translation(row, state, body, place, way):
+    """Add to a row the acceleration along `way` of a point of a body."""
+    if body != GROUND:
+        row[6 * body:6 * body + 3] += way
+        # way . (R (omegadot x p)) = omegadot . (p x R^T way)
+        row[6 * body + 3:6 * body + 6] += np.cross(place, rotate_back(state[body, 0:4], way))
+
+
+@subroutine
+def _add_rotation(row, state, body, about):
+    """Add to a row the angular acceleration of a body about a world vector."""
+    if body != GROUND:
+        row[6 * body + 3:6 * body + 6] += rotate_back(state[body, 0:4], about)
+
+
+@subroutine
+def joint_equations(equations, state, angle, rows_out, gap_out):
+    """All equations g = 0 at one state.
+
+    state    : (n, 13) quaternion, position, velocity (world), omega (body) of each body
+    angle    : (t,) rad
+    rows_out : (k, 6 n) A, so that gddot = A a + gap_out[2] with a = (rddot, omegadot) per body
+    gap_out  : (3, k) g (m; for the axes the cosine, rad when small), gdot, gddot at a = 0
+    """
+    rows_out[:] = 0.0
+    for r in range(len(equations.kind)):
+        row = rows_out[r]
+        parent, child = equations.body[r]
+        e = direction(state, parent, equations.axis[r, 0])
+        if equations.kind[r] == ACROSS:
+            f = direction(state, child, equations.axis[r, 1])
+            gap_out[0, r] = np.dot(e[0], f[0])
+            gap_out[1, r] = np.dot(e[1], f[0]) + np.dot(e[0], f[1])
+            gap_out[2, r] = (np.dot(e[2], f[0]) + 2.0 * np.dot(e[1], f[1])
+                             + np.dot(e[0], f[2]))
+            about = np.cross(f[0], e[0])
+            _add_rotation(row, state, child, about)
+            _add_rotation(row, state, parent, -about)
+            continue
+        d = (point(state, child, equations.point[r, 1])
+             - point(state, parent, equations.point[r, 0]))
+        length = equations.length[r]
+        if equations.kind[r] == DISTANCE:
+            gap_out[0, r] = (np.dot(d[0], d[0]) / length - length) / 2.0
+            gap_out[1, r] = np.dot(d[0], d[1]) / length
+            gap_out[2, r] = (np.dot(d[1], d[1]) + np.dot(d[0], d[2])) / length
+            way = d[0] / length
+        else:
+            gap_out[0, r] = np.dot(e[0], d[0]) - length
+            gap_out[1, r] = np.dot(e[1], d[0]) + np.dot(e[0], d[1])
+            gap_out[2, r] = (np.dot(e[2], d[0]) + 2.0 * np.dot(e[1], d[1])
+                             + np.dot(e[0], d[2]))
+            way = e[0]
+            _add_rotation(row, state, parent, np.cross(e[0], d[0]))
+        _add_translation(row, state, child, equations.point[r, 1], way)
+        _add_translation(row, state, parent, equations.point[r, 0], -way)
+        if equations.turn[r] >= 0:
+            pitch, spin = equations.pitch[r], turning(state, parent, child)
+            gap_out[0, r] -= pitch * angle[equations.turn[r]]
+            gap_out[1, r] -= pitch * np.dot(e[0], spin)
+            gap_out[2, r] -= pitch * np.dot(e[1], spin)
+            _add_rotation(row, state, child, -pitch * e[0])
+            _add_rotation(row, state, parent, pitch * e[0])

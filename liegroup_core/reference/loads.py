@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Gravity and all kinds of forces of a scene, on unit quaternions and in world axes.
+
+Three laws cover what acts between bodies: along the line of two points, about the z axis of a
+joint, and along that axis. In each the force is linear in coordinate and rate,
+
+    constant - stiffness * coordinate - damping * rate ,
+
+so a spring at rest at x0 has constant = stiffness * x0, and a motor with a limit has
+damping = |its force| / limit.
+"""
+from typing import NamedTuple
+
+import numpy as np
+
+from .._compile import subroutine
+from .equations import GROUND, direction, point, rotate, rotate_back, turning
+
+
+class Loads(NamedTuple):
+    """Gravity and forces of a scene of n bodies; a law is (constant, stiffness, damping)."""
+
+    gravity: np.ndarray     # (3,) m/s^2
+    line_body: np.ndarray   # (l, 2) parent, child; GROUND = -1
+    line_point: np.ndarray  # (l, 2, 3) m, in the frames of the two
+    line_law: np.ndarray    # (l, 3) N, N/m, N s/m; coordinate: the length
+    turn_body: np.ndarray   # (t, 2)
+    turn_axis: np.ndarray   # (t, 3) z of the joint in the parent's axes
+    turn_law: np.ndarray    # (t, 3) N m, N m/rad, N m s/rad; coordinate: the angle; screws: zero
+    slide_body: np.ndarray  # (s, 2)
+    slide_point: np.ndarray     # (s, 2, 3) m, origins of the joint frames
+    slide_axis: np.ndarray  # (s, 3) z of the joint in the parent's axes
+    slide_law: np.ndarray   # (s, 3) N, N/m, N s/m; coordinate: of the child's origin along z
+    drag: np.ndarray        # (n, 4) linear, quadratic, angular, angular quadratic
+    push_body: np.ndarray   # (p,) of the applied wrenches
+    push_world: np.ndarray  # (p,) True: constant in world axes, False: in the body's
+    push_point: np.ndarray  # (p, 3) m
+    push_load: np.ndarray   # (p, 6) torque N m, force N
+
+
+@subroutine
+def _push(force, state, body, place, pull):
+    """Add a world force that acts at a point of a body, given in its frame."""
+    if body != GROUND:
+        force[body, 0:3] += pull
+        force[body, 3:6] += np.cross(place, rotate_back(state[body, 0:4], pull))
+
+
+@subroutine
+def _twist(force, state, body, torque):
+    """Add a world torque on a body."""
+    if body != GROUND:
+        force[body, 3:6] += rotate_back(state[body, 0:4], torque)
+
+
+@subroutine
+def _lines(loads, state, force):
+    for i in range(len(loads.line_body)):
+        parent, child = loads.line_body[i]
+        start = point(state, parent, loads.line_point[i, 0])
+        end = point(state, child, loads.line_point[i, 1])
+        constant, stiffness, damping = loads.line_law[i]
+        d = end[0] - start[0]
+        length = np.sqrt(np.dot(d, d))
+        pull = -stiffness * d
+        if length > 0.0:
+            unit = d / length
+            pull += (constant - damping * np.dot(unit, end[1] - start[1])) * unit
+        _push(force, state, child, loads.line_point[i, 1], pull)
+        _push(force, state, parent, loads.line_point[i, 0], -pull)
+
+
+@subroutine
+def _turns(loads, state, angle, force, angle_rate_out):
+    for i in range(len(loads.turn_body)):
+        parent, child = loads.turn_body[i]
+        axis = direction(state, parent, loads.turn_axis[i])[0]
+        angle_rate_out[i] = np.dot(axis, turning(state, parent, child))
+        constant, stiffness, damping = loads.turn_law[i]
+        torque = (constant - stiffness * angle[i] - damping * angle_rate_out[i]) * axis
+        _twist(force, state, child, torque)
+        _twist(force, state, parent, -torque)
+
+
+@subroutine
+def _slides(loads, state, force):
+    for i in range(len(loads.slide_body)):
+        parent, child = loads.slide_body[i]
+        axis = direction(state, parent, loads.slide_axis[i])
+        end = point(state, child, loads.slide_point[i, 1])
+        d = end - point(state, parent, loads.slide_point[i, 0])
+        constant, stiffness, damping = loads.slide_law[i]
+        pull = (constant - stiffness * np.dot(axis[0], d[0])
+                - damping * (np.dot(axis[1], d[0]) + np.dot(axis[0], d[1]))) * axis[0]
+        _push(force, state, child, loads.slide_point[i, 1], pull)
+        if parent != GROUND:        # at the same place of the world, so that the two cancel
+            arm = end[0] - state[parent, 4:7]
+            force[parent, 0:3] -= pull
+            force[parent, 3:6] -= rotate_back(state[parent, 0:4], np.cross(arm, pull))
+
+
+@subroutine
+def add_loads(loads, mass, state, angle, wrench, acting, force, angle_rate_out):
+    """Add all forces at one state.
+
+    mass   : (n,) kg
+    state  : (n, 13), see equations.py; angle (t,) rad, of the turning joints
+    wrench : (n, 6) from outside, body axes; acting (p,) which applied wrenches act
+    force  : (n, 6) world force in N, torque in body axes in N m; about the centres of mass
+    angle_rate_out : (t,) rad/s
+    """
+    for i in range(len(mass)):
+        q, v, omega = state[i, 0:4], state[i, 7:10], state[i, 10:13]
+        linear, quadratic, angular, angular_quadratic = loads.drag[i]
+        force[i, 0:3] += (mass[i] * loads.gravity + rotate(q, wrench[i, 3:6])
+                          - (linear + quadratic * np.sqrt(np.dot(v, v))) * v)
+        force[i, 3:6] += (wrench[i, 0:3]
+                          - (angular + angular_quadratic * np.sqrt(np.dot(omega, omega))) * omega)
+    _lines(loads, state, force)
+    _turns(loads, state, angle, force, angle_rate_out)
+    _slides(loads, state, force)
+    for i in range(len(loads.push_body)):
+        if acting[i]:
+            body = loads.push_body[i]
+            torque, pull = loads.push_load[i, 0:3], loads.push_load[i, 3:6]
+            if not loads.push_world[i]:
+                torque, pull = rotate(state[body, 0:4], torque), rotate(state[body, 0:4], pull)
+            _twist(force, state, body, torque)
+            _push(force, state, body, loads.push_point[i], pull)

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The arrays of the reference integration from a scene."""
+import numpy as np
+
+from ..errors import SimulationError
+from ..scene.consistency import resolve_frames
+from .equations import DISTANCE, GROUND, JOINTS, X, Equations
+from .loads import Loads
+from .rigid_body_dae import System
+
+# A joint at half a turn counts as plus half a turn, whichever round-off makes it.
+HALF_TURN = 1e-9
+TURNING = ("torsional_spring_damper", "motor")
+SLIDING = ("linear_spring_damper", "linear_motor")
+
+
+def build_system(scene, pose):
+    """Arrays of a scene with its body frames at the centres of mass.
+
+    pose : (n, 12) R row by row (body -> world), then r in m, at which the integration starts
+    returns (System, angles (t,) rad of the turning joints at that pose, at most half a turn)
+    Raises SimulationError for a joint or force without equations here.
+    """
+    index = {body.name: i for i, body in enumerate(scene.bodies)} | {"world": GROUND}
+    known = {*JOINTS, "spring_damper", *TURNING, *SLIDING, "drag", "applied_wrench"}
+    for entry in (*scene.joints, *scene.forces):
+        if entry.type not in known:
+            raise SimulationError(f"the reference integration has no {entry.type} ({entry.name})")
+    frames = {joint.name: pair for joint, pair in zip(scene.joints, resolve_frames(scene))}
+    relative = _relative(scene, frames, {
+        body.name: np.block([[place[:9].reshape(3, 3), place[9:, None]], [0.0, 0.0, 0.0, 1.0]])
+        for body, place in zip(scene.bodies, pose)})
+    joints = {joint.name: joint for joint in scene.joints}
+    turns = [(joint, (0.0, 0.0, 0.0)) for joint in scene.joints if joint.type == "screw"]
+    turns += [(joints[force.joint], _law(force)) for force in scene.forces
+              if force.type in TURNING]
+    slides = [(joints[force.joint], _law(force)) for force in scene.forces
+              if force.type in SLIDING]
+    equations = _equations(scene, index, frames, relative)
+    system = System(
+        mass=np.array([body.mass for body in scene.bodies], dtype=float),
+        inertia=np.array([body.inertia_matrix for body in scene.bodies]),
+        size=float(np.linalg.norm(equations.point, axis=2).max(initial=0.0)) or 1.0,
+        equations=equations,
+        loads=_loads(scene, index, frames, turns, slides))
+    return system, np.array([_angle(relative[joint.name]) for joint, _ in turns])
+
+
+def _relative(scene, frames, start):
+    """Poses (4, 4) of the child's joint frame in the parent's one, by the joint's name."""
+    start = start | {"world": np.eye(4)}
+    return {joint.name: np.linalg.solve(start[joint.parent] @ frames[joint.name][0],
+                                        start[joint.child] @ frames[joint.name][1])
+            for joint in scene.joints}
+
+
+def _angle(relative):
+    """Angle of the child's joint frame about z, in (-pi, pi]."""
+    angle = np.arctan2(relative[1, 0], relative[0, 0])
+    return angle if angle > HALF_TURN - np.pi else angle + 2.0 * np.pi
+
+
+def _table(rows, shape, kind=float):
+    return np.array(rows, dtype=kind).reshape((len(rows), *shape))
+
+
+def _ends(link, index):
+    return index[link.parent], index[link.child]
+
+
+def _equations(scene, index, frames, relative):
+    kind, body, point, axis, length, pitch, turn = ([] for _ in range(7))
+    described = _relative(scene, frames, {body.name: body.pose for body in scene.bodies})
+    screws = 0
+    for joint in scene.joints:
+        (F_a, F_b), C_rel = frames[joint.name], relative[joint.name]
+        for equation in JOINTS[joint.type]:
+            e, f = (*equation[1:], X, X)[:2]
+            kind.append(equation[0])
+            body.append(_ends(joint, index))
+            point.append((F_a[:3, 3], F_b[:3, 3]))
+            axis.append((F_a[:3, e], F_b[:3, f]))
+            threaded = joint.type == "screw" and equation == JOINTS["screw"][-1]
+            pitch.append(joint.pitch if threaded else 0.0)
+            turn.append(screws if threaded else -1)
+            length.append(_thread(joint, C_rel) if threaded else 0.0 if equation[0] != DISTANCE
+                          else _length(joint, described[joint.name]))
+        screws += joint.type == "screw"
+    return Equations(_table(kind, (), int), _table(body, (2,), int), _table(point, (2, 3)),
+                     _table(axis, (2, 3)), _table(length, ()), _table(pitch, ()),
+                     _table(turn, (), int))
+
+
+def _length(joint, relative):
+    return np.linalg.norm(relative[:3, 3]) if joint.length is None else joint.length
+
+
+def _thread(joint, relative):
+    """Which thread of a screw holds: a whole number of leads, m."""
+    lead = 2.0 * np.pi * joint.pitch
+    return lead * round((relative[2, 3] - joint.pitch * _angle(relative)) / lead) if lead else 0.0
+
+
+def _law(force):
+    """(constant, stiffness, damping) of a force, see loads.py."""
+    if force.type == "motor":
+        limit = force.rate_limit
+        return force.torque, 0.0, 0.0 if limit is None else abs(force.torque) / limit
+    if force.type == "linear_motor":
+        limit = force.speed_limit
+        return force.force, 0.0, 0.0 if limit is None else abs(force.force) / limit
+    rest = {"spring_damper": "rest_length", "torsional_spring_damper": "rest_angle",
+            "linear_spring_damper": "rest_position"}[force.type]
+    return force.stiffness * getattr(force, rest), force.stiffness, force.damping
+
+
+def _loads(scene, index, frames, turns, slides):
+    lines = [force for force in scene.forces if force.type == "spring_damper"]
+    pushes = [force for force in scene.forces if force.type == "applied_wrench"]
+    drag = np.zeros((len(scene.bodies), 4))
+    for force in scene.forces:
+        if force.type == "drag":
+            drag[index[force.body]] += (force.linear, force.quadratic, force.angular,
+                                        force.angular_quadratic)
+    return Loads(
+        gravity=np.array(scene.gravity, dtype=float),
+        line_body=_table([_ends(s, index) for s in lines], (2,), int),
+        line_point=_table([(s.parent_point, s.child_point) for s in lines], (2, 3)),
+        line_law=_table([_law(s) for s in lines], (3,)),
+        turn_body=_table([_ends(joint, index) for joint, _ in turns], (2,), int),
+        turn_axis=_table([frames[joint.name][0][:3, 2] for joint, _ in turns], (3,)),
+        turn_law=_table([law for _, law in turns], (3,)),
+        slide_body=_table([_ends(joint, index) for joint, _ in slides], (2,), int),
+        slide_point=_table([[F[:3, 3] for F in frames[joint.name]] for joint, _ in slides],
+                           (2, 3)),
+        slide_axis=_table([frames[joint.name][0][:3, 2] for joint, _ in slides], (3,)),
+        slide_law=_table([law for _, law in slides], (3,)),
+        drag=drag,
+        push_body=_table([index[p.body] for p in pushes], (), int),
+        push_world=_table([p.axes == "world" for p in pushes], (), bool),
+        push_point=_table([p.point for p in pushes], (3,)),
+        push_load=_table([(*p.torque, *p.force) for p in pushes], (6,)))

@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The independent integration for every kind of joint and force: closed forms, and the engine.
+
+Two programs that share no formula agree to what each says of its own error. For the engine that is
+the difference of its runs at h and h / 2, which the better one's error is far below.
+"""
+import numpy as np
+import pytest
+
+import mechanisms
+from liegroup_core import Scene, Simulation, SimulationError, load_scene
+from liegroup_core.model.build import initial_state
+from liegroup_core.reference import Trajectory, distance, integrate
+from liegroup_core.scene import (Body, ConstantWrench, Drag, Frame, Joint, LinearMotor,
+                                 LinearSpringDamper, Motor, SpringDamper, TorsionalSpringDamper)
+from liegroup_core.scene.assembly import assembled
+from liegroup_core.scene.centres import at_centres_of_mass
+from liegroup_core.scene.description import FORCES, ScrewJoint
+
+AXIS = np.array([1.0, 2.0, 2.0]) / 3.0
+MASS, INERTIA = 2.0, 0.4
+
+
+def engine(scene, times, step):
+    """Trajectory of the engine's method of order eight, joints closed after every step."""
+    simulation = Simulation(scene, method="rkmk8", step=step, stabilisation="projection")
+    samples = []
+    for time in times:
+        simulation.advance(round(time / step) - simulation.steps)
+        samples.append(simulation.sample())
+    pose = np.array([sample.pose for sample in samples])
+    return Trajectory(times, pose[..., :9].reshape(*pose.shape[:2], 3, 3), pose[..., 9:],
+                      np.array([sample.twist for sample in samples]))
+
+
+def reference(scene, times):
+    return integrate(scene, *initial_state(at_centres_of_mass(assembled(scene))), times)
+
+
+def assert_agreement(scene, times, step, rounding=1e-12):
+    """Rounding: eps times sizes and rates of some ten, over a few hundred steps."""
+    exact, known = reference(scene, times)
+    coarse, fine = (engine(scene, times, h) for h in (step, step / 2))
+    own, found = distance(coarse, fine), distance(fine, exact)
+    for name in ("position", "attitude", "angular", "linear"):
+        speed = 1.0 if name in ("position", "attitude") else 100.0
+        bound = (getattr(own, name).max() + 10.0 * getattr(known, name).max() + speed * rounding)
+        assert getattr(found, name).max() <= bound, name
+        assert bound <= 1e-7 * speed, name           # else it would say nothing
+    moved = distance(exact, Trajectory(*(part[:1] for part in exact)))
+    assert max(moved.position.max(), moved.angle.max()) > 1e-3
+
+
+@pytest.mark.parametrize("name", [
+    *(f"{kind} {where}" for kind in mechanisms.KINDS for where in ("to ground", "between bodies")
+      if (kind, where) != ("fixed", "to ground")), "every kind", "floating", "net",
+    "loop of hinges and balls"])
+def test_every_kind_of_joint(name):
+    assert_agreement(mechanisms.named(name), np.linspace(0.0, 0.2, 5), 1e-3)
+
+
+# On the mechanism with every kind of joint: j0 a sleeve to ground, j2 a screw, j3 a plate, j4 a
+# slider, j7 a hinge between bodies.
+ON_EVERY_KIND = {
+    "spring_damper": [
+        SpringDamper(name="s", parent="a", child="c", parent_point=(0.1, 0.2, 0.3),
+                     child_point=(0.4, -0.2, 0.1), stiffness=50, damping=3, rest_length=0.7),
+        SpringDamper(name="t", parent="world", child="h", parent_point=(0, 0, 1),
+                     child_point=(0.4, 0, 0), stiffness=20)],
+    "torsional_spring_damper": [
+        TorsionalSpringDamper(name=f"on_{j}", joint=j, stiffness=4, damping=0.3, rest_angle=9)
+        for j in ("j0", "j2", "j3", "j7")],
+    "linear_spring_damper": [
+        LinearSpringDamper(name=f"on_{j}", joint=j, stiffness=40, damping=3, rest_position=0.3)
+        for j in ("j0", "j2", "j4")],
+    "motor": [Motor(name="s", joint="j0", torque=-4, rate_limit=3),
+              Motor(name="t", joint="j7", torque=3), Motor(name="u", joint="j2", torque=2)],
+    "linear_motor": [LinearMotor(name="s", joint="j4", force=-4, speed_limit=3),
+                     LinearMotor(name="t", joint="j0", force=3)],
+    "drag": [Drag(name="s", body="a", linear=2, quadratic=3, angular=0.5, angular_quadratic=0.7),
+             Drag(name="t", body="h", quadratic=1)],
+    "applied_wrench": [
+        ConstantWrench(name="s", body="a", torque=(1, 2, 3), force=(4, 5, -6), point=(1, 0.2, 3),
+                       start=0.0303, end=0.0811),
+        ConstantWrench(name="t", body="g", torque=(1, 2, 3), force=(4, 5, -6), point=(1, 0.2, 3),
+                       axes="world", end=0.0507)],
+}
+
+
+@pytest.mark.parametrize("kind", [cls.model_fields["type"].default for cls in FORCES])
+def test_every_kind_of_force(kind):
+    """It moves the mechanism, too: without the force the motion is another one."""
+    plain = mechanisms.named("every kind")
+    scene = plain.model_copy(update={"forces": tuple(ON_EVERY_KIND[kind])})
+    times = np.linspace(0.0, 0.15, 4)
+    assert_agreement(scene, times, 1e-3)
+    without = reference(plain.model_copy(update={"forces": ()}), times)[0]
+    assert distance(without, reference(scene, times)[0]).position.max() > 1e-3
+
+
+# Steps that the fastest motion of each asks for; the others take 1 ms.
+STEPS = {"andrews_squeezer": 1e-5, "flyball_governor": 5e-5, "lagrangian_top": 2e-4,
+         "four_bar": 2e-4}
+
+
+@pytest.mark.parametrize("name", [
+    "andrews_squeezer", "ball_chain", "bricard", "double_pendulum", "flyball_governor", "four_bar",
+    "free_body", "heavy_top", "hinge_chain", "lagrangian_top", "n_four_bar", "slider_crank"])
+def test_every_scene_that_comes_along(name):
+    step = STEPS.get(name, 1e-3)
+    assert_agreement(load_scene(name), np.linspace(0.0, 100 * step, 3), step)
+
+
+# ---------------------------------------------------------------- closed forms
+
+def on_joint(kind, *forces, rate=0.0, **keys):
+    """A body at rest but for `rate`, on a joint to ground along AXIS through its centre."""
+    turns = kind == "revolute"
+    joint = (ScrewJoint if kind == "screw" else Joint)(
+        name="j", type=kind, parent="world", child="a", parent_frame=Frame(axis=AXIS), **keys)
+    return Scene(name="one", gravity=(0, 0, 0), joints=[joint], forces=forces, bodies=[
+        Body(name="a", mass=MASS, inertia=(INERTIA,) * 3,
+             **{("angular" if turns else "linear") + "_velocity": rate * AXIS})])
+
+
+def oscillation(t, size, stiffness, damping, rest, start=0.0):
+    d, w = damping / (2 * size), np.sqrt(stiffness / size - (damping / (2 * size)) ** 2)
+    return rest + (start - rest) * np.exp(-d * t) * (np.cos(w * t) + d / w * np.sin(w * t))
+
+
+def approach(t, size, force, limit):
+    """Way from rest under force (1 - speed / limit)."""
+    fade = size * limit / force
+    return limit * (t - fade * (1.0 - np.exp(-t / fade)))
+
+
+CLOSED_FORMS = {
+    "coil over many turns": (
+        on_joint("revolute", TorsionalSpringDamper(name="f", joint="j", stiffness=3, damping=0.05,
+                                                   rest_angle=40)),
+        lambda t: oscillation(t, INERTIA, 3, 0.05, 40)),
+    "spring on a slider": (
+        on_joint("prismatic", LinearSpringDamper(name="f", joint="j", stiffness=30, damping=0.8,
+                                                 rest_position=0.3)),
+        lambda t: oscillation(t, MASS, 30, 0.8, 0.3)),
+    "motor with a limit": (
+        on_joint("revolute", Motor(name="f", joint="j", torque=-2, rate_limit=9)),
+        lambda t: -approach(t, INERTIA, 2, 9)),
+    "motor": (on_joint("revolute", Motor(name="f", joint="j", torque=2)),
+              lambda t: t * t / INERTIA),
+    "linear motor with a limit": (
+        on_joint("prismatic", LinearMotor(name="f", joint="j", force=3, speed_limit=2)),
+        lambda t: approach(t, MASS, 3, 2)),
+    "screw that is driven over many turns": (
+        on_joint("screw", Motor(name="f", joint="j", torque=5), pitch=0.1),
+        lambda t: 0.1 * 2.5 * t * t / (INERTIA + 0.01 * MASS)),
+    "linear drag": (on_joint("prismatic", Drag(name="f", body="a", linear=3), rate=2.0),
+                    lambda t: 2.0 * MASS / 3 * (1 - np.exp(-3 * t / MASS))),
+    "quadratic drag": (on_joint("prismatic", Drag(name="f", body="a", quadratic=3), rate=2.0),
+                       lambda t: MASS / 3 * np.log(1 + 3 * 2.0 * t / MASS)),
+    "angular drag": (on_joint("revolute", Drag(name="f", body="a", angular_quadratic=0.2),
+                              rate=5.0),
+                     lambda t: INERTIA / 0.2 * np.log(1 + 0.2 * 5.0 * t / INERTIA)),
+    "push for a time": (
+        on_joint("prismatic", ConstantWrench(name="f", body="a", force=3 * AXIS, start=0.317,
+                                             end=1.2345, axes="world")),
+        lambda t: 1.5 / MASS * (np.maximum(t - 0.317, 0) ** 2 - np.maximum(t - 1.2345, 0) ** 2)),
+}
+
+
+@pytest.mark.parametrize("name", CLOSED_FORMS)
+def test_closed_forms(name):
+    """To what the integration says of itself, and rounding of values up to 100."""
+    scene, way = CLOSED_FORMS[name]
+    times = np.linspace(0.0, 3.0, 121)
+    found, known = reference(scene, times)
+    if scene.joints[0].type == "revolute":
+        # the angle goes on: less than half a turn between two times
+        turns = np.einsum("kab,kac->kbc", found.rotation[:-1, 0], found.rotation[1:, 0])
+        sine = np.stack([turns[:, 2, 1] - turns[:, 1, 2], turns[:, 0, 2] - turns[:, 2, 0],
+                         turns[:, 1, 0] - turns[:, 0, 1]], axis=1) @ AXIS / 2
+        cosine = (np.trace(turns, axis1=1, axis2=2) - 1) / 2
+        found, bound = np.cumsum([0, *np.arctan2(sine, cosine)]), known.angle.max()
+    else:
+        found, bound = found.position[:, 0] @ AXIS, known.position.max()
+    size = np.abs(way(times)).max()
+    assert bound <= 1e-10 * size
+    np.testing.assert_allclose(found, way(times), atol=3.0 * bound + 1e-13 * size)
+    assert size > 0.5
+
+
+def parallelogram(angle):
+    """Two cranks of 1 m at an angle above the ground, 2 m apart, and a coupler; it turns."""
+    arm = np.array([np.cos(angle), np.sin(angle), 0.0])
+    rate = np.cross([0, 0, 3.0], arm)
+    turned = {"rotation_vector": (0, 0, angle), "angular_velocity": (0, 0, 3.0),
+              "linear_velocity": (0, 1.5, 0)}
+    inertia = (0.01, 0.1, 0.1)
+    return Scene(name="flat", gravity=(0, 0, 0), bodies=[
+        Body(name="left", mass=1, inertia=inertia, position=arm / 2, **turned),
+        Body(name="right", mass=1, inertia=inertia, position=arm / 2 + (2, 0, 0), **turned),
+        Body(name="top", mass=1, inertia=inertia, position=arm + (1, 0, 0),
+             linear_velocity=rate)],
+        joints=[Joint(name=f"j{i}", type="revolute", parent=parent, child=child,
+                      parent_frame=Frame(position=place)) for i, (parent, child, place) in
+                enumerate([("world", "left", (0, 0, 0)), ("world", "right", (2, 0, 0)),
+                           ("left", "top", (0.5, 0, 0)), ("right", "top", (0.5, 0, 0))])])
+
+
+@pytest.mark.parametrize("angle, time", [(-1.5, 1.0), (0.0, 0.1)])
+def test_a_singular_pose_is_said(angle, time):
+    """A flat parallelogram on the way, and at the start."""
+    with pytest.raises(SimulationError, match="at a singular pose") as error:
+        reference(parallelogram(angle), [time])
+    assert "\n" not in str(error.value)
+    # before it there is no difficulty
+    if angle:
+        assert reference(parallelogram(angle), [0.4])[1].position.max() <= 1e-11
