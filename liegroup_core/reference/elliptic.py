@@ -43,7 +43,7 @@ def _principal(I, w, time):
     a, b, c = (0, 1, 2) if L2 >= E2 * I[1] else (2, 1, 0)
     even = 1 if c == 2 else -1
     rate2 = (I[c] - I[b]) * (L2 - E2 * I[a]) / (I[0] * I[1] * I[2])
-    if rate2 <= 0 or m[a] == m[b] == 0:
+    if rate2 <= 0 or sum(x == 0 for x in m) >= 2:
         return _turn(w, time), w                # a steady rotation
     size = [mp.sqrt((E2 * I[c] - L2) / (I[a] * (I[c] - I[a]))),
             mp.sqrt((E2 * I[c] - L2) / (I[b] * (I[c] - I[b]))),
@@ -94,10 +94,7 @@ def heavy_top(inertia, spin_inertia, moment, axis, gravity, rotation, omega, tim
         b = _dot(S.T[2, :].T, R * (across + I3 / I1 * _dot(w, e) * e))
         alpha = _dot(across, across) + beta * u
         u_rate = (S.T * R * _cross(w, e))[2]
-        roots = sorted(mp.re(root) for root in mp.polyroots(
-            [beta, -(alpha + a * a), 2 * a * b - beta, alpha - b * b], maxsteps=500,
-            extraprec=4 * mp.mp.prec))
-        u1, u2, u3 = roots
+        u1, u2, u3 = _cubic_roots(beta, -(alpha + a * a), 2 * a * b - beta, alpha - b * b)
         if 1 - u2 <= mp.mpf(10) ** (-digits) or 1 + u1 <= mp.mpf(10) ** (-digits):
             raise ValueError("the axis of the top gets vertical")
         rate = mp.sqrt(beta * (u3 - u1)) / 2
@@ -134,6 +131,16 @@ def _matrix(values):
     rows = np.asarray(values, dtype=object)
     rows = rows[:, None] if rows.ndim == 1 else rows
     return mp.matrix([[mp.mpf(x) for x in row] for row in rows.tolist()])
+
+
+def _cubic_roots(a, b, c, d):
+    """The roots of a u^3 + b u^2 + c u + d, all real, a > 0, in increasing order (Viete)."""
+    with mp.extradps(mp.mp.dps):        # double roots cost half of the digits
+        p = (b * b - 3 * a * c) / (9 * a * a)
+        q = (b * (2 * b * b - 9 * a * c) + 27 * a * a * d) / (54 * a ** 3)
+        angle = mp.acos(min(max(q / mp.sqrt(p) ** 3, -1), 1)) if p > 0 else mp.mpf(0)
+        return sorted(-2 * mp.sqrt(max(p, 0)) * mp.cos((angle + 2 * k * mp.pi) / 3) - b / (3 * a)
+                      for k in range(3))
 
 
 def _third_kind(n, first, last, k2):
