@@ -4,6 +4,7 @@
 Facts as JSON types, found without taking a step; nothing here depends on the machine.
 """
 from ..dynamics.symmetry import body_groups, conserved_momentum
+from ..integrators import fitting_methods
 from ..joints.elements import PAIR
 from .arrays import WORLD
 
@@ -23,6 +24,7 @@ def describe(layout):
         rows, solved_rows   numbers of rows of all joints, and without those left out
         dropped_rows        [[joint, row]]
         solve               structure of K in (6.22), see `solve_structure`
+        methods             names of the integration methods that can serve it
         groups              [[body]]: what joints and forces hang together without the world
         kept_momentum       [{bodies, components}] in words; None where no component can be named,
                             for a joint that is no lower pair
@@ -48,6 +50,7 @@ def describe(layout):
         "rows": int(model.elements["rows"].sum()), "solved_rows": len(model.row_residual),
         "dropped_rows": [list(entry) for entry in dropped],
         "solve": solve_structure(model),
+        "methods": fitting_methods(layout),
         "groups": [[scene.bodies[i].name for i in group] for group in body_groups(scene)],
         "kept_momentum": [{"bodies": list(kept.bodies), "components": list(kept.labels)}
                           for kept in conserved_momentum(scene)] if only_pairs else None,
