@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rotation methods on the chapter's free body and Lagrangian top, Figs. 6.6 to 6.9.
 
-Numbers of independent implementations: test/rotation_tables.py. With forces and other scenes:
+Numbers of independent implementations: liegroup_sim_ros/rotation_tables.py. With forces and other scenes:
 test_rotation_forces.py.
 """
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,8 +14,10 @@ from liegroup_core import Scene, Simulation, SimulationError, load_scene
 from liegroup_core.integrators.methods import METHODS
 from liegroup_core.integrators.status import NO_RATTLE_STEP, NOT_CONVERGED
 from liegroup_core.scene.description import Body
-from rotation_tables import (FREE_ATTITUDE, FREE_R_10, FREE_STEPS, MOMENTUM_16, TOP_ATTITUDE,
-                             TOP_INTEGRALS, TOP_R_1, TOP_RATES)
+from liegroup_sim_ros.rotation_figures import PANELS, end_attitude, errors, make_rotation_figures
+from liegroup_sim_ros.rotation_tables import (FREE_ATTITUDE, FREE_R_10, FREE_STEPS, MOMENTUM,
+                                              MOMENTUM_STEPS, TOP_ATTITUDE, TOP_INTEGRALS, TOP_R_1,
+                                              TOP_RATES)
 
 ROTATION = [name for name, method in METHODS.items() if method.family == "rotation"]
 KEEP_MOMENTUM = [name for name in ROTATION if name != "lie_newmark"]
@@ -95,7 +98,11 @@ def test_austin_on_the_top_is_close_to_the_other_impulse():
 
 @pytest.mark.parametrize("method", KEEP_MOMENTUM)
 def test_free_body_keeps_its_momentum_at_every_step(method):
-    """16 s in steps of 8 s to 1/4096 s: round-off, less than 1e-17 a step and 2e-15."""
+    """16 s in steps of 8 s to 1/4096 s: round-off.
+
+    Each step rounds some three times by 1.1e-16 of |Y| = 1; they add up like a random walk, with room
+    for twice the deviation that is to be expected.
+    """
     for step in (8, 4, 2, 1, 1/2, 1/4, 1/16, 1/256, 1/4096):
         simulation = Simulation(FREE, method=method, step=step)
         before = simulation.sample().spatial_momentum[:3]
@@ -106,12 +113,15 @@ def test_free_body_keeps_its_momentum_at_every_step(method):
             assert method == "rattle" or (method, step) == ("simo_wong", 4)
             continue
         off = np.linalg.norm(simulation.sample().spatial_momentum[:3] - before)
-        assert off <= 2e-15 + 1.5e-17 * 16 / step, step
+        assert off <= 2e-15 + 6 * 1.1e-16 * np.sqrt(16 / step), step
 
 
-@pytest.mark.parametrize("method", MOMENTUM_16)
+@pytest.mark.parametrize("method", ["lie_newmark", "rkmk4"])
 def test_momentum_is_lost_as_the_method_loses_it(method):
-    for step, expected in MOMENTUM_16[method].items():
+    """To a unit of the fourth digit; at 8 s a stage of rkmk4 turns by more than its 2 pi."""
+    for step, expected in zip(MOMENTUM_STEPS, MOMENTUM[method]):
+        if (method, step) == ("rkmk4", 8):
+            continue
         simulation = Simulation(FREE, method=method, step=step)
         before = simulation.sample().spatial_momentum[:3]
         simulation.advance(round(16 / step))
@@ -233,3 +243,19 @@ def test_simo_wong_says_where_it_has_no_solution_nearby():
     with pytest.raises(SimulationError, match="smaller step") as failure:
         Simulation(FREE, method="simo_wong", step=4.0).advance(4)
     assert failure.value.status == NOT_CONVERGED
+
+
+def test_figures_use_exact_end_states_and_say_what_elsewhere_was_found(monkeypatch, tmp_path):
+    """The scenes' numbers in binary are not the decimal ones: 1e-15 of 150 rad."""
+    assert np.abs(end_attitude("free_body", 10) - FREE_R_10).max() <= 1e-15
+    assert np.abs(end_attitude("lagrangian_top", 1) - TOP_R_1).max() <= 2e-13
+    short = [replace(panel, steps=panel.steps[2:5], elsewhere={
+        method: values[2:5] for method, values in panel.elsewhere.items()}) for panel in PANELS]
+    monkeypatch.setattr("liegroup_sim_ros.rotation_figures.PANELS", short)
+    paths, tables = make_rotation_figures(tmp_path)
+    assert [path.name for path in paths] == [f"fig_6_{k}.png" for k in (6, 7, 8, 9)]
+    assert all(path.stat().st_size > 10_000 for path in paths)
+    assert [table.row_count for table in tables] == [6] * 4
+    found = errors(short[1])
+    assert found["rattle"][0] == pytest.approx(1.817, rel=5e-4)
+    assert found["stoermer_verlet"][2] == pytest.approx(2.1462e-2, rel=1e-4)
