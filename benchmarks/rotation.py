@@ -67,8 +67,8 @@ def main():
     options = parser.parse_args()
     console = Console(width=130)
     for scene, step in SCENES.items():
-        table = Table(title=f"{scene}, h = {step:g} s, {options.steps} steps", title_justify="left",
-                      box=None)
+        table = Table(title=f"{scene}, h = {step:g} s, {options.steps} steps", box=None,
+                      title_justify="left")
         for column in ("method", "ns a step", "energy, 1/100", "1/10", "the end",
                        "momentum, 1/100", "1/10", "the end", "exponent"):
             table.add_column(column, justify="left" if column == "method" else "right")

@@ -126,7 +126,8 @@ class Simulation:
              dexpinv="exact" or "truncated"  for all of Runge-Kutta type
              rtol=1e-6, atol=1e-6            tolerances of rkmk54
              rho_inf=0.8                     damping of generalized_alpha
-    raises SceneError for a scene that cannot be simulated, ValueError for a wrong setting
+    raises SceneError for a scene that cannot be simulated, ValueError for a wrong setting or a
+    method that does not fit the scene
 
     Orders: test/verification/test_orders.py; constraint residuals: test_heavy_top.py.
     """

@@ -2,7 +2,8 @@
 """`liegroup_sim figures`: Figs. 6.2 and 6.4 to 6.9 of the chapter, drawn from runs made here.
 
 The tables beside them compare with independent implementations of the same methods. Figs. 6.6 to
-6.9 are in rotation_figures.py. What the pictures show, and which claims of the chapter hold, is in docs/figures.md. No ROS.
+6.9 are in rotation_figures.py. What the pictures show, and which claims of the chapter hold, is in
+docs/figures.md. No ROS.
 """
 import sys
 from pathlib import Path
@@ -26,6 +27,7 @@ FOUR_BAR_ELSEWHERE = {
                (1.06e-8, 2.00e-8, 7.53e-9, 2.69e-9))}
 
 COLOURS = ("#b3432b", "#2c6e9b", "#3f8f4f")             # of the step sizes
+TABLE_WIDTH = 120
 LOWEST = 1e-17                                          # m; what is exactly zero is not drawn
 
 
@@ -50,7 +52,7 @@ def run(args):
     """Run the subcommand; returns the exit code. Raises FiguresError."""
     try:
         import matplotlib  # noqa: F401  before the work
-        import mpmath  # noqa: F401
+        import mpmath  # noqa: F401  for the exact motions
     except ImportError as error:
         raise FiguresError(f"{error.name} is needed to draw: pip install {error.name}") from None
     out = Path(args.out)
@@ -62,8 +64,8 @@ def run(args):
     except OSError as error:
         raise FiguresError(f"{error.filename}: cannot be written: {error.strerror}") from None
     console = Console(file=sys.stdout)
-    for each in (table, *tables):
-        console.print(each)
+    for each in (table, *tables):       # whole, in a narrow terminal too
+        console.print(each, width=max(console.width, TABLE_WIDTH), crop=False)
     print(*paths, *more_paths, sep="\n")
     return 0
 

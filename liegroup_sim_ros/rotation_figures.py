@@ -5,8 +5,8 @@
               of 8, 4 and 2 s have no end)
     6.7       ||R - Rref||_2 of the Lagrangian top at 1 s
     6.9       ||R - Rref||_2 of the free body at 10 s
-The end states come from elliptic functions (liegroup_core.reference.elliptic), not from a run with a
-small step, whose own error would be seen at the smallest ones. No ROS.
+The end states come from elliptic functions (liegroup_core.reference.elliptic), not from a run with
+a small step, whose own error would be seen at the smallest ones. No ROS.
 """
 from dataclasses import dataclass
 
@@ -52,10 +52,10 @@ class Panel:
 PANELS = (
     Panel("6.6", "Free body, 16 s: momentum", "|Y - Y0|, N m s", "free_body", 16.0, "momentum",
           ("stoermer_verlet", "lie_newmark", "rkmk4"), MOMENTUM_STEPS, MOMENTUM),
-    Panel("6.7", "Lagrangian top, 1 s: attitude", "||R - Rref||", "lagrangian_top", 1.0, "attitude",
-          ("stoermer_verlet", "lie_newmark", "rattle", "rkmk4", "lie_midpoint", "simo_wong",
-           "coadjoint_rkmk4", "coadjoint_rkmk8"), tuple(1 / rate for rate in TOP_RATES),
-          TOP_ATTITUDE),
+    Panel("6.7", "Lagrangian top, 1 s: attitude", "||R - Rref||", "lagrangian_top", 1.0,
+          "attitude", ("stoermer_verlet", "lie_newmark", "rattle", "rkmk4", "lie_midpoint",
+                       "simo_wong", "coadjoint_rkmk4", "coadjoint_rkmk8"),
+          tuple(1 / rate for rate in TOP_RATES), TOP_ATTITUDE),
     Panel("6.8", "Free body, 16 s: momentum", "|Y - Y0|, N m s", "free_body", 16.0, "momentum",
           ("coadjoint_rkmk2", "coadjoint_rkmk4", "simo_wong", "austin_krishnaprasad_wang",
            "lie_newmark"), MOMENTUM_STEPS, MOMENTUM),
@@ -116,7 +116,7 @@ def make_table(panel, found):
     table = Table(title=f"Fig. {panel.number}, {panel.title}, {panel.unit}", box=None,
                   padding=(0, 1, 0, 0), title_justify="left")
     for column in ("step", "", *(STYLES[method][0] for method in panel.methods)):
-        table.add_column(column)
+        table.add_column(column, min_width=9)
     for k, step in enumerate(panel.steps):
         table.add_row(step_text(step), "here", *(_text(found[method][k])
                                                  for method in panel.methods))

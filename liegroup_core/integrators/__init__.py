@@ -13,6 +13,7 @@ from .generalized_alpha import GeneralizedAlpha
 from .methods import METHODS
 from .rkmk import MuntheKaas
 from .rotation import Rotation
+from .rotation_bodies import misfit as rotation_misfit
 
 FAMILIES = {"rkmk": MuntheKaas, "generalized_alpha": GeneralizedAlpha, "rotation": Rotation}
 
@@ -31,7 +32,7 @@ def check_options(method, options):
 
 def misfit(method, layout):
     """Why a method cannot serve a scene (simulation.Layout), in words, or ""."""
-    return Rotation.misfit(layout) if METHODS[method].family == "rotation" else ""
+    return rotation_misfit(layout) if METHODS[method].family == "rotation" else ""
 
 
 def fitting_methods(layout):

@@ -1,12 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Momentum-preserving methods for bodies that are free or held by one ball joint to the ground.
 
-A body turns about a point: its centre of mass where it is free, the ball joint where it is held,
-with I = I_com + m (|d|^2 1 - d d^T), d from the joint to the centre of mass. What a method does to
-R and w of one body is in rotation_maps.py. Forces are evaluated for all bodies at once, so bodies
-may be coupled by springs. The centre of mass of a held body is where R puts it, r = pivot + R d,
-v = w x d: the joint is closed to rounding at every step. That of a free body goes along in world
-axes, P = m R v:
+What a method does to R and w of one body is in rotation_maps.py, where a held body is in
+rotation_bodies.py. Forces are evaluated for all bodies at once, so bodies may be coupled by
+springs. The centre of mass of a free body goes along in world axes, P = m R v:
     KICKED       P' = P + (h/2) f ,  r+ = r + (h/m) P' ,  P+ = P' + (h/2) f+        order 2
     ITERATED     P+ = P + h f_m ,  r+ = r + (h/m) (P + P+)/2 ,  f_m halfway         order 2
                  (BOTTASSO_BORRI: the mean of f and f+ in place of f_m)
@@ -19,9 +16,10 @@ which for T = 0 is (6.34), (6.38), (6.39) and (6.44): y+ = exp(-Psi) y. Componen
 no torque acts at any pose, as that along gravity of a top, are kept to rounding too.
 
 A torque or force that depends on velocity is taken at the end of a KICKED step at 2 w' - w, w' the
-angular velocity that Q stands for, and at 2 P' - P. That keeps the order 2, without a solve over all
-bodies; solved for, with w+ in its place, a drag was measured to give larger errors, by 2 to 2000.
-ITERATED steps take it where they take the torque (test/verification/test_rotation_forces.py).
+angular velocity that Q stands for, and at 2 P' - P. That keeps the order 2, without a solve over
+all bodies; with w+ in its place, solved for, a drag was measured to give errors from the same to
+2000 times larger. ITERATED steps take it where they take the torque, the others in every stage.
+Orders under such forces: test/verification/test_rotation_forces.py.
 
 Poses move on SO(3) x R^3 whichever group the simulation names.
 """
@@ -32,16 +30,16 @@ import numpy as np
 from .._compile import borrowed, kernel
 from ..forces.gravity import add_wrench as add_gravity
 from ..forces.kinds import add_wrenches
-from ..joints.elements import PAIR
 from ..lie.so3 import so3_dexpinv
-from ..lie.vec3 import (ZERO3, add3, axpy3, cross3, dot3, load3, load9, matmul3, matrix3, matvec3,
-                        scale3, store3, store9, tmatvec3, vector3)
-from ..model.arrays import WORLD, make_work
+from ..lie.vec3 import (ZERO3, add3, axpy3, dot3, load3, load9, matmul3, matrix3, matvec3, scale3,
+                        store3, store9, tmatvec3)
+from ..model.arrays import make_work
 from .methods import METHODS
 from .motion import copy_state, is_finite, orthonormal
-from .rotation_maps import (AUSTIN, BOTTASSO_BORRI, FIRST_ITERATED, LIE_MIDPOINT, LIE_NEWMARK, RATTLE,
-                            RUNGE_KUTTA, SIMO_WONG, STOERMER_VERLET, iterated_end, iterated_step,
-                            kicked_end, kicked_turn, turn, velocity)
+from .rotation_bodies import linear_momentum, load, make_spinners, place
+from .rotation_maps import (AUSTIN, BOTTASSO_BORRI, FIRST_ITERATED, LIE_MIDPOINT, LIE_NEWMARK,
+                            RATTLE, RUNGE_KUTTA, SIMO_WONG, STOERMER_VERLET, iterated_end,
+                            iterated_step, kicked_end, kicked_turn, turn, velocity)
 from .status import NO_RATTLE_STEP, NOT_CONVERGED, NOT_FINITE, OK
 
 RULES = {
@@ -51,54 +49,16 @@ RULES = {
 } | {name: RUNGE_KUTTA for name, method in METHODS.items()
      if method.family == "rotation" and method.coefficients}
 
-# A step is repeated with the torque at its latest guess until that moves no body by more than this,
-# rad and part of the largest coordinate or of 1 m; where rounding is larger, until it moves so many
-# times that and no longer comes down.
+# A step is repeated with the torque at its latest guess until that moves no body by more than
+# this, rad and part of the largest coordinate or of 1 m; where rounding is larger, until it moves
+# them by so many times that and no longer comes down.
 TOLERANCE, STUCK = 1e-15, 100.0
 MOST_REPEATS = 100
 
-SPINNER = np.dtype([
-    ("held", "i8"),                                             # 1: by a ball joint
-    ("inertia", "f8", (9,)), ("inverse_inertia", "f8", (9,)),   # kg m^2, about its point, body axes
-    ("arm", "f8", (3,)),                    # m, from the joint to the centre of mass, body axes
-    ("pivot", "f8", (3,)),                  # m, the joint in the world
-    ("mass", "f8"),                         # kg
-], align=True)
-
-# Columns of the memory of a step, per body: three of each but of Q.
-TURN, MOMENTUM, TORQUE, LINEAR, FORCE, GUESS, Q = 0, 3, 6, 9, 12, 15, 18
-COLUMNS = 27
-
-
-@kernel
-def _place(spinner, i, rot, w, r, linear, pose_out, twist_out):
-    """Set a body to R and w; to r and m R v = linear where it is free."""
-    if spinner["held"] == 1:
-        arm = vector3(spinner["arm"])
-        r = add3(vector3(spinner["pivot"]), matvec3(rot, arm))
-        v = cross3(w, arm)
-    else:
-        v = scale3(1.0 / spinner["mass"], tmatvec3(rot, linear))
-    store9(rot, pose_out, i, 0)
-    store3(r, pose_out, i, 9)
-    store3(w, twist_out, i, 0)
-    store3(v, twist_out, i, 3)
-
-
-@kernel
-def _load(spinner, work, i):
-    """Torque about the point of a body in body axes, force in world axes."""
-    force = load3(work.wrench, i, 3)
-    torque = load3(work.wrench, i, 0)
-    if spinner["held"] == 1:
-        return add3(torque, cross3(vector3(spinner["arm"]), force)), ZERO3
-    return torque, matvec3(load9(work.stage_pose, i, 0), force)
-
-
-@kernel
-def _linear_momentum(spinner, pose, twist, i):
-    """m R v of a body, world axes."""
-    return scale3(spinner["mass"], matvec3(load9(pose, i, 0), load3(twist, i, 3)))
+# Columns of the memory of a step, per body: three of each, nine of Q. LINEAR, VELOCITY and PLACE
+# are m R v, w and r at the end of the step, as far as they are known.
+TURN, MOMENTUM, TORQUE, FORCE, LINEAR, VELOCITY, PLACE, Q = 0, 3, 6, 9, 12, 15, 18, 21
+COLUMNS = 30
 
 
 @kernel
@@ -107,7 +67,7 @@ def _kicked(rule, spinners, work, memory, h, evaluation, pose, twist):
     for i in range(len(spinners)):
         spinner = spinners[i]
         inertia, inverse = matrix3(spinner["inertia"]), matrix3(spinner["inverse_inertia"])
-        torque, force = _load(spinner, work, i)
+        torque, force = load(spinner, work, i)
         if evaluation == 0:
             w = load3(twist, i, 0)
             change, x, momentum, found = kicked_turn(rule, inertia, inverse, h, w, torque)
@@ -121,23 +81,23 @@ def _kicked(rule, spinners, work, memory, h, evaluation, pose, twist):
                     work.report[1] = dot3(x, x)
                     return NO_RATTLE_STEP + (i << 8), True
                 return NOT_CONVERGED, True
-            linear = axpy3(0.5 * h, force, _linear_momentum(spinner, pose, twist, i))
+            linear = axpy3(0.5 * h, force, linear_momentum(spinner, pose, twist, i))
             guess = axpy3(2.0 / h, x, scale3(-1.0, w))
             store3(momentum, memory, i, MOMENTUM)
-            store3(guess, memory, i, GUESS)
+            store3(guess, memory, i, VELOCITY)
             store3(linear, memory, i, LINEAR)
             rot = orthonormal(matmul3(load9(pose, i, 0), change))
             r = axpy3(h / spinner["mass"], linear, load3(pose, i, 9))
-            _place(spinner, i, rot, guess, r, axpy3(0.5 * h, force, linear), work.stage_pose,
-                   work.stage_twist)
+            place(spinner, i, rot, guess, r, axpy3(0.5 * h, force, linear), work.stage_pose,
+                  work.stage_twist)
         else:
-            w, found = kicked_end(rule, inertia, inverse, h, load3(memory, i, GUESS),
+            w, found = kicked_end(rule, inertia, inverse, h, load3(memory, i, VELOCITY),
                                   load3(memory, i, MOMENTUM), torque)
             if not found:
                 return NOT_CONVERGED, True
-            _place(spinner, i, load9(work.stage_pose, i, 0), w, load3(work.stage_pose, i, 9),
-                   axpy3(0.5 * h, force, load3(memory, i, LINEAR)), work.stage_pose,
-                   work.stage_twist)
+            place(spinner, i, load9(work.stage_pose, i, 0), w, load3(work.stage_pose, i, 9),
+                  axpy3(0.5 * h, force, load3(memory, i, LINEAR)), work.stage_pose,
+                  work.stage_twist)
     return OK, evaluation == 1
 
 
@@ -163,7 +123,7 @@ def _iterated(rule, spinners, work, memory, h, evaluation, pose, twist):
     for i in range(len(spinners)):
         spinner = spinners[i]
         inertia, inverse = matrix3(spinner["inertia"]), matrix3(spinner["inverse_inertia"])
-        torque, force = _load(spinner, work, i)
+        torque, force = load(spinner, work, i)
         w = load3(twist, i, 0)
         before = load3(memory, i, TURN)
         if evaluation == 0:
@@ -176,23 +136,21 @@ def _iterated(rule, spinners, work, memory, h, evaluation, pose, twist):
             return NOT_CONVERGED, 0.0
         whole, at, w_at, w_end = iterated_end(rule, inertia, inverse, h, u, w, first, torque)
         store3(u, memory, i, TURN)
-        store3(w_end, memory, i, MOMENTUM)
+        store3(w_end, memory, i, VELOCITY)
         store9(turn(whole), memory, i, Q)
         work.report[1] = max(work.report[1], dot3(whole, whole))
-        # Where the forces act: halfway, or at the end.
-        linear = _linear_momentum(spinner, pose, twist, i)
-        r = load3(pose, i, 9)
+
+        r, linear = load3(pose, i, 9), linear_momentum(spinner, pose, twist, i)
         if rule == BOTTASSO_BORRI:
             force = scale3(0.5, add3(load3(memory, i, FORCE), force))
-        mean = axpy3(0.5 * h, force, linear)
-        store3(axpy3(h, force, linear), memory, i, LINEAR)
-        part = h / spinner["mass"]
-        store3(axpy3(part, mean, r), memory, i, GUESS)
+        halfway, end = axpy3(0.5 * h, force, linear), axpy3(h, force, linear)
+        r_end = axpy3(h / spinner["mass"], halfway, r)
+        store3(end, memory, i, LINEAR)
+        store3(r_end, memory, i, PLACE)
+        # Where the forces act: halfway, or at the end.
+        there, moving = axpy3(0.5 * h / spinner["mass"], halfway, r), halfway
         if rule == BOTTASSO_BORRI:
-            mean = load3(memory, i, LINEAR)
-        else:
-            part *= 0.5
-        there = axpy3(part, axpy3(0.5 * h, force, linear), r)
+            there, moving = r_end, end
         length = 1.0
         for c in range(3):
             length = max(length, abs(there[c]))
@@ -202,8 +160,8 @@ def _iterated(rule, spinners, work, memory, h, evaluation, pose, twist):
             apart = math.inf
         if not apart <= largest:
             largest = apart
-        _place(spinner, i, matmul3(load9(pose, i, 0), turn(at)), w_at, there, mean,
-               work.stage_pose, work.stage_twist)
+        place(spinner, i, matmul3(load9(pose, i, 0), turn(at)), w_at, there, moving,
+              work.stage_pose, work.stage_twist)
     return OK, largest
 
 
@@ -212,8 +170,8 @@ def _iterated_finish(spinners, work, memory, pose):
     """Place the bodies at the end of an ITERATED step."""
     for i in range(len(spinners)):
         rot = orthonormal(matmul3(load9(pose, i, 0), load9(memory, i, Q)))
-        _place(spinners[i], i, rot, load3(memory, i, MOMENTUM), load3(memory, i, GUESS),
-               load3(memory, i, LINEAR), work.stage_pose, work.stage_twist)
+        place(spinners[i], i, rot, load3(memory, i, VELOCITY), load3(memory, i, PLACE),
+              load3(memory, i, LINEAR), work.stage_pose, work.stage_twist)
 
 
 @kernel
@@ -236,7 +194,7 @@ def _staged(spinners, work, memory, weights, h, stage, pose, twist):
     end = stage + 1 == stages
     for i in range(n):
         spinner = spinners[i]
-        torque, force = _load(spinner, work, i)
+        torque, force = load(spinner, work, i)
         row = stage * n + i
         w = load3(work.stage_twist, i, 0)
         if stage > 0:
@@ -262,12 +220,12 @@ def _staged(spinners, work, memory, weights, h, stage, pose, twist):
         r = axpy3(h, _weighted(work.slopes, weights, stage + 1, stage + 1, n, i, 3),
                   load3(pose, i, 9))
         linear = axpy3(h, _weighted(work.slopes, weights, stage + 1, stage + 1, n, i, 9),
-                       _linear_momentum(spinner, pose, twist, i))
+                       linear_momentum(spinner, pose, twist, i))
         rot = matmul3(start, change)
         if end:
             rot = orthonormal(rot)
-        _place(spinner, i, rot, velocity(inertia, matrix3(spinner["inverse_inertia"]), y), r,
-               linear, work.stage_pose, work.stage_twist)
+        place(spinner, i, rot, velocity(inertia, matrix3(spinner["inverse_inertia"]), y), r,
+              linear, work.stage_pose, work.stage_twist)
     return OK, end
 
 
@@ -332,26 +290,12 @@ class Rotation:
             raise ValueError(f"{method.name} closes the joints by itself: "
                              "stabilisation must be 'none'")
         self._model, self._rule = model, RULES[method.name]
-        self._spinners = _make_spinners(model)
+        self._spinners = make_spinners(model)
         tableau = method.tableau if method.coefficients else None
         self._weights = (np.zeros((1, 0)) if tableau is None
                          else np.vstack([tableau.a, tableau.b]))
         self._memory = np.zeros((len(model.bodies), COLUMNS))
         self.work = make_work(model, self._weights.shape[1])
-
-    @staticmethod
-    def misfit(layout):
-        """Why a scene has bodies that are neither free nor held by one ball joint to the ground."""
-        held = set()
-        for element, owner in zip(layout.model.elements, layout.owners):
-            joint = layout.scene.joints[owner]
-            if element["parent"] != WORLD or element["kind"] != PAIR or not element["turns_freely"]:
-                return ("it takes bodies that are free or held by one ball joint to the ground, and "
-                        f"{joint.name} is a {joint.type} joint from {joint.parent} to {joint.child}")
-            if element["child"] in held:
-                return f"it takes one ball joint a body, and {joint.child} has more"
-            held.add(element["child"])
-        return ""
 
     @staticmethod
     def options(method):
@@ -365,19 +309,3 @@ class Rotation:
         """Take steps of size h in place; returns (steps done, status)."""
         return advance(self._model, self.work, self._spinners, self._memory, self._rule,
                        self._weights, h, steps, pose, twist, external)
-
-
-def _make_spinners(model):
-    """The bodies of a model as records of SPINNER."""
-    spinners = np.zeros(len(model.bodies), dtype=SPINNER)
-    for name in ("mass", "inertia", "inverse_inertia"):
-        spinners[name] = model.bodies[name]
-    for element in model.elements:
-        spinner = spinners[element["child"]]
-        d = -element["child_point"]
-        inertia = spinner["inertia"].reshape(3, 3) + spinner["mass"] * (
-            d @ d * np.eye(3) - np.outer(d, d))
-        spinner["held"], spinner["arm"], spinner["pivot"] = 1, d, element["parent_point"]
-        spinner["inertia"] = inertia.ravel()
-        spinner["inverse_inertia"] = np.linalg.inv(inertia).ravel()
-    return spinners

@@ -77,8 +77,8 @@ def kicked_turn(rule, inertia, inverse, h, w, torque):
         a = matvec3(inverse, sub3(torque, cross3(w, y)))
         x = axpy3(h, w, scale3(0.5 * h * h, a))
     elif rule == RATTLE:
-        x, found = newton(RATTLE_EQUATION, inertia, h, scale3(h, matvec3(inverse, p)), ZERO3, ZERO3,
-                          ZERO3, scale3(h, p))
+        x, found = newton(RATTLE_EQUATION, inertia, h, scale3(h, matvec3(inverse, p)), ZERO3,
+                          ZERO3, ZERO3, scale3(h, p))
     else:
         x, found = newton(GYROSCOPIC, inertia, h, matvec3(inverse, p), ZERO3, ZERO3, ZERO3, p)
         x = scale3(h, x)

@@ -73,8 +73,8 @@ def _equation(kind, inertia, h, x, v, a, b, c):
         second, second_slope = _turned(scale3(0.5, x), b)
         carried = matvec3(inertia, so3_dexp(scale3(-1.0, x), v))
         value = sub3(axpy3(2.0 / h, turned, scale3(-1.0, carried)), first)
-        slope = _combine(1.0, _combine(2.0 / h, inertia, -1.0, matmul3(inertia, _dexp_slope(x, v))),
-                         -1.0, _combine(1.0, first_slope, 0.5, second_slope))
+        outer = _combine(2.0 / h, inertia, -1.0, matmul3(inertia, _dexp_slope(x, v)))
+        slope = _combine(1.0, outer, -1.0, _combine(1.0, first_slope, 0.5, second_slope))
         return sub3(sub3(value, second), c), slope
     gyration = cross3(x, turned)
     gyration_slope = _combine(1.0, matmul3(_hat(x), inertia), -1.0, _hat(turned))

@@ -5,7 +5,7 @@ They share nothing with the engine and take no steps: the error is that of the a
 time. mpmath does it (pip install mpmath). R turns body axes into world axes, w is in body axes.
 
 Source: Landau and Lifshitz, Mechanics, sections 35 to 37, with the precession angles as integrals
-of the third kind. Accuracy: test/verification/test_elliptic.py, against Taylor series in 45 digits.
+of the third kind. Accuracy: test/verification/test_elliptic.py, against Taylor series.
 """
 import mpmath as mp
 import numpy as np
@@ -103,8 +103,11 @@ def heavy_top(inertia, spin_inertia, moment, axis, gravity, rotation, omega, tim
         first = mp.asin(part) * (-1 if u_rate < 0 else 1)
         last = _amplitude(mp.ellipf(first, k2) + rate * mp.mpf(time), k2)
         u = u1 + (u2 - u1) * mp.sin(last) ** 2
-        lower = (b - a) / (2 * (1 - u1) * rate) * _third_kind((u2 - u1) / (1 - u1), first, last, k2)
-        upper = (b + a) / (2 * (1 + u1) * rate) * _third_kind(-(u2 - u1) / (1 + u1), first, last, k2)
+        # Integrals of (b -+ a) / (2 (1 -+ u)) over time: the two parts of phi' = (b - a u)/(1 - u^2)
+        lower = (b - a) / (2 * (1 - u1) * rate) * _third_kind(
+            (u2 - u1) / (1 - u1), first, last, k2)
+        upper = (b + a) / (2 * (1 + u1) * rate) * _third_kind(
+            -(u2 - u1) / (1 + u1), first, last, k2)
         spin = _dot(w, e)
         phi = mp.atan2(start[0, 2], -start[1, 2]) + lower + upper
         chi = mp.atan2(start[2, 0], start[2, 1]) + (spin - a) * mp.mpf(time) - lower + upper

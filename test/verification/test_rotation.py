@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rotation methods on the chapter's free body and Lagrangian top, Figs. 6.6 to 6.9.
 
-Numbers of independent implementations: liegroup_sim_ros/rotation_tables.py. With forces and other scenes:
-test_rotation_forces.py.
+Numbers of independent implementations: liegroup_sim_ros/rotation_tables.py. With forces and in
+other scenes: test_rotation_forces.py.
 """
 import re
 from dataclasses import replace
@@ -13,6 +13,7 @@ import pytest
 from liegroup_core import Scene, Simulation, SimulationError, load_scene
 from liegroup_core.integrators.methods import METHODS
 from liegroup_core.integrators.status import NO_RATTLE_STEP, NOT_CONVERGED
+from liegroup_core.lie.groups import SO3
 from liegroup_core.scene.description import Body
 from liegroup_sim_ros.rotation_figures import PANELS, end_attitude, errors, make_rotation_figures
 from liegroup_sim_ros.rotation_tables import (FREE_ATTITUDE, FREE_R_10, FREE_STEPS, MOMENTUM,
@@ -100,8 +101,8 @@ def test_austin_on_the_top_is_close_to_the_other_impulse():
 def test_free_body_keeps_its_momentum_at_every_step(method):
     """16 s in steps of 8 s to 1/4096 s: round-off.
 
-    Each step rounds some three times by 1.1e-16 of |Y| = 1; they add up like a random walk, with room
-    for twice the deviation that is to be expected.
+    Each step rounds some three times by 1.1e-16 of |Y| = 1; they add up like a random walk, with
+    room for twice the deviation that is to be expected.
     """
     for step in (8, 4, 2, 1, 1/2, 1/4, 1/16, 1/256, 1/4096):
         simulation = Simulation(FREE, method=method, step=step)
@@ -174,6 +175,25 @@ def _energy_ratio(method, step, time):
     start = simulation.energy()
     simulation.advance(round(time / step))
     return simulation.energy() / start - 1
+
+
+def test_lie_newmark_is_the_scheme_6_41():
+    """All three of its equations with the torque of the top in them, (6.41c) implicit."""
+    I, d, h = np.array([15.234375, 0.46875, 15.234375]), np.array([0.0, 1.0, 0.0]), 1e-3
+    simulation = Simulation(TOP, method="lie_newmark", step=h)
+    simulation.advance(100)
+    R0, w0 = attitude(simulation), simulation.state()[1][0, :3]
+    simulation.advance(1)
+    R1, w1 = attitude(simulation), simulation.state()[1][0, :3]
+
+    def rate(R, w):
+        torque = np.cross(d, 15.0 * R.T @ [0, 0, -9.81])
+        return (torque - np.cross(w, I * w)) / I
+
+    half = w0 + h / 2 * rate(R0, w0)
+    # Some roundings of 1, and of 150 rad/s.
+    assert np.abs(R0 @ SO3.exp(h * half) - R1).max() <= 1e-15
+    assert np.abs(half + h / 2 * rate(R1, w1) - w1).max() <= 1e-13
 
 
 def back_and_forth(method, step):
