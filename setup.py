@@ -37,7 +37,7 @@ setup(
         "scipy>=1.11",
     ],
     extras_require={
-        "figures": ["matplotlib"],
+        "figures": ["matplotlib", "mpmath"],
         "test": ["hypothesis", "jsonschema", "matplotlib", "mpmath", "pytest", "rosbags"],
         # What benchmarks/ compares with; Eigen's headers, for the loop around Pinocchio.
         "bench": ["cmeel-eigen", "exudyn", "mujoco", "pin"],

@@ -15,8 +15,8 @@ from .forces.timetable import Timetable
 from .forces.torsional_spring_damper import UNKNOWN_TURN
 from .integrators import check_options, make_integrator
 from .integrators.methods import GROUPS, METHODS, is_positive
-from .integrators.status import (DEPENDENT_ROWS, LARGE_ROTATION, MESSAGES, OK,
-                                 TURNS_NOT_COUNTED)
+from .integrators.status import (DEPENDENT_ROWS, LARGE_ROTATION, MESSAGES, NO_RATTLE_STEP, OK,
+                                 RATTLE_WORKS, TURNS_NOT_COUNTED)
 from .model.arrays import Model
 from .model.build import build_model, initial_state
 from .model.joint_watch import JointWatch
@@ -135,7 +135,8 @@ class Simulation:
              dexpinv="exact" or "truncated"  for all of Runge-Kutta type
              rtol=1e-6, atol=1e-6            tolerances of rkmk54
              rho_inf=0.8                     damping of generalized_alpha
-    raises SceneError for a scene that cannot be simulated, ValueError for a wrong setting
+    raises SceneError for a scene that cannot be simulated, ValueError for a wrong setting or a
+    method that does not fit the scene
 
     `doubt` is None, or a line of text since joints opened so far or so suddenly that the motion is
     hardly that of the scene; it is also logged as a warning (model/joint_watch.py).
@@ -351,14 +352,22 @@ class Simulation:
         return self.scene.joints[self.layout.owners[element]].name
 
     def _explain(self, status):
-        joint = force = ""
+        joint = force = body = ""
+        angle = works = 0.0
+        if status & 0xff == NO_RATTLE_STEP:
+            body = self.layout.body_names[status >> 8]
+            speed = float(np.linalg.norm(self._twist[status >> 8, :3]))
+            # The turn that was asked for, with the torque's part in it.
+            angle = math.sqrt(self._work.report[1])
+            works = RATTLE_WORKS / max(speed, angle / self.step)
         if status & 0xff == DEPENDENT_ROWS:
             joint = self._joint_name(status >> 8)
         if status & 0xff == TURNS_NOT_COUNTED:
             springs = [f for f in self.scene.forces if f.type == "torsional_spring_damper"]
             force = springs[status >> 8].name
         return (f"stopped at t = {self.time:.9g} s (step {self.steps}, h = {self.step:g} s): "
-                + MESSAGES[status & 0xff].format(joint=joint, force=force))
+                + MESSAGES[status & 0xff].format(
+                    joint=joint, force=force, body=body, angle=angle, works=works))
 
     def sample(self):
         """The present state as a Sample."""

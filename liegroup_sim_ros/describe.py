@@ -103,6 +103,7 @@ def sections(facts):
                     for force in facts["forces"]]),
         ("Freedoms", _freedom_rows(facts)),
         ("Solve", _solve_rows(facts["solve"], facts["plane"])),
+        ("Methods that fit", [("", ", ".join(facts["methods"]), "")]),
         ("What it keeps", _kept_rows(facts)),
         ("Cost of a step on this machine", [
             (method, cost.get("failed") or f"{cost['step_us']:.3g} us",

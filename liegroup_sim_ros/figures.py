@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`liegroup_sim figures`: Figs. 6.2, 6.4 and 6.5 of the chapter, drawn from runs made here.
+"""`liegroup_sim figures`: Figs. 6.2 and 6.4 to 6.9 of the chapter, drawn from runs made here.
 
-The table beside them compares with an independent implementation of the same method. What the
-pictures show, and which claims of the chapter hold, is in docs/figures.md. No ROS.
+The tables beside them compare with independent implementations of the same methods. Figs. 6.6 to
+6.9 are in rotation_figures.py. What the pictures show, and which claims of the chapter hold, is in
+docs/figures.md. No ROS.
 """
 import sys
 from pathlib import Path
@@ -14,6 +15,7 @@ from liegroup_core.integrators.methods import GROUPS
 
 from .chapter_runs import STEPS, four_bar_runs, heavy_top_runs
 from .report.summary import GROUPS as GROUP_NAMES
+from .rotation_figures import make_rotation_figures
 
 # Largest errors of an independent implementation, m: of the top's ball joint over 6 s, and of the
 # four-bar's joints 1 to 4 over 1 s, or 0.15 s at the largest step.
@@ -25,6 +27,7 @@ FOUR_BAR_ELSEWHERE = {
                (1.06e-8, 2.00e-8, 7.53e-9, 2.69e-9))}
 
 COLOURS = ("#b3432b", "#2c6e9b", "#3f8f4f")             # of the step sizes
+TABLE_WIDTH = 120
 LOWEST = 1e-17                                          # m; what is exactly zero is not drawn
 
 
@@ -35,9 +38,10 @@ class FiguresError(Exception):
 def add_parser(subparsers):
     """Add `figures` to the subcommands of a command line."""
     parser = subparsers.add_parser(
-        "figures", help="draw the chapter's Figs. 6.2, 6.4 and 6.5",
+        "figures", help="draw the chapter's Figs. 6.2 and 6.4 to 6.9",
         description="Integrate the heavy top and the planar four-bar with three step sizes on "
-        "both groups, draw how far their joints open, and print the largest errors.")
+        "both groups, draw how far their joints open, and print the largest errors; integrate "
+        "the free body and the Lagrangian top by the rotation methods and draw their errors.")
     parser.add_argument("--out", default="figures_out", metavar="DIR",
                         help="folder for the pictures; earlier ones are overwritten "
                         "(default: %(default)s)")
@@ -48,17 +52,21 @@ def run(args):
     """Run the subcommand; returns the exit code. Raises FiguresError."""
     try:
         import matplotlib  # noqa: F401  before the work
-    except ImportError:
-        raise FiguresError("matplotlib is needed to draw: pip install matplotlib") from None
+        import mpmath  # noqa: F401  for the exact motions
+    except ImportError as error:
+        raise FiguresError(f"{error.name} is needed to draw: pip install {error.name}") from None
     out = Path(args.out)
     try:
         out.mkdir(parents=True, exist_ok=True)
         with Console(stderr=True).status("integrating"):
             paths, table = make_figures(out)
+            more_paths, tables = make_rotation_figures(out)
     except OSError as error:
         raise FiguresError(f"{error.filename}: cannot be written: {error.strerror}") from None
-    Console(file=sys.stdout).print(table)
-    print(*paths, sep="\n")
+    console = Console(file=sys.stdout)
+    for each in (table, *tables):       # whole, in a narrow terminal too
+        console.print(each, width=max(console.width, TABLE_WIDTH), crop=False)
+    print(*paths, *more_paths, sep="\n")
     return 0
 
 

@@ -7,6 +7,7 @@ from scipy.linalg import null_space
 
 import naive
 from liegroup_core import Scene
+from liegroup_core.integrators.methods import METHODS
 from liegroup_core.joints import LOWER_PAIRS, forbidden_rows
 from liegroup_core.lie.groups import SE3, SO3
 from liegroup_core.scene.consistency import resolve_elements, resolve_frames
@@ -202,3 +203,15 @@ def named(name, seed=0):
     """One of MECHANISMS, random but the same each time."""
     links, loops = MECHANISMS[name]
     return mechanism(np.random.default_rng([seed, len(name)]), links, loops=loops)
+
+
+@functools.lru_cache(maxsize=None)
+def rotors():
+    """Bodies that are free or on a ball joint, coupled by springs and dampers."""
+    return mechanism(np.random.default_rng(7), [
+        ("world", "a", "spherical"), ("world", "b", None), ("world", "c", "spherical")], springs=6)
+
+
+def fitting(method, name="net"):
+    """One of MECHANISMS that a method can serve, "rotors" where only that will do."""
+    return rotors() if METHODS[method].family == "rotation" else named(name)

@@ -96,7 +96,8 @@ def entries(problem, ratio):
     for stabilisation in STABILISATIONS if problem.loops else ("none",):
         for group in GROUPS:
             for method in METHODS:
-                if METHODS[method].order < LOWEST_ORDER:
+                # The problems have hinges or chains, which rotation methods do not serve.
+                if METHODS[method].order < LOWEST_ORDER or METHODS[method].family == "rotation":
                     continue
                 options = {"group": group, "stabilisation": stabilisation}
                 words = [method, group, problem.joints, stabilisation.replace("none", "")]

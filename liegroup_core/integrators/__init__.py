@@ -12,8 +12,10 @@ An integrator is made by `family(method, layout, group, step, options)` and has
 from .generalized_alpha import GeneralizedAlpha
 from .methods import METHODS
 from .rkmk import MuntheKaas
+from .rotation import Rotation
+from .rotation_bodies import misfit as rotation_misfit
 
-FAMILIES = {"rkmk": MuntheKaas, "generalized_alpha": GeneralizedAlpha}
+FAMILIES = {"rkmk": MuntheKaas, "generalized_alpha": GeneralizedAlpha, "rotation": Rotation}
 
 
 def check_options(method, options):
@@ -28,7 +30,24 @@ def check_options(method, options):
     return {name: options.get(name, default) for name, (default, _, _) in known.items()}
 
 
+def misfit(method, layout):
+    """Why a method cannot serve a scene (simulation.Layout), in words, or ""."""
+    return rotation_misfit(layout) if METHODS[method].family == "rotation" else ""
+
+
+def fitting_methods(layout):
+    """Names of the methods that can serve a scene."""
+    return [name for name in METHODS if not misfit(name, layout)]
+
+
 def make_integrator(method, layout, group, step, options):
-    """The integrator of a method's name, its options checked by `check_options`."""
+    """The integrator of a method's name, its options checked by `check_options`.
+
+    raises ValueError, one line, where the method does not fit the scene or its stabilisation
+    """
     entry = METHODS[method]
+    why = misfit(method, layout)
+    if why:
+        raise ValueError(f"method {method} does not fit this scene: {why}; "
+                         f"these do: {', '.join(fitting_methods(layout))}")
     return FAMILIES[entry.family](entry, layout, group, step, options)

@@ -14,6 +14,14 @@ test/contract/test_methods.py, test/verification/test_orders.py.
     rkmk54         6+1   Dormand and Prince 5(4): substeps between samples by error control
     rkmk8         12     the advancing method of Dormand and Prince's 8(5,3)
     generalized_alpha    implicit, for stiff scenes; joints at position level
+
+For bodies that are free or held by one ball joint to the ground (rotation.py); all but the last
+keep the angular momentum of free bodies to round-off at any step size:
+    stoermer_verlet      explicit, (6.42)
+    coadjoint_rkmk2, _rkmk2_heun, _rkmk4, _rkmk8    explicit, of the tableaux above
+    rattle, austin_krishnaprasad_wang               implicit for each body, explicit in forces
+    simo_wong, lie_midpoint, bottasso_borri_candidate    implicit
+    lie_newmark          velocities implicit for each body: (6.41); does not keep the momentum
 """
 import math
 from collections.abc import Callable
@@ -95,7 +103,7 @@ def _dormand_prince_8():
     return DOP853.A, DOP853.B
 
 
-METHODS = {method.name: method for method in (
+_RUNGE_KUTTA = {method.name: method for method in (
     Method("rkmk1", "rkmk", 1, "Euler 1768",
            lambda: ([[]], [1])),
     Method("rkmk2", "rkmk", 2, "Runge 1895",
@@ -111,6 +119,36 @@ METHODS = {method.name: method for method in (
            _dormand_prince_5),
     Method("rkmk8", "rkmk", 8, "Hairer, Norsett and Wanner, Solving ODEs I, DOP853",
            _dormand_prince_8),
+)}
+
+
+def _coadjoint(name):
+    """The coadjoint method of a tableau."""
+    method = _RUNGE_KUTTA[name]
+    return Method(f"coadjoint_{name}", "rotation", method.order,
+                  f"(6.34), (6.38), (6.39), (6.44); Engo and Faltinsen 1999; {method.source}",
+                  method.coefficients)
+
+
+METHODS = {method.name: method for method in (
+    *_RUNGE_KUTTA.values(),
     Method("generalized_alpha", "generalized_alpha", 2,
            "Bruels, Cardona and Arnold, Mech. Mach. Theory 48 (2012) 121-137"),
+    Method("stoermer_verlet", "rotation", 2,
+           "(6.42); Terze, Mueller and Zlatar, modified Stoermer-Verlet in Lie-group setting"),
+    *map(_coadjoint, ("rkmk2", "rkmk2_heun", "rkmk4", "rkmk8")),
+    Method("lie_newmark", "rotation", 2,
+           "Krysl and Endres, Int. J. Numer. Meth. Eng. 62 (2005) 2154-2177; (6.41) is the same"),
+    Method("rattle", "rotation", 2, "Leimkuhler and Reich, Simulating Hamiltonian Dynamics, 2004; "
+           "without forces discrete Moser-Veselov"),
+    Method("simo_wong", "rotation", 2,
+           "ALGO_C1: Simo and Wong, Int. J. Numer. Meth. Eng. 31 (1991) 19-52"),
+    Method("austin_krishnaprasad_wang", "rotation", 2,
+           "Austin, Krishnaprasad and Wang, J. Comput. Phys. 107 (1993) 105-117; the impulse of "
+           "the torque is ours"),
+    Method("lie_midpoint", "rotation", 2, "implicit Lie midpoint rule, LIEMID[I]: Krysl, Int. J. "
+           "Numer. Meth. Eng. 63 (2005) 2171-2193"),
+    Method("bottasso_borri_candidate", "rotation", 2,
+           "may be that of Bottasso and Borri, Comput. Methods Appl. Mech. Eng. 164 (1998) "
+           "307-331: identified by name and structure alone"),
 )}

@@ -12,11 +12,15 @@ TOO_MANY_SUBSTEPS = 6
 NOT_CONVERGED = 7
 NOT_PROJECTED = 8
 OFF_PLANE = 9               # not for a user: the same steps are taken in space
+NO_RATTLE_STEP = 10
 
 # dexp^-1 is singular at a rotation of 2 pi within a step and loses digits near it: its norm is
 # (t/2)/sin(t/2), 62 at 2 pi - 0.1. Beyond pi a step is legal and rarely accurate.
 LARGEST_ROTATION = 2.0 * math.pi - 0.1
 LARGE_ROTATION = math.pi
+
+# RATTLE is solvable below 1 rad a step about a principal axis, and a little beyond about others.
+RATTLE_WORKS = 0.95
 
 MESSAGES = {
     NOT_FINITE: "the state is no longer finite: the step is too large for this motion, or a force "
@@ -35,4 +39,6 @@ MESSAGES = {
                    "large for this motion, or the pose is singular; take a smaller step",
     NOT_PROJECTED: "the joints cannot be closed again by small displacements: the step is too "
                    "large for this motion; take a smaller step",
+    NO_RATTLE_STEP: "RATTLE has no solution for body {body}, which turns by {angle:.3g} rad in a "
+                    "step: that must stay below 1 rad; a smaller step, {works:.2g} s, would work",
 }

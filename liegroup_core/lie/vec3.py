@@ -5,6 +5,8 @@ A vector is (x, y, z), a matrix its nine entries row by row. Tuples live in regi
 product of tuples costs about 1 ns, of arrays 15 ns and an allocation. Arrays are read by row and
 column, never through a slice: a slice costs two atomic operations on a reference count.
 """
+import math
+
 from .._compile import kernel
 
 ZERO3 = (0.0, 0.0, 0.0)
@@ -131,3 +133,16 @@ def transpose3(m):
 def tmatmul3(m, n):
     """m^T n"""
     return matmul3(transpose3(m), n)
+
+
+@kernel
+def solve3(m, b):
+    """x with m x = b, by Cramer's rule; not finite where m is singular.
+
+    For Newton's method: good for a matrix whose condition number is far from 1/eps.
+    """
+    r0, r1, r2 = (m[0], m[1], m[2]), (m[3], m[4], m[5]), (m[6], m[7], m[8])
+    c0, c1, c2 = cross3(r1, r2), cross3(r2, r0), cross3(r0, r1)
+    det = dot3(r0, c0)
+    inverse = 1.0 / det if det != 0.0 else math.nan
+    return scale3(inverse, axpy3(b[0], c0, axpy3(b[1], c1, scale3(b[2], c2))))

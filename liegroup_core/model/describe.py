@@ -4,6 +4,7 @@
 Facts as JSON types, found without taking a step; nothing here depends on the machine.
 """
 from ..dynamics.symmetry import body_groups, conserved_momentum
+from ..integrators import fitting_methods
 from ..joints.elements import PAIR
 from .arrays import WORLD
 
@@ -26,6 +27,7 @@ def describe(layout):
                             Munthe-Kaas methods integrate them; None: bodies in space
         solve               structure of K in (6.22), of bodies in that plane or in space, see
                             `solve_structure`
+        methods             names of the integration methods that can serve it
         groups              [[body]]: what joints and forces hang together without the world
         kept_momentum       [{bodies, components}] in words; None where no component can be named,
                             for a joint that is no lower pair
@@ -52,6 +54,7 @@ def describe(layout):
         "dropped_rows": [list(entry) for entry in dropped],
         "plane": None if layout.plane is None else "xyz"[int(layout.plane.world[0, 6:].argmax())],
         "solve": solve_structure(model if layout.plane is None else layout.plane),
+        "methods": fitting_methods(layout),
         "groups": [[scene.bodies[i].name for i in group] for group in body_groups(scene)],
         "kept_momentum": [{"bodies": list(kept.bodies), "components": list(kept.labels)}
                           for kept in conserved_momentum(scene)] if only_pairs else None,

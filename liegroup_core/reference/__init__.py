@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An independent, tight integration of a scene: what recordings and methods are judged against."""
+"""What recordings and methods are judged against: an independent, tight integration of a scene.
+
+Exact rotations of a free body and of a symmetric heavy top are in elliptic.py, for which mpmath is
+needed.
+"""
 from .trajectory import Distance, Trajectory, WrenchChange, distance, integrate
 
 __all__ = ["Distance", "Trajectory", "WrenchChange", "distance", "integrate"]

@@ -17,11 +17,12 @@ import mechanisms
 from liegroup_core import Simulation, SimulationError, load_scene
 from liegroup_core.integrators import FAMILIES, check_options, spatial
 from liegroup_core.integrators.methods import METHODS
-from liegroup_core.integrators.status import (DEPENDENT_ROWS, NOT_CONVERGED, NOT_FINITE,
-                                              ROTATION_TOO_LARGE, SUBSTEP_TOO_SMALL,
-                                              TOO_MANY_SUBSTEPS)
+from liegroup_core.integrators.status import (DEPENDENT_ROWS, NO_RATTLE_STEP, NOT_CONVERGED,
+                                              NOT_FINITE, ROTATION_TOO_LARGE,
+                                              SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS)
 
 TABLEAUS = {name: method for name, method in METHODS.items() if method.coefficients}
+ANYWHERE = [name for name, method in METHODS.items() if method.family != "rotation"]
 CONTROLLED = [name for name, method in TABLEAUS.items() if method.tableau.e is not None]
 UNIT = 2.0 ** -53
 
@@ -134,7 +135,7 @@ def test_entry_is_complete(name):
 @pytest.mark.parametrize("name", METHODS)
 def test_the_same_bits_however_the_steps_are_asked_for(name, group):
     """Also with a wrench that starts and ends in between, and again after a reset."""
-    scene = mechanisms.named("net")
+    scene = mechanisms.fitting(name)
 
     def run(simulation, counts):
         simulation.reset()
@@ -166,20 +167,30 @@ def test_a_copied_state_goes_on_as_a_new_simulation_does(name):
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_steps_too_large_stop_with_the_last_good_state(name):
-    """150 rad/s at 0.1 s asks for 15 rad; under error control substeps make that no trouble."""
+def test_steps_too_large_stop_with_the_last_good_state(name, caplog):
+    """150 rad/s at 0.1 s asks for 15 rad; under error control substeps make that no trouble.
+
+    Rotation methods but RATTLE may have a solution there, however useless, and warn.
+    """
     simulation = Simulation(load_scene("lagrangian_top"), method=name, step=0.1)
     before = simulation.state()
     if name in CONTROLLED:
         simulation.advance(1)
         assert simulation.substeps[0] > 15.0 / (2.0 * math.pi)
         return
-    with pytest.raises(SimulationError, match="smaller step") as failure:
+    try:
         simulation.advance(10)
-    assert failure.value.status in (ROTATION_TOO_LARGE, NOT_FINITE, NOT_CONVERGED)
-    assert "\n" not in str(failure.value) and simulation.steps == 0
-    for mine, theirs in zip(simulation.state(), before):
-        assert mine.tobytes() == theirs.tobytes()
+    except SimulationError as failure:
+        assert failure.status & 0xff in (ROTATION_TOO_LARGE, NOT_FINITE, NOT_CONVERGED,
+                                         NO_RATTLE_STEP)
+        assert "smaller step" in str(failure) and "\n" not in str(failure)
+        good = simulation.steps
+        assert good == 0 or METHODS[name].family == "rotation"
+        for mine, theirs in zip(simulation.state(), before):
+            assert good or mine.tobytes() == theirs.tobytes()
+        return
+    assert METHODS[name].family == "rotation" and name != "rattle"
+    assert any("more than pi" in record.message for record in caplog.records)
 
 
 @pytest.mark.parametrize("name", METHODS)
@@ -200,7 +211,7 @@ def test_overflow_stops_with_the_last_good_state(name):
     assert simulation.steps == 2
 
 
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize("name", ANYWHERE)
 def test_a_singular_pose_is_solved_or_stops_with_the_state_kept(name):
     """Two links in line between ground points: the middle joint's rows depend on the others'.
 
@@ -223,9 +234,9 @@ def test_a_singular_pose_is_solved_or_stops_with_the_state_kept(name):
     assert np.abs(simulation.state()[0] - pose).max() <= 1e-4
 
 
-@pytest.mark.parametrize("name", [n for n in METHODS if n not in CONTROLLED])
+@pytest.mark.parametrize("name", [n for n in METHODS if n not in CONTROLLED and n != "rattle"])
 def test_a_rotation_beyond_pi_warns_once(name, caplog):
-    """A free body turns about an axis of inertia, which every method follows at any step."""
+    """A free body turns about an axis of inertia, which all but RATTLE follow at any step."""
     simulation = Simulation(load_scene("free_body"), method=name, step=0.5)
     simulation.set_state(simulation.state()[0], [[0.0, 0.0, 8.0, 0.0, 0.0, 0.0]])
     simulation.advance(1)
@@ -317,7 +328,8 @@ def test_without_the_compiler_the_same_numbers():
             "from liegroup_core import Simulation\n"
             "from liegroup_core.integrators.methods import METHODS\n"
             "for name in METHODS:\n"
-            "    s = Simulation(mechanisms.named('chain of balls'), method=name, step=5e-3)\n"
+            "    s = Simulation(mechanisms.fitting(name, 'chain of balls'), method=name,\n"
+            "                   step=5e-3)\n"
             "    s.advance(4)\n"
             "    print(s.state()[0].tobytes().hex())")
     here = os.path.dirname(os.path.dirname(__file__))

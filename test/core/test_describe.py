@@ -6,6 +6,7 @@ import pytest
 import mechanisms
 from liegroup_core import load_scene
 from liegroup_core.dynamics.constraints import assemble
+from liegroup_core.integrators.methods import METHODS
 from liegroup_core.model.arrays import make_work
 from liegroup_core.model.build import initial_state
 from liegroup_core.model.describe import describe, solve_structure
@@ -22,7 +23,7 @@ def test_heavy_top():
     assert facts["solve"]["constant"] and facts["solve"]["unknowns"] == 9
     # One block of 6, one of 3, and the 3 x 6 between them.
     assert facts["solve"]["numbers"] == 36 + 9 + 18 and facts["solve"]["blocks"] == 1
-    assert len(facts["kept_momentum"]) == 1
+    assert len(facts["kept_momentum"]) == 1 and facts["methods"] == list(METHODS)
 
 
 def test_a_loop_says_which_row_is_left_out():
@@ -32,6 +33,7 @@ def test_a_loop_says_which_row_is_left_out():
     assert facts["dropped_rows"] == [["coupler_rocker", "vz"]]
     assert facts["joints"][2]["dropped"] == ["vz"] and facts["joints"][1]["dropped"] == []
     assert facts["groups"] == [["crank", "coupler", "rocker"]]
+    assert "rkmk4" in facts["methods"] and "stoermer_verlet" not in facts["methods"]
 
 
 def test_every_kind_of_joint_has_its_rows_and_no_momentum_is_looked_for():

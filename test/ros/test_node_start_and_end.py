@@ -44,26 +44,28 @@ def repeat(recording):
     return repeated
 
 
-def test_recording_of_pushes_and_controls_repeats_bit_for_bit(client, scene, tmp_path):
+@pytest.mark.parametrize("method", ["rkmk4", "stoermer_verlet"])
+def test_recording_of_pushes_and_controls_repeats_bit_for_bit(client, scene, tmp_path, method):
     """Also: SIGINT twice, as `ros2 launch` sends it, ends the node well and the file whole."""
     path = tmp_path / "run.mcap"
-    with NodeProcess({"scene": scene, "record": path, "publish_rate": 200.0},
-                     remap=["__node:=recorded"]) as process:
-        push = client.pusher("/recorded")
-        seen = client.listen("/recorded/cube/pose", PoseStamped)
+    name = f"/recorded_{method}"
+    with NodeProcess({"scene": scene, "record": path, "publish_rate": 200.0, "method": method},
+                     remap=[f"__node:={name[1:]}"]) as process:
+        push = client.pusher(name)
+        seen = client.listen(f"{name}/cube/pose", PoseStamped)
         client.until(lambda: len(seen) > 20, COMPILING)
         push("cube", torque=(0.3, -0.2, 0.1), force=(1.0, 2.0, -0.7))
         push("nobody", force=(1.0, 0.0, 0.0))
         client.spin(0.25)
-        assert client.call("/recorded/pause").success
+        assert client.call(f"{name}/pause").success
         push("puck", force=(0.1, 0.2, 0.3), torque=(0.01, 0.02, -0.03))
         client.spin(0.1)
-        assert client.set("/recorded", step_count=13).successful
-        assert client.call("/recorded/step").success
-        assert client.call("/recorded/resume").success
+        assert client.set(name, step_count=13).successful
+        assert client.call(f"{name}/step").success
+        assert client.call(f"{name}/resume").success
         push("puck", torque=(0.2, 0.1, 0.0))
         client.spin(0.05)
-        assert client.call("/recorded/reset").success
+        assert client.call(f"{name}/reset").success
         push("cube", torque=(0.3, 0.2, 0.1), force=(0.0, 0.0, 1.0))
         client.spin(0.3)
         for _ in range(3):              # the second and the third come during the clean-up
@@ -76,7 +78,7 @@ def test_recording_of_pushes_and_controls_repeats_bit_for_bit(client, scene, tmp
     assert [event.name for event in recording.events] == [
         "start", "pause", "step", "resume", "reset", "stop"]
     assert recording.settings["topics"]["pose"] == {
-        "puck": "/recorded/puck/pose", "cube": "/recorded/cube/pose"}
+        "puck": f"{name}/puck/pose", "cube": f"{name}/cube/pose"}
     assert len(recording.applied_wrench) >= 6
     samples = recording.pose["puck"].stamp_ns
     assert (np.diff(samples) > 0).all()
@@ -132,6 +134,7 @@ def test_signal_while_compiling_ends_the_node(scene, tmp_path):
     ({"scene": ""}, "Couldn't parse parameter override rule: '-p scene:='"),
     ({"scene": "no_such_scene.yaml"}, "no_such_scene"),
     ({"method": "euler"}, "parameter method: must be rkmk1"),
+    ({"scene": "four_bar", "method": "rattle"}, "method rattle does not fit this scene: it takes"),
     ({"stepp": 0.001}, "parameter stepp: unknown; did you mean step?"),
     ({"step": -0.001}, "parameter step: must be greater than 0"),
     ({"step": "fast"}, "parameter step: must be a number, got 'fast'"),

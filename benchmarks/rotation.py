@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rotation methods: cost of a step, accuracy for it, and what very long runs keep.
+
+    python benchmarks/rotation.py [--steps 10000000] [--method NAME ...]
+
+Prints for the free body and the Lagrangian top of the chapter
+    ns a step, of the fastest of several runs: what else the machine does only adds
+    energy at 1/100, 1/10 and the end of a long run, against its start: bounded or drifting
+    momentum (of the top: about the vertical) there, and the exponent with which its error grows
+    with the steps: 1/2 is a random walk of roundings, 1 the same rounding again and again
+"""
+import argparse
+import time
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from liegroup_core import Simulation, SimulationError, load_scene
+from liegroup_core.integrators.methods import METHODS
+
+SCENES = {"free_body": 0.05, "lagrangian_top": 1e-4}        # and the step of the long run, s
+SAMPLES = 60                                                # of a long run, evenly in log steps
+
+
+def nanoseconds(scene, step, method, steps=100_000, repeat=7):
+    """ns of one step, the fastest of so many runs."""
+    simulation = Simulation(load_scene(scene), method=method, step=step)
+    best = np.inf
+    for _ in range(repeat):
+        simulation.reset()
+        start = time.perf_counter()
+        simulation.advance(steps)
+        best = min(best, time.perf_counter() - start)
+    return best / steps * 1e9
+
+
+def long_run(scene, step, method, steps):
+    """Steps (k,), energy and momentum errors there, relative to the start: of a long run."""
+    simulation = Simulation(load_scene(scene), method=method, step=step)
+    parts = slice(0, 3) if scene == "free_body" else slice(2, 3)
+    start = simulation.sample()
+    counts = np.unique(np.geomspace(100, steps, SAMPLES).astype(int))
+    energy, momentum = [], []
+    size = np.linalg.norm(start.spatial_momentum[:3])
+    for count in counts:
+        simulation.advance(int(count) - simulation.steps)
+        sample = simulation.sample()
+        energy.append(sample.energy / start.energy - 1.0)
+        momentum.append(np.linalg.norm((sample.spatial_momentum - start.spatial_momentum)[parts])
+                        / size)
+    return counts, np.array(energy), np.array(momentum)
+
+
+def exponent(counts, errors):
+    """Slope of log error against log steps; next to zero errors are left out."""
+    good = errors > 0.0
+    return np.polyfit(np.log(counts[good]), np.log(errors[good]), 1)[0]
+
+
+def main():
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--steps", type=int, default=10_000_000)
+    parser.add_argument("--method", nargs="*", metavar="NAME", default=[
+        name for name, method in METHODS.items() if method.family == "rotation"] + ["rkmk4"])
+    options = parser.parse_args()
+    console = Console(width=130)
+    for scene, step in SCENES.items():
+        table = Table(title=f"{scene}, h = {step:g} s, {options.steps} steps", box=None,
+                      title_justify="left")
+        for column in ("method", "ns a step", "energy, 1/100", "1/10", "the end",
+                       "momentum, 1/100", "1/10", "the end", "exponent"):
+            table.add_column(column, justify="left" if column == "method" else "right")
+        for method in options.method:
+            try:
+                cost = nanoseconds(scene, step, method)
+                counts, energy, momentum = long_run(scene, step, method, options.steps)
+            except SimulationError as error:
+                table.add_row(method, str(error))
+                continue
+            at = [np.argmin(abs(counts - options.steps / part)) for part in (100, 10, 1)]
+            table.add_row(method, f"{cost:.0f}", *(f"{energy[k]:.1e}" for k in at),
+                          *(f"{momentum[k]:.1e}" for k in at),
+                          f"{exponent(counts, momentum):.2f}")
+        console.print(table)
+
+
+if __name__ == "__main__":
+    main()

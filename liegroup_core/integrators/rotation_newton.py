@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Implicit equations of one rotating body, solved by Newton's method with their exact Jacobian.
+
+Vectors in body axes, I the inertia about the centre of mass or the fixed point, t = |x|.
+    GYROSCOPIC  I x + (h/2) x x I x = c                                               x in rad/s
+    RATTLE      (sin t/t) I x + ((1-cos t)/t^2) x x I x = c                           x in rad
+    INCREMENT   (2/h) I x - I dexp_{-x} v - exp(-x) a - exp(-x/2) b = c               x in rad
+All are smooth, so Newton's method doubles the digits once it is near.
+"""
+import math
+
+from .._compile import kernel, subroutine
+from ..lie.coefficients import dexp_slopes, exp_coefficients
+from ..lie.so3 import so3_dexp, so3_exp
+from ..lie.vec3 import (IDENTITY3, axpy3, cross3, dot3, matmul3, matvec3, scale3, solve3, sub3,
+                        tmatvec3)
+
+GYROSCOPIC, RATTLE, INCREMENT = 0, 1, 2
+
+# After a correction of this part of x, or of the start, the next one would be of its square: below
+# rounding, with room for a matrix that is nearly singular.
+LAST_CORRECTION = 1e-9
+MOST_ITERATIONS = 60
+
+
+@kernel
+def _combine(s, m, t, n):
+    """s m + t n of two matrices."""
+    return (s * m[0] + t * n[0], s * m[1] + t * n[1], s * m[2] + t * n[2],
+            s * m[3] + t * n[3], s * m[4] + t * n[4], s * m[5] + t * n[5],
+            s * m[6] + t * n[6], s * m[7] + t * n[7], s * m[8] + t * n[8])
+
+
+@kernel
+def _hat(x):
+    """Matrix of the cross product with x from the left."""
+    return (0.0, -x[2], x[1], x[2], 0.0, -x[0], -x[1], x[0], 0.0)
+
+
+@kernel
+def _outer(a, b):
+    """a b^T"""
+    return (a[0] * b[0], a[0] * b[1], a[0] * b[2], a[1] * b[0], a[1] * b[1], a[1] * b[2],
+            a[2] * b[0], a[2] * b[1], a[2] * b[2])
+
+
+@kernel
+def _turned(x, a):
+    """exp(-x) a and its derivative by x, (exp(-x) a)^ dexp_{-x}."""
+    q = tmatvec3(so3_exp(x), a)
+    _, c, d = exp_coefficients(dot3(x, x))
+    dexp = _combine(1.0, _combine(1.0 - d * dot3(x, x), IDENTITY3, -c, _hat(x)), d, _outer(x, x))
+    return q, matmul3(_hat(q), dexp)
+
+
+@kernel
+def _dexp_slope(x, v):
+    """Derivative of dexp_{-x} v by x."""
+    _, c, d = exp_coefficients(dot3(x, x))
+    c_slope, d_slope = dexp_slopes(dot3(x, x))
+    xv = cross3(x, v)
+    by_length = axpy3(-c_slope, xv, scale3(d_slope, cross3(x, xv)))
+    inner = _combine(1.0, _combine(dot3(x, v), IDENTITY3, 1.0, _outer(x, v)), -2.0, _outer(v, x))
+    return _combine(1.0, _combine(c, _hat(v), d, inner), 1.0, _outer(by_length, x))
+
+
+@kernel
+def _equation(kind, inertia, h, x, v, a, b, c):
+    """Left-hand side minus c, and its derivative by x."""
+    turned = matvec3(inertia, x)
+    if kind == INCREMENT:
+        first, first_slope = _turned(x, a)
+        second, second_slope = _turned(scale3(0.5, x), b)
+        carried = matvec3(inertia, so3_dexp(scale3(-1.0, x), v))
+        value = sub3(axpy3(2.0 / h, turned, scale3(-1.0, carried)), first)
+        outer = _combine(2.0 / h, inertia, -1.0, matmul3(inertia, _dexp_slope(x, v)))
+        slope = _combine(1.0, outer, -1.0, _combine(1.0, first_slope, 0.5, second_slope))
+        return sub3(sub3(value, second), c), slope
+    gyration = cross3(x, turned)
+    gyration_slope = _combine(1.0, matmul3(_hat(x), inertia), -1.0, _hat(turned))
+    if kind == GYROSCOPIC:
+        return (sub3(axpy3(0.5 * h, gyration, turned), c),
+                _combine(1.0, inertia, 0.5 * h, gyration_slope))
+    squared = dot3(x, x)
+    sinc, versinc, cubic = exp_coefficients(squared)
+    versinc_slope, _ = dexp_slopes(squared)
+    # (1/t) d/dt sin t/t = (t - sin t)/t^3 - (1 - cos t)/t^2
+    by_length = axpy3(cubic - versinc, turned, scale3(versinc_slope, gyration))
+    return (sub3(axpy3(sinc, turned, scale3(versinc, gyration)), c),
+            _combine(1.0, _combine(sinc, inertia, versinc, gyration_slope), 1.0,
+                     _outer(by_length, x)))
+
+
+@subroutine
+def newton(kind, inertia, h, start, v, a, b, c):
+    """Solve an equation from a start; returns (x, True), or (x, False) where it does not converge.
+
+    A correction that does not lessen what is left of the equation is halved.
+    """
+    base = x = start
+    scale = dot3(start, start)
+    correction = (0.0, 0.0, 0.0)
+    least = math.inf
+    for _ in range(MOST_ITERATIONS):
+        left, slope = _equation(kind, inertia, h, x, v, a, b, c)
+        size = dot3(left, left)
+        if size < least:
+            least, base = size, x
+            correction = solve3(slope, left)
+            x = sub3(base, correction)
+            largest = max(scale, dot3(x, x))
+            if dot3(correction, correction) <= LAST_CORRECTION ** 2 * largest:
+                return x, True
+        else:
+            correction = scale3(0.5, correction)
+            x = sub3(base, correction)
+            if size == 0.0:
+                return base, True
+    return base, False

@@ -1,0 +1,259 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rotation methods under forces: of the pose, of velocity, between bodies, from outside, in time.
+
+References: the independent integration of liegroup_core.reference, or SciPy's DOP853 on equations
+written here.
+"""
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import mechanisms
+from liegroup_core import Scene, Simulation, SimulationError, load_scene
+from liegroup_core.integrators import fitting_methods
+from liegroup_core.integrators.methods import METHODS
+from liegroup_core.reference import integrate
+from liegroup_core.scene.description import (Body, ConstantWrench, Drag, Frame, Joint,
+                                             SpringDamper)
+from liegroup_core.simulation import make_layout
+
+ROTATION = [name for name, method in METHODS.items() if method.family == "rotation"]
+INERTIA = np.array([[0.9, 0.1, -0.05], [0.1, 1.1, 0.08], [-0.05, 0.08, 1.6]])
+SIX = [0.9, 1.1, 1.6, 0.1, -0.05, 0.08]
+# Steps per second by order.
+RATES = {2: (512, 1024, 2048), 4: (128, 256, 512), 8: (32, 64, 96)}
+
+
+def hat(w):
+    return np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
+
+
+def slope(rates, errors):
+    return -np.polyfit(np.log(rates), np.log(errors), 1)[0]
+
+
+def end(scene, method, rate, time=1.0):
+    simulation = Simulation(scene, method=method, step=1 / rate)
+    simulation.advance(round(time * rate))
+    return simulation.state()
+
+
+@pytest.fixture(scope="module")
+def coupled():
+    """Three bodies with springs and dampers between them and to the world, and where they end."""
+    scene = mechanisms.rotors()
+    start = Simulation(scene).state()
+    trajectory, uncertainty = integrate(scene, *start, [1.0])
+    assert uncertainty.attitude.max() < 1e-11
+    return scene, trajectory
+
+
+@pytest.mark.parametrize("method", ROTATION)
+def test_order_with_bodies_that_springs_and_dampers_couple(coupled, method):
+    """Position of the free body, and attitude and velocity of all of them.
+
+    At order 8 slopes are up to 9.4: the smallest step is next to the reference's own error.
+    """
+    scene, reference = coupled
+    order = METHODS[method].order
+    errors = []
+    for rate in RATES[order]:
+        pose, twist = end(scene, method, rate)
+        errors.append([np.abs(pose[:, :9] - reference.rotation[0].reshape(-1, 9)).max(),
+                       np.abs(pose[:, 9:] - reference.position[0]).max(),
+                       np.abs(twist - reference.twist[0]).max()])
+    for of_one_kind in np.transpose(errors):
+        assert slope(RATES[order], of_one_kind) == pytest.approx(order, abs=1.5 if order == 8
+                                                                 else 0.25), errors
+
+
+@pytest.mark.parametrize("held", [False, True])
+@pytest.mark.parametrize("method", ROTATION)
+def test_order_with_drag(method, held):
+    """Linear and quadratic drag of turning and of moving; by DOP853 in R, r, w and v."""
+    d = np.array([0.3, -0.2, 0.4]) if held else np.zeros(3)
+    mass, gravity, w0 = 2.0, np.array([0.2, -0.1, -0.8]), np.array([0.5, 0.8, 0.1])
+    v0 = np.cross(w0, d) if held else np.array([0.4, -0.3, 0.2])
+    about = INERTIA + mass * (d @ d * np.eye(3) - np.outer(d, d))
+    scene = Scene(
+        name="dragged", gravity=gravity,
+        bodies=[Body(name="a", mass=mass, inertia=SIX, position=d, angular_velocity=w0,
+                     linear_velocity=v0)],
+        joints=[Joint(name="pivot", type="spherical", parent="world", child="a",
+                      child_frame=Frame(position=-d))] if held else [],
+        forces=[Drag(name="air", body="a", linear=0.6, quadratic=0.4, angular=0.5,
+                     angular_quadratic=0.3)])
+
+    def rate(_, y):
+        R, w = y[:9].reshape(3, 3), y[12:15]
+        v = np.cross(w, d) if held else y[15:]
+        force = mass * R.T @ gravity - (0.6 + 0.4 * np.linalg.norm(v)) * v
+        torque = -(0.5 + 0.3 * np.linalg.norm(w)) * w + np.cross(d, force)
+        wdot = np.linalg.solve(about, torque - np.cross(w, about @ w))
+        return np.concatenate([(R @ hat(w)).ravel(), R @ v, wdot, force / mass - np.cross(w, v)])
+
+    start = np.concatenate([np.eye(3).ravel(), d, w0, v0])
+    found = solve_ivp(rate, (0, 4), start, method="DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
+    order = METHODS[method].order
+    rates = {2: (8, 16, 32, 64), 4: (4, 8, 16, 32), 8: (1, 1.5, 2, 3)}[order]
+    poses = [end(scene, method, count, 4)[0][0] for count in rates]
+    for part in (slice(0, 9), slice(9, 12)):
+        off = [np.abs(pose[part] - found[part]).max() for pose in poses]
+        assert slope(rates, off) == pytest.approx(order, abs=1.0 if order == 8 else 0.2), off
+
+
+@pytest.mark.parametrize("method", ROTATION)
+def test_ball_joint_stays_closed_to_rounding(method):
+    """Also where the centre of mass is off the body frame, and at steps that are far too large."""
+    scene = Scene(
+        name="held", gravity=(0, 0, -9.81),
+        bodies=[Body(name="a", mass=2.0, com=(0.1, 0.2, -0.1), inertia=SIX,
+                     angular_velocity=(3, 1, -2), linear_velocity=(0, -1, -0.5))],
+        joints=[Joint(name="pivot", type="spherical", parent="world", child="a",
+                      parent_frame=Frame(position=(-0.5, 0, 0)),
+                      child_frame=Frame(position=(-0.5, 0, 0)))])
+    for step in (1e-3, 0.05, 0.1):
+        simulation = Simulation(scene, method=method, step=step)
+        simulation.advance(200)
+        # r is computed from R anew in every step: some roundings of lengths below 1 m.
+        assert simulation.sample().constraint_residual <= 1e-15
+
+
+@pytest.mark.parametrize("method", ROTATION)
+def test_pivot_methods_agree_with_rkmk8(method):
+    """A heavy top with a spring; the engine's other family on its own formulation of the joint."""
+    scene = load_scene("heavy_top")
+    exact = end(scene, "rkmk8", 2000, 0.5)
+    order = METHODS[method].order
+    rates = {2: (1000, 2000, 4000), 4: (250, 500, 1000), 8: (100, 150, 200)}[order]
+    off = [np.abs(end(scene, method, rate, 0.5)[0] - exact[0]).max() for rate in rates]
+    assert slope(rates, off) == pytest.approx(order, abs=0.7 if order == 8 else 0.2), off
+
+
+@pytest.mark.parametrize("method", ROTATION)
+def test_wrenches_that_start_and_end_within_steps_keep_the_order(method):
+    """Torque and force in world axes from 0.3 s to 0.7137 s; by DOP853 in pieces."""
+    torque, force, mass = np.array([0.4, -0.3, 0.5]), np.array([1.0, 2.0, -0.5]), 2.0
+    w0 = np.array([0.5, 0.8, 0.1])
+    scene = Scene(
+        name="pushed", gravity=(0, 0, 0),
+        bodies=[Body(name="a", mass=mass, inertia=SIX, angular_velocity=w0)],
+        forces=[ConstantWrench(name="push", body="a", torque=torque, force=force, axes="world",
+                               start=0.3, end=0.7137)])
+
+    def rate(_, y, on):
+        R, w = y[:9].reshape(3, 3), y[9:]
+        return np.concatenate([(R @ hat(w)).ravel(), np.linalg.solve(
+            INERTIA, on * R.T @ torque - np.cross(w, INERTIA @ w))])
+
+    y = np.concatenate([np.eye(3).ravel(), w0])
+    for first, last, on in ((0, 0.3, 0), (0.3, 0.7137, 1), (0.7137, 1, 0)):
+        y = solve_ivp(rate, (first, last), y, method="DOP853", rtol=1e-13, atol=1e-13,
+                      args=(on,)).y[:, -1]
+    order = METHODS[method].order
+    rates = {2: (32, 64, 128, 256), 4: (8, 16, 32, 64), 8: (1, 2, 4)}[order]
+    poses = [end(scene, method, count)[0][0] for count in rates]
+    off = [np.abs(pose[:9] - y[:9]).max() for pose in poses]
+    if order == 8:
+        assert off[-1] < 1e-10
+    else:
+        assert slope(rates, off) == pytest.approx(order, abs=0.25), off
+    # A constant force is integrated exactly by all of them: x = f/m (t1^2/2 + t1 t2).
+    held, after = 0.7137 - 0.3, 1 - 0.7137
+    for pose in poses:
+        assert np.abs(pose[9:] - force / mass * (held ** 2 / 2 + held * after)).max() <= 1e-14
+
+
+@pytest.mark.parametrize("method", ROTATION)
+def test_wrenches_from_outside(method):
+    """A torque about an axis of inertia for half of the time: w = tau t / I, held constant."""
+    scene = Scene(name="one", gravity=(0, 0, 0),
+                  bodies=[Body(name="a", mass=1.0, inertia=(2, 3, 4))])
+    simulation = Simulation(scene, method=method, step=1e-2)
+    simulation.apply_wrench("a", (0, 0, 0.8, 1.0, 0, 0), start=0.2, duration=0.5)
+    simulation.advance(100)
+    sample = simulation.sample()
+    # The force turns with the body: only its impulse's size is bounded here. 100 roundings.
+    assert np.abs(sample.twist[0, :3] - [0, 0, 0.1]).max() <= 1e-14
+    angle = 0.1 * 0.5 / 2 + 0.1 * 0.3
+    # sin f = h w and 2 tan(f/2) = h w: these two turn by another angle, off by (h w)^2/6 of it.
+    off = 1e-3 ** 2 / 6 * angle if method in ("rattle", "austin_krishnaprasad_wang") else 1e-14
+    assert sample.pose[0, 3] == pytest.approx(np.sin(angle), abs=off)
+    assert [(change.step, change.wrench[2]) for change in simulation.drain_applied()] == [
+        (20, 0.8), (70, 0.0)]
+
+
+@pytest.mark.parametrize("method", ["lie_midpoint", "simo_wong", "bottasso_borri_candidate"])
+def test_a_torque_that_repetition_cannot_settle_ends_with_a_status(method):
+    """A spring with h omega far above 2 at both its ends."""
+    scene = Scene(
+        name="stiff", gravity=(0, 0, 0),
+        bodies=[Body(name=name, mass=1.0, inertia=(0.1, 0.2, 0.2), position=(x, 0, 0))
+                for name, x in (("a", 0.0), ("b", 1.0))],
+        forces=[SpringDamper(name="rod", parent="a", child="b", stiffness=1e6, rest_length=0.9,
+                             parent_point=(0, 0.1, 0), child_point=(0, 0, 0.1))])
+    simulation = Simulation(scene, method=method, step=0.01)
+    before = simulation.state()
+    with pytest.raises(SimulationError, match="smaller step"):
+        simulation.advance(1)
+    assert (simulation.state()[0] == before[0]).all() and simulation.steps == 0
+    Simulation(scene, method=method, step=1e-4).advance(100)
+
+
+@pytest.mark.parametrize("name, why", [
+    ("double_pendulum", r"\w+ is a \w+ joint from \w+ to \w+"),
+    ("four_bar", r"is a revolute joint from world to \w+")])
+def test_other_scenes_are_refused_with_the_methods_that_fit(name, why):
+    for method in ROTATION:
+        with pytest.raises(ValueError, match=why) as refusal:
+            Simulation(load_scene(name), method=method)
+        assert "\n" not in str(refusal.value)
+        assert "these do: rkmk1, rkmk2, rkmk2_heun, rkmk3, rkmk4" in str(refusal.value)
+        assert not any(other in str(refusal.value).split("these do")[1] for other in ROTATION)
+
+
+def test_two_ball_joints_on_a_body_and_stabilisation_are_refused():
+    scene = Scene(name="twice", gravity=(0, 0, -1), bodies=[
+        Body(name="a", mass=1.0, inertia=(1, 1, 1))], joints=[
+        Joint(name=name, type="spherical", parent="world", child="a",
+              child_frame=Frame(position=(x, 0, 0))) for name, x in (("one", 0.0), ("two", 1.0))])
+    with pytest.raises(ValueError, match="one ball joint a body, and a has more"):
+        Simulation(scene, method="rattle")
+    for kind in ("projection", "baumgarte"):
+        with pytest.raises(ValueError, match="stoermer_verlet closes the joints by itself"):
+            Simulation(load_scene("heavy_top"), method="stoermer_verlet", stabilisation=kind)
+
+
+def test_methods_that_fit_a_scene():
+    assert fitting_methods(make_layout(load_scene("heavy_top"))) == list(METHODS)
+    assert fitting_methods(make_layout(mechanisms.rotors())) == list(METHODS)
+    others = fitting_methods(make_layout(load_scene("four_bar")))
+    assert others == [name for name in METHODS if name not in ROTATION]
+
+
+def test_steps_allocate_nothing():
+    """Numba's own count of allocations, for 10 and for 1000 steps in one call."""
+    code = ("import sys; sys.path.insert(0, sys.argv[1]); import mechanisms\n"
+            "from numba.core.runtime import rtsys\n"
+            "from liegroup_core import Simulation\n"
+            "from liegroup_core.integrators.methods import METHODS\n"
+            "for name, method in METHODS.items():\n"
+            "    if method.family != 'rotation': continue\n"
+            "    s, counts = Simulation(mechanisms.rotors(), method=name, step=1e-3), []\n"
+            "    for steps in (10, 10, 1000):\n"
+            "        before = rtsys.get_allocation_stats().alloc\n"
+            "        s.advance(steps)\n"
+            "        counts.append(rtsys.get_allocation_stats().alloc - before)\n"
+            "    print(*counts)")
+    here = os.path.dirname(os.path.dirname(__file__))
+    lines = subprocess.run(
+        [sys.executable, "-c", code, here], capture_output=True, text=True, check=True,
+        env={**os.environ, "NUMBA_NRT_STATS": "1"}).stdout.split("\n")
+    counts = [list(map(int, line.split())) for line in lines if line]
+    assert len(counts) == len(ROTATION)
+    for _, few, many in counts:
+        assert few == many
