@@ -75,6 +75,13 @@ class Sample:
         return self._layout.angles(self._state[0], self._near)
 
     @cached_property
+    def joint_coordinates(self):
+        """{joint: (coordinate, rate)} of the revolute joints in rad and rad/s, and of the prismatic
+        ones in m and m/s. Whole turns are counted where the joint has a torsional spring; other
+        angles lie between -pi and pi."""
+        return self._layout.coordinates.at(*self._state, self.angles)
+
+    @cached_property
     def energy(self):
         """Kinetic energy plus potential energy of gravity and springs, J."""
         return invariants.energy(self._layout.model, self.angles, *self._state)
