@@ -177,7 +177,7 @@ def test_stamp_to_come_is_kept_and_stamp_past_is_now(client, node):
 @pytest.mark.parametrize("reason, body, force, ahead, message", [
     ("not_finite", "puck", (float("nan"), 0.0, 0.0), 0, "for puck: a component is NaN"),
     ("not_finite", "puck", (0.0, float("-inf"), 0.0), 0, None),
-    ("unknown_frame", "world", (1.0, 0.0, 0.0), 0, "'world' is not a body"),
+    ("unknown_frame", "world", (1.0, 0.0, 0.0), 0, "'world' is not known here"),
     ("no_frame", "", (1.0, 0.0, 0.0), 0, "frame_id is empty"),
     ("stamp_too_far", "puck", (1.0, 0.0, 0.0), 1_800_000_000 * 10**9, "ahead of the simulated")])
 def test_wrong_wrench_is_refused_counted_and_said_once(
