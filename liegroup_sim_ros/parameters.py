@@ -38,7 +38,8 @@ class Entry(NamedTuple):
 
 
 def _rate(name, default, text):
-    return Entry(name, default, f"{text}, Hz of simulated time; 0: none", low=0.0, high=1e5)
+    return Entry(name, default, f"messages per second of simulated time on {text}; 0: none",
+                 low=0.0, high=1e5)
 
 
 TABLE = (
@@ -57,7 +58,7 @@ TABLE = (
           low=1, high=1000000),
     Entry("record", "", "file to record to, *.mcap, or an existing folder; empty: no recording"),
     Entry("world_frame", "world", "frame id of the poses"),
-    _rate("publish_rate", 100.0, "~/BODY/pose and ~/BODY/twist; a recording needs them"),
+    _rate("publish_rate", 100.0, "~/BODY/pose and ~/BODY/twist, of which recordings are made"),
     _rate("clock_rate", 100.0, "/clock"),
     _rate("state_rate", 10.0, "~/state"),
     _rate("odometry_rate", 0.0, "~/BODY/odometry"),
@@ -125,8 +126,8 @@ def read_parameters(node):
     values.steps = {name: _whole_steps(name, getattr(values, name), values.step)
                     for name in _ENTRIES if name.endswith("_rate")}
     if values.record and not values.publish_rate:
-        raise ParameterError("parameter publish_rate: must be greater than 0 to record: a recording "
-                             "is made of poses and twists")
+        raise ParameterError("parameter publish_rate: must be greater than 0 to record: "
+                             "recordings are made of poses and twists")
     return values
 
 

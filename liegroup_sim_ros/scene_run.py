@@ -45,6 +45,9 @@ class SceneRun:
                 self._part = before._part + 1
                 stem = before.recorder.path.stem.removesuffix(f"_part{before._part}")
                 path = before.recorder.path.with_name(f"{stem}_part{self._part}.mcap")
+        if not values.world_frame or values.world_frame in layout.body_names:
+            raise ParameterError(f"parameter world_frame: must be a name that no body has, "
+                                 f"got {values.world_frame!r}")
         self.outputs = Outputs(node, layout, values, self._figures)
         try:
             # Last of what can fail: nothing else leaves a trace on the disk.

@@ -76,6 +76,8 @@ class WrenchInput:
         except MessageError as error:
             self._refuse("damaged", str(error))
         frame, _, name = frame_id.partition("/")
+        if body is not None and f"{frame_id}/".startswith(f"{self._world_frame}/"):
+            frame, name = self._world_frame, frame_id[len(self._world_frame) + 1:]
         if not frame:
             self._refuse("no_frame", "frame_id is empty; it must be one of: "
                          + self._frames(body))

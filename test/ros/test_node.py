@@ -15,7 +15,7 @@ from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 
-from liegroup_sim_ros.parameters import TABLE, table_text
+from liegroup_sim_ros.parameters import TABLE, check, table_text
 
 STEP_NS = 1_000_000
 PERIOD_NS = 10 * STEP_NS
@@ -305,6 +305,17 @@ def test_preset_has_the_defaults_of_all_parameters():
     given = preset["/**"]["ros__parameters"]
     assert given == {entry.name: entry.default for entry in TABLE} | {"scene": "heavy_top"}
     assert [type(given[entry.name]) for entry in TABLE] == [type(e.default) for e in TABLE]
+
+
+@pytest.mark.parametrize("path", sorted((SOURCE / "config").glob("*.yaml")), ids=lambda p: p.stem)
+def test_presets_have_parameters_that_can_be_used(path):
+    step = 0.001
+    for name, value in yaml.safe_load(path.read_text())["/**"]["ros__parameters"].items():
+        assert check(name, value) == value
+        if name == "step":
+            step = value
+        if name.endswith("_rate") and value:
+            assert 1.0 / (value * step) == pytest.approx(round(1.0 / (value * step)))
 
 
 def test_docs_have_the_table_of_parameters():

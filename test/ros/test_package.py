@@ -57,8 +57,8 @@ def test_version_is_the_same_everywhere():
 def test_share_files_are_installed():
     share = Path(get_package_share_directory(NAME))
     files = [path.relative_to(SOURCE)
-             for pattern in ("package.xml", "config/*.yaml", "config/scenes/*.yaml",
-                             "launch/*.launch.*")
+             for pattern in ("package.xml", "config/*.yaml", "config/*.rviz", "config/*.json",
+                             "config/scenes/*.yaml", "launch/*.launch.*")
              for path in SOURCE.glob(pattern)]
     assert Path("config/scenes/heavy_top.yaml") in files
     for file in files:
