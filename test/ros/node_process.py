@@ -127,9 +127,9 @@ class Client:
             Parameter(name, value=value).to_parameter_msg() for name, value in values.items()])
         return self.call(f"{node}/set_parameters", SetParameters, request).results[-1]
 
-    def pusher(self, node):
-        """push(body, torque, force, stamp_ns) for a node, connected both ways."""
-        publisher = self.node.create_publisher(WrenchStamped, f"{node}/wrench", 100)
+    def pusher(self, node, topic="wrench"):
+        """push(frame_id, torque, force, stamp_ns) for a node, connected both ways."""
+        publisher = self.node.create_publisher(WrenchStamped, f"{node}/{topic}", 100)
         self.until(publisher.get_subscription_count, COMPILING, f"subscription of {node}")
 
         def push(body, torque=(0.0, 0.0, 0.0), force=(0.0, 0.0, 0.0), stamp_ns=0):
