@@ -36,22 +36,26 @@ PUSH = ("import argparse, sys; from liegroup_sim_ros import push; p = argparse.A
         "push.add_parser(p.add_subparsers()); a = p.parse_args(); sys.exit(a.run(a))")
 
 
-def python(code, *arguments, env=None):
-    """A Python process of its own session, so that signals to it reach nothing else."""
+def python(code, *arguments, env=None, under=()):
+    """A Python process of its own session, so that signals to it reach nothing else.
+
+    under : command line that the command line of the process is appended to
+    """
     return subprocess.Popen(
-        [sys.executable, "-c", code, *map(str, arguments)], env={**ENVIRONMENT, **(env or {})},
-        start_new_session=True, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        [*under, sys.executable, "-c", code, *map(str, arguments)],
+        env={**ENVIRONMENT, **(env or {})}, start_new_session=True, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
 
 class NodeProcess:
-    """A simulation node; `with` ends it. parameters: {name: value}."""
+    """A simulation node; `with` ends it. parameters: {name: value}; under: as of `python`."""
 
     running = []
 
-    def __init__(self, parameters, remap=(), env=None):
+    def __init__(self, parameters, remap=(), env=None, under=()):
         arguments = [f"{name}:={value}" for name, value in parameters.items()]
         self.process = python(NODE, "--ros-args", *(a for p in arguments for a in ("-p", p)),
-                              *(a for r in remap for a in ("-r", r)), env=env)
+                              *(a for r in remap for a in ("-r", r)), env=env, under=under)
 
     def __enter__(self):
         self.running.append(self)
