@@ -36,6 +36,7 @@ setup(
         "pyyaml",
         "rich",
         "scipy>=1.11",
+        "zstandard",
     ],
     extras_require={
         "figures": ["matplotlib"],

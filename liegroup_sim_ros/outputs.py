@@ -111,14 +111,15 @@ class Outputs:
             pose = self._stream(f"~/{body}/pose", PoseStampedCodec.TYPE)
             twist = self._stream(f"~/{body}/twist", TwistStampedCodec.TYPE)
             self._topics["pose"][body], self._topics["twist"][body] = pose.topic, twist.topic
-            table.append((body, pose.send, twist.send, TwistStampedCodec(body).encode))
+            table.append((pose.send, twist.send, TwistStampedCodec(body).encode))
 
         def send(stamp_ns, sample):
-            positions, quaternions, twists = sample.positions, sample.quaternions, sample.twists
-            for body, send_pose, send_twist, encode_twist in table:
-                send_pose(stamp_ns, encode_pose(stamp_ns, positions[body].tolist(),
-                                                quaternions[body].tolist()))
-                send_twist(stamp_ns, encode_twist(stamp_ns, twists[body].tolist()))
+            # Lists of all bodies at once: numbers of an array, one by one, cost several times more.
+            for (send_pose, send_twist, encode_twist), pose, quaternion, twist in zip(
+                    table, sample.pose.tolist(), sample.quaternions.values(),
+                    sample.twist.tolist()):
+                send_pose(stamp_ns, encode_pose(stamp_ns, pose[9:], quaternion.tolist()))
+                send_twist(stamp_ns, encode_twist(stamp_ns, twist))
 
         self.timed.append((steps, send))
 

@@ -74,46 +74,48 @@ class WrenchInput:
         try:
             start_ns, frame_id, wrench = WrenchStampedCodec.decode_one(payload)
         except MessageError as error:
-            self._refuse("damaged", str(error))
+            self._refuse("damaged", lambda: str(error))
         frame, _, name = frame_id.partition("/")
         if body is not None and f"{frame_id}/".startswith(f"{self._world_frame}/"):
             frame, name = self._world_frame, frame_id[len(self._world_frame) + 1:]
         if not frame:
-            self._refuse("no_frame", "frame_id is empty; it must be one of: "
+            self._refuse("no_frame", lambda: "frame_id is empty; it must be one of: "
                          + self._frames(body))
         if not (frame in self._bodies if body is None else frame in (body, self._world_frame)):
-            self._refuse("unknown_frame", f"frame_id {frame_id[:LONGEST_NAME]!r} is not known "
-                         f"here; it must be one of: {self._frames(body)}")
+            self._refuse("unknown_frame", lambda: f"frame_id {frame_id[:LONGEST_NAME]!r} is not "
+                         f"known here; it must be one of: {self._frames(body)}")
         if len(name) > LONGEST_NAME:
-            self._refuse("unknown_frame", f"frame_id {frame_id[:20]!r}...: the name behind the "
-                         f"slash has more than {LONGEST_NAME} characters")
+            self._refuse("unknown_frame", lambda: f"frame_id {frame_id[:20]!r}...: the name behind "
+                         f"the slash has more than {LONGEST_NAME} characters")
         axes = "body" if body in (None, frame) else "world"
         target = body or frame
         if not all(map(math.isfinite, wrench)):
-            self._refuse("not_finite", f"for {target}: a component is NaN or infinite")
+            self._refuse("not_finite", lambda: f"for {target}: a component is NaN or infinite")
         if start_ns > now_ns + FARTHEST:
-            self._refuse("stamp_too_far", f"for {target}: its stamp {start_ns / 1e9:.9g} s is more "
-                         f"than {FARTHEST // 10**9} s ahead of the simulated time "
+            self._refuse("stamp_too_far", lambda: f"for {target}: its stamp {start_ns / 1e9:.9g} s "
+                         f"is more than {FARTHEST // 10**9} s ahead of the simulated time "
                          f"{now_ns / 1e9:.9g} s; leave the stamp zero, or stamp with simulated "
                          "time (use_sim_time)")
         if held >= MOST:
-            self._refuse("too_many", f"for {target}: {held} wrenches act or wait already")
+            self._refuse("too_many", lambda: f"for {target}: {held} wrenches act or wait already")
         self.accepted += 1
         return Push(source_prefix(kind, f"{target}/{name}" if name else target), target, wrench,
                     axes, start_ns if start_ns > now_ns else 0)
 
     def refuse_clear(self, text):
         """Count a ~/wrench/clear that names no body. Raises Refusal."""
-        self._refuse("unknown_frame", f"~/wrench/clear: {text[:LONGEST_NAME]!r} names no body; it "
-                     f"must be empty for all, or one of: {self._frames(None)}")
+        self._refuse("unknown_frame", lambda: f"~/wrench/clear: {text[:LONGEST_NAME]!r} names no "
+                     f"body; it must be empty for all, or one of: {self._frames(None)}")
 
     def knows(self, target):
         """Whether a text is BODY or BODY/NAME."""
         return target.partition("/")[0] in self._bodies
 
     def _refuse(self, reason, text):
+        """text: function that makes it, for it is read the first time only."""
         self.refused[reason] += 1
-        raise Refusal(reason, text, first=self.refused[reason] == 1)
+        first = self.refused[reason] == 1
+        raise Refusal(reason, text() if first else reason, first)
 
     def _frames(self, body):
         if body is not None:

@@ -7,7 +7,7 @@ from std_msgs.msg import String
 
 from .wrench_input import Refusal, WrenchInput, source_prefix
 
-DEPTH = 100                                 # messages that may wait for the executor
+DEPTH = 1000                                # messages that may wait for the executor
 
 
 class WrenchTopics:

@@ -67,7 +67,8 @@ class Sample:
     @cached_property
     def quaternions(self):
         """{body: (4,)} x, y, z, w of the rotation body -> world, w >= 0."""
-        return self._by_body(np.array([so3_to_quaternion(tuple(row[:9])) for row in self.pose]))
+        return self._by_body(np.array([so3_to_quaternion(tuple(row))
+                                       for row in self.pose[:, :9].tolist()]))
 
     @cached_property
     def angles(self):
