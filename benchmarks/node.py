@@ -197,23 +197,31 @@ def round_trip(listener, folder, count):
         report("bare echo node", trips(listener, "/echo", count))
 
 
-def cost(listener, folder, seconds):
-    """CPU of the whole process, recording and steps included, for each message published."""
-    print("\nCPU per message                 us     ratio")
-    costs = {}
-    with simulation(scene="heavy_top", publish_rate=1000.0, clock_rate=1000.0, state_rate=0.0,
-                    real_time_factor=0.0, record=folder / "cost.mcap") as node:
+def cost_of(listener, path, seconds, scene, bodies):
+    """CPU us of the whole process, steps and recording included, for each message published."""
+    with simulation(scene=scene, publish_rate=1000.0, clock_rate=1000.0, state_rate=0.0,
+                    real_time_factor=0.0, record=path) as node:
         first, cpu = listener.figures(), node.cpu()
         listener.spin(seconds)
         last = listener.figures()
         cpu = node.cpu() - cpu
-        # Pose, twist and clock at every step.
-        costs["node with recording"] = 1e6 * cpu / (3 * (int(last["steps"]) - int(first["steps"])))
-    for name, role in (("objects built, published", "objects"), ("ready bytes published", "bytes")):
-        with Process(BARE, role, seconds) as bare:
-            costs[name] = bare.answer()["cpu_us_per_message"]
-    for name, microseconds in costs.items():
-        print(f"{name:<26} {microseconds:8.2f} {costs['node with recording'] / microseconds:9.2f}")
+    # At every step the pose and the twist of every body, and a clock.
+    return 1e6 * cpu / ((2 * bodies + 1) * (int(last["steps"]) - int(first["steps"])))
+
+
+def cost(listener, folder, seconds):
+    many = folder / "many.yaml"
+    many.write_text(MANY)
+    costs = {"node, heavy top": cost_of(listener, folder / "c1.mcap", seconds, "heavy_top", 1),
+             "node, 20 bodies": cost_of(listener, folder / "c20.mcap", seconds, many, 20)}
+    bare = {}
+    for name in ("objects", "bytes"):
+        with Process(BARE, name, seconds) as process:
+            bare[name] = process.answer()["cpu_us_per_message"]
+    print("\nCPU per message, flat out        us   of objects    of bytes")
+    for name, cpu in (*costs.items(), ("bare: objects built", bare["objects"]),
+                      ("bare: ready bytes", bare["bytes"])):
+        print(f"{name:<26} {cpu:8.2f} {cpu / bare['objects']:12.2f} {cpu / bare['bytes']:11.2f}")
 
 
 def storm(listener, folder, seconds):

@@ -40,7 +40,7 @@ class Stream:
         self._node = node
         self._publisher = node.create_publisher(message_class, topic, profile)
         self._type, self._qos, self._depth = message_type, qos, depth
-        self._record = None
+        self._write = self._channel = None
 
     @property
     def topic(self):
@@ -49,14 +49,14 @@ class Stream:
 
     def record_to(self, recorder):
         """From now on, record what is published."""
-        channel = recorder.add_channel(self.topic, self._type, self._qos, self._depth)
-        self._record = lambda stamp_ns, data: recorder.write(channel, stamp_ns, data)
+        self._channel = recorder.add_channel(self.topic, self._type, self._qos, self._depth)
+        self._write = recorder.write
 
     def send(self, stamp_ns, data):
         """Publish and record a serialized message."""
         self._publisher.publish(data)
-        if self._record is not None:
-            self._record(stamp_ns, data)
+        if self._write is not None:
+            self._write(self._channel, stamp_ns, data)
 
     def close(self):
         """Take the topic away."""

@@ -160,8 +160,7 @@ class Recorder:
         flushed = time.monotonic()
         while True:
             closing = self._closing.is_set()   # asked first: then all there was is written below
-            for _ in range(len(self._queue)):
-                self._write_item(self._queue.popleft())
+            self._write_queued()
             if self.written > self._secured and time.monotonic() - flushed > self._flush_interval:
                 self._attempt(self._flush)
                 flushed = time.monotonic()
@@ -173,16 +172,22 @@ class Recorder:
         self._file.close()
         self._closed = True
 
-    def _write_item(self, item):
-        if isinstance(item, tuple):
-            if not self._attempt(self._write_message, *item):
-                self.lost += 1
-        else:
-            self._attempt(item)
-
-    def _write_message(self, channel, sequence, stamp_ns, data):
-        self._mcap.add_message(channel.id, stamp_ns, data, sequence)
-        self.written += 1
+    def _write_queued(self):
+        queue, add_message = self._queue, self._mcap.add_message
+        for _ in range(len(queue)):
+            item = queue.popleft()
+            if not isinstance(item, tuple):
+                self._attempt(item)
+                continue
+            if self.failure is None:
+                channel, sequence, stamp_ns, data = item
+                try:
+                    add_message(channel.id, stamp_ns, data, sequence)
+                    self.written += 1
+                    continue
+                except Exception as error:
+                    self._fail(error)
+            self.lost += 1
 
     def _flush(self):
         self._mcap.flush()
@@ -193,22 +198,23 @@ class Recorder:
         self._mcap.add_metadata("rosbag2", {"serialized_metadata": _yaml(self._bag_metadata())})
         self._mcap.finish()
 
-    def _attempt(self, action, *arguments):
-        """Run one step unless the recording has failed; True if it went well."""
-        if self.failure is not None:
-            return False
-        try:
-            action(*arguments)
-            return True
-        except Exception as error:  # whatever it is, the simulation goes on without the recording
-            # Chunks are written whole or not at all as far as a reader is concerned, so only
-            # what the last flush secured is sure to be there.
-            self.lost += self.written - self._secured
-            self.written = self._secured
-            self.failure = (f"recording to {self.path} stopped after {self.written} messages: "
-                            f"{_reason(error)}; the simulation goes on unrecorded")
-            _log.error(self.failure)
-            return False
+    def _attempt(self, action):
+        """Run one step unless the recording has failed."""
+        if self.failure is None:
+            try:
+                action()
+            except Exception as error:
+                self._fail(error)
+
+    def _fail(self, error):
+        """End the recording. Whatever the error is, the simulation goes on without it."""
+        # Chunks are written whole or not at all as far as a reader is concerned, so only what
+        # the last flush secured is sure to be there.
+        self.lost += self.written - self._secured
+        self.written = self._secured
+        self.failure = (f"recording to {self.path} stopped after {self.written} messages: "
+                        f"{_reason(error)}; the simulation goes on unrecorded")
+        _log.error(self.failure)
 
     def _bag_metadata(self):
         """rosbag2's description of the bag, version 9."""
