@@ -113,7 +113,7 @@ def markers(encoder):
 
 
 def _solid(body):
-    """(kind of marker, sizes (3,) in m, pose (4, 4) in the body frame) of what a body is drawn as."""
+    """(kind of marker, sizes (3,) in m, pose (4, 4) in the body frame) that a body is drawn as."""
     local = np.eye(4)
     shape = body.shape
     if shape is None:

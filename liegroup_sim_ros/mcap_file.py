@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """An MCAP file that is written chunk by chunk, with messages packed in about a microsecond each.
 
-The records of the library `mcap` are used for all that is rare. Its Writer makes an object of every
-message and writes it field by field, which costs more than simulating a small scene; here a message
-is one struct and the index of a chunk one array. test_recorder.py reads the files with the readers
-of mcap and of rosbags.
+The records of the library `mcap` are used for all that is rare. Its Writer makes an object of
+every message and writes it field by field, which costs more than simulating a small scene; here a
+message is one struct and the index of a chunk one array. test_recorder.py reads the files with the
+readers of mcap and of rosbags.
 
 Source: mcap.dev specification, version 0.
 """
@@ -92,8 +92,8 @@ class McapFile:
 
     def add_attachment(self, create_ns, stamp_ns, name, media_type, data):
         """A file within the file."""
-        offset, length = self._write(Attachment(create_time=create_ns, log_time=stamp_ns, name=name,
-                                                media_type=media_type, data=data))
+        offset, length = self._write(Attachment(
+            create_time=create_ns, log_time=stamp_ns, name=name, media_type=media_type, data=data))
         self._attachments.append(AttachmentIndex(
             offset=offset, length=length, create_time=create_ns, log_time=stamp_ns,
             data_size=len(data), name=name, media_type=media_type))

@@ -113,7 +113,7 @@ class SimNode(Node):
             if not held:
                 raise Interrupted
             try:
-                after = SceneRun(self, self._values, simulation, before, paused=not was_running)
+                after = SceneRun(self, self._values, simulation, before, not was_running)
             except WRONG_INPUT:
                 if was_running:
                     self.ask("resume")
@@ -127,8 +127,9 @@ class SimNode(Node):
             self.scene_run = after
             after.start()
             response.success = True
-            response.message = (f"{simulation.scene.name} at {after.server.stamp_ns * 1e-9:.9g} s, "
-                                f"{after.server.state}")
+            server = after.server
+            response.message = (f"{simulation.scene.name} at {server.stamp_ns * 1e-9:.9g} s, "
+                                f"{server.state}")
         return response
 
     def _set_parameter(self, name, value):

@@ -93,8 +93,11 @@ class Outputs:
         self._encode_wrench = {b: WrenchStampedCodec(b).encode for b in bodies}
         self._events = self._stream("~/events", LogCodec.TYPE, qos="transient_local")
         self._diagnostics = self._stream("/diagnostics", diagnostics.TYPE)
-        self._clock = self._stream("/clock", ClockCodec.TYPE, depth=1) if self.clock_steps else None
-        self._state = self._stream("~/state", diagnostics.TYPE) if self.state_steps else None
+        self._clock = self._state = None
+        if self.clock_steps:
+            self._clock = self._stream("/clock", ClockCodec.TYPE, depth=1)
+        if self.state_steps:
+            self._state = self._stream("~/state", diagnostics.TYPE)
         self._markers = Markers(layout, world_frame, values.arrow_scale, self.acting)
         for name, topics in {**OPTIONAL, "marker_rate": lambda *_: markers(self._markers)}.items():
             if values.steps[name]:
@@ -114,7 +117,7 @@ class Outputs:
             table.append((pose.send, twist.send, TwistStampedCodec(body).encode))
 
         def send(stamp_ns, sample):
-            # Lists of all bodies at once: numbers of an array, one by one, cost several times more.
+            # Lists of all bodies at once: numbers of an array one by one cost several times more.
             for (send_pose, send_twist, encode_twist), pose, quaternion, twist in zip(
                     table, sample.pose.tolist(), sample.quaternions.values(),
                     sample.twist.tolist()):

@@ -43,8 +43,8 @@ def _rate(name, default, text):
 
 
 TABLE = (
-    Entry("scene", "", "scene file (YAML), or the name of one that comes along; a new one is taken "
-          "by ~/reload", read_only=False),
+    Entry("scene", "", "scene file (YAML), or the name of one that comes along; a new one is "
+          "taken by ~/reload", read_only=False),
     Entry("method", "rkmk4", "integration method", choices=tuple(METHODS)),
     Entry("stabilisation", "none", "what is done about joints that open by errors of integration",
           choices=STABILISATIONS),
@@ -69,8 +69,8 @@ TABLE = (
     _rate("tf_rate", 0.0, "/tf"),
     Entry("arrow_scale", 0.01, "length of the arrows in ~/markers, m per N and per N m",
           read_only=False, low=0.0, high=1e6),
-    Entry("wrench_hold", "timeout", "how long a wrench from ~/wrench or ~/BODY/wrench acts: for one "
-          "step, for wrench_timeout, or until the next one of its source", read_only=False,
+    Entry("wrench_hold", "timeout", "how long a wrench from ~/wrench or ~/BODY/wrench acts: for "
+          "one step, for wrench_timeout, or until the next one of its source", read_only=False,
           choices=HOLDS),
     Entry("wrench_timeout", 0.1, "how long a wrench acts if wrench_hold is timeout, s of "
           "simulated time", read_only=False, low=0.0, high=1e6, above=True),

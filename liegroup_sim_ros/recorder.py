@@ -27,8 +27,8 @@ import yaml
 from liegroup_sim_ros import __version__, schemas
 from liegroup_sim_ros.mcap_file import McapFile
 
-CHUNK_SIZE = 128 * 1024       # bytes before compression; far more than any message recorded here
-_IDLE = 5e-3                  # s between looks at the queue: what waits is written in a fraction of it
+CHUNK_SIZE = 128 * 1024       # bytes before compression; more than nearly all messages have
+_IDLE = 5e-3                  # s between looks at the queue
 
 _log = logging.getLogger(__name__)
 

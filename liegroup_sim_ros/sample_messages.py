@@ -9,7 +9,7 @@ from .cdr import Template, stamp
 
 
 def odometry(layout, world_frame):
-    """nav_msgs/Odometry of every body: pose and body twist in one message; covariances are zero."""
+    """nav_msgs/Odometry of every body: pose and body twist in one; covariances are zero."""
     def of_body(body):
         template = Template()
         template.header(world_frame)

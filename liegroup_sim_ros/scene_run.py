@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One scene on its way: simulation thread, topics and recording. ~/reload replaces it by another."""
+"""One scene on its way: simulation thread, topics and recording. ~/reload replaces it."""
 import threading
 from concurrent.futures import Future, wait
 

@@ -26,7 +26,7 @@ class SimulationServer(threading.Thread):
     """Runs a simulation in real time.
 
     simulation : liegroup_core.Simulation; belongs to this thread from `start` to its end
-    output     : Outputs, or what has its attributes `timed`, `clock_steps`, `state_steps`, `acting`
+    output     : Outputs, or what has its attributes timed, clock_steps, state_steps and acting
                  and its methods clock, state, applied_wrench, event and diagnostics
     factor     : real-time factor, 0: as fast as it goes
     paused     : start paused
@@ -69,9 +69,9 @@ class SimulationServer(threading.Thread):
         """Future of a command: "pause", "resume", "reset", "step" (count), "speed" (factor),
         "look" or "hold".
 
-        Its result is one line of text, of "look" (stamp_ns, Sample, state); of "hold", a pause
-        that a fault does not refuse, whether the simulation was running; its exception is CommandError. It is cancelled if the server
-        ends first.
+        Its result is one line of text; of "look" (stamp_ns, Sample, state); of "hold", a pause
+        that a fault does not refuse, whether the simulation was running. Its exception is
+        CommandError. It is cancelled if the server ends first.
         """
         future = Future()
         method = {"pause": self._pause, "resume": self._resume, "reset": self._reset,
@@ -134,7 +134,8 @@ class SimulationServer(threading.Thread):
                     future.cancel()
 
     def _begin(self):
-        self._event("start", f"{self._simulation.scene.name} at step 0, {self.state}{self._origin}")
+        scene = self._simulation.scene.name
+        self._event("start", f"{scene} at step 0, {self.state}{self._origin}")
         self._put_out()
         self._reference_energy = self._simulation.sample().energy
         self._next_diagnostics = time.monotonic() + DIAGNOSTICS_PERIOD

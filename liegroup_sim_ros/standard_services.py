@@ -46,8 +46,8 @@ class StandardServices:
     def reset_simulation(self, request, response):
         """The initial state; simulated time goes on, so a reset of time alone is not supported."""
         if request.scope not in (SCOPE_DEFAULT, SCOPE_STATE, SCOPE_ALL):
-            return _answer(response, NOT_SUPPORTED, "only the state can be reset: scope 0, 2 or 255; "
-                           "simulated time never goes back")
+            return _answer(response, NOT_SUPPORTED, "only the state can be reset: scope 0, 2 or "
+                           "255; simulated time never goes back")
         return _answer(response, *_result(self._ask("reset"), FAILED))
 
     def step_simulation(self, request, response):

@@ -85,17 +85,17 @@ class WrenchInput:
             self._refuse("unknown_frame", lambda: f"frame_id {frame_id[:LONGEST_NAME]!r} is not "
                          f"known here; it must be one of: {self._frames(body)}")
         if len(name) > LONGEST_NAME:
-            self._refuse("unknown_frame", lambda: f"frame_id {frame_id[:20]!r}...: the name behind "
-                         f"the slash has more than {LONGEST_NAME} characters")
+            self._refuse("unknown_frame", lambda: f"frame_id {frame_id[:20]!r}...: the name "
+                         f"behind the slash has more than {LONGEST_NAME} characters")
         axes = "body" if body in (None, frame) else "world"
         target = body or frame
         if not all(map(math.isfinite, wrench)):
             self._refuse("not_finite", lambda: f"for {target}: a component is NaN or infinite")
         if start_ns > now_ns + FARTHEST:
-            self._refuse("stamp_too_far", lambda: f"for {target}: its stamp {start_ns / 1e9:.9g} s "
-                         f"is more than {FARTHEST // 10**9} s ahead of the simulated time "
-                         f"{now_ns / 1e9:.9g} s; leave the stamp zero, or stamp with simulated "
-                         "time (use_sim_time)")
+            self._refuse("stamp_too_far", lambda: f"for {target}: its stamp "
+                         f"{start_ns / 1e9:.9g} s is more than {FARTHEST // 10**9} s ahead of "
+                         f"the simulated time {now_ns / 1e9:.9g} s; leave the stamp zero, or "
+                         "stamp with simulated time (use_sim_time)")
         if held >= MOST:
             self._refuse("too_many", lambda: f"for {target}: {held} wrenches act or wait already")
         self.accepted += 1

@@ -2,7 +2,7 @@
 """Bare rclpy processes: what the same messages cost without a simulation. Run as
 
     python bare.py paced SECONDS             ready bytes of pose, twist and clock at 1 kHz
-    python bare.py objects|bytes SECONDS     the three as fast as it goes, built as objects or ready
+    python bare.py objects|bytes SECONDS     the three as fast as it goes, built or ready
     python bare.py echo                      a WrenchStamped in, a TwistStamped out
     python bare.py storm RATE SECONDS        wrenches, every second one wrong, at a rate
 
@@ -15,6 +15,7 @@ import time
 
 import rclpy
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
@@ -76,15 +77,15 @@ def echo(node):
     node.create_subscription(WrenchStamped, "echo/wrench", take, 100)
     executor = SingleThreadedExecutor()
     executor.add_node(node)
-    executor.spin()
+    try:
+        executor.spin()
+    except KeyboardInterrupt:
+        pass
 
 
 def storm(node, rate, seconds):
     """Good, and one of four kinds of wrong, in turn."""
     stream = node.create_publisher(WrenchStamped, "/sim_node/wrench", 1000)
-    while not stream.get_subscription_count():
-        time.sleep(0.05)
-    time.sleep(1.0)                         # connected in the other direction, too
     messages = []
     for frame, force, sec in (("nobody", 1.0, 0), ("top", math.nan, 0), ("", 1.0, 0),
                               ("top", 1.0, 2_000_000_000)):
@@ -94,13 +95,19 @@ def storm(node, rate, seconds):
             message.header.stamp.sec = sec if wrong else 0
             message.wrench.force.x = force if wrong else 1e-3
             messages.append(serialize_message(message))
+    while not stream.get_subscription_count():
+        time.sleep(0.05)
+    stream.publish(messages[0])             # not counted; it is answered once both sides know
+    if not stream.wait_for_all_acked(Duration(seconds=30.0)):
+        sys.exit("bare.py: the simulation node does not listen")
     sent, start = 0, time.monotonic()
     while (elapsed := time.monotonic() - start) < seconds:
         while sent < rate * elapsed:
             stream.publish(messages[sent % 8])
             sent += 1
         time.sleep(1e-3)
-    time.sleep(2.0)                         # what is under way arrives
+    stream.wait_for_all_acked(Duration(seconds=10.0))
+    time.sleep(1.0)
     return {"sent": sent, "wrong": sent // 2}
 
 

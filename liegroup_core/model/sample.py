@@ -77,7 +77,7 @@ class Sample:
 
     @cached_property
     def joint_coordinates(self):
-        """{joint: (coordinate, rate)} of the revolute joints in rad and rad/s, and of the prismatic
+        """{joint: (coordinate, rate)} of the revolute joints in rad and rad/s, of the prismatic
         ones in m and m/s. Whole turns are counted where the joint has a torsional spring; other
         angles lie between -pi and pi."""
         return self._layout.coordinates.at(*self._state, self.angles)

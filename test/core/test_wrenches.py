@@ -86,7 +86,7 @@ def test_a_spinning_body_takes_up_the_same_linear_momentum():
 
 
 def test_a_force_in_world_axes_keeps_its_direction_on_a_spinning_body():
-    """It turns with the body within a step only: the impulse of a step is F (sin wh, 1 - cos wh) / w.
+    """It turns with the body in a step only: the impulse of a step is F (sin wh, 1 - cos wh) / w.
 
     RKMK4 turns the momentum, seen from the body, by w h = 0.02 in every step with an error of
     (w h)^5 / 120 of its size, at most 2 N s: over 800 steps 4.3e-8 N s.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a running node does when the disk is full, when it is held up, and when it cannot keep up."""
+"""What a running node does when the disk is full, when it is held up or cannot keep up."""
 import shlex
 import signal
 import subprocess

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Optional topics of a running node, each at its own rate; a reload; and what is in the recordings."""
+"""Optional topics of a running node, each at its own rate; a reload; what the recordings have."""
 import importlib.util
 import signal
 
@@ -188,8 +188,9 @@ def test_reload_takes_a_new_scene_with_new_topics_and_a_new_file(client, node, f
     second = read_recording(folder / "run_part2.mcap")
     assert second.complete and second.bodies == ("puck", "cube")
     assert "run.mcap" in second.events[0].text and second.events[0].name == "start"
-    assert second.events[0].stamp_ns == second.initial_state["stamp_ns"] > first.events[-1].stamp_ns
-    assert second.pose["puck"].stamp_ns[0] == second.initial_state["stamp_ns"]
+    begin = second.initial_state["stamp_ns"]
+    assert second.events[0].stamp_ns == begin > first.events[-1].stamp_ns
+    assert second.pose["puck"].stamp_ns[0] == begin
     same = repeat(load_scene(scene), second, read_motion(second))
     assert same["identical"] == same["samples"] > 5
 

@@ -125,8 +125,8 @@ def test_persistent_wrenches_last_until_they_are_cleared(client, node):
 
 
 def test_force_in_world_axes_keeps_its_direction(client, node):
-    """On the tumbling cube: the change of velocity is F t / m, off by less than w h = 1.3e-3 of it,
-    for within a step the force turns with the body."""
+    """On the tumbling cube: the change of velocity is F t / m, off by less than w h = 1.3e-3 of
+    it, for within a step the force turns with the body."""
     node.stand_still()
     before, force = node.world_velocity(), np.array([3.0, 0.0, -4.0])
     assert client.set(NODE, step_count=50).successful
@@ -160,6 +160,6 @@ def test_wrench_of_a_commander_that_dies_ends(client, node):
     client.until(lambda: len(node.applied) == 2, what="the end of the push")
     body, wrench, end = values(node.applied[-1])
     assert (body, any(wrench)) == ("puck", False)
-    # 100 ms after the last message; a period more for those under way on a busy machine, ten times.
+    # 100 ms after the last message; ten periods more for those under way on a busy machine.
     assert end - died < (100 + 10 * 10) * STEP_NS
     assert client.set(NODE, wrench_hold="until_replaced").successful

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages packed from templates against the real ROS serialization, byte for byte, and what they say.
+"""Messages packed from templates: byte for byte what ROS serializes, and what they say.
 
-ROS leaves alignment gaps as they were in memory, ours are zero. Where the gaps are is found here by
-walking through the message (`gaps`), independently of the code under test.
+ROS leaves alignment gaps as they were in memory, ours are zero. Where the gaps are is found here
+by walking through the message (`gaps`), independently of the code under test.
 """
 import math
 

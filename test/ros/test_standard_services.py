@@ -22,7 +22,8 @@ DEFINITIONS = {
     "TagsFilter": "string[] tags\nuint8 filter_mode\n",
     "Bounds": "uint8 type\ngeometry_msgs/Vector3[] points\n",
     "EntityCategory": "uint8 category\n",
-    "EntityFilters": "string filter\nEntityCategory[] categories\nTagsFilter tags\nBounds bounds\n",
+    "EntityFilters": "string filter\nEntityCategory[] categories\nTagsFilter tags\n"
+                     "Bounds bounds\n",
     "EntityState": "std_msgs/Header header\ngeometry_msgs/Pose pose\ngeometry_msgs/Twist twist\n"
                    "geometry_msgs/Accel acceleration\n",
     "ResetSimulationRequest": "uint8 scope\n",

@@ -38,7 +38,8 @@ def test_frame_id_says_whom_and_in_which_axes(kind, body, frame, source, axes):
     ("", {"top/", "top/a/", "left/"}), ("top", {"top/", "top/a/"}), ("top/a", {"top/a/"})])
 def test_clear_ends_a_body_a_name_or_all(target, ended):
     prefix = source_prefix("persistent", target)
-    sources = {source_prefix("persistent", t)[len("persistent/"):] for t in ("top", "top/a", "left")}
+    sources = {source_prefix("persistent", t)[len("persistent/"):]
+               for t in ("top", "top/a", "left")}
     assert {s for s in sources if f"persistent/{s}".startswith(prefix)} == ended
 
 

@@ -96,7 +96,8 @@ def wrong_parameters(draw):
     if draw(st.integers(0, 4)) == 0:
         name, value = draw(WORD), draw(st.sampled_from([1, 1.5, "text", True]))
     else:
-        entry = draw(st.sampled_from([e for e in TABLE if type(e.default) is not str or e.choices]))
+        entry = draw(st.sampled_from(
+            [e for e in TABLE if type(e.default) is not str or e.choices]))
         name = entry.name
         values = [draw(WORD), [1.0, 2.0], [True]]
         if type(entry.default) is float:
