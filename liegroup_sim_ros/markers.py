@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from liegroup_core.lie.groups import SO3
+from liegroup_core.lie.so3 import so3_to_quaternion
 
 from .cdr import Template, stamp
 
@@ -95,9 +95,9 @@ class Markers:
         time = stamp(stamp_ns)
         slots = []
         poses = sample.pose_matrices[self._owner] @ self._local
-        for pose in poses:
-            slots += (time, (ADD,), (*pose[:3, 3].tolist(),
-                                     *SO3.to_quaternion(pose[:3, :3]).tolist()))
+        for rotation, place in zip(poses[:, :3, :3].reshape(-1, 9).tolist(),
+                                   poses[:, :3, 3].tolist()):
+            slots += time, (ADD,), (*place, *so3_to_quaternion(tuple(rotation)))
         for part in (slice(3, 6), slice(0, 3)):
             for body in self._bodies:
                 vector = self._wrenches.get(body, (0.0,) * 6)[part]
