@@ -34,7 +34,7 @@ class SceneRun:
     def __init__(self, node, values, simulation, before=None, paused=False):
         self._node = node
         self.simulation = simulation
-        self.recorder = self.wrenches = None
+        self.recorder = None
         layout = simulation.layout
         base_ns, origin, path, self._part = 0, "", values.record, 1
         if before is not None:
@@ -49,19 +49,19 @@ class SceneRun:
             raise ParameterError(f"parameter world_frame: must be a name that no body has, "
                                  f"got {values.world_frame!r}")
         self.outputs = Outputs(node, layout, values, self._figures)
-        try:
-            # Last of what can fail: nothing else leaves a trace on the disk.
-            if path:
+        self.server = SimulationServer(simulation, self.outputs, values.real_time_factor, paused,
+                                       base_ns, origin)
+        self.wrenches = WrenchTopics(node, layout.body_names, values, self.server)
+        # Last of what can fail: nothing else leaves a trace on the disk.
+        if path:
+            try:
                 self.recorder = Recorder(path, attachments.at_start(
                     simulation, node.get_fully_qualified_name(), values.world_frame,
                     values.steps["publish_rate"], self.outputs.topics(), base_ns))
                 self.outputs.record_to(self.recorder)
-        except Exception:
-            self.outputs.close()
-            raise
-        self.server = SimulationServer(simulation, self.outputs, values.real_time_factor, paused,
-                                       base_ns, origin)
-        self.wrenches = WrenchTopics(node, layout.body_names, values, self.server)
+            except Exception:
+                self._close_topics()
+                raise
 
     def start(self):
         """Start the simulation thread, and say so."""
@@ -76,7 +76,7 @@ class SceneRun:
         """What the diagnostics say beside the server's figures."""
         recorder = self.recorder
         return {
-            **(self.wrenches.figures() if self.wrenches else {}),
+            **self.wrenches.figures(),
             "recorder_queued": recorder.queued if recorder else 0,
             "recorder_written": recorder.written if recorder else 0,
             "recorder_lost": recorder.lost if recorder else 0,
@@ -93,6 +93,9 @@ class SceneRun:
             if self.recorder.failure is None:
                 self._node.get_logger().info(f"recorded {self.recorder.written} messages in "
                                              f"{self.recorder.path}")
+        self._close_topics()
+
+    def _close_topics(self):
         self.wrenches.close()
         self.outputs.close()
 

@@ -50,7 +50,6 @@ class SimulationServer(threading.Thread):
         self._lock = threading.Lock()
         self._commands = []                 # (Future, bound method, arguments)
         self._wrenches = {}                 # (source, start_ns) -> (Push, duration)
-        self._cleared = set()               # what the names of sources to end begin with
         self._held = 0                      # wrenches that act or wait in the simulation
         self._stopping = False
         self._base_ns = base_ns
@@ -67,7 +66,7 @@ class SimulationServer(threading.Thread):
 
     def call(self, command, *arguments):
         """Future of a command: "pause", "resume", "reset", "step" (count), "speed" (factor),
-        "look" or "hold".
+        "clear" (prefix of sources), "look" or "hold".
 
         Its result is one line of text; of "look" (stamp_ns, Sample, state); of "hold", a pause
         that a fault does not refuse, whether the simulation was running. Its exception is
@@ -75,8 +74,8 @@ class SimulationServer(threading.Thread):
         """
         future = Future()
         method = {"pause": self._pause, "resume": self._resume, "reset": self._reset,
-                  "step": self._step, "speed": self._speed, "look": self._look,
-                  "hold": self._hold}[command]
+                  "step": self._step, "speed": self._speed, "clear": self._clear,
+                  "look": self._look, "hold": self._hold}[command]
         with self._lock:
             self._commands.append((future, method, arguments))
         self._wake.set()
@@ -96,10 +95,10 @@ class SimulationServer(threading.Thread):
 
     def clear(self, prefix):
         """End the wrenches of all sources whose names begin with `prefix`."""
-        with self._lock:
-            self._cleared.add(prefix)
+        with self._lock:                    # what comes after this is not ended
             for key in [key for key in self._wrenches if key[0].startswith(prefix)]:
                 del self._wrenches[key]
+        self.call("clear", prefix)
 
     @property
     def wrenches_held(self):
@@ -191,15 +190,8 @@ class SimulationServer(threading.Thread):
         return simulation.steps == end
 
     def _hand_over_wrenches(self):
-        if not (self._wrenches or self._cleared):
-            self._held = self._simulation.wrench_count
-            return
         with self._lock:
             wrenches, self._wrenches = self._wrenches, {}
-            cleared, self._cleared = self._cleared, set()
-        for source in self._simulation.wrench_sources if cleared else ():
-            if source.startswith(tuple(cleared)):
-                self._simulation.clear_wrenches(source)
         for push, duration in wrenches.values():
             start = (push.start_ns - self._base_ns) * 1e-9 if push.start_ns else None
             self._simulation.apply_wrench(push.body, push.wrench, start, duration, push.source,
@@ -269,7 +261,6 @@ class SimulationServer(threading.Thread):
         self.stamp_ns = self._base_ns
         with self._lock:
             self._wrenches.clear()
-            self._cleared.clear()
         self._simulation.reset()
         self._held = 0
         self._event("reset", "initial state, step 0")
@@ -303,6 +294,12 @@ class SimulationServer(threading.Thread):
             self.pacer.start(self._seconds())
         self._event("speed", f"real-time factor {factor:g}")
         return f"real-time factor {factor:g}"
+
+    def _clear(self, prefix):
+        for source in self._simulation.wrench_sources:
+            if source.startswith(prefix):
+                self._simulation.clear_wrenches(source)
+        return f"wrenches of {prefix} end with the next step"
 
     def _look(self):
         return self.stamp_ns, self._simulation.sample(), self.state
