@@ -19,7 +19,8 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        (f"share/{NAME}/config", glob("config/*.yaml")),
+        (f"share/{NAME}/config", [path for kind in ("yaml", "rviz", "json")
+                                  for path in glob(f"config/*.{kind}")]),
         (f"share/{NAME}/config/scenes", glob("config/scenes/*.yaml")),
         (f"share/{NAME}/launch", glob("launch/*.launch.*")),
         (f"lib/{NAME}", ["resource/sim_node"]),
@@ -35,6 +36,7 @@ setup(
         "pyyaml",
         "rich",
         "scipy>=1.11",
+        "zstandard",
     ],
     extras_require={
         "figures": ["matplotlib", "mpmath"],

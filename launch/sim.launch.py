@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Launch file: one simulation node.
+"""Launch file: one simulation node, and RViz or the bridge to Foxglove if wanted.
 
 ros2 launch liegroup_sim_ros sim.launch.py scene:=heavy_top record:=/tmp/run.mcap
+ros2 launch liegroup_sim_ros sim.launch.py preset:=show rviz:=true
 """
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
@@ -12,23 +14,47 @@ from launch_ros.substitutions import FindPackageShare
 
 PACKAGE = "liegroup_sim_ros"
 
+ARGUMENTS = {
+    "scene": ("", "scene file, or name of a scene that comes along; empty: that of the preset"),
+    "record": ("", "file to record to, *.mcap, or an existing folder; empty: as in the preset"),
+    "preset": ("default", "which file of config/ has the other parameters, such as show"),
+    "namespace": ("", "namespace of the node"),
+    "clock_topic": ("/clock", "where /clock goes: a second simulation needs another name"),
+    "tf_topic": ("/tf", "where /tf goes"),
+    "rviz": ("false", "true: start RViz with config/scene.rviz; give preset:=show, too"),
+    "foxglove": ("false", "true: start foxglove_bridge; the layout is config/foxglove.json"),
+}
+
+
+def _simulation(context):
+    """The simulation node; scene and record only where they are given."""
+    # Texts, also where they look like numbers.
+    given = {name: ParameterValue(text, value_type=str) for name in ("scene", "record")
+             if (text := LaunchConfiguration(name).perform(context))}
+    return [Node(
+        package=PACKAGE, executable="sim_node", name="sim_node", output="screen",
+        namespace=LaunchConfiguration("namespace"),
+        remappings=[("/clock", LaunchConfiguration("clock_topic")),
+                    ("/tf", LaunchConfiguration("tf_topic"))],
+        parameters=[LaunchConfiguration("params_file"), given] if given else
+                   [LaunchConfiguration("params_file")])]
+
 
 def generate_launch_description():
-    """Arguments and node."""
-    preset = PathJoinSubstitution([FindPackageShare(PACKAGE), "config", "default.yaml"])
+    """Arguments and nodes."""
+    config = PathJoinSubstitution([FindPackageShare(PACKAGE), "config"])
+    preset = PathJoinSubstitution([config, [LaunchConfiguration("preset"), ".yaml"]])
+    markers = [LaunchConfiguration("namespace"), "/sim_node/markers"]
     return LaunchDescription([
-        DeclareLaunchArgument("scene", default_value="heavy_top",
-                              description="scene file, or name of a scene that comes along"),
-        DeclareLaunchArgument("record", default_value="",
-                              description="file to record to, *.mcap; empty: no recording"),
+        *(DeclareLaunchArgument(name, default_value=default, description=text)
+          for name, (default, text) in ARGUMENTS.items()),
         DeclareLaunchArgument("params_file", default_value=preset,
-                              description="all other parameters"),
-        DeclareLaunchArgument("namespace", default_value="", description="namespace of the node"),
-        Node(
-            package=PACKAGE, executable="sim_node", name="sim_node", output="screen",
-            namespace=LaunchConfiguration("namespace"),
-            # Texts, also where they look like numbers.
-            parameters=[LaunchConfiguration("params_file")] + [
-                {name: ParameterValue(LaunchConfiguration(name), value_type=str)}
-                for name in ("scene", "record")]),
+                              description="file with all other parameters, in place of preset"),
+        OpaqueFunction(function=_simulation),
+        Node(package="rviz2", executable="rviz2",
+             condition=IfCondition(LaunchConfiguration("rviz")),
+             arguments=["-d", PathJoinSubstitution([config, "scene.rviz"])],
+             remappings=[("/sim_node/markers", markers)]),
+        Node(package="foxglove_bridge", executable="foxglove_bridge",
+             condition=IfCondition(LaunchConfiguration("foxglove"))),
     ])

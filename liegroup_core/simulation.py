@@ -19,6 +19,7 @@ from .integrators.status import (DEPENDENT_ROWS, LARGE_ROTATION, MESSAGES, NO_RA
                                  RATTLE_WORKS, TURNS_NOT_COUNTED)
 from .model.arrays import Model
 from .model.build import build_model, initial_state
+from .model.joint_coordinates import JointCoordinates
 from .model.joint_watch import JointWatch
 from .model.sample import Sample
 from .planar.build import planar_model
@@ -70,6 +71,11 @@ class Layout:
         return [(self.scene.joints[self.owners[e]].name, name)
                 for e, (names, kept) in enumerate(zip(self.row_names, self.kept_rows))
                 for r, name in enumerate(names) if r not in kept]
+
+    @cached_property
+    def coordinates(self):
+        """Coordinates of the joints with one freedom: see JointCoordinates."""
+        return JointCoordinates(self.centred, self.joint_frames)
 
     def sample(self, pose, twist, time=0.0, time_ns=0, steps=0, near=None):
         """Sample of body frames as in a Sample or a recording: pose (n, 12), twist (n, 6).
@@ -237,16 +243,20 @@ class Simulation:
         """Numbers of good substeps and of attempts since the state was set; else (0, 0)."""
         return self._integrator.substeps
 
-    def apply_wrench(self, body, wrench, start=None, duration=None, source="api"):
+    def apply_wrench(self, body, wrench, start=None, duration=None, source="api", axes="body"):
         """Apply a wrench to a body over whole steps.
 
         body     : name of the body
-        wrench   : (6,) torque N m, force N; body axes, about the body frame's origin. Zero ends it.
+        wrench   : (6,) torque N m, force N; about the body frame's origin. Zero ends it.
         start    : simulated time, s, rounded up to a step; None or a time past: the next step
         duration : s, rounded to whole steps, at least one; None: until it is replaced
         source   : each source holds one wrench on a body, sources add
+        axes     : of the components: "body", or "world"; these are turned into body axes at the
+                   start of every step, and stand still in the body during the step
         raises ValueError for an unknown body, a wrong shape, or a number that is not finite
         """
+        if axes not in ("body", "world"):
+            raise ValueError(f"axes must be 'body' or 'world', got {axes!r}")
         if body not in self._body:
             raise ValueError(f"unknown body {body!r}; there are: {', '.join(self._body)}")
         wrench = np.asarray(wrench, dtype=float)
@@ -265,7 +275,17 @@ class Simulation:
             if not duration > 0.0:
                 raise ValueError(f"a duration must be positive, got {duration!r}")
             end = first + max(1, round(duration / self.step))
-        self._schedule.command(source, self._body[body], wrench, first, end)
+        self._schedule.command(source, self._body[body], wrench, first, end, axes == "world")
+
+    @property
+    def wrench_count(self):
+        """Number of wrenches of `apply_wrench` that act or wait for their start."""
+        return len(self._schedule)
+
+    @property
+    def wrench_sources(self):
+        """Names of their sources."""
+        return self._schedule.sources
 
     def clear_wrenches(self, source="api"):
         """End what a source applies or has scheduled."""
@@ -295,14 +315,14 @@ class Simulation:
     def _advance(self, steps):
         end = self.steps + steps
         while True:
-            for body in self._schedule.update(self.steps):
+            for body in self._schedule.update(self.steps, self._pose):
                 self._external[body] = self.layout.offsets.wrench_at_centre(
                     body, self._schedule.total[body])
                 self._applied.append(AppliedWrench(
                     self.steps, self.layout.body_names[body],
                     tuple(self._schedule.total[body].tolist())))
                 self._watch.restart()
-            wanted = min(end, self._watch.next_look(self.steps), self._schedule.next_change(),
+            wanted = min(end, self._watch.next_look(self.steps), self._schedule.next_change(self.steps),
                          self._timetable.next_change(self.steps)) - self.steps
             done, status = self._take(wanted)
             self.steps += done

@@ -4,7 +4,9 @@
 A source holds at most one wrench on a body; a later one of the same source replaces it when its
 turn comes, a zero one ends it. Sources add. Everything happens at step boundaries, so a wrench is
 constant over whole steps and all their stages, and a list of the changes repeats a run exactly.
+One that is given in world axes is turned into body axes at the start of every step.
 """
+import bisect
 from typing import NamedTuple
 
 import numpy as np
@@ -32,6 +34,7 @@ class _Command(NamedTuple):
     source: str
     body: int
     wrench: tuple
+    in_world: bool                          # axes of the world, not of the body
 
 
 class WrenchSchedule:
@@ -43,12 +46,21 @@ class WrenchSchedule:
         self._acting = {}
         self._arrived = 0
 
-    def command(self, source, body, wrench, start, end):
+    def __len__(self):
+        """Number of wrenches that act or wait."""
+        return len(self._waiting) + len(self._acting)
+
+    @property
+    def sources(self):
+        """Names of the sources that apply a wrench or mean to."""
+        return {c.source for c in (*self._waiting, *self._acting.values())}
+
+    def command(self, source, body, wrench, start, end, in_world=False):
         """Let `source` apply `wrench` (6,) to body number `body` over the steps start <= k < end."""
         self._arrived += 1
         wrench = tuple(float(x) for x in wrench)
-        self._waiting.append(_Command(start, end, self._arrived, source, body, wrench))
-        self._waiting.sort(key=lambda c: (c.start, c.number))
+        bisect.insort(self._waiting, _Command(start, end, self._arrived, source, body, wrench,
+                                              in_world), key=lambda c: (c.start, c.number))
 
     def clear(self, source):
         """End all that this source does or means to do. It takes effect with the next update."""
@@ -56,9 +68,12 @@ class WrenchSchedule:
         for key in [key for key in self._acting if key[0] == source]:
             self._acting[key] = self._acting[key]._replace(end=0)
 
-    def update(self, step):
-        """Make `total` the wrenches of this step; return the bodies whose sum changed."""
-        touched = set()
+    def update(self, step, pose):
+        """Make `total` the wrenches of this step; return the bodies whose sum changed.
+
+        pose : (n, 12) at the start of the step
+        """
+        touched = {c.body for c in self._acting.values() if c.in_world}
         while self._waiting and self._waiting[0].start <= step:
             command = self._waiting.pop(0)
             touched.add(command.body)
@@ -70,14 +85,23 @@ class WrenchSchedule:
         changed = []
         for body in sorted(touched):
             # Summed in the order of the sources' names: the same wrenches give the same bits.
-            acting = [self._acting[key].wrench for key in sorted(self._acting) if key[1] == body]
+            acting = [_in_body_axes(self._acting[key], pose[body])
+                      for key in sorted(self._acting) if key[1] == body]
             total = np.sum(acting, axis=0) if acting else np.zeros(6)
             if not np.array_equal(total, self.total[body]):
                 self.total[body] = total
                 changed.append(body)
         return changed
 
-    def next_change(self):
-        """The first step at which a waiting wrench starts or an acting one ends."""
+    def next_change(self, step):
+        """The first step after this one at which a wrench starts, ends or turns with its body."""
         starts = [c.start for c in self._waiting[:1]]
-        return min(starts + [c.end for c in self._acting.values()], default=NEVER)
+        ends = [step + 1 if c.in_world else c.end for c in self._acting.values()]
+        return min(starts + ends, default=NEVER)
+
+
+def _in_body_axes(command, pose):
+    """(6,) wrench of a command in the axes of its body, whose pose is (12,)."""
+    if not command.in_world:
+        return command.wrench
+    return (np.reshape(command.wrench, (2, 3)) @ pose[:9].reshape(3, 3)).ravel()

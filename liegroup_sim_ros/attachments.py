@@ -12,12 +12,13 @@ from . import __version__
 _PACKAGES = ("numpy", "scipy", "numba", "mcap", "ros-jazzy-rclpy")
 
 
-def at_start(simulation, node, world_frame, sample_steps, topics):
+def at_start(simulation, node, world_frame, sample_steps, topics, stamp_ns=0):
     """{name: (media type, bytes)}: scene, settings and initial state of a simulation at step 0.
 
     node         : fully qualified name
     sample_steps : steps between two samples
     topics       : as Outputs.topics()
+    stamp_ns     : of the initial state
     """
     scene = simulation.scene
     pose, twist = simulation.state()
@@ -25,7 +26,7 @@ def at_start(simulation, node, world_frame, sample_steps, topics):
         "node": node, "world_frame": world_frame, "topics": topics}
     # JSON writes the shortest text that reads back to the same float64: the state is exact.
     state = {"bodies": list(simulation.layout.body_names), "pose": pose.tolist(),
-             "twist": twist.tolist(), "steps": simulation.steps, "stamp_ns": 0}
+             "twist": twist.tolist(), "steps": simulation.steps, "stamp_ns": stamp_ns}
     return {"scene.yaml": ("application/yaml", scene.text.encode()),
             "settings.json": as_json(described),
             "initial_state.json": as_json(state)}

@@ -99,6 +99,7 @@ class WrenchStampedCodec:
 
     WrenchStampedCodec(body).encode(stamp_ns, wrench6) -> bytes
     WrenchStampedCodec.decode(payloads) -> Wrenches
+    WrenchStampedCodec.decode_one(payload) -> (stamp_ns, frame_id, wrench6)
     """
 
     TYPE = "geometry_msgs/msg/WrenchStamped"
@@ -113,6 +114,19 @@ class WrenchStampedCodec:
     def decode(cls, payloads):
         stamp_ns, frame_id, values = _decode(cls.TYPE, payloads, 6)
         return Wrenches(stamp_ns, frame_id, values[:, _ANGULAR_FIRST])
+
+    @classmethod
+    def decode_one(cls, payload):
+        """(stamp in ns, frame id, (torque, force)) of one message, a tenth of the time."""
+        try:
+            order = _BYTE_ORDER[payload[:2]]
+            sec, nanosec, frame_size = struct.unpack_from(f"{order}iII", payload, 4)
+            values = struct.unpack_from(f"{order}6d", payload, _offset_of_values(frame_size))
+        except (KeyError, struct.error):
+            raise MessageError(f"{cls.TYPE}: not plain CDR, cut short or of another type"
+                               ) from None
+        frame_id = payload[_FRAME_ID:_FRAME_ID + frame_size - 1].decode(errors="replace")
+        return sec * 1_000_000_000 + nanosec, frame_id, values[3:] + values[:3]
 
 
 class ClockCodec:

@@ -1,36 +1,46 @@
 # SPDX-License-Identifier: Apache-2.0
 """Output of a simulation to ROS topics and to a recording: one message, encoded once, to both.
 
-Topics, types and frames are in docs/node.md. Stamps are simulated time in ns.
+Topics, types and frames are in docs/node.md. Stamps are simulated time in ns. A topic whose rate
+is 0 is not there, and nothing is computed for it.
 """
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
-from rcl_interfaces.msg import Log
+import importlib
+
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.serialization import serialize_message
-from rclpy.time import Time
-from rosgraph_msgs.msg import Clock
 
-from liegroup_core.pacing import SLOW
+from . import diagnostics, sample_messages
+from .markers import Markers, markers
+from .messages import (ClockCodec, LogCodec, PoseStampedCodec, TwistStampedCodec,
+                       WrenchStampedCodec)
+from .parameters import ParameterError
 
-from .messages import ClockCodec, PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec
+# Parameter with the rate -> function that gives the topics.
+OPTIONAL = {
+    "odometry_rate": sample_messages.odometry,
+    "velocity_rate": sample_messages.velocities,
+    "pose_array_rate": sample_messages.pose_array,
+    "joint_state_rate": sample_messages.joint_states,
+    "tf_rate": sample_messages.transforms,
+}
 
 
 class Stream:
     """One topic: its publisher and, when recording, its channel.
 
-    qos : as in schemas.qos_profile
+    message_type : such as "geometry_msgs/msg/PoseStamped"
+    qos          : as in schemas.qos_profile
     """
 
-    def __init__(self, node, topic, message_class, qos="reliable", depth=10):
+    def __init__(self, node, topic, message_type, qos="reliable", depth=10):
         profile = QoSProfile(depth=depth)
         if qos == "transient_local":
             profile.durability = DurabilityPolicy.TRANSIENT_LOCAL
+        package, _, name = message_type.split("/")
+        message_class = getattr(importlib.import_module(f"{package}.msg"), name)
+        self._node = node
         self._publisher = node.create_publisher(message_class, topic, profile)
-        package = message_class.__module__.split(".")[0]
-        self._type = f"{package}/msg/{message_class.__name__}"
-        self._qos, self._depth = qos, depth
-        self._record = None
+        self._type, self._qos, self._depth = message_type, qos, depth
+        self._write = self._channel = None
 
     @property
     def topic(self):
@@ -39,64 +49,115 @@ class Stream:
 
     def record_to(self, recorder):
         """From now on, record what is published."""
-        channel = recorder.add_channel(self.topic, self._type, self._qos, self._depth)
-        self._record = lambda stamp_ns, data: recorder.write(channel, stamp_ns, data)
+        self._channel = recorder.add_channel(self.topic, self._type, self._qos, self._depth)
+        self._write = recorder.write
 
     def send(self, stamp_ns, data):
         """Publish and record a serialized message."""
         self._publisher.publish(data)
-        if self._record is not None:
-            self._record(stamp_ns, data)
+        if self._write is not None:
+            self._write(self._channel, stamp_ns, data)
+
+    def close(self):
+        """Take the topic away."""
+        self._node.destroy_publisher(self._publisher)
 
 
 class Outputs:
     """All topics of a simulation; the methods are what SimulationServer calls.
 
-    node        : rclpy Node
-    bodies      : names of the bodies
-    world_frame : frame id of the poses
-    clock       : whether /clock is published
-    figures     : function that returns {name: number or text}, added to the diagnostics
+    node    : rclpy Node
+    layout  : Layout of the scene
+    values  : parameters
+    figures : function that returns {name: number or text}, added to the diagnostics
+    raises ParameterError for a topic whose message type is not installed
+
+    timed                    : [(steps from one message to the next, send(stamp_ns, sample))]
+    clock_steps, state_steps : steps between two messages of /clock and ~/state, 0: none
+    acting                   : {body: total wrench on it}, of those that are not zero
     """
 
-    def __init__(self, node, bodies, world_frame, clock, figures):
-        self._name = node.get_fully_qualified_name()
-        self._figures = figures
-        self._logger = node.get_logger()
-        self._pose = {b: Stream(node, f"~/{b}/pose", PoseStamped) for b in bodies}
-        self._twist = {b: Stream(node, f"~/{b}/twist", TwistStamped) for b in bodies}
+    def __init__(self, node, layout, values, figures):
+        self._node, self._figures = node, figures
+        self._name = f"{node.get_fully_qualified_name()}: simulation"
+        self._streams = []
+        self.timed, self.acting = [], {}
+        self.clock_steps = values.steps["clock_rate"]
+        self.state_steps = values.steps["state_rate"]
+        bodies, world_frame = layout.body_names, values.world_frame
+        self._topics = {"pose": {}, "twist": {}}
+        if values.steps["publish_rate"]:
+            self._add_samples(bodies, world_frame, values.steps["publish_rate"])
         # Many bodies may be pushed at one step.
-        self._applied = Stream(node, "~/applied_wrench", WrenchStamped, depth=100)
-        self._events = Stream(node, "~/events", Log, qos="transient_local")
-        self._diagnostics = Stream(node, "/diagnostics", DiagnosticArray)
-        self._clock = Stream(node, "/clock", Clock, depth=1) if clock else None
-        encode_pose = PoseStampedCodec(world_frame).encode
-        self._bodies = [(b, self._pose[b].send, encode_pose,
-                         self._twist[b].send, TwistStampedCodec(b).encode) for b in bodies]
+        self._applied = self._stream("~/applied_wrench", WrenchStampedCodec.TYPE, depth=100)
         self._encode_wrench = {b: WrenchStampedCodec(b).encode for b in bodies}
+        self._events = self._stream("~/events", LogCodec.TYPE, qos="transient_local")
+        self._diagnostics = self._stream("/diagnostics", diagnostics.TYPE)
+        self._clock = self._state = None
+        if self.clock_steps:
+            self._clock = self._stream("/clock", ClockCodec.TYPE, depth=1)
+        if self.state_steps:
+            self._state = self._stream("~/state", diagnostics.TYPE)
+        self._markers = Markers(layout, world_frame, values.arrow_scale, self.acting)
+        for name, topics in {**OPTIONAL, "marker_rate": lambda *_: markers(self._markers)}.items():
+            if values.steps[name]:
+                self._add_optional(name, topics(layout, world_frame), values.steps[name])
+
+    def _stream(self, *arguments, **options):
+        self._streams.append(Stream(self._node, *arguments, **options))
+        return self._streams[-1]
+
+    def _add_samples(self, bodies, world_frame, steps):
+        encode_pose = PoseStampedCodec(world_frame).encode
+        table = []
+        for body in bodies:
+            pose = self._stream(f"~/{body}/pose", PoseStampedCodec.TYPE)
+            twist = self._stream(f"~/{body}/twist", TwistStampedCodec.TYPE)
+            self._topics["pose"][body], self._topics["twist"][body] = pose.topic, twist.topic
+            table.append((pose.send, twist.send, TwistStampedCodec(body).encode))
+
+        def send(stamp_ns, sample):
+            # Lists of all bodies at once: numbers of an array one by one cost several times more.
+            for (send_pose, send_twist, encode_twist), pose, quaternion, twist in zip(
+                    table, sample.pose.tolist(), sample.quaternions.values(),
+                    sample.twist.tolist()):
+                send_pose(stamp_ns, encode_pose(stamp_ns, pose[9:], quaternion.tolist()))
+                send_twist(stamp_ns, encode_twist(stamp_ns, twist))
+
+        self.timed.append((steps, send))
+
+    def _add_optional(self, parameter, topics, steps):
+        for topic, message_type, encode in topics:
+            try:
+                stream = self._stream(topic, message_type)
+            except ImportError:
+                package = message_type.partition("/")[0]
+                raise ParameterError(
+                    f"parameter {parameter}: {package} is not installed here; set the rate to 0, "
+                    f"or install it (apt: ros-jazzy-{package.replace('_', '-')})") from None
+            self.timed.append((steps, lambda stamp_ns, sample, stream=stream, encode=encode:
+                               stream.send(stamp_ns, encode(stamp_ns, sample))))
 
     def topics(self):
         """Resolved names, as in a recording's settings."""
-        return {"pose": {b: stream.topic for b, stream in self._pose.items()},
-                "twist": {b: stream.topic for b, stream in self._twist.items()},
-                "applied_wrench": self._applied.topic,
+        return {**self._topics, "applied_wrench": self._applied.topic,
                 "events": self._events.topic,
                 "clock": self._clock.topic if self._clock else None,
                 "diagnostics": self._diagnostics.topic}
 
+    def set_arrow_scale(self, value):
+        """Length of the arrows in ~/markers, m per N and per N m."""
+        self._markers.arrow_scale = value
+
     def record_to(self, recorder):
         """From now on, record all topics."""
-        for stream in (*self._pose.values(), *self._twist.values(), self._applied, self._events,
-                       self._diagnostics, self._clock):
-            if stream is not None:
-                stream.record_to(recorder)
+        for stream in self._streams:
+            stream.record_to(recorder)
 
-    def sample(self, stamp_ns, sample):
-        """Poses and twists of all bodies."""
-        positions, quaternions, twists = sample.positions, sample.quaternions, sample.twists
-        for body, send_pose, encode_pose, send_twist, encode_twist in self._bodies:
-            send_pose(stamp_ns, encode_pose(stamp_ns, positions[body], quaternions[body]))
-            send_twist(stamp_ns, encode_twist(stamp_ns, twists[body]))
+    def close(self):
+        """Take all topics away."""
+        for stream in self._streams:
+            stream.close()
 
     def clock(self, stamp_ns):
         """/clock."""
@@ -104,36 +165,26 @@ class Outputs:
 
     def applied_wrench(self, stamp_ns, body, wrench):
         """The total wrench (torque, force) on a body from this stamp on."""
+        if any(wrench):
+            self.acting[body] = wrench
+        else:
+            self.acting.pop(body, None)
         self._applied.send(stamp_ns, self._encode_wrench[body](stamp_ns, wrench))
 
     def event(self, stamp_ns, name, text, failed=False):
         """Something that happened to the run; what ends it is logged, too."""
         if failed:
-            self._logger.error(text)
-        message = Log(stamp=Time(nanoseconds=stamp_ns).to_msg(), name=name, msg=text,
-                      level=Log.ERROR if failed else Log.INFO)
-        self._events.send(stamp_ns, serialize_message(message))
+            self._node.get_logger().error(text)
+        self._events.send(stamp_ns, LogCodec.encode(
+            stamp_ns, LogCodec.ERROR if failed else LogCodec.INFO, name, text))
+
+    def state(self, stamp_ns, figures):
+        """~/state: the figures of the diagnostics, in simulated time."""
+        self._state.send(stamp_ns, self._encoded(stamp_ns, figures))
 
     def diagnostics(self, stamp_ns, figures):
-        """The server's figures and those of the node."""
-        figures = {**figures, **self._figures()}
-        level, text = _judge(figures)
-        status = DiagnosticStatus(
-            level=level, name=f"{self._name}: simulation", message=text,
-            values=[KeyValue(key=key, value=value if isinstance(value, str) else f"{value:.9g}")
-                    for key, value in figures.items()])
-        message = DiagnosticArray(status=[status])
-        message.header.stamp = Time(nanoseconds=stamp_ns).to_msg()
-        self._diagnostics.send(stamp_ns, serialize_message(message))
+        """/diagnostics: the server's figures and those of the node."""
+        self._diagnostics.send(stamp_ns, self._encoded(stamp_ns, figures))
 
-
-def _judge(figures):
-    """Level and one line about the state."""
-    if figures["state"] == "faulted":
-        return DiagnosticStatus.ERROR, "stopped by an error: see ~/events, call ~/reset"
-    if figures.get("recorder_failure"):
-        return DiagnosticStatus.ERROR, figures["recorder_failure"]
-    wanted, achieved = figures["real_time_factor_wanted"], figures["real_time_factor"]
-    if figures["state"] == "running" and 0.0 < achieved < SLOW * wanted:
-        return DiagnosticStatus.WARN, f"too slow: real-time factor {achieved:.3g} of {wanted:.3g}"
-    return DiagnosticStatus.OK, figures["state"]
+    def _encoded(self, stamp_ns, figures):
+        return diagnostics.encode(stamp_ns, self._name, {**figures, **self._figures()})

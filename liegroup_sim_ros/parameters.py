@@ -37,33 +37,49 @@ class Entry(NamedTuple):
     above: bool = False                     # `low` itself is refused
 
 
+def _rate(name, default, text):
+    return Entry(name, default, f"messages per second of simulated time on {text}; 0: none",
+                 low=0.0, high=1e5)
+
+
 TABLE = (
-    Entry("scene", "", "scene file (YAML)"),
+    Entry("scene", "", "scene file (YAML), or the name of one that comes along; a new one is "
+          "taken by ~/reload", read_only=False),
     Entry("method", "rkmk4", "integration method", choices=tuple(METHODS)),
     Entry("stabilisation", "none", "what is done about joints that open by errors of integration",
           choices=STABILISATIONS),
     Entry("group", "se3", "configuration space of a body: SE(3) or SO(3) x R^3",
           choices=tuple(GROUPS)),
     Entry("step", 1e-3, "step size, s", low=0.0, high=10.0, above=True),
-    Entry("publish_rate", 100.0, "poses and twists per second of simulated time, Hz; the period "
-          "must be a whole number of steps", low=0.0, high=1e5, above=True),
-    Entry("clock_rate", 100.0, "/clock messages per second of simulated time, Hz; the period must "
-          "be a whole number of steps; 0: no /clock", low=0.0, high=1e5),
     Entry("real_time_factor", 1.0, "simulated seconds per second; 0: as fast as it goes",
           read_only=False, low=0.0, high=1e6),
     Entry("start_paused", False, "wait for ~/resume or ~/step"),
-    Entry("record", "", "file to record to, *.mcap, or an existing folder; empty: no recording"),
-    Entry("world_frame", "world", "frame id of the poses"),
-    Entry("wrench_hold", "timeout", "how long a wrench from ~/wrench acts: for one step, for "
-          "wrench_timeout, or until the next one for this body", read_only=False, choices=HOLDS),
-    Entry("wrench_timeout", 0.1, "how long a wrench acts if wrench_hold is timeout, s of "
-          "simulated time", read_only=False, low=0.0, high=1e6, above=True),
     Entry("step_count", 1, "steps that one call of ~/step takes", read_only=False,
           low=1, high=1000000),
+    Entry("record", "", "file to record to, *.mcap, or an existing folder; empty: no recording"),
+    Entry("world_frame", "world", "frame id of the poses"),
+    _rate("publish_rate", 100.0, "~/BODY/pose and ~/BODY/twist, of which recordings are made"),
+    _rate("clock_rate", 100.0, "/clock"),
+    _rate("state_rate", 10.0, "~/state"),
+    _rate("odometry_rate", 0.0, "~/BODY/odometry"),
+    _rate("velocity_rate", 0.0, "~/BODY/velocity"),
+    _rate("pose_array_rate", 0.0, "~/poses"),
+    _rate("joint_state_rate", 0.0, "~/joint_states"),
+    _rate("marker_rate", 0.0, "~/markers"),
+    _rate("tf_rate", 0.0, "/tf"),
+    Entry("arrow_scale", 0.01, "length of the arrows in ~/markers, m per N and per N m",
+          read_only=False, low=0.0, high=1e6),
+    Entry("wrench_hold", "timeout", "how long a wrench from ~/wrench or ~/BODY/wrench acts: for "
+          "one step, for wrench_timeout, or until the next one of its source", read_only=False,
+          choices=HOLDS),
+    Entry("wrench_timeout", 0.1, "how long a wrench acts if wrench_hold is timeout, s of "
+          "simulated time", read_only=False, low=0.0, high=1e6, above=True),
+    Entry("body_wrenches", True, "whether there is a topic ~/BODY/wrench for every body"),
 )
 _ENTRIES = {entry.name: entry for entry in TABLE}
 _TYPE_NAMES = {str: "a text", bool: "true or false", int: "a whole number", float: "a number"}
-# Declared by rclpy itself.
+# Declared by rclpy itself. A node that makes the simulated time cannot run on it: what a launch
+# file says to all of its nodes is ignored at the start, and refused later.
 _BUILT_IN = ("use_sim_time", "start_type_description_service")
 
 
@@ -91,8 +107,7 @@ def read_parameters(node):
 
     node : was created with automatically_declare_parameters_from_overrides=True; that is how
            names that nobody knows, which ROS would ignore, are seen and refused
-    returns the values, and `.sample_steps` and `.clock_steps`: steps between two samples and
-            between two /clock messages, 0 for none
+    returns the values, and `.steps`: {rate: steps between two messages, 0 for none}
     raises ParameterError
     """
     given = {name: parameter.value for name, parameter in node.get_parameters_by_prefix("").items()
@@ -108,8 +123,11 @@ def read_parameters(node):
         value = check(entry.name, given.get(entry.name, entry.default))
         node.declare_parameter(entry.name, value, _descriptor(entry), ignore_override=True)
         setattr(values, entry.name, value)
-    values.sample_steps = _whole_steps("publish_rate", values.publish_rate, values.step)
-    values.clock_steps = _whole_steps("clock_rate", values.clock_rate, values.step)
+    values.steps = {name: _whole_steps(name, getattr(values, name), values.step)
+                    for name in _ENTRIES if name.endswith("_rate")}
+    if values.record and not values.publish_rate:
+        raise ParameterError("parameter publish_rate: must be greater than 0 to record: "
+                             "recordings are made of poses and twists")
     return values
 
 
@@ -123,6 +141,9 @@ def watch_parameters(node, changed):
     def validate(parameters):
         try:
             for parameter in parameters:
+                if parameter.name == "use_sim_time" and parameter.value is not False:
+                    raise ParameterError("parameter use_sim_time: must be false: this node makes "
+                                         "the simulated time")
                 if parameter.name in _ENTRIES:
                     check(parameter.name, parameter.value)
         except ParameterError as error:
@@ -144,7 +165,8 @@ def table_text():
     rows = ["| parameter | default | allowed | settable while running | meaning |",
             "|---|---|---|---|---|"]
     for entry in TABLE:
-        default = {"": "empty", False: "false"}.get(entry.default, entry.default)
+        default = {"": "empty", False: "false", True: "true"}.get(
+            entry.default if isinstance(entry.default, (str, bool)) else None, entry.default)
         allowed = _listed(entry.choices) or (
             _range(entry) if entry.low is not None else _TYPE_NAMES[type(entry.default)])
         rows.append(f"| `{entry.name}` | {default} | {allowed} | "

@@ -23,13 +23,12 @@ from collections import deque
 from pathlib import Path
 
 import yaml
-from mcap.writer import LIBRARY_IDENTIFIER, CompressionType, Writer
 
 from liegroup_sim_ros import __version__, schemas
+from liegroup_sim_ros.mcap_file import McapFile
 
-CHUNK_SIZE = 128 * 1024       # bytes before compression; far more than any message recorded here
-_IDLE = 1e-3                  # s between looks at the queue; short, so that little waits there and
-                              # writing it does not keep the interpreter from the pacing thread
+CHUNK_SIZE = 128 * 1024       # bytes before compression; more than nearly all messages have
+_IDLE = 5e-3                  # s between looks at the queue
 
 _log = logging.getLogger(__name__)
 
@@ -65,13 +64,11 @@ class Recorder:
         self._queue_size = queue_size
         self._flush_interval = flush_interval
         self._secured = 0                      # `written` at the last flush
-        self._stamps = (0, 0)                  # first and last stamp written, ns
         self._closing = threading.Event()
         self._closed = False
         try:
             self._file = _File(self.path)
-            self._mcap = Writer(self._file, CHUNK_SIZE, CompressionType.ZSTD)
-            self._mcap.start("ros2", f"liegroup_sim_ros/{__version__} {LIBRARY_IDENTIFIER}")
+            self._mcap = McapFile(self._file, f"liegroup_sim_ros/{__version__}", CHUNK_SIZE)
             for name, (media_type, data) in (attachments or {}).items():
                 self._mcap.add_attachment(time.time_ns(), 0, name, media_type, data)
             for name, entries in (metadata or {}).items():
@@ -114,9 +111,9 @@ class Recorder:
 
         def register():
             if msg_type not in self._schema_ids:
-                self._schema_ids[msg_type] = self._mcap.register_schema(
+                self._schema_ids[msg_type] = self._mcap.add_schema(
                     msg_type, "ros2msg", text.encode())
-            channel.id = self._mcap.register_channel(
+            channel.id = self._mcap.add_channel(
                 topic, "cdr", self._schema_ids[msg_type],
                 {"offered_qos_profiles": _yaml(channel.info["offered_qos_profiles"]),
                  "topic_type_hash": channel.info["type_description_hash"]})
@@ -140,8 +137,11 @@ class Recorder:
 
     def add_attachment(self, name, media_type, data):
         """Attach a file, usually at the end of a run, before `close`."""
-        self._queue.append(lambda: self._mcap.add_attachment(
-            time.time_ns(), self._stamps[1], name, media_type, data))
+        def attach():
+            self._mcap.flush()              # the stamps of all that came before count
+            self._mcap.add_attachment(time.time_ns(), self._mcap.stamps[1], name, media_type, data)
+
+        self._queue.append(attach)
 
     def close(self):
         """Write everything queued and finish the file; may be called again, from any thread.
@@ -160,8 +160,7 @@ class Recorder:
         flushed = time.monotonic()
         while True:
             closing = self._closing.is_set()   # asked first: then all there was is written below
-            for _ in range(len(self._queue)):
-                self._write_item(self._queue.popleft())
+            self._write_queued()
             if self.written > self._secured and time.monotonic() - flushed > self._flush_interval:
                 self._attempt(self._flush)
                 flushed = time.monotonic()
@@ -173,54 +172,59 @@ class Recorder:
         self._file.close()
         self._closed = True
 
-    def _write_item(self, item):
-        if isinstance(item, tuple):
-            if not self._attempt(self._write_message, *item):
-                self.lost += 1
-        else:
-            self._attempt(item)
-
-    def _write_message(self, channel, sequence, stamp_ns, data):
-        self._mcap.add_message(channel.id, stamp_ns, data, stamp_ns, sequence)
-        first, last = self._stamps if self.written else (stamp_ns, stamp_ns)
-        self._stamps = (min(first, stamp_ns), max(last, stamp_ns))
-        channel.count += 1
-        self.written += 1
+    def _write_queued(self):
+        queue, add_message = self._queue, self._mcap.add_message
+        for _ in range(len(queue)):
+            item = queue.popleft()
+            if not isinstance(item, tuple):
+                self._attempt(item)
+                continue
+            if self.failure is None:
+                channel, sequence, stamp_ns, data = item
+                try:
+                    add_message(channel.id, stamp_ns, data, sequence)
+                    self.written += 1
+                    continue
+                except Exception as error:
+                    self._fail(error)
+            self.lost += 1
 
     def _flush(self):
         self._mcap.flush()
         self._secured = self.written
 
     def _finish(self):
+        self._mcap.flush()
         self._mcap.add_metadata("rosbag2", {"serialized_metadata": _yaml(self._bag_metadata())})
         self._mcap.finish()
 
-    def _attempt(self, action, *arguments):
-        """Run one step unless the recording has failed; True if it went well."""
-        if self.failure is not None:
-            return False
-        try:
-            action(*arguments)
-            return True
-        except Exception as error:  # whatever it is, the simulation goes on without the recording
-            # Chunks are written whole or not at all as far as a reader is concerned, so only
-            # what the last flush secured is sure to be there.
-            self.lost += self.written - self._secured
-            self.written = self._secured
-            self.failure = (f"recording to {self.path} stopped after {self.written} messages: "
-                            f"{_reason(error)}; the simulation goes on unrecorded")
-            _log.error(self.failure)
-            return False
+    def _attempt(self, action):
+        """Run one step unless the recording has failed."""
+        if self.failure is None:
+            try:
+                action()
+            except Exception as error:
+                self._fail(error)
+
+    def _fail(self, error):
+        """End the recording. Whatever the error is, the simulation goes on without it."""
+        # Chunks are written whole or not at all as far as a reader is concerned, so only what
+        # the last flush secured is sure to be there.
+        self.lost += self.written - self._secured
+        self.written = self._secured
+        self.failure = (f"recording to {self.path} stopped after {self.written} messages: "
+                        f"{_reason(error)}; the simulation goes on unrecorded")
+        _log.error(self.failure)
 
     def _bag_metadata(self):
         """rosbag2's description of the bag, version 9."""
-        start = {"nanoseconds_since_epoch": self._stamps[0]}
-        duration = {"nanoseconds": self._stamps[1] - self._stamps[0]}
+        first, last = self._mcap.stamps
+        start, duration = {"nanoseconds_since_epoch": first}, {"nanoseconds": last - first}
         return {
             "version": 9, "storage_identifier": "mcap", "duration": duration,
             "starting_time": start, "message_count": self.written,
             "topics_with_message_count": [
-                {"topic_metadata": channel.info, "message_count": channel.count}
+                {"topic_metadata": channel.info, "message_count": self._mcap.counts[channel.id]}
                 for channel in self._channels],
             "compression_format": "", "compression_mode": "",
             "relative_file_paths": [self.path.name],
@@ -234,7 +238,6 @@ class _Channel:
 
     def __init__(self, topic, msg_type, qos, type_hash):
         self.id = None
-        self.count = 0
         self.sequence = itertools.count(1)
         self.info = {"name": topic, "type": msg_type, "serialization_format": "cdr",
                      "offered_qos_profiles": [qos], "type_description_hash": type_hash}

@@ -2,7 +2,7 @@
 """Simulation thread: the only one that touches the simulation; it paces, obeys and puts out.
 
 Commands and wrenches come in from other threads and take effect between two steps. Samples, clock,
-applied wrenches, events and diagnostics go to an output object (outputs.py has the one for ROS).
+applied wrenches, events and diagnostics go to an output object, Outputs in outputs.py.
 Simulated time is an integer of nanoseconds that never goes back: the step count restarts at a
 reset, the stamps continue one step after the last one. Imports no ROS.
 """
@@ -15,6 +15,7 @@ from liegroup_core import SimulationError
 from liegroup_core.pacing import Pacer
 
 DIAGNOSTICS_PERIOD = 1.0                    # s of wall time
+IDLE_TICK = 0.01                            # s of simulated time, where nothing is put out by time
 
 
 class CommandError(Exception):
@@ -24,67 +25,85 @@ class CommandError(Exception):
 class SimulationServer(threading.Thread):
     """Runs a simulation in real time.
 
-    simulation   : liegroup_core.Simulation; belongs to this thread from `start` to its end
-    output       : has sample(stamp_ns, sample), clock(stamp_ns),
-                   applied_wrench(stamp_ns, body, wrench6), event(stamp_ns, name, text, failed),
-                   diagnostics(stamp_ns, figures)
-    sample_steps : steps between two samples
-    clock_steps  : steps between two clock messages, 0: none
-    factor       : real-time factor, 0: as fast as it goes
-    paused       : start paused
+    simulation : liegroup_core.Simulation; belongs to this thread from `start` to its end
+    output     : Outputs, or what has its attributes timed, clock_steps, state_steps and acting
+                 and its methods clock, state, applied_wrench, event and diagnostics
+    factor     : real-time factor, 0: as fast as it goes
+    paused     : start paused
+    base_ns    : stamp of step 0
+    origin     : what the event `start` says beside the name of the scene
 
     The state is "running", "paused" or "faulted": after a SimulationError the last good state
     stays, and only a reset leads out. `failure` is an exception that ended the thread, or None.
     """
 
-    def __init__(self, simulation, output, sample_steps, clock_steps, factor=1.0, paused=False):
+    def __init__(self, simulation, output, factor=1.0, paused=False, base_ns=0, origin=""):
         super().__init__(name="simulation", daemon=True)
         self._simulation = simulation
         self._output = output
-        self._sample_steps, self._clock_steps = sample_steps, clock_steps
-        self._tick_steps = math.gcd(sample_steps, clock_steps)
+        self._timed = [*output.timed, *([(output.state_steps, self._put_out_state)]
+                                        if output.state_steps else [])]
+        self._sent_ns = [None] * len(self._timed)       # stamp of the last message of each
+        periods = {steps for steps, _ in self._timed} | {output.clock_steps} - {0}
+        self._periods = periods or {max(1, round(IDLE_TICK / simulation.step))}
         self._wake = threading.Event()
         self._lock = threading.Lock()
         self._commands = []                 # (Future, bound method, arguments)
-        self._wrenches = {}                 # (body, start_ns) -> (wrench, duration)
+        self._wrenches = {}                 # (source, start_ns) -> (Push, duration)
+        self._held = 0                      # wrenches that act or wait in the simulation
         self._stopping = False
-        self._base_ns = 0                   # stamp of step 0
-        self._sampled_ns = None             # stamp of the last sample put out
-        self._acting = {}                   # body -> total wrench, where it is not zero
+        self._base_ns = base_ns
+        self._origin = origin
+        self._factor_seen = 0.0             # achieved real-time factor at the last diagnostics
         self._reference_energy = None       # J, of the last moment known without a push
         self.pacer = Pacer(factor, sleep=self._wake.wait)
         self.state = "paused" if paused else "running"
         self._state_before_fault = self.state
-        self.stamp_ns = 0
+        self.stamp_ns = base_ns
         self.failure = None
 
     # From other threads:
 
     def call(self, command, *arguments):
-        """Future of a command: "pause", "resume", "reset", "step" (count) or "speed" (factor).
+        """Future of a command: "pause", "resume", "reset", "step" (count), "speed" (factor),
+        "clear" (prefix of sources), "look" or "hold".
 
-        Its result is one line of text; its exception is CommandError. It is cancelled if the
-        server ends first.
+        Its result is one line of text; of "look" (stamp_ns, Sample, state); of "hold", a pause
+        that a fault does not refuse, whether the simulation was running. Its exception is
+        CommandError. It is cancelled if the server ends first.
         """
         future = Future()
         method = {"pause": self._pause, "resume": self._resume, "reset": self._reset,
-                  "step": self._step, "speed": self._speed}[command]
+                  "step": self._step, "speed": self._speed, "clear": self._clear,
+                  "look": self._look, "hold": self._hold}[command]
         with self._lock:
             self._commands.append((future, method, arguments))
         self._wake.set()
         return future
 
-    def push(self, body, wrench, start_ns, duration):
-        """Apply a wrench (torque, force) to a body, instead of what was pushed before.
+    def push(self, push, duration):
+        """Apply a wrench, instead of what its source applied before.
 
-        start_ns : stamp of the first step; 0: the next step
-        duration : s of simulated time, None: until the next push of this body
+        push     : Push
+        duration : s of simulated time, None: until the next one of this source
         """
         # While nothing moves, a later push with the same start takes the place of the earlier one,
         # so what waits here does not grow with time.
         with self._lock:
-            self._wrenches.pop((body, start_ns), None)
-            self._wrenches[body, start_ns] = (wrench, duration)
+            self._wrenches.pop((push.source, push.start_ns), None)
+            self._wrenches[push.source, push.start_ns] = push, duration
+
+    def clear(self, prefix):
+        """End the wrenches of all sources whose names begin with `prefix`."""
+        with self._lock:                    # what comes after this is not ended
+            for key in [key for key in self._wrenches if key[0].startswith(prefix)]:
+                del self._wrenches[key]
+        self.call("clear", prefix)
+
+    @property
+    def wrenches_held(self):
+        """Number of wrenches that act or wait."""
+        return self._held + len(self._wrenches)
 
     def stop(self):
         """End the thread after the present tick, and wait for it."""
@@ -114,7 +133,8 @@ class SimulationServer(threading.Thread):
                     future.cancel()
 
     def _begin(self):
-        self._event("start", f"{self._simulation.scene.name} at step 0, {self.state}")
+        scene = self._simulation.scene.name
+        self._event("start", f"{scene} at step 0, {self.state}{self._origin}")
         self._put_out()
         self._reference_energy = self._simulation.sample().energy
         self._next_diagnostics = time.monotonic() + DIAGNOSTICS_PERIOD
@@ -131,7 +151,8 @@ class SimulationServer(threading.Thread):
         else:
             self._wake.wait(idle)
         if time.monotonic() >= self._next_diagnostics:
-            self._output.diagnostics(self.stamp_ns, self._figures())
+            self._factor_seen = self.pacer.recent_factor()
+            self._output.diagnostics(self.stamp_ns, self._figures(self._simulation.sample()))
             self._next_diagnostics = max(self._next_diagnostics + DIAGNOSTICS_PERIOD,
                                          time.monotonic())
 
@@ -152,7 +173,8 @@ class SimulationServer(threading.Thread):
 
     def _next_tick(self):
         """The next step with something to put out; ticks stay on the grid after single steps."""
-        return (self._simulation.steps // self._tick_steps + 1) * self._tick_steps
+        steps = self._simulation.steps
+        return min((steps // period + 1) * period for period in self._periods)
 
     def _advance(self, end):
         """Advance to step `end`, with all output on the way; True if it got there."""
@@ -170,9 +192,11 @@ class SimulationServer(threading.Thread):
     def _hand_over_wrenches(self):
         with self._lock:
             wrenches, self._wrenches = self._wrenches, {}
-        for (body, start_ns), (wrench, duration) in wrenches.items():
-            start = (start_ns - self._base_ns) * 1e-9 if start_ns else None
-            self._simulation.apply_wrench(body, wrench, start, duration, source="topic")
+        for push, duration in wrenches.values():
+            start = (push.start_ns - self._base_ns) * 1e-9 if push.start_ns else None
+            self._simulation.apply_wrench(push.body, push.wrench, start, duration, push.source,
+                                          push.axes)
+        self._held = self._simulation.wrench_count
 
     def _put_out(self, everything=False):
         """Put out what is due at the present step, in the order of the stamps."""
@@ -180,19 +204,22 @@ class SimulationServer(threading.Thread):
         for change in self._simulation.drain_applied():
             self._put_out_wrench(self._stamp(change.step), change.body, change.wrench)
         self.stamp_ns = self._stamp(steps)
-        if self._clock_steps and (everything or steps % self._clock_steps == 0):
+        period = self._output.clock_steps
+        if period and (everything or steps % period == 0):
             self._output.clock(self.stamp_ns)
-        if (everything or steps % self._sample_steps == 0) and self._sampled_ns != self.stamp_ns:
-            self._sampled_ns = self.stamp_ns
-            self._output.sample(self.stamp_ns, self._simulation.sample())
+        sample = None
+        for i, (period, send) in enumerate(self._timed):
+            if (everything or steps % period == 0) and self._sent_ns[i] != self.stamp_ns:
+                self._sent_ns[i] = self.stamp_ns
+                sample = sample or self._simulation.sample()
+                send(self.stamp_ns, sample)
+
+    def _put_out_state(self, stamp_ns, sample):
+        self._output.state(stamp_ns, self._figures(sample))
 
     def _put_out_wrench(self, stamp_ns, body, wrench):
         self._output.applied_wrench(stamp_ns, body, wrench)
         self._reference_energy = None
-        if any(wrench):
-            self._acting[body] = wrench
-        else:
-            self._acting.pop(body, None)
 
     def _event(self, name, text, failed=False):
         self._output.event(self.stamp_ns, name, text, failed)
@@ -235,8 +262,9 @@ class SimulationServer(threading.Thread):
         with self._lock:
             self._wrenches.clear()
         self._simulation.reset()
+        self._held = 0
         self._event("reset", "initial state, step 0")
-        for body in list(self._acting):
+        for body in list(self._output.acting):
             self._put_out_wrench(self.stamp_ns, body, (0.0,) * 6)
         self._put_out(everything=True)
         self._reference_energy = self._simulation.sample().energy
@@ -267,11 +295,27 @@ class SimulationServer(threading.Thread):
         self._event("speed", f"real-time factor {factor:g}")
         return f"real-time factor {factor:g}"
 
-    def _figures(self):
+    def _clear(self, prefix):
+        for source in self._simulation.wrench_sources:
+            if source.startswith(prefix):
+                self._simulation.clear_wrenches(source)
+        return f"wrenches of {prefix} end with the next step"
+
+    def _look(self):
+        return self.stamp_ns, self._simulation.sample(), self.state
+
+    def _hold(self):
+        if self.state == "faulted":         # a reset would let it run again
+            running, self._state_before_fault = self._state_before_fault == "running", "paused"
+            return running
+        running = self.state == "running"
+        self._pause()
+        return running
+
+    def _figures(self, sample):
         """{name: number or text} for the diagnostics; units are at the end of the names."""
-        sample = self._simulation.sample()
         pacing = self.pacer.report()
-        if self._acting:
+        if self._output.acting:
             drift = math.nan                # a push changes the energy
         else:
             if self._reference_energy is None:
@@ -282,7 +326,7 @@ class SimulationServer(threading.Thread):
             "sim_time_s": self._seconds(),
             "steps": sample.steps,
             "real_time_factor_wanted": self.pacer.factor,
-            "real_time_factor": self.pacer.recent_factor() if self.state == "running" else 0.0,
+            "real_time_factor": self._factor_seen if self.state == "running" else 0.0,
             "lateness_p50_us": pacing["lateness_us"]["p50"],
             "lateness_p99_us": pacing["lateness_us"]["p99"],
             "lateness_max_us": pacing["lateness_us"]["max"],
@@ -292,4 +336,5 @@ class SimulationServer(threading.Thread):
             "energy_J": sample.energy,
             "energy_drift_J": drift,
             "constraint_residual": sample.constraint_residual,
+            "wrenches_held": self.wrenches_held,
         }

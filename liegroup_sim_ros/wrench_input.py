@@ -1,14 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Wrench commands: what a WrenchStamped on ~/wrench means, and which ones are refused.
+"""Wrench commands: what a WrenchStamped on one of the wrench topics means, and what is refused.
 
-frame_id names the body. Force and torque are components in that body's axes, the torque about its
-frame's origin. A zero stamp, or one that is past, means the next step; a stamp to come means that
-simulated time. A message is taken whole or refused whole; refusals are counted by reason.
+On ~/wrench and ~/wrench/persistent frame_id names the body, and components are in its axes; on
+~/BODY/wrench it names the axes, the body's or the world's. Torques are about the origin of the
+body frame. A name behind a slash, as in `top/left`, tells commanders of one topic apart: wrenches
+of different topics and names add, a later one of the same replaces the earlier one.
+A zero stamp, or one that is past, means the next step; a stamp to come means that simulated time.
+A message is taken whole or refused whole; refusals are counted by reason. No ROS is imported here.
 """
 import math
+from typing import NamedTuple
+
+from .messages import MessageError, WrenchStampedCodec
 
 # A stamp further ahead than this is a sender that does not run on simulated time.
 FARTHEST = 3600 * 10**9                     # ns
+# So many may act or wait for their time: what senders can make the node remember is bounded.
+MOST = 10_000
+LONGEST_NAME = 64
+
+REASONS = ("not_finite", "no_frame", "unknown_frame", "stamp_too_far", "too_many", "damaged")
 
 
 class Refusal(Exception):
@@ -24,51 +35,90 @@ class Refusal(Exception):
         self.first = first
 
 
-REASONS = ("not_finite", "no_frame", "unknown_frame", "stamp_too_far")
+class Push(NamedTuple):
+    """A wrench that is applied."""
+
+    source: str                 # topic, body and name of the commander: source_prefix
+    body: str
+    wrench: tuple               # (6,) torque N m, force N, about the origin of the body frame
+    axes: str                   # of the components: "body" or "world"
+    start_ns: int               # stamp from which on it acts; 0: the next step
+
+
+def source_prefix(kind, target):
+    """What the names of all sources of one topic begin with that push a body, or a BODY/NAME."""
+    return f"{kind}/{target}/" if target else f"{kind}/"
 
 
 class WrenchInput:
     """Reads and counts wrench messages.
 
-    bodies : names of the bodies
+    bodies      : names of the bodies
+    world_frame : frame id of the world
     """
 
-    def __init__(self, bodies):
-        self._bodies = tuple(bodies)
+    def __init__(self, bodies, world_frame):
+        self._bodies = dict.fromkeys(bodies)
+        self._world_frame = world_frame
         self.accepted = 0
         self.refused = dict.fromkeys(REASONS, 0)
 
-    def read(self, message, now_ns):
-        """(body, (torque, force), start_ns) of a WrenchStamped; start_ns 0 is the next step.
+    def read(self, payload, kind, body, now_ns, held):
+        """Push of a serialized WrenchStamped. Raises Refusal.
 
+        kind   : of the topic: "wrench", "persistent" or "body"
+        body   : that of the topic, None if frame_id names it
         now_ns : the present stamp
-        raises Refusal
+        held   : number of wrenches that act or wait
         """
-        body = message.header.frame_id
-        torque, force = message.wrench.torque, message.wrench.force
-        wrench = (torque.x, torque.y, torque.z, force.x, force.y, force.z)
-        stamp = message.header.stamp
-        start_ns = stamp.sec * 10**9 + stamp.nanosec
-        if not body:
-            self._refuse("no_frame", "frame_id is empty; it must name the body, one of: "
-                         + self._names())
-        if body not in self._bodies:
-            self._refuse("unknown_frame", f"frame_id {body[:60]!r} is not a body; it must be one "
-                         f"of: {self._names()}")
+        try:
+            start_ns, frame_id, wrench = WrenchStampedCodec.decode_one(payload)
+        except MessageError as error:
+            self._refuse("damaged", lambda: str(error))
+        frame, _, name = frame_id.partition("/")
+        if body is not None and f"{frame_id}/".startswith(f"{self._world_frame}/"):
+            frame, name = self._world_frame, frame_id[len(self._world_frame) + 1:]
+        if not frame:
+            self._refuse("no_frame", lambda: "frame_id is empty; it must be one of: "
+                         + self._frames(body))
+        if not (frame in self._bodies if body is None else frame in (body, self._world_frame)):
+            self._refuse("unknown_frame", lambda: f"frame_id {frame_id[:LONGEST_NAME]!r} is not "
+                         f"known here; it must be one of: {self._frames(body)}")
+        if len(name) > LONGEST_NAME:
+            self._refuse("unknown_frame", lambda: f"frame_id {frame_id[:20]!r}...: the name "
+                         f"behind the slash has more than {LONGEST_NAME} characters")
+        axes = "body" if body in (None, frame) else "world"
+        target = body or frame
         if not all(map(math.isfinite, wrench)):
-            self._refuse("not_finite", f"for {body}: a component is NaN or infinite")
+            self._refuse("not_finite", lambda: f"for {target}: a component is NaN or infinite")
         if start_ns > now_ns + FARTHEST:
-            self._refuse("stamp_too_far", f"for {body}: its stamp {start_ns / 1e9:.9g} s is more "
-                         f"than {FARTHEST // 10**9} s ahead of the simulated time "
-                         f"{now_ns / 1e9:.9g} s; leave the stamp zero, or stamp with simulated "
-                         "time (use_sim_time)")
+            self._refuse("stamp_too_far", lambda: f"for {target}: its stamp "
+                         f"{start_ns / 1e9:.9g} s is more than {FARTHEST // 10**9} s ahead of "
+                         f"the simulated time {now_ns / 1e9:.9g} s; leave the stamp zero, or "
+                         "stamp with simulated time (use_sim_time)")
+        if held >= MOST:
+            self._refuse("too_many", lambda: f"for {target}: {held} wrenches act or wait already")
         self.accepted += 1
-        return body, wrench, start_ns if start_ns > now_ns else 0
+        return Push(source_prefix(kind, f"{target}/{name}" if name else target), target, wrench,
+                    axes, start_ns if start_ns > now_ns else 0)
+
+    def refuse_clear(self, text):
+        """Count a ~/wrench/clear that names no body. Raises Refusal."""
+        self._refuse("unknown_frame", lambda: f"~/wrench/clear: {text[:LONGEST_NAME]!r} names no "
+                     f"body; it must be empty for all, or one of: {self._frames(None)}")
+
+    def knows(self, target):
+        """Whether a text is BODY or BODY/NAME."""
+        return target.partition("/")[0] in self._bodies
 
     def _refuse(self, reason, text):
+        """text: function that makes it, for it is read the first time only."""
         self.refused[reason] += 1
-        raise Refusal(reason, text, first=self.refused[reason] == 1)
+        first = self.refused[reason] == 1
+        raise Refusal(reason, text() if first else reason, first)
 
-    def _names(self):
-        shown = ", ".join(self._bodies[:8])
+    def _frames(self, body):
+        if body is not None:
+            return f"{body}, {self._world_frame}"
+        shown = ", ".join(list(self._bodies)[:8])
         return shown if len(self._bodies) <= 8 else f"{shown}, ... ({len(self._bodies)} bodies)"

@@ -67,12 +67,20 @@ class Sample:
     @cached_property
     def quaternions(self):
         """{body: (4,)} x, y, z, w of the rotation body -> world, w >= 0."""
-        return self._by_body(np.array([so3_to_quaternion(tuple(row[:9])) for row in self.pose]))
+        return self._by_body(np.array([so3_to_quaternion(tuple(row))
+                                       for row in self.pose[:, :9].tolist()]))
 
     @cached_property
     def angles(self):
         """(k,) angle of each torsional spring in the order of the scene, over many turns, rad."""
         return self._layout.angles(self._state[0], self._near)
+
+    @cached_property
+    def joint_coordinates(self):
+        """{joint: (coordinate, rate)} of the revolute joints in rad and rad/s, of the prismatic
+        ones in m and m/s. Whole turns are counted where the joint has a torsional spring; other
+        angles lie between -pi and pi."""
+        return self._layout.coordinates.at(*self._state, self.angles)
 
     @cached_property
     def energy(self):

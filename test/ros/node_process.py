@@ -35,22 +35,26 @@ NODE = "import sys; from liegroup_sim_ros.sim_node import main; sys.exit(main())
 PUSH = "import sys; from liegroup_sim_ros.main import main; sys.exit(main())"
 
 
-def python(code, *arguments, env=None):
-    """A Python process of its own session, so that signals to it reach nothing else."""
+def python(code, *arguments, env=None, under=()):
+    """A Python process of its own session, so that signals to it reach nothing else.
+
+    under : command line that the command line of the process is appended to
+    """
     return subprocess.Popen(
-        [sys.executable, "-c", code, *map(str, arguments)], env={**ENVIRONMENT, **(env or {})},
-        start_new_session=True, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        [*under, sys.executable, "-c", code, *map(str, arguments)],
+        env={**ENVIRONMENT, **(env or {})}, start_new_session=True, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
 
 class NodeProcess:
-    """A simulation node; `with` ends it. parameters: {name: value}."""
+    """A simulation node; `with` ends it. parameters: {name: value}; under: as of `python`."""
 
     running = []
 
-    def __init__(self, parameters, remap=(), env=None):
+    def __init__(self, parameters, remap=(), env=None, under=()):
         arguments = [f"{name}:={value}" for name, value in parameters.items()]
         self.process = python(NODE, "--ros-args", *(a for p in arguments for a in ("-p", p)),
-                              *(a for r in remap for a in ("-r", r)), env=env)
+                              *(a for r in remap for a in ("-r", r)), env=env, under=under)
 
     def __enter__(self):
         self.running.append(self)
@@ -126,9 +130,9 @@ class Client:
             Parameter(name, value=value).to_parameter_msg() for name, value in values.items()])
         return self.call(f"{node}/set_parameters", SetParameters, request).results[-1]
 
-    def pusher(self, node):
-        """push(body, torque, force, stamp_ns) for a node, connected both ways."""
-        publisher = self.node.create_publisher(WrenchStamped, f"{node}/wrench", 100)
+    def pusher(self, node, topic="wrench"):
+        """push(frame_id, torque, force, stamp_ns) for a node, connected both ways."""
+        publisher = self.node.create_publisher(WrenchStamped, f"{node}/{topic}", 100)
         self.until(publisher.get_subscription_count, COMPILING, f"subscription of {node}")
 
         def push(body, torque=(0.0, 0.0, 0.0), force=(0.0, 0.0, 0.0), stamp_ns=0):

@@ -15,7 +15,7 @@ from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 
-from liegroup_sim_ros.parameters import TABLE, table_text
+from liegroup_sim_ros.parameters import TABLE, check, table_text
 
 STEP_NS = 1_000_000
 PERIOD_NS = 10 * STEP_NS
@@ -177,7 +177,7 @@ def test_stamp_to_come_is_kept_and_stamp_past_is_now(client, node):
 @pytest.mark.parametrize("reason, body, force, ahead, message", [
     ("not_finite", "puck", (float("nan"), 0.0, 0.0), 0, "for puck: a component is NaN"),
     ("not_finite", "puck", (0.0, float("-inf"), 0.0), 0, None),
-    ("unknown_frame", "world", (1.0, 0.0, 0.0), 0, "'world' is not a body"),
+    ("unknown_frame", "world", (1.0, 0.0, 0.0), 0, "'world' is not known here"),
     ("no_frame", "", (1.0, 0.0, 0.0), 0, "frame_id is empty"),
     ("stamp_too_far", "puck", (1.0, 0.0, 0.0), 1_800_000_000 * 10**9, "ahead of the simulated")])
 def test_wrong_wrench_is_refused_counted_and_said_once(
@@ -261,13 +261,17 @@ def test_speed_is_held_and_can_be_changed(client, node):
         achieved = (node.now_ns() - begin) * 1e-9 / (time.monotonic() - start)
         # Two readings, each up to a period and some transport off, on a shared machine.
         assert achieved == pytest.approx(wanted, rel=0.2)
+    assert client.set(NODE, real_time_factor=0.0).successful
+    begin, start = node.now_ns(), time.monotonic()
+    client.until(lambda: node.now_ns() - begin > 5e9, what="as fast as it goes")
+    assert time.monotonic() - start < 2.5
     for value in (-1.0, float("nan"), "fast"):
         assert not client.set(NODE, real_time_factor=value).successful
     assert not client.set(NODE, step=0.5).successful
     assert not client.set(NODE, wrench_hold="forever").successful
     assert client.set(NODE, real_time_factor=1.0).successful
     names = [m.msg for m in node.events if m.name == "speed"]
-    assert names[-3:] == [f"real-time factor {f}" for f in ("0.5", "2", "1")]
+    assert names[-4:] == [f"real-time factor {f}" for f in ("0.5", "2", "0", "1")]
 
 
 def test_divergence_stops_the_simulation_not_the_node(client, node):
@@ -305,6 +309,17 @@ def test_preset_has_the_defaults_of_all_parameters():
     given = preset["/**"]["ros__parameters"]
     assert given == {entry.name: entry.default for entry in TABLE} | {"scene": "heavy_top"}
     assert [type(given[entry.name]) for entry in TABLE] == [type(e.default) for e in TABLE]
+
+
+@pytest.mark.parametrize("path", sorted((SOURCE / "config").glob("*.yaml")), ids=lambda p: p.stem)
+def test_presets_have_parameters_that_can_be_used(path):
+    step = 0.001
+    for name, value in yaml.safe_load(path.read_text())["/**"]["ros__parameters"].items():
+        assert check(name, value) == value
+        if name == "step":
+            step = value
+        if name.endswith("_rate") and value:
+            assert 1.0 / (value * step) == pytest.approx(round(1.0 / (value * step)))
 
 
 def test_docs_have_the_table_of_parameters():

@@ -149,6 +149,15 @@ def test_wrong_parameter_is_one_line_and_exit_code_2(scene, parameters, message)
     assert lines[0].startswith("sim_node: ")
 
 
+def test_wrong_quality_of_service_is_refused_before_the_recording_is_opened(scene, tmp_path):
+    path = tmp_path / "run.mcap"
+    wrong = {"qos_overrides./sim_node/wrench.subscription.reliability": "bogus"}
+    with NodeProcess({"scene": scene, "record": path, **wrong}) as process:
+        code, errors = process.wait()
+    assert code == 2 and "Unexpected QoS override" in errors.splitlines()[-1], errors
+    assert not path.exists()
+
+
 def test_two_nodes_in_two_namespaces(client, scene):
     both = [NodeProcess({"scene": scene, "clock_rate": 0.0, "world_frame": f"map_{ns}"},
                         remap=[f"__ns:=/{ns}"]) for ns in ("a", "b")]

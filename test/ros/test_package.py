@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """The installed package is what pip, the ament index and `ros2 run` expect of it."""
+import ast
 import importlib.metadata
+import json
 import os
+import re
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import pytest
+import yaml
 from ament_index_python.packages import get_package_prefix, get_package_share_directory
 
 import liegroup_core
@@ -57,12 +61,37 @@ def test_version_is_the_same_everywhere():
 def test_share_files_are_installed():
     share = Path(get_package_share_directory(NAME))
     files = [path.relative_to(SOURCE)
-             for pattern in ("package.xml", "config/*.yaml", "config/scenes/*.yaml",
-                             "launch/*.launch.*")
+             for pattern in ("package.xml", "config/*.yaml", "config/*.rviz", "config/*.json",
+                             "config/scenes/*.yaml", "launch/*.launch.*")
              for path in SOURCE.glob(pattern)]
     assert Path("config/scenes/heavy_top.yaml") in files
     for file in files:
         assert (share / file).read_bytes() == (SOURCE / file).read_bytes()
+
+
+def test_layouts_show_topics_that_the_node_has():
+    documented = (SOURCE / "docs" / "node.md").read_text()
+    rviz = yaml.safe_load((SOURCE / "config" / "scene.rviz").read_text())
+    shown = [display["Topic"]["Value"] for display in rviz["Visualization Manager"]["Displays"]
+             if "Topic" in display]
+    foxglove = json.loads((SOURCE / "config" / "foxglove.json").read_text())["configById"]
+    shown += foxglove["3D!scene"]["topics"]
+    shown += [path["value"].partition(".")[0] for path in foxglove["Plot!joints"]["paths"]]
+    shown.append(foxglove["DiagnosticStatusPanel!figures"]["topicToRender"])
+    assert len(shown) == 5
+    for topic in shown:
+        assert f"`{topic.replace('/sim_node', '~')}`" in documented, topic
+
+
+def test_launch_file_is_python_and_its_preset_is_there():
+    """launch has no wheel: that it starts the node is proved with a ROS installation only."""
+    text = (SOURCE / "launch" / "sim.launch.py").read_text()
+    tree = ast.parse(text)
+    arguments, = [ast.literal_eval(node.value) for node in tree.body
+                  if isinstance(node, ast.Assign) and node.targets[0].id == "ARGUMENTS"]
+    assert (SOURCE / "config" / f"{arguments['preset'][0]}.yaml").exists()
+    used = set(re.findall(r'LaunchConfiguration\("(\w+)"\)', text)) - {"params_file"}
+    assert used == set(arguments) - {"scene", "record"}
 
 
 def test_ros2_run_finds_the_node_and_it_answers():

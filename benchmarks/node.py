@@ -1,0 +1,268 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The simulation node over real DDS, beside bare rclpy loops in the same run.
+
+    python benchmarks/node.py            a few seconds for each part
+    python benchmarks/node.py --long     the lengths that figures are quoted from: 60 and 30 s
+
+Real-time figures of a machine that does other things at the same time are worth their ratios only.
+"""
+import argparse
+import json
+import os
+import random
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+os.environ.update(ROS_DOMAIN_ID=str(random.randint(1, 100)),
+                  ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
+
+import rclpy  # noqa: E402  (reads the domain from the environment)
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from geometry_msgs.msg import TwistStamped, WrenchStamped  # noqa: E402
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+
+from liegroup_sim_ros.recording import read_recording  # noqa: E402
+
+BARE = Path(__file__).parent / "node_side" / "bare.py"
+NODE = "import sys; from liegroup_sim_ros.sim_node import main; sys.exit(main())"
+STARTING = 240.0                            # s; the first start on a machine compiles
+PUCK = "name: table\ngravity: [0, 0, 0]\nbodies:\n  - {name: puck, mass: 1, inertia: [1, 1, 1]}\n"
+MANY = "name: many\ngravity: [0, 0, -9.81]\nbodies:\n" + "".join(
+    f"  - {{name: b{i}, mass: 1, inertia: [1, 2, 3], position: [{i}, 0, 0], "
+    "angular_velocity: [1, 2, 3]}\n" for i in range(20))
+
+
+class Process:
+    """A process whose CPU time and memory can be asked for; `with` ends it."""
+
+    def __init__(self, *command):
+        self._process = subprocess.Popen([sys.executable, *map(str, command)], text=True,
+                                         stdout=subprocess.PIPE, start_new_session=True)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        if self._process.poll() is None:
+            self._process.send_signal(signal.SIGINT)
+            try:
+                self._process.wait(10.0)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+
+    def end(self):
+        """Exit code after SIGINT."""
+        self._process.send_signal(signal.SIGINT)
+        return self._process.wait(30.0)
+
+    def answer(self):
+        """The JSON it prints at its end."""
+        return json.loads(self._process.communicate()[0])
+
+    def cpu(self):
+        """CPU seconds so far."""
+        fields = Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+    def memory(self):
+        """Resident memory, MB."""
+        pages = Path(f"/proc/{self._process.pid}/statm").read_text().split()[1]
+        return int(pages) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def simulation(**parameters):
+    return Process("-c", NODE, "--ros-args", *(
+        part for name, value in parameters.items() for part in ("-p", f"{name}:={value}")))
+
+
+class Listener:
+    """A ROS node of this process."""
+
+    def __init__(self):
+        rclpy.init()
+        self.node = rclpy.create_node("benchmark")
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self.node)
+        self.diagnostics = []
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", lambda message:
+                                      self.diagnostics.append(message), 10)
+
+    def until(self, condition, seconds=STARTING):
+        end = time.monotonic() + seconds
+        while not condition():
+            if time.monotonic() > end:
+                raise SystemExit("node.py: a process did not answer")
+            self._executor.spin_once(timeout_sec=0.05)
+
+    def spin(self, seconds):
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0.0:
+            self._executor.spin_once(timeout_sec=left)
+
+    def figures(self):
+        """Of the next diagnostics."""
+        count = len(self.diagnostics)
+        self.until(lambda: len(self.diagnostics) > count)
+        return {pair.key: pair.value for pair in self.diagnostics[-1].status[0].values}
+
+
+def paced(listener, folder, seconds, name, scene, rate):
+    """A scene in real time with pose, twist, /clock and recording: one line of figures."""
+    path = folder / f"{name.replace(' ', '_')}.mcap"
+    with simulation(scene=scene, publish_rate=rate, clock_rate=rate, record=path) as node:
+        first, cpu = listener.figures(), node.cpu()
+        listener.spin(seconds)
+        last = listener.figures()
+        cpu = node.cpu() - cpu
+        node.end()
+    recording = read_recording(path)
+    simulated = float(last["sim_time_s"]) - float(first["sim_time_s"])
+    wall = recording.pacing["wall_seconds"]
+    track = recording.pose[recording.bodies[0]]
+    line(name, recording.pacing, (len(track.stamp_ns) - 1) / wall, cpu / simulated)
+    if not recording.complete or recording.lost:
+        raise SystemExit(f"node.py: {name}: the recording is not complete")
+
+
+def line(name, pacing, rate, cpu):
+    late = pacing["lateness_us"]
+    print(f"{name:<24} {rate:9.2f} {late['p50']:8.1f} {late['p99']:8.1f} {late['max']:9.0f} "
+          f"{100 * cpu:7.1f} {pacing['real_time_factor']:9.5f}")
+
+
+def real_time(listener, folder, seconds):
+    print("\nin real time                 rate/s  late p50      p99       max   CPU %   rt factor"
+          "   (lateness in us)")
+    paced(listener, folder, seconds, "heavy top", "heavy_top", 1000.0)
+    many = folder / "many.yaml"
+    many.write_text(MANY)
+    paced(listener, folder, seconds, "20 bodies", many, 500.0)
+    with Process(BARE, "paced", seconds) as bare:
+        answer = bare.answer()
+    line("bare loop, ready bytes", answer, answer["ticks"] / answer["wall_seconds"], answer["cpu"])
+
+
+def trips(listener, target, count):
+    """Microseconds from a wrench that is sent to the twist that shows it."""
+    seen = []
+    subscription = listener.node.create_subscription(
+        TwistStamped, f"{target}/puck/twist", lambda m: seen.append(m.twist.linear.x), 10)
+    publisher = listener.node.create_publisher(WrenchStamped, f"{target}/wrench", 10)
+    listener.until(lambda: publisher.get_subscription_count()
+                   and listener.node.count_publishers(f"{target}/puck/twist"))
+    message = WrenchStamped()
+    message.header.frame_id = "puck"
+    times, sign = [], 1.0
+    listener.spin(1.0)
+    for _ in range(count):
+        listener.spin(random.uniform(2e-3, 4e-3))
+        # To and fro: the node's speed goes 0, v, 0, v; the echo says the force itself.
+        message.wrench.force.x, sign = sign, -sign
+        before = seen[-1] if seen else None
+        seen.clear()
+        start = time.perf_counter()
+        publisher.publish(message)
+        listener.until(lambda: any(x != before for x in seen), 10.0)
+        times.append(1e6 * (time.perf_counter() - start))
+    listener.node.destroy_subscription(subscription)
+    return times
+
+
+def round_trip(listener, folder, count):
+    print("\nwrench out, twist back       us p50       p99")
+    scene = folder / "puck.yaml"
+    scene.write_text(PUCK)
+
+    def report(name, times):
+        p50, p99 = statistics.median(times), sorted(times)[int(0.99 * len(times))]
+        print(f"{name:<24} {p50:10.0f} {p99:9.0f}")
+
+    # A step of 1 ms: up to one to wait for the next tick. Of 0.1 ms: mostly transport.
+    for name, step, rate in (("node, 1 kHz", 1e-3, 1e3), ("node, 5 kHz", 2e-4, 5e3)):
+        with simulation(scene=scene, step=step, publish_rate=rate, wrench_hold="timeout",
+                        wrench_timeout=1e-3):
+            listener.figures()
+            report(name, trips(listener, "/sim_node", count))
+    with Process(BARE, "echo"):
+        report("bare echo node", trips(listener, "/echo", count))
+
+
+def cost_of(listener, path, seconds, scene, bodies):
+    """CPU us of the whole process, steps and recording included, for each message published."""
+    with simulation(scene=scene, publish_rate=1000.0, clock_rate=1000.0, state_rate=0.0,
+                    real_time_factor=0.0, record=path) as node:
+        first, cpu = listener.figures(), node.cpu()
+        listener.spin(seconds)
+        last = listener.figures()
+        cpu = node.cpu() - cpu
+    # At every step the pose and the twist of every body, and a clock.
+    return 1e6 * cpu / ((2 * bodies + 1) * (int(last["steps"]) - int(first["steps"])))
+
+
+def cost(listener, folder, seconds):
+    many = folder / "many.yaml"
+    many.write_text(MANY)
+    costs = {"node, heavy top": cost_of(listener, folder / "c1.mcap", seconds, "heavy_top", 1),
+             "node, 20 bodies": cost_of(listener, folder / "c20.mcap", seconds, many, 20)}
+    bare = {}
+    for name in ("objects", "bytes"):
+        with Process(BARE, name, seconds) as process:
+            bare[name] = process.answer()["cpu_us_per_message"]
+    print("\nCPU per message, flat out        us   of objects    of bytes")
+    for name, cpu in (*costs.items(), ("bare: objects built", bare["objects"]),
+                      ("bare: ready bytes", bare["bytes"])):
+        print(f"{name:<26} {cpu:8.2f} {cpu / bare['objects']:12.2f} {cpu / bare['bytes']:11.2f}")
+
+
+def storm(listener, folder, seconds):
+    print("\nstorm of wrenches: 3 processes, 10 kHz in all, every second one wrong")
+    with simulation(scene="heavy_top", publish_rate=1000.0, record=folder / "storm.mcap") as node:
+        before, memory = listener.figures(), node.memory()
+        factors = []
+        with (Process(BARE, "storm", 10_000 / 3, seconds) as a,
+              Process(BARE, "storm", 10_000 / 3, seconds) as b,
+              Process(BARE, "storm", 10_000 / 3, seconds) as c):
+            end = time.monotonic() + 2.0 + seconds
+            while time.monotonic() < end:
+                factors.append(float(listener.figures()["real_time_factor"]))
+            answers = [process.answer() for process in (a, b, c)]
+        last, grown = listener.figures(), node.memory() - memory
+        code = node.end()
+    taken = {key: int(last[key]) - int(before[key]) for key in
+             ("wrenches_accepted", "wrenches_refused")}
+    sent = {key: sum(answer[key] for answer in answers) for key in ("sent", "wrong")}
+    print(f"sent {sent['sent']}, {sent['wrong']} of them wrong; accepted "
+          f"{taken['wrenches_accepted']}, refused {taken['wrenches_refused']}; not delivered "
+          f"{sent['sent'] - sum(taken.values())}")
+    print(f"real-time factor {min(factors):.4f} to {max(factors):.4f}, lateness p99 "
+          f"{float(last['lateness_p99_us']):.0f} us, memory {memory:.0f} MB and {grown:+.1f} MB, "
+          f"recorder lost {last['recorder_lost']}, exit code {code}")
+
+
+def main():
+    """Run all parts, or those that are named."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("parts", nargs="*", metavar="PART",
+                        help="real_time, round_trip, cost or storm; all if left out")
+    parser.add_argument("--long", action="store_true", help="60 and 30 s in place of 5 and 5 s")
+    args = parser.parse_args()
+    lengths = {real_time: (60.0, 5.0), round_trip: (2000, 200), cost: (30.0, 4.0),
+               storm: (30.0, 5.0)}
+    parts = {part.__name__: part for part in lengths}
+    if unknown := set(args.parts) - set(parts):
+        parser.error(f"unknown part {min(unknown)}; there are {', '.join(parts)}")
+    print(f"load of the machine at the start: {os.getloadavg()[0]:.2f} on {os.cpu_count()} cores")
+    listener = Listener()
+    with tempfile.TemporaryDirectory() as folder:
+        for name in args.parts or parts:
+            long, short = lengths[parts[name]]
+            parts[name](listener, Path(folder), long if args.long else short)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Coordinates and rates of the joints with one freedom: the turn of a hinge, the way of a slider.
+
+With the joint frames A on the parent and B on the child, z_A and z_B their axes in the world,
+    revolute   theta = atan2(R10 - R01, R00 + R11) of R = R_A^T R_B,   z_B . (omega_b - omega_a)
+    prismatic  z_A . (p_B - p_A),                                      z_B . (v_b - v_a) at p_B
+Both are those of a closed joint; where a joint has opened by a little they are off by as much.
+Angles count whole turns where a torsional spring makes the integrator count them.
+"""
+import math
+
+import numpy as np
+
+KINDS = ("revolute", "prismatic")
+
+
+class JointCoordinates:
+    """Reads coordinates off a state.
+
+    scene  : Scene whose frames are at the centres of mass
+    frames : (parent frame, child frame), each (4, 4), of its joints
+    """
+
+    def __init__(self, scene, frames):
+        place = {body.name: i for i, body in enumerate(scene.bodies)}
+        found = [(joint, pair) for joint, pair in zip(scene.joints, frames)
+                 if joint.type in KINDS]
+        self.names = tuple(joint.name for joint, _ in found)
+        self._slides = [joint.type == "prismatic" for joint, _ in found]
+        # The world stands behind the last body.
+        self._parent = [place.get(joint.parent, len(place)) for joint, _ in found]
+        self._child = [place[joint.child] for joint, _ in found]
+        self._parent_frame = np.array([pair[0] for _, pair in found]).reshape(-1, 4, 4)
+        self._child_frame = np.array([pair[1] for _, pair in found]).reshape(-1, 4, 4)
+        springs = [force.joint for force in scene.forces
+                   if force.type == "torsional_spring_damper"]
+        self._spring = [springs.index(name) if name in springs else None for name in self.names]
+
+    def at(self, pose, twist, angles):
+        """{joint: (coordinate, rate)}: rad and rad/s, or m and m/s.
+
+        pose, twist : (n, 12), (n, 6) of the frames at the centres of mass
+        angles      : (k,) rad, of the torsional springs
+        """
+        if not self.names:
+            return {}
+        R = np.concatenate([pose[:, :9].reshape(-1, 3, 3), np.eye(3)[None]])
+        r = np.concatenate([pose[:, 9:], np.zeros((1, 3))])
+        spin, speed = np.zeros((2, len(R), 3))              # world axes
+        spin[:-1] = np.einsum("nij,nj->ni", R[:-1], twist[:, :3])
+        speed[:-1] = np.einsum("nij,nj->ni", R[:-1], twist[:, 3:])
+        a, b = self._parent, self._child
+        R_A, R_B = R[a] @ self._parent_frame[:, :3, :3], R[b] @ self._child_frame[:, :3, :3]
+        p_A = r[a] + np.einsum("nij,nj->ni", R[a], self._parent_frame[:, :3, 3])
+        p_B = r[b] + np.einsum("nij,nj->ni", R[b], self._child_frame[:, :3, 3])
+        R_rel = R_A.transpose(0, 2, 1) @ R_B
+        turn = np.arctan2(R_rel[:, 1, 0] - R_rel[:, 0, 1], R_rel[:, 0, 0] + R_rel[:, 1, 1])
+        way = np.einsum("ni,ni->n", R_A[:, :, 2], p_B - p_A)
+        turn_rate = np.einsum("ni,ni->n", R_B[:, :, 2], spin[b] - spin[a])
+        way_rate = np.einsum("ni,ni->n", R_B[:, :, 2],
+                             speed[b] + np.cross(spin[b], p_B - r[b])
+                             - speed[a] - np.cross(spin[a], p_B - r[a]))
+        found = {}
+        for j, name in enumerate(self.names):
+            if self._slides[j]:
+                found[name] = float(way[j]), float(way_rate[j])
+            else:
+                angle = float(turn[j])
+                if self._spring[j] is not None:
+                    counted = angles[self._spring[j]]
+                    angle += 2.0 * math.pi * round((counted - angle) / (2.0 * math.pi))
+                found[name] = angle, float(turn_rate[j])
+        return found

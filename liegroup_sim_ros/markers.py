@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""visualization_msgs/MarkerArray of a scene for RViz and Foxglove. No ROS is imported here.
+
+Bodies are drawn as their shapes, and those without one as the homogeneous box of the same mass and
+inertia: its edges are x^2 = 6 (I_y + I_z - I_x) / m about the principal axes. Joints are small
+balls at the child's joint frame. What is applied to a body from outside is an arrow at its origin
+for the force, and one for the torque, as long as `arrow_scale` says.
+"""
+import math
+
+import numpy as np
+
+from liegroup_core.lie.so3 import so3_to_quaternion
+
+from .cdr import Template, stamp
+
+CUBE, SPHERE, CYLINDER, ARROW = 1, 2, 3, 0
+ADD, DELETE = 0, 2
+BODY_COLOR = (0.35, 0.55, 0.8, 0.9)
+JOINT_COLOR = (0.9, 0.6, 0.1, 1.0)
+FORCE_COLOR, TORQUE_COLOR = (0.8, 0.1, 0.1, 1.0), (0.5, 0.1, 0.7, 1.0)
+# Parts of the size of the scene's largest body.
+JOINT_SIZE, SHAFT, HEAD = 0.08, 0.03, 0.06
+THINNEST = 0.01                             # RViz draws nothing of size 0
+TYPES = {"box": CUBE, "cylinder": CYLINDER, "rod": CYLINDER, "sphere": SPHERE}
+
+
+class Markers:
+    """Encodes all markers of a scene.
+
+    layout      : Layout of the scene
+    world_frame : frame id of the poses
+    arrow_scale : m per N and per N m; may be changed
+    wrenches    : {body: (torque, force)} in body axes, what acts; kept by the caller
+    """
+
+    def __init__(self, layout, world_frame, arrow_scale, wrenches):
+        scene = layout.scene
+        self.arrow_scale = arrow_scale
+        self._wrenches = wrenches
+        self._bodies = layout.body_names
+        place = {body: i for i, body in enumerate(self._bodies)}
+        solids = [_solid(body) for body in scene.bodies]
+        largest = max(max(size) for _, size, _ in solids)
+        self._template = template = Template()
+        self._owner, self._local = [], []   # body and pose in it, of each marker but the arrows
+        template.put("I", len(solids) + len(scene.joints) + 2 * len(solids))
+        for i, (kind, size, local) in enumerate(solids):
+            self._add("bodies", i, kind, world_frame, np.maximum(size, THINNEST * largest),
+                      BODY_COLOR)
+            self._owner.append(i)
+            self._local.append(local)
+        offsets = {body.name: np.array(body.com) for body in scene.bodies}
+        for i, (joint, (_, frame)) in enumerate(zip(scene.joints, layout.joint_frames)):
+            self._add("joints", i, SPHERE, world_frame, (JOINT_SIZE * largest,) * 3, JOINT_COLOR)
+            local = frame.copy()            # in the frame at the centre of mass
+            local[:3, 3] += offsets[joint.child]
+            self._owner.append(place[joint.child])
+            self._local.append(local)
+        self._local = np.array(self._local)
+        for name, color in (("forces", FORCE_COLOR), ("torques", TORQUE_COLOR)):
+            for i in range(len(solids)):
+                self._add(name, i, ARROW, world_frame,
+                          (SHAFT * largest, HEAD * largest, 0.0), color)
+
+    def _add(self, namespace, number, kind, frame, size, color):
+        """One visualization_msgs/Marker; slots: stamp, action, pose, and of arrows the points."""
+        template = self._template
+        template.header(frame)
+        template.string(namespace)
+        template.put("2i", number, kind)
+        template.slot("i")
+        template.slot("7d")
+        template.put("3d", *size)
+        template.put("4f", *color)
+        template.put("iI", 0, 0)            # lifetime: for ever
+        template.put("B", False)            # not locked to the frame
+        template.put("I", 2 if kind == ARROW else 0)
+        if kind == ARROW:
+            template.slot("6d")
+        template.put("I", 0)                # colours of points
+        template.string("")                 # texture: its resource, then the image:
+        template.put("iI", 0, 0)
+        template.string("")
+        template.string("")
+        template.put("I", 0)
+        template.put("I", 0)                # texture coordinates
+        for _ in ("text", "mesh resource", "file name of the mesh"):
+            template.string("")
+        template.put("I", 0)                # the mesh
+        template.put("B", False)
+
+    def encode(self, stamp_ns, sample):
+        """The serialized message."""
+        time = stamp(stamp_ns)
+        slots = []
+        poses = sample.pose_matrices[self._owner] @ self._local
+        for rotation, place in zip(poses[:, :3, :3].reshape(-1, 9).tolist(),
+                                   poses[:, :3, 3].tolist()):
+            slots += time, (ADD,), (*place, *so3_to_quaternion(tuple(rotation)))
+        for part in (slice(3, 6), slice(0, 3)):
+            for body in self._bodies:
+                vector = self._wrenches.get(body, (0.0,) * 6)[part]
+                tip = [self.arrow_scale * component for component in vector]
+                pose = (*sample.positions[body].tolist(), *sample.quaternions[body].tolist())
+                slots += (time, (ADD if any(vector) else DELETE,), pose, (0.0, 0.0, 0.0, *tip))
+        return self._template.pack(*slots)
+
+
+def markers(encoder):
+    """[(topic, type, encode)] as in sample_messages.py."""
+    return [("~/markers", "visualization_msgs/msg/MarkerArray", encoder.encode)]
+
+
+def _solid(body):
+    """(kind of marker, sizes (3,) in m, pose (4, 4) in the body frame) that a body is drawn as."""
+    local = np.eye(4)
+    shape = body.shape
+    if shape is None:
+        moments, axes = np.linalg.eigh(body.inertia_matrix)
+        local[:3, :3] = axes * np.linalg.det(axes)          # a rotation, not a reflection
+        local[:3, 3] = body.com
+        squares = 6.0 * (moments.sum() - 2.0 * moments) / body.mass
+        return CUBE, tuple(math.sqrt(max(0.0, square)) for square in squares), local
+    local[:3, :3], local[:3, 3] = shape.rotation, shape.position
+    if shape.type == "box":
+        size = shape.size
+    else:
+        across = 2.0 * shape.radius
+        size = (across, across, across if shape.type == "sphere" else shape.length)
+    return TYPES[shape.type], tuple(size), local

@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An MCAP file that is written chunk by chunk, with messages packed in about a microsecond each.
+
+The records of the library `mcap` are used for all that is rare. Its Writer makes an object of
+every message and writes it field by field, which costs more than simulating a small scene; here a
+message is one struct and the index of a chunk one array. test_recorder.py reads the files with the
+readers of mcap and of rosbags.
+
+Source: mcap.dev specification, version 0.
+"""
+import struct
+import zlib
+from array import array
+
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (Attachment, AttachmentIndex, Channel, Chunk, ChunkIndex, DataEnd, Footer,
+                          Header, Metadata, MetadataIndex, Schema, Statistics, SummaryOffset)
+from mcap.writer import MCAP0_MAGIC
+
+_MESSAGE = struct.Struct("<BQHIQQ")         # opcode, size, channel, sequence, log and publish time
+_MESSAGE_FIELDS = _MESSAGE.size - 9         # without opcode and size
+_INDEX = struct.Struct("<BQHI")             # opcode, size, channel, size of the array
+_FOOTER_START = struct.Struct("<BQQQ")      # what its check sum covers of a footer
+
+
+class McapFile:
+    """A file under construction; profile `ros2`, zstd, with message index and statistics.
+
+    stream     : has write(bytes) and tell()
+    library    : free text, who wrote the file
+    chunk_size : bytes before compression after which a chunk is closed
+    Errors of the stream are passed on.
+    """
+
+    def __init__(self, stream, library, chunk_size):
+        self._stream, self._chunk_size = stream, chunk_size
+        self._compress = zstandard.ZstdCompressor(level=1).compress
+        self._schemas, self._channels = [], []
+        self._chunks, self._attachments, self._metadata = [], [], []
+        self.counts = {}                    # channel id -> messages
+        self._first_ns = self._last_ns = None
+        self._begin_chunk()
+        stream.write(MCAP0_MAGIC)
+        self._write(Header("ros2", library))
+
+    def _write(self, record):
+        """Write one record; (its offset, its length)."""
+        builder = RecordBuilder()
+        record.write(builder)
+        data, offset = builder.end(), self._stream.tell()
+        self._stream.write(data)
+        return offset, len(data)
+
+    def _begin_chunk(self):
+        self._parts, self._size, self._index = [], 0, {}
+
+    def _put_in_chunk(self, record):
+        builder = RecordBuilder()
+        record.write(builder)
+        data = builder.end()
+        self._parts.append(data)
+        self._size += len(data)
+
+    def add_schema(self, name, encoding, data):
+        """Number of a new schema."""
+        self._schemas.append(Schema(id=len(self._schemas) + 1, data=data, encoding=encoding,
+                                    name=name))
+        self._put_in_chunk(self._schemas[-1])
+        return self._schemas[-1].id
+
+    def add_channel(self, topic, encoding, schema, metadata):
+        """Number of a new channel."""
+        channel = Channel(id=len(self._channels) + 1, topic=topic, message_encoding=encoding,
+                          schema_id=schema, metadata=metadata)
+        self._channels.append(channel)
+        self.counts[channel.id] = 0
+        self._put_in_chunk(channel)
+        return channel.id
+
+    def add_message(self, channel, stamp_ns, data, sequence):
+        """A message whose log time and publish time are its stamp."""
+        if channel not in self._index:
+            self._index[channel] = array("Q")
+        self._index[channel].extend((stamp_ns, self._size))
+        self._parts += (_MESSAGE.pack(Opcode.MESSAGE, _MESSAGE_FIELDS + len(data), channel,
+                                      sequence, stamp_ns, stamp_ns), data)
+        self._size += _MESSAGE.size + len(data)
+        if self._size > self._chunk_size:
+            self.flush()
+
+    def add_attachment(self, create_ns, stamp_ns, name, media_type, data):
+        """A file within the file."""
+        offset, length = self._write(Attachment(
+            create_time=create_ns, log_time=stamp_ns, name=name, media_type=media_type, data=data))
+        self._attachments.append(AttachmentIndex(
+            offset=offset, length=length, create_time=create_ns, log_time=stamp_ns,
+            data_size=len(data), name=name, media_type=media_type))
+
+    def add_metadata(self, name, entries):
+        """{key: text} under a name."""
+        offset, length = self._write(Metadata(name=name, metadata=entries))
+        self._metadata.append(MetadataIndex(offset=offset, length=length, name=name))
+
+    @property
+    def stamps(self):
+        """Least and largest stamp in closed chunks, ns; zeros without messages."""
+        return (0, 0) if self._first_ns is None else (self._first_ns, self._last_ns)
+
+    def flush(self):
+        """Close the chunk, if there is a message in it, and write it with its index."""
+        if not self._index:
+            return
+        data, index = b"".join(self._parts), self._index
+        self._begin_chunk()
+        first, last = (edge(edge(each[::2]) for each in index.values()) for edge in (min, max))
+        compressed = self._compress(data)
+        offset, length = self._write(Chunk(
+            compression="zstd", data=compressed, message_start_time=first, message_end_time=last,
+            uncompressed_crc=zlib.crc32(data), uncompressed_size=len(data)))
+        start, offsets, parts = offset + length, {}, b""
+        for channel, each in index.items():
+            offsets[channel] = start + len(parts)
+            size = len(each) * each.itemsize
+            parts += _INDEX.pack(Opcode.MESSAGE_INDEX, 2 + 4 + size, channel, size)
+            parts += struct.pack(f"<{len(each)}Q", *each)
+            self.counts[channel] += len(each) // 2
+        self._stream.write(parts)
+        self._chunks.append(ChunkIndex(
+            message_start_time=first, message_end_time=last, chunk_start_offset=offset,
+            chunk_length=length, message_index_offsets=offsets, message_index_length=len(parts),
+            compression="zstd", compressed_size=len(compressed), uncompressed_size=len(data)))
+        if self._first_ns is None:
+            self._first_ns, self._last_ns = first, last
+        self._first_ns, self._last_ns = min(self._first_ns, first), max(self._last_ns, last)
+
+    def finish(self):
+        """Write the last chunk, the summary and the end."""
+        self.flush()
+        self._write(DataEnd(0))             # 0: there is no check sum of all of it
+        start, (first, last) = self._stream.tell(), self.stamps
+        statistics = Statistics(
+            attachment_count=len(self._attachments), channel_count=len(self._channels),
+            channel_message_counts=self.counts, chunk_count=len(self._chunks),
+            message_count=sum(self.counts.values()), message_start_time=first,
+            message_end_time=last, metadata_count=len(self._metadata),
+            schema_count=len(self._schemas))
+        summary, groups = RecordBuilder(), []
+        for opcode, records in (
+                (Opcode.SCHEMA, self._schemas), (Opcode.CHANNEL, self._channels),
+                (Opcode.STATISTICS, [statistics]), (Opcode.CHUNK_INDEX, self._chunks),
+                (Opcode.ATTACHMENT_INDEX, self._attachments),
+                (Opcode.METADATA_INDEX, self._metadata)):
+            begin = summary.count
+            for record in records:
+                record.write(summary)
+            if records:
+                groups.append(SummaryOffset(group_opcode=opcode, group_start=start + begin,
+                                            group_length=summary.count - begin))
+        offsets_start = start + summary.count
+        for group in groups:
+            group.write(summary)
+        data = summary.end()
+        self._stream.write(data)
+        checksum = zlib.crc32(_FOOTER_START.pack(Opcode.FOOTER, 8 + 8 + 4, start, offsets_start),
+                              zlib.crc32(data))
+        self._write(Footer(summary_start=start, summary_offset_start=offsets_start,
+                           summary_crc=checksum))
+        self._stream.write(MCAP0_MAGIC)

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One scene on its way: simulation thread, topics and recording. ~/reload replaces it."""
+import threading
+from concurrent.futures import Future, wait
+
+from liegroup_core import SceneError, Simulation, load_scene
+
+from . import attachments
+from .outputs import Outputs
+from .parameters import ParameterError
+from .recorder import Recorder
+from .server import SimulationServer
+from .wrench_topics import WrenchTopics
+
+# How long the main thread may not notice that it shall end, s.
+ATTENTION = 0.1
+
+
+class Interrupted(Exception):
+    """A signal to end that came before the simulation was ready."""
+
+
+class SceneRun:
+    """A simulation, what it says, takes and records. Raises ParameterError, RecorderError.
+
+    node       : rclpy Node
+    values     : parameters
+    simulation : liegroup_core.Simulation at step 0
+    before     : SceneRun that this one takes over from, which must stand still; its stamps and its
+                 recording are continued, the latter in a file of its own. None: the first one
+    paused     : start paused
+    """
+
+    def __init__(self, node, values, simulation, before=None, paused=False):
+        self._node = node
+        self.simulation = simulation
+        self.recorder = None
+        layout = simulation.layout
+        base_ns, origin, path, self._part = 0, "", values.record, 1
+        if before is not None:
+            base_ns = before.server.stamp_ns + max(1, round(simulation.step * 1e9))
+            origin = ", loaded by ~/reload"
+            if before.recorder is not None:
+                origin += f"; the recording before is {before.recorder.path.name}"
+                self._part = before._part + 1
+                stem = before.recorder.path.stem.removesuffix(f"_part{before._part}")
+                path = before.recorder.path.with_name(f"{stem}_part{self._part}.mcap")
+        if not values.world_frame or values.world_frame in layout.body_names:
+            raise ParameterError(f"parameter world_frame: must be a name that no body has, "
+                                 f"got {values.world_frame!r}")
+        self.outputs = Outputs(node, layout, values, self._figures)
+        self.server = SimulationServer(simulation, self.outputs, values.real_time_factor, paused,
+                                       base_ns, origin)
+        self.wrenches = WrenchTopics(node, layout.body_names, values, self.server)
+        # Last of what can fail: nothing else leaves a trace on the disk.
+        if path:
+            try:
+                self.recorder = Recorder(path, attachments.at_start(
+                    simulation, node.get_fully_qualified_name(), values.world_frame,
+                    values.steps["publish_rate"], self.outputs.topics(), base_ns))
+                self.outputs.record_to(self.recorder)
+            except Exception:
+                self._close_topics()
+                raise
+
+    def start(self):
+        """Start the simulation thread, and say so."""
+        self.server.start()
+        simulation = self.simulation
+        self._node.get_logger().info(
+            f"{simulation.scene.name}: {len(simulation.layout.body_names)} bodies, "
+            f"{simulation.method}, step {simulation.step:g} s, {self.server.state}"
+            + (f", recording to {self.recorder.path}" if self.recorder else ""))
+
+    def _figures(self):
+        """What the diagnostics say beside the server's figures."""
+        recorder = self.recorder
+        return {
+            **self.wrenches.figures(),
+            "recorder_queued": recorder.queued if recorder else 0,
+            "recorder_written": recorder.written if recorder else 0,
+            "recorder_lost": recorder.lost if recorder else 0,
+            "recorder_failure": (recorder.failure or "") if recorder else "",
+        }
+
+    def close(self):
+        """End the simulation, then the recording, then the topics."""
+        self.server.stop()
+        if self.recorder is not None:
+            self.recorder.add_attachment("pacing.json", *attachments.as_json(
+                self.server.pacer.report()))
+            self.recorder.close()
+            if self.recorder.failure is None:
+                self._node.get_logger().info(f"recorded {self.recorder.written} messages in "
+                                             f"{self.recorder.path}")
+        self._close_topics()
+
+    def _close_topics(self):
+        self.wrenches.close()
+        self.outputs.close()
+
+
+def make_simulation(values, signals):
+    """Simulation of the scene that the parameters name.
+
+    signals : has `received`; raises Interrupted when it becomes true. Compiling may take half a
+              minute, in a thread of its own because an exception out of a signal handler may be
+              lost in it: the compiler has callbacks that no exception passes
+    raises SceneError, ParameterError
+    """
+    if not values.scene:
+        raise ParameterError("parameter scene: is empty; give a scene file, such as "
+                             "--ros-args -p scene:=heavy_top")
+    future = Future()
+
+    def work():
+        try:
+            future.set_result(_make(values))
+        except Exception as error:
+            future.set_exception(error)
+
+    threading.Thread(target=work, daemon=True).start()
+    while not wait([future], ATTENTION).done:
+        if signals.received:
+            raise Interrupted
+    return future.result()
+
+
+def _make(values):
+    scene = load_scene(values.scene)
+    try:
+        return Simulation(scene, values.method, values.step, values.group, values.stabilisation)
+    except SceneError:
+        raise
+    except ValueError as error:
+        raise ParameterError(f"parameter method, step or group: {error}") from None

@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Subscriptions to the wrench topics: what comes is read, refused or handed to the simulation."""
+from geometry_msgs.msg import WrenchStamped
+from rclpy.qos import QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from std_msgs.msg import String
+
+from .wrench_input import Refusal, WrenchInput, source_prefix
+
+DEPTH = 1000                                # messages that may wait for the executor
+
+
+class WrenchTopics:
+    """All wrench topics of a scene.
+
+    node   : rclpy Node
+    bodies : names of the bodies
+    values : parameters; wrench_hold and wrench_timeout are read anew for every message
+    server : SimulationServer
+    """
+
+    def __init__(self, node, bodies, values, server):
+        self._node, self._values, self._server = node, values, server
+        self.input = WrenchInput(bodies, values.world_frame)
+        self._subscriptions = []
+        self._listen("~/wrench", "wrench")
+        self._listen("~/wrench/persistent", "persistent")
+        for body in bodies if values.body_wrenches else ():
+            self._listen(f"~/{body}/wrench", "body", body)
+        self._subscriptions.append(
+            node.create_subscription(String, "~/wrench/clear", self._clear, DEPTH))
+
+    def _listen(self, topic, kind, body=None):
+        # Bytes: they are read in a few microseconds, an object takes longer to be made.
+        self._subscriptions.append(self._node.create_subscription(
+            WrenchStamped, topic, lambda payload: self._take(payload, kind, body),
+            QoSProfile(depth=DEPTH), raw=True,
+            qos_overriding_options=QoSOverridingOptions.with_default_policies()))
+
+    def _take(self, payload, kind, body):
+        try:
+            push = self.input.read(payload, kind, body, self._server.stamp_ns,
+                                   self._server.wrenches_held)
+        except Refusal as refusal:
+            self._say(refusal)
+            return
+        values = self._values
+        hold = "until_replaced" if kind == "persistent" else values.wrench_hold
+        self._server.push(push, {"one_step": values.step, "timeout": values.wrench_timeout,
+                                 "until_replaced": None}[hold])
+
+    def _clear(self, message):
+        if message.data and not self.input.knows(message.data):
+            try:
+                self.input.refuse_clear(message.data)
+            except Refusal as refusal:
+                self._say(refusal)
+            return
+        self._server.clear(source_prefix("persistent", message.data))
+
+    def _say(self, refusal):
+        if refusal.first:
+            self._node.get_logger().warning(str(refusal))
+
+    def figures(self):
+        """What the diagnostics say about them."""
+        refused = self.input.refused
+        return {"wrenches_accepted": self.input.accepted,
+                "wrenches_refused": sum(refused.values()),
+                **{f"wrenches_refused_{reason}": count for reason, count in refused.items()}}
+
+    def close(self):
+        """Listen no longer."""
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)

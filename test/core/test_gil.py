@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Steps are taken without the interpreter's lock: other threads of the process go on meanwhile."""
+import threading
+import time
+
+import pytest
+
+from liegroup_core import Simulation, load_scene
+from liegroup_core._compile import compiled
+
+
+@pytest.mark.skipif(not compiled(), reason="nothing is compiled")
+def test_other_threads_run_while_steps_are_taken():
+    """With the lock held, this thread would stand still for as long as the steps take."""
+    simulation = Simulation(load_scene("heavy_top"))
+    steps, span = 500_000, []               # half a second in one compiled call
+
+    def take():
+        start = time.perf_counter()
+        simulation.advance(steps)
+        span.append(time.perf_counter() - start)
+
+    thread = threading.Thread(target=take)
+    thread.start()
+    longest, last = 0.0, time.perf_counter()
+    while not span:
+        now = time.perf_counter()
+        longest, last = max(longest, now - last), now
+    thread.join()
+    assert simulation.steps == steps
+    assert longest < 0.5 * span[0]

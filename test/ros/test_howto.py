@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command lines of sim_node in docs/howto.md start a node, and its Python runs against one."""
+import re
+import shlex
+import signal
+from pathlib import Path
+
+import pytest
+from node_process import COMPILING, NODE, NodeProcess, python
+from rcl_interfaces.msg import Log
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from liegroup_sim_ros.recording import read_recording
+
+SOURCE = Path(__file__).resolve().parents[2]
+PAGE = (SOURCE / "docs" / "howto.md").read_text()
+COMMANDS = re.findall(r"^    sim_node (--ros-args .*)$", PAGE, re.MULTILINE)
+SCRIPT = "\n".join(re.findall(r"^```python\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL))
+
+
+def test_page_has_what_is_tested_here():
+    assert len(COMMANDS) == 5 and SCRIPT.count("import rclpy\n") == 1
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_command_starts_a_node(client, tmp_path, command):
+    command = command.replace("config/", f"{SOURCE / 'config'}/").replace(
+        "run.mcap", str(tmp_path / "run.mcap"))
+    namespace = re.search(r"__ns:=(\S+)", command)
+    events = client.listen(f"{namespace[1] if namespace else ''}/sim_node/events", Log, QoSProfile(
+        depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+    process = python(NODE, *shlex.split(command))
+    try:
+        client.until(lambda: events, COMPILING)
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=30)
+        assert process.returncode == 0, errors
+    finally:
+        process.kill()
+
+
+def test_python_of_the_page_runs(tmp_path):
+    path = tmp_path / "run.mcap"
+    with NodeProcess({"scene": "heavy_top", "record": path}) as process:
+        script = python(SCRIPT.replace('"run.mcap"', repr(str(path))))
+        output, errors = script.communicate(timeout=COMPILING)
+        assert script.returncode == 0, errors
+        process.send(signal.SIGINT)
+        assert process.wait()[0] == 0
+    lines = output.splitlines()
+    assert len(lines) == 9 and lines[0].startswith("paused at")
+    assert [line.partition(",")[0] for line in lines[1:4]] == ["10 steps"] * 3
+    assert lines[6].startswith("double_pendulum at") and lines[7].startswith("it is ")
+    assert "'/sim_node/top/pose'" in lines[8]
+    assert {"pause", "step", "reset", "speed", "resume"} <= {
+        event.name for event in read_recording(path).events}

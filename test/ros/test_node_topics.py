@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Optional topics of a running node, each at its own rate; a reload; what the recordings have."""
+import importlib.util
+import signal
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseArray, PoseStamped, TwistStamped, VelocityStamped, WrenchStamped
+from node_process import COMPILING, NodeProcess, stamp_ns, values
+from mcap.reader import make_reader
+from nav_msgs.msg import Odometry
+from rcl_interfaces.msg import Log
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from visualization_msgs.msg import Marker, MarkerArray
+
+from liegroup_core import load_scene
+from liegroup_sim_ros.recording import read_recording
+from liegroup_sim_ros.report.motion import read_motion
+from liegroup_sim_ros.report.replay import repeat
+
+STEP_NS = 1_000_000
+NODE = "/shown"
+# Steps from one message to the next; they have no common period but the step.
+PERIODS = {"publish_rate": 10, "odometry_rate": 20, "velocity_rate": 25, "pose_array_rate": 50,
+           "joint_state_rate": 4, "marker_rate": 40, "state_rate": 125, "clock_rate": 5}
+ARM = """
+name: arm
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: upper, mass: 1.0, inertia: [0.1, 0.1, 0.02], position: [0.5, 0, 0]}
+  - {name: lower, shape: {type: box, size: [0.1, 0.1, 1], mass: 1}, position: [1.0, 0, -0.5]}
+joints:
+  - {name: shoulder, type: revolute, parent: world, child: upper,
+     child_frame: {position: [-0.5, 0, 0], axis: [0, 1, 0]}}
+  - {name: elbow, type: revolute, parent: upper, child: lower,
+     parent_frame: {position: [0.5, 0, 0], axis: [0, 1, 0]}}
+"""
+
+
+def stamp_of(message):
+    header = message.markers[0].header if hasattr(message, "markers") else message.header
+    return stamp_ns(header.stamp)
+
+
+class Shown:
+    """A running node and what is on its topics, by parameter of the rate."""
+
+    def __init__(self, client):
+        self.messages = {
+            "publish_rate": client.listen(f"{NODE}/lower/pose", PoseStamped),
+            "odometry_rate": client.listen(f"{NODE}/lower/odometry", Odometry),
+            "velocity_rate": client.listen(f"{NODE}/lower/velocity", VelocityStamped),
+            "pose_array_rate": client.listen(f"{NODE}/poses", PoseArray),
+            "joint_state_rate": client.listen(f"{NODE}/joint_states", JointState),
+            "marker_rate": client.listen(f"{NODE}/markers", MarkerArray),
+            "state_rate": client.listen(f"{NODE}/state", DiagnosticArray)}
+        self.twist = client.listen(f"{NODE}/lower/twist", TwistStamped)
+        self.clock = client.listen("/clock", Clock)
+        self.events = client.listen(f"{NODE}/events", Log, QoSProfile(
+            depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+        client.until(lambda: all(self.messages.values()) and self.clock and self.events,
+                     COMPILING, "one message of each")
+
+    def stamps(self, name):
+        return [stamp_of(message) for message in self.messages[name]]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("shown")
+
+
+@pytest.fixture(scope="module")
+def node(client, folder):
+    scene = folder / "arm.yaml"
+    scene.write_text(ARM)
+    rates = {name: 1000.0 / steps for name, steps in PERIODS.items()}
+    with NodeProcess({"scene": scene, "record": folder / "run.mcap", "arrow_scale": 0.1,
+                      "world_frame": "map", **rates}, remap=[f"__node:={NODE[1:]}"]) as process:
+        yield Shown(client)
+        process.send(signal.SIGINT)
+        assert process.wait()[0] == 0
+
+
+def test_every_topic_has_its_own_rate(client, node):
+    begin = max(node.stamps(name)[-1] for name in node.messages)
+    client.until(lambda: all(node.stamps(name)[-1] > begin + 400 * STEP_NS
+                             for name in node.messages))
+    for name in node.messages:
+        stamps = [stamp for stamp in node.stamps(name) if begin < stamp]
+        assert set(np.diff(stamps)) == {PERIODS[name] * STEP_NS}, name
+        assert stamps[0] % (PERIODS[name] * STEP_NS) == 0
+    clock = [stamp_ns(message.clock) for message in node.clock[-50:]]
+    assert set(np.diff(clock)) == {5 * STEP_NS}
+
+
+def test_topics_agree_at_the_same_stamp(client, node):
+    def common():
+        return set.intersection(*(set(node.stamps(name)[2:]) for name in (
+            "publish_rate", "odometry_rate", "velocity_rate", "pose_array_rate",
+            "joint_state_rate", "marker_rate"))) & {stamp_ns(m.header.stamp) for m in node.twist}
+
+    stamp = max(client.until(common))
+    pose, odometry, velocity, poses, joints, markers = (
+        next(m for m in messages if stamp_of(m) == stamp)
+        for messages in (node.messages[name] for name in (
+            "publish_rate", "odometry_rate", "velocity_rate", "pose_array_rate",
+            "joint_state_rate", "marker_rate")))
+    twist = next(m for m in node.twist if stamp_ns(m.header.stamp) == stamp).twist
+    assert odometry.pose.pose == pose.pose == poses.poses[1]
+    assert odometry.twist.twist == velocity.velocity == twist
+    assert (odometry.header.frame_id, odometry.child_frame_id) == ("map", "lower")
+    # In the plane: the second angle is that between the two bodies.
+    turn = [2.0 * np.arctan2(p.orientation.y, p.orientation.w) for p in poses.poses]
+    assert joints.name == ["shoulder", "elbow"]
+    for angle, expected in zip(joints.position, (turn[0], turn[1] - turn[0])):
+        assert np.remainder(angle - expected + np.pi, 2 * np.pi) - np.pi == pytest.approx(
+            0.0, abs=1e-9)
+    assert joints.velocity[0] + joints.velocity[1] == pytest.approx(twist.angular.y, abs=1e-9)
+    assert markers.markers[1].pose.position == pose.pose.position
+
+
+def test_applied_wrench_is_an_arrow(client, node):
+    push = client.pusher(NODE, "wrench/persistent")
+    push("lower", force=(0.0, 2.0, 0.0))
+
+    def arrow():
+        return next((m for m in node.messages["marker_rate"][-1].markers
+                     if (m.ns, m.id, m.action) == ("forces", 1, Marker.ADD)), None)
+
+    assert client.until(arrow, what="an arrow").points[1].y == pytest.approx(0.2)
+    assert client.set(NODE, arrow_scale=0.5).successful
+    client.until(lambda: arrow().points[1].y == 1.0)
+    push("lower")
+    client.until(lambda: arrow() is None)
+
+
+def test_state_has_the_figures_of_the_diagnostics(node):
+    figures = {pair.key: pair.value for pair in node.messages["state_rate"][-1].status[0].values}
+    assert figures["state"] == "running" and float(figures["sim_time_s"]) > 0.0
+    # The elbow opens with the error of RKMK4, of order (omega h)^4 = 1e-9 per second at 6 rad/s.
+    assert 0.0 <= float(figures["constraint_residual"]) < 1e-6
+
+
+def test_what_has_no_rate_is_not_there(client, node):
+    names = dict(client.node.get_topic_names_and_types())
+    assert f"{NODE}/poses" in names and "/tf" not in names
+
+
+def test_use_sim_time_is_refused(client, node):
+    refused = client.set(NODE, use_sim_time=True)
+    assert not refused.successful and "makes the simulated time" in refused.reason
+    assert client.set(NODE, use_sim_time=False).successful
+
+
+def test_reload_takes_a_new_scene_with_new_topics_and_a_new_file(client, node, folder, scene):
+    """Last of this file: it changes the scene."""
+    assert client.set(NODE, scene="no_such_scene").successful
+    refused = client.call(f"{NODE}/reload")
+    assert not refused.success and "no_such_scene" in refused.message
+    (folder / "run_part2.mcap").touch()                    # in the way of the next part
+    assert client.set(NODE, scene=str(scene)).successful
+    refused = client.call(f"{NODE}/reload")
+    assert not refused.success and "exists already" in refused.message
+    (folder / "run_part2.mcap").unlink()
+    count = len(node.messages["publish_rate"])
+    client.until(lambda: len(node.messages["publish_rate"]) > count + 5)     # goes on
+    assert client.set(NODE, scene=str(scene)).successful
+    poses = client.listen(f"{NODE}/puck/pose", PoseStamped)
+    applied = client.listen(f"{NODE}/applied_wrench", WrenchStamped)
+    assert client.call(f"{NODE}/reload").success
+    client.until(lambda: len(poses) > 5)
+    last = node.stamps("publish_rate")[-1]
+    begin = stamp_ns(poses[0].header.stamp)
+    assert begin > last
+    clock = np.array([stamp_ns(message.clock) for message in node.clock])
+    assert (np.diff(clock) > 0).all()
+    push = client.pusher(NODE, "puck/wrench")
+    push("puck", force=(0.0, 2.0, 0.0))
+    client.until(lambda: len(applied) >= 2)
+    assert [values(m)[0] for m in applied] == ["puck", "puck"]
+    client.until(lambda: f"{NODE}/lower/pose" not in dict(client.node.get_topic_names_and_types())
+                 or not client.node.get_publishers_info_by_topic(f"{NODE}/lower/pose"))
+    # The part that is finished, and the one that is being written, are whole in themselves.
+    first = read_recording(folder / "run.mcap")
+    assert first.complete and first.bodies == ("upper", "lower") and first.lost == {}
+    assert first.events[-1].name == "stop"
+    assert client.call(f"{NODE}/reload").success           # the same again
+    client.until(lambda: (folder / "run_part3.mcap").exists())
+    second = read_recording(folder / "run_part2.mcap")
+    assert second.complete and second.bodies == ("puck", "cube")
+    assert "run.mcap" in second.events[0].text and second.events[0].name == "start"
+    begin = second.initial_state["stamp_ns"]
+    assert second.events[0].stamp_ns == begin > first.events[-1].stamp_ns
+    assert second.pose["puck"].stamp_ns[0] == begin
+    same = repeat(load_scene(scene), second, read_motion(second))
+    assert same["identical"] == same["samples"] > 5
+
+
+def test_all_that_is_published_is_recorded(client, node, folder):
+    """In the part before the reload: every topic, on its grid, without a gap."""
+    with open(folder / "run.mcap", "rb") as stream:
+        stamps = {}
+        for _, channel, message in make_reader(stream).iter_messages():
+            stamps.setdefault(channel.topic, []).append(message.log_time)
+    for topic, name in (("lower/pose", "publish_rate"), ("upper/odometry", "odometry_rate"),
+                        ("upper/velocity", "velocity_rate"), ("poses", "pose_array_rate"),
+                        ("joint_states", "joint_state_rate"), ("markers", "marker_rate"),
+                        ("state", "state_rate")):
+        assert set(np.diff(stamps[f"{NODE}/{topic}"])) == {PERIODS[name] * STEP_NS}, topic
+
+
+@pytest.mark.skipif(importlib.util.find_spec("tf2_msgs") is not None,
+                    reason="tf2_msgs is installed here")
+def test_topic_whose_type_is_not_installed_is_one_line(scene):
+    with NodeProcess({"scene": scene, "tf_rate": 10.0}) as process:
+        code, errors = process.wait()
+    assert code == 2 and errors.splitlines()[-1].startswith(
+        "sim_node: parameter tf_rate: tf2_msgs is not installed here")
+
+
+def test_recording_without_poses_is_refused(scene, tmp_path):
+    path = tmp_path / "run.mcap"
+    with NodeProcess({"scene": scene, "publish_rate": 0.0, "record": path}) as process:
+        code, errors = process.wait()
+    assert code == 2 and "publish_rate: must be greater than 0 to record" in errors
+    assert not path.exists()

@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Wrench topics of a running node: axes, sums, sources, persistence, and commanders that die."""
+import os
+import signal
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
+from node_process import COMPILING, NodeProcess, python, stamp_ns, values
+from scipy.spatial.transform import Rotation
+from std_msgs.msg import String
+
+STEP_NS = 1_000_000
+NODE = "/pushed"
+COMMANDER = """
+import rclpy, time
+from geometry_msgs.msg import WrenchStamped
+rclpy.init()
+node = rclpy.create_node("commander")
+publisher = node.create_publisher(WrenchStamped, "/pushed/wrench", 10)
+message = WrenchStamped()
+message.header.frame_id, message.wrench.force.y = "puck", 1.0
+while True:
+    publisher.publish(message)
+    time.sleep(0.02)
+"""
+
+
+class Pushed:
+    """A running node, ways to push it, and what it applied."""
+
+    def __init__(self, client):
+        self.client = client
+        self.applied = client.listen(f"{NODE}/applied_wrench", WrenchStamped)
+        self.pose = client.listen(f"{NODE}/cube/pose", PoseStamped)
+        self.twist = client.listen(f"{NODE}/cube/twist", TwistStamped)
+        self.to = {topic: client.pusher(NODE, topic) for topic in (
+            "wrench", "wrench/persistent", "puck/wrench", "cube/wrench")}
+        self.clear = client.node.create_publisher(String, f"{NODE}/wrench/clear", 10)
+        client.until(lambda: self.pose and self.twist and self.clear.get_subscription_count(),
+                     COMPILING, "poses and twists")
+
+    def forces(self, body):
+        """x of the total force on a body, at all its changes."""
+        return [values(m)[1][3] for m in self.applied if m.header.frame_id == body]
+
+    def until_forces(self, body, expected):
+        self.client.until(lambda: len(self.forces(body)) >= len(expected),
+                          what=f"{expected} on {body}")
+        assert self.forces(body) == expected
+
+    def world_velocity(self):
+        """Velocity of the cube in world axes after the last message of both kinds."""
+        rotation, linear = self.rotation(), self.twist[-1].twist.linear
+        return rotation @ [linear.x, linear.y, linear.z]
+
+    def rotation(self):
+        q = self.pose[-1].pose.orientation
+        return Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
+
+    def stand_still(self):
+        """Pause, with the last pose and twist there."""
+        assert self.client.call(f"{NODE}/pause").success
+        self.client.spin(0.1)
+        self.client.until(lambda: self.pose[-1].header.stamp == self.twist[-1].header.stamp)
+
+
+@pytest.fixture(scope="module")
+def process(client, scene):
+    with NodeProcess({"scene": scene, "wrench_hold": "until_replaced"},
+                     remap=[f"__node:={NODE[1:]}"]) as process:
+        yield process, Pushed(client)
+        process.send(signal.SIGTERM)
+        assert process.wait()[0] == 0
+
+
+@pytest.fixture
+def node(client, process):
+    pushed = process[1]
+    assert client.call(f"{NODE}/reset").success and client.call(f"{NODE}/resume").success
+    client.spin(0.1)
+    pushed.applied.clear()
+    return pushed
+
+
+def test_wrenches_of_topics_and_names_add(client, node):
+    """Each is replaced, and ended, by its own only."""
+    expected = [0.0]
+    for topic, frame, force in (
+            ("wrench", "puck", 1.0), ("wrench", "puck/left", 2.0), ("puck/wrench", "puck", 4.0),
+            ("puck/wrench", "world/fan", 8.0), ("wrench/persistent", "puck", 16.0),
+            ("wrench/persistent", "puck/b", 32.0)):
+        node.to[topic](frame, force=(force, 0.0, 0.0))
+        expected.append(expected[-1] + force)
+        node.until_forces("puck", expected[1:])
+    for topic, frame, change in (
+            ("wrench", "puck", -1.0), ("wrench", "puck/left", -2.0), ("puck/wrench", "world", 0.0),
+            ("puck/wrench", "world/fan", -8.0)):
+        node.to[topic](frame)
+        if change:
+            expected.append(expected[-1] + change)
+            node.until_forces("puck", expected[1:])
+        else:                           # world and puck are axes of one source on this topic
+            expected.append(expected[-1] - 4.0)
+            node.until_forces("puck", expected[1:])
+    assert expected[-1] == 48.0
+    assert node.forces("cube") == []
+
+
+def test_persistent_wrenches_last_until_they_are_cleared(client, node):
+    for frame in ("puck", "puck/b", "cube"):
+        node.to["wrench/persistent"](frame, force=(1.0, 0.0, 0.0))
+    client.until(lambda: len(node.forces("puck")) + len(node.forces("cube")) >= 2)
+    client.until(lambda: node.forces("puck")[-1] == 2.0)
+    node.to["wrench"]("puck", force=(8.0, 0.0, 0.0))
+    client.until(lambda: node.forces("puck")[-1] == 10.0)
+    for target, left in (("nobody", 10.0), ("puck/b", 9.0), ("puck", 8.0)):
+        node.clear.publish(String(data=target))
+        client.until(lambda: node.forces("puck")[-1] == left)
+    assert node.forces("cube") == [1.0]
+    node.to["wrench/persistent"]("puck", force=(1.0, 0.0, 0.0))
+    client.until(lambda: node.forces("puck")[-1] == 9.0)
+    node.clear.publish(String())
+    client.until(lambda: node.forces("puck")[-1] == 8.0 and node.forces("cube") == [1.0, 0.0])
+
+
+def test_force_in_world_axes_keeps_its_direction(client, node):
+    """On the tumbling cube: the change of velocity is F t / m, off by less than w h = 1.3e-3 of
+    it, for within a step the force turns with the body."""
+    node.stand_still()
+    before, force = node.world_velocity(), np.array([3.0, 0.0, -4.0])
+    assert client.set(NODE, step_count=50).successful
+    node.to["cube/wrench"]("world", force=force.tolist(), stamp_ns=1)
+    client.spin(0.1)                    # it has arrived before it is asked for steps
+    for steps in range(50, 501, 50):    # fewer than the topic keeps for a slow listener
+        assert client.call(f"{NODE}/step").success
+        client.until(lambda: len(node.applied) == steps)
+    node.stand_still()
+    velocity = node.world_velocity() - before
+    assert np.abs(velocity - force * 0.5 / 1.0).max() < 1.3e-3 * 2.5
+    # Applied in body axes, anew at every step, and of the same size.
+    _, first, start = values(node.applied[0])
+    _, last, end = values(node.applied[499])
+    assert end - start == 499 * STEP_NS
+    assert np.linalg.norm(last[3:]) == pytest.approx(5.0, rel=1e-12)
+    assert np.linalg.norm(np.subtract(first, last)) > 1.0
+
+
+def test_wrench_of_a_commander_that_dies_ends(client, node):
+    assert client.set(NODE, wrench_hold="timeout").successful
+    commander = python(COMMANDER)
+    try:
+        client.until(lambda: node.applied, what="a push")
+        client.spin(0.5)
+        assert len(node.applied) == 1   # 20 ms between messages, 100 ms of hold: no gap
+    finally:
+        os.killpg(commander.pid, signal.SIGKILL)
+        commander.communicate()
+    died = stamp_ns(node.pose[-1].header.stamp)
+    client.until(lambda: len(node.applied) == 2, what="the end of the push")
+    body, wrench, end = values(node.applied[-1])
+    assert (body, any(wrench)) == ("puck", False)
+    # 100 ms after the last message; ten periods more for those under way on a busy machine.
+    assert end - died < (100 + 10 * 10) * STEP_NS
+    assert client.set(NODE, wrench_hold="until_replaced").successful

@@ -1,0 +1,269 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages packed from templates: byte for byte what ROS serializes, and what they say.
+
+ROS leaves alignment gaps as they were in memory, ours are zero. Where the gaps are is found here
+by walking through the message (`gaps`), independently of the code under test.
+"""
+import math
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseArray, VelocityStamped
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from nav_msgs.msg import Odometry
+from rcl_interfaces.msg import Log
+from rclpy.serialization import deserialize_message, serialize_message
+from rosbags.typesys import Stores, get_typestore
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import JointState
+from visualization_msgs.msg import Marker, MarkerArray
+
+from liegroup_core import load_scene
+from liegroup_core.scene.load import scene_from_text
+from liegroup_core.simulation import Simulation, make_layout
+from liegroup_sim_ros import diagnostics, sample_messages
+from liegroup_sim_ros.cdr import Template
+from liegroup_sim_ros.markers import Markers
+from liegroup_sim_ros.messages import LogCodec
+
+SIZES = {"boolean": 1, "octet": 1, "uint8": 1, "int8": 1, "uint16": 2, "int32": 4, "uint32": 4,
+         "float": 4, "double": 8, "int64": 8, "uint64": 8}
+STAMP = 12_345_678_901
+
+SCENE = """
+name: shapes
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: plain, mass: 21.6, inertia: [0.36, 0.306, 0.09], com: [0.1, 0.2, 0.3],
+     position: [1, 2, 3], rotation_vector: [0.3, -0.4, 0.5], angular_velocity: [1, 2, 3],
+     linear_velocity: [4, 5, 6]}
+  - {name: brick, shape: {type: box, size: [0.1, 0.2, 0.4], mass: 2, position: [0, 0, 0.2],
+     rotation_vector: [0, 0, 0.7]}, position: [0, 3, 0]}
+  - {name: ball, shape: {type: sphere, radius: 0.3, mass: 1}, position: [4, 0, 0]}
+  - {name: bar, shape: {type: rod, length: 2, mass: 1, axis: [1, 0, 0]}, position: [0, 0, 5]}
+joints:
+  - {name: pin, type: revolute, parent: world, child: brick, child_frame: {position: [0, 0, 0.5]}}
+  - {name: rail, type: prismatic, parent: world, child: bar, child_frame: {axis: [1, 0, 0]}}
+"""
+
+
+@pytest.fixture(scope="module")
+def layout():
+    return make_layout(scene_from_text(SCENE, "shapes"))
+
+
+@pytest.fixture(scope="module")
+def sample(layout):
+    """A state that is not the start, nor a motion that the joints allow."""
+    random = np.random.default_rng(7)
+    rotations = Rotation.random(4, random_state=7).as_matrix().reshape(4, 9)
+    return layout.sample(np.hstack([rotations, random.normal(size=(4, 3))]),
+                         random.normal(size=(4, 6)))
+
+
+def gaps(message, offset=0):
+    """(offsets of bytes that are alignment gaps, end) of a message, behind the encapsulation."""
+    found = []
+
+    def primitive(size, at):
+        start = -(-at // size) * size
+        found.extend(range(at, start))
+        return start + size
+
+    def value(kind, content, at):
+        if kind == "string":
+            return primitive(4, at) + len(content.encode()) + 1
+        if kind in SIZES:
+            return primitive(SIZES[kind], at)
+        inner, at = gaps(content, at)
+        found.extend(inner)
+        return at
+
+    for name, kind in message.get_fields_and_field_types().items():
+        content = getattr(message, name)
+        if kind.startswith("sequence<") or kind.endswith("]"):
+            if kind.startswith("sequence<"):
+                offset, kind = primitive(4, offset), kind[9:-1]
+            else:
+                kind = kind.partition("[")[0]
+            for item in content:
+                offset = value(kind, item, offset)
+        else:
+            offset = value(kind, content, offset)
+    return found, offset
+
+
+def as_ros_serializes(payload, message_class):
+    """The message in a payload; asserts that ROS serializes it to the same bytes."""
+    message = deserialize_message(payload, message_class)
+    expected = bytearray(serialize_message(message))
+    found, end = gaps(message)
+    # ROS makes room at the end for the gap before the numbers of each empty sequence: JointState
+    # has three, 4 bytes each at most.
+    assert 4 + end == len(payload) and 0 <= len(expected) - len(payload) <= 3 * 4
+    for offset in found:
+        expected[4 + offset] = 0
+    assert payload == bytes(expected[:len(payload)])
+    return message
+
+
+def numbers(message, names):
+    return [getattr(message, name) for name in names]
+
+
+def check_pose(pose, matrix):
+    """Exactly the place, and the same rotation: two ways to compute it differ by a few eps."""
+    assert numbers(pose.position, "xyz") == pytest.approx(matrix[:3, 3].tolist(), abs=1e-14)
+    rotation = Rotation.from_quat(numbers(pose.orientation, "xyzw")).as_matrix()
+    assert np.abs(rotation - matrix[:3, :3]).max() < 1e-14
+
+
+def only(topics):
+    (topic, message_type, encode), = topics
+    return topic, message_type, encode
+
+
+def test_odometry(layout, sample):
+    for body, (topic, kind, encode) in zip(
+            layout.body_names, sample_messages.odometry(layout, "map"), strict=True):
+        assert (topic, kind) == (f"~/{body}/odometry", "nav_msgs/msg/Odometry")
+        message = as_ros_serializes(encode(STAMP, sample), Odometry)
+        assert (message.header.frame_id, message.child_frame_id) == ("map", body)
+        assert (message.header.stamp.sec, message.header.stamp.nanosec) == (12, 345_678_901)
+        check_pose(message.pose.pose, sample.poses[body])
+        twist = message.twist.twist
+        assert (numbers(twist.angular, "xyz") + numbers(twist.linear, "xyz")
+                == sample.twists[body].tolist())
+        assert not message.pose.covariance.any() and not message.twist.covariance.any()
+
+
+def test_velocity(layout, sample):
+    topics = sample_messages.velocities(layout, "world")
+    for body, (_, _, encode) in zip(layout.body_names, topics, strict=True):
+        message = as_ros_serializes(encode(STAMP, sample), VelocityStamped)
+        assert (message.header.frame_id, message.body_frame_id,
+                message.reference_frame_id) == (body, body, "world")
+        assert (numbers(message.velocity.angular, "xyz") + numbers(message.velocity.linear, "xyz")
+                == sample.twists[body].tolist())
+
+
+def test_pose_array(layout, sample):
+    topic, _, encode = only(sample_messages.pose_array(layout, "world"))
+    message = as_ros_serializes(encode(STAMP, sample), PoseArray)
+    assert topic == "~/poses" and message.header.frame_id == "world"
+    for body, pose in zip(layout.body_names, message.poses, strict=True):
+        check_pose(pose, sample.poses[body])
+
+
+def test_joint_states(layout, sample):
+    _, _, encode = only(sample_messages.joint_states(layout, "world"))
+    message = as_ros_serializes(encode(STAMP, sample), JointState)
+    assert message.name == ["pin", "rail"]
+    assert list(zip(message.position, message.velocity)) == [
+        sample.joint_coordinates[name] for name in ("pin", "rail")]
+    assert not len(message.effort)
+
+
+def test_joint_states_of_a_scene_without_such_joints():
+    layout = make_layout(load_scene("heavy_top"))
+    _, _, encode = only(sample_messages.joint_states(layout, "world"))
+    pose, twist = np.eye(4)[:3, :3].ravel(), np.zeros((1, 6))
+    sample = layout.sample(np.hstack([pose, np.zeros(3)])[None], twist)
+    assert as_ros_serializes(encode(STAMP, sample), JointState).name == []
+
+
+def test_transforms_are_what_an_independent_library_serializes(layout, sample):
+    """tf2_msgs need not be installed; rosbags has its definition."""
+    topic, kind, encode = only(sample_messages.transforms(layout, "world"))
+    store = get_typestore(Stores.ROS2_JAZZY)
+    payload = encode(STAMP, sample)
+    message = store.deserialize_cdr(payload, kind)
+    assert topic == "/tf" and bytes(store.serialize_cdr(message, kind)) == payload
+    for body, transform in zip(layout.body_names, message.transforms, strict=True):
+        assert (transform.header.frame_id, transform.child_frame_id) == ("world", body)
+        assert transform.header.stamp.nanosec == 345_678_901
+        assert (numbers(transform.transform.translation, "xyz")
+                == sample.positions[body].tolist())
+        assert (numbers(transform.transform.rotation, "xyzw")
+                == sample.quaternions[body].tolist())
+
+
+def test_markers(layout, sample):
+    wrenches = {"plain": (0.0, 0.0, 2.0, 3.0, 0.0, -1.0)}
+    encoder = Markers(layout, "world", 0.1, wrenches)
+    message = as_ros_serializes(encoder.encode(STAMP, sample), MarkerArray)
+    found = {(marker.ns, marker.id): marker for marker in message.markers}
+    assert len(found) == len(message.markers) == 4 + 2 + 4 + 4
+    assert {marker.header.frame_id for marker in message.markers} == {"world"}
+    # A box of 21.6 kg with edges 0.1, 0.2 and 0.4 m has these moments; in ascending order of them
+    # the edges are 0.4, 0.2 and 0.1 m.
+    plain, brick, ball, bar = (found["bodies", i] for i in range(4))
+    assert [marker.type for marker in (plain, brick, ball, bar)] == [
+        Marker.CUBE, Marker.CUBE, Marker.SPHERE, Marker.CYLINDER]
+    assert sorted(numbers(plain.scale, "xyz")) == pytest.approx([0.1, 0.2, 0.4], rel=1e-12)
+    assert (numbers(plain.pose.position, "xyz")
+            == pytest.approx((sample.poses["plain"] @ [0.1, 0.2, 0.3, 1.0])[:3].tolist()))
+    axes = Rotation.from_quat(numbers(plain.pose.orientation, "xyzw")).as_matrix()
+    longest = axes[:, int(np.argmax(numbers(plain.scale, "xyz")))]
+    assert abs(longest @ sample.poses["plain"][:3, 2]) == pytest.approx(1.0, abs=1e-12)
+    assert numbers(brick.scale, "xyz") == [0.1, 0.2, 0.4]
+    local = np.eye(4)
+    local[:3, :3] = Rotation.from_rotvec([0, 0, 0.7]).as_matrix()
+    local[2, 3] = 0.2
+    check_pose(brick.pose, sample.poses["brick"] @ local)
+    assert numbers(ball.scale, "xyz") == [0.6] * 3
+    assert bar.scale.z == 2.0 and bar.scale.x == bar.scale.y == 0.02    # not thinner: 2 mm
+    pin = found["joints", 0]
+    assert (numbers(pin.pose.position, "xyz")
+            == pytest.approx((sample.poses["brick"] @ [0, 0, 0.5, 1.0])[:3].tolist()))
+    force, torque = found["forces", 0], found["torques", 0]
+    assert numbers(force.points[1], "xyz") == pytest.approx([0.3, 0.0, -0.1])
+    assert numbers(torque.points[1], "xyz") == pytest.approx([0.0, 0.0, 0.2])
+    assert (force.action, torque.action) == (Marker.ADD, Marker.ADD)
+    assert found["forces", 1].action == found["torques", 3].action == Marker.DELETE
+    check_pose(force.pose, sample.poses["plain"])
+
+
+@given(st.floats(allow_nan=False), st.text(st.characters(codec="utf-8", exclude_characters="\0"),
+                                           max_size=30), st.sampled_from(["running", "faulted"]))
+@settings(max_examples=50)
+def test_diagnostics(number, text, state):
+    figures = {"state": state, "real_time_factor_wanted": 1.0, "real_time_factor": 0.5,
+               "number": number, text: text}
+    message = as_ros_serializes(diagnostics.encode(STAMP, "/node: simulation", figures),
+                                DiagnosticArray)
+    status, = message.status
+    assert status.name == "/node: simulation"
+    assert status.level == (b"\x01" if state == "running" else b"\x02")
+    values = {pair.key: pair.value for pair in status.values}
+    assert list(values) == list(figures) and values[text] == text
+    if math.isfinite(number) and text != "number":
+        assert float(values["number"]) == pytest.approx(number, rel=1e-8)
+
+
+@given(st.integers(0, 10**18), st.text(st.characters(codec="utf-8", exclude_characters="\0")))
+@settings(max_examples=50)
+def test_log(stamp_ns, text):
+    message = as_ros_serializes(LogCodec.encode(stamp_ns, LogCodec.ERROR, "fault", text), Log)
+    assert (message.level, message.name, message.msg) == (40, "fault", text)
+    assert (message.stamp.sec, message.stamp.nanosec) == divmod(stamp_ns, 10**9)
+
+
+def test_a_template_wants_every_slot():
+    template = Template()
+    template.slot("2d")
+    with pytest.raises(ValueError):
+        template.pack()
+
+
+def test_joint_states_follow_a_simulation():
+    """Through the same path as in the node: a pendulum's angle and rate, to the bit."""
+    simulation = Simulation(load_scene("double_pendulum"))
+    _, _, encode = only(sample_messages.joint_states(simulation.layout, "world"))
+    simulation.advance(100)
+    sample = simulation.sample()
+    message = deserialize_message(encode(simulation.time_ns, sample), JointState)
+    assert dict(zip(message.name, zip(message.position, message.velocity))) == (
+        sample.joint_coordinates)

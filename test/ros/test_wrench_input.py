@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What wrench messages mean and which are refused, for any message; no ROS node runs here."""
+import struct
+
+import pytest
+from geometry_msgs.msg import WrenchStamped
+from hypothesis import given
+from hypothesis import strategies as st
+from rclpy.serialization import serialize_message
+
+from liegroup_sim_ros.messages import WrenchStampedCodec
+from liegroup_sim_ros.wrench_input import FARTHEST, MOST, Refusal, WrenchInput, source_prefix
+
+NOW = 5 * 10**9
+WRENCH = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+
+
+def read(frame, kind="wrench", body=None, wrench=WRENCH, stamp_ns=0, held=0):
+    payload = WrenchStampedCodec(frame).encode(stamp_ns, wrench)
+    return WrenchInput(["top", "left"], "map/world").read(payload, kind, body, NOW, held)
+
+
+@pytest.mark.parametrize("kind, body, frame, source, axes", [
+    ("wrench", None, "top", "wrench/top/", "body"),
+    ("wrench", None, "top/a/b", "wrench/top/a/b/", "body"),
+    ("persistent", None, "left/left", "persistent/left/left/", "body"),
+    ("body", "top", "top", "body/top/", "body"),
+    ("body", "top", "map/world", "body/top/", "world"),
+    ("body", "top", "map/world/fan", "body/top/fan/", "world"),
+    ("body", "top", "top/fan", "body/top/fan/", "body")])
+def test_frame_id_says_whom_and_in_which_axes(kind, body, frame, source, axes):
+    push = read(frame, kind, body)
+    assert (push.source, push.axes, push.wrench) == (source, axes, WRENCH)
+    assert push.body == (body or frame.partition("/")[0])
+
+
+@pytest.mark.parametrize("target, ended", [
+    ("", {"top/", "top/a/", "left/"}), ("top", {"top/", "top/a/"}), ("top/a", {"top/a/"})])
+def test_clear_ends_a_body_a_name_or_all(target, ended):
+    prefix = source_prefix("persistent", target)
+    sources = {source_prefix("persistent", t)[len("persistent/"):]
+               for t in ("top", "top/a", "left")}
+    assert {s for s in sources if f"persistent/{s}".startswith(prefix)} == ended
+
+
+@pytest.mark.parametrize("changed, reason", [
+    ({"frame": ""}, "no_frame"), ({"frame": "/top"}, "no_frame"),
+    ({"frame": "tops"}, "unknown_frame"), ({"frame": "map/world"}, "unknown_frame"),
+    ({"frame": "left", "kind": "body", "body": "top"}, "unknown_frame"),
+    ({"frame": "map", "kind": "body", "body": "top"}, "unknown_frame"),
+    ({"frame": "top/" + "x" * 65}, "unknown_frame"),
+    ({"frame": "top", "wrench": (*WRENCH[:5], float("nan"))}, "not_finite"),
+    ({"frame": "top", "stamp_ns": NOW + FARTHEST + 1}, "stamp_too_far"),
+    ({"frame": "top", "held": MOST}, "too_many")])
+def test_refusals_are_one_line(changed, reason):
+    with pytest.raises(Refusal) as caught:
+        read(**changed)
+    assert caught.value.reason == reason and caught.value.first
+    assert "\n" not in str(caught.value) and len(str(caught.value)) < 300
+
+
+@given(st.binary(max_size=200))
+def test_no_bytes_break_the_reader(payload):
+    reader = WrenchInput(["top"], "world")
+    for prefix in (b"", b"\0\1\0\0" + struct.pack("<iII", 1, 2, 4) + b"top\0"):
+        try:
+            push = reader.read(prefix + payload, "wrench", None, NOW, 0)
+            assert push.body == "top"
+        except Refusal:
+            pass
+    assert reader.accepted + sum(reader.refused.values()) == 2
+
+
+@given(st.lists(st.floats(), min_size=6, max_size=6), st.integers(0, 2 * 10**18),
+       st.text(st.characters(codec="utf-8", exclude_characters="\0")))
+def test_one_message_is_decoded_as_ros_made_it(values, stamp_ns, frame):
+    message = WrenchStamped()
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
+    message.header.frame_id = frame
+    for vector, part in ((message.wrench.torque, values[:3]), (message.wrench.force, values[3:])):
+        vector.x, vector.y, vector.z = part
+    stamp, frame_id, wrench = WrenchStampedCodec.decode_one(serialize_message(message))
+    assert (stamp, frame_id) == (stamp_ns, frame)
+    assert struct.pack("6d", *wrench) == struct.pack("6d", *values)

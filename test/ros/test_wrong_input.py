@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Hundreds of wrong parameter files and scenes: each is one line on stderr and exit code 2."""
+import json
+
+import yaml
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
+from node_process import COMPILING, python
+
+from liegroup_sim_ros.parameters import TABLE
+
+# Runs the node's entry point for every argument list on stdin, with the file descriptor of stderr
+# caught, for ROS's libraries write there, too.
+BATCH = """
+import json, os, sys, tempfile
+from liegroup_sim_ros.sim_node import main
+answers, stderr = [], os.dup(2)
+for arguments in json.load(open(sys.argv[1])):
+    with tempfile.TemporaryFile() as caught:
+        os.dup2(caught.fileno(), 2)
+        try:
+            code = main(["sim_node", "--ros-args", *arguments])
+        except BaseException as error:
+            code = repr(error)
+        sys.stderr.flush()
+        os.dup2(stderr, 2)
+        caught.seek(0)
+        answers.append([code, caught.read().decode()])
+print(json.dumps(answers))
+"""
+
+SCENE = {
+    "name": "rig", "gravity": [0.0, 0.0, -9.81],
+    "bodies": [
+        {"name": "arm", "mass": 1.0, "inertia": [0.1, 0.2, 0.15], "position": [0.5, 0.0, 0.0],
+         "quaternion": [0.0, 0.0, 0.0, 1.0], "angular_velocity": [0.0, 0.0, 1.0]},
+        {"name": "bob", "shape": {"type": "sphere", "radius": 0.1, "mass": 2.0}}],
+    "joints": [{"name": "pin", "type": "revolute", "parent": "world", "child": "arm",
+                "parent_frame": {"position": [0.0, 0.0, 0.0]}}],
+    "forces": [{"name": "spring", "type": "spring_damper", "parent": "arm", "child": "bob",
+                "parent_point": [0.1, 0.0, 0.0], "child_point": [0.0, 0.0, 0.0],
+                "stiffness": 10.0}]}
+NEEDED = {"name", "gravity", "bodies", "mass", "inertia", "type", "parent", "child", "stiffness",
+          "radius", "parent_frame"}
+NO_NUMBER = st.sampled_from([float("nan"), float("inf"), "wide", {"a": 1}, None, [[]], True])
+NO_TEXT = st.sampled_from([3.5, {"a": 1}, None, ["a"], True, ""])
+WORD = st.from_regex(r"[a-z]{3,8}_[0-9]{3}", fullmatch=True)       # none of them means anything
+
+
+def places(node, path=()):
+    """Paths of all mappings, lists and values in a scene."""
+    yield path
+    items = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(
+        node, list) else ()
+    for key, value in items:
+        yield from places(value, (*path, key))
+
+
+PLACES = list(places(SCENE))
+
+
+def at(scene, path):
+    for key in path:
+        scene = scene[key]
+    return scene
+
+
+@st.composite
+def wrong_scene(draw):
+    """Text of a scene with one thing wrong in it."""
+    scene = json.loads(json.dumps(SCENE))
+    kind = draw(st.sampled_from(["unknown key", "wrong value", "key missing", "cut", "bytes"]))
+    if kind == "unknown key":
+        path = draw(st.sampled_from([p for p in PLACES if isinstance(at(SCENE, p), dict)]))
+        at(scene, path)[draw(WORD)] = 1
+    elif kind == "wrong value":
+        path = draw(st.sampled_from([p for p in PLACES if p and not isinstance(
+            at(SCENE, p), (dict, list))]))
+        numeric = isinstance(at(SCENE, path), float)
+        at(scene, path[:-1])[path[-1]] = draw(NO_NUMBER if numeric else NO_TEXT)
+    elif kind == "key missing":
+        path = draw(st.sampled_from([p for p in PLACES if p and p[-1] in NEEDED]))
+        del at(scene, path[:-1])[path[-1]]
+    elif kind == "bytes":
+        return draw(st.binary(min_size=1, max_size=200))
+    text = yaml.dump(scene, default_flow_style=True, width=10**6)
+    # The last brace closes the first one: whatever is cut off, it is missing.
+    return (text[:draw(st.integers(1, len(text) - 3))] if kind == "cut" else text).encode()
+
+
+@st.composite
+def wrong_parameters(draw):
+    """Text of a parameter file with one parameter that is wrong."""
+    if draw(st.integers(0, 9)) == 0:
+        return draw(st.binary(min_size=1, max_size=100))
+    if draw(st.integers(0, 4)) == 0:
+        name, value = draw(WORD), draw(st.sampled_from([1, 1.5, "text", True]))
+    else:
+        entry = draw(st.sampled_from(
+            [e for e in TABLE if type(e.default) is not str or e.choices]))
+        name = entry.name
+        values = [draw(WORD), [1.0, 2.0], [True]]
+        if type(entry.default) is float:
+            values += [float("nan"), float("inf"), -1.0, entry.high * 10.0, True]
+            values += [0.0] if entry.above else []
+        elif type(entry.default) is int:
+            values += [0, -3, 10**9, 1.5, True]
+        elif type(entry.default) is bool:
+            values += [1, 0.0]
+        else:
+            values += [1, 2.5, False]
+        value = draw(st.sampled_from(values))
+    return yaml.dump({"/**": {"ros__parameters": {"scene": "heavy_top", name: value}}}).encode()
+
+
+def answers(folder, files, arguments):
+    """[(text of the file, exit code, stderr)] of one process that is started with every file."""
+    cases = []
+    for i, text in enumerate(files):
+        path = folder / f"{i}.yaml"
+        path.write_bytes(text)
+        cases.append([part.format(path) for part in arguments])
+    batch = folder / "batch.json"
+    batch.write_text(json.dumps(cases))
+    process = python(BATCH, batch)
+    try:
+        output, errors = process.communicate(timeout=COMPILING)
+    finally:
+        process.kill()
+    assert process.returncode == 0, errors
+    return zip(files, *zip(*json.loads(output)), strict=True)
+
+
+BATCHES = settings(max_examples=4, deadline=None, phases=[Phase.generate],
+                   suppress_health_check=list(HealthCheck))
+
+
+@BATCHES
+@given(st.lists(wrong_scene(), min_size=25, max_size=25))
+def test_wrong_scene_is_one_line(tmp_path_factory, files):
+    folder = tmp_path_factory.mktemp("scenes")
+    for text, code, errors in answers(folder, files, ["-p", "scene:={}"]):
+        assert code == 2 and errors.count("\n") == 1 and errors.startswith("sim_node: "), (
+            text, code, errors)
+        assert ".yaml" in errors and len(errors) < 1000
+
+
+@BATCHES
+@given(st.lists(wrong_parameters(), min_size=25, max_size=25))
+def test_wrong_parameter_file_is_one_line(tmp_path_factory, files):
+    folder = tmp_path_factory.mktemp("parameters")
+    for text, code, errors in answers(folder, files, ["--params-file", "{}"]):
+        assert code == 2 and errors.count("\n") == 1 and errors.startswith("sim_node: "), (
+            text, code, errors)
