@@ -322,7 +322,8 @@ class Simulation:
                     self.steps, self.layout.body_names[body],
                     tuple(self._schedule.total[body].tolist())))
                 self._watch.restart()
-            wanted = min(end, self._watch.next_look(self.steps), self._schedule.next_change(self.steps),
+            wanted = min(end, self._watch.next_look(self.steps),
+                         self._schedule.next_change(self.steps),
                          self._timetable.next_change(self.steps)) - self.steps
             done, status = self._take(wanted)
             self.steps += done
