@@ -28,6 +28,7 @@ PROJECTION = ("core/test_projection.py", "-k",
 CENTRES = ("core/test_centres.py", "-k", "not symmetry and not whole_motions")
 METHODS = ("contract/test_methods.py", "-k", "tableau or conditions or estimate")
 MOTION = ("verification/test_reference_kinds.py", "-k", "joint and spherical and ground")
+PLANE = ("core/test_planar.py", "-k", "in_space and se3 and x- and not loop")
 
 
 class Mutant(NamedTuple):
@@ -87,9 +88,21 @@ MUTANTS = [
            "(v[0] - first * g[0]", "(v[0] + first * g[0]", LIE),
     Mutant("dexpinv on SE(3), sign of the pitch term", "lie/se3.py",
            "q = dot3(xi, eta) * u", "q = -dot3(xi, eta) * u", LIE),
-    Mutant("stage, dexpinv of +Psi", "integrators/rkmk.py",
+    Mutant("stage, dexpinv of +Psi", "integrators/spatial.py",
            "xi = scale3(-1.0, load3(work.slopes, row, 0))",
            "xi = scale3(1.0, load3(work.slopes, row, 0))", MOTION),
+    Mutant("plane, gyroscopic force", "planar/dynamics.py", "mass * (w * vy +", "mass * (-w * vy +",
+           PLANE),
+    Mutant("plane, row of the parent", "planar/dynamics.py", "= (px * y - py * x) - alpha",
+           "= (py * x - px * y) - alpha", PLANE),
+    Mutant("plane, bias", "planar/dynamics.py", "wa * vy - w * wy, w * wx - wa * vx",
+           "wa * vy - w * wy, w * wx + wa * vx", PLANE),
+    Mutant("plane, bias of a tree", "planar/tree.py", "bx, by = w * (slip_y + wy) - wa * vy,",
+           "bx, by = w * (slip_y + wy) + wa * vy,", PLANE),
+    Mutant("plane, inertia handed on", "planar/tree.py", "rows[a, 4] += c * m12 + s * m22",
+           "rows[a, 4] += c * m12 - s * m22", PLANE),
+    Mutant("plane, dexpinv of -Psi", "planar/motion.py", "gx, gy = ey * w - xi * vy, xi * vx - ex * w",
+           "gx, gy = xi * vy - ey * w, ex * w - xi * vx", PLANE),
     Mutant("step, increment on the wrong side", "integrators/motion.py",
            "se3_compose(rot, r, turn, shift)", "se3_compose(turn, shift, rot, r)", MOTION),
     Mutant("RKMK4, weights", "integrators/methods.py",

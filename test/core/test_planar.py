@@ -24,6 +24,9 @@ TREES = {
     "plate": [("world", "a", "planar")],
     "chain": [("world", "a", "revolute"), ("a", "b", "revolute"), ("b", "c", "prismatic"),
               ("c", "d", "fixed"), ("a", "e", "planar"), ("e", "f", "revolute")],
+    # Without a plate: solved as articulated bodies.
+    "tree": [("world", "a", "prismatic"), ("a", "b", "revolute"), ("b", "c", "prismatic"),
+             ("c", "d", "fixed"), ("a", "e", "revolute"), ("e", "f", "revolute")],
 }
 LOOPS = {
     "chain with a loop": ("chain", [("world", "d", "spherical")]),
@@ -113,6 +116,7 @@ def test_the_motion_is_that_in_space(name, normal, group):
     planar, space = both(mechanism(name, NORMALS[normal]), group=group)
     assert difference(planar, space) <= 1e-11
     assert np.abs(planar.sample().angles - space.sample().angles).max(initial=0.0) <= 1e-11
+    assert (len(planar.layout.plane.links) > 0) == (name in ("hinge", "slider", "tree"))
     moved = np.abs(planar.state()[0] - Simulation(planar.scene).state()[0]).max()
     assert moved > 1e-3
 
@@ -124,6 +128,14 @@ def test_every_setting_has_its_planar_form(settings):
     planar, space = both(mechanism("chain with a loop", 2), **settings)
     assert difference(planar, space) <= 1e-11
     assert planar.substeps == space.substeps
+
+
+def test_masses_that_differ_much_are_left_to_the_saddle_point():
+    scene = mechanism("tree", 2)
+    heavy = scene.bodies[-1].model_copy(update={
+        "mass": 1e6, "inertia": tuple(1e6 * value for value in scene.bodies[-1].inertia)})
+    plane = make_layout(scene.model_copy(update={"bodies": (*scene.bodies[:-1], heavy)})).plane
+    assert len(plane.links) == 0 and plane.refinements == 1
 
 
 def test_projection_closes_joints_in_the_plane():
