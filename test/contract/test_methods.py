@@ -268,7 +268,7 @@ def test_options_are_refused_where_they_mean_nothing_or_are_wrong():
         with pytest.raises(ValueError, match=text):
             Simulation(scene, **options)
     assert Simulation(scene, method="rkmk54", rtol=1e-3).options == {
-        "dexpinv": "exact", "rtol": 1e-3, "atol": 1e-6}
+        "dexpinv": "exact", "space": "auto", "rtol": 1e-3, "atol": 1e-6}
 
 
 def test_substeps_are_deterministic_counted_and_forgotten():
