@@ -4,7 +4,7 @@ import logging
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from numbers import Integral
+from numbers import Integral, Real
 
 import numpy as np
 
@@ -259,12 +259,15 @@ class Simulation:
             raise ValueError(f"axes must be 'body' or 'world', got {axes!r}")
         if body not in self._body:
             raise ValueError(f"unknown body {body!r}; there are: {', '.join(self._body)}")
-        wrench = np.asarray(wrench, dtype=float)
+        given = wrench
+        try:
+            wrench = np.asarray(given, dtype=float)
+        except (TypeError, ValueError):
+            wrench = np.zeros(0)
         if wrench.shape != (6,) or not np.isfinite(wrench).all():
-            raise ValueError("a wrench is six finite numbers (torque, force), got "
-                             f"{wrench.tolist()}")
+            raise ValueError(f"a wrench is six finite numbers (torque, force), got {given!r}")
         for name, value in (("start", start), ("duration", duration)):
-            if value is not None and not math.isfinite(value):
+            if value is not None and not (isinstance(value, Real) and math.isfinite(value)):
                 raise ValueError(f"{name} must be finite, or None, got {value!r}")
         first = self.steps
         if start is not None:
@@ -327,24 +330,30 @@ class Simulation:
                          self._timetable.next_change(self.steps)) - self.steps
             done, status = self._take(wanted)
             self.steps += done
+            if done:
+                self._look(status != OK)
             if status != OK:
                 raise SimulationError(self._explain(status), status & 0xff)
-            doubt = self._watch.look(self._pose, self.steps, self.time) if done else None
-            if doubt:
-                self.doubt = self.doubt or doubt
-                log.warning(doubt)
             if self.steps >= end:
                 break
         if self._work.report[2] and not self._warned_singular:
             self._warned_singular = True
-            log.warning("a singular pose was met before t = %g s: where the joints leave the motion "
-                        "open the masses decide; use stabilisation projection, which keeps the "
-                        "joints closed there", self.time)
+            log.warning("a singular pose was met before t = %g s, where rows of joints depend on "
+                        "each other: what they leave open the masses decide. Where a mechanism only "
+                        "passes such a pose, stabilisation projection keeps its joints closed; "
+                        "where it always has one, take a redundant joint away", self.time)
         if not self._warned and self._work.report[0] > LARGE_ROTATION ** 2:
             self._warned = True
             log.warning("a body turned by more than pi within one step (%.3g rad before t = %g s): "
                         "the result is hardly accurate, take a smaller step",
                         math.sqrt(self._work.report[0]), self.time)
+
+    def _look(self, at_once):
+        """Look at the joints, if it is time to or `at_once`, and say what is wrong."""
+        doubt = self._watch.look(self._pose, self.steps, self.time, at_once)
+        if doubt:
+            self.doubt = self.doubt or doubt
+            log.warning(doubt)
 
     def _take(self, steps):
         """Take steps over which no wrench changes, or only the next one, in parts, if one does in it.

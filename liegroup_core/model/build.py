@@ -9,7 +9,7 @@ from ..joints.elements import DISTANCE, PAIR, PERPENDICULAR
 from ..lie.groups import SE3
 from ..scene.consistency import resolve_elements, resolve_frames
 from .arrays import BODY, ELEMENT, WORLD, Model, make_work
-from .redundancy import kept_rows
+from .redundancy import kept_rows, loop_joints
 from .sparsity import Structure
 
 # A pivot this small against its row's own S_rr belongs to a singular pose: the sine of the angle by
@@ -51,6 +51,7 @@ def build_model(scene):
     rows = [len(kept[e]) for e in solved]
     jacobians = [_constant_rows(elements[e])[list(kept[e])] for e in solved]
 
+    loops = set(loop_joints([(joint.parent, joint.child) for joint in scene.joints]))
     structure = Structure(6, n, rows, ends)
     bodies = np.array([(body.mass, 1.0 / body.mass, body.inertia_matrix.ravel(),
                         np.linalg.inv(body.inertia_matrix).ravel(), structure.start(i))
@@ -70,10 +71,11 @@ def build_model(scene):
         child_jacobian=child_jacobian,
         ground_projector=_ground_projector(bodies, joints, jacobians),
         vertices=structure.vertices, columns=structure.columns, updates=structure.updates,
-        pivot_floor=_pivot_floor(bodies, joints, jacobians, structure.unknowns),
+        pivot_floor=_pivot_floor(bodies, joints, jacobians, structure.unknowns,
+                                 [j for j, e in enumerate(solved) if owners[e] in loops]),
         constant=structure.constant_part([_mass_matrix(body) for body in scene.bodies], jacobians),
         is_constant=all(joint["parent"] == WORLD and joint["kind"] == PAIR for joint in joints),
-        refinements=refinements(bodies["mass"], ends))
+        refinements=refinements(bodies, ends))
     if model.is_constant:
         work = make_work(model, 1)
         assemble(model, work, *initial_state(scene))
@@ -132,15 +134,18 @@ def _ground_projector(bodies, joints, jacobians):
     return projectors
 
 
-def _pivot_floor(bodies, joints, jacobians, count):
-    """Smallest good pivot of every scalar of K: none for bodies, a fraction of S_rr for rows.
+def _pivot_floor(bodies, joints, jacobians, count, in_loops):
+    """Smallest good pivot of every scalar of K: a fraction of S_rr for the rows of joints in loops.
 
+    Bodies and the joints of a tree have none: their pivots are positive at every pose, and as small
+    as masses beyond the joint are large.
     S = J M^-1 J^T is what a row's pivot would be without any other row. Both ends of a joint count
     about the same here, so its child's part stands for all of it; of an element whose row depends
     on the pose, the mobility of the child's joint frame.
     """
     floor = np.zeros(count)
-    for joint, jacobian in zip(joints, jacobians):
+    for j in in_loops:
+        joint, jacobian = joints[j], jacobians[j]
         body = bodies[joint["child"]]
         if joint["kind"] == PERPENDICULAR:
             jacobian = np.eye(3, 6)
@@ -159,7 +164,12 @@ def _forces(scene, index, frames):
     return make_forces(scene.forces, index, ends)
 
 
-def refinements(masses, ends):
-    """Steps of iterative refinement: one for joined bodies of very different mass, else none."""
-    ratios = [1.0] + [masses[a] / masses[b] for a, b in ends if a != WORLD]
+def refinements(bodies, ends):
+    """Steps of iterative refinement: one for joined bodies of very different mass or inertia.
+
+    bodies : (n,) of BODY; ends : (parent, child) of each joint
+    """
+    inertia = bodies["inertia"][:, [0, 4, 8]].sum(axis=1)
+    ratios = [1.0] + [sizes[a] / sizes[b] for sizes in (bodies["mass"], inertia)
+                      for a, b in ends if a != WORLD]
     return int(max(max(ratio, 1.0 / ratio) for ratio in ratios) > LARGE_MASS_RATIO)

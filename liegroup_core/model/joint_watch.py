@@ -50,9 +50,12 @@ class JointWatch:
         """The step after this one at which to look, whichever way the steps are asked for."""
         return NEVER if self._scale is None else (steps // EVERY + 1) * EVERY
 
-    def look(self, pose, steps, time):
-        """Look at a pose (n, 12) of the model; returns a line of text, or None if all is well."""
-        if steps % EVERY or self._scale is None:
+    def look(self, pose, steps, time, at_once=False):
+        """Look at a pose (n, 12) of the model; returns a line of text, or None if all is well.
+
+        at_once : also between the steps at which it is time to
+        """
+        if self._scale is None or steps % EVERY and not at_once:
             return None
         position_residuals(self._layout.model, pose, self._residual)
         gaps = np.abs(self._residual) * self._scale

@@ -79,8 +79,9 @@ def kept_rows(scene, frames, parts):
         joint = int(numbers[np.argmin(chosen)])
         raise SceneError(
             f'joints[{joint}] "{scene.joints[joint].name}": the loop it closes is stretched or '
-            "folded to a pose that it cannot leave, where its rows depend on each other; start "
-            "from another pose, or change a length", ("joints", joint))
+            "folded to a pose that it cannot leave, or its axes are nearly but not quite parallel; "
+            "start from another pose, change a length, or make the axes equal to the last digit",
+            ("joints", joint))
     at = 0
     for j in loops:
         keep[j][:] = chosen[at:at + len(keep[j])]

@@ -17,7 +17,7 @@ from ..dynamics.saddle_point import PLANAR_SIZES, eliminate
 from ..joints.elements import PAIR
 from ..lie.groups import SE3
 from ..model.arrays import WORLD
-from ..model.build import SMALLEST_PIVOT, initial_state, refinements
+from ..model.build import LARGE_MASS_RATIO, SMALLEST_PIVOT, initial_state, refinements
 from ..model.linkage import Linkage
 from ..model.redundancy import generic_poses, independent_rows, loop_joints
 from ..model.sparsity import Structure
@@ -28,6 +28,8 @@ from .tree import tree_links
 
 # Planar axes in world axes, as rows, for a normal along z, y and x.
 PLANES = (np.eye(3), np.eye(3)[[2, 0, 1]], np.eye(3)[[1, 2, 0]])
+# Inertia against that of the mass on the lever of a joint. Less, and tree.py loses three digits.
+LEAST_GYRATION = 1e-3
 # In-plane part of a unit row below which it says nothing new.
 ROW_TOLERANCE = 1e-6
 
@@ -111,15 +113,18 @@ def _build(scene, model, world, axes):
     joints["element"] = solved
     child_jacobian, projectors = np.zeros((m, 9)), np.zeros((m, 9))
     floor = np.zeros(structure.unknowns)
+    # Every joint is one element here: all are pairs.
+    loops = set(loop_joints([(joint.parent, joint.child) for joint in scene.joints]))
     for j, ((parent, child), jacobian) in enumerate(zip(ends, jacobians)):
         child_jacobian[j, :jacobian.size] = jacobian.ravel()
         mobility = jacobian / np.diag(masses[child])
-        size = (jacobian * mobility).sum(axis=1)
-        floor[joints[j]["start"]:joints[j]["start"] + len(jacobian)] = SMALLEST_PIVOT * size
+        if solved[j] in loops:
+            floor[joints[j]["start"]:joints[j]["start"] + len(jacobian)] = SMALLEST_PIVOT * (
+                jacobian * mobility).sum(axis=1)
         if parent == WORLD:
             projectors[j] = (mobility.T @ np.linalg.solve(jacobian @ mobility.T, jacobian)).ravel()
-    few = refinements(model.bodies["mass"], ends)
-    links = tree_links(len(axes), ends, jacobians if few == 0 else [])
+    few = refinements(model.bodies, ends)
+    links = tree_links(len(axes), ends, jacobians if _is_sturdy(model) else [])
     planar = PlanarModel(
         space=model, has_forces=any(len(rows) for rows in model.forces), world=world.reshape(1, 9),
         gravity=model.gravity @ world[:2].T,
@@ -138,6 +143,21 @@ def _build(scene, model, world, axes):
     return planar
 
 
+def _is_sturdy(model):
+    """True when bodies are alike enough for tree.py, which loses digits where they are not.
+
+    No mass or inertia is far from the others, and no body is next to a point mass on a lever.
+    """
+    lever = np.zeros(len(model.bodies))
+    for element in model.elements:
+        for end in ("parent", "child"):
+            if element[end] != WORLD:
+                lever[element[end]] = max(lever[element[end]], (element[f"{end}_point"] ** 2).sum())
+    mass, inertia = model.bodies["mass"], model.bodies["inertia"][:, [0, 4, 8]].sum(axis=1)
+    return bool((inertia >= LEAST_GYRATION * mass * lever).all()
+                and max(np.ptp(np.log(mass)), np.ptp(np.log(inertia))) <= np.log(LARGE_MASS_RATIO))
+
+
 def _kept_rows(scene, elements, lift):
     """Rows (k, 3) of every element for the planar twist of its child, independent of each other."""
     rows = []
@@ -152,7 +172,6 @@ def _kept_rows(scene, elements, lift):
     loops.sort(key=lambda j: scene.joints[j].parent != "world")
     if not loops:
         return rows
-    # Every joint is one element here: all are pairs.
     linkage = Linkage(scene, resolve_frames(scene), resolve_elements(scene), loops)
     index = {body.name: i for i, body in enumerate(scene.bodies)}
     flat = scipy.linalg.block_diag(*(lift[index[name]] for name in linkage.bodies))

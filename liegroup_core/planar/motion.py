@@ -33,6 +33,8 @@ def enter(model, work, pose, twist, external):
 @kernel
 def leave(model, work, pose, twist, pose_out, twist_out):
     """The planar state back into the caller's arrays."""
+    # Where a body is along the normal only projection changes, in space.
+    copy_state(work.space.stage_pose, work.space.stage_twist, pose_out, twist_out)
     to_space(model, pose, twist, pose_out, twist_out)
 
 

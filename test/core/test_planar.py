@@ -143,6 +143,15 @@ def test_projection_closes_joints_in_the_plane():
     assert planar.sample().constraint_residual <= 1e-14
 
 
+def test_projection_closes_what_is_open_along_the_normal_too():
+    simulation = Simulation(mechanism("tree", 1), stabilisation="projection")
+    pose, twist = simulation.state()
+    pose[-1, 10] += 0.05
+    simulation.set_state(pose, twist)
+    simulation.advance(5)
+    assert simulation.sample().constraint_residual <= 1e-14
+
+
 @pytest.mark.parametrize("name", ["hinge", "slider", "plate"])
 def test_pairs_to_ground_stay_closed_to_round_off(name):
     simulation = Simulation(mechanism(name, 1), step=0.01)
