@@ -15,15 +15,13 @@ The usual sizes (of a body, 6 scalars or 3 in a plane, and of two kinds of joint
 constants: the compiler then unrolls the loops over a block, which was measured to take a quarter
 to a third of the time.
 """
-import numpy as np
-
 from .._compile import kernel
 from ..model.arrays import WORLD
 
-# Scalars of a body, and of the joints that are most frequent. As NumPy's integers they are constants
-# to LLVM without being types to Numba, which would compile every kernel for each of them.
-SPATIAL_SIZES = (np.int64(6), np.int64(3), np.int64(5))     # ball; hinge, slider
-PLANAR_SIZES = (np.int64(3), np.int64(2), np.int64(1))      # hinge, slider; what is left of a loop
+# Scalars of a body, and of the joints that are most frequent. Numba compiles the kernels below once
+# for each of these values: long, but unrolled loops take a third less time.
+SPATIAL_SIZES = (6, 3, 5)           # ball; hinge, slider
+PLANAR_SIZES = (3, 2, 1)            # hinge, slider; what is left of a loop
 
 # A row that depends on others is given this many times its pivot floor instead of nothing.
 REGULARISATION = 1e2
