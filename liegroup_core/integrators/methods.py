@@ -151,4 +151,10 @@ METHODS = {method.name: method for method in (
     Method("bottasso_borri_candidate", "rotation", 2,
            "may be that of Bottasso and Borri, Comput. Methods Appl. Mech. Eng. 164 (1998) "
            "307-331: identified by name and structure alone"),
+    Method("constrained_rattle", "constrained", 2,
+           "x"),
+    Method("constrained_rattle4", "constrained", 4,
+           "x"),
+    Method("constrained_rattle6", "constrained", 6, "x"),
+    Method("constrained_rattle8", "constrained", 8, "x"),
 )}
