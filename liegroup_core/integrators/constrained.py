@@ -205,8 +205,8 @@ def _first_half(model, work, memory, h, fresh):
 def _carry(model, work, memory, h):
     """V'+ into memory.half; work.stage_twist becomes a first guess of V+, 2 V'+ - V."""
     for i in range(len(model.bodies)):
-        inertia, inverse = (matrix3(model.bodies[i][name])
-                            for name in ("inertia", "inverse_inertia"))
+        inertia = matrix3(model.bodies[i]["inertia"])
+        inverse = matrix3(model.bodies[i]["inverse_inertia"])
         x = load3(memory.turn, i, 0)
         change = so3_exp(x)
         w, v = load3(work.start_twist, i, 0), load3(work.start_twist, i, 3)
@@ -285,7 +285,9 @@ def advance(model, work, memory, parts, h, steps, pose, twist, external):
     for done in range(steps):
         copy_state(pose, twist, work.start_pose, work.start_twist)
         loads(model, work, pose, twist, external)
-        copy_state(pose, work.wrench, work.start_pose, memory.load)
+        for i in range(len(model.bodies)):
+            for c in range(6):
+                memory.load[i, c] = work.wrench[i, c]
         work.report[1] = 0.0
         for part in range(len(parts)):
             size = parts[part] * h
