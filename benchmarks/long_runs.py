@@ -100,7 +100,8 @@ def main():
             try:
                 energy, gap = long_run(scene, step, duration, method, settings)
             except SimulationError as failure:
-                table.add_row(label, f"{step:.3g}", f"{cost:.2f}", str(failure))
+                when = str(failure).partition(" s ")[0]
+                table.add_row(label, f"{step:.3g}", f"{cost:.2f}", f"{when} s")
                 continue
             scatter, drift, error = trend(energy)
             table.add_row(label, f"{step:.3g}", f"{cost:.2f}", f"{scatter:.1e}",

@@ -111,8 +111,9 @@ def test_momentum_of_a_linkage_in_space_is_kept_to_rounding(method):
     simulation.advance(500)
     end = simulation.sample()
     size = np.abs(start.spatial_momentum).max()
-    substeps = 500 * len(SUBSTEPS[method])
-    assert np.abs(end.spatial_momentum - start.spatial_momentum).max() <= 4 * UNIT * substeps * size
+    roundings = 4 * 500 * len(SUBSTEPS[method])
+    off = np.abs(end.spatial_momentum - start.spatial_momentum).max()
+    assert off <= UNIT * roundings * size
     assert np.abs(end.pose - start.pose).max() > 0.5
 
 
@@ -145,7 +146,7 @@ def test_energy_oscillates_and_does_not_drift():
 
 
 def test_compositions_are_symmetric_and_of_their_order():
-    """sum g = 1; for order 4 and more sum g^3 = 0; for order 8 sums of powers 5 and 7 vanish too."""
+    """Sum g = 1; for order 4 and more sum g^3 = 0; for order 8 those of powers 5 and 7 too."""
     for name in CONSTRAINED:
         g = SUBSTEPS[name]
         assert (g == g[::-1]).all() and abs(g.sum() - 1.0) <= 4 * UNIT
