@@ -34,7 +34,7 @@ def _largest3(a):
 
 
 @kernel
-def _is_closed(model, work, pose):
+def is_closed(model, work, pose):
     """True when all residuals in work.gap are those that rounding leaves."""
     for j in range(len(model.joints)):
         a = model.joints[j]["parent"]
@@ -78,7 +78,7 @@ def project(model, work, pose, twist):
     for rounds in range(MOST_ROUNDS + 1):
         position_residuals(model, pose, work.gap)
         assemble(model, work, pose, twist)
-        closed = _is_closed(model, work, pose)
+        closed = is_closed(model, work, pose)
         for i in range(len(work.solution)):
             work.solution[i] = 0.0
         for j in range(len(model.joints)):

@@ -281,11 +281,13 @@ def _subtract_product(model, matrix, x, y_out, body):
 
 
 @kernel
-def solve(model, work, refinements, shift, sizes):
+def solve(model, work, refinements, shift, sizes, fresh=True):
     """Solve K x = b, with so many steps of iterative refinement.
 
     work.matrix   : K, overwritten (a constant K is eliminated already)
     work.solution : b, overwritten by x
+    fresh         : False: work.matrix holds what an earlier call has made of K; with refinement
+                    work.kept holds K too
     shift, sizes  : of `eliminate`. After some refinements x solves the equations without a shift,
                     but for directions in which K is singular: there the joints are ignored
     returns -1, or the joint whose rows depend on others
@@ -294,8 +296,9 @@ def solve(model, work, refinements, shift, sizes):
     if model.is_constant:
         matrix = model.constant
     elif refinements > 0:
-        for i in range(len(work.matrix)):
-            work.kept[i] = work.matrix[i]
+        if fresh:
+            for i in range(len(work.matrix)):
+                work.kept[i] = work.matrix[i]
         for i in range(len(work.right)):
             work.right[i] = work.solution[i]
     x = work.solution
@@ -305,7 +308,8 @@ def solve(model, work, refinements, shift, sizes):
             for i in range(len(work.right)):
                 x[i] = work.right[i]
             _subtract_product(model, work.kept, work.solution, x, sizes[0])
-        dependent = eliminate(model, matrix, work.spare, x, step == 0 and not model.is_constant, shift, sizes)
+        unfinished = fresh and step == 0 and not model.is_constant
+        dependent = eliminate(model, matrix, work.spare, x, unfinished, shift, sizes)
         if dependent >= 0:
             return dependent
         _substitute(model, matrix, x, sizes)

@@ -9,13 +9,15 @@ An integrator is made by `family(method, layout, group, step, options)` and has
                      constant over these steps; pose and twist stay the last good ones
     substeps         (good ones, attempts) since the restart, (0, 0) where there are none
 """
+from .constrained import Constrained
 from .generalized_alpha import GeneralizedAlpha
 from .methods import METHODS
 from .rkmk import MuntheKaas
 from .rotation import Rotation
 from .rotation_bodies import misfit as rotation_misfit
 
-FAMILIES = {"rkmk": MuntheKaas, "generalized_alpha": GeneralizedAlpha, "rotation": Rotation}
+FAMILIES = {"rkmk": MuntheKaas, "generalized_alpha": GeneralizedAlpha, "rotation": Rotation,
+            "constrained": Constrained}
 
 
 def check_options(method, options):

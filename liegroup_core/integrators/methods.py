@@ -14,6 +14,8 @@ test/contract/test_methods.py, test/verification/test_orders.py.
     rkmk54         6+1   Dormand and Prince 5(4): substeps between samples by error control
     rkmk8         12     the advancing method of Dormand and Prince's 8(5,3)
     generalized_alpha    implicit, for stiff scenes; joints at position level
+    constrained_rattle, constrained_rattle4, constrained_rattle8    orders 2, 4, 8; symplectic,
+                         for long runs; explicit in forces, joints at position level
 
 For bodies that are free or held by one ball joint to the ground (rotation.py); all but the last
 keep the angular momentum of free bodies to round-off at any step size:
@@ -151,4 +153,11 @@ METHODS = {method.name: method for method in (
     Method("bottasso_borri_candidate", "rotation", 2,
            "may be that of Bottasso and Borri, Comput. Methods Appl. Mech. Eng. 164 (1998) "
            "307-331: identified by name and structure alone"),
+    Method("constrained_rattle", "constrained", 2,
+           "Andersen, J. Comput. Phys. 52 (1983) 24-34; Bou-Rabee and Marsden, Found. Comput. "
+           "Math. 9 (2009) 197-219"),
+    Method("constrained_rattle4", "constrained", 4,
+           "its composition of five: Suzuki, Phys. Lett. A 146 (1990) 319-323"),
+    Method("constrained_rattle8", "constrained", 8,
+           "its composition of seventeen: Kahan and Li, Math. Comp. 66 (1997) 1089-1099"),
 )}

@@ -4,18 +4,19 @@
 Vectors in body axes, I the inertia about the centre of mass or the fixed point, t = |x|.
     GYROSCOPIC  I x + (h/2) x x I x = c                                               x in rad/s
     RATTLE      (sin t/t) I x + ((1-cos t)/t^2) x x I x = c                           x in rad
+    EXPONENTIAL I x + x x I x / 2 + b x x (x x I x) = c,  b = (1 - (t/2) cot(t/2))/t^2  x in rad
     INCREMENT   (2/h) I x - I dexp_{-x} v - exp(-x) a - exp(-x/2) b = c               x in rad
 All are smooth, so Newton's method doubles the digits once it is near.
 """
 import math
 
 from .._compile import kernel, subroutine
-from ..lie.coefficients import dexp_slopes, exp_coefficients
+from ..lie.coefficients import dexp_slopes, dexpinv_coefficients, exp_coefficients
 from ..lie.so3 import so3_dexp, so3_exp
 from ..lie.vec3 import (IDENTITY3, axpy3, cross3, dot3, matmul3, matvec3, scale3, solve3, sub3,
                         tmatvec3)
 
-GYROSCOPIC, RATTLE, INCREMENT = 0, 1, 2
+GYROSCOPIC, RATTLE, INCREMENT, EXPONENTIAL = 0, 1, 2, 3
 
 # After a correction of this part of x, or of the start, the next one would be of its square: below
 # rounding, with room for a matrix that is nearly singular.
@@ -82,6 +83,17 @@ def _equation(kind, inertia, h, x, v, a, b, c):
         return (sub3(axpy3(0.5 * h, gyration, turned), c),
                 _combine(1.0, inertia, 0.5 * h, gyration_slope))
     squared = dot3(x, x)
+    if kind == EXPONENTIAL:
+        b, u = dexpinv_coefficients(squared)
+        twice = cross3(x, gyration)
+        # x x (x x a) = (x x^T - x^2) a, differentiated by both x in it
+        both = _combine(1.0, _outer(x, x), -squared, IDENTITY3)
+        twice_slope = _combine(1.0, _combine(1.0, matmul3(both, inertia), 1.0, _outer(x, turned)),
+                               1.0, _combine(dot3(x, turned), IDENTITY3, -2.0,
+                                             _outer(turned, x)))
+        return (sub3(axpy3(b, twice, axpy3(0.5, gyration, turned)), c),
+                _combine(1.0, _combine(1.0, inertia, 0.5, gyration_slope), 1.0,
+                         _combine(b, twice_slope, u, _outer(twice, x))))
     sinc, versinc, cubic = exp_coefficients(squared)
     versinc_slope, _ = dexp_slopes(squared)
     # (1/t) d/dt sin t/t = (t - sin t)/t^3 - (1 - cos t)/t^2

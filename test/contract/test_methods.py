@@ -234,9 +234,13 @@ def test_a_singular_pose_is_solved_or_stops_with_the_state_kept(name):
     assert np.abs(simulation.state()[0] - pose).max() <= 1e-4
 
 
-@pytest.mark.parametrize("name", [n for n in METHODS if n not in CONTROLLED and n != "rattle"])
+@pytest.mark.parametrize("name", [n for n in METHODS if n not in CONTROLLED and n not in (
+    "rattle", "constrained_rattle4", "constrained_rattle8")])
 def test_a_rotation_beyond_pi_warns_once(name, caplog):
-    """A free body turns about an axis of inertia, which all but RATTLE follow at any step."""
+    """A free body turns about an axis of inertia, which all but RATTLE follow at any step.
+
+    Methods that take a step in several turn by less than pi in each.
+    """
     simulation = Simulation(load_scene("free_body"), method=name, step=0.5)
     simulation.set_state(simulation.state()[0], [[0.0, 0.0, 8.0, 0.0, 0.0, 0.0]])
     simulation.advance(1)

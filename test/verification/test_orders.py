@@ -153,21 +153,27 @@ STEPS = {
         "rkmk2": (2048, 4096, 8192), "rkmk2_heun": (2048, 4096, 8192),
         "rkmk3": (512, 1024, 2048, 4096), "rkmk4": (512, 1024, 2048, 4096),
         "rkmk54": {"se3": (64, 128, 256, 512)}, "rkmk8": {"so3xr3": (128, 160, 200, 220)},
-        "generalized_alpha": (1024, 2048, 4096)},
+        "generalized_alpha": (1024, 2048, 4096), "constrained_rattle": (1024, 2048, 4096),
+        "constrained_rattle4": (256, 512, 1024), "constrained_rattle8": (64, 96, 128)},
     "Lagrangian top": {
         "rkmk1": (2**16, 2**17, 2**18), "rkmk2": (4096, 8192, 2**14),
         "rkmk2_heun": (4096, 8192, 2**14), "rkmk3": (2048, 4096, 8192, 2**14),
         "rkmk4": (4096, 8192, 2**14), "rkmk54": (1024, 2048, 4096, 8192),
-        "rkmk8": (512, 724, 1024), "generalized_alpha": (2048, 4096, 8192)},
+        "rkmk8": (512, 724, 1024), "generalized_alpha": (2048, 4096, 8192),
+        "constrained_rattle": (2048, 4096, 8192), "constrained_rattle4": (1024, 2048, 4096),
+        "constrained_rattle8": (160, 192, 224)},
     "free body": {
         "rkmk1": (8, 16, 32, 64), "rkmk2": (8, 16, 32, 64), "rkmk2_heun": (8, 16, 32, 64),
         "rkmk3": (8, 16, 32, 64), "rkmk4": (8, 16, 32, 64), "rkmk54": (6, 8, 12, 16, 24),
-        "rkmk8": (1, 1.5, 2, 3, 4), "generalized_alpha": (8, 16, 32, 64)},
+        "rkmk8": (1, 1.5, 2, 3, 4), "generalized_alpha": (8, 16, 32, 64),
+        "constrained_rattle": (8, 16, 32, 64), "constrained_rattle4": (4, 8, 16, 32),
+        "constrained_rattle8": (1.5, 2, 3)},
     "double pendulum": {
         "rkmk1": (1024, 2048, 4096), "rkmk2": (256, 512, 1024), "rkmk2_heun": (256, 512, 1024),
         "rkmk3": (64, 128, 256, 512), "rkmk4": (128, 256, 512, 1024),
         "rkmk54": (256, 360, 512, 724), "rkmk8": (48, 56, 64, 80),
-        "generalized_alpha": (64, 128, 256, 512)},
+        "generalized_alpha": (64, 128, 256, 512), "constrained_rattle": (64, 128, 256, 512),
+        "constrained_rattle4": (64, 128, 256, 512), "constrained_rattle8": (48, 56, 64)},
 }
 CASES = [(problem, method, group) for problem, methods in STEPS.items()
          for method, counts in methods.items()

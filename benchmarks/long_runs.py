@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Energy and joints of mechanisms over a million steps, every method at the same cost.
+
+    python benchmarks/long_runs.py [--steps 1000000] [--scene NAME ...]
+
+`constrained_rattle` takes the steps; what they cost is what every other method may spend on the
+same simulated time: its step follows from its cost of a step. Prints
+    us of CPU time a step, of the fastest of many runs: what else the machine does only adds
+    scatter  rms of the energy about its straight line over time
+    drift    change of that line over the run, with the standard error of means of tenths of it
+             both as parts of the mean kinetic energy
+    gap      largest position residual of a joint at the samples, m or rad
+A drift within twice its error is none that can be seen.
+"""
+import argparse
+import logging
+import time
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from liegroup_core import Simulation, SimulationError, load_scene
+
+SCENES = {"double_pendulum": 1e-3, "four_bar": 1e-3}    # step of constrained_rattle, s
+METHODS = (("constrained_rattle", {}), ("constrained_rattle4", {}), ("constrained_rattle8", {}),
+           ("rkmk4", {}), ("rkmk4", {"stabilisation": "projection"}),
+           ("rkmk4", {"space": "space"}), ("rkmk8", {}), ("rkmk8", {"space": "space"}))
+SAMPLES, BLOCKS = 2000, 10
+
+
+def microseconds(scene, step, method, settings, steps=2000, repeat=40):
+    """us of CPU time of one step, the fastest of so many runs."""
+    simulation = Simulation(scene, method=method, step=step, **settings)
+    best = np.inf
+    for _ in range(repeat):
+        simulation.reset()
+        start = time.process_time()
+        simulation.advance(steps)
+        best = min(best, time.process_time() - start)
+    return best / steps * 1e6
+
+
+def kinetic_energy(simulation):
+    """J, of the present state."""
+    twist, bodies = simulation.state()[1], simulation.layout.model.bodies
+    spin = np.einsum("ni,nij,nj->", twist[:, :3], bodies["inertia"].reshape(-1, 3, 3),
+                     twist[:, :3])
+    return 0.5 * (spin + bodies["mass"] @ (twist[:, 3:] ** 2).sum(axis=1))
+
+
+def long_run(scene, step, duration, method, settings):
+    """Energy (SAMPLES,) as part of the mean kinetic energy, from 0 on, and the largest gap."""
+    simulation = Simulation(scene, method=method, step=step, **settings)
+    total = round(duration / step)
+    energy, kinetic, gap = [], [], 0.0
+    for k in range(SAMPLES + 1):
+        simulation.advance(total * k // SAMPLES - simulation.steps)
+        sample = simulation.sample()
+        energy.append(sample.energy)
+        kinetic.append(kinetic_energy(simulation))
+        gap = max(gap, sample.constraint_residual)
+    return (np.array(energy[1:]) - energy[0]) / np.mean(kinetic), gap
+
+
+def trend(energy):
+    """(scatter, drift, its standard error) of samples even in time."""
+    when = np.linspace(-0.5, 0.5, len(energy))
+    line = np.polyfit(when, energy, 1)
+    rest = energy - np.polyval(line, when)
+    # Neighbouring samples tell the same; means of tenths of the run are taken as independent.
+    blocks = rest.reshape(BLOCKS, -1).mean(axis=1)
+    middle = when.reshape(BLOCKS, -1).mean(axis=1)
+    error = np.sqrt(blocks @ blocks / (BLOCKS - 2) / (middle @ middle))
+    return rest.std(), line[0], error
+
+
+def main():
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--steps", type=int, default=1_000_000)
+    parser.add_argument("--scene", nargs="+", choices=SCENES, default=list(SCENES))
+    options = parser.parse_args()
+    logging.getLogger("liegroup_core").setLevel(logging.ERROR)      # the gaps are in the table
+    console = Console(width=110)
+    for name in options.scene:
+        scene, first_step = load_scene(name), SCENES[name]
+        duration = options.steps * first_step
+        table = Table(title=f"{name}, {duration:g} s")
+        for column in ("method", "step, s", "us/step", "scatter", "drift", "gap"):
+            table.add_column(column, justify="left" if column == "method" else "right")
+        reference = None
+        for method, settings in METHODS:
+            cost = microseconds(scene, first_step, method, settings)
+            reference = reference or cost
+            # Samples after whole steps each.
+            parts = max(1, round(options.steps / SAMPLES * reference / cost))
+            step = duration / (SAMPLES * parts)
+            label = " ".join((method, *settings.values()))
+            try:
+                energy, gap = long_run(scene, step, duration, method, settings)
+            except SimulationError as failure:
+                when = str(failure).partition(" s ")[0]
+                table.add_row(label, f"{step:.3g}", f"{cost:.2f}", f"{when} s")
+                continue
+            scatter, drift, error = trend(energy)
+            table.add_row(label, f"{step:.3g}", f"{cost:.2f}", f"{scatter:.1e}",
+                          f"{drift:+.1e} ± {error:.0e}", f"{gap:.0e}")
+        console.print(table)
+
+
+if __name__ == "__main__":
+    main()

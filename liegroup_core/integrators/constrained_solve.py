@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a step of constrained.py asks of forces and joints, each compiled once."""
+from .._compile import borrowed, subroutine
+from ..dynamics.constraints import assemble
+from ..dynamics.newton_euler import REFINEMENTS_WHEN_SINGULAR
+from ..dynamics.saddle_point import REGULARISATION, SPATIAL_SIZES, solve
+from ..forces.gravity import add_wrench as add_gravity
+from ..forces.kinds import add_wrenches
+from .status import DEPENDENT_ROWS, OK
+
+
+@subroutine
+def loads(model, work, pose, twist, external):
+    """Sum of all wrenches without gyroscopic terms into work.wrench (n, 6)."""
+    model, work, pose = borrowed(model), borrowed(work), borrowed(pose)
+    twist, external = borrowed(twist), borrowed(external)
+    for i in range(len(model.bodies)):
+        for c in range(6):
+            work.wrench[i, c] = external[i, c]
+    add_gravity(model, pose, work.wrench)
+    add_wrenches(model.forces, work.angle, work.acting, pose, twist, work.wrench)
+
+
+@subroutine
+def respond(model, work, impulse, target, fresh, less, pose, twist, velocity_out):
+    """Add to velocity_out (n, 6) what bodies do under an impulse, with the joints' answer to it.
+
+    Solves M dV + J^T lambda = impulse, J dV = target - less J V.
+    impulse (n, 6), target (rows,)
+    fresh        : J is that of pose, and V is twist; else J is that of the last fresh call, and
+                   less must be 0
+    velocity_out : dV is added to it
+    returns OK, or DEPENDENT_ROWS + (element << 8)
+    """
+    model, work, impulse, target = (borrowed(model), borrowed(work), borrowed(impulse),
+                                    borrowed(target))
+    pose, twist, velocity_out = borrowed(pose), borrowed(twist), borrowed(velocity_out)
+    dependent = -1
+    refinements, shift = model.refinements, 0.0
+    for _ in range(2):
+        if fresh:
+            assemble(model, work, pose, twist)
+        for i in range(len(model.bodies)):
+            at = model.bodies[i]["start"]
+            for c in range(6):
+                work.solution[at + c] = impulse[i, c]
+        for j in range(len(model.joints)):
+            start, first = model.joints[j]["start"], model.joints[j]["first"]
+            for r in range(model.joints[j]["rows"]):
+                work.solution[start + r] = target[first + r] - less * work.slip[first + r]
+        dependent = solve(model, work, refinements, shift, SPATIAL_SIZES, fresh)
+        if dependent < 0:
+            break
+        # A singular pose: see newton_euler.accelerations.
+        refinements, shift = REFINEMENTS_WHEN_SINGULAR, REGULARISATION
+        work.report[2] += 1.0
+    if dependent >= 0:
+        return DEPENDENT_ROWS + (model.joints[dependent]["element"] << 8)
+    for i in range(len(model.bodies)):
+        at = model.bodies[i]["start"]
+        for c in range(6):
+            velocity_out[i, c] += work.solution[at + c]
+    return OK

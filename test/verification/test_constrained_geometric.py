@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""RATTLE for mechanisms and its compositions: order, symmetry, joints, momentum, long runs.
+
+Orders without forces of velocity are in test_orders.py.
+"""
+import numpy as np
+import pytest
+
+import engine
+import mechanisms
+from liegroup_core import Scene, Simulation, SimulationError, load_scene
+from liegroup_core.integrators.constrained import SUBSTEPS
+from liegroup_core.integrators.methods import METHODS
+from liegroup_core.integrators.status import NOT_CONVERGED, ROTATION_TOO_LARGE
+from liegroup_core.reference import integrate
+from liegroup_core.scene.description import Drag, Motor, TorsionalSpringDamper
+
+CONSTRAINED = [name for name, method in METHODS.items() if method.family == "constrained"]
+UNIT = 2.0 ** -53
+# Steps per second by order.
+TIME = 0.5                          # s
+RATES = {2: (256, 512, 1024), 4: (64, 128, 256), 8: (40, 48, 64)}
+
+
+def slope(rates, errors):
+    return -np.polyfit(np.log(rates), np.log(errors), 1)[0]
+
+
+@pytest.fixture(scope="module")
+def driven():
+    """A loop in gravity with springs, dampers, drag and a motor, and where it is after TIME."""
+    scene = mechanisms.named("loop of hinges and balls")
+    scene = Scene(name="driven", gravity=scene.gravity, bodies=scene.bodies, joints=scene.joints,
+                  forces=[*scene.forces,
+                          Drag(name="air", body="b", linear=0.4, angular=0.2),
+                          TorsionalSpringDamper(name="wound", joint="j0", stiffness=2.0,
+                                                damping=0.5),
+                          Motor(name="drive", joint="j3", torque=0.3, rate_limit=20.0)])
+    trajectory, uncertainty = integrate(scene, *Simulation(scene).state(), [TIME])
+    assert uncertainty.attitude.max() < 1e-11
+    return scene, trajectory
+
+
+@pytest.mark.parametrize("method", CONSTRAINED)
+def test_order_with_forces_of_velocity(driven, method):
+    """Poses and velocities against the independent integration in maximal coordinates."""
+    scene, reference = driven
+    order, found = METHODS[method].order, []
+    for rate in RATES[order]:
+        simulation = Simulation(scene, method=method, step=1 / rate)
+        simulation.advance(round(TIME * rate))
+        pose, twist = simulation.state()
+        found.append([np.abs(pose[:, :9] - reference.rotation[0].reshape(-1, 9)).max(),
+                      np.abs(pose[:, 9:] - reference.position[0]).max(),
+                      np.abs(twist - reference.twist[0]).max()])
+    for errors in np.transpose(found):
+        assert slope(RATES[order], errors) == pytest.approx(order, abs=0.2)
+
+
+@pytest.mark.parametrize("name", ["net", "every kind", "floating"])
+@pytest.mark.parametrize("method", CONSTRAINED)
+def test_steps_back_undo_steps(method, name):
+    """With dampers: a method that is not symmetric misses the start by its error, O(h^3).
+
+    What is left are roundings. A closed joint is closed to 16 units of lengths of some metres,
+    1e-14, and a velocity to 2/h times that, 1e-11; three steps each way.
+    """
+    simulation = Simulation(mechanisms.named(name), method=method, step=2e-3)
+    simulation.advance(2)               # from here on joints are closed as the method closes them
+    pose, twist = simulation.state()
+    simulation.advance(3)
+    there_pose, there_twist = simulation.state()
+    assert np.abs(there_pose - pose).max() > 1e-3
+    external = np.zeros_like(twist)
+    assert simulation._integrator.advance(-2e-3, 3, there_pose, there_twist, external) == (3, 0)
+    assert np.abs(there_pose - pose).max() <= 6e-14
+    assert np.abs(there_twist - twist).max() <= 6e-11
+
+
+def test_rkmk4_is_not_symmetric():
+    """The counterexample: the same test tells it from a symmetric method."""
+    simulation = Simulation(mechanisms.named("net"), step=2e-3)
+    pose, twist = simulation.state()
+    simulation.advance(3)
+    there_pose, there_twist = simulation.state()
+    simulation._integrator.advance(-2e-3, 3, there_pose, there_twist, np.zeros_like(twist))
+    assert np.abs(there_twist - twist).max() > 1e-9
+
+
+@pytest.mark.parametrize("name", mechanisms.MECHANISMS)
+def test_joints_are_closed_and_so_are_velocities(name):
+    """To 16 units of the lengths, some ten metres; J V is a sum of ten terms of 10 m/s."""
+    for method, step in (("constrained_rattle", 2e-3), ("constrained_rattle4", 4e-3)):
+        simulation = Simulation(mechanisms.named(name), method=method, step=step)
+        for _ in range(10):
+            simulation.advance(10)
+            assert simulation.sample().constraint_residual <= 16 * 2 * UNIT * 10.0
+            J, _ = engine.rows(simulation)
+            speed = np.abs(simulation.state()[1]).max()
+            assert np.abs(J @ simulation.state()[1].ravel()).max() <= 100 * UNIT * max(1.0, speed)
+
+
+@pytest.mark.parametrize("method", CONSTRAINED)
+def test_momentum_of_a_linkage_in_space_is_kept_to_rounding(method):
+    """A floating linkage with a loop, without gravity; a few roundings a step, all of one sign."""
+    links, loops = mechanisms.MECHANISMS["floating"]
+    made = mechanisms.mechanism(np.random.default_rng(5), links, springs=0, loops=loops)
+    scene = Scene(name="floating", gravity=(0, 0, 0), bodies=made.bodies, joints=made.joints)
+    simulation = Simulation(scene, method=method, step=4e-3)
+    start = simulation.sample()
+    simulation.advance(500)
+    end = simulation.sample()
+    size = np.abs(start.spatial_momentum).max()
+    roundings = 4 * 500 * len(SUBSTEPS[method])
+    off = np.abs(end.spatial_momentum - start.spatial_momentum).max()
+    assert off <= UNIT * roundings * size
+    assert np.abs(end.pose - start.pose).max() > 0.5
+
+
+def energies(method, step, count, samples=400):
+    """Energy errors along the chaotic motion of the double pendulum, J."""
+    simulation = Simulation(load_scene("double_pendulum"), method=method, step=step)
+    start, found = simulation.energy(), []
+    for _ in range(samples):
+        simulation.advance(count // samples)
+        found.append(simulation.energy() - start)
+    return np.array(found)
+
+
+def test_energy_oscillates_and_does_not_drift():
+    """200 000 steps of 4 ms: the mean of either half of the run is that of the other.
+
+    Samples are 2 s apart and taken as independent after ten of them: the difference of two means
+    of 200 has a standard error of sqrt(2 * 10 / 200) = 0.32 scatters, and three times that is
+    allowed. RKMK4 at the same step shows what fails: it moves by many of its own scatters.
+    """
+    found = energies("constrained_rattle", 4e-3, 200_000)
+    halves = found.reshape(2, -1)
+    assert abs(halves[1].mean() - halves[0].mean()) <= 0.95 * halves.std(axis=1).max()
+    # No more than in a short run at the same step, and O(h^2): 11.8 J are at play.
+    assert np.abs(found).max() <= 0.1
+    halved = energies("constrained_rattle", 2e-3, 100_000)
+    assert found.std() / halved.std() > 2.0
+    drifting = energies("rkmk4", 4e-3, 200_000)
+    assert abs(drifting[-1]) > 10.0 * np.abs(found).max()
+
+
+def test_compositions_are_symmetric_and_of_their_order():
+    """Sum g = 1; for order 4 and more sum g^3 = 0; for order 8 those of powers 5 and 7 too."""
+    for name in CONSTRAINED:
+        g = SUBSTEPS[name]
+        assert (g == g[::-1]).all() and abs(g.sum() - 1.0) <= 4 * UNIT
+        for power in range(3, METHODS[name].order, 2):
+            assert abs((g ** power).sum()) <= 10 * UNIT * (np.abs(g) ** power).sum()
+
+
+def test_wrenches_from_outside_and_a_new_start():
+    """A constant force on a free body, which the method integrates exactly, then none."""
+    simulation = Simulation(load_scene("free_body"), method="constrained_rattle", step=1e-2)
+    pose = simulation.state()[0]
+    simulation.set_state(pose, np.zeros((1, 6)))
+    simulation.apply_wrench("body", (0, 0, 0, 3.0, 0, 0), duration=0.5)
+    simulation.advance(100)
+    mass = simulation.layout.model.bodies["mass"][0]
+    moved = simulation.state()[0][0, 9:] - pose[0, 9:]
+    # f/m (t1^2/2 + t1 t2), in 100 steps of a rounding
+    assert moved == pytest.approx(pose[0, :9].reshape(3, 3)[:, 0] * 3.0 / mass * 0.375,
+                                  abs=100 * UNIT)
+
+
+@pytest.mark.parametrize("method", CONSTRAINED)
+def test_a_step_too_large_for_the_motion_ends_with_a_status(method):
+    """The crank turns by more than pi/2 in a step: the loop cannot be closed by that velocity."""
+    simulation = Simulation(load_scene("four_bar"), method=method, step=0.1)
+    before = simulation.state()
+    with pytest.raises(SimulationError, match="smaller step") as failure:
+        simulation.advance(10)
+    assert failure.value.status in (NOT_CONVERGED, ROTATION_TOO_LARGE)
+    if simulation.steps == 0:
+        assert (simulation.state()[0] == before[0]).all()
+    assert np.isfinite(simulation.state()[0]).all()
+
+
+def test_damping_that_repetition_cannot_settle_ends_with_a_status():
+    """h c / 2 m = 5: every repetition is five times as far off as the one before."""
+    free = load_scene("free_body")
+    mass = free.bodies[0].mass
+    scene = Scene(name="thick", gravity=(0, 0, -9.81), bodies=free.bodies,
+                  forces=[Drag(name="honey", body="body", linear=1e4 * mass)])
+    simulation = Simulation(scene, method="constrained_rattle", step=1e-3)
+    before = simulation.state()
+    with pytest.raises(SimulationError, match="smaller step") as failure:
+        simulation.advance(1)
+    assert failure.value.status == NOT_CONVERGED
+    assert (simulation.state()[0] == before[0]).all()
+    Simulation(scene, method="constrained_rattle", step=1e-5).advance(10)
+
+
+@pytest.mark.parametrize("kind", ["projection", "baumgarte"])
+def test_stabilisation_is_refused(kind):
+    with pytest.raises(ValueError, match="constrained_rattle closes the joints by itself"):
+        Simulation(load_scene("four_bar"), method="constrained_rattle", stabilisation=kind)
