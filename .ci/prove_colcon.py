@@ -19,7 +19,7 @@ NAME = "liegroup_sim_ros"
 REPOSITORY = Path(__file__).resolve().parents[1]
 # By this Python, whatever colcon is on the PATH: the executables get the Python that ran colcon.
 COLCON = [sys.executable, "-c", "from colcon_core.command import main; raise SystemExit(main())"]
-# Discovery takes up to 2.5 s; compiling the kernels for the first time about half a minute.
+# Discovery takes up to 2.5 s; compiling the kernels for the first time a minute or two.
 DEADLINE_S = 120.0
 STOP_S = 15.0
 

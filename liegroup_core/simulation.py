@@ -169,7 +169,7 @@ class Simulation:
         self._body = {name: i for i, name in enumerate(self.layout.body_names)}
         self._timetable = Timetable(self.layout.model.forces.applied_wrench, self.step)
         self._warned = self._warned_singular = False
-        warm_up(self._touch, METHODS[method].family)
+        warm_up(self._touch, self._integrator.kernels)
 
     def _touch(self):
         """Call every kernel once, so that none is compiled later, in the middle of a run."""

@@ -3,6 +3,7 @@
 
 An integrator is made by `family(method, layout, group, step, options)` and has
     options(method)  {name: (default, what it may be, check)} of what a user can set, static
+    kernels          name of the kernels it uses, compiled once on a machine
     work             scratch memory; work.report[0] is the largest squared rotation of a stage
     restart()        forget what lasts between calls, because a state was set
     advance(h, steps, pose, twist, external) -> (steps done, status), in place; external (n, 6) is

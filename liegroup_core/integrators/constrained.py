@@ -42,6 +42,7 @@ from ..lie.vec3 import (ZERO3, axpy3, dot3, load3, load9, matmul3, matrix3, matv
                         store3, store9, tmatvec3)
 from ..model.arrays import make_work
 from .constrained_solve import loads, respond
+from .methods import refuse_stabilisation
 from .motion import copy_state, is_finite, orthonormal
 from .rotation_maps import turn, velocity
 from .rotation_newton import EXPONENTIAL, newton
@@ -313,13 +314,12 @@ def advance(model, work, memory, parts, h, steps, pose, twist, external):
 class Constrained:
     """A method of the family on a model: its memory, and guesses that last between calls."""
 
+    kernels = "constrained"
     substeps = (0, 0)
 
     def __init__(self, method, layout, group, step, options):
         model = layout.model
-        if model.projects or model.baumgarte_rate > 0.0:
-            raise ValueError(f"{method.name} closes the joints by itself: "
-                             "stabilisation must be 'none'")
+        refuse_stabilisation(method, model)
         n, rows = len(model.bodies), len(model.row_residual)
         self._model, self._parts = model, SUBSTEPS[method.name]
         self._memory = Memory(

@@ -35,7 +35,7 @@ from ..lie.vec3 import dot3, load3, load9, store9, vector3
 from ..model.arrays import make_work
 from .alpha_equations import Coefficients, Memory, move, residual, sigma
 from .dense_lu import lu_factorise, lu_solve
-from .methods import GROUPS, SE3
+from .methods import GROUPS, SE3, refuse_stabilisation
 from .motion import copy_state, group_velocity, is_finite, orthonormal
 from .status import DEPENDENT_ROWS, NOT_CONVERGED, NOT_FINITE, OK, TURNS_NOT_COUNTED
 
@@ -195,6 +195,7 @@ class GeneralizedAlpha:
     accelerations after `restart`, after a failed step, and where wrenches or the step size jump.
     """
 
+    kernels = "generalized_alpha"
     substeps = (0, 0)
 
     def __init__(self, method, layout, group, step, options):
@@ -203,9 +204,7 @@ class GeneralizedAlpha:
         gamma = 0.5 + alpha_f - alpha_m
         self._numbers = Coefficients(alpha_m, alpha_f, 0.25 * (gamma + 0.5) ** 2, gamma)
         model = layout.model
-        if model.projects or model.baumgarte_rate > 0.0:
-            raise ValueError(f"{method.name} closes the joints by itself: "
-                             "stabilisation must be 'none'")
+        refuse_stabilisation(method, model)
         n, rows = len(model.bodies), len(model.row_residual)
         size = 6 * n + rows
         self._memory = Memory(

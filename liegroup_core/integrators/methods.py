@@ -46,6 +46,12 @@ def is_positive(value):
             and value > 0.0)
 
 
+def refuse_stabilisation(method, model):
+    """ValueError where a method that closes the joints by itself meets a stabilised model."""
+    if model.projects or model.baumgarte_rate > 0.0:
+        raise ValueError(f"{method.name} closes the joints by itself: stabilisation must be 'none'")
+
+
 @dataclass(frozen=True)
 class Tableau:
     """Coefficients of an explicit Runge-Kutta method of `s` stages.

@@ -201,6 +201,7 @@ class MuntheKaas:
         self._model, self._group, self._longest = layout.model, GROUPS[group], step
         self.work = make_work(layout.model, stages)
         self._plane = layout.plane if options["space"] == "auto" else None
+        self.kernels = "rkmk" if self._plane is None else "rkmk-planar"
         if self._plane is not None:
             self._planar_work = make_planar_work(self._plane, self.work, stages)
         self._control = np.zeros(4)

@@ -34,7 +34,7 @@ from ..lie.so3 import so3_dexpinv
 from ..lie.vec3 import (ZERO3, add3, axpy3, dot3, load3, load9, matmul3, matrix3, matvec3, scale3,
                         store3, store9, tmatvec3)
 from ..model.arrays import make_work
-from .methods import METHODS
+from .methods import METHODS, refuse_stabilisation
 from .motion import copy_state, is_finite, orthonormal
 from .rotation_bodies import linear_momentum, load, make_spinners, place
 from .rotation_maps import (AUSTIN, BOTTASSO_BORRI, FIRST_ITERATED, LIE_MIDPOINT, LIE_NEWMARK,
@@ -282,13 +282,12 @@ def advance(model, work, spinners, memory, rule, weights, h, steps, pose, twist,
 class Rotation:
     """A method of the family on a model: its memory. Nothing lasts between steps."""
 
+    kernels = "rotation"
     substeps = (0, 0)
 
     def __init__(self, method, layout, group, step, options):
         model = layout.model
-        if model.projects or model.baumgarte_rate > 0.0:
-            raise ValueError(f"{method.name} closes the joints by itself: "
-                             "stabilisation must be 'none'")
+        refuse_stabilisation(method, model)
         self._model, self._rule = model, RULES[method.name]
         self._spinners = make_spinners(model)
         tableau = method.tableau if method.coefficients else None
