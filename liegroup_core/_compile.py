@@ -7,6 +7,7 @@ edit, in any file, starts a new folder.
 
 Without Numba the same functions run as plain Python: the same results, slowly.
 """
+import functools
 import hashlib
 import logging
 import os
@@ -19,7 +20,6 @@ from pathlib import Path
 try:
     import numba
     import numba.extending
-    from numba.core import cgutils
 except ImportError:
     numba = None
 
@@ -77,92 +77,91 @@ def _cache_folder():
 CACHE_FOLDER = _cache_folder() if numba is not None else None
 
 
-def _compile(function, inlined):
-    """Let Numba compile `function` on its first call; without Numba, return it as it is."""
-    if numba is None:
-        return function
-    # Only while decorating: other packages of the same process keep their own cache folder.
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(CACHE_FOLDER or "")
-    try:
-        return numba.njit(nogil=True, error_model="numpy", forceinline=inlined,
-                          cache=CACHE_FOLDER is not None)(function)
-    finally:
-        numba.config.CACHE_DIR = before
+class Kernel:
+    """A function that Numba compiles on its first call: for Python, and apart from that for kernels.
 
-
-def kernel(function):
-    """Compile `function` on its first call, without the GIL; without Numba, return it as it is.
-
-    Kernels are inlined into their callers: handing a tuple of arrays to a function copies them all
-    and counts references, which was measured to cost as much as the mechanics.
-    Fast-math stays off: it would undo the small-angle code. Division follows IEEE 754 in machine
-    code and raises ZeroDivisionError in plain Python, so kernels branch before they divide.
+    function : what is compiled
+    always   : inlined into the kernels that call it
     """
-    return _compile(function, True)
+
+    def __init__(self, function, always):
+        functools.update_wrapper(self, function)
+        self.inner = _inlined.inner(function, always)
+        # Only while decorating: other packages of the same process keep their own cache folder.
+        before = numba.config.CACHE_DIR
+        numba.config.CACHE_DIR = str(CACHE_FOLDER or "")
+        try:
+            self._outer = _inlined.outer(function, CACHE_FOLDER is not None)
+        finally:
+            numba.config.CACHE_DIR = before
+
+    def __call__(self, *arguments):
+        return self._outer(*arguments)
+
+    def entry(self, *arguments):
+        """Its machine code for arguments of the types of these, to be called with no others."""
+        return self._outer.compile(tuple(map(numba.typeof, arguments)))
 
 
-def subroutine(function):
-    """A kernel that is not inlined: for what is long and is called once a step at most.
+def same_types(called):
+    """A kernel that is always called with arguments of the same types: those of the first call.
 
-    It is compiled once, however many callers it has; its arrays should be `borrowed` again.
+    They are not looked at again, which would take longer than a small step.
     """
-    return _compile(function, False)
+    machine_code = None
+
+    def call(*arguments):
+        nonlocal machine_code
+        if machine_code is None:
+            machine_code = called.entry(*arguments)
+        return machine_code(*arguments)
+    return call if compiled() else called
 
 
-def _without_owner(context, builder, kind, value):
-    """LLVM value of an array, or of a tuple of them, whose reference count nobody keeps."""
-    if isinstance(kind, numba.types.Array):
-        array = context.make_array(kind)(context, builder, value)
-        for field in ("meminfo", "parent"):
-            setattr(array, field, cgutils.get_null_value(getattr(array, field).type))
-        return array._getvalue()
-    if isinstance(kind, numba.types.BaseTuple):
-        return context.make_tuple(builder, kind, [
-            _without_owner(context, builder, item, builder.extract_value(value, i))
-            for i, item in enumerate(kind)])
-    return value
+class Choice:
+    """A kernel that stands for one of several: which one, the class of its first argument says.
+
+    name  : what it is called in messages
+    table : {class of Struct: kernel}; all take the same arguments
+    The choice is made when a caller is compiled: it costs nothing at run time.
+    """
+
+    def __init__(self, name, table):
+        self.name, self.table = name, table
+
+    def __call__(self, first, *rest):
+        return self.table[type(first)](first, *rest)
 
 
 if compiled():
-    @numba.extending.intrinsic
-    def borrowed(typing_context, arrays):
-        """The same arrays (an array or a tuple of them) without reference counts.
+    from . import _inlined
 
-        For the entry of a kernel: its caller holds the arrays until it returns, so counting every
-        use of them with atomic operations is in vain; it took three quarters of a step's time.
-        """
-        def codegen(context, builder, signature, arguments):
-            return _without_owner(context, builder, signature.args[0], arguments[0])
-        return arrays(arrays), codegen
-else:
-    def borrowed(arrays):
-        """The same arrays; plain Python counts references by itself."""
-        return arrays
+    @numba.extending.typeof_impl.register(Kernel)
+    def _type_of_kernel(kernel, context):
+        return numba.types.Dispatcher(kernel.inner)
+
+    @numba.extending.typeof_impl.register(Choice)
+    def _type_of_choice(choice, context):
+        return _inlined.Chosen(choice.name, {cls: kernel.inner
+                                             for cls, kernel in choice.table.items()})
 
 
-def by_type(name, table):
-    """A kernel that stands for one of several: which one, the type of its first argument says.
+def kernel(function):
+    """Compile `function` on its first call, without the GIL; without Numba, leave it as it is.
 
-    name  : what it is called in messages
-    table : {NamedTuple class: kernel}; all take the same arguments
-    The choice is made when a caller is compiled: it costs nothing at run time.
+    Kernels are inlined into the kernels that call them. Fast-math stays off: it would undo the
+    small-angle code. Division follows IEEE 754 in machine code and raises ZeroDivisionError in
+    plain Python, so kernels branch before they divide.
     """
-    def call(first, *rest):
-        return table[type(first)](first, *rest)
-    call.__name__ = name
-    if compiled():
-        def choose(first, *rest):
-            chosen = table.get(getattr(first, "instance_class", None))
-            if chosen is None:
-                return None
+    return Kernel(function, True) if compiled() else function
 
-            def forward(first, *rest):
-                return chosen(first, *rest)
-            return forward
-        numba.extending.overload(call, jit_options={
-            "forceinline": True, "nogil": True, "error_model": "numpy"})(choose)
-    return call
+
+def subroutine(function):
+    """A kernel that is not inlined: for what is long, or is called in several places of one kernel.
+
+    How long a compilation takes goes with the size of what it makes: the solve alone is most of it.
+    """
+    return Kernel(function, False) if compiled() else function
 
 
 def warm_up(call, name):

@@ -122,7 +122,7 @@ def _stabilised(model, kind, time, step):
     if not (isinstance(time, (int, float)) and math.isfinite(time) and time >= step):
         raise ValueError("baumgarte_time must be a number of seconds, at least the step of "
                          f"{step:g} s, got {time!r}")
-    return model._replace(projects=kind == "projection",
+    return model.replace(projects=kind == "projection",
                           baumgarte_rate=1.0 / time if kind == "baumgarte" else 0.0)
 
 

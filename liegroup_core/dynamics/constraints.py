@@ -18,7 +18,8 @@ every time, and the bias has the term -Jdot_b (V_b - W) more.
 Baumgarte's terms make an error g of position and velocity die out, gddot + 2 a gdot + a^2 g = 0:
 the bias gets -2 a J V - a^2 g.
 """
-from .._compile import borrowed, kernel, subroutine
+from .._compile import kernel, subroutine
+from .._struct import borrowed
 from ..joints.distance import distance_rate, distance_residual, distance_row
 from ..joints.elements import DISTANCE, PAIR, PERPENDICULAR
 from ..joints.pairs import pair_coordinates
@@ -47,7 +48,7 @@ def position_residuals(model, pose, residual_out):
 
     pose (n, 12), residual_out (all rows,)
     """
-    model, pose, residual_out = borrowed(model), borrowed(pose), borrowed(residual_out)
+    pose, residual_out = borrowed(pose), borrowed(residual_out)
     for e in range(len(model.elements)):
         element = model.elements[e]
         kind = element["kind"]
@@ -229,7 +230,7 @@ def subtract_joint_forces(model, work, multipliers, at, wrench_out):
 @subroutine
 def add_baumgarte(model, work, pose):
     """Add Baumgarte's terms to the bias that `assemble` has left."""
-    model, work, pose = borrowed(model), borrowed(work), borrowed(pose)
+    pose = borrowed(pose)
     rate = model.baumgarte_rate
     position_residuals(model, pose, work.gap)
     for j in range(len(model.joints)):

@@ -11,7 +11,7 @@ from ..forces.gravity import add_wrench as add_gravity
 from ..forces.kinds import add_wrenches
 from ..lie.vec3 import cross3, load3, matrix3, matvec3
 from .constraints import add_baumgarte, assemble
-from .saddle_point import REGULARISATION, SPATIAL_SIZES, solve
+from .saddle_point import REGULARISATION, solve
 
 # The shift is 1e-8 of a row: so much smaller the error of all other directions gets by each
 # refinement, divided by the squared sine of the angle between rows.
@@ -61,7 +61,7 @@ def accelerations(model, work, pose, twist, external):
         assemble(model, work, pose, twist)
         if model.baumgarte_rate > 0.0:
             add_baumgarte(model, work, pose)
-        dependent = solve(model, work, refinements, shift, SPATIAL_SIZES)
+        dependent = solve(model, work, refinements, shift)
         if dependent < 0:
             break
         # A singular pose: once more, and where the joints leave it open the masses decide.

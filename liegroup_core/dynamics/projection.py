@@ -13,13 +13,14 @@ so kinetic energy and linear momentum stay. Displacements are the least ones up 
 
 Source: Terze, Mueller and Zlatar, ref. [34] of the chapter, with the mass matrix as the weight.
 """
-from .._compile import borrowed, kernel, subroutine
+from .._compile import kernel, subroutine
+from .._struct import borrowed
 from ..integrators.status import DEPENDENT_ROWS, NOT_PROJECTED, OK
 from ..lie.se3 import se3_compose, se3_exp
 from ..lie.vec3 import dot3, load3, load9, store3, store9, tmatvec3
 from ..model.arrays import WORLD
 from .constraints import assemble, position_residuals
-from .saddle_point import SPATIAL_SIZES, solve
+from .saddle_point import solve
 
 # Newton's method doubles the digits: a gap of a tenth of the mechanism takes four or five rounds.
 MOST_ROUNDS = 20
@@ -71,7 +72,6 @@ def project(model, work, pose, twist):
     returns (rounds, status): displacements it took, 0 where the joints were closed to rounding;
     OK, NOT_PROJECTED or DEPENDENT_ROWS + (element << 8)
     """
-    model, work = borrowed(model), borrowed(work)
     pose, twist = borrowed(pose), borrowed(twist)
     if len(model.joints) == 0:
         return 0, OK
@@ -88,7 +88,7 @@ def project(model, work, pose, twist):
                     work.solution[start + r] = -work.slip[first + r]
                 else:
                     work.solution[start + r] = -work.gap[model.row_residual[first + r]]
-        dependent = solve(model, work, model.refinements, 0.0, SPATIAL_SIZES)
+        dependent = solve(model, work, model.refinements, 0.0)
         if dependent >= 0:
             return rounds, DEPENDENT_ROWS + (model.joints[dependent]["element"] << 8)
         for i in range(len(model.bodies)):

@@ -15,7 +15,7 @@ The usual sizes (of a body, 6 scalars or 3 in a plane, and of two kinds of joint
 constants: the compiler then unrolls the loops over a block, which was measured to take a quarter
 to a third of the time.
 """
-from .._compile import kernel
+from .._compile import kernel, subroutine
 from ..model.arrays import WORLD
 
 # Scalars of a body, and of the joints that are most frequent. Numba compiles the kernels below once
@@ -281,7 +281,7 @@ def _subtract_product(model, matrix, x, y_out, body):
 
 
 @kernel
-def solve(model, work, refinements, shift, sizes, fresh=True):
+def _solve(model, work, refinements, shift, sizes, fresh):
     """Solve K x = b, with so many steps of iterative refinement.
 
     work.matrix   : K, overwritten (a constant K is eliminated already)
@@ -317,3 +317,15 @@ def solve(model, work, refinements, shift, sizes, fresh=True):
             for i in range(len(work.right)):
                 work.solution[i] += x[i]
     return -1
+
+
+@subroutine
+def solve(model, work, refinements, shift, fresh=True):
+    """`_solve` for a Model."""
+    return _solve(model, work, refinements, shift, SPATIAL_SIZES, fresh)
+
+
+@subroutine
+def solve_in_plane(model, work, refinements, shift):
+    """`_solve` for a PlanarModel."""
+    return _solve(model, work, refinements, shift, PLANAR_SIZES, True)

@@ -11,11 +11,10 @@ and its lines below; the class of the scene is in scene/description.py. Every ki
 maybe with no rows, so that all scenes share one compiled code. test/contract/test_forces.py holds
 for every kind. Gravity acts on all bodies and stands apart (gravity.py).
 """
-from typing import NamedTuple
-
 import numpy as np
 
 from .._compile import kernel
+from .._struct import Struct
 from . import (applied_wrench, drag, linear_motor, linear_spring_damper, motor, spring_damper,
                torsional_spring_damper)
 
@@ -30,7 +29,7 @@ KINDS = {
 }
 
 
-class Forces(NamedTuple):
+class Forces(Struct):
     """The forces of a scene: (k,) of ROW of each kind, in the order of the scene."""
 
     spring_damper: np.ndarray

@@ -6,11 +6,10 @@ Unknowns x = (Vdot_1, lambda). They give the end of the step, `move`, and what i
 in m/s^2 and rad/s^2, `residual`; g are the position residuals of all rows that are solved for.
 """
 import math
-from typing import NamedTuple
-
 import numpy as np
 
-from .._compile import borrowed, kernel, subroutine
+from .._compile import kernel, subroutine
+from .._struct import Struct, borrowed
 from ..dynamics.constraints import assemble, position_residuals, subtract_joint_forces
 from ..dynamics.newton_euler import wrenches
 from ..lie.vec3 import (axpy3, cross3, dot3, load3, matrix3, matvec3, scale3, store3, store9, sub3,
@@ -20,7 +19,7 @@ from .motion import displace
 from .status import LARGEST_ROTATION, NOT_FINITE, OK, ROTATION_TOO_LARGE
 
 
-class Coefficients(NamedTuple):
+class Coefficients(Struct):
     """The method's numbers."""
 
     alpha_m: float
@@ -29,7 +28,7 @@ class Coefficients(NamedTuple):
     gamma: float
 
 
-class Memory(NamedTuple):
+class Memory(Struct):
     """What the method holds beside pose, twist and Work; N = 6 n + rows."""
 
     rate: np.ndarray        # (n, 6) Vdot_0 on the group
@@ -96,7 +95,6 @@ def residual(model, work, memory, numbers, group, h, pose, external):
 
     returns OK, ROTATION_TOO_LARGE or NOT_FINITE
     """
-    model, work, memory = borrowed(model), borrowed(work), borrowed(memory)
     pose, external = borrowed(pose), borrowed(external)
     status = move(model, work, memory, numbers, group, h, pose)
     if status != OK:

@@ -30,11 +30,10 @@ Bou-Rabee and Marsden, Found. Comput. Math. 9 (2009) 197-219 for the turn. Broyd
 Iterative Methods for Linear and Nonlinear Equations, 1995, 7.3.
 """
 import math
-from typing import NamedTuple
-
 import numpy as np
 
-from .._compile import borrowed, kernel
+from .._compile import kernel, same_types
+from .._struct import Struct, borrowed
 from ..dynamics.constraints import position_residuals
 from ..dynamics.projection import is_closed
 from ..forces.kinds import count_turns, too_fast
@@ -76,7 +75,7 @@ TOLERANCE, STUCK = 1e-15, 100.0
 MOST_REPEATS = 100
 
 
-class Memory(NamedTuple):
+class Memory(Struct):
     """What the method holds beside pose, twist and Work; the last three make first guesses."""
 
     half: np.ndarray        # (n, 6) V', then V'+
@@ -279,7 +278,6 @@ def advance(model, work, memory, parts, h, steps, pose, twist, external):
     returns (steps done, status), as rkmk.advance does; when status is not OK, the guesses in
     memory are of no use
     """
-    model, work, memory = borrowed(model), borrowed(work), borrowed(memory)
     pose, twist, external, parts = (borrowed(pose), borrowed(twist), borrowed(external),
                                     borrowed(parts))
     for done in range(steps):
@@ -328,6 +326,7 @@ class Constrained:
             corrections=np.zeros((REMEMBERED, rows)), bias=np.zeros(rows), growth=np.zeros(rows),
             size=np.zeros(1))
         self.work = make_work(model, 1)
+        self._advance = same_types(advance)
 
     @staticmethod
     def options(method):
@@ -341,8 +340,8 @@ class Constrained:
 
     def advance(self, h, steps, pose, twist, external):
         """Take steps of size h in place; returns (steps done, status)."""
-        done, status = advance(self._model, self.work, self._memory, self._parts, h, steps, pose,
-                               twist, external)
+        done, status = self._advance(self._model, self.work, self._memory, self._parts, h, steps,
+                                     pose, twist, external)
         if status != OK:
             self.restart()
         return done, status

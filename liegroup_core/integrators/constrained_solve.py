@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a step of constrained.py asks of forces and joints, each compiled once."""
-from .._compile import borrowed, subroutine
+from .._compile import subroutine
+from .._struct import borrowed
 from ..dynamics.constraints import assemble
 from ..dynamics.newton_euler import REFINEMENTS_WHEN_SINGULAR
-from ..dynamics.saddle_point import REGULARISATION, SPATIAL_SIZES, solve
+from ..dynamics.saddle_point import REGULARISATION, solve
 from ..forces.gravity import add_wrench as add_gravity
 from ..forces.kinds import add_wrenches
 from .status import DEPENDENT_ROWS, OK
@@ -12,8 +13,7 @@ from .status import DEPENDENT_ROWS, OK
 @subroutine
 def loads(model, work, pose, twist, external):
     """Sum of all wrenches without gyroscopic terms into work.wrench (n, 6)."""
-    model, work, pose = borrowed(model), borrowed(work), borrowed(pose)
-    twist, external = borrowed(twist), borrowed(external)
+    pose, twist, external = borrowed(pose), borrowed(twist), borrowed(external)
     for i in range(len(model.bodies)):
         for c in range(6):
             work.wrench[i, c] = external[i, c]
@@ -32,8 +32,7 @@ def respond(model, work, impulse, target, fresh, less, pose, twist, velocity_out
     velocity_out : dV is added to it
     returns OK, or DEPENDENT_ROWS + (element << 8)
     """
-    model, work, impulse, target = (borrowed(model), borrowed(work), borrowed(impulse),
-                                    borrowed(target))
+    impulse, target = borrowed(impulse), borrowed(target)
     pose, twist, velocity_out = borrowed(pose), borrowed(twist), borrowed(velocity_out)
     dependent = -1
     refinements, shift = model.refinements, 0.0
@@ -48,7 +47,7 @@ def respond(model, work, impulse, target, fresh, less, pose, twist, velocity_out
             start, first = model.joints[j]["start"], model.joints[j]["first"]
             for r in range(model.joints[j]["rows"]):
                 work.solution[start + r] = target[first + r] - less * work.slip[first + r]
-        dependent = solve(model, work, refinements, shift, SPATIAL_SIZES, fresh)
+        dependent = solve(model, work, refinements, shift, fresh)
         if dependent < 0:
             break
         # A singular pose: see newton_euler.accelerations.

@@ -28,7 +28,8 @@ import math
 
 import numpy as np
 
-from .._compile import borrowed, kernel
+from .._compile import kernel, same_types
+from .._struct import borrowed
 from ..dynamics.newton_euler import accelerations
 from ..forces.kinds import count_turns, too_fast
 from ..lie.vec3 import dot3, load3, load9, store9, vector3
@@ -153,7 +154,6 @@ def advance(model, work, memory, numbers, group, h, steps, pose, twist, external
     external (n, 6) : applied wrenches in body axes, constant over these steps
     returns (steps done, status), as rkmk.advance does; when status is not OK, memory is of no use
     """
-    model, work, memory = borrowed(model), borrowed(work), borrowed(memory)
     pose, twist, external = borrowed(pose), borrowed(twist), borrowed(external)
     n = len(model.bodies)
     inverse = 1.0 / (1.0 - numbers.alpha_m)
@@ -216,6 +216,7 @@ class GeneralizedAlpha:
             factored=np.zeros(1, dtype=bool))
         self._model, self._group = model, GROUPS[group]
         self.work = make_work(model, 1)
+        self._advance = same_types(advance)
         self.restart()
 
     @staticmethod
@@ -235,8 +236,8 @@ class GeneralizedAlpha:
             if dependent >= 0:
                 return 0, DEPENDENT_ROWS + (self._model.joints[dependent]["element"] << 8)
             self._started_for = now
-        done, status = advance(self._model, self.work, self._memory, self._numbers, self._group, h,
-                               steps, pose, twist, external)
+        done, status = self._advance(self._model, self.work, self._memory, self._numbers,
+                                     self._group, h, steps, pose, twist, external)
         if status != OK:
             self.restart()
         return done, status
@@ -269,8 +270,8 @@ class GeneralizedAlpha:
         """
         memory, angle = self._memory, self.work.angle.copy()
         rate, x = memory.rate.copy(), memory.x.copy()
-        _, status = advance(self._model, self.work, memory, self._numbers, self._group, h, 1,
-                            pose.copy(), twist.copy(), external)
+        _, status = self._advance(self._model, self.work, memory, self._numbers, self._group, h, 1,
+                                  pose.copy(), twist.copy(), external)
         # A trial that fails leaves the rate as it is.
         shift = self._numbers.alpha_m - self._numbers.alpha_f
         memory.mean[:] = rate + shift * (memory.rate - rate)

@@ -19,11 +19,10 @@ so its error is held absolutely. The largest body counts and not a mean, which w
 fast body hide among many slow ones.
 """
 import math
-from typing import NamedTuple
-
 import numpy as np
 
-from .._compile import borrowed, kernel
+from .._compile import kernel, same_types
+from .._struct import Struct, borrowed
 from ..model.arrays import make_work
 from ..planar.arrays import make_planar_work
 from . import spaces
@@ -38,7 +37,7 @@ SMALLEST_SUBSTEP = 1e-9
 MOST_SUBSTEPS = 100_000
 
 
-class Scheme(NamedTuple):
+class Scheme(Struct):
     """A tableau of s stages and what else tells one Munthe-Kaas method from another."""
 
     a: np.ndarray           # (s + 1, s) the tableau's a, below it its b
@@ -114,7 +113,6 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
     Steps, substeps and stages are loops of one function: a kernel that contains the mechanics is
     compiled once more for every function it is inlined into, for many seconds.
     """
-    model, work, scheme = borrowed(model), borrowed(work), borrowed(scheme)
     pose_in, twist_in = borrowed(pose_in), borrowed(twist_in)
     external_in, control = borrowed(external_in), borrowed(control)
     pose, twist, external, status = spaces.enter(model, work, pose_in, twist_in, external_in)
@@ -205,6 +203,7 @@ class MuntheKaas:
         if self._plane is not None:
             self._planar_work = make_planar_work(self._plane, self.work, stages)
         self._control = np.zeros(4)
+        self._advance, self._advance_planar = same_types(advance), same_types(advance)
         self.restart()
 
     @staticmethod
@@ -230,9 +229,10 @@ class MuntheKaas:
     def advance(self, h, steps, pose, twist, external):
         """Take steps of size h in place; returns (steps done, status)."""
         if self._plane is not None:
-            done, status = advance(self._plane, self._planar_work, self._scheme, self._group, h,
-                                   steps, pose, twist, external, self._control)
+            done, status = self._advance_planar(
+                self._plane, self._planar_work, self._scheme, self._group, h, steps, pose, twist,
+                external, self._control)
             if status != OFF_PLANE:
                 return done, status
-        return advance(self._model, self.work, self._scheme, self._group, h, steps, pose, twist,
-                       external, self._control)
+        return self._advance(self._model, self.work, self._scheme, self._group, h, steps, pose,
+                             twist, external, self._control)

@@ -27,7 +27,8 @@ import math
 
 import numpy as np
 
-from .._compile import borrowed, kernel
+from .._compile import kernel, same_types
+from .._struct import borrowed
 from ..forces.gravity import add_wrench as add_gravity
 from ..forces.kinds import add_wrenches
 from ..lie.so3 import so3_dexpinv
@@ -240,7 +241,7 @@ def advance(model, work, spinners, memory, rule, weights, h, steps, pose, twist,
     One loop holds all methods and one place the evaluation of the forces: a kernel is compiled
     once more for every place it is inlined into.
     """
-    model, work, spinners = borrowed(model), borrowed(work), borrowed(spinners)
+    spinners = borrowed(spinners)
     memory, weights = borrowed(memory), borrowed(weights)
     pose, twist, external = borrowed(pose), borrowed(twist), borrowed(external)
     for done in range(steps):
@@ -295,6 +296,7 @@ class Rotation:
                          else np.vstack([tableau.a, tableau.b]))
         self._memory = np.zeros((len(model.bodies), COLUMNS))
         self.work = make_work(model, self._weights.shape[1])
+        self._advance = same_types(advance)
 
     @staticmethod
     def options(method):
@@ -306,5 +308,5 @@ class Rotation:
 
     def advance(self, h, steps, pose, twist, external):
         """Take steps of size h in place; returns (steps done, status)."""
-        return advance(self._model, self.work, self._spinners, self._memory, self._rule,
-                       self._weights, h, steps, pose, twist, external)
+        return self._advance(self._model, self.work, self._spinners, self._memory, self._rule,
+                             self._weights, h, steps, pose, twist, external)

@@ -25,7 +25,7 @@ Model and in planar/motion.py for a PlanarModel; the type of the model chooses:
     count_turns(model, work)
                             angles of torsional springs at the end of the step
 """
-from .._compile import by_type
+from .._compile import Choice
 from ..model.arrays import Model
 from ..planar import motion as planar
 from ..planar.arrays import PlanarModel
@@ -33,7 +33,7 @@ from . import spatial
 
 
 def _of(name):
-    return by_type(name, {Model: getattr(spatial, name), PlanarModel: getattr(planar, name)})
+    return Choice(name, {Model: getattr(spatial, name), PlanarModel: getattr(planar, name)})
 
 
 enter, leave, begin, move, evaluate = map(_of, ("enter", "leave", "begin", "move", "evaluate"))

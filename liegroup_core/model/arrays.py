@@ -14,9 +14,9 @@ components in body axes; a pose is R row by row, then r: twelve numbers.
 A kind of thing is one structured array, a record per thing: kernels are handed few arrays, and
 reading a field costs no reference count.
 """
-from typing import NamedTuple
-
 import numpy as np
+
+from .._struct import Struct
 
 WORLD = -1                                  # index of the world where a body is meant
 
@@ -53,7 +53,7 @@ VERTEX = np.dtype([                         # body or joint in the order of elim
 ], align=True)
 
 
-class Model(NamedTuple):
+class Model(Struct):
     """What does not change while a scene is integrated. K and its blocks: see sparsity.py."""
 
     gravity: np.ndarray            # (1, 3) m/s^2, world axes
@@ -75,7 +75,7 @@ class Model(NamedTuple):
     baumgarte_rate: float = 0.0    # 1/s, see dynamics.constraints; 0: no such terms
 
 
-class Work(NamedTuple):
+class Work(Struct):
     """Scratch memory of one simulation; nothing but `angle` outlives a call."""
 
     child_jacobian: np.ndarray     # (m, 36) rows J_b at this pose, those of a PAIR constant

@@ -7,9 +7,9 @@ axes a body turns by an angle theta about the third. Its pose is (cos theta, sin
 the centre of mass; its twist (omega, v_1, v_2), v in body axes; a wrench (torque, force_1,
 force_2). The rows of a joint are rows for (omega, v_1, v_2).
 """
-from typing import NamedTuple
-
 import numpy as np
+
+from .._struct import Struct
 
 from ..model.arrays import Model, Work
 from .tree import COLUMNS
@@ -21,7 +21,7 @@ PLANAR_BODY = np.dtype([
 ], align=True)
 
 
-class PlanarModel(NamedTuple):
+class PlanarModel(Struct):
     """What does not change while a planar mechanism is integrated; fields as those of Model."""
 
     space: Model                   # the same mechanism in space
@@ -43,7 +43,7 @@ class PlanarModel(NamedTuple):
     links: np.ndarray              # (n,) of tree.LINK where K is not needed, else none
 
 
-class PlanarWork(NamedTuple):
+class PlanarWork(Struct):
     """Scratch memory of one simulation; fields as those of Work, of which it shares some."""
 
     space: Work

@@ -11,7 +11,7 @@ e is the velocity error of the joint, as in dynamics.constraints.
 from .._compile import kernel
 from ..dynamics.constraints import NEXT_TO_NOTHING
 from ..dynamics.newton_euler import REFINEMENTS_WHEN_SINGULAR
-from ..dynamics.saddle_point import PLANAR_SIZES, REGULARISATION, solve
+from ..dynamics.saddle_point import REGULARISATION, solve_in_plane
 from ..model.arrays import WORLD
 from .state import add_forces
 from .tree import solve_tree
@@ -117,7 +117,7 @@ def accelerations(model, work, external):
     for _ in range(2):
         _wrenches(model, work, external)
         assemble(model, work)
-        dependent = solve(model, work, refinements, shift, PLANAR_SIZES)
+        dependent = solve_in_plane(model, work, refinements, shift)
         if dependent < 0:
             break
         refinements, shift = REFINEMENTS_WHEN_SINGULAR, REGULARISATION

@@ -99,7 +99,7 @@ def flat(matrices):
 
 def test_every_kind_is_known_everywhere():
     types = [cls.model_fields["type"].default for cls in FORCES]
-    assert list(kinds.KINDS) == list(kinds.Forces._fields) == types == list(EXAMPLES)
+    assert list(kinds.KINDS) == list(kinds.Forces.__dataclass_fields__) == types == list(EXAMPLES)
 
 
 @pytest.mark.parametrize("kind", [k for k, m in kinds.KINDS.items() if "parent" in m.ROW.names])

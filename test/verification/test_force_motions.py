@@ -223,7 +223,7 @@ def along_z(force, joint_type):
         ends = {"slider": (0, 1, ground.pose, ground.pose)}
         forces = kinds.make_forces([force], {"first": 0, "second": 1}, ends)
         simulation.layout = replace(simulation.layout,
-                                    model=simulation.layout.model._replace(forces=forces))
+                                    model=simulation.layout.model.replace(forces=forces))
         simulation._integrator._model = simulation.layout.model
     return simulation, 1.0 / (1.0 / 2.0 + 1.0 / 1.0)
 

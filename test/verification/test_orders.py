@@ -273,7 +273,7 @@ def test_each_power_of_ad_is_worth_an_order(references, highest, order):
     for count in counts:
         simulation = Simulation(scene, method="rkmk4", step=1 / count)
         integrator = simulation._integrator
-        integrator._scheme = integrator._scheme._replace(highest=highest)
+        integrator._scheme = integrator._scheme.replace(highest=highest)
         simulation.advance(10 * count)
         found.append(attitude_error(simulation, attitudes))
     assert slope(counts, found) == pytest.approx(order, abs=0.2)

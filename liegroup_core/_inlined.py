@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How Numba compiles functions within functions: optimised, and made into machine code, once.
+
+Left alone, Numba optimises every function and makes machine code of it before a caller takes it in,
+and does all of that again with the caller. For kernels ten deep that was two thirds of the time of
+a compilation. Here a function that others take in stays LLVM code as it was lowered, and only the
+outermost one, which Python calls, is optimised with all that is in it.
+
+Of Numba's inner parts this replaces two steps of a code library and one compiler pass.
+"""
+from llvmlite.binding import create_new_module_pass_manager
+from numba import njit
+from numba.core import types
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
+from numba.core.compiler_machinery import register_pass
+from numba.core.datamodel import models
+from numba.core.imputils import lower_constant
+from numba.core.typed_passes import NativeLowering
+from numba.extending import register_model
+
+OPTIONS = {"nogil": True, "error_model": "numpy"}
+
+
+class _InnerLibrary(JITCodeLibrary):
+    """LLVM code for callers."""
+
+    def _optimize_final_module(self):
+        """The outermost function does it."""
+
+    def _finalize_final_module(self):
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+
+class _OuterLibrary(JITCodeLibrary):
+    """Machine code of a function with all that it has taken in.
+
+    Inlined first: optimised before that, functions would be optimised over and over. Once and not
+    twice as usual: no references are counted that could be pruned in between. Loops over three or
+    six numbers gain nothing from being vectorised.
+    """
+
+    def _optimize_final_module(self):
+        inline = create_new_module_pass_manager()
+        inline.add_always_inliner_pass()
+        inline.add_global_dead_code_eliminate_pass()
+        passes, builder = self._codegen._module_pass_manager(loop_vectorize=False)
+        inline.run(self._final_module, builder)
+        passes.run(self._final_module, builder)
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _InnerLowering(NativeLowering):
+    _name = "inner_lowering"
+
+    def run_pass(self, state):
+        state.library = _InnerLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.flags.no_compile = True
+        super().run_pass(state)
+        lowered = state["cr"]
+        entry = [].append       # there is none; a key of its own, of the type that Numba expects
+        state.targetctx.insert_user_function(entry, lowered.fndesc, [state.library])
+        state["cr"] = lowered._replace(cfunc=entry)
+        return True
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _OuterLowering(NativeLowering):
+    _name = "outer_lowering"
+
+    def run_pass(self, state):
+        state.library = _OuterLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.library.enable_object_caching()
+        return super().run_pass(state)
+
+
+class _Inner(Compiler):
+    lowering = _InnerLowering
+
+    def define_pipelines(self):
+        managers = super().define_pipelines()
+        for manager in managers:
+            manager.passes = [(self.lowering if each is NativeLowering else each, text)
+                              for each, text in manager.passes]
+            manager.finalize()
+        return managers
+
+
+class _Outer(_Inner):
+    lowering = _OuterLowering
+
+
+def inner(function, always):
+    """Dispatcher of a function for compiled callers; always: it is inlined into them."""
+    return njit(**OPTIONS, forceinline=always, pipeline_class=_Inner, no_cpython_wrapper=True,
+                no_cfunc_wrapper=True)(function)
+
+
+def outer(function, cache):
+    """Dispatcher of the same function for Python."""
+    return njit(**OPTIONS, pipeline_class=_Outer, cache=cache)(function)
+
+
+class Chosen(types.Callable, types.Dummy):
+    """Type of a function that stands for one of several: the type of its first argument says which.
+
+    table : {class of Struct: inner dispatcher}
+    """
+
+    def __init__(self, name, table):
+        self._table = table
+        super().__init__(f"chosen({name})")
+
+    def _type(self, arguments):
+        return types.Dispatcher(self._table[arguments[0].instance_class])
+
+    def get_call_type(self, context, args, kws):
+        return self._type(args).get_call_type(context, args, kws)
+
+    def get_call_signatures(self):
+        return (), True
+
+    def get_impl_key(self, sig):
+        return self._type(sig.args).get_impl_key(sig)
+
+
+register_model(Chosen)(models.OpaqueModel)
+
+
+@lower_constant(Chosen)
+def _nothing(context, builder, kind, value):
+    return context.get_dummy_value()

@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What kernels read in place: a Struct, and arrays whose references nobody counts.
+
+A tuple of arrays would be taken apart at every call from Python, and copied into every kernel that
+it is handed to. Of a Struct a kernel gets the address, and loads from there what it uses.
+"""
+import dataclasses
+
+import numpy as np
+
+from ._compile import compiled
+
+
+class Struct:
+    """Base of classes of arrays, numbers and other Structs under names, for kernels to read.
+
+    A class of it is a dataclass with these as its fields. Arrays are C-contiguous and their contents
+    may change; a field is never set anew, see `replace`.
+    """
+
+    def __init_subclass__(cls):
+        dataclasses.dataclass(frozen=True, eq=False)(cls)
+
+    def __post_init__(self):
+        if compiled():
+            self._lay_out()
+
+    def replace(self, **changes):
+        """The same with other values in some fields."""
+        return dataclasses.replace(self, **changes)
+
+    def _lay_out(self):
+        """Write down for kernels, a word of memory each: addresses and shapes of arrays, numbers.
+
+        numba_type : StructType, which knows where each field is
+        address    : of the words
+        """
+        words, fields = [], []
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            kind, found = _words_of(value, f"{type(self).__name__}.{field.name}")
+            fields.append((field.name, len(words), kind))
+            words += found
+        memory = np.array(words, dtype=np.uint64)
+        # Frozen for others; the words must live as long as the Struct.
+        self.__dict__.update(numba_type=StructType(type(self), tuple(fields)), _memory=memory,
+                             address=memory.ctypes.data)
+
+
+if compiled():
+    from llvmlite import ir
+    from numba.core import cgutils, types
+    from numba.core.datamodel import models
+    from numba.core.typing.templates import AttributeTemplate
+    from numba.extending import (NativeValue, infer_getattr, intrinsic, lower_getattr_generic,
+                                 register_model, typeof_impl, unbox)
+    from numba.np.numpy_support import from_dtype
+
+    WORD = ir.IntType(64)
+
+    class BorrowedArray(types.Array):
+        """Type of an array that somebody else keeps alive: its references are not counted."""
+
+        def __init__(self, dtype, ndim):
+            super().__init__(dtype, ndim, "C")
+
+        @property
+        def mangling_args(self):
+            return "borrowed", (self._code, self.ndim)
+
+    @register_model(BorrowedArray)
+    class _BorrowedArrayModel(models.StructModel):
+        def __init__(self, manager, kind):
+            shape = types.UniTuple(types.intp, kind.ndim)
+            super().__init__(manager, kind, [
+                ("meminfo", types.voidptr), ("parent", types.voidptr), ("nitems", types.intp),
+                ("itemsize", types.intp), ("data", types.CPointer(kind.dtype)),
+                ("shape", shape), ("strides", shape)])
+
+    class StructType(types.Type):
+        """Type of a Struct: its class, and name, first word and type of each field."""
+
+        def __init__(self, cls, fields):
+            self.instance_class, self._fields = cls, fields
+            self.fields = {name: (word, kind) for name, word, kind in fields}
+            super().__init__(f"{cls.__module__}.{cls.__name__}")
+
+        @property
+        def key(self):
+            return self.instance_class, self._fields
+
+        @property
+        def mangling_args(self):
+            return self.instance_class.__name__, (self._code,)
+
+    register_model(StructType)(models.OpaqueModel)
+
+    def _words_of(value, name):
+        """Numba type of a field, and the words that stand for it."""
+        if isinstance(value, np.ndarray):
+            if not (value.flags.c_contiguous and value.flags.writeable):
+                raise ValueError(f"{name} must be a C-contiguous array that can be written")
+            return (BorrowedArray(from_dtype(value.dtype), value.ndim),
+                    [value.__array_interface__["data"][0], *value.shape])
+        if isinstance(value, Struct):
+            return value.numba_type, [value.address]
+        if isinstance(value, (bool, np.bool_)):
+            return types.boolean, [int(value)]
+        if isinstance(value, (int, np.integer)):
+            return types.int64, [int(np.int64(value).view(np.uint64))]
+        return types.float64, [int(np.float64(value).view(np.uint64))]
+
+    @typeof_impl.register(Struct)
+    def _type_of(struct, context):
+        return struct.numba_type
+
+    @unbox(StructType)
+    def _unbox(kind, struct, c):
+        address = c.pyapi.object_getattr_string(struct, "address")
+        pointer = c.pyapi.long_as_voidptr(address)
+        c.pyapi.decref(address)
+        return NativeValue(pointer)
+
+    @infer_getattr
+    class _Fields(AttributeTemplate):
+        key = StructType
+
+        def generic_resolve(self, kind, name):
+            return kind.fields[name][1] if name in kind.fields else None
+
+    @lower_getattr_generic(StructType)
+    def _load(context, builder, struct, pointer, name):
+        """LLVM value of a field. Words never change: what they say may be kept in registers."""
+        first, kind = struct.fields[name]
+        words = builder.bitcast(pointer, WORD.as_pointer())
+
+        def word(number):
+            value = builder.load(builder.gep(words, [ir.Constant(WORD, first + number)]))
+            value.set_metadata("invariant.load", builder.module.add_metadata([]))
+            return value
+
+        if isinstance(kind, BorrowedArray):
+            return _array(context, builder, kind, word(0),
+                          [word(1 + axis) for axis in range(kind.ndim)])
+        if isinstance(kind, StructType):
+            return builder.inttoptr(word(0), pointer.type)
+        if kind == types.float64:
+            return builder.bitcast(word(0), ir.DoubleType())
+        return builder.trunc(word(0), ir.IntType(1)) if kind == types.boolean else word(0)
+
+    def _array(context, builder, kind, data, shape):
+        """LLVM value of a BorrowedArray."""
+        array = context.make_array(kind)(context, builder)
+        size = ir.Constant(WORD, context.get_abi_sizeof(context.get_data_type(kind.dtype)))
+        strides = [size]
+        for length in shape[:0:-1]:
+            strides.insert(0, builder.mul(strides[0], length))
+        count = ir.Constant(WORD, 1)
+        for length in shape:
+            count = builder.mul(count, length)
+        array.meminfo = array.parent = cgutils.get_null_value(array.meminfo.type)
+        array.nitems, array.itemsize = count, size
+        array.data = builder.inttoptr(data, array.data.type)
+        array.shape = cgutils.pack_array(builder, shape, ty=WORD)
+        array.strides = cgutils.pack_array(builder, strides, ty=WORD)
+        return array._getvalue()
+
+    @intrinsic
+    def borrowed(typing_context, array):
+        """The same array without reference counts.
+
+        For the entry of a kernel: its caller holds the array until it returns, so counting every
+        use of it with atomic operations is in vain; it took three quarters of a step's time.
+        """
+        kind = BorrowedArray(array.dtype, array.ndim)
+
+        def codegen(context, builder, signature, arguments):
+            given = context.make_array(array)(context, builder, arguments[0])
+            return _array(context, builder, kind, builder.ptrtoint(given.data, WORD),
+                          cgutils.unpack_tuple(builder, given.shape))
+        return kind(array), codegen
+else:
+    def borrowed(array):
+        """The same array; plain Python counts references by itself."""
+        return array
