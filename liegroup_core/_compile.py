@@ -17,21 +17,15 @@ import tempfile
 import time
 from pathlib import Path
 
-try:
-    import numba
-    import numba.extending
-except ImportError:
-    numba = None
+from ._numba import compiled, numba
+
+if compiled():
+    from . import _inlined
 
 log = logging.getLogger("liegroup_core")
 
 # How many caches of other versions stay: a developer switches between a few.
 KEPT_CACHES = 6
-
-
-def compiled():
-    """True when kernels run as machine code, False when they run as plain Python."""
-    return numba is not None and not numba.config.DISABLE_JIT
 
 
 def _source_hash():
@@ -134,8 +128,6 @@ class Choice:
 
 
 if compiled():
-    from . import _inlined
-
     @numba.extending.typeof_impl.register(Kernel)
     def _type_of_kernel(kernel, context):
         return numba.types.Dispatcher(kernel.inner)
@@ -177,7 +169,7 @@ def warm_up(call, name):
                     "some hundred times slower (pip install numba)")
     elif done is None or not done.exists():
         log.warning("compiling the kernels for their first use on this machine "
-                    "(a minute or two, kept for the next start)")
+                    "(half a minute or so, kept for the next start)")
     start = time.perf_counter()
     call()
     if done is not None and compiled():

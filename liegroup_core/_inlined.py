@@ -16,8 +16,11 @@ from numba.core.compiler import Compiler
 from numba.core.compiler_machinery import register_pass
 from numba.core.datamodel import models
 from numba.core.imputils import lower_constant
+from numba.core.lowering import Lower
 from numba.core.typed_passes import NativeLowering
 from numba.extending import register_model
+
+from ._struct import StructType
 
 OPTIONS = {"nogil": True, "error_model": "numpy"}
 
@@ -37,22 +40,35 @@ class _OuterLibrary(JITCodeLibrary):
     """Machine code of a function with all that it has taken in.
 
     Inlined first: optimised before that, functions would be optimised over and over. Once and not
-    twice as usual: no references are counted that could be pruned in between. Loops over three or
-    six numbers gain nothing from being vectorised.
+    twice as usual: no references are counted that could be pruned in between.
     """
 
     def _optimize_final_module(self):
         inline = create_new_module_pass_manager()
         inline.add_always_inliner_pass()
         inline.add_global_dead_code_eliminate_pass()
-        passes, builder = self._codegen._module_pass_manager(loop_vectorize=False)
+        passes, builder = self._codegen._module_pass_manager()
         inline.run(self._final_module, builder)
         passes.run(self._final_module, builder)
+
+
+class _Lower(Lower):
+    """Says of Structs that they can be read at any time, so that loads are moved out of loops."""
+
+    def setup_function(self, fndesc):
+        super().setup_function(fndesc)
+        sizes = {f"arg.{name}": kind.size for name, kind in zip(fndesc.args, fndesc.argtypes)
+                 if isinstance(kind, StructType)}
+        for argument in self.function.args:
+            if argument.name in sizes:
+                argument.attributes.dereferenceable = sizes[argument.name]
+                argument.attributes.align = 8
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _InnerLowering(NativeLowering):
     _name = "inner_lowering"
+    lowering_class = _Lower
 
     def run_pass(self, state):
         state.library = _InnerLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
@@ -68,6 +84,7 @@ class _InnerLowering(NativeLowering):
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _OuterLowering(NativeLowering):
     _name = "outer_lowering"
+    lowering_class = _Lower
 
     def run_pass(self, state):
         state.library = _OuterLibrary(state.targetctx.codegen(), state.func_id.func_qualname)

@@ -8,7 +8,7 @@ import dataclasses
 
 import numpy as np
 
-from ._compile import compiled
+from ._numba import compiled
 
 
 class Struct:
@@ -86,6 +86,11 @@ if compiled():
             super().__init__(f"{cls.__module__}.{cls.__name__}")
 
         @property
+        def size(self):
+            """Bytes of its words."""
+            return 8 * sum(1 + getattr(kind, "ndim", 0) for _, _, kind in self._fields)
+
+        @property
         def key(self):
             return self.instance_class, self._fields
 
@@ -132,9 +137,9 @@ if compiled():
     def _load(context, builder, struct, pointer, name):
         """LLVM value of a field. Words never change: what they say may be kept in registers."""
         first, kind = struct.fields[name]
-        words = builder.bitcast(pointer, WORD.as_pointer())
 
-        def word(number):
+        def word(number, of=WORD):
+            words = builder.bitcast(pointer, of.as_pointer())
             value = builder.load(builder.gep(words, [ir.Constant(WORD, first + number)]))
             value.set_metadata("invariant.load", builder.module.add_metadata([]))
             return value
@@ -143,9 +148,12 @@ if compiled():
             return _array(context, builder, kind, word(0),
                           [word(1 + axis) for axis in range(kind.ndim)])
         if isinstance(kind, StructType):
-            return builder.inttoptr(word(0), pointer.type)
+            inner = word(0, pointer.type)
+            for name, number in (("dereferenceable", kind.size), ("align", 8)):
+                inner.set_metadata(name, builder.module.add_metadata([ir.Constant(WORD, number)]))
+            return inner
         if kind == types.float64:
-            return builder.bitcast(word(0), ir.DoubleType())
+            return word(0, ir.DoubleType())
         return builder.trunc(word(0), ir.IntType(1)) if kind == types.boolean else word(0)
 
     def _array(context, builder, kind, data, shape):

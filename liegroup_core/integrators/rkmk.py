@@ -21,14 +21,14 @@ fast body hide among many slow ones.
 import math
 import numpy as np
 
-from .._compile import kernel, same_types
+from .._compile import kernel, same_types, warm_up
 from .._struct import Struct, borrowed
 from ..model.arrays import make_work
 from ..planar.arrays import make_planar_work
 from . import spaces
 from .methods import EXACT, GROUPS, is_positive
 from .motion import copy_state
-from .status import OFF_PLANE, OK, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS
+from .status import DEPENDENT_ROWS, OFF_PLANE, OK, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS
 
 # Bounds of one change of the substep, and how far below the tolerance the next error is aimed.
 LARGEST_GROWTH, LARGEST_CUT, SAFETY = 5.0, 0.2, 0.9
@@ -144,8 +144,9 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
                     if status != OK:
                         break
                 if stage < stages or controlled:
-                    status = spaces.evaluate(model, work, external)
-                    if status != OK:
+                    dependent = spaces.accelerate(model, work, external)
+                    if dependent >= 0:
+                        status = DEPENDENT_ROWS + (model.joints[dependent]["element"] << 8)
                         break
                     spaces.store_slopes(model, work, scheme, group, stage)
             if status == OK:
@@ -204,6 +205,7 @@ class MuntheKaas:
             self._planar_work = make_planar_work(self._plane, self.work, stages)
         self._control = np.zeros(4)
         self._advance, self._advance_planar = same_types(advance), same_types(advance)
+        self._left_plane = False
         self.restart()
 
     @staticmethod
@@ -234,5 +236,11 @@ class MuntheKaas:
                 external, self._control)
             if status != OFF_PLANE:
                 return done, status
+            if not self._left_plane:
+                self._left_plane = True
+                warm_up(lambda: self._in_space(h, 0, pose, twist, external), "rkmk")
+        return self._in_space(h, steps, pose, twist, external)
+
+    def _in_space(self, h, steps, pose, twist, external):
         return self._advance(self._model, self.work, self._scheme, self._group, h, steps, pose,
                              twist, external, self._control)

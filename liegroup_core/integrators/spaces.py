@@ -12,8 +12,8 @@ Model and in planar/motion.py for a PlanarModel; the type of the model chooses:
                             the state becomes stage 0: work.stage_pose, stage_twist, velocity
     move(model, work, scheme, group, h, stage, end, pose) -> status
                             the pose and twist of a later stage, or of the end of the step
-    evaluate(model, work, external) -> status
-                            accelerations of the stage
+    accelerate(model, work, external) -> int
+                            accelerations of the stage; -1, or the joint whose rows depend on others
     store_slopes(model, work, scheme, group, stage)
                             slopes of the stage, from its accelerations
     check_end(model, work, h) -> status
@@ -29,6 +29,7 @@ from .._compile import Choice
 from ..model.arrays import Model
 from ..planar import motion as planar
 from ..planar.arrays import PlanarModel
+from ..planar.dynamics import accelerations
 from . import spatial
 
 
@@ -36,6 +37,7 @@ def _of(name):
     return Choice(name, {Model: getattr(spatial, name), PlanarModel: getattr(planar, name)})
 
 
-enter, leave, begin, move, evaluate = map(_of, ("enter", "leave", "begin", "move", "evaluate"))
+enter, leave, begin, move = map(_of, ("enter", "leave", "begin", "move"))
 store_slopes, check_end, error_norm = map(_of, ("store_slopes", "check_end", "error_norm"))
 close, count_turns = map(_of, ("close", "count_turns"))
+accelerate = Choice("accelerate", {Model: spatial.accelerate, PlanarModel: accelerations})

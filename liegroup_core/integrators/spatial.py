@@ -18,8 +18,7 @@ from ..lie.vec3 import (ZERO3, add3, axpy3, cross3, dot3, load3, load9, matvec3,
                         store9, tmatvec3)
 from .methods import EXACT, SE3
 from .motion import copy_state, displace, group_velocity, is_finite, orthonormal
-from .status import (DEPENDENT_ROWS, LARGEST_ROTATION, NOT_FINITE, OK, ROTATION_TOO_LARGE,
-                     TURNS_NOT_COUNTED)
+from .status import LARGEST_ROTATION, NOT_FINITE, OK, ROTATION_TOO_LARGE, TURNS_NOT_COUNTED
 
 
 @kernel
@@ -125,12 +124,9 @@ def _store_slope(work, scheme, group, n, i, stage):
 
 
 @kernel
-def evaluate(model, work, external):
-    """Accelerations of a stage. Returns OK, or DEPENDENT_ROWS + (element << 8)."""
-    dependent = accelerations(model, work, work.stage_pose, work.stage_twist, external)
-    if dependent < 0:
-        return OK
-    return DEPENDENT_ROWS + (model.joints[dependent]["element"] << 8)
+def accelerate(model, work, external):
+    """Accelerations of a stage. Returns -1, or the joint whose rows depend on others."""
+    return accelerations(model, work, work.stage_pose, work.stage_twist, external)
 
 
 @kernel

@@ -12,11 +12,11 @@ from ..dynamics.projection import project
 from ..forces import kinds
 from ..integrators.methods import EXACT, SE3
 from ..integrators.motion import copy_state, is_finite
-from ..integrators.status import (DEPENDENT_ROWS, LARGEST_ROTATION, NOT_FINITE, OK,
-                                  ROTATION_TOO_LARGE, TURNS_NOT_COUNTED)
+from ..integrators.status import (LARGEST_ROTATION, NOT_FINITE, OK, ROTATION_TOO_LARGE,
+                                  TURNS_NOT_COUNTED)
 from ..lie.coefficients import (dexpinv_coefficients, exp_coefficients,
                                 truncated_dexpinv_coefficients)
-from .dynamics import accelerations, clear_ground_slip
+from .dynamics import clear_ground_slip
 from .state import to_plane, to_space, wrench_to_plane
 
 
@@ -104,15 +104,6 @@ def move(model, work, scheme, group, h, stage, end, pose):
     if end and group == SE3:
         clear_ground_slip(model, work.stage_twist)
     return OK
-
-
-@kernel
-def evaluate(model, work, external):
-    """Accelerations of a stage. Returns OK, or DEPENDENT_ROWS + (element << 8)."""
-    dependent = accelerations(model, work, external)
-    if dependent < 0:
-        return OK
-    return DEPENDENT_ROWS + (model.joints[dependent]["element"] << 8)
 
 
 @kernel
