@@ -13,8 +13,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from liegroup_core.errors import LieGroupSimError
 
-from . import __version__, analyze, demo, describe, figures, offline, push
-from .analyze import AnalysisError
+from . import __version__, analyze_logs, demo, describe, figures, offline, push
+from .analyze_logs import AnalysisError
 from .demo import DemoError
 from .figures import FiguresError
 from .offline import RunError
@@ -35,7 +35,7 @@ def make_parser():
         "a ROS installation: ros2 run liegroup_sim_ros sim_node --ros-args -p scene:=heavy_top")
     parser.add_argument("--version", action="version", version=f"liegroup_sim {__version__}")
     subparsers = parser.add_subparsers(metavar="COMMAND", required=True)
-    for command in (demo, describe, offline, analyze, push, figures):
+    for command in (demo, describe, offline, analyze_logs, push, figures):
         command.add_parser(subparsers)
     return parser
 
