@@ -38,7 +38,7 @@ def settings(simulation, sample_steps):
         "format": 1, "scene": simulation.scene.name, "method": simulation.method,
         "group": simulation.group, "step": simulation.step,
         "stabilisation": simulation.stabilisation, "baumgarte_time": simulation.baumgarte_time,
-        "options": simulation.options, "steps_per_sample": sample_steps, "versions": _versions(),
+        "options": simulation.options, "steps_per_sample": sample_steps, "versions": versions(),
         "machine": {"system": platform.platform(), "processor": platform.machine(),
                     "cores": os.cpu_count()},
         "wall_start": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())}
@@ -49,7 +49,7 @@ def as_json(data):
     return "application/json", json.dumps(data, indent=1, allow_nan=False).encode()
 
 
-def _versions():
+def versions():
     versions = {"liegroup_sim_ros": __version__, "python": platform.python_version()}
     for package in _PACKAGES:
         try:

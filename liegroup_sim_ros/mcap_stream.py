@@ -135,7 +135,7 @@ class McapStream:
         self.channels, self._schemas = {}, {}
         self.finished, self.damaged, self.remarks = False, 0, []
         self.statistics = self.attachments_indexed = None
-        self.chunks = []                    # (offset, start_ns, end_ns) of those that were seen
+        self.offset = 0                     # of the record that the last item came from
         self._loose = bytearray()
 
     def __iter__(self):
@@ -174,6 +174,7 @@ class McapStream:
             yield self._messages(data)
 
     def _take(self, opcode, length, at):
+        self.offset = at
         if opcode not in (SCHEMA, CHANNEL, CHUNK, ATTACHMENT, STATISTICS):
             return
         if length > LARGEST_RECORD:
@@ -216,7 +217,6 @@ class McapStream:
         data = _unpacked(compression, self._file.read(packed), size)
         if crc and zlib.crc32(data) != crc:
             raise Damage("a chunk whose check sum is wrong")
-        self.chunks.append((at, first, last))
         return self._messages(np.frombuffer(data, dtype=np.uint8))
 
     def _messages(self, data):

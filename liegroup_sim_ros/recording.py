@@ -29,7 +29,7 @@ __all__ = ["AppliedWrench", "Event", "JointTrack", "PoseTrack", "Recording", "Re
 FORMAT = 1                      # of settings.json and all that goes with it
 JOINT_STATE = "sensor_msgs/msg/JointState"
 # Numbers of a piece of `samples`, and how many samples the topics of a file may lie apart.
-PIECE, MOST_APART = 400_000, 100_000
+PIECE, MOST_APART = 200_000, 100_000
 
 
 @dataclass(frozen=True, eq=False)
