@@ -92,7 +92,7 @@ def run(args):
         _write(args.json, document(found, comparison, args.max_error, args.max_drift, exceeded))
     failed = [entry for entry in found if "failed" in entry]
     if failed:
-        rest = f" (and {len(failed) - 1} other logs)" if len(failed) > 1 else ""
+        rest = f" (and {len(failed) - 1} more like it)" if len(failed) > 1 else ""
         raise AnalysisError(f"{failed[0]['failed']}{rest}")
     if exceeded:
         print(f"liegroup_sim: {'; '.join(exceeded)}", file=sys.stderr)

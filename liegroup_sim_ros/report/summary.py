@@ -279,34 +279,37 @@ def print_table(figures, console):
 
 
 def print_overview(found, console):
-    """A line for each of several logs."""
+    """A line for each of several logs; what is wrong with them follows."""
     table = Table(box=None, padding=(0, 2, 0, 0))
-    for title in ("log", "scene", "method, step", "position", "attitude", "energy", "joints",
-                  "same bits", "real time", "lost", "problems"):
-        table.add_column(Text(title), overflow="fold")
-    for figures in found:
-        cells = _overview(figures)
-        table.add_row(*(Text(cell, style="bold red" if cell in NO_NUMBER else "")
-                        for cell in cells))
+    names = [figures["log"].rpartition("/")[2] for figures in found]
+    if len(set(names)) < len(names):
+        names = [figures["log"] for figures in found]
+    for title in ("log", "position", "attitude", "energy", "joints", "same bits", "lost"):
+        table.add_column(Text(title), overflow="fold", no_wrap=title != "log")
+    for name, figures in zip(names, found):
+        table.add_row(Text(name), *(Text(cell, style="bold red" if cell in NO_NUMBER else "")
+                                    for cell in _overview(figures)))
     console.print(table)
+    for name, figures in zip(names, found):
+        for problem in figures.get("problems") or [figures[key] for key in ("failed",)
+                                                   if key in figures]:
+            text = problem if problem.startswith(figures["log"]) else f"{name}: {problem}"
+            console.print(Text(f"! {text}", style="bold red"), soft_wrap=True)
 
 
 def _overview(figures):
     if "failed" in figures:
-        return [figures["log"], *["-"] * 9, figures["failed"]]
+        return ["-"] * 6
     reference = figures.get("reference") or {"failed": ""}
     errors = ["-", "-"] if "failed" in reference else [
-        _error(reference["position"]), _error(reference["angle"])]
+        _error(reference[name]).partition(" (")[0] for name in ("position", "angle")]
     joints = [joint["largest"] for joint in figures.get("joints", {}).values()]
     repeat = figures.get("repeat", {})
-    factor = figures["timing"]["real_time_factor"]
     lost = sum(figures["lost_messages"].values()) + figures["missing_samples"]
-    return [figures["log"], figures["scene"],
-            f"{figures['method']}, {shown(figures['step'] * 1e3, 'ms')}", *errors,
-            shown(figures.get("energy", {}).get("relative_drift")),
+    return [*errors, shown(figures.get("energy", {}).get("relative_drift")),
             shown(max(joints)) if joints else "-",
             f"{repeat['identical']}/{repeat['samples']}" if "identical" in repeat else "-",
-            "-" if factor is None else f"{factor:.3f}", str(lost), str(len(figures["problems"]))]
+            str(lost)]
 
 
 def print_comparison(figures, console):
