@@ -21,7 +21,7 @@ from .report.invariants import Energy, Joints, Momentum
 from .report.local_error import local_error
 from .report.motion import Motion
 from .report.reference import ReferenceError, exact_error
-from .report.replay import Repeat, make_simulation
+from .report.replay import Repeat, ReplayError, make_simulation
 from .report.summary import find_problems, verdict
 
 # Simulated time that the independent integration covers if no other is asked for, s.
@@ -135,7 +135,7 @@ class _Parts:
 
 
 # A method or a joint that is not known here, options of another version, a singular pose.
-_NO_RESULT = (SimulationError, ValueError, TypeError)
+_NO_RESULT = (SimulationError, ReplayError, ValueError, TypeError)
 
 
 def _failed(error):

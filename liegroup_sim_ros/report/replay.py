@@ -89,7 +89,10 @@ class Repeat:
         if start != round(start):
             raise ReplayError("the start of the recording is no whole number of steps of "
                               f"{self._simulation.step:g} s")
-        self._simulation.set_state(pose, twist, round(start), angles)
+        try:
+            self._simulation.set_state(pose, twist, round(start), angles)
+        except ValueError as error:
+            raise ReplayError(f"the start of the recording does not fit: {error}") from None
 
     def _states(self, block):
         """States of the simulation at the samples of a block, (k, n, 12) and (k, n, 6)."""
