@@ -48,7 +48,7 @@ def add_parser(subparsers):
                         "of positions in m and of attitudes in rad")
     parser.add_argument("--max-drift", type=_bound, metavar="X", help="largest drift that passes: "
                         "of the energy in parts of the largest kinetic energy, of momenta in "
-                        "parts of the largest value")
+                        "parts of the sum of the bodies' largest momenta")
     parser.add_argument("--no-reference", action="store_true",
                         help="leave out the comparison with an independent integration")
     parser.add_argument("--reference-seconds", type=_bound, default=REFERENCE_SECONDS, metavar="S",
@@ -153,9 +153,8 @@ def _relative_drifts(figures):
     if "energy" not in figures:
         return [("the motion", math.nan)]       # no sample is finite
     drifts = [("the energy", figures["energy"]["relative_drift"])]
-    drifts += [("the " + entry["component"], entry["drift"] / entry["largest"])
-               for entry in figures["momentum"] if entry["drift"] is not None
-               and entry["largest"] != 0.0]
+    drifts += [("the " + entry["component"], entry["relative_drift"])
+               for entry in figures["momentum"]]
     return [(name, drift) for name, drift in drifts if drift is not None]
 
 

@@ -55,26 +55,48 @@ class Momentum:
     def __init__(self, scene, expected):
         self._scene = scene
         self._kept = [(kept, Drift(len(kept.labels), kept.bodies, expected),
-                       np.zeros(len(kept.labels))) for kept in conserved_momentum(scene)]
+                       np.zeros(len(kept.labels)), np.zeros(2))
+                      for kept in conserved_momentum(scene)]
 
     def add(self, block):
         """Take up a Block."""
-        for kept, drift, largest in self._kept:
+        for kept, drift, largest, scale in self._kept:
             values = momentum_values(self._scene, kept, block.rotation, block.position,
                                      block.twist)
             np.maximum(largest, np.abs(values).max(axis=0), out=largest)
+            np.maximum(scale, self._scale(kept, block), out=scale)
             drift.add(block, values)
+
+    def _scale(self, kept, block):
+        """Sums of the sizes of the bodies' momenta: what a component that is zero compares with.
+
+        returns (angular N m s, linear N s), upper bounds
+        """
+        angular = linear = 0.0
+        about = np.zeros(3) if kept.point is None else kept.point
+        for i, body in enumerate(self._scene.bodies):
+            if body.name in kept.bodies:
+                twist = block.twist[:, i]
+                momentum = body.mass * np.linalg.norm(twist[:, 3:], axis=1)
+                arm = np.linalg.norm(block.position[:, i] - about, axis=1)
+                linear = linear + momentum
+                angular = angular + arm * momentum + np.linalg.norm(
+                    twist[:, :3] @ body.inertia_matrix, axis=1)
+        return np.max(angular), np.max(linear)
 
     def figures(self, motion):
         """(list of figures, one per component; [(times, change)] of each)."""
         figures, curves = [], []
-        for kept, drift, largest in self._kept:
+        for kept, drift, largest, scale in self._kept:
             drift.close()
             some = drift.intervals > 0
             for k, (label, unit) in enumerate(zip(kept.labels, kept.units)):
+                size = float(scale[0 if unit == "N m s" else 1])
                 figures.append({
                     "component": label, "bodies": list(kept.bodies), "unit": unit,
                     "drift": float(drift.worst[k]) if some else None,
+                    "relative_drift": float(drift.worst[k]) / size if some and size > 0.0
+                    else None,
                     "trend_per_s": float(drift.trend[k]) if some else None,
                     "trend_explains": float(drift.explained[k]) if some else None,
                     "largest": float(largest[k]), "intervals": drift.intervals,
