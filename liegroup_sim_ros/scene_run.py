@@ -50,8 +50,9 @@ class SceneRun:
             raise ParameterError(f"parameter world_frame: must be a name that no body has, "
                                  f"got {values.world_frame!r}")
         self.outputs = Outputs(node, layout, values, self._figures)
-        # Before the samples: the first one of a part is its initial state.
-        self.outputs.timed.insert(0, (values.steps["publish_rate"] or 1, self._divide_if_due))
+        if path:
+            # Before the samples: the first one of a part is its initial state.
+            self.outputs.timed.insert(0, (values.steps["publish_rate"], self._divide_if_due))
         self.server = SimulationServer(simulation, self.outputs, values.real_time_factor, paused,
                                        base_ns, origin)
         self.wrenches = WrenchTopics(node, layout.body_names, values, self.server)
