@@ -146,7 +146,7 @@ def _next_record(stream, at, size):
     stream.seek(at)
     head = stream.read(_RECORD.size)
     if len(head) < _RECORD.size:
-        raise Damaged("the file ends within a record")
+        return 0, 0, True
     opcode, length = _RECORD.unpack(head)
     if opcode == 0 or Opcode.DATA_END < opcode < 0x80 or opcode == Opcode.DATA_END and length != 4:
         raise Damaged("bytes that are no record")
@@ -254,16 +254,17 @@ def _beginning(body):
     if compression == b"":
         data = body[start:]
     elif compression == b"zstd":
-        parts, reader = [], zstandard.ZstdDecompressor(
-            max_window_size=LARGEST).stream_reader(body[start:])
-        limit = min(size, LARGEST)
+        parts, left = [], min(size, LARGEST)
+        decompress = zstandard.ZstdDecompressor(max_window_size=LARGEST).decompressobj().decompress
         try:
-            while limit > 0 and (part := reader.read(min(limit, 4096))):
-                parts.append(part)
-                limit -= len(part)
-        except zstandard.ZstdError:
+            while left > 0 and start < len(body):
+                # A little at a time: a byte may become 32 KiB.
+                parts.append(decompress(body[start:start + 64]))
+                left -= len(parts[-1])
+                start += 64
+        except (zstandard.ZstdError, MemoryError):
             pass
-        data = b"".join(parts)
+        data = b"".join(parts)[:size]
     try:
         block = block_of(data, is_whole=False)
     except Damaged:
@@ -318,10 +319,10 @@ def summary_of(stream, size):
     stream.seek(max(0, size - len(MCAP0_MAGIC) - _FOOTER))
     footer = stream.read(_FOOTER)
     if len(footer) < _FOOTER:
-        raise Damaged("the end of the file is missing")
+        raise Damaged("the end of the file is damaged")
     at = _parsed(Footer, footer[_RECORD.size:]).summary_start - 4 - _RECORD.size
     if at < 0 or at > size or _next_record(stream, at, size)[:2] != (Opcode.DATA_END, 4):
-        raise Damaged("the end of the file is missing")
+        raise Damaged("the end of the file is damaged")
     return _end(stream, at, size, check_data=False)
 
 
@@ -331,11 +332,11 @@ def _end(stream, at, size, check_data=True):
     tail_start = size - len(MCAP0_MAGIC) - _FOOTER
     summary_start = at + _RECORD.size + 4
     if tail_start < summary_start or tail_start - summary_start > LARGEST:
-        raise Damaged("the end of the file is missing")
+        raise Damaged("the end of the file is damaged")
     data_checksum, = struct.unpack("<I", stream.read(4))
     summary, footer = stream.read(tail_start - summary_start), stream.read(_FOOTER)
     if stream.read() != MCAP0_MAGIC or _RECORD.unpack_from(footer) != (Opcode.FOOTER, 20):
-        raise Damaged("the end of the file is missing")
+        raise Damaged("the end of the file is damaged")
     told = _parsed(Footer, footer[_RECORD.size:])
     if told.summary_crc and zlib.crc32(summary + footer[:-4]) != told.summary_crc:
         raise Damaged("the summary is damaged")

@@ -133,7 +133,6 @@ def _copy(found, file, name):
     new.add_metadata("rosbag2", bag_metadata.record_of_file(name, new.stamps, topics))
     new.finish()
     file.flush()
-    os.fsync(file.fileno())
     return sum(new.counts.values())
 
 

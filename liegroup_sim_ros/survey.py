@@ -180,8 +180,9 @@ def walk(stream, found, on_block=None, on_attachment=None, on_metadata=None):
             _end(found, piece)
     if found.stray:
         found.problem("messages of a channel that is not described")
-    if not found.finished and not found.problems:
-        found.problem("not finished: the run was ended hard, or the disk was full")
+    if not found.finished:
+        found.problem("its end is missing: the run was ended hard, the disk was full or the file "
+                      "was cut")
 
 
 def _count(found, block, on_block):
