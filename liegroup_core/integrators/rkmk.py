@@ -224,8 +224,8 @@ class MuntheKaas:
 
     @property
     def memory(self):
-        """The arrays that last between calls."""
-        return (self._control,)
+        """The arrays that last between calls: none without error control."""
+        return (self._control,) if len(self._scheme.error) else ()
 
     @property
     def substeps(self):
