@@ -216,7 +216,7 @@ class Recorder:
     def _open(self, path, attachments):
         self._file = _File(path)
         self._mcap = McapFile(self._file, LIBRARY, CHUNK_SIZE)
-        self._schema_ids = {}
+        self._earlier, self._schema_ids = self.written, {}
         for name, (media_type, data) in attachments.items():
             self._mcap.add_attachment(time.time_ns(), 0, name, media_type, data)
         for name, entries in self._metadata.items():
@@ -292,10 +292,10 @@ class Recorder:
 
     def _fail(self, error):
         """End the recording. Whatever the error is, the simulation goes on without it."""
-        # Chunks are written whole or not at all as far as a reader is concerned, so only what
-        # the last flush secured is sure to be there.
-        self.lost += self.written - self._secured
-        self.written = self._secured
+        # Chunks are written whole or not at all as far as a reader is concerned.
+        there = self._earlier + sum(self._mcap.counts.values())
+        self.lost += self.written - there
+        self.written = there
         self.failure = (f"recording to {self.path} stopped after {self.written} messages: "
                         f"{_reason(error)}{_where(error)}; the simulation goes on unrecorded")
         _log.error(self.failure)
