@@ -21,7 +21,7 @@ from .report.invariants import Energy, Joints, Momentum
 from .report.local_error import local_error
 from .report.motion import Motion
 from .report.reference import ReferenceError, exact_error
-from .report.replay import Repeat, ReplayError, make_simulation
+from .report.replay import Repeat, ReplayError, Starts, make_simulation
 from .report.summary import find_problems, verdict
 
 # Simulated time that the independent integration covers if no other is asked for, s.
@@ -87,6 +87,11 @@ class _Parts:
         self._motion = motion
         expected = motion.expected
         self._along, self._stretch = Along(layout), None
+        self._starts = Starts(recording, layout)
+        angles = self._starts.of(motion.first)[2]
+        if angles is not None and len(angles) != len(layout.model.forces.torsional_spring_damper):
+            raise RecordingError(f"{recording.path}: its initial state has {len(angles)} angles, "
+                                 "not those of its torsional springs")
         self._energy, self._joints = Energy(layout, expected), Joints(layout, expected)
         self._momentum = Momentum(scene, expected)
         self._guarded = {"repeat": _Guarded(lambda: Repeat(
@@ -97,13 +102,13 @@ class _Parts:
                 self._exact = exact_solution(layout, recording)
             if self._exact is None:
                 self._guarded["reference"] = _Guarded(lambda: ReferenceError(
-                    scene, recording, expected, seconds))
+                    layout, recording, expected, seconds))
 
     def angles(self, block):
         """Angles of the torsional springs; called before `add` with the same Block."""
         if block.stretch is not self._stretch:
             self._stretch = block.stretch
-            self._along.restart()
+            self._along.restart(self._starts.of(block.stretch)[2])
         self._found = self._along.follow(block.pose, block.twist)
         return self._found[3]
 

@@ -247,7 +247,7 @@ def read_recording(path):
                 for kind in ("pose", "twist")):
             raise RecordingError("its settings do not name a topic for each of its bodies")
         scene_text = names["scene.yaml"].decode()
-        scan = Scan(source, topics, bodies)
+        scan = Scan(source, settings, bodies)
         problem = scan.problem(source, attachments)
         return Recording(
             path=path, scene_text=scene_text, settings=settings, initial_state=initial_state,

@@ -104,7 +104,9 @@ class Source:
 class Scan:
     """One pass over a file: what is rare, and what can be counted."""
 
-    def __init__(self, source, topics, bodies):
+    def __init__(self, source, settings, bodies):
+        topics, before = settings["topics"], settings.get("sequences")
+        before = before if isinstance(before, dict) else {}     # of the part before this one
         self.events, self.diagnostics = [], []
         self._tallies = {}                  # channel id -> _Tally
         self._wrenches = {body: ([], []) for body in bodies}
@@ -112,8 +114,9 @@ class Scan:
                                  ("events", "diagnostics", "applied_wrench"))
         for messages, channels in source.messages():
             for channel, index in channels:
-                self._tallies.setdefault(channel.id, _Tally(channel.topic)).add(
-                    messages.sequence[index])
+                if channel.id not in self._tallies:
+                    self._tallies[channel.id] = _Tally(channel.topic, before.get(channel.topic))
+                self._tallies[channel.id].add(messages.sequence[index])
                 if channel.topic == events:
                     self.events += [Event(stamp, name, text) for stamp, _, name, text in
                                     (LogCodec.decode_one(messages.payload(k)) for k in index)]
@@ -173,9 +176,10 @@ class Scan:
 class _Tally:
     """Counts the messages of a channel, and by their numbers what is missing."""
 
-    def __init__(self, topic):
+    def __init__(self, topic, before=None):
         self.topic, self.count, self.written = topic, 0, 0
-        self._largest = self._different = 0
+        before = before if isinstance(before, int) and 0 <= before < 2**32 else 0
+        self._largest = self._different = before
 
     def add(self, sequence):
         self.count += len(sequence)
@@ -185,7 +189,7 @@ class _Tally:
 
     @property
     def lost(self):
-        """Messages missing; sequences count from 1, or are all 0."""
+        """Messages missing; sequences count from 1, or on from the part before, or are all 0."""
         return max(self._largest - self._different, self.written - self.count, 0)
 
 

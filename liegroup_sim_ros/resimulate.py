@@ -5,18 +5,17 @@ From the recorded start, wrenches and resets. With the recorded method and step 
 machine with the same versions every bit must be the same; elsewhere, or with other settings, the
 difference is the result, and may be held against a bound. No ROS is needed.
 """
-import platform
-
 from liegroup_core.scene.load import scene_from_text
 
 from .analyze import check_settings
-from .attachments import versions
+from .attachments import machine, versions
 from .report.motion import Motion
 from .report.replay import Repeat, ReplayError, make_simulation
 from .report.summary import shown
 
-# What may change the bits, besides the machine.
-_VERSIONS = ("liegroup_sim_ros", "numpy", "scipy", "numba")
+# What may change the bits; of the machine only what a recording says, for old ones say less.
+_VERSIONS = ("liegroup_sim_ros", "numpy", "scipy", "numba", "llvmlite")
+_MACHINE = ("processor", "libc", "target", "features")
 
 
 def resimulate(recording, tell=lambda text: None, **other):
@@ -50,13 +49,13 @@ def resimulate(recording, tell=lambda text: None, **other):
 
 def _elsewhere(settings):
     """{what: [recorded, here]} of what may change the bits."""
-    recorded, here = settings.get("versions") or {}, versions()
-    found = {name: [recorded.get(name), here.get(name)] for name in _VERSIONS
-             if recorded.get(name) != here.get(name)}
-    machine = (settings.get("machine") or {}).get("processor") if isinstance(
-        settings.get("machine"), dict) else None
-    if machine != platform.machine():
-        found["processor"] = [machine, platform.machine()]
+    found = {}
+    for key, names, here in (("versions", _VERSIONS, versions()), ("machine", _MACHINE, machine())):
+        recorded = settings.get(key)
+        recorded = recorded if isinstance(recorded, dict) else {}
+        found |= {name: [recorded.get(name), here.get(name)] for name in names
+                  if recorded.get(name, here.get(name) if names is _MACHINE else None)
+                  != here.get(name)}
     return found
 
 

@@ -51,9 +51,12 @@ class Along:
         self._of_joint[np.arange(len(layout.joint_of_row)), layout.joint_of_row] = 1.0
         self.restart()
 
-    def restart(self):
-        """The next state is the first one of a motion."""
-        self._angle = None
+    def restart(self, near=None):
+        """The next state is the first one of a motion.
+
+        near : (t,) rad, angles of the torsional springs there; None: less than half a turn
+        """
+        self._angle, self._near = None, near
 
     def follow(self, pose, twist):
         """What the next k states have.
@@ -66,7 +69,7 @@ class Along:
         pose, twist = (np.ascontiguousarray(part) for part in
                        layout.offsets.to_centres(pose, twist))
         if self._angle is None:
-            self._angle = layout.angles(pose[0])
+            self._angle = layout.angles(pose[0], self._near)
         k = len(pose)
         energies, kinetic = np.empty(k), np.empty(k)
         residual = np.zeros((k, len(layout.joint_of_row)))

@@ -91,13 +91,17 @@ def integrate(scene, pose, twist, times, changes=(), start=0.0, rtol=TIGHT):
 class Reference:
     """The integration of `integrate`, which goes on from one call to the next.
 
-    end : s, up to where it may be asked for; the other arguments as of `integrate`
+    end    : s, up to where it may be asked for
+    angles : (t,) rad, of the torsional springs at `start`, whole turns counted; None: at most half
+             a turn. The other arguments as of `integrate`
     """
 
-    def __init__(self, scene, pose, twist, changes=(), start=0.0, end=np.inf, rtol=TIGHT):
+    def __init__(self, scene, pose, twist, changes=(), start=0.0, end=np.inf, rtol=TIGHT,
+                 angles=None):
         scene = assembled(scene)
         pose, self._offsets = np.asarray(pose, dtype=float), Offsets(scene)
-        system, angles = build_system(at_centres_of_mass(scene), pose)
+        system, found = build_system(at_centres_of_mass(scene), pose)
+        angles = found if angles is None else np.asarray(angles, dtype=float)
         state = np.concatenate([_to_state(pose, np.asarray(twist, dtype=float)), angles])
         pieces = _pieces(scene, self._offsets, changes, start, end)
         rank = _rank(system, state)

@@ -24,6 +24,7 @@ class Stretch:
     end_ns: float           # stamp of the reset that ends it, or infinity
     step: float             # s
     bodies: tuple           # names
+    is_first: bool          # it begins with the file, the others with a reset
     start: int              # number of its first step
     change_steps: np.ndarray    # (m,) steps from which on the total wrench on a body is another
     change_bodies: np.ndarray   # (m,) index of the body
@@ -156,15 +157,16 @@ class Motion:
         stamp = state.get("stamp_ns", 0)
         if not all(isinstance(value, int) and abs(value) < LATEST for value in (start, stamp)):
             raise RecordingError(f"{recording.path}: its initial state has no step and no stamp")
-        bases = [stamp - round(start * step * 1e9)]
+        bases = [stamp - round(start * step * 1e9)]         # of a part, it went on before
         bases += [event.stamp_ns for event in recording.events if event.name == "reset"]
         if any(b <= a for a, b in zip(bases, bases[1:])):
             raise RecordingError(f"{recording.path}: the stamps of its resets do not increase")
-        self._all = [self._stretch(base, end, step, start if k == 0 else 0)
+        self._all = [self._stretch(base, end, step, k == 0, start if k == 0 else 0)
                      for k, (base, end) in enumerate(zip(bases, [*bases[1:], np.inf]))]
+        self.first = self._all[0]
         self._bases = np.array(bases, dtype=np.int64)
 
-    def _stretch(self, base, end, step, start):
+    def _stretch(self, base, end, step, is_first, start):
         tracks = self._recording.wrench
         stamps = [track.stamp_ns for track in tracks.values()] or [np.empty(0, dtype=np.int64)]
         inside = [(s >= base) & (s < end) for s in stamps]
@@ -174,8 +176,8 @@ class Motion:
             track.wrench[mask] for track, mask in zip(tracks.values(), inside)])
         order = np.argsort(when, kind="stable")
         steps = np.rint((when - base) / (step * 1e9)).astype(np.int64)
-        return Stretch(base, end, step, self._recording.bodies, start, steps[order], which[order],
-                       wrench[order])
+        return Stretch(base, end, step, self._recording.bodies, is_first, start, steps[order],
+                       which[order], wrench[order])
 
     def blocks(self, angles=None):
         """Block after block. Raises RecordingError for settings that contradict the messages.

@@ -9,7 +9,7 @@ import numpy as np
 from liegroup_core.reference import Reference, Trajectory, WrenchChange, distance
 
 from .drift import MOST_POINTS, thinned
-from .replay import initial_state
+from .replay import Starts
 
 # (name in Distance, unit)
 QUANTITIES = (("position", "m"), ("attitude", "1"), ("angle", "rad"), ("angular", "rad/s"),
@@ -54,8 +54,8 @@ class ReferenceError:
     seconds : of simulated time to look at, of all stretches together
     """
 
-    def __init__(self, scene, recording, expected, seconds=np.inf):
-        self._scene, self._state = scene, initial_state(recording)
+    def __init__(self, layout, recording, expected, seconds=np.inf):
+        self._scene, self._starts = layout.scene, Starts(recording, layout)
         self._left, self._judged = seconds, 0.0
         self._errors = Errors(expected)
         self._stretch = None
@@ -79,8 +79,9 @@ class ReferenceError:
                        time, body, wrench in zip(when[:upto].tolist(),
                                                  stretch.change_bodies[:upto].tolist(),
                                                  stretch.change_wrenches[:upto].tolist())]
-            pose, twist, _ = self._state
-            self._reference = Reference(self._scene, pose, twist, changes, self._start)
+            pose, twist, angles = self._starts.of(stretch)
+            self._reference = Reference(self._scene, pose, twist, changes, self._start,
+                                        angles=angles)
         exact, uncertainty = self._reference.at(times[:k])
         reached = float(times[k - 1])
         self._left, self._judged = self._end - reached, self._judged + reached - self._start

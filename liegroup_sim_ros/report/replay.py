@@ -5,8 +5,10 @@ from scipy.spatial.transform import Rotation
 
 from liegroup_core import Simulation, SimulationError
 from liegroup_core.model.along import quaternions
+from liegroup_core.model.build import initial_state as state_of_scene
 from liegroup_core.reference import Trajectory, distance
 
+from ..attachments import restore
 from ..recording import RecordingError
 
 # A simulation takes a microsecond a step or more: what a damaged file may ask for is bounded.
@@ -42,7 +44,10 @@ class Repeat:
 
     def __init__(self, recording, simulation):
         self._simulation = simulation
-        self._state = initial_state(recording)
+        self._starts = Starts(recording, simulation.layout)
+        self._recorded = recording.initial_state
+        self._same_method = all(recording.settings.get(key) == getattr(simulation, key)
+                                for key in ("method", "group", "step"))
         self._ratio = recording.settings["step"] / simulation.step
         self._stretch = None
         self._steps = self._samples = self._identical = 0
@@ -84,14 +89,17 @@ class Repeat:
         self._stretch, self._broken, self._next = stretch, False, 0
         # Seldom more than rounding; of an experiment, wrenches begin with its next step.
         self._changes = np.ceil(stretch.change_steps * self._ratio - ROUNDING).astype(np.int64)
-        pose, twist, angles = self._state
         start = stretch.start * self._ratio
         if start != round(start):
             raise ReplayError("the start of the recording is no whole number of steps of "
                               f"{self._simulation.step:g} s")
         try:
-            self._simulation.set_state(pose, twist, round(start), angles)
-        except ValueError as error:
+            if stretch.is_first and "memory" in self._recorded and self._same_method:
+                restore(self._simulation, self._recorded)
+            else:
+                pose, twist, angles = self._starts.of(stretch)
+                self._simulation.set_state(pose, twist, round(start), angles)
+        except (ValueError, KeyError, TypeError, OverflowError) as error:
             raise ReplayError(f"the start of the recording does not fit: {error}") from None
 
     def _states(self, block):
@@ -139,6 +147,22 @@ def _same(one, other):
             == np.ascontiguousarray(other).view(np.int64)).all(axis=2)
 
 
+class Starts:
+    """The states with which stretches begin: that of the file, or after a reset that of the scene.
+
+    `of(stretch)` is pose (n, 12), twist (n, 6) of the frames at the centres of mass, and angles
+    (t,) of the torsional springs or None.
+    """
+
+    def __init__(self, recording, layout):
+        self._first = self._later = initial_state(recording)
+        if recording.initial_state.get("steps"):
+            self._later = *state_of_scene(layout.centred), None
+
+    def of(self, stretch):
+        return self._first if stretch.is_first else self._later
+
+
 def initial_state(recording):
     """Pose (n, 12), twist (n, 6) and angles of torsional springs (or None) at the start.
 
@@ -151,7 +175,7 @@ def initial_state(recording):
         angles = state.get("angles")
         if angles is not None:
             angles = np.array(angles, dtype=float).reshape(-1)
-        if not (np.isfinite(pose).all() and np.isfinite(twist).all()):
+        if not all(np.isfinite(part).all() for part in (pose, twist, angles) if part is not None):
             raise ValueError
     except (KeyError, TypeError, ValueError, OverflowError):
         raise RecordingError(f"{recording.path}: its initial state is not 12 and 6 numbers for "

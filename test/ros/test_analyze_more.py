@@ -13,6 +13,7 @@ from made_run import PAIR, record
 
 from liegroup_core import Simulation, load_scene
 from liegroup_core.scene.load import scene_from_text
+from liegroup_core.simulation import make_layout
 from liegroup_sim_ros.analyze import analyse
 from liegroup_sim_ros.main import main
 from liegroup_sim_ros.recording import RecordingError, read_recording
@@ -66,7 +67,7 @@ def test_error_against_the_exact_solution(tmp_path, text, name):
     from liegroup_sim_ros.report.motion import Motion
     from liegroup_sim_ros.report.reference import ReferenceError
     motion = Motion(recording)
-    part = ReferenceError(scene_from_text(text), recording, motion.expected)
+    part = ReferenceError(make_layout(scene_from_text(text)), recording, motion.expected)
     for block in motion.blocks():
         part.add(block)
     tight, _ = part.figures()
