@@ -13,7 +13,7 @@ from .report.motion import Motion
 from .report.replay import Repeat, ReplayError, make_simulation
 from .report.summary import shown
 
-# What may change the bits; of the machine only what a recording says, for old ones say less.
+# What may change the bits, as far as a recording says it: older ones say less.
 _VERSIONS = ("liegroup_sim_ros", "numpy", "scipy", "numba", "llvmlite")
 _MACHINE = ("processor", "libc", "target", "features")
 
@@ -53,9 +53,8 @@ def _elsewhere(settings):
     for key, names, here in (("versions", _VERSIONS, versions()), ("machine", _MACHINE, machine())):
         recorded = settings.get(key)
         recorded = recorded if isinstance(recorded, dict) else {}
-        found |= {name: [recorded.get(name), here.get(name)] for name in names
-                  if recorded.get(name, here.get(name) if names is _MACHINE else None)
-                  != here.get(name)}
+        found |= {name: [recorded[name], here.get(name)] for name in names
+                  if name in recorded and recorded[name] != here.get(name)}
     return found
 
 

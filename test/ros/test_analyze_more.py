@@ -288,3 +288,45 @@ assert recording.joint_states is None and recording.to_pandas("joints").empty
 """
     done = subprocess.run([sys.executable, "-c", code, str(log)], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+def test_the_page_about_analysis_runs(tmp_path, monkeypatch, capsys):
+    """Every Python block of docs/analysis.md, one after the other, in one folder."""
+    run(tmp_path / "run.mcap", load_scene("heavy_top"))
+    monkeypatch.chdir(tmp_path)
+    text = (SCHEMA.parents[1] / "docs" / "analysis.md").read_text()
+    names = {}
+    blocks = [block.split("```")[0] for block in text.split("```python\n")[1:]]
+    for block in blocks:
+        exec(block, names)
+    assert len(blocks) == 3 and names["figures"]["repeat"]["identical"] == 51
+    assert names["largest"] == pytest.approx(np.abs(names["twist"][:, :3]).max())
+    capsys.readouterr()
+
+
+def test_joint_states_are_read(tmp_path):
+    """Coordinates and rates of every joint that has one, as the node writes them."""
+    from liegroup_sim_ros import attachments, sample_messages
+    from liegroup_sim_ros.recorder import Recorder
+    simulation = Simulation(load_scene("double_pendulum"), "rkmk4", 1e-3)
+    bodies = simulation.layout.body_names
+    topics = {"pose": {b: f"/{b}/pose" for b in bodies}, "events": "/e", "diagnostics": "/d",
+              "twist": {b: f"/{b}/twist" for b in bodies}, "applied_wrench": "/w", "clock": None}
+    (_, kind, encode), = sample_messages.joint_states(simulation.layout, "world")
+    wanted = []
+    with Recorder(tmp_path / "a.mcap", attachments.at_start(
+            simulation, "/n", "world", 1, topics)) as recorder:
+        channel = recorder.add_channel("/n/joint_states", kind)
+        for _ in range(30):
+            simulation.advance(10)
+            sample = simulation.sample()
+            recorder.write(channel, sample.time_ns, encode(sample.time_ns, sample))
+            wanted.append([sample.time_ns, *np.ravel(list(sample.joint_coordinates.values()))])
+    recording = read_recording(tmp_path / "a.mcap")
+    states = recording.joint_states
+    k = len(states.names)
+    assert k == 2 and states.names == tuple(sample.joint_coordinates)
+    assert np.array_equal(np.column_stack([states.stamp_ns, states.position[:, 0],
+                                           states.velocity[:, 0]]), np.array(wanted)[:, :3])
+    frame = recording.to_pandas("joints")
+    assert frame.shape == (30, 4) and frame[states.names[1]].velocity.iloc[-1] == wanted[-1][4]
