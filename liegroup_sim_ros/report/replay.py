@@ -117,7 +117,7 @@ class Repeat:
             for step in steps.tolist():
                 self._steps += step - simulation.steps
                 if self._steps > MOST_STEPS:
-                    raise SimulationError(f"it takes more than {MOST_STEPS} steps")
+                    raise SimulationError(f"would take more than {MOST_STEPS} steps")
                 while self._next < len(self._changes) and self._changes[self._next] <= step:
                     simulation.advance(max(0, int(self._changes[self._next]) - simulation.steps))
                     simulation.apply_wrench(
