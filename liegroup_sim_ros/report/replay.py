@@ -119,18 +119,23 @@ class Repeat:
                 if self._steps > MOST_STEPS:
                     raise SimulationError(f"would take more than {MOST_STEPS} steps")
                 while self._next < len(self._changes) and self._changes[self._next] <= step:
-                    simulation.advance(max(0, int(self._changes[self._next]) - simulation.steps))
+                    self._advance_to(int(self._changes[self._next]))
                     simulation.apply_wrench(
                         stretch.bodies[stretch.change_bodies[self._next]],
                         stretch.change_wrenches[self._next])
                     self._next += 1
-                simulation.advance(step - simulation.steps)
+                self._advance_to(step)
                 pose[done], twist[done] = simulation.state()
                 done += 1
         except SimulationError as error:
             self._stopped = self._stopped or str(error)
             self._broken = True
         return pose[:done], twist[:done]
+
+    def _advance_to(self, step):
+        # Not by no step: that would start a method anew that minds which wrenches act.
+        if step > self._simulation.steps:
+            self._simulation.advance(step - self._simulation.steps)
 
     def figures(self):
         """How many samples have the same bits in every number, and how far the others are off."""
