@@ -46,8 +46,8 @@ setup(
         "many": ["dask", "distributed"],
         "pandas": ["pandas"],
         "remote": ["fsspec"],
-        "test": ["dask", "distributed", "fsspec", "hypothesis", "jsonschema", "matplotlib", "mpmath",
-                 "pandas", "pytest", "rosbags"],
+        "test": ["dask", "distributed", "fsspec", "hypothesis", "jsonschema", "matplotlib",
+                 "mpmath", "pandas", "pytest", "rosbags"],
         # What benchmarks/ compares with; Eigen's headers, for the loop around Pinocchio.
         "bench": ["cmeel-eigen", "exudyn", "mujoco", "pin"],
     },

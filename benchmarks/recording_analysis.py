@@ -5,8 +5,8 @@
 
 The recording is made as fast as it goes, with pose, twist and clock of every step and a push every
 ten minutes. Then each part is a process of its own, so that its peak memory (VmHWM, which unlike
-ru_maxrss knows nothing of its parent) is its own: nothing
-but imports, `read_recording`, all samples piece by piece, all tracks at once, and `analyze`.
+ru_maxrss knows nothing of its parent) is its own; that of the imports is subtracted in the last
+column.
 """
 import argparse
 import json
@@ -59,7 +59,8 @@ def make(path, seconds):
                 (topics["twist"]["top"], TwistStampedCodec),
                 (topics["applied_wrench"], WrenchStampedCodec), (topics["events"], LogCodec),
                 ("/clock", ClockCodec)))
-        encode_pose, encode_twist = PoseStampedCodec("world").encode, TwistStampedCodec("top").encode
+        encode_pose = PoseStampedCodec("world").encode
+        encode_twist = TwistStampedCodec("top").encode
         recorder.write(events, 0, LogCodec.encode(0, LogCodec.INFO, "start", "benchmark"))
         for step in range(round(seconds / STEP) + 1):
             if step:

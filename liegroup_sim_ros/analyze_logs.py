@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`liegroup_sim analyze`: how wrong are recorded runs? As tables, as JSON, as a page, as exit code.
+"""`liegroup_sim analyze`: how wrong are recorded runs? As table, JSON, page and exit code.
 
 One log is told in full; of many each gets a line. Many are spread over dask, where it is
 installed: over the cores of this machine, or over a cluster by the address of its scheduler.
@@ -188,7 +188,7 @@ def analyse_many(logs, options, scheduler=None):
                 one_more()
             return found
         work = [dask.delayed(analyse_log, pure=False)(log, options) for log in logs]
-        # Forked: a Python that starts anew would start ROS's libraries with it, and may hang there.
+        # Forked: a Python that starts anew would start ROS's libraries too, and may hang there.
         with (Callback(posttask=one_more), dask.config.set(
                 {"multiprocessing.context": "fork", "optimization.fuse.active": False})):
             return list(dask.compute(*work, scheduler="processes",

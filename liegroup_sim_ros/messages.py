@@ -250,8 +250,8 @@ def decode_rows(codec, rows):
 
     codec : PoseStampedCodec, TwistStampedCodec or WrenchStampedCodec
     rows  : (n, size) uint8
-    returns stamps (n,) ns, frame ids that occur (list), which of them (n,), values (n, 7): position
-    and quaternion, or (n, 6): angular first. Raises MessageError
+    returns stamps (n,) ns, frame ids that occur (list), which of them (n,), and values: (n, 7)
+    position and quaternion, or (n, 6) angular first. Raises MessageError
     """
     nvalues = 7 if codec is PoseStampedCodec else 6
     heads = rows[:, [0, 1, *range(12, _FRAME_ID)]] if rows.shape[1] >= _FRAME_ID else rows[:, :0]

@@ -50,7 +50,8 @@ def resimulate(recording, tell=lambda text: None, **other):
 def _elsewhere(settings):
     """{what: [recorded, here]} of what may change the bits."""
     found = {}
-    for key, names, here in (("versions", _VERSIONS, versions()), ("machine", _MACHINE, machine())):
+    for key, names, here in (("versions", _VERSIONS, versions()),
+                             ("machine", _MACHINE, machine())):
         recorded = settings.get(key)
         recorded = recorded if isinstance(recorded, dict) else {}
         found |= {name: [recorded[name], here.get(name)] for name in names

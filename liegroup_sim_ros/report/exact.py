@@ -66,7 +66,8 @@ class Exact:
                                                           found.twist[..., 3:]))
         turn = 4 * EPS * (1.0 + w * time)
         reach = np.linalg.norm(found.position, axis=2) + v * time
-        return Distance(4 * EPS * reach, turn, turn, turn * (w + EPS), turn * (v + w * reach + EPS))
+        return Distance(4 * EPS * reach, turn, turn, turn * (w + EPS),
+                        turn * (v + w * reach + EPS))
 
 
 def _free_body(elliptic, body, pose, twist, gravity):
@@ -84,7 +85,11 @@ def _free_body(elliptic, body, pose, twist, gravity):
 
 
 def _top_of(layout):
-    """(body, pivot in the body, pivot in the world) of a symmetric top on a ball joint, or None."""
+    """What a symmetric top on a ball joint is, or None.
+
+    returns (body, moment of inertia across its axis, about it, both about the centre of mass;
+    pivot in the frame at the centre of mass, pivot in the world)
+    """
     scene = layout.centred
     if not (len(scene.bodies) == len(scene.joints) == 1 and any(scene.gravity)
             and scene.joints[0].type == "spherical" and scene.joints[0].parent == "world"):
