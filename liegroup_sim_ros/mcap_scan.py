@@ -21,7 +21,7 @@ from mcap.records import Channel, Footer, Header, Metadata, Schema, Statistics
 from mcap.writer import MCAP0_MAGIC
 
 LARGEST = 32 * 2**20          # bytes of a record, and of a chunk when it is decompressed
-# A file that grows more than this, and LARGEST, is none of a log: bodies at rest reach 20.
+# A file that grows more than this, and LARGEST, is none of a log: bodies at rest reach 6.
 LARGEST_RATIO = 100
 _TRIES = 16                   # times the size of the file may be read in search of a chunk
 

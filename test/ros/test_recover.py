@@ -241,6 +241,10 @@ HOSTILE = {
         Channel(id=1, topic=EVIL, message_encoding="cdr", metadata={}, schema_id=1))
         + record(Attachment(0, 0, EVIL, EVIL, b"x")) + record(Metadata(EVIL, {EVIL: EVIL})),
     "deep JSON": MCAP0_MAGIC + record(Attachment(0, 0, "settings.json", "x", b"[" * 500_000)),
+    "nested JSON": MCAP0_MAGIC + record(Attachment(0, 0, "settings.json", "x",
+                                                   b'{"machine": ' * 400 + b"1" + b"}" * 400)),
+    "numbers of no JSON": MCAP0_MAGIC + record(Attachment(
+        0, 0, "settings.json", "x", b'{"format": 1, "step": NaN, "machine": 1e999}')),
     "odd JSON": MCAP0_MAGIC + record(Attachment(0, 0, "settings.json", "x", json.dumps(
         {"format": 1, "scene": EVIL, "step": {}, "sequences": {"/a": -1, "/b": "x"},
          "part": [1]}).encode())) + record(
