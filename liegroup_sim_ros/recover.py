@@ -15,7 +15,7 @@ from rich.console import Console
 from . import bag_metadata
 from .info import topics_table
 from .mcap_file import McapFile
-from .mcap_scan import Damaged
+from .mcap_records import Damaged
 from .recorder import CHUNK_SIZE, LIBRARY
 from .recording import RecordingError
 from .survey import Survey, clean, open_file, survey, walk

@@ -11,7 +11,8 @@ from pathlib import Path
 
 from mcap.records import Channel, Header, Metadata, Schema
 
-from .mcap_scan import AttachmentPiece, Block, Damage, Damaged, End, pieces, summary_of
+from .mcap_records import AttachmentPiece, Block, Damaged
+from .mcap_scan import Damage, End, pieces, summary_of
 from .recording import RecordingError
 
 MOST_DEFINITIONS = 8 * 2**20    # bytes of all names and schemas

@@ -12,13 +12,13 @@ from mcap.data_stream import RecordBuilder
 from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
 from mcap.stream_reader import StreamReader
-from mcap.writer import CompressionType, Writer
+from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from rosbags.highlevel import AnyReader
 
 from liegroup_sim_ros import recorder
 from liegroup_sim_ros.info import as_json
 from liegroup_sim_ros.main import main
-from liegroup_sim_ros.mcap_scan import LARGEST, MCAP0_MAGIC
+from liegroup_sim_ros.mcap_records import LARGEST
 from liegroup_sim_ros.recorder import Recorder
 from liegroup_sim_ros.recording import RecordingError
 from liegroup_sim_ros.recover import write_recovered
