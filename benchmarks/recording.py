@@ -202,6 +202,7 @@ def readers(folder, _):
     found = survey(path)
     check(found.complete and not found.lost, "the log of the node is not complete")
     counts = {each.topic: each.count for each in found.figures.values()}
+    check(all(counts.values()), "a topic has no message")
     print(f"\na log of the node with all its {len(counts)} topics, {found.count} messages")
     for name in ("mcap_ros2", "rosbags"):
         answer = json.loads(subprocess.run(
