@@ -92,7 +92,7 @@ def speed(folder, count):
         best[write] = wall, cpu
         print(f"{name:<28} {count / wall:12.0f} {count / cpu:11.0f} {1e6 * cpu / count:13.2f} "
               f"{found[write][0][2] / count:12.2f}")
-    print(f"ratio of the recorder to mcap.Writer: {best[bare][0] / best[ours][0]:.2f} by the clock, "
+    print(f"the recorder is faster by {best[bare][0] / best[ours][0]:.2f} by the clock, "
           f"{best[bare][1] / best[ours][1]:.2f} in CPU time")
 
 
@@ -202,6 +202,7 @@ def readers(folder, _):
     found = survey(path)
     check(found.complete and not found.lost, "the log of the node is not complete")
     counts = {each.topic: each.count for each in found.figures.values()}
+    check(all(counts.values()), "a topic has no message")
     print(f"\na log of the node with all its {len(counts)} topics, {found.count} messages")
     for name in ("mcap_ros2", "rosbags"):
         answer = json.loads(subprocess.run(

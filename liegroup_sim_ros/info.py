@@ -100,7 +100,8 @@ def print_survey(found, console):
     row("attachments", ", ".join(f"{name} ({size} bytes)" for name, _, size
                                  in found.attachments[:20]) or "none")
     console.print(table)
-    console.print(topics_table(found))
+    if found.figures:
+        console.print(topics_table(found))
 
 
 def topics_table(found):

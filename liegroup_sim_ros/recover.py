@@ -15,7 +15,7 @@ from rich.console import Console
 from . import bag_metadata
 from .info import topics_table
 from .mcap_file import McapFile
-from .mcap_scan import Damaged
+from .mcap_records import Damaged
 from .recorder import CHUNK_SIZE, LIBRARY
 from .recording import RecordingError
 from .survey import Survey, clean, open_file, survey, walk
@@ -53,6 +53,9 @@ def run(args):
         print(f"{path}: {problem}" + (f" ({times} times)" if times > 1 else ""))
     if found.unfinished:
         print(f"{path}: {found.unfinished} messages are out of a chunk whose end is missing")
+    if not written:
+        print(f"{out}: no message, only what came before them")
+        return 0
     first, last = (stamp * 1e-9 for stamp in found.stamps)
     Console(file=sys.stdout).print(topics_table(found))
     print(f"{out}: {written} messages from {first:.9g} s to {last:.9g} s, "

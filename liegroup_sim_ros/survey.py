@@ -11,7 +11,8 @@ from pathlib import Path
 
 from mcap.records import Channel, Header, Metadata, Schema
 
-from .mcap_scan import AttachmentPiece, Block, Damage, Damaged, End, pieces, summary_of
+from .mcap_records import AttachmentPiece, Block, Damaged
+from .mcap_scan import Damage, End, pieces, summary_of
 from .recording import RecordingError
 
 MOST_DEFINITIONS = 8 * 2**20    # bytes of all names and schemas
@@ -204,13 +205,19 @@ def _attachment(found, piece):
     if piece.name in _KEPT and piece.name not in found.contents:
         try:
             content = json.loads(piece.data)
+            json.dumps(content, allow_nan=False)
         except (ValueError, RecursionError):
-            found.problem(f"attachment {piece.name} is no JSON")
-            return
-        if isinstance(content, dict):
+            return                      # of other software, then
+        if isinstance(content, dict) and _is_flat(content):
             found.contents[piece.name] = content
             if piece.name == "settings.json":
                 _first_numbers(found, content)
+
+
+def _is_flat(value, levels=20):
+    """Whether a JSON value has at most so many levels."""
+    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return levels > 0 and all(_is_flat(each, levels - 1) for each in inner)
 
 
 def _first_numbers(found, settings):

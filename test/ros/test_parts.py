@@ -101,18 +101,20 @@ def test_every_part_of_a_run_repeats_its_bits_alone(client, tmp_path):
         push("world", torque=(0.0, 0.3, 0.0), force=(0.5, 0.0, 1.0))
         client.until(lambda: (bag / "run_part3.mcap").exists())
         assert client.call("/parted/pause").success
+        client.spin(0.5)                    # a part that is due may be on its way to the disk
+        paused = len(list(bag.glob("*.mcap")))
         assert client.call("/parted/step").success
         assert client.set("/parted", real_time_factor=0.5).successful
         assert client.call("/parted/resume").success
-        client.until(lambda: (bag / "run_part4.mcap").exists())
+        client.until(lambda: (bag / f"run_part{paused + 1}.mcap").exists())
         assert client.call("/parted/reset").success
         push("free", force=(0.0, 0.0, 2.0))
-        client.until(lambda: (bag / "run_part6.mcap").exists())
+        client.until(lambda: (bag / f"run_part{paused + 3}.mcap").exists())
         node.send(2)
         code, errors = node.wait()
         assert code == 0, errors
     parts = sorted(bag.glob("*.mcap"), key=lambda path: (len(path.name), path.name))
-    assert len(parts) == 6
+    assert len(parts) >= paused + 3 >= 6
     samples = [same_bits(path) for path in parts]
     # 50 samples of 5 ms each, then the next begins; single steps put out a sample more.
     assert all(50 <= count <= 53 for count in samples[:-1])
@@ -125,7 +127,7 @@ def test_every_part_of_a_run_repeats_its_bits_alone(client, tmp_path):
         settings, state = files["settings.json"], files["initial_state.json"]
         assert (settings["part"], settings.get("previous")) == (k, before)
         assert settings["parameters"]["record_split_duration"] == 0.25
-        assert settings["parameters"]["real_time_factor"] == (1.0 if k < 4 else 0.5)
+        assert settings["parameters"]["real_time_factor"] == (1.0 if k <= paused else 0.5)
         assert files["pacing.json"]["ticks"] > 0
         assert settings.get("sequences", {}).items() >= numbers.items()
         for topic, messages in rows.items():

@@ -12,13 +12,13 @@ from mcap.data_stream import RecordBuilder
 from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
 from mcap.stream_reader import StreamReader
-from mcap.writer import CompressionType, Writer
+from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from rosbags.highlevel import AnyReader
 
 from liegroup_sim_ros import recorder
 from liegroup_sim_ros.info import as_json
 from liegroup_sim_ros.main import main
-from liegroup_sim_ros.mcap_scan import LARGEST, MCAP0_MAGIC
+from liegroup_sim_ros.mcap_records import LARGEST
 from liegroup_sim_ros.recorder import Recorder
 from liegroup_sim_ros.recording import RecordingError
 from liegroup_sim_ros.recover import write_recovered
@@ -241,6 +241,10 @@ HOSTILE = {
         Channel(id=1, topic=EVIL, message_encoding="cdr", metadata={}, schema_id=1))
         + record(Attachment(0, 0, EVIL, EVIL, b"x")) + record(Metadata(EVIL, {EVIL: EVIL})),
     "deep JSON": MCAP0_MAGIC + record(Attachment(0, 0, "settings.json", "x", b"[" * 500_000)),
+    "nested JSON": MCAP0_MAGIC + record(Attachment(0, 0, "settings.json", "x",
+                                                   b'{"machine": ' * 400 + b"1" + b"}" * 400)),
+    "numbers of no JSON": MCAP0_MAGIC + record(Attachment(
+        0, 0, "settings.json", "x", b'{"format": 1, "step": NaN, "machine": 1e999}')),
     "odd JSON": MCAP0_MAGIC + record(Attachment(0, 0, "settings.json", "x", json.dumps(
         {"format": 1, "scene": EVIL, "step": {}, "sequences": {"/a": -1, "/b": "x"},
          "part": [1]}).encode())) + record(
