@@ -17,6 +17,9 @@ from .system import build_system
 # one that is ten times looser.
 TIGHT = 1e-13
 LOOSER = 10.0
+# So many steps are some ten minutes; where they do not do, springs are too stiff for an explicit
+# method of high order.
+MOST_STEPS = 2_000_000
 # Of the singular values of the joints' rows, scaled to length 1: at the start, those below belong
 # to rows that repeat others (the pose is right to 1e-9 or better); and on the way no other may
 # fall below, or one of those rise above, the second number. Ten rods on hinges have 1e-2.
@@ -182,6 +185,7 @@ class _Run:
         self._state, self._reached = state, start
         self._solver = self._dense = self._step = None
         self._singular = [1.0, 0.0]
+        self._taken = 0
 
     def at(self, times):
         """States (k, 13 n + t) at increasing times."""
@@ -208,6 +212,10 @@ class _Run:
                 return False
             self._begin(*self._waiting.pop(0))
         solver = self._solver
+        self._taken += 1
+        if self._taken > MOST_STEPS:
+            raise SimulationError(f"the reference integration stopped at {solver.t:.6g} s: it has "
+                                  f"taken {MOST_STEPS} steps; compare a shorter time")
         message = solver.step()
         if solver.status == "failed":
             raise SimulationError(f"the reference integration stopped at {solver.t:.6g} s: "
