@@ -31,7 +31,7 @@ test: .venv/installed ## run the tests against the installed package
 bench: .venv/peers ## measure, side by side with other software; ARGS=--quick is shorter
 	@set -e; for script in peers growth; do \
 	    echo "== $$script"; .venv/bin/python benchmarks/$$script.py $(ARGS); done
-	@set -e; for script in step_cost top_accuracy rotation node; do \
+	@set -e; for script in step_cost top_accuracy rotation node recording; do \
 	    echo "== $$script"; .venv/bin/python benchmarks/$$script.py; done
 
 clean: ## remove all that was made here

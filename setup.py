@@ -40,7 +40,14 @@ setup(
     ],
     extras_require={
         "figures": ["matplotlib", "mpmath"],
-        "test": ["hypothesis", "jsonschema", "matplotlib", "mpmath", "pytest", "rosbags"],
+        # Of `liegroup_sim analyze`: exact solutions; many logs at once, here or on a cluster;
+        # addresses such as s3:// (each kind of them has its own package, such as s3fs).
+        "exact": ["mpmath"],
+        "many": ["dask", "distributed"],
+        "pandas": ["pandas"],
+        "remote": ["fsspec"],
+        "test": ["dask", "distributed", "fsspec", "hypothesis", "jsonschema", "matplotlib",
+                 "mpmath", "pandas", "pytest", "rosbags"],
         # What benchmarks/ compares with; Eigen's headers, for the loop around Pinocchio.
         "bench": ["cmeel-eigen", "exudyn", "mujoco", "pin"],
     },

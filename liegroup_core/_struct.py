@@ -29,6 +29,10 @@ class Struct:
         """The same with other values in some fields."""
         return dataclasses.replace(self, **changes)
 
+    def values(self):
+        """Its fields in their order."""
+        return tuple(getattr(self, field.name) for field in dataclasses.fields(self))
+
     def _lay_out(self):
         """Write down for kernels, a word of memory each: addresses and shapes of arrays, numbers.
 

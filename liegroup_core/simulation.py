@@ -184,12 +184,14 @@ class Simulation:
         pose, twist = initial_state(self.layout.centred)
         self.set_state(pose, twist)
 
-    def set_state(self, pose, twist, steps=0, angles=None):
+    def set_state(self, pose, twist, steps=0, angles=None, memory=None):
         """Continue from a state: pose (n, 12), twist (n, 6), at a step count.
 
         The state is the integrator's own, as `state()` gives it: frames at the centres of mass.
         angles : (k,) rad, `Sample.angles` of the state: how often torsional springs are wound,
                  which a pose does not tell. None: less than half a turn, as at the start of a scene
+        memory : bytes that `memory()` gave at this state; then the run goes on to the bit. None:
+                 a method that keeps something between steps starts anew
         Ends what `apply_wrench` does. The wrenches of the scene follow the step count.
         """
         n = len(self._body)
@@ -210,6 +212,18 @@ class Simulation:
         self.doubt = None
         self._watch = JointWatch(self.layout)
         self._integrator.restart()
+        if memory is not None:
+            self._remember(memory)
+
+    def _remember(self, memory):
+        arrays = self._integrator.memory
+        if len(memory) != (size := sum(array.nbytes for array in arrays)):
+            raise ValueError(f"expected {size} bytes of memory of the method, got {len(memory)}: "
+                             "they are of another method or of another version")
+        at = 0
+        for array in arrays:
+            array[...] = np.frombuffer(memory, array.dtype, array.size, at).reshape(array.shape)
+            at += array.nbytes
 
     def state(self):
         """Copies of pose (n, 12) and twist (n, 6): what the integrator goes on from, to the bit.
@@ -218,6 +232,14 @@ class Simulation:
         mass: not those of `sample()` where a body of the scene has a `com` or an offset shape.
         """
         return self._pose.copy(), self._twist.copy()
+
+    def memory(self):
+        """Bytes that the method keeps between steps beside the state, for `set_state`.
+
+        Empty for most methods: those with error control keep the size of the substep, implicit
+        ones accelerations and first guesses.
+        """
+        return b"".join(array.tobytes() for array in self._integrator.memory)
 
     @property
     def time(self):

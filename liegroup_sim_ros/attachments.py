@@ -1,35 +1,69 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a recording carries besides messages, so that it can be simulated again from itself."""
+"""What a recording carries besides messages, so that it can be simulated again from itself.
+
+docs/recording.md describes every entry.
+"""
+import base64
+import binascii
 import json
 import os
 import platform
 import time
+from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import numpy as np
 
 from . import __version__
 
 # Packages whose versions may matter to the numbers or to the file.
-_PACKAGES = ("numpy", "scipy", "numba", "mcap", "ros-jazzy-rclpy")
+_PACKAGES = ("numpy", "scipy", "numba", "llvmlite", "mcap", "zstandard", "ros-jazzy-rclpy")
 
 
-def at_start(simulation, node, world_frame, sample_steps, topics, stamp_ns=0):
-    """{name: (media type, bytes)}: scene, settings and initial state of a simulation at step 0.
+def at_start(simulation, node, world_frame, sample_steps, topics, stamp_ns=0, **more):
+    """{name: (media type, bytes)}: scene, settings and the present state of a simulation.
 
     node         : fully qualified name
     sample_steps : steps between two samples
     topics       : as Outputs.topics()
-    stamp_ns     : of the initial state
+    stamp_ns     : of the state
+    more         : further entries of settings.json, JSON types
     """
-    scene = simulation.scene
-    pose, twist = simulation.state()
     described = settings(simulation, sample_steps) | {
-        "node": node, "world_frame": world_frame, "topics": topics}
-    # JSON writes the shortest text that reads back to the same float64: the state is exact.
-    state = {"bodies": list(simulation.layout.body_names), "pose": pose.tolist(),
-             "twist": twist.tolist(), "steps": simulation.steps, "stamp_ns": stamp_ns}
-    return {"scene.yaml": ("application/yaml", scene.text.encode()),
+        "node": node, "world_frame": world_frame, "topics": topics} | more
+    return {"scene.yaml": ("application/yaml", simulation.scene.text.encode()),
             "settings.json": as_json(described),
-            "initial_state.json": as_json(state)}
+            "initial_state.json": as_json(state(simulation, stamp_ns))}
+
+
+def state(simulation, stamp_ns):
+    """The present state of a simulation as JSON types; `restore` is the way back."""
+    pose, twist = simulation.state()
+    # JSON writes the shortest text that reads back to the same float64: the state is exact.
+    return {"bodies": list(simulation.layout.body_names), "pose": pose.tolist(),
+            "twist": twist.tolist(), "angles": simulation.sample().angles.tolist(),
+            "steps": simulation.steps, "stamp_ns": stamp_ns,
+            "base_ns": stamp_ns - simulation.time_ns,
+            "memory": base64.b64encode(simulation.memory()).decode()}
+
+
+def restore(simulation, entries):
+    """Set a simulation to the state in an initial_state.json.
+
+    returns True if it goes on from there to the bit, False if what its method keeps between steps
+    is of another version, so that it starts anew from this state
+    raises ValueError, KeyError, TypeError for entries that are no state of it
+    """
+    arguments = (np.array(entries["pose"], dtype=float), np.array(entries["twist"], dtype=float),
+                 int(entries.get("steps", 0)), entries.get("angles"))
+    try:
+        memory = base64.b64decode(entries.get("memory", ""), validate=True)
+        simulation.set_state(*arguments, memory=memory)
+        return True
+    except (binascii.Error, ValueError):
+        simulation.set_state(*arguments)
+        return False
 
 
 def settings(simulation, sample_steps):
@@ -38,9 +72,8 @@ def settings(simulation, sample_steps):
         "format": 1, "scene": simulation.scene.name, "method": simulation.method,
         "group": simulation.group, "step": simulation.step,
         "stabilisation": simulation.stabilisation, "baumgarte_time": simulation.baumgarte_time,
-        "options": simulation.options, "steps_per_sample": sample_steps, "versions": _versions(),
-        "machine": {"system": platform.platform(), "processor": platform.machine(),
-                    "cores": os.cpu_count()},
+        "options": simulation.options, "steps_per_sample": sample_steps, "versions": versions(),
+        "machine": machine(), "part": 1,
         "wall_start": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())}
 
 
@@ -49,11 +82,43 @@ def as_json(data):
     return "application/json", json.dumps(data, indent=1, allow_nan=False).encode()
 
 
-def _versions():
-    versions = {"liegroup_sim_ros": __version__, "python": platform.python_version()}
+@lru_cache(maxsize=None)
+def versions():
+    """{package: version}; None for one that is not installed, as numba: a run in plain Python."""
+    found = {"liegroup_sim_ros": __version__, "python": platform.python_version()}
     for package in _PACKAGES:
         try:
-            versions[package] = version(package)
+            found[package] = version(package)
         except PackageNotFoundError:
-            versions[package] = None        # numba: the run was plain Python
-    return versions
+            found[package] = None
+    return found
+
+
+@lru_cache(maxsize=None)
+def machine():
+    """What else decides on the bits of a run: system, C library, processor and what it can do."""
+    return {"system": platform.platform(), "libc": " ".join(platform.libc_ver()),
+            "processor": platform.machine(), "cores": os.cpu_count(), **_compiled_for(),
+            "cpu": _cpu_name()}
+
+
+def _compiled_for():
+    """Processor and features that numba compiles for; nothing without numba."""
+    try:
+        from llvmlite import binding
+        features = binding.get_host_cpu_features()
+        return {"target": binding.get_host_cpu_name(),
+                "features": sorted(name for name, is_there in features.items() if is_there)}
+    except (ImportError, RuntimeError):
+        return {"target": None, "features": None}
+
+
+def _cpu_name():
+    """The processor's name for people, or None."""
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return None

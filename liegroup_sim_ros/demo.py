@@ -61,7 +61,7 @@ def run(args):
     console = Console()
     with _ended_by_signals():
         _simulate(args.seconds, log, output, console)
-    from .analyze import write_analysis
+    from .analyze_logs import write_analysis
     analysis = write_analysis(log, html=page, json_file=figures)
     if not analysis.figures["pushes"]:
         raise DemoError("the push is not in the recording; see " + str(output))

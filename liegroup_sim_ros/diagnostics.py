@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """diagnostic_msgs/DiagnosticArray of a simulation: its figures, and what to think of them."""
+import sys
+
 from liegroup_core.pacing import SLOW
 
 from .cdr import Template, stamp
+from .messages import Fields
 
 TYPE = "diagnostic_msgs/msg/DiagnosticArray"
 OK, WARN, ERROR = 0, 1, 2
@@ -22,6 +25,21 @@ def encode(stamp_ns, name, figures):
         template.string(key)
         template.string(value if isinstance(value, str) else f"{value:.9g}")
     return template.pack(stamp(stamp_ns))
+
+
+def decode(payload):
+    """(stamp in ns, {key: text}) of a message, all its statuses together. Raises MessageError."""
+    fields, values = Fields(TYPE, payload), {}
+    stamp_ns = fields.stamp_ns()
+    fields.text()
+    for _ in range(fields.number("I")):
+        fields.number("B")
+        for _ in range(3):                  # name, message, hardware
+            fields.text()
+        for _ in range(fields.number("I")):
+            key = sys.intern(fields.text())
+            values[key] = fields.text()
+    return stamp_ns, values
 
 
 def judge(figures):

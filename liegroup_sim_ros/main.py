@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command `liegroup_sim`: describe and run scenes, analyse, push, make figures, show a demo.
+"""The command `liegroup_sim`: describe and run scenes, analyse recordings, push, show a demo.
 
 Exit code 0 when it is done, 2 and one line on stderr when something given to it is wrong, 1 when a
 simulation had to stop, 130 after Ctrl-C.
@@ -13,17 +13,20 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from liegroup_core.errors import LieGroupSimError
 
-from . import __version__, analyze, demo, describe, figures, offline, push
-from .analyze import AnalysisError
+from . import (__version__, analyze_logs, demo, describe, figures, info, offline, push, recover,
+               replay)
+from .analyze_logs import AnalysisError
 from .demo import DemoError
 from .figures import FiguresError
 from .offline import RunError
 from .offline_files import OutputError
+from .player_file import PlayError
 from .push import PushError
 from .recording import RecordingError
+from .report.replay import ReplayError
 
 WRONG_INPUT = (LieGroupSimError, RecordingError, AnalysisError, DemoError, FiguresError,
-               OutputError, PushError, RunError)
+               OutputError, PlayError, PushError, ReplayError, RunError)
 EXIT_WRONG_INPUT, EXIT_INTERRUPTED = 2, 130
 
 
@@ -35,7 +38,7 @@ def make_parser():
         "a ROS installation: ros2 run liegroup_sim_ros sim_node --ros-args -p scene:=heavy_top")
     parser.add_argument("--version", action="version", version=f"liegroup_sim {__version__}")
     subparsers = parser.add_subparsers(metavar="COMMAND", required=True)
-    for command in (demo, describe, offline, analyze, push, figures):
+    for command in (demo, describe, offline, analyze_logs, replay, info, recover, push, figures):
         command.add_parser(subparsers)
     return parser
 

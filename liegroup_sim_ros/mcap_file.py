@@ -26,7 +26,7 @@ _FOOTER_START = struct.Struct("<BQQQ")      # what its check sum covers of a foo
 
 
 class McapFile:
-    """A file under construction; profile `ros2`, zstd, with message index and statistics.
+    """A file under construction: zstd, with message index, statistics and check sums.
 
     stream     : has write(bytes) and tell()
     library    : free text, who wrote the file
@@ -34,7 +34,7 @@ class McapFile:
     Errors of the stream are passed on.
     """
 
-    def __init__(self, stream, library, chunk_size):
+    def __init__(self, stream, library, chunk_size, profile="ros2"):
         self._stream, self._chunk_size = stream, chunk_size
         self._compress = zstandard.ZstdCompressor(level=1).compress
         self._schemas, self._channels = [], []
@@ -42,15 +42,20 @@ class McapFile:
         self.counts = {}                    # channel id -> messages
         self._first_ns = self._last_ns = None
         self._begin_chunk()
-        stream.write(MCAP0_MAGIC)
-        self._write(Header("ros2", library))
+        self._checksum = 0                  # of all written so far
+        self._put(MCAP0_MAGIC)
+        self._write(Header(profile, library))
+
+    def _put(self, data):
+        self._checksum = zlib.crc32(data, self._checksum)
+        self._stream.write(data)
 
     def _write(self, record):
         """Write one record; (its offset, its length)."""
         builder = RecordBuilder()
         record.write(builder)
         data, offset = builder.end(), self._stream.tell()
-        self._stream.write(data)
+        self._put(data)
         return offset, len(data)
 
     def _begin_chunk(self):
@@ -79,13 +84,14 @@ class McapFile:
         self._put_in_chunk(channel)
         return channel.id
 
-    def add_message(self, channel, stamp_ns, data, sequence):
-        """A message whose log time and publish time are its stamp."""
+    def add_message(self, channel, stamp_ns, data, sequence, publish_ns=None):
+        """A message whose log time, and publish time if none is given, is its stamp."""
         if channel not in self._index:
             self._index[channel] = array("Q")
         self._index[channel].extend((stamp_ns, self._size))
         self._parts += (_MESSAGE.pack(Opcode.MESSAGE, _MESSAGE_FIELDS + len(data), channel,
-                                      sequence, stamp_ns, stamp_ns), data)
+                                      sequence, stamp_ns,
+                                      stamp_ns if publish_ns is None else publish_ns), data)
         self._size += _MESSAGE.size + len(data)
         if self._size > self._chunk_size:
             self.flush()
@@ -126,7 +132,7 @@ class McapFile:
             parts += _INDEX.pack(Opcode.MESSAGE_INDEX, 2 + 4 + size, channel, size)
             parts += struct.pack(f"<{len(each)}Q", *each)
             self.counts[channel] += len(each) // 2
-        self._stream.write(parts)
+        self._put(parts)
         self._chunks.append(ChunkIndex(
             message_start_time=first, message_end_time=last, chunk_start_offset=offset,
             chunk_length=length, message_index_offsets=offsets, message_index_length=len(parts),
@@ -138,7 +144,7 @@ class McapFile:
     def finish(self):
         """Write the last chunk, the summary and the end."""
         self.flush()
-        self._write(DataEnd(0))             # 0: there is no check sum of all of it
+        self._write(DataEnd(self._checksum))
         start, (first, last) = self._stream.tell(), self.stamps
         statistics = Statistics(
             attachment_count=len(self._attachments), channel_count=len(self._channels),

@@ -52,6 +52,48 @@ class Wrenches(NamedTuple):
     wrench: np.ndarray          # (n, 6) (torque, force), N m and N, in frame_id
 
 
+class Fields:
+    """The fields of a message one after the other, for those that are rare.
+
+    name, payload : type of the message and its bytes, plain CDR
+    All methods raise MessageError where the bytes end too early.
+    """
+
+    def __init__(self, name, payload):
+        self._name, self._payload, self._at = name, payload, len(_LITTLE_ENDIAN)
+        self._order = _BYTE_ORDER.get(payload[:2])
+        if self._order is None:
+            raise MessageError(f"{name}: a message is not plain CDR")
+
+    def number(self, form):
+        """One number, `form` as in struct."""
+        return self.numbers(form, 1)[0]
+
+    def numbers(self, form, count):
+        """A tuple of numbers of one kind."""
+        size = struct.calcsize("<" + form)
+        self._at += (len(_LITTLE_ENDIAN) - self._at) % size if count else 0
+        if count * size > len(self._payload) - self._at:
+            raise MessageError(f"{self._name}: a message is cut short or of another type: "
+                               f"{len(self._payload)} bytes")
+        values = struct.unpack_from(f"{self._order}{count}{form}", self._payload, self._at)
+        self._at += count * size
+        return values
+
+    def text(self):
+        """A string."""
+        size = self.number("I")
+        if size > len(self._payload) - self._at:
+            raise MessageError(f"{self._name}: a message is cut short or of another type: "
+                               f"{len(self._payload)} bytes")
+        self._at += size
+        return self._payload[self._at - size:self._at].rstrip(b"\0").decode(errors="replace")
+
+    def stamp_ns(self):
+        """A builtin_interfaces/Time in ns."""
+        return self.number("i") * 1_000_000_000 + self.number("I")
+
+
 class PoseStampedCodec:
     """geometry_msgs/msg/PoseStamped in one frame.
 
@@ -147,6 +189,7 @@ class LogCodec:
     """rcl_interfaces/msg/Log of one event, without file, function and line.
 
     LogCodec.encode(stamp_ns, level, name, text) -> bytes
+    LogCodec.decode_one(payload) -> (stamp_ns, level, name, text)
     """
 
     TYPE = "rcl_interfaces/msg/Log"
@@ -159,6 +202,12 @@ class LogCodec:
             characters = string.encode() + b"\0"
             data += bytes(-len(data) % 4) + struct.pack("<I", len(characters)) + characters
         return _LITTLE_ENDIAN + data + bytes(-len(data) % 4) + struct.pack("<I", 0)
+
+    @classmethod
+    def decode_one(cls, payload):
+        """(stamp in ns, level, name, text) of one message. Raises MessageError."""
+        fields = Fields(cls.TYPE, payload)
+        return fields.stamp_ns(), fields.number("B"), fields.text(), fields.text()
 
 
 def _offset_of_values(frame_size):
@@ -188,24 +237,56 @@ def _decode(type_name, payloads, nvalues):
     stamp_ns = np.empty(len(payloads), dtype=np.int64)
     frame_id = np.empty(len(payloads), dtype=object)
     values = np.empty((len(payloads), nvalues))
-    for (encapsulation, frame_size, size), index in layouts.items():
-        order = _BYTE_ORDER.get(encapsulation)
-        if order is None:
-            raise MessageError(f"{type_name}: message {index[0]} is not plain CDR: "
-                               f"it starts with 0x{encapsulation.hex()}")
-        frame_size = int.from_bytes(frame_size, "little" if order == "<" else "big")
-        start = _offset_of_values(frame_size)
-        if frame_size < 1 or size < start + 8 * nvalues:
-            raise MessageError(f"{type_name}: message {index[0]} is cut short or of another type: "
-                               f"{size} bytes")
-        rows = np.frombuffer(b"".join([payloads[i] for i in index]), dtype=np.dtype({
-            "names": ["sec", "nanosec", "frame_id", "values"],
-            "formats": [f"{order}i4", f"{order}u4", f"S{frame_size}", (f"{order}f8", nvalues)],
-            "offsets": [4, 8, _FRAME_ID, start],
-            "itemsize": size}))
-        stamp_ns[index] = rows["sec"].astype(np.int64) * 1_000_000_000 + rows["nanosec"]
-        values[index] = rows["values"]
-        names, which = np.unique(rows["frame_id"], return_inverse=True)
-        frame_id[index] = np.array([name.decode(errors="replace") for name in names],
-                                   dtype=object)[which]
+    for (_, _, size), index in layouts.items():
+        same = np.frombuffer(b"".join([payloads[i] for i in index]), dtype=np.uint8)
+        stamp_ns[index], names, which, values[index] = _decode_same(
+            type_name, same.reshape(len(index), size), nvalues)
+        frame_id[index] = np.array(names, dtype=object)[which]
     return stamp_ns, frame_id, values
+
+
+def decode_rows(codec, rows):
+    """Decode payloads of one size, as the rows of an array.
+
+    codec : PoseStampedCodec, TwistStampedCodec or WrenchStampedCodec
+    rows  : (n, size) uint8
+    returns stamps (n,) ns, frame ids that occur (list), which of them (n,), and values: (n, 7)
+    position and quaternion, or (n, 6) angular first. Raises MessageError
+    """
+    nvalues = 7 if codec is PoseStampedCodec else 6
+    heads = rows[:, [0, 1, *range(12, _FRAME_ID)]] if rows.shape[1] >= _FRAME_ID else rows[:, :0]
+    if (heads == heads[:1]).all():
+        stamp_ns, names, which, values = _decode_same(codec.TYPE, rows, nvalues)
+    else:
+        stamp_ns, frame_id, values = _decode(codec.TYPE, [row.tobytes() for row in rows], nvalues)
+        names, which = np.unique(frame_id.astype(str), return_inverse=True)
+        names = names.tolist()
+    return stamp_ns, names, which, values if nvalues == 7 else values[:, _ANGULAR_FIRST]
+
+
+def _decode_same(type_name, rows, nvalues):
+    """Stamps (n,), frame ids that occur, which of them (n,), values, of payloads of one layout."""
+    size = rows.shape[1]
+    encapsulation = rows[0, :2].tobytes()
+    order = _BYTE_ORDER.get(encapsulation)
+    if order is None:
+        raise MessageError(f"{type_name}: a message is not plain CDR: "
+                           f"it starts with 0x{encapsulation.hex()}")
+    frame_size = int.from_bytes(rows[0, 12:_FRAME_ID].tobytes(),
+                                "little" if order == "<" else "big")
+    start = _offset_of_values(frame_size)
+    if frame_size < 1 or size < start + 8 * nvalues:
+        raise MessageError(f"{type_name}: a message is cut short or of another type: "
+                           f"{size} bytes")
+    rows = np.ascontiguousarray(rows).view(np.dtype({
+        "names": ["sec", "nanosec", "frame_id", "values"],
+        "formats": [f"{order}i4", f"{order}u4", (np.uint8, frame_size), (f"{order}f8", nvalues)],
+        "offsets": [4, 8, _FRAME_ID, start], "itemsize": size}))[:, 0]
+    frames = rows["frame_id"]
+    if (frames == frames[:1]).all():
+        found, which = frames[:1], np.zeros(len(rows), dtype=np.int64)
+    else:
+        found, which = np.unique(frames, axis=0, return_inverse=True)
+    names = [name.tobytes().partition(b"\0")[0].decode(errors="replace") for name in found]
+    stamp_ns = rows["sec"].astype(np.int64) * 1_000_000_000 + rows["nanosec"]
+    return stamp_ns, names, which.reshape(-1), rows["values"].astype(float)

@@ -55,6 +55,10 @@ class Stream:
     def send(self, stamp_ns, data):
         """Publish and record a serialized message."""
         self._publisher.publish(data)
+        self.record(stamp_ns, data)
+
+    def record(self, stamp_ns, data):
+        """Record a serialized message, without publishing it."""
         if self._write is not None:
             self._write(self._channel, stamp_ns, data)
 
@@ -170,6 +174,11 @@ class Outputs:
         else:
             self.acting.pop(body, None)
         self._applied.send(stamp_ns, self._encode_wrench[body](stamp_ns, wrench))
+
+    def record_acting(self, stamp_ns):
+        """Say anew, in the recording only, which wrenches act: a part of it begins."""
+        for body, wrench in self.acting.items():
+            self._applied.record(stamp_ns, self._encode_wrench[body](stamp_ns, wrench))
 
     def event(self, stamp_ns, name, text, failed=False):
         """Something that happened to the run; what ends it is logged, too."""

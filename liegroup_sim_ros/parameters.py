@@ -57,6 +57,13 @@ TABLE = (
     Entry("step_count", 1, "steps that one call of ~/step takes", read_only=False,
           low=1, high=1000000),
     Entry("record", "", "file to record to, *.mcap, or an existing folder; empty: no recording"),
+    Entry("record_flush_interval", 1.0, "wall time after which what waits in memory is written, "
+          "s: what a killed process can lose", low=0.01, high=3600.0),
+    Entry("record_split_size", 0, "bytes after which the recording goes on in another file, "
+          "complete in itself; 0: never", low=0, high=10**15),
+    Entry("record_split_duration", 0.0, "simulated time after which it does, s; 0: never",
+          low=0.0, high=1e9),
+    Entry("record_metadata", False, "whether a metadata.yaml makes the folder a bag of rosbag2"),
     Entry("world_frame", "world", "frame id of the poses"),
     _rate("publish_rate", 100.0, "~/BODY/pose and ~/BODY/twist, of which recordings are made"),
     _rate("clock_rate", 100.0, "/clock"),

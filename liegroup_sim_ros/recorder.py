@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recorder of a simulation run: one self-contained MCAP file that `ros2 bag` and others open.
+"""Recorder of a simulation run: self-contained MCAP files that `ros2 bag` and others open.
 
 Messages are queued by the caller and written by the recorder's own thread, the only one to touch
 the file. A chunk is closed when it reaches CHUNK_SIZE and, if messages are waiting in it, when
@@ -8,26 +8,27 @@ system. So a process that is killed loses at most that interval (test_recorder.p
 closed chunks can be read without the file's end.
 
 log_time = publish_time = the message's stamp, simulation time in ns; sequence numbers count from 1
-in every channel. A full disk ends the recording, not the simulation: `failure` says it, `lost`
-counts.
+in every channel, on and on over the parts of a recording. A full disk ends the recording, not the
+simulation: `failure` says it, `lost` counts.
 
 Source: mcap.dev specification, profile "ros2"; rosbag2 bag metadata version 9.
 """
 
 import atexit
-import itertools
 import logging
+import re
 import threading
 import time
 from collections import deque
 from pathlib import Path
 
-import yaml
-
 from liegroup_sim_ros import __version__, schemas
+from liegroup_sim_ros.bag_metadata import FILE_NAME, Bag, as_yaml, record_of_file, topic_info
 from liegroup_sim_ros.mcap_file import McapFile
 
 CHUNK_SIZE = 128 * 1024       # bytes before compression; more than nearly all messages have
+QUEUE_BYTES = 64 * 2**20      # that may wait, for messages so large that few fit
+LIBRARY = f"liegroup_sim_ros/{__version__}"
 _IDLE = 5e-3                  # s between looks at the queue
 
 _log = logging.getLogger(__name__)
@@ -38,41 +39,55 @@ class RecorderError(Exception):
 
 
 class Recorder:
-    """Writes messages to a new MCAP file.
+    """Writes messages to a new MCAP file, or to one after the other.
 
     path           : *.mcap, must not exist, its folder is made; or an existing folder, in which
-                     the file gets a name with the wall time. `.path` is the file.
+                     the file gets a name with the wall time. `.path` is the present file
     attachments    : {name: (media_type, bytes)}, the first things in the file
-    metadata       : {name: {key: text}}
-    queue_size     : messages that may wait before `write` waits
+    metadata       : {name: {key: text}}, in every file
+    queue_size     : messages that may wait before `write` waits; QUEUE_BYTES bounds them, too
     flush_interval : s of wall time that a killed process can lose
+    max_size       : bytes after which a part is due to end, 0: never
+    max_duration   : ns of stamps after which it is, 0: never
+    part           : number of the first part; part 2 of run.mcap is run_part2.mcap
+    bag            : Bag that the files are added to, and whose metadata.yaml is kept beside them;
+                     True: a new one; None: no metadata.yaml
 
     Counters: `written` messages handed to the file, `queued` waiting, `lost` not in the file (0
-    unless there was a failure), `bytes` in the file. `failure`: None or one line of text, also
-    logged once. `with Recorder(...) as recorder:` closes it at the end. Raises RecorderError.
+    unless there was a failure), `bytes` in the present file. `failure`: None or one line of text,
+    also logged once. `with Recorder(...) as recorder:` closes it at the end. Raises RecorderError.
     """
 
     def __init__(self, path, attachments=None, metadata=None, queue_size=20000,
-                 flush_interval=1.0):
+                 flush_interval=1.0, max_size=0, max_duration=0, part=1, bag=None):
         self.path = _new_file_path(path)
+        self.part = part
+        self._stem = self.path.stem if part == 1 else self.path.stem.removesuffix(f"_part{part}")
+        self.bag = Bag() if bag is True else bag
+        if max_size or max_duration:
+            self._refuse_old_parts()
+        if bag is True and (self.path.parent / FILE_NAME).exists():
+            raise RecorderError(f"cannot record to {self.path}: its folder is a bag already, it "
+                                f"has a {FILE_NAME}; choose another folder")
         self.written = 0
         self.lost = 0
         self.failure = None
+        self._metadata = metadata or {}
         self._channels = []
-        self._schema_ids = {}                  # message type -> schema id
+        self._schema_ids = {}                  # message type -> schema id in the present file
         self._queue = deque()                  # messages, and functions that add a channel or so
+        self._lock = threading.Lock()          # of those who fill the queue
         self._queue_size = queue_size
+        self._bytes_in = self._bytes_out = 0   # of messages that went into the queue, and out
         self._flush_interval = flush_interval
+        self._max_size, self._max_duration = max_size, max_duration
+        self._part_since = None                # stamp, ns; None: no sample of this part yet
+        self._dividing = False
         self._secured = 0                      # `written` at the last flush
         self._closing = threading.Event()
         self._closed = False
         try:
-            self._file = _File(self.path)
-            self._mcap = McapFile(self._file, f"liegroup_sim_ros/{__version__}", CHUNK_SIZE)
-            for name, (media_type, data) in (attachments or {}).items():
-                self._mcap.add_attachment(time.time_ns(), 0, name, media_type, data)
-            for name, entries in (metadata or {}).items():
-                self._mcap.add_metadata(name, entries)
+            self._open(self.path, attachments or {})
         except FileExistsError:
             raise RecorderError(f"cannot record to {self.path}: it exists already; "
                                 f"remove it or choose another name") from None
@@ -88,6 +103,14 @@ class Recorder:
     def __exit__(self, *exception):
         self.close()
 
+    def _refuse_old_parts(self):
+        pattern = re.compile(re.escape(self._stem) + r"_part[0-9]+\.mcap")
+        old = sorted(entry.name for entry in self.path.parent.iterdir()
+                     if pattern.fullmatch(entry.name) and self.part == 1)
+        if old:
+            raise RecorderError(f"cannot record to {self.path}: {old[0]} is in the way of its "
+                                f"parts; remove it or choose another name")
+
     @property
     def queued(self):
         return len(self._queue)
@@ -96,6 +119,16 @@ class Recorder:
     def bytes(self):
         return self._file.tell()
 
+    @property
+    def sequences(self):
+        """{topic: sequence number of its last message so far}."""
+        return {channel.info["name"]: channel.sequence for channel in self._channels}
+
+    def part_path(self, part):
+        """Path of a part."""
+        return self.path.with_name(f"{self._stem}_part{part}.mcap" if part > 1
+                                   else f"{self._stem}.mcap")
+
     def add_channel(self, topic, msg_type, qos="reliable", depth=10):
         """Number of a new channel, for `write`; at any time, from one thread.
 
@@ -103,45 +136,69 @@ class Recorder:
         Raises RecorderError if the type is not installed.
         """
         try:
-            channel = _Channel(topic, msg_type, schemas.qos_profile(qos, depth),
-                               schemas.type_hash(msg_type))
-            text = schemas.definition(msg_type)
+            channel = _Channel(topic_info(topic, msg_type, [schemas.qos_profile(qos, depth)],
+                                          schemas.type_hash(msg_type)),
+                               schemas.definition(msg_type).encode())
         except schemas.SchemaError as error:
             raise RecorderError(f"cannot record {topic}: {error}") from None
-
-        def register():
-            if msg_type not in self._schema_ids:
-                self._schema_ids[msg_type] = self._mcap.add_schema(
-                    msg_type, "ros2msg", text.encode())
-            channel.id = self._mcap.add_channel(
-                topic, "cdr", self._schema_ids[msg_type],
-                {"offered_qos_profiles": _yaml(channel.info["offered_qos_profiles"]),
-                 "topic_type_hash": channel.info["type_description_hash"]})
-
-        self._channels.append(channel)
-        self._queue.append(register)
-        return len(self._channels) - 1
+        with self._lock:
+            self._channels.append(channel)
+            self._queue.append(lambda: self._register(channel))
+            return len(self._channels) - 1
 
     def write(self, channel, stamp_ns, data):
         """Queue one serialized message, from any thread.
 
         Waits while the queue is full, but not after a failure. Never raises for the disk.
         """
-        while len(self._queue) >= self._queue_size and not self._closed:
+        while (len(self._queue) >= self._queue_size
+               or self._bytes_in - self._bytes_out > QUEUE_BYTES) and not self._closed:
             time.sleep(_IDLE)
         if self._closed:
             self.lost += 1
             return
         channel = self._channels[channel]
-        self._queue.append((channel, next(channel.sequence), stamp_ns, data))
+        with self._lock:                       # numbers in the order of the queue
+            channel.sequence += 1
+            self._bytes_in += len(data)
+            self._queue.append((channel, channel.sequence, stamp_ns, data))
 
     def add_attachment(self, name, media_type, data):
-        """Attach a file, usually at the end of a run, before `close`."""
+        """Attach a file, usually at the end of a part or a run."""
         def attach():
             self._mcap.flush()              # the stamps of all that came before count
             self._mcap.add_attachment(time.time_ns(), self._mcap.stamps[1], name, media_type, data)
 
-        self._queue.append(attach)
+        with self._lock:
+            self._queue.append(attach)
+
+    def is_part_due(self, stamp_ns):
+        """Whether the present part has reached its size or, at this stamp, its duration."""
+        if self._part_since is None:
+            self._part_since = stamp_ns
+        if self._dividing or self.failure or not (self._max_size or self._max_duration):
+            return False
+        return bool(self._max_size and self.bytes >= self._max_size
+                    or self._max_duration and stamp_ns - self._part_since >= self._max_duration)
+
+    def divide(self, attachments):
+        """What is written from now on goes to a new file: the next part, with its attachments."""
+        self._dividing, self._part_since = True, None
+        self.part += 1
+        path = self.part_path(self.part)
+
+        def open_next():
+            self._finish()
+            self._file.close()
+            self._open(path, attachments)
+            self.path = path
+            for channel in self._channels:
+                if channel.id is not None:      # others come out of the queue yet
+                    self._register(channel)
+            self._dividing = False
+
+        with self._lock:
+            self._queue.append(open_next)
 
     def close(self):
         """Write everything queued and finish the file; may be called again, from any thread.
@@ -155,6 +212,25 @@ class Recorder:
             self.lost += isinstance(self._queue.popleft(), tuple)
 
     # What follows runs in the recorder's thread.
+
+    def _open(self, path, attachments):
+        self._file = _File(path)
+        self._mcap = McapFile(self._file, LIBRARY, CHUNK_SIZE)
+        self._earlier, self._schema_ids = self.written, {}
+        for name, (media_type, data) in attachments.items():
+            self._mcap.add_attachment(time.time_ns(), 0, name, media_type, data)
+        for name, entries in self._metadata.items():
+            self._mcap.add_metadata(name, entries)
+
+    def _register(self, channel):
+        info = channel.info
+        if info["type"] not in self._schema_ids:
+            self._schema_ids[info["type"]] = self._mcap.add_schema(
+                info["type"], "ros2msg", channel.definition)
+        channel.id = self._mcap.add_channel(
+            info["name"], "cdr", self._schema_ids[info["type"]],
+            {"offered_qos_profiles": as_yaml(info["offered_qos_profiles"]),
+             "topic_type_hash": info["type_description_hash"]})
 
     def _run(self):
         flushed = time.monotonic()
@@ -173,16 +249,18 @@ class Recorder:
         self._closed = True
 
     def _write_queued(self):
-        queue, add_message = self._queue, self._mcap.add_message
+        queue, mcap = self._queue, self._mcap
         for _ in range(len(queue)):
             item = queue.popleft()
             if not isinstance(item, tuple):
                 self._attempt(item)
+                mcap = self._mcap
                 continue
+            channel, sequence, stamp_ns, data = item
+            self._bytes_out += len(data)
             if self.failure is None:
-                channel, sequence, stamp_ns, data = item
                 try:
-                    add_message(channel.id, stamp_ns, data, sequence)
+                    mcap.add_message(channel.id, stamp_ns, data, sequence & 0xffffffff)
                     self.written += 1
                     continue
                 except Exception as error:
@@ -194,9 +272,15 @@ class Recorder:
         self._secured = self.written
 
     def _finish(self):
-        self._mcap.flush()
-        self._mcap.add_metadata("rosbag2", {"serialized_metadata": _yaml(self._bag_metadata())})
-        self._mcap.finish()
+        mcap = self._mcap
+        mcap.flush()
+        topics = [(channel.info, mcap.counts.get(channel.id, 0)) for channel in self._channels]
+        mcap.add_metadata("rosbag2", record_of_file(self.path.name, mcap.stamps, topics))
+        mcap.finish()
+        self._secured = self.written
+        if self.bag is not None:
+            self.bag.add_file(self.path.name, mcap.stamps, topics)
+            self.bag.write(self.path.parent)
 
     def _attempt(self, action):
         """Run one step unless the recording has failed."""
@@ -208,39 +292,22 @@ class Recorder:
 
     def _fail(self, error):
         """End the recording. Whatever the error is, the simulation goes on without it."""
-        # Chunks are written whole or not at all as far as a reader is concerned, so only what
-        # the last flush secured is sure to be there.
-        self.lost += self.written - self._secured
-        self.written = self._secured
+        # Chunks are written whole or not at all as far as a reader is concerned.
+        there = self._earlier + sum(self._mcap.counts.values())
+        self.lost += self.written - there
+        self.written = there
         self.failure = (f"recording to {self.path} stopped after {self.written} messages: "
-                        f"{_reason(error)}; the simulation goes on unrecorded")
+                        f"{_reason(error)}{_where(error)}; the simulation goes on unrecorded")
         _log.error(self.failure)
-
-    def _bag_metadata(self):
-        """rosbag2's description of the bag, version 9."""
-        first, last = self._mcap.stamps
-        start, duration = {"nanoseconds_since_epoch": first}, {"nanoseconds": last - first}
-        return {
-            "version": 9, "storage_identifier": "mcap", "duration": duration,
-            "starting_time": start, "message_count": self.written,
-            "topics_with_message_count": [
-                {"topic_metadata": channel.info, "message_count": self._mcap.counts[channel.id]}
-                for channel in self._channels],
-            "compression_format": "", "compression_mode": "",
-            "relative_file_paths": [self.path.name],
-            "files": [{"path": self.path.name, "starting_time": start, "duration": duration,
-                       "message_count": self.written}],
-            "custom_data": {}, "ros_distro": "jazzy"}
 
 
 class _Channel:
-    """A topic: its number in the file, its next sequence number, what rosbag2 says about it."""
+    """A topic: its number in the present file, its last sequence number, what is known of it."""
 
-    def __init__(self, topic, msg_type, qos, type_hash):
+    def __init__(self, info, definition):
         self.id = None
-        self.sequence = itertools.count(1)
-        self.info = {"name": topic, "type": msg_type, "serialization_format": "cdr",
-                     "offered_qos_profiles": [qos], "type_description_hash": type_hash}
+        self.sequence = 0
+        self.info, self.definition = info, definition
 
 
 class _File:
@@ -265,15 +332,6 @@ class _File:
         """Nothing waits here."""
 
 
-class _Dumper(yaml.SafeDumper):
-    def ignore_aliases(self, data):            # rosbag2's reader takes values, not references
-        return True
-
-
-def _yaml(data):
-    return yaml.dump(data, Dumper=_Dumper, sort_keys=False)
-
-
 def _new_file_path(path):
     path = Path(path).expanduser()
     try:
@@ -286,6 +344,10 @@ def _new_file_path(path):
     except OSError as error:
         raise RecorderError(f"cannot record to {path}: {_reason(error)}") from None
     return path
+
+
+def _where(error):
+    return f": {error.filename}" if getattr(error, "filename", None) else ""
 
 
 def _reason(error):

@@ -3,255 +3,267 @@
 
 The file is read from front to back, chunk by chunk, so one that was never finished (killed
 process, full disk) gives everything up to its last flush without being repaired first; `complete`
-and `problem` say so. Damaged chunks are skipped and told; `lost` counts what is missing by
+and `problem` say so. Damaged parts are skipped and told; `lost` counts what is missing by
 sequence number. No ROS is needed. Every failure is a RecordingError, one line of text.
+
+Reading keeps what is rare (events, wrenches, diagnostics). Poses and twists are loaded when they
+are asked for, 64 and 56 bytes a message; `samples` gives them piece by piece instead, in memory
+that does not grow with the recording.
 """
 
-import json
-import struct
-from dataclasses import dataclass
-from io import BytesIO
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
-from mcap.data_stream import ReadDataStream
-from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Schema
-from mcap.records import Message as McapMessage
-from mcap.stream_reader import StreamReader, get_chunk_data_stream
-from mcap.writer import MCAP0_MAGIC
-from mcap_ros2.decoder import DecoderFactory
 
-from liegroup_sim_ros.messages import (MessageError, PoseStampedCodec, TwistStampedCodec,
-                                       WrenchStampedCodec)
+from .addresses import is_remote
+from .messages import Fields, MessageError, PoseStampedCodec, TwistStampedCodec
+from .recording_file import Attachments, Scan, Source, TellPath, decode
+from .tracks import (AppliedWrench, Event, JointTrack, PoseTrack, RecordingError, Samples,
+                     TwistTrack, WrenchTrack)
+
+__all__ = ["AppliedWrench", "Event", "JointTrack", "PoseTrack", "Recording", "RecordingError",
+           "Samples", "TwistTrack", "WrenchTrack", "read_recording"]
 
 FORMAT = 1                      # of settings.json and all that goes with it
-
-_RECORD = struct.Struct("<BQ")          # opcode, size of what follows
-_MESSAGE = struct.Struct("<HIQQ")       # channel, sequence, log time, publish time
-
-
-class RecordingError(Exception):
-    """The file is not a recording that can be read; one line of text, exit code 2."""
+JOINT_STATE = "sensor_msgs/msg/JointState"
+# Numbers of a piece of `samples`, and how many samples the topics of a file may lie apart.
+PIECE, MOST_APART = 200_000, 100_000
 
 
-class PoseTrack(NamedTuple):
-    stamp_ns: np.ndarray        # (n,) int64, ns
-    position: np.ndarray        # (n, 3) m, world
-    quaternion: np.ndarray      # (n, 4) x, y, z, w, body -> world
-    payloads: list              # n serialized messages, for comparing bits
-
-
-class TwistTrack(NamedTuple):
-    stamp_ns: np.ndarray        # (n,) int64, ns
-    twist: np.ndarray           # (n, 6) (omega, v), rad/s and m/s, body axes
-    payloads: list              # n serialized messages
-
-
-class AppliedWrench(NamedTuple):
-    stamp_ns: int
-    body: str
-    wrench: tuple               # (6,) (torque, force), body axes: the total from stamp_ns on
-
-
-class Event(NamedTuple):
-    stamp_ns: int
-    name: str                   # "start", "pause", "resume", "reset", "step", "fault", "stop", ...
-    text: str
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Recording:
-    path: Path
+    path: Path | str            # a text if it is an address
     scene_text: str
     settings: dict              # settings.json
     initial_state: dict         # initial_state.json
     pacing: dict | None         # pacing.json; None if the run did not come to its end
     bodies: tuple               # names, in the order of initial_state
-    pose: dict                  # {body: PoseTrack}
-    twist: dict                 # {body: TwistTrack}
-    applied_wrench: list        # AppliedWrench
+    wrench: dict                # {body: WrenchTrack}
     events: list                # Event
     diagnostics: list           # (stamp_ns, {key: text}), all statuses of an array together
     topics: dict                # {topic: message count}
     complete: bool              # the file was finished and no part of it is damaged
     lost: dict                  # {topic: messages missing by sequence number}; empty if none
     problem: str | None         # None or one line for the user
+    channels: dict = field(repr=False)      # {id: mcap_stream.Channel}
+    _source: object = field(repr=False)     # Source
+
+    @property
+    def pose(self):
+        """{body: PoseTrack}, loaded when asked for."""
+        return {body: PoseTrack(stamps, values[:, :3], values[:, 3:])
+                for body, (stamps, values) in self._tracks["pose"].items()}
+
+    @property
+    def twist(self):
+        """{body: TwistTrack}, loaded when asked for."""
+        return {body: TwistTrack(*track) for body, track in self._tracks["twist"].items()}
+
+    @property
+    def applied_wrench(self):
+        """The changes of the wrenches on all bodies, [AppliedWrench] in the order of stamps."""
+        found = [AppliedWrench(stamp, body, tuple(wrench)) for body, track in self.wrench.items()
+                 for stamp, wrench in zip(track.stamp_ns.tolist(), track.wrench.tolist())]
+        return sorted(found, key=lambda change: change.stamp_ns)
+
+    @cached_property
+    def _tracks(self):
+        wanted = self._motion_topics()
+        rows = {topic: self.topics.get(topic, 0) for topic in wanted}
+        tracks = {topic: (np.empty(rows[topic], dtype=np.int64),
+                          np.empty((rows[topic], 7 if kind == "pose" else 6)))
+                  for topic, (kind, _) in wanted.items()}
+        done = dict.fromkeys(wanted, 0)
+        for topic, stamps, values in self._decoded(wanted):
+            at = slice(done[topic], done[topic] + len(stamps))
+            tracks[topic][0][at], tracks[topic][1][at] = stamps, values
+            done[topic] += len(stamps)
+        found = {"pose": {}, "twist": {}}
+        for topic, (kind, body) in wanted.items():
+            found[kind][body] = tracks[topic]
+        return found
+
+    @cached_property
+    def joint_states(self):
+        """JointTrack of the topic with joint states, or None if it was not recorded."""
+        names, stamps, numbers = None, [], []
+        with TellPath(self.path):
+            for messages, channels in self._source.messages(self.channels):
+                for channel, index in channels:
+                    if channel.type != JOINT_STATE:
+                        continue
+                    for k in index:
+                        found, stamp_ns, values = _joint_state(messages.payload(k))
+                        if found != (names or found):
+                            raise RecordingError("its joint states are not always of the same "
+                                                 "joints")
+                        names = found
+                        stamps.append(stamp_ns)
+                        numbers.append(values)
+        if names is None:
+            return None
+        return JointTrack(np.array(stamps), names,
+                          *np.array(numbers).reshape(-1, 2, len(names)).transpose(1, 0, 2))
+
+    def samples(self):
+        """Samples of all bodies, piece by piece in the order of time: [Samples], an iterator.
+
+        A sample has the pose and the twist of every body, at one stamp; what is not complete is
+        left out. Raises RecordingError
+        """
+        wanted = self._motion_topics()
+        waiting = {topic: [[], []] for topic in wanted}     # stamps, values
+        counts = dict.fromkeys(wanted, 0)
+        least = max(64, PIECE // (13 * max(1, len(self.bodies))))
+        for topic, stamps, values in self._decoded(wanted):
+            waiting[topic][0].append(stamps)
+            waiting[topic][1].append(values)
+            counts[topic] += len(stamps)
+            if counts[topic] >= 2 * least and min(counts.values()) >= least:
+                yield from self._merged(wanted, waiting, counts)
+            if counts[topic] > MOST_APART + 4 * least:
+                raise RecordingError(f"{self.path}: the topics of one sample lie more than "
+                                     f"{MOST_APART} samples apart in it")
+        yield from self._merged(wanted, waiting, counts)
+
+    def _merged(self, wanted, waiting, counts):
+        """Take the complete samples out of what waits."""
+        tracks = {topic: (np.concatenate(stamps), np.concatenate(values)) if stamps else
+                  (np.empty(0, dtype=np.int64), np.empty((0, 7)))
+                  for topic, (stamps, values) in waiting.items()}
+        if not all(len(stamps) for stamps, _ in tracks.values()):
+            return
+        upto = min(int(stamps[-1]) for stamps, _ in tracks.values())
+        common = None
+        for stamps, _ in tracks.values():
+            ready = stamps[:np.searchsorted(stamps, upto, "right")]
+            if common is None or not np.array_equal(common, ready):
+                common = ready if common is None else np.intersect1d(common, ready, True)
+        n = len(self.bodies)
+        found = Samples(common, np.empty((len(common), n, 3)), np.empty((len(common), n, 4)),
+                        np.empty((len(common), n, 6)))
+        for topic, (kind, body) in wanted.items():
+            stamps, values = tracks[topic]
+            rows = values[np.searchsorted(stamps, common)]
+            i = self.bodies.index(body)
+            if kind == "pose":
+                found.position[:, i], found.quaternion[:, i] = rows[:, :3], rows[:, 3:]
+            else:
+                found.twist[:, i] = rows
+            left = np.searchsorted(stamps, upto, "right")
+            waiting[topic][:] = [stamps[left:]], [values[left:]]
+            counts[topic] = len(stamps) - left
+        if len(common):
+            yield found
+
+    def _motion_topics(self):
+        """{topic: (kind, body)} in the order of the bodies."""
+        topics = self.settings["topics"]
+        return {topics[kind][body]: (kind, body)
+                for body in self.bodies for kind in ("pose", "twist")}
+
+    def _decoded(self, wanted):
+        """(topic, stamps, values) of the messages of poses and twists, piece by piece."""
+        last = {}
+        frames = {topic: body if kind == "twist" else self.settings.get("world_frame", "world")
+                  for topic, (kind, body) in wanted.items()}
+        with TellPath(self.path):
+            for messages, channels in self._source.messages(self.channels):
+                for channel, index in channels:
+                    if channel.topic not in wanted:
+                        continue
+                    kind, _ = wanted[channel.topic]
+                    codec = PoseStampedCodec if kind == "pose" else TwistStampedCodec
+                    for stamps, names, _, values in decode(codec, messages, index):
+                        if names != [frames[channel.topic]]:
+                            raise RecordingError(f"{channel.topic} is in frame {names[0]!r:.60}, "
+                                                 f"not in {frames[channel.topic]!r:.60}")
+                        before = last.get(channel.topic, stamps[0] - 1)
+                        if stamps[0] <= before or (np.diff(stamps) <= 0).any():
+                            raise RecordingError(f"the stamps of {channel.topic} do not increase")
+                        last[channel.topic] = stamps[-1]
+                        yield channel.topic, stamps, values
+
+    def to_pandas(self, what="motion"):
+        """A pandas DataFrame over the time in s.
+
+        what : "motion"  columns (body, quantity): x, y, z, qx, qy, qz, qw, wx, wy, wz, vx, vy, vz
+               "wrench"  columns body, tx, ty, tz, fx, fy, fz: the total from this time on
+               "joints"  columns (joint, "position" or "velocity")
+               "events"  columns name, text
+        raises ImportError without pandas, ValueError for another `what`
+        """
+        import pandas
+        if what == "motion":
+            parts = {}
+            for body in self.bodies:
+                pose, twist = self.pose[body], self.twist[body]
+                parts[body] = pandas.concat([
+                    pandas.DataFrame(np.hstack(pose[1:]), pose.time,
+                                     ["x", "y", "z", "qx", "qy", "qz", "qw"]),
+                    pandas.DataFrame(twist.twist, twist.time,
+                                     ["wx", "wy", "wz", "vx", "vy", "vz"])], axis=1)
+            frame = pandas.concat(parts, axis=1)
+        elif what == "wrench":
+            changes = self.applied_wrench
+            frame = pandas.DataFrame(
+                [change.wrench for change in changes], [c.stamp_ns * 1e-9 for c in changes],
+                ["tx", "ty", "tz", "fx", "fy", "fz"], dtype=float)
+            frame.insert(0, "body", [change.body for change in changes])
+        elif what == "joints":
+            states = self.joint_states
+            frame = pandas.DataFrame() if states is None else pandas.concat({
+                name: pandas.DataFrame({"position": states.position[:, k],
+                                        "velocity": states.velocity[:, k]}, states.time)
+                for k, name in enumerate(states.names)}, axis=1)
+        elif what == "events":
+            frame = pandas.DataFrame([event[1:] for event in self.events],
+                                     [event.stamp_ns * 1e-9 for event in self.events],
+                                     ["name", "text"])
+        else:
+            raise ValueError(f"what must be motion, wrench, joints or events, got {what!r}")
+        frame.index.name = "time_s"
+        return frame
 
 
 def read_recording(path):
-    """Recording in a *.mcap file. Raises RecordingError."""
-    path = Path(path)
-    try:
-        content = _read_file(path)
-        settings = content.json("settings.json")
+    """Recording in a *.mcap file, or at an address of fsspec. Raises RecordingError."""
+    path = str(path) if is_remote(path) else Path(path)
+    with TellPath(path):
+        source = Source(path)
+        attachments, stream = source.attachments()
+        names = Attachments(attachments, stream)
+        settings = names.json("settings.json")
         if settings.get("format") != FORMAT:
-            raise RecordingError(f"it has format {settings.get('format')}, this version reads "
-                                 f"format {FORMAT}")
-        initial_state = content.json("initial_state.json")
-        pacing = content.json("pacing.json") if "pacing.json" in content.attachments else None
+            raise RecordingError(f"it has format {settings.get('format')!r:.40}, this version "
+                                 f"reads format {FORMAT}")
+        initial_state = names.json("initial_state.json")
+        pacing = names.json("pacing.json") if "pacing.json" in attachments else None
         bodies, topics = tuple(initial_state["bodies"]), settings["topics"]
-        lost = {channel.topic: channel.lost() for channel in content.channels.values()}
+        if len(set(bodies)) < len(bodies) or not all(
+                isinstance(topics[kind][body], str) for body in bodies
+                for kind in ("pose", "twist")):
+            raise RecordingError("its settings do not name a topic for each of its bodies")
+        scene_text = names["scene.yaml"].decode()
+        scan = Scan(source, settings, bodies)
+        problem = scan.problem(source, attachments)
         return Recording(
-            path=path, scene_text=content.attachment("scene.yaml").decode(), settings=settings,
-            initial_state=initial_state, pacing=pacing, bodies=bodies,
-            pose={body: _pose_track(content, topics["pose"][body]) for body in bodies},
-            twist={body: _twist_track(content, topics["twist"][body]) for body in bodies},
-            applied_wrench=_applied_wrenches(content, topics["applied_wrench"]),
-            events=[Event(_stamp_ns(log.stamp), log.name, log.msg)
-                    for log in content.decoded(topics["events"])],
-            diagnostics=[(_stamp_ns(array.header.stamp),
-                          {pair.key: pair.value
-                           for status in array.status for pair in status.values})
-                         for array in content.decoded(topics["diagnostics"])],
-            topics={channel.topic: len(channel.payloads)
-                    for channel in content.channels.values()},
-            complete=content.problem is None,
-            lost={topic: count for topic, count in lost.items() if count},
-            problem=content.problem and f"{path}: {content.problem}")
-    except RecordingError as error:
-        raise RecordingError(f"{path}: {error}") from None
-    except MessageError as error:
-        raise RecordingError(f"{path}: damaged message: {error}") from None
-    except (KeyError, AttributeError, TypeError, UnicodeDecodeError) as error:
-        raise RecordingError(f"{path}: its settings or initial state lack an entry: {error!r}"
-                             ) from None
-    except OSError as error:
-        raise RecordingError(f"{path}: {error.strerror or error}") from None
+            path=path, scene_text=scene_text, settings=settings, initial_state=initial_state,
+            pacing=pacing, bodies=bodies, wrench=scan.wrenches(), events=scan.events,
+            diagnostics=scan.diagnostics, topics=scan.counts(), complete=problem is None,
+            lost={topic: count for topic, count in scan.lost().items() if count},
+            problem=problem and f"{path}: {problem}", channels=scan.channels, _source=source)
 
 
-def _pose_track(content, topic):
-    payloads = content.payloads(topic)
-    poses = PoseStampedCodec.decode(payloads)
-    return PoseTrack(poses.stamp_ns, poses.position, poses.quaternion, payloads)
-
-
-def _twist_track(content, topic):
-    payloads = content.payloads(topic)
-    twists = TwistStampedCodec.decode(payloads)
-    return TwistTrack(twists.stamp_ns, twists.twist, payloads)
-
-
-def _applied_wrenches(content, topic):
-    decoded = WrenchStampedCodec.decode(content.payloads(topic))
-    return [AppliedWrench(stamp_ns, body, tuple(wrench)) for stamp_ns, body, wrench
-            in zip(decoded.stamp_ns.tolist(), decoded.frame_id, decoded.wrench.tolist())]
-
-
-def _stamp_ns(stamp):
-    return stamp.sec * 1_000_000_000 + stamp.nanosec
-
-
-class _ChannelContent:
-    """One channel of the file: its messages in file order."""
-
-    def __init__(self, channel, schema):
-        self.topic = channel.topic
-        self.encoding = channel.message_encoding
-        self.schema = schema
-        self.payloads = []
-        self.sequences = []
-
-    def lost(self):
-        """Messages missing before the last one there is; sequences count from 1, or are all 0."""
-        return max(0, max(self.sequences, default=0) - len(set(self.sequences)))
-
-
-class _Content:
-    """What is in the file, not yet interpreted."""
-
-    def __init__(self):
-        self.attachments = {}
-        self.channels = {}      # channel id -> _ChannelContent
-        self.schemas = {}       # schema id -> Schema
-        self.problem = None
-
-    def attachment(self, name):
-        if name not in self.attachments:
-            raise RecordingError(self.problem if self.problem and not self.attachments else
-                                 f'no attachment "{name}": not a recording of this simulator')
-        return self.attachments[name]
-
-    def json(self, name):
-        try:
-            return json.loads(self.attachment(name))
-        except ValueError as error:
-            raise RecordingError(f'its attachment "{name}" is damaged: {error}') from None
-
-    def payloads(self, topic):
-        return [payload for channel in self.channels.values() if channel.topic == topic
-                for payload in channel.payloads]
-
-    def decoded(self, topic):
-        """Messages of any type, by the definition in the file. Slow; for the rare ones."""
-        for channel in self.channels.values():
-            if channel.topic == topic:
-                decode = DecoderFactory().decoder_for(channel.encoding, channel.schema)
-                if decode is None:
-                    raise RecordingError(f"{topic}: its messages are not CDR with a ros2msg "
-                                         f"definition")
-                for payload in channel.payloads:
-                    try:
-                        yield decode(payload)
-                    except Exception as error:  # damaged bytes can make a decoder raise anything
-                        raise RecordingError(f"{topic}: damaged message: {error}") from None
-
-    def add(self, record):
-        if isinstance(record, Schema):
-            self.schemas[record.id] = record
-        elif isinstance(record, Channel):
-            self.channels.setdefault(
-                record.id, _ChannelContent(record, self.schemas.get(record.schema_id)))
-        elif isinstance(record, Attachment):
-            self.attachments[record.name] = record.data
-        elif isinstance(record, McapMessage):
-            self.add_message(record.channel_id, record.sequence, record.data)
-
-    def add_message(self, channel_id, sequence, payload):
-        channel = self.channels[channel_id]
-        channel.payloads.append(payload)
-        channel.sequences.append(sequence)
-
-    def add_chunk(self, chunk):
-        stream, size = get_chunk_data_stream(chunk, validate_crc=True)
-        data, at = stream.read(size), 0
-        while at < size:
-            opcode, length = _RECORD.unpack_from(data, at)
-            at += _RECORD.size
-            if opcode == Opcode.MESSAGE:        # most of the time of reading is spent here
-                channel_id, sequence, _, _ = _MESSAGE.unpack_from(data, at)
-                self.add_message(channel_id, sequence, data[at + _MESSAGE.size:at + length])
-            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                kind = Schema if opcode == Opcode.SCHEMA else Channel
-                self.add(kind.read(ReadDataStream(BytesIO(data[at:at + length]))))
-            at += length
-
-
-def _read_file(path):
-    """_Content of the file, as far as it can be read."""
-    content = _Content()
-    damaged = 0
-    with open(path, "rb") as stream:
-        if stream.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-            raise RecordingError("not an MCAP file")
-        stream.seek(0)
-        try:
-            for record in StreamReader(stream, emit_chunks=True,
-                                       record_size_limit=path.stat().st_size).records:
-                if isinstance(record, Chunk):
-                    try:
-                        content.add_chunk(record)
-                    except Exception:  # damaged bytes can make a decompressor raise anything
-                        damaged += 1
-                else:
-                    content.add(record)
-        except Exception:  # likewise: the stream ends inside a record, or in garbage
-            content.problem = ("not finished, the run was ended hard or the disk was full; "
-                               "everything up to the last flush is read")
-    if damaged:
-        content.problem = f"{damaged} damaged chunk(s) skipped" + (
-            f"; {content.problem}" if content.problem else "")
-    if content.problem and not content.attachments:
-        content.problem = "ends before anything was written to it"
-    return content
+def _joint_state(payload):
+    """(names, stamp in ns, (2 k,) positions and velocities) of a JointState."""
+    fields = Fields(JOINT_STATE, payload)
+    stamp_ns = fields.stamp_ns()
+    fields.text()
+    names = tuple(fields.text() for _ in range(fields.number("I")))
+    values = [fields.numbers("d", fields.number("I")) for _ in range(2)]
+    if any(len(part) != len(names) for part in values):
+        raise MessageError(f"{JOINT_STATE}: not as many numbers as joints")
+    return names, stamp_ns, sum(values, ())

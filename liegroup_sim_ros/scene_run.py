@@ -36,28 +36,34 @@ class SceneRun:
         self.simulation = simulation
         self.recorder = None
         layout = simulation.layout
-        base_ns, origin, path, self._part = 0, "", values.record, 1
+        self._values, self._more = values, {}
+        base_ns, origin, path, part, bag = 0, "", values.record, 1, values.record_metadata or None
         if before is not None:
             base_ns = before.server.stamp_ns + max(1, round(simulation.step * 1e9))
             origin = ", loaded by ~/reload"
             if before.recorder is not None:
                 origin += f"; the recording before is {before.recorder.path.name}"
-                self._part = before._part + 1
-                stem = before.recorder.path.stem.removesuffix(f"_part{before._part}")
-                path = before.recorder.path.with_name(f"{stem}_part{self._part}.mcap")
+                part, bag = before.recorder.part + 1, before.recorder.bag
+                path = before.recorder.part_path(part)
+                self._more = {"part": part, "previous": before.recorder.path.name}
         if not values.world_frame or values.world_frame in layout.body_names:
             raise ParameterError(f"parameter world_frame: must be a name that no body has, "
                                  f"got {values.world_frame!r}")
         self.outputs = Outputs(node, layout, values, self._figures)
+        if path:
+            # Before the samples: the first one of a part is its initial state.
+            self.outputs.timed.insert(0, (values.steps["publish_rate"], self._divide_if_due))
         self.server = SimulationServer(simulation, self.outputs, values.real_time_factor, paused,
                                        base_ns, origin)
         self.wrenches = WrenchTopics(node, layout.body_names, values, self.server)
         # Last of what can fail: nothing else leaves a trace on the disk.
         if path:
             try:
-                self.recorder = Recorder(path, attachments.at_start(
-                    simulation, node.get_fully_qualified_name(), values.world_frame,
-                    values.steps["publish_rate"], self.outputs.topics(), base_ns))
+                self.recorder = Recorder(
+                    path, self._attachments(base_ns, "paused" if paused else "running"),
+                    flush_interval=values.record_flush_interval,
+                    max_size=values.record_split_size,
+                    max_duration=round(values.record_split_duration * 1e9), part=part, bag=bag)
                 self.outputs.record_to(self.recorder)
             except Exception:
                 self._close_topics()
@@ -71,6 +77,29 @@ class SceneRun:
             f"{simulation.scene.name}: {len(simulation.layout.body_names)} bodies, "
             f"{simulation.method}, step {simulation.step:g} s, {self.server.state}"
             + (f", recording to {self.recorder.path}" if self.recorder else ""))
+
+    def _attachments(self, stamp_ns, state):
+        """What makes a file complete in itself, at the present state."""
+        values = self._values
+        return attachments.at_start(
+            self.simulation, self._node.get_fully_qualified_name(), values.world_frame,
+            values.steps["publish_rate"], self.outputs.topics(), stamp_ns, state=state,
+            parameters={name: value for name, value in vars(values).items() if name != "steps"},
+            **self._more)
+
+    def _divide_if_due(self, stamp_ns, _):
+        """Begin a new part of the recording, in the simulation thread."""
+        recorder = self.recorder
+        if recorder is not None and recorder.is_part_due(stamp_ns):
+            self._attach_pacing()
+            self._more = {"part": recorder.part + 1, "previous": recorder.path.name,
+                          "sequences": recorder.sequences}
+            recorder.divide(self._attachments(stamp_ns, self.server.state))
+            self.outputs.record_acting(stamp_ns)
+
+    def _attach_pacing(self):
+        self.recorder.add_attachment("pacing.json", *attachments.as_json(
+            self.server.pacer.report()))
 
     def _figures(self):
         """What the diagnostics say beside the server's figures."""
@@ -87,8 +116,7 @@ class SceneRun:
         """End the simulation, then the recording, then the topics."""
         self.server.stop()
         if self.recorder is not None:
-            self.recorder.add_attachment("pacing.json", *attachments.as_json(
-                self.server.pacer.report()))
+            self._attach_pacing()
             self.recorder.close()
             if self.recorder.failure is None:
                 self._node.get_logger().info(f"recorded {self.recorder.written} messages in "

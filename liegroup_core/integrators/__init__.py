@@ -6,6 +6,7 @@ An integrator is made by `family(method, layout, group, step, options)` and has
     kernels          name of the kernels it uses, compiled once on a machine
     work             scratch memory; work.report[0] is the largest squared rotation of a stage
     restart()        forget what lasts between calls, because a state was set
+    memory           the arrays that hold what lasts between calls; written to, they restore it
     advance(h, steps, pose, twist, external) -> (steps done, status), in place; external (n, 6) is
                      constant over these steps; pose and twist stay the last good ones
     substeps         (good ones, attempts) since the restart, (0, 0) where there are none

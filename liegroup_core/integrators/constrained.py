@@ -335,8 +335,13 @@ class Constrained:
 
     def restart(self):
         """Forget the guesses: the state is a new one."""
-        for guess in (self._memory.bias, self._memory.growth, self._memory.size):
+        for guess in self.memory:
             guess[:] = 0.0
+
+    @property
+    def memory(self):
+        """The arrays that last between calls."""
+        return self._memory.bias, self._memory.growth, self._memory.size
 
     def advance(self, h, steps, pose, twist, external):
         """Take steps of size h in place; returns (steps done, status)."""

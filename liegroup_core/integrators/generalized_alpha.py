@@ -217,6 +217,8 @@ class GeneralizedAlpha:
         self._model, self._group = model, GROUPS[group]
         self.work = make_work(model, 1)
         self._advance = same_types(advance)
+        # Step size and wrenches for which Vdot, a and lambda were started; NaN: not at all.
+        self._started_for = np.zeros(1 + 6 * n + len(self.work.acting))
         self.restart()
 
     @staticmethod
@@ -226,16 +228,21 @@ class GeneralizedAlpha:
 
     def restart(self):
         """Forget what lasts between calls: the state is a new one."""
-        self._started_for = None
+        self._started_for[:] = np.nan
+
+    @property
+    def memory(self):
+        """The arrays that last between calls."""
+        return (self._started_for, *self._memory.values())
 
     def advance(self, h, steps, pose, twist, external):
         """Take steps of size h in place; returns (steps done, status)."""
-        now = h, external.tobytes(), self.work.acting.tobytes()
-        if self._started_for != now:
+        now = np.concatenate(((h,), external.ravel(), self.work.acting))
+        if self._started_for.tobytes() != now.tobytes():
             dependent = self._start(h, pose, twist, external)
             if dependent >= 0:
                 return 0, DEPENDENT_ROWS + (self._model.joints[dependent]["element"] << 8)
-            self._started_for = now
+            self._started_for[:] = now
         done, status = self._advance(self._model, self.work, self._memory, self._numbers,
                                      self._group, h, steps, pose, twist, external)
         if status != OK:

@@ -224,6 +224,11 @@ class MuntheKaas:
         self._control[:] = self._longest, 0.0, 0.0, self._longest
 
     @property
+    def memory(self):
+        """The arrays that last between calls: none without error control."""
+        return (self._control,) if len(self._scheme.error) else ()
+
+    @property
     def substeps(self):
         """Numbers of good substeps and of attempts since the restart; 0 without error control."""
         return int(self._control[1]), int(self._control[2])

@@ -306,6 +306,11 @@ class Rotation:
     def restart(self):
         """Forget what lasts between calls: nothing does."""
 
+    @property
+    def memory(self):
+        """The arrays that last between calls: there are none."""
+        return ()
+
     def advance(self, h, steps, pose, twist, external):
         """Take steps of size h in place; returns (steps done, status)."""
         return self._advance(self._model, self.work, self._spinners, self._memory, self._rule,

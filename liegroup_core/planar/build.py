@@ -14,7 +14,6 @@ import numpy as np
 import scipy.linalg
 
 from ..dynamics.saddle_point import PLANAR_SIZES, eliminate
-from ..forces.kinds import KINDS
 from ..joints.elements import PAIR
 from ..lie.groups import SE3
 from ..model.arrays import WORLD
@@ -127,7 +126,7 @@ def _build(scene, model, world, axes):
     few = refinements(model.bodies, ends)
     links = tree_links(len(axes), ends, jacobians if _is_sturdy(model) else [])
     planar = PlanarModel(
-        space=model, has_forces=any(len(getattr(model.forces, kind)) for kind in KINDS), world=world.reshape(1, 9),
+        space=model, has_forces=any(map(len, model.forces.values())), world=world.reshape(1, 9),
         gravity=model.gravity @ world[:2].T,
         bodies=np.array([(body["mass"], inertia, 3 * i if len(links) else structure.start(i),
                           axis.ravel())

@@ -4,6 +4,6 @@
 Exact rotations of a free body and of a symmetric heavy top are in elliptic.py, for which mpmath is
 needed.
 """
-from .trajectory import Distance, Trajectory, WrenchChange, distance, integrate
+from .trajectory import Distance, Reference, Trajectory, WrenchChange, distance, integrate
 
-__all__ = ["Distance", "Trajectory", "WrenchChange", "distance", "integrate"]
+__all__ = ["Distance", "Reference", "Trajectory", "WrenchChange", "distance", "integrate"]

@@ -17,6 +17,9 @@ from .system import build_system
 # one that is ten times looser.
 TIGHT = 1e-13
 LOOSER = 10.0
+# So many steps are some ten minutes; where they do not do, springs are too stiff for an explicit
+# method of high order.
+MOST_STEPS = 2_000_000
 # Of the singular values of the joints' rows, scaled to length 1: at the start, those below belong
 # to rows that repeat others (the pose is right to 1e-9 or better); and on the way no other may
 # fall below, or one of those rise above, the second number. Ten rods on hinges have 1e-2.
@@ -84,27 +87,53 @@ def integrate(scene, pose, twist, times, changes=(), start=0.0, rtol=TIGHT):
     times = np.asarray(times, dtype=float)
     if len(times) and (times[0] < start or np.any(np.diff(times) < 0.0)):
         raise ValueError("times must increase and not lie before start")
-    scene = assembled(scene)
-    pose, offsets = np.asarray(pose, dtype=float), Offsets(scene)
-    system, angles = build_system(at_centres_of_mass(scene), pose)
-    state = np.concatenate([_to_state(pose, np.asarray(twist, dtype=float)), angles])
-    pieces = _pieces(scene, offsets, times, changes, start)
-    rank = _rank(system, state)
-    tight, loose = (_at_bodies(offsets, _to_trajectory(times, _run(
-        system, rank, state, times, pieces, tolerance)[:, :STATE * len(pose)]))
-        for tolerance in (rtol, LOOSER * rtol))
-    apart = distance(tight, loose)
-    return tight, Distance(*(np.maximum.accumulate(part, axis=0) for part in apart))
+    end = times[-1] if len(times) else start
+    return Reference(scene, pose, twist, changes, start, end, rtol).at(times)
 
 
-def _pieces(scene, offsets, times, changes, start):
+class Reference:
+    """The integration of `integrate`, which goes on from one call to the next.
+
+    end    : s, up to where it may be asked for
+    angles : (t,) rad, of the torsional springs at `start`, whole turns counted; None: at most half
+             a turn. The other arguments as of `integrate`
+    """
+
+    def __init__(self, scene, pose, twist, changes=(), start=0.0, end=np.inf, rtol=TIGHT,
+                 angles=None):
+        scene = assembled(scene)
+        pose, self._offsets = np.asarray(pose, dtype=float), Offsets(scene)
+        system, found = build_system(at_centres_of_mass(scene), pose)
+        angles = found if angles is None else np.asarray(angles, dtype=float)
+        state = np.concatenate([_to_state(pose, np.asarray(twist, dtype=float)), angles])
+        pieces = _pieces(scene, self._offsets, changes, start, end)
+        rank = _rank(system, state)
+        self._size = STATE * len(pose)
+        self._runs = [_Run(system, rank, state, start, pieces, tolerance)
+                      for tolerance in (rtol, LOOSER * rtol)]
+        self._apart = None
+
+    def at(self, times):
+        """(Trajectory, its uncertainty so far) at (k,) increasing times after those before."""
+        times = np.asarray(times, dtype=float)
+        tight, loose = (_at_bodies(self._offsets, _to_trajectory(
+            times, run.at(times)[:, :self._size])) for run in self._runs)
+        apart = Distance(*(np.maximum.accumulate(part, axis=0)
+                           for part in distance(tight, loose)))
+        if self._apart is not None:
+            apart = Distance(*map(np.maximum, apart, self._apart))
+        if len(times):
+            self._apart = Distance(*(part[-1] for part in apart))
+        return tight, apart
+
+
+def _pieces(scene, offsets, changes, start, end):
     """The intervals in which no wrench changes.
 
     returns [(from, to, wrenches (n, 6) at the centres of mass, which applied ones act (p,))]
     """
     index = {body.name: i for i, body in enumerate(scene.bodies)}
     pushes = [force for force in scene.forces if force.type == "applied_wrench"]
-    end = times[-1] if len(times) else start
     # In the order of their times, those of the same time in the order given.
     switches = sorted([(change.time, change) for change in changes]
                       + [(time, None) for push in pushes for time in (push.start, push.end)
@@ -147,43 +176,77 @@ def _rank(system, state):
     return int(ends[np.argmax(above[ends - 1] / above[ends])])
 
 
-def _run(system, rank, state, times, pieces, rtol):
-    """States (k, 13 n + t) at `times`."""
-    out = np.empty((len(times), len(state)))
-    done = int(np.searchsorted(times, pieces[0][0], side="right")) if pieces else len(times)
-    out[:done] = state
-    step, singular = None, [1.0, 0.0]
-    for begin, end, wrench, acting in pieces:
-        def function(t, y, wrench=wrench, acting=acting):
+class _Run:
+    """One integration at one tolerance, which goes on from call to call."""
+
+    def __init__(self, system, rank, state, start, pieces, rtol):
+        self._system, self._rank, self._rtol = system, rank, rtol
+        self._waiting = list(pieces)
+        self._state, self._reached = state, start
+        self._solver = self._dense = self._step = None
+        self._singular = [1.0, 0.0]
+        self._taken = 0
+
+    def at(self, times):
+        """States (k, 13 n + t) at increasing times."""
+        out = np.empty((len(times), len(self._state)))
+        done = 0
+        while True:
+            upto = done + int(np.searchsorted(times[done:], self._reached, side="right"))
+            if upto > done:
+                if self._solver is not None and self._dense is None:
+                    self._dense = self._solver.dense_output()
+                out[done:upto] = (self._state if self._dense is None
+                                  else self._dense(times[done:upto]).T)
+                done = upto
+            if done == len(times):
+                return out
+            if not self._advance():         # the last time is the end, up to rounding
+                out[done:] = self._state
+                return out
+
+    def _advance(self):
+        """Take one step; False at the end of the last piece."""
+        if self._solver is None or self._solver.status == "finished":
+            if not self._waiting:
+                return False
+            self._begin(*self._waiting.pop(0))
+        solver = self._solver
+        self._taken += 1
+        if self._taken > MOST_STEPS:
+            raise SimulationError(f"the reference integration stopped at {solver.t:.6g} s: it has "
+                                  f"taken {MOST_STEPS} steps; compare a shorter time")
+        message = solver.step()
+        if solver.status == "failed":
+            raise SimulationError(f"the reference integration stopped at {solver.t:.6g} s: "
+                                  f"{message}")
+        self._steps.append(solver.step_size)
+        # A step ends with the rate at its end; those before may be of poses far off.
+        least, left_out = self._singular
+        if least < SINGULAR or left_out > SINGULAR:
+            raise SimulationError(f"the reference integration stopped at {solver.t:.6g} s: "
+                                  "at a singular pose, where the joints leave the motion open")
+        self._dense, self._reached, self._state = None, solver.t, solver.y
+        if solver.status == "finished":
+            longest = max(self._steps)
+            self._step = (longest if self._step is None or len(self._steps) > 1
+                          else max(self._step, longest))
+        return True
+
+    def _begin(self, begin, end, wrench, acting):
+        def function(t, y):
             slope = np.empty_like(y)
-            singular[:] = rate(system, rank, y, wrench, acting, slope)
+            self._singular[:] = rate(self._system, self._rank, y, wrench, acting, slope)
             if not np.isfinite(slope).all():        # DOP853 would look for a step for ever
                 raise SimulationError(f"the reference integration stopped at {t:.6g} s: "
                                       "the state or a wrench is not finite")
             return slope
 
         # A piece goes on with the step of the one before, which a short piece must not shrink.
-        solver = DOP853(function, begin, state, end, rtol=rtol, atol=rtol,
-                        first_step=None if step is None else min(step, end - begin))
-        steps = []
-        while solver.status == "running":
-            message = solver.step()
-            if solver.status == "failed":
-                raise SimulationError(f"the reference integration stopped at {solver.t:.6g} s: "
-                                      f"{message}")
-            steps.append(solver.step_size)
-            # A step ends with the rate at its end; those before may be of poses far off.
-            least, left_out = singular
-            if least < SINGULAR or left_out > SINGULAR:
-                raise SimulationError(f"the reference integration stopped at {solver.t:.6g} s: "
-                                      "at a singular pose, where the joints leave the motion open")
-            upto = int(np.searchsorted(times, solver.t, side="right"))
-            if upto > done:
-                out[done:upto] = solver.dense_output()(times[done:upto]).T
-                done = upto
-        step = max(steps) if step is None or len(steps) > 1 else max(step, *steps)
-        state = solver.y
-    return out
+        self._solver = DOP853(function, begin, self._state, end, rtol=self._rtol, atol=self._rtol,
+                              first_step=None if self._step is None
+                              else min(self._step, end - begin))
+        self._steps = []
 
 
 def _to_state(pose, twist):

@@ -4,114 +4,147 @@ import numpy as np
 
 from liegroup_core.dynamics.symmetry import conserved_momentum, momentum_values
 
+from .drift import MOST_POINTS, Drift, thinned
+
 # Kinds of forces with an energy; with damping they take it, too.
 KEEPING_ENERGY = ("spring_damper", "torsional_spring_damper", "linear_spring_damper")
-# Joint residuals take 50 us each: of longer runs every second, third, ... sample is looked at.
-MOST_RESIDUALS = 40_000
 
 
-def energy(layout, motion):
+class Energy:
     """Energy drift, J: the largest change within intervals in which nothing feeds or takes energy.
 
-    returns (figures, [(times, change)] per interval); figures["drift_J"] is None where forces of
-    the scene itself feed or take energy. The relative drift is in parts of the largest kinetic energy, which unlike the
-    energy itself does not depend on where heights are counted from.
+    `figures` has drift_J None where forces of the scene itself feed or take energy. The relative
+    drift is in parts of the largest kinetic energy, which unlike the energy itself does not depend
+    on where heights are counted from.
     """
-    scene = layout.scene
-    bodies = layout.body_names
-    feeding = [force.name for force in scene.forces
-               if force.type not in KEEPING_ENERGY or force.damping > 0.0]
-    kinetic, curves, final = 0.0, [], None
-    for stretch in motion.stretches:
-        pose = _pose(stretch)
-        total, potential, angles = [], [], None
-        for p, v in zip(pose, stretch.twist):
-            sample = layout.sample(p, v, near=angles)
-            angles = sample.angles
-            total.append(sample.energy)
-            potential.append(layout.sample(p, np.zeros_like(v), near=angles).energy)
-        total, potential = np.array(total), np.array(potential)
-        kinetic = max(kinetic, float((total - potential).max()))
-        if not feeding:
-            for first, end in stretch.free(bodies):
-                change = total[first:end] - total[first]
-                curves.append((stretch.log_times[first:end], change))
-                final = change[-1]
-    worst = max((float(np.abs(change).max()) for _, change in curves), default=None)
-    return {
-        "drift_J": worst, "final_J": final, "largest_kinetic_J": kinetic,
-        "relative_drift": worst / kinetic if worst is not None and kinetic > 0.0 else None,
-        "intervals": len(curves), "seconds": _seconds(curves),
-        "left_out": "forces feed or take energy: " + ", ".join(feeding) if feeding else
-                    _pushed_text(motion, bodies)}, curves
+
+    def __init__(self, layout, expected):
+        self._bodies = layout.body_names
+        self._feeding = [force.name for force in layout.scene.forces
+                         if force.type not in KEEPING_ENERGY or force.damping > 0.0]
+        self._drift = Drift(1, self._bodies, expected)
+        self._kinetic = 0.0
+
+    def add(self, block, energies, kinetic):
+        """Take up the energies (k,) J of a Block."""
+        self._kinetic = float(np.maximum(self._kinetic, kinetic.max()))     # NaN stays
+        if not self._feeding:
+            self._drift.add(block, energies[:, None])
+
+    def figures(self, motion):
+        """(figures, [(times, change)] per interval)."""
+        drift = self._drift
+        drift.close()
+        kept = drift.intervals > 0
+        worst = float(drift.worst[0]) if kept else None
+        return {
+            "drift_J": worst, "final_J": float(drift.final[0]) if kept else None,
+            "trend_W": float(drift.trend[0]) if kept else None,
+            "trend_explains": float(drift.explained[0]) if kept else None,
+            "largest_kinetic_J": self._kinetic,
+            "relative_drift": worst / self._kinetic if kept and self._kinetic > 0.0 else None,
+            "intervals": drift.intervals, "seconds": drift.seconds,
+            "left_out": "forces feed or take energy: " + ", ".join(self._feeding)
+                        if self._feeding else _pushed_text(motion, self._bodies)
+        }, drift.curves[0]
 
 
-def momentum(scene, motion):
-    """Drift of each kept momentum component over the intervals without a wrench on its bodies.
+class Momentum:
+    """Drift of each kept momentum component over the intervals without a wrench on its bodies."""
 
-    returns (list of figures, one per component; [(times, change)] of each)
-    """
-    figures, curves = [], []
-    for kept in conserved_momentum(scene):
-        parts = [[] for _ in kept.labels]
-        largest = np.zeros(len(kept.labels))
-        for stretch in motion.stretches:
-            values = momentum_values(scene, kept, stretch.rotation, stretch.position,
-                                     stretch.twist)
-            largest = np.maximum(largest, np.abs(values).max(axis=0))
-            for first, end in stretch.free(kept.bodies):
-                for part, value in zip(parts, values[first:end].T):
-                    part.append((stretch.log_times[first:end], value - value[0]))
-        for label, unit, part, value in zip(kept.labels, kept.units, parts, largest):
-            figures.append({
-                "component": label, "bodies": list(kept.bodies), "unit": unit,
-                "drift": max((float(np.abs(change).max()) for _, change in part), default=None),
-                "largest": float(value), "intervals": len(part), "seconds": _seconds(part),
-                "left_out": _pushed_text(motion, kept.bodies)})
-            curves.append(part)
-    return figures, curves
+    def __init__(self, scene, expected):
+        self._scene = scene
+        self._kept = [(kept, Drift(len(kept.labels), kept.bodies, expected),
+                       np.zeros(len(kept.labels)), np.zeros(2))
+                      for kept in conserved_momentum(scene)]
+
+    def add(self, block):
+        """Take up a Block."""
+        for kept, drift, largest, scale in self._kept:
+            values = momentum_values(self._scene, kept, block.rotation, block.position,
+                                     block.twist)
+            np.maximum(largest, np.abs(values).max(axis=0), out=largest)
+            np.maximum(scale, self._scale(kept, block), out=scale)
+            drift.add(block, values)
+
+    def _scale(self, kept, block):
+        """Sums of the sizes of the bodies' momenta: what a component that is zero compares with.
+
+        returns (angular N m s, linear N s), upper bounds
+        """
+        angular = linear = 0.0
+        about = np.zeros(3) if kept.point is None else kept.point
+        for i, body in enumerate(self._scene.bodies):
+            if body.name in kept.bodies:
+                twist = block.twist[:, i]
+                momentum = body.mass * np.linalg.norm(twist[:, 3:], axis=1)
+                arm = np.linalg.norm(block.position[:, i] - about, axis=1)
+                linear = linear + momentum
+                angular = angular + arm * momentum + np.linalg.norm(
+                    twist[:, :3] @ body.inertia_matrix, axis=1)
+        return np.max(angular), np.max(linear)
+
+    def figures(self, motion):
+        """(list of figures, one per component; [(times, change)] of each)."""
+        figures, curves = [], []
+        for kept, drift, largest, scale in self._kept:
+            drift.close()
+            some = drift.intervals > 0
+            for k, (label, unit) in enumerate(zip(kept.labels, kept.units)):
+                size = float(scale[0 if unit == "N m s" else 1])
+                figures.append({
+                    "component": label, "bodies": list(kept.bodies), "unit": unit,
+                    "drift": float(drift.worst[k]) if some else None,
+                    "relative_drift": float(drift.worst[k]) / size if some and size > 0.0
+                    else None,
+                    "trend_per_s": float(drift.trend[k]) if some else None,
+                    "trend_explains": float(drift.explained[k]) if some else None,
+                    "largest": float(largest[k]), "intervals": drift.intervals,
+                    "seconds": drift.seconds, "left_out": _pushed_text(motion, kept.bodies)})
+                curves.append(drift.curves[k])
+        return figures, curves
 
 
-def joints(layout, motion):
-    """Largest position residual of each joint; one in m and rad is the norm of both.
+class Joints:
+    """Largest position residual of each joint; one in m and rad is the norm of both."""
 
-    returns ({joint: {"largest", "unit", "at_s"}}, samples looked at, [(times, residual of the
-    worst joint)] per stretch)
-    """
-    names = [joint.name for joint in layout.scene.joints]
-    turning = {owner for owner, rows in zip(layout.owners, layout.row_names)
-               if any(row.startswith("w") for row in rows)}
-    units = ["m, rad" if j in turning else "m" for j in range(len(names))]
-    if not names:
-        return {}, 0, []
-    every = max(1, -(-sum(len(s.steps) for s in motion.stretches) * len(names) // MOST_RESIDUALS))
-    parts = []
-    for stretch in motion.stretches:
-        residuals = [layout.sample(*state).joint_residuals
-                     for state in zip(_pose(stretch)[::every], stretch.twist[::every])]
-        parts.append((stretch.log_times[::every],
-                      np.array([[found[name] for name in names] for found in residuals])))
-    times, rows = (np.concatenate(part) for part in zip(*parts))
-    figures = {name: {"largest": float(rows[:, j].max()), "unit": units[j],
-                      "at_s": float(times[rows[:, j].argmax()])} for j, name in enumerate(names)}
-    return figures, len(rows), [(time, row.max(axis=1)) for time, row in parts]
+    def __init__(self, layout, expected):
+        self._names = [joint.name for joint in layout.scene.joints]
+        turning = {owner for owner, rows in zip(layout.owners, layout.row_names)
+                   if any(row.startswith("w") for row in rows)}
+        self._units = ["m, rad" if j in turning else "m" for j in range(len(self._names))]
+        self._every = -(-expected // MOST_POINTS)
+        self._largest = np.full(len(self._names), -1.0)
+        self._at = np.zeros(len(self._names))
+        self._final = None
+        self._samples, self._curves = 0, {}
 
+    def add(self, block, residual):
+        """Take up the residuals (k, joints) of a Block."""
+        if not self._names:
+            return
+        times = block.log_times
+        rows = residual.argmax(axis=0)
+        values = residual[rows, np.arange(len(rows))]
+        worse = ~(values <= self._largest)          # NaN, too
+        self._at[worse] = times[rows[worse]]
+        self._largest = np.maximum(self._largest, values)
+        self._final = residual[-1].copy()
+        self._samples += len(times)
+        self._curves.setdefault(id(block.stretch), []).append(tuple(
+            part.copy() for part in thinned(times, residual.max(axis=1), self._every)))
 
-def _pose(stretch):
-    """(k, n, 12) as the core has it."""
-    k, n = stretch.position.shape[:2]
-    return np.concatenate([stretch.rotation.reshape(k, n, 9), stretch.position], axis=2)
-
-
-def _seconds(curves):
-    return float(sum(times[-1] - times[0] for times, _ in curves))
+    def figures(self):
+        """({joint: figures}, samples looked at, [(times, residual of the worst joint)])."""
+        figures = {name: {"largest": float(self._largest[j]), "unit": self._units[j],
+                          "at_s": float(self._at[j]), "final": float(self._final[j])}
+                   for j, name in enumerate(self._names)}
+        curves = [tuple(np.concatenate(part) for part in zip(*parts))
+                  for parts in self._curves.values()]
+        return figures, self._samples, curves
 
 
 def _pushed_text(motion, bodies):
     """What of the run does not count because of wrenches, or None."""
-    seconds = 0.0
-    for stretch in motion.stretches:
-        free = sum(stretch.times[end - 1] - stretch.times[first]
-                   for first, end in stretch.free(bodies))
-        seconds += stretch.times[-1] - stretch.times[0] - free
-    return f"{seconds:.4g} s with an applied wrench" if seconds > 0.0 else None
+    seconds = sum(stretch.seconds - stretch.free_seconds(bodies) for stretch in motion.stretches)
+    return f"{seconds:.4g} s with an applied wrench" if seconds > 1e-12 else None

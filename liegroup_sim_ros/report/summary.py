@@ -107,8 +107,10 @@ def verdict(figures):
     said = []
     reference = figures.get("reference")
     if reference and "failed" not in reference:
+        part = ("" if reference["seconds"] >= figures["sim_seconds"] * (1.0 - 1e-9) else
+                f" in the first {shown(reference['seconds'], 's')}")
         said.append(f"off by at most {_error(reference['position'])} and "
-                    f"{_error(reference['angle'])}")
+                    f"{_error(reference['angle'])}{part}")
     if figures.get("joints"):
         worst = max(figures["joints"].values(), key=lambda joint: joint["largest"])
         said.append(f"joints closed to {shown(worst['largest'], worst['unit'])}")
@@ -134,7 +136,12 @@ def sections(figures):
     """The table: [(title, [(what, value, remark)])]."""
     found = [("Run", _run_rows(figures))]
     if "reference" in figures and "failed" not in figures["reference"]:
-        found.append(("Error against an independent integration", _error_rows(figures)))
+        kind = figures["reference"]["kind"]
+        found.append(("Error against an independent integration" if kind == "integration"
+                      else f"Error against the exact solution: {kind}", _error_rows(figures)))
+    local = figures.get("local", {})
+    if local and "failed" not in local:
+        found.append(("Error of one step, by step halving", _local_rows(local)))
     if "energy" in figures:
         found.append(("What it should keep", _kept_rows(figures)))
     repeat = figures.get("repeat", {})
@@ -152,7 +159,8 @@ def _run_rows(figures):
     shown_pushes = "; ".join(
         f"{p['body']} {p['from_s']:.3f} s to " + (f"{p['to_s']:.3f} s" if p["to_s"] is not None
                                                   else "the end") for p in pushes[:4])
-    more = f" and {len(pushes) - 4} more" if len(pushes) > 4 else ""
+    count = figures["push_count"]
+    more = f" and {count - 4} more" if count > 4 else ""
     refused = figures["wrenches_refused"]
     return [
         ("scene", figures["scene"], ", ".join(figures["bodies"][:6])
@@ -162,7 +170,7 @@ def _run_rows(figures):
         ("simulated time", shown(figures["sim_seconds"], "s"),
          f"{figures['samples']} samples"
          + (f", {_count(figures['resets'], 'reset')}" if figures["resets"] else "")),
-        ("pushes", str(len(pushes)), shown_pushes + more
+        ("pushes", str(count), shown_pushes + more
          + (f"; {refused:.0f} wrench messages refused" if refused else "")),
     ]
 
@@ -176,16 +184,34 @@ def _error_rows(figures):
             for key, text in names.items() for entry in [figures["reference"][key]]]
 
 
+def _local_rows(local):
+    return [
+        ("position", shown(local["position_m"], "m"),
+         _joined(f"largest of {local['windows']} places", local["remark"])),
+        ("attitude", shown(local["angle_rad"], "rad"), ""),
+        ("observed order", "-" if local["order"] is None else f"{local['order']:.2f}",
+         f"of the method: {local['order_expected']}")]
+
+
+def _trend(slope, explained, unit):
+    """Whether a drift goes on in one direction, in words."""
+    if slope is None or not explained > 0.5:
+        return None
+    return f"grows by {shown(slope, unit)}"
+
+
 def _kept_rows(figures):
     energy = figures["energy"]
     rows = [("energy drift", shown(energy["drift_J"], "J"), _joined(
         energy["relative_drift"] is not None
         and f"{shown(energy['relative_drift'])} of the largest kinetic energy",
+        _trend(energy["trend_W"], energy["trend_explains"], "W"),
         energy["left_out"] and f"without {energy['left_out']}" if energy["drift_J"] is not None
         else energy["left_out"]))]
     for entry in figures["momentum"]:
         rows.append((entry["component"], shown(entry["drift"], entry["unit"]), _joined(
             f"of at most {shown(entry['largest'], entry['unit'])}",
+            _trend(entry["trend_per_s"], entry["trend_explains"], f"{entry['unit']} / s"),
             len(figures["bodies"]) > len(entry["bodies"]) and ", ".join(entry["bodies"][:4]),
             entry["left_out"] and f"without {entry['left_out']}")))
     if not figures["momentum"]:
@@ -212,6 +238,9 @@ def _timing_rows(timing):
          f"{_microseconds(late['max'])}"),
         ("overruns", "-" if timing.get("overruns") is None else f"{timing['overruns']:.0f}",
          "" if ticks is None else f"of {ticks:.0f} ticks"),
+        ("gaps", str(timing["gaps"]), "" if not timing["gaps"] else
+         f"the longest {shown(timing['largest_gap_s'], 's')}, at "
+         f"{shown(timing['largest_gap_at_s'], 's')}"),
     ]
 
 
@@ -247,3 +276,56 @@ def print_table(figures, console):
             table.add_row(Text(what), Text(value, style=style), Text(remark))
         console.print()
         console.print(table)
+
+
+def print_overview(found, console):
+    """A line for each of several logs; what is wrong with them follows."""
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    names = [figures["log"].rpartition("/")[2] for figures in found]
+    if len(set(names)) < len(names):
+        names = [figures["log"] for figures in found]
+    for title in ("log", "position", "attitude", "energy", "joints", "same bits", "lost"):
+        table.add_column(Text(title), overflow="fold", no_wrap=title != "log")
+    for name, figures in zip(names, found):
+        table.add_row(Text(name), *(Text(cell, style="bold red" if cell in NO_NUMBER else "")
+                                    for cell in _overview(figures)))
+    console.print(table)
+    for name, figures in zip(names, found):
+        for problem in figures.get("problems") or [figures[key] for key in ("failed",)
+                                                   if key in figures]:
+            text = problem if problem.startswith(figures["log"]) else f"{name}: {problem}"
+            console.print(Text(f"! {text}", style="bold red"), soft_wrap=True)
+
+
+def _overview(figures):
+    if "failed" in figures:
+        return ["-"] * 6
+    reference = figures.get("reference") or {"failed": ""}
+    errors = ["-", "-"] if "failed" in reference else [
+        _error(reference[name]).partition(" (")[0] for name in ("position", "angle")]
+    joints = [joint["largest"] for joint in figures.get("joints", {}).values()]
+    repeat = figures.get("repeat", {})
+    lost = sum(figures["lost_messages"].values()) + figures["missing_samples"]
+    return [*errors, shown(figures.get("energy", {}).get("relative_drift")),
+            shown(max(joints)) if joints else "-",
+            f"{repeat['identical']}/{repeat['samples']}" if "identical" in repeat else "-",
+            str(lost)]
+
+
+def print_comparison(figures, console):
+    """Difference of two logs on a terminal."""
+    same = figures["identical"] == figures["samples"]
+    console.print()
+    console.print(Text(f"Compared with {figures['logs'][1]}: " + (
+        f"the same bit for bit in {figures['samples']} samples" if same else
+        f"{figures['identical']} of {figures['samples']} samples are the same, the first other "
+        f"one at {shown(figures['first_difference_s'], 's')}"), style="bold"))
+    table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
+    for name, entry in figures["difference"].items():
+        table.add_row(Text(name), Text(shown(entry["max"], entry["unit"])), Text(
+            "" if entry["at_s"] is None else f"at {shown(entry['at_s'], 's')}", style="dim"))
+    for what, equal in (("scene", figures["same_scene"]), ("wrenches", figures["same_wrenches"])):
+        table.add_row(Text(what), Text("the same" if equal else "different"), Text(""))
+    for key, (mine, theirs) in figures["settings"].items():
+        table.add_row(Text(key), Text(str(mine)), Text(str(theirs)))
+    console.print(table)

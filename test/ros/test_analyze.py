@@ -44,10 +44,13 @@ def test_error_of_the_heavy_top(tmp_path):
     assert error["position"]["final"] <= 0.5 * error["attitude"]["final"]
     assert 0.1 * error["attitude"]["final"] < error["attitude"]["max"] < 1e-4
     assert error["angle"]["max"] == pytest.approx(error["attitude"]["max"], rel=1e-9)
-    for entry in error.values():
+    for entry in (error[name] for name in ("position", "attitude", "angle", "angular", "linear")):
         assert 0.0 < entry["uncertainty"] < 1e-3 * entry["max"]
-    assert figures["repeat"] == {"samples": 301, "identical": 301, "first_difference": None,
-                                 "stopped": None}
+    assert (error["kind"], error["seconds"]) == ("integration", 6.0)
+    assert figures["repeat"] == {
+        "samples": 301, "identical": 301, "first_difference": None, "stopped": None,
+        "largest_difference": dict.fromkeys(
+            ("position_m", "angle_rad", "angular_rad_s", "linear_m_s"), 0.0)}
     assert figures["problems"] == []
     assert figures["joints"]["pivot"]["largest"] < 1e-12
     assert figures["joints"]["pivot"]["unit"] == "m"
@@ -160,7 +163,7 @@ def test_numbers_that_are_none(tmp_path, capsys):
     assert main(["analyze", str(log), "--json", str(tmp_path / "a.json")]) == 0
     said = capsys.readouterr().out
     assert "NaN or infinity in 2 samples, from 0.4 s on" in said
-    figures = json.loads((tmp_path / "a.json").read_text(), parse_constant=pytest.fail)
+    figures, = json.loads((tmp_path / "a.json").read_text(), parse_constant=pytest.fail)["logs"]
     assert figures["not_finite_samples"] == 2 and figures["repeat"]["samples"] == 39
 
 

@@ -14,7 +14,8 @@ from rich.console import Console
 from liegroup_core import Simulation
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros import attachments
-from liegroup_sim_ros.analyze import analyse, as_json
+from liegroup_sim_ros.analyze import analyse
+from liegroup_sim_ros.analyze_logs import document
 from liegroup_sim_ros.main import main
 from liegroup_sim_ros.recorder import Recorder
 from liegroup_sim_ros.recording import read_recording
@@ -28,8 +29,8 @@ def test_not_a_number_is_never_shown_as_fine(tmp_path, capsys):
     assert "too slow: real-time factor 0.5 of 1" in analysis.figures["problems"]
     assert any("wall clock, which was given up 3 times" in text for text in analysis.figures["problems"])
     figures = analysis.figures | {"energy": analysis.figures["energy"] | {"drift_J": math.nan}}
-    text = as_json(figures)
-    assert json.loads(text, parse_constant=pytest.fail)["energy"]["drift_J"] == "nan"
+    text = document([figures])
+    assert json.loads(text, parse_constant=pytest.fail)["logs"][0]["energy"]["drift_J"] == "nan"
     assert find_problems(figures)[-1] == "not a number: energy.drift_J"
     print_table(figures, Console())
     assert re.search(r"energy drift\s+not a number", capsys.readouterr().out)

@@ -113,4 +113,5 @@ def test_core_imports_no_ros():
 
 def test_analysis_does_without_rclpy():
     assert "rclpy" not in imported_by(*(f"{NAME}.{part}" for part in
-                                        ("messages", "recording", "analyze", "report")))
+                                        ("messages", "recording", "analyze", "analyze_logs",
+                                         "resimulate", "player_file", "report")))

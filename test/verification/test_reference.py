@@ -15,12 +15,13 @@ from scipy.spatial.transform import Rotation
 import mechanisms
 from liegroup_core.errors import SimulationError
 from liegroup_core.model.build import initial_state
-from liegroup_core.reference import Trajectory, WrenchChange, distance, integrate
+from liegroup_core.reference import Reference, Trajectory, WrenchChange, distance, integrate
 from liegroup_core.reference.equations import joint_equations
 from liegroup_core.reference.system import build_system
 from liegroup_core.reference.trajectory import _to_state
 from liegroup_core.scene.description import Body, Frame, Joint, Scene, SpringDamper
 from liegroup_core.scene.load import load_scene
+from liegroup_core.simulation import make_layout
 
 FREE_R_1 = [[0.67948695072138193, 0.15978651402103335, 0.71607663956895312],
             [0.18508239274714739, 0.90710109646680989, -0.37803717897014038],
@@ -245,6 +246,24 @@ def test_distance():
     assert apart.position[0, 0] == pytest.approx(0.2, abs=1e-15)
     assert apart.angular[0, 0] == apart.linear[0, 0] == pytest.approx(0.2 * math.sqrt(3))
     assert distance(still(0.0, 0), still(math.pi, 0)).attitude[0, 0] == pytest.approx(2.0)
+
+
+def test_piece_by_piece_is_the_same_to_the_bit(monkeypatch):
+    """Times in several calls, across a change of the wrench."""
+    scene = constant_push()
+    layout = make_layout(scene)
+    pose, twist = initial_state(layout.centred)
+    changes = [WrenchChange(0.35, "a", (0.1, 0.2, 0.0, 1.0, 0.0, 0.0))]
+    times = np.linspace(0.0, 1.0, 41)
+    whole, known = integrate(scene, pose, twist, times, changes)
+    reference = Reference(scene, pose, twist, changes, end=1.0)
+    parts = [reference.at(part) for part in np.split(times, [1, 7, 14, 15, 40])]
+    for k, name in enumerate(("rotation", "position", "twist"), 1):
+        assert np.array_equal(np.concatenate([part[k] for part, _ in parts]), whole[k]), name
+    assert np.array_equal(np.concatenate([part.angle for _, part in parts]), known.angle)
+    monkeypatch.setattr("liegroup_core.reference.trajectory.MOST_STEPS", 3)
+    with pytest.raises(SimulationError, match="has taken 3 steps; compare a shorter time"):
+        integrate(scene, pose, twist, times, changes)
 
 
 def test_refusals():

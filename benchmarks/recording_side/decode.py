@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Decodes every message of a recording by another author's reader; JSON of counts by topic.
+
+    decode.py mcap_ros2|rosbags FILE
+"""
+import json
+import sys
+from collections import Counter
+from pathlib import Path
+
+counts = Counter()
+if sys.argv[1] == "mcap_ros2":
+    from mcap.reader import make_reader
+    from mcap_ros2.decoder import DecoderFactory
+    with open(sys.argv[2], "rb") as stream:
+        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        counts.update({channel.topic: 0 for channel in reader.get_summary().channels.values()})
+        for _, channel, _, message in reader.iter_decoded_messages():
+            assert message is not None
+            counts[channel.topic] += 1
+else:
+    from rosbags.highlevel import AnyReader
+    with AnyReader([Path(sys.argv[2])]) as reader:
+        counts.update({connection.topic: 0 for connection in reader.connections})
+        for connection, _, data in reader.messages():
+            reader.deserialize(data, connection.msgtype)
+            counts[connection.topic] += 1
+print(json.dumps(counts))

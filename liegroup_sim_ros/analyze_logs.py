@@ -1,0 +1,225 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`liegroup_sim analyze`: how wrong are recorded runs? As table, JSON, page and exit code.
+
+One log is told in full; of many each gets a line. Many are spread over dask, where it is
+installed: over the cores of this machine, or over a cluster by the address of its scheduler.
+"""
+import json
+import math
+import os
+import sys
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+from liegroup_core.errors import LieGroupSimError
+
+from .addresses import AddressError, expand
+from .analyze import REFERENCE_SECONDS, analyse, plain
+from .recording import RecordingError, read_recording
+from .report.comparison import compare
+from .report.summary import print_comparison, print_overview, print_table
+
+FORMAT = 1                  # of the JSON document, config/analysis.schema.json
+EXIT_EXCEEDED, EXIT_WRONG_INPUT = 1, 2
+CONNECTING = 10             # s
+
+
+class AnalysisError(Exception):
+    """The analysis cannot be made or written; one line of text, exit code 2."""
+
+
+def add_parser(subparsers):
+    """Add `analyze` to the subcommands of a command line."""
+    parser = subparsers.add_parser(
+        "analyze", help="say how wrong recorded runs are",
+        description="Analyse recordings: error against the exact solution or an independent "
+        "integration, drift of energy, momentum and joints, bit-for-bit repetition, real-time "
+        "figures, lost messages.",
+        epilog="Exit code: 0; 1 when a bound that was given is exceeded or cannot be judged; 2 "
+        "for a log that cannot be read.")
+    parser.add_argument("logs", metavar="LOG", nargs="+",
+                        help="recording (*.mcap), pattern, or address such as s3://bucket/*.mcap")
+    parser.add_argument("--compare", metavar="LOG", help="say how far it is from this one, too")
+    parser.add_argument("--html", metavar="PAGE", help="write a self-contained page of one log")
+    parser.add_argument("--json", metavar="FILE", help="write all figures")
+    parser.add_argument("--max-error", type=_bound, metavar="X", help="largest error that passes, "
+                        "of positions in m and of attitudes in rad")
+    parser.add_argument("--max-drift", type=_bound, metavar="X", help="largest drift that passes: "
+                        "of the energy in parts of the largest kinetic energy, of momenta in "
+                        "parts of the sum of the bodies' largest momenta")
+    parser.add_argument("--no-reference", action="store_true",
+                        help="leave out the comparison with an independent integration")
+    parser.add_argument("--reference-seconds", type=_bound, default=REFERENCE_SECONDS, metavar="S",
+                        help="simulated time it covers; inf: all (default: %(default)g)")
+    parser.add_argument("--scheduler", metavar="ADDRESS",
+                        help="scheduler of a dask cluster to work on, such as tcp://host:8786")
+    parser.set_defaults(run=run)
+
+
+def _bound(text):
+    value = float(text)
+    if not value >= 0.0:
+        raise ValueError
+    return value
+
+
+def run(args):
+    """Run the subcommand; returns the exit code. Raises RecordingError, SceneError and others."""
+    try:
+        logs = expand(args.logs)
+    except AddressError as error:
+        raise AnalysisError(str(error)) from None
+    if args.no_reference and args.max_error is not None:
+        raise AnalysisError("--max-error needs the reference: leave --no-reference away")
+    if len(logs) > 1 and (args.html or args.compare):
+        raise AnalysisError("--html and --compare go with one log")
+    options = {"reference": not args.no_reference, "reference_seconds": args.reference_seconds}
+    comparison = None
+    if len(logs) == 1 and not args.scheduler:
+        found = [write_analysis(logs[0], args.html, args.json, *options.values()).figures]
+        if args.compare:
+            with Console(stderr=True).status("comparing"):
+                comparison = compare(read_recording(logs[0]), read_recording(args.compare))
+            print_comparison(comparison, Console(file=sys.stdout))
+    else:
+        _check_writable(args.json, args.html)
+        found = analyse_many(logs, options, args.scheduler)
+        print_overview(found, Console(file=sys.stdout))
+    exceeded = find_exceeded(found, args.max_error, args.max_drift)
+    if args.json:
+        _write(args.json, document(found, comparison, args.max_error, args.max_drift, exceeded))
+    failed = [entry for entry in found if "failed" in entry]
+    if failed:
+        rest = f" (and {len(failed) - 1} more like it)" if len(failed) > 1 else ""
+        raise AnalysisError(f"{failed[0]['failed']}{rest}")
+    if exceeded:
+        print(f"liegroup_sim: {'; '.join(exceeded)}", file=sys.stderr)
+        return EXIT_EXCEEDED
+    return 0
+
+
+def write_analysis(log, html=None, json_file=None, reference=True,
+                   reference_seconds=REFERENCE_SECONDS):
+    """Analyse one recording, print the table, write page and figures; returns the Analysis."""
+    _check_writable(html, json_file)
+    with Console(stderr=True).status("reading") as status:
+        analysis = analyse(read_recording(log), reference, status.update, reference_seconds)
+        if html:
+            from .report.page import make_page          # plotly takes a second to import
+            _write(html, make_page(analysis))
+    if json_file:
+        _write(json_file, document([analysis.figures]))
+    print_table(analysis.figures, Console(file=sys.stdout))
+    return analysis
+
+
+def document(found, comparison=None, max_error=None, max_drift=None, exceeded=()):
+    """The JSON text of figures; its schema is config/analysis.schema.json."""
+    return json.dumps(plain({
+        "format": FORMAT, "logs": found, "comparison": comparison,
+        "bounds": {"max_error": max_error, "max_drift": max_drift, "exceeded": list(exceeded)}}),
+        indent=1, allow_nan=False) + "\n"
+
+
+def find_exceeded(found, max_error=None, max_drift=None):
+    """One text for every bound that a log exceeds, or of which that cannot be told."""
+    exceeded = []
+    for figures in found:
+        if "failed" in figures:
+            continue
+        log = figures["log"]
+        if max_error is not None:
+            reference = figures.get("reference", {"failed": "there is no reference"})
+            if "failed" in reference:
+                exceeded.append(f"{log}: its error is not known: {reference['failed']}")
+            else:
+                exceeded += [f"{log}: error {reference[name]['max']:.3g} {reference[name]['unit']}"
+                             f" is more than {max_error:g}" for name in ("position", "angle")
+                             if not reference[name]["max"] <= max_error]
+        if max_drift is not None:
+            drifts = _relative_drifts(figures)
+            if not drifts:
+                exceeded.append(f"{log}: its drift is not known: it keeps neither energy nor "
+                                "momentum")
+            exceeded += [f"{log}: relative drift {drift:.3g} of {name} is more than {max_drift:g}"
+                         for name, drift in drifts if not drift <= max_drift]
+    return exceeded
+
+
+def _relative_drifts(figures):
+    """[(of what, drift in parts of its size)] of all that the scene keeps."""
+    if "energy" not in figures:
+        return [("the motion", math.nan)]       # no sample is finite
+    drifts = [("the energy", figures["energy"]["relative_drift"])]
+    drifts += [("the " + entry["component"], entry["relative_drift"])
+               for entry in figures["momentum"]]
+    return [(name, drift) for name, drift in drifts if drift is not None]
+
+
+def analyse_log(log, options):
+    """Figures of one log, or {"log", "failed"}; what a worker does."""
+    try:
+        return analyse(read_recording(log), **options).figures
+    except (RecordingError, LieGroupSimError) as error:
+        return {"log": str(log), "failed": " ".join(str(error).split())}
+
+
+def analyse_many(logs, options, scheduler=None):
+    """[figures or {"log", "failed"}] in the order of the logs, by dask where it is installed."""
+    with Progress(TextColumn("analysing"), BarColumn(), MofNCompleteColumn(),
+                  console=Console(stderr=True), auto_refresh=False) as progress:
+        task = progress.add_task("", total=len(logs))
+
+        def one_more(*_):
+            progress.advance(task)
+            progress.refresh()
+
+        if scheduler:
+            return _on_cluster(scheduler, logs, options, one_more)
+        try:
+            import dask
+            from dask.callbacks import Callback
+        except ImportError:
+            found = []
+            for log in logs:
+                found.append(analyse_log(log, options))
+                one_more()
+            return found
+        work = [dask.delayed(analyse_log, pure=False)(log, options) for log in logs]
+        # Forked: a Python that starts anew would start ROS's libraries too, and may hang there.
+        with (Callback(posttask=one_more), dask.config.set(
+                {"multiprocessing.context": "fork", "optimization.fuse.active": False})):
+            return list(dask.compute(*work, scheduler="processes",
+                                     num_workers=min(len(logs), os.cpu_count() or 1)))
+
+
+def _on_cluster(address, logs, options, one_more):
+    try:
+        from dask.distributed import Client, as_completed
+    except ImportError:
+        raise AnalysisError("--scheduler needs the package distributed: pip install "
+                            "'liegroup_sim_ros[many]'") from None
+    try:
+        with Client(address, timeout=CONNECTING) as client:
+            work = client.map(analyse_log, logs, [options] * len(logs), pure=False)
+            for _ in as_completed(work):
+                one_more()
+            return client.gather(work)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise AnalysisError(f"no dask scheduler at {address}: {' '.join(str(error).split())[:200]}"
+                            ) from None
+
+
+def _check_writable(*paths):
+    for path in filter(None, paths):
+        if Path(path).is_dir() or not Path(path).absolute().parent.is_dir():
+            raise AnalysisError(f"{path}: cannot be written: give a file in an existing folder")
+
+
+def _write(path, text):
+    try:
+        Path(path).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise AnalysisError(f"{path}: cannot be written: {error.strerror}") from None

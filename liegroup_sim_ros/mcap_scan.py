@@ -1,0 +1,247 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is good in an MCAP file, wherever it is cut or damaged: piece by piece, front to back.
+
+Only what its check sum confirms is handed out, and, marked as such, the beginning of a chunk that
+the file ends in. After damage the next chunk is searched for whose check sum is right. Nothing a
+file claims about its sizes is believed: memory is bounded by LARGEST, time by LARGEST_RATIO times
+the size of the file.
+
+Source: mcap.dev specification, version 0.
+"""
+import struct
+import zlib
+from typing import NamedTuple
+
+from mcap.opcode import Opcode
+from mcap.records import Footer, Statistics
+from mcap.writer import MCAP0_MAGIC
+
+from .mcap_records import (CHUNK, KINDS, LARGEST, RECORD, Block, Damaged, attachment_of,
+                           beginning, block_of, chunk_data, chunk_head, parsed)
+
+# A file that grows more than this, and LARGEST, is none of a log: bodies at rest reach 6.
+LARGEST_RATIO = 100
+_TRIES = 16                   # times the size of the file may be read in search of a chunk
+
+_FOOTER = RECORD.size + 20
+_ZSTD = struct.pack("<I", 4) + b"zstd"      # in every chunk that is searched for
+
+
+class Damage(NamedTuple):
+    """Something that is left out."""
+
+    text: str
+
+
+class End(NamedTuple):
+    """The end of a file that was finished."""
+
+    definitions: list           # Schema and Channel of the summary
+    statistics: object          # Statistics, or None
+
+
+def pieces(stream, size):
+    """Generator of the good pieces of an MCAP file, in file order.
+
+    stream : of the file, can seek; size: its bytes
+    yields Header, Metadata, AttachmentPiece, Block, Damage and, last, End if the file is finished
+    raises Damaged when the file is no MCAP file
+    """
+    stream.seek(0)
+    if stream.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
+        raise Damaged("not an MCAP file")
+    search = _Search(stream, size)
+    budget = LARGEST + LARGEST_RATIO * size
+    good_end = at = len(MCAP0_MAGIC)        # all before good_end is known to be right
+    while True:
+        try:
+            opcode, length, is_cut = _next_record(stream, at, size)
+        except Damaged as damage:
+            found = search.next_chunk(max(good_end, search.done))
+            if found is None:
+                if at < size:
+                    yield Damage(str(damage))
+                return
+            yield Damage("damage between two chunks")
+            good_end = at = found
+            continue
+        start, end = at + RECORD.size, at + RECORD.size + length
+        if is_cut:
+            found = search.next_chunk(max(good_end, search.done))
+            if found is not None:
+                yield Damage("a damaged record")
+                good_end = at = found
+                continue
+            if opcode == Opcode.CHUNK:
+                stream.seek(start)
+                block = beginning(stream.read(min(size - start, LARGEST)))
+                if block:
+                    yield block
+            return
+        if opcode == Opcode.DATA_END:
+            try:
+                yield _end(stream, at, size)
+            except Damaged as damage:
+                yield Damage(str(damage))
+            return
+        try:
+            piece = _piece(stream, opcode, start, length)
+            if isinstance(piece, Block):
+                budget -= len(piece.data)
+                if budget < 0:
+                    raise Damaged(f"it claims to hold more than {LARGEST_RATIO} times its size; "
+                                  "the rest is left out")
+        except Damaged as damage:
+            yield Damage(str(damage))
+            if budget < 0:
+                return
+            if not _fits_itself(stream, opcode, start, length):
+                found = search.next_chunk(max(good_end, search.done, at + 1))
+                if found is None:
+                    return
+                good_end = end = found
+        else:
+            if piece is not None:
+                yield piece
+                good_end = end
+        at = end
+
+
+def _next_record(stream, at, size):
+    """(opcode, length, whether the file ends within) of the record at an offset."""
+    stream.seek(at)
+    head = stream.read(RECORD.size)
+    if len(head) < RECORD.size:
+        return 0, 0, True
+    opcode, length = RECORD.unpack(head)
+    if opcode == 0 or Opcode.DATA_END < opcode < 0x80 or opcode == Opcode.DATA_END and length != 4:
+        raise Damaged("bytes that are no record")
+    return opcode, length, at + RECORD.size + length > size
+
+
+def _piece(stream, opcode, start, length):
+    """The piece in a record, or None for one that can be spared. Raises Damaged."""
+    if opcode not in KINDS:
+        return None
+    if length > LARGEST:
+        raise Damaged(f"a record of {length} bytes, the largest that is read has {LARGEST}")
+    stream.seek(start)
+    body = stream.read(length)
+    if opcode == Opcode.CHUNK:
+        return block_of(chunk_data(body))
+    if opcode == Opcode.ATTACHMENT:
+        return attachment_of(body)
+    if opcode in (Opcode.HEADER, Opcode.METADATA):
+        return parsed(KINDS[opcode], body)
+    return block_of(RECORD.pack(opcode, length) + body)
+
+
+def _fits_itself(stream, opcode, start, length):
+    """Whether the sizes within a damaged record agree with its length, so that the next one is
+    where the length says."""
+    stream.seek(start)
+    if opcode != Opcode.CHUNK:
+        return opcode != Opcode.ATTACHMENT
+    try:
+        _, _, _, data_start, data_length = chunk_head(stream.read(min(length, 256)))
+    except Damaged:
+        return False
+    return data_start + data_length == length
+
+
+def summary_of(stream, size):
+    """End of a file whose summary can be read, whatever is in front of it. Raises Damaged."""
+    stream.seek(max(0, size - len(MCAP0_MAGIC) - _FOOTER))
+    footer = stream.read(_FOOTER)
+    if len(footer) < _FOOTER:
+        raise Damaged("the end of the file is damaged")
+    at = parsed(Footer, footer[RECORD.size:]).summary_start - 4 - RECORD.size
+    if at < 0 or at > size or _next_record(stream, at, size)[:2] != (Opcode.DATA_END, 4):
+        raise Damaged("the end of the file is damaged")
+    return _end(stream, at, size, check_data=False)
+
+
+def _end(stream, at, size, check_data=True):
+    """End of a file whose data end at an offset, if all there is from there on is right."""
+    stream.seek(at + RECORD.size)
+    tail_start = size - len(MCAP0_MAGIC) - _FOOTER
+    summary_start = at + RECORD.size + 4
+    if tail_start < summary_start or tail_start - summary_start > LARGEST:
+        raise Damaged("the end of the file is damaged")
+    data_checksum, = struct.unpack("<I", stream.read(4))
+    summary, footer = stream.read(tail_start - summary_start), stream.read(_FOOTER)
+    if stream.read() != MCAP0_MAGIC or RECORD.unpack_from(footer) != (Opcode.FOOTER, 20):
+        raise Damaged("the end of the file is damaged")
+    told = parsed(Footer, footer[RECORD.size:])
+    if told.summary_crc and zlib.crc32(summary + footer[:-4]) != told.summary_crc:
+        raise Damaged("the summary is damaged")
+    if summary and told.summary_start != summary_start:
+        raise Damaged("the summary is not where it should be")
+    if check_data and data_checksum and _checksum(stream, at) != data_checksum:
+        raise Damaged("the check sum of the data is wrong")
+    definitions, statistics, place = [], None, 0
+    while place + RECORD.size <= len(summary):
+        opcode, length = RECORD.unpack_from(summary, place)
+        place += RECORD.size
+        if place + length > len(summary):
+            raise Damaged("the summary is damaged")
+        body = summary[place:place + length]
+        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            definitions.append(parsed(KINDS[opcode], body))
+        elif opcode == Opcode.STATISTICS:
+            statistics = parsed(Statistics, body)
+        place += length
+    return End(definitions, statistics)
+
+
+def _checksum(stream, end):
+    """CRC-32 of the file up to an offset."""
+    stream.seek(0)
+    checksum = 0
+    while end > 0 and (part := stream.read(min(end, 2**20))):
+        checksum = zlib.crc32(part, checksum)
+        end -= len(part)
+    return checksum
+
+
+class _Search:
+    """Looks for chunks whose check sums are right, compressed with zstd as ours are."""
+
+    def __init__(self, stream, size):
+        self._stream, self._size = stream, size
+        self._left = _TRIES * size + 2**20      # bytes that may be read in vain
+        self.done = 0                           # there is none before this offset
+
+    def next_chunk(self, at):
+        """Offset of the next one that begins at an offset or behind it, or None."""
+        stream, lead = self._stream, RECORD.size + CHUNK.size - 4
+        at += lead
+        while at < self._size and self._left > 0:
+            stream.seek(at)
+            window = stream.read(2**20)
+            self._left -= len(window)
+            place = window.find(_ZSTD)
+            while place >= 0 and self._left > 0:
+                found = at + place - lead
+                if self._is_good(found):
+                    self.done = found
+                    return found
+                place = window.find(_ZSTD, place + 1)
+            at += max(1, len(window) - len(_ZSTD) + 1)
+        self.done = self._size
+        return None
+
+    def _is_good(self, at):
+        try:
+            opcode, length, is_cut = _next_record(self._stream, at, self._size)
+            if opcode != Opcode.CHUNK or is_cut or length > LARGEST:
+                return False
+            body = self._stream.read(length)
+            _, size, checksum, start, data_length = chunk_head(body)
+            self._left -= max(length, size // LARGEST_RATIO)
+            if start + data_length != length or not checksum:
+                return False
+            block_of(chunk_data(body))
+            return True
+        except Damaged:
+            return False

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Exact motions of the scenes that have one: free bodies, and the symmetric heavy top.
+
+By Jacobi's elliptic functions (liegroup_core.reference.elliptic), for which mpmath is needed; no
+steps are taken, so a run of any length is judged at any of its times.
+"""
+import numpy as np
+
+from liegroup_core.reference import Distance, Trajectory
+
+from .replay import initial_state
+
+DIGITS = 25                 # more than float64 has, after the loss next to a separatrix
+# Of an inertia: what is less than round-off is no asymmetry.
+ROUND_OFF = 1e-14
+EPS = np.finfo(float).eps
+
+
+def exact_solution(layout, recording):
+    """An Exact motion of the scene of a layout without wrenches, or None."""
+    try:
+        from liegroup_core.reference import elliptic
+    except ImportError:                     # no mpmath
+        return None
+    scene = layout.centred
+    if scene.forces or recording.initial_state.get("steps"):
+        return None
+    pose, twist, _ = initial_state(recording)
+    if not scene.joints:
+        return Exact("free bodies", layout, pose, twist, [
+            _free_body(elliptic, body, state, turn, scene.gravity)
+            for body, state, turn in zip(scene.bodies, pose, twist)])
+    top = _top_of(layout)
+    if top is None:
+        return None
+    try:
+        motion = _heavy_top(elliptic, *top, pose[0], twist[0], scene.gravity)
+        motion(0.0)
+    except ValueError:                      # its axis is vertical
+        return None
+    return Exact("symmetric heavy top", layout, pose, twist, [motion])
+
+
+class Exact:
+    """An exact motion; `at(times)` is a Trajectory of the body frames, `name` says which one."""
+
+    def __init__(self, name, layout, pose, twist, motions):
+        self.name, self._offsets, self._motions = name, layout.offsets, motions
+
+    def at(self, times):
+        """Trajectory at (k,) times, s."""
+        k, n = len(times), len(self._motions)
+        pose, twist = np.empty((k, n, 12)), np.empty((k, n, 6))
+        for row, time in enumerate(times.tolist()):
+            for i, motion in enumerate(self._motions):
+                rotation, position, twist[row, i] = motion(time)
+                pose[row, i, :9], pose[row, i, 9:] = rotation.ravel(), position
+        pose, twist = self._offsets.to_bodies(pose, twist)
+        return Trajectory(times, pose[..., :9].reshape(k, n, 3, 3), pose[..., 9:], twist)
+
+    @staticmethod
+    def uncertainty(found):
+        """Distance (k, n) that the rounding of the start, the times and the result makes."""
+        time = np.abs(found.times)[:, None]
+        w, v = (np.linalg.norm(part, axis=2) for part in (found.twist[..., :3],
+                                                          found.twist[..., 3:]))
+        turn = 4 * EPS * (1.0 + w * time)
+        reach = np.linalg.norm(found.position, axis=2) + v * time
+        return Distance(4 * EPS * reach, turn, turn, turn * (w + EPS),
+                        turn * (v + w * reach + EPS))
+
+
+def _free_body(elliptic, body, pose, twist, gravity):
+    """Function of time: (R, position, twist) of a body in free flight."""
+    R, position, gravity = pose[:9].reshape(3, 3), pose[9:], np.array(gravity)
+    velocity = R @ twist[3:]
+
+    def motion(time):
+        rotation, omega = map(elliptic.to_floats, elliptic.free_body(
+            body.inertia_matrix, R, twist[:3], time, DIGITS))
+        speed = velocity + gravity * time
+        return (rotation, position + (velocity + 0.5 * gravity * time) * time,
+                np.concatenate([omega, rotation.T @ speed]))
+    return motion
+
+
+def _top_of(layout):
+    """What a symmetric top on a ball joint is, or None.
+
+    returns (body, moment of inertia across its axis, about it, both about the centre of mass;
+    pivot in the frame at the centre of mass, pivot in the world)
+    """
+    scene = layout.centred
+    if not (len(scene.bodies) == len(scene.joints) == 1 and any(scene.gravity)
+            and scene.joints[0].type == "spherical" and scene.joints[0].parent == "world"):
+        return None
+    (parent, child), = layout.joint_frames
+    pivot = np.asarray(child)[:3, 3]
+    length = np.linalg.norm(pivot)
+    if length == 0.0:
+        return None
+    body, axis = scene.bodies[0], -pivot / length
+    inertia = body.inertia_matrix
+    spin = axis @ inertia @ axis
+    across = 0.5 * (np.trace(inertia) - spin)
+    symmetric = across * np.eye(3) + (spin - across) * np.outer(axis, axis)
+    if np.abs(inertia - symmetric).max() > ROUND_OFF * np.abs(inertia).max():
+        return None
+    return body, across, spin, pivot, np.asarray(parent)[:3, 3]
+
+
+def _heavy_top(elliptic, body, across, spin, pivot, place, pose, twist, gravity):
+    """Function of time: (R, position of the centre of mass, twist) of a top about its pivot."""
+    length = np.linalg.norm(pivot)
+
+    def motion(time):
+        rotation, omega = map(elliptic.to_floats, elliptic.heavy_top(
+            across + body.mass * length ** 2, spin, body.mass * length, -pivot / length, gravity,
+            pose[:9].reshape(3, 3), twist[:3], time, DIGITS))
+        return (rotation, place - rotation @ pivot,
+                np.concatenate([omega, np.cross(omega, -pivot)]))
+    return motion

@@ -1,0 +1,332 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`liegroup_sim analyze`: exact solutions, order, trends, bounds, many logs, addresses, schema."""
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import fsspec
+import jsonschema
+import numpy as np
+import pytest
+from made_run import PAIR, record
+
+from liegroup_core import Simulation, load_scene
+from liegroup_core.scene.load import scene_from_text
+from liegroup_core.simulation import make_layout
+from liegroup_sim_ros.analyze import analyse
+from liegroup_sim_ros.main import main
+from liegroup_sim_ros.recording import RecordingError, read_recording
+from liegroup_sim_ros.report.comparison import compare
+from liegroup_sim_ros.report.drift import Drift, thinned
+
+SCHEMA = Path(__file__).resolve().parents[2] / "config" / "analysis.schema.json"
+FREE = """
+name: free
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: box, mass: 2.0, inertia: [0.1, 0.2, 0.25], com: [0.01, 0.02, 0],
+     angular_velocity: [1, 5, 0.2], linear_velocity: [1, 0, 3]}
+"""
+TOP = """
+name: top
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: top, mass: 1.0, inertia: [0.02, 0.02, 0.03], rotation_vector: [0.5, 0, 0],
+     angular_velocity: [0, 0.5, 25], linear_velocity: [0.1, 0, 0],
+     position: [0.1, 0.2, 0.3]}
+joints:
+  - {name: pivot, type: spherical, parent: world, child: top,
+     child_frame: {position: [0, 0, -0.2]}}
+"""
+
+
+def run(path, scene, method="rkmk4", step=2e-3, duration=1.0, every=10, **options):
+    """Record a run of the engine without a clock."""
+    from liegroup_sim_ros.offline_files import LogFile
+    simulation = Simulation(scene, method, step, **options)
+    with LogFile(path, simulation, every, 0) as file:
+        file.sample(simulation.sample())
+        for _ in range(round(duration / step / every)):
+            simulation.advance(every)
+            file.sample(simulation.sample())
+        file.finish(simulation, None, False, 1.0)
+    return path
+
+
+@pytest.mark.parametrize("text, name", [(FREE, "free bodies"), (TOP, "symmetric heavy top")])
+def test_error_against_the_exact_solution(tmp_path, text, name):
+    """The same as against the independent integration, two roads that share nothing."""
+    recording = read_recording(run(tmp_path / "a.mcap", scene_from_text(text), step=1e-2, every=5))
+    exact = analyse(recording).figures["reference"]
+    assert (exact["kind"], exact["seconds"]) == (name, 1.0)
+    pushed = read_recording(record(tmp_path / "b.mcap", scene_from_text(text), 100, pushes=[
+        (50, (recording.bodies[0], (0, 0, 1.0, 0, 0, 0)))]))
+    assert analyse(pushed).figures["reference"]["kind"] == "integration"
+    # By the same figures of a part that asks for the integration.
+    from liegroup_sim_ros.report.motion import Motion
+    from liegroup_sim_ros.report.reference import ReferenceError
+    motion = Motion(recording)
+    part = ReferenceError(make_layout(scene_from_text(text)), recording, motion.expected)
+    for block in motion.blocks():
+        part.add(block)
+    tight, _ = part.figures()
+    for key in ("position", "attitude", "angle", "angular", "linear"):
+        one, other = exact[key], tight[key]
+        # What the integration is not sure of, ten times, for its estimate is of a looser run.
+        assert one["max"] == pytest.approx(other["max"], abs=10.0 * other["uncertainty"] + 1e-13)
+        assert one["uncertainty"] < 1e-12
+    assert exact["angle"]["max"] > 1e-9
+
+
+@pytest.mark.parametrize("method, order, step", [
+    ("rkmk1", 1, 1e-3), ("rkmk2", 2, 1e-3), ("rkmk4", 4, 4e-3), ("rkmk8", 8, 2e-2),
+    ("generalized_alpha", 2, 1e-3), ("constrained_rattle", 2, 1e-3), ("lie_midpoint", 2, 1e-3)])
+def test_observed_order_and_error_of_one_step(tmp_path, method, order, step):
+    """The order shows; and a step from the start is as wrong as the estimate says."""
+    scene = scene_from_text(TOP)
+    recording = read_recording(run(tmp_path / "a.mcap", scene, method, step, 20 * step, 1))
+    figures = analyse(recording, reference=False).figures["local"]
+    # Of h^p (1 + c h + ...) the next term, c h of 25 rad/s, spoils a tenth at the coarsest pair.
+    assert figures["order"] == pytest.approx(order, abs=0.25)
+    assert figures["order_expected"] == order
+    one, fine = Simulation(scene, method, step), Simulation(scene, method, step / 32)
+    one.advance(), fine.advance(32)
+    true = np.linalg.norm(one.sample().positions["top"] - fine.sample().positions["top"])
+    # The largest of eight places, so at least about the one at the start; 1/32^p is left out.
+    assert 0.5 * true <= figures["position_m"] <= 30.0 * true
+
+
+def test_trend_and_curves_of_a_drift():
+    """A line with noise: its slope; steps back at a wrench begin an interval anew."""
+    class Stretch:
+        def free(self, bodies):
+            return np.array([[-1.0, 400.0], [500.0, np.inf]])
+
+    class Block:
+        stretch = Stretch()
+
+        def __init__(self, steps):
+            self.steps, self.log_times = steps, steps * 0.01
+
+    drift = Drift(1, ("a",), 1000)
+    steps = np.arange(1000)
+    values = 3.0 + 0.5 * steps * 0.01 + 1e-3 * (-1.0) ** steps + 100.0 * (steps > 450)
+    for part in np.array_split(steps, 7):
+        drift.add(Block(part), values[part, None])
+    drift.close()
+    assert drift.intervals == 2 and drift.seconds == pytest.approx(4.0 + 4.99)
+    assert drift.trend[0] == pytest.approx(0.5, rel=1e-3) and drift.explained[0] > 0.999
+    assert drift.worst[0] == pytest.approx(0.5 * 4.99, rel=2e-3)
+    assert sum(len(times) for times, _ in drift.curves[0]) == 401 + 500
+    times, thin = thinned(np.arange(10.0), np.array([0, 1, -5, 2, 0, 0, 7, 1, 1, -2.0]), 4)
+    assert (times.tolist(), thin.tolist()) == ([2, 6, 9], [-5, 7, -2])
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    """Folder with two good logs, a cut one and none."""
+    folder = tmp_path_factory.mktemp("logs")
+    run(folder / "a.mcap", load_scene("heavy_top"))
+    run(folder / "b.mcap", load_scene("heavy_top"), "rkmk8")
+    data = run(folder / "c.mcap", scene_from_text(FREE)).read_bytes()
+    (folder / "c.mcap").write_bytes(data[:-3000])
+    (folder / "d.mcap").write_bytes(b"no log")
+    return folder
+
+
+def checked(path):
+    """The document of --json, as its schema wants it."""
+    document = json.loads(path.read_text(), parse_constant=pytest.fail)
+    jsonschema.Draft202012Validator(json.loads(SCHEMA.read_text())).validate(document)
+    return document
+
+
+def test_schema_says_what_there_is(tmp_path, logs, capsys):
+    jsonschema.Draft202012Validator.check_schema(json.loads(SCHEMA.read_text()))
+    log = record(tmp_path / "pair.mcap", scene_from_text(PAIR), 100, resets=(50,), pushes=[
+        (20, ("left", (0, 0, 1.0, 0, 0, 0)))])
+    assert main(["analyze", str(log), "--json", str(tmp_path / "x.json"),
+                 "--compare", str(log)]) == 0
+    document = checked(tmp_path / "x.json")
+    assert document["comparison"]["identical"] == document["comparison"]["samples"] == 12
+    assert main(["analyze", str(logs / "c.mcap"), "--json", str(tmp_path / "x.json")]) == 0
+    assert not checked(tmp_path / "x.json")["logs"][0]["complete"]
+    capsys.readouterr()
+
+
+@pytest.mark.parametrize("way", ["dask", "without dask", "cluster"])
+def test_many_logs(logs, tmp_path, capsys, monkeypatch, way):
+    """Each gets its line; those that cannot be read do not keep the others from it."""
+    options = ["--json", str(tmp_path / "x.json"), "--max-error", "1e-7"]
+    if way == "without dask":
+        monkeypatch.setitem(sys.modules, "dask", None)
+    if way == "cluster":
+        from dask.distributed import LocalCluster
+        cluster = LocalCluster(n_workers=1, threads_per_worker=1, processes=False,
+                               dashboard_address=None, protocol="tcp", host="127.0.0.1")
+        options += ["--scheduler", cluster.scheduler_address]
+    try:
+        assert main(["analyze", str(logs / "[abd].mcap"), *options]) == 2
+    finally:
+        if way == "cluster":
+            cluster.close()
+    out, err = capsys.readouterr()
+    assert [line.split()[0] for line in out.splitlines()[1:4]] == ["a.mcap", "b.mcap", "d.mcap"]
+    assert err.splitlines()[-1] == f"liegroup_sim: {logs / 'd.mcap'}: not an MCAP file"
+    document = checked(tmp_path / "x.json")
+    assert [entry["log"] for entry in document["logs"]] == [
+        str(logs / name) for name in ("a.mcap", "b.mcap", "d.mcap")]
+    alone = analyse(read_recording(logs / "a.mcap")).figures
+    assert document["logs"][0]["reference"]["angle"] == alone["reference"]["angle"]
+    assert [text.split(": ")[0] for text in document["bounds"]["exceeded"]] == 2 * [
+        str(logs / "a.mcap")]                   # rkmk8 is exact enough
+
+
+def test_bounds(logs, tmp_path, capsys):
+    """Exit code 1 and one line, also where a bound cannot be judged; never a silent pass."""
+    log = str(logs / "a.mcap")
+    assert main(["analyze", log, "--max-error", "1e-3", "--max-drift", "1e-3"]) == 0
+    assert capsys.readouterr().err == ""
+    assert main(["analyze", log, "--max-error", "1e-9", "--max-drift", "1e-12"]) == 1
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1 and "error" in err and "relative drift" in err
+    driven = FREE + "forces: [{name: jet, type: applied_wrench, body: box, force: [1, 2, 3]}]"
+    alone = record(tmp_path / "d.mcap", scene_from_text(driven), 50)
+    assert main(["analyze", str(alone), "--max-drift", "1"]) == 1
+    assert "its drift is not known" in capsys.readouterr().err
+    assert main(["analyze", log, "--no-reference", "--max-error", "1"]) == 2
+    assert main(["analyze", log, log, "--html", str(tmp_path / "x.html")]) == 2
+    assert main(["analyze", str(tmp_path / "*.none")]) == 2
+    assert "no file matches" in capsys.readouterr().err
+    assert main(["analyze", log, "--scheduler", "tcp://127.0.0.1:9"]) == 2
+    assert "no dask scheduler" in capsys.readouterr().err
+
+
+def test_two_logs(logs, tmp_path):
+    one, other = (read_recording(logs / name) for name in ("a.mcap", "b.mcap"))
+    figures = compare(one, other)
+    assert figures["samples"] == 51 and figures["identical"] == 1
+    assert figures["first_difference_s"] == pytest.approx(0.02)
+    assert figures["settings"]["method"] == ["rkmk4", "rkmk8"]
+    assert figures["same_scene"] and figures["same_wrenches"]
+    pose, twist = one.pose["top"], one.twist["top"]
+    apart = np.linalg.norm(pose.position - other.pose["top"].position, axis=1)
+    assert figures["difference"]["position"]["max"] == pytest.approx(apart.max(), rel=1e-12)
+    assert figures["difference"]["position"]["at_s"] == pytest.approx(pose.time[apart.argmax()])
+    spun = np.linalg.norm((twist.twist - other.twist["top"].twist)[:, :3], axis=1)
+    assert figures["difference"]["angular"]["max"] == pytest.approx(spun.max(), rel=1e-12)
+    with pytest.raises(RecordingError, match="no body of the same name"):
+        compare(one, read_recording(logs / "c.mcap"))
+
+
+def test_long_runs_are_judged_as_short_ones(tmp_path, monkeypatch):
+    """Piece by piece gives what one piece gives, curves thinned or not."""
+    log = record(tmp_path / "a.mcap", scene_from_text(PAIR), 2000, per_sample=1, resets=(700,),
+                 pushes=[(300, ("left", (0, 0, 1.0, 0, 0, 0))), (400, ("left", (0,) * 6))])
+    whole = analyse(read_recording(log))
+    for name, value in (("recording.PIECE", 130), ("report.motion.KEPT", 500),
+                        ("report.motion.LEAST_KEPT", 500), ("report.drift.MOST_POINTS", 300)):
+        monkeypatch.setattr(f"liegroup_sim_ros.{name}", value)
+    pieces = analyse(read_recording(log))
+
+    def numbers(value):
+        if isinstance(value, dict):
+            return {key: numbers(entry) for key, entry in value.items()}
+        if isinstance(value, list):
+            return [numbers(entry) for entry in value]
+        # Sums are made in another order: round-off, of trends that are differences 1e-6.
+        return pytest.approx(value, rel=1e-6, abs=1e-14) if isinstance(value, float) else value
+
+    left_out = ("local",)                   # looks at other places
+    assert {k: v for k, v in pieces.figures.items() if k not in left_out} == numbers(
+        {k: v for k, v in whole.figures.items() if k not in left_out})
+    kept = [sum(len(s.steps) for s in analysis.motion.stretches) for analysis in (whole, pieces)]
+    assert kept[0] == 2002 and 400 <= kept[1] <= 501
+    stretch = pieces.motion.stretches[1]
+    row = np.searchsorted(whole.motion.stretches[1].steps, stretch.steps)
+    assert np.array_equal(whole.motion.stretches[1].position[row], stretch.position)
+
+
+def test_addresses(logs, monkeypatch):
+    """Anything that fsspec reads; what is missing is said in one line."""
+    memory = fsspec.filesystem("memory")
+    memory.pipe("/logs/a.mcap", (logs / "a.mcap").read_bytes())
+    here, there = read_recording(logs / "a.mcap"), read_recording("memory://logs/a.mcap")
+    assert there.path == "memory://logs/a.mcap" and there.settings == here.settings
+    assert np.array_equal(there.pose["top"].quaternion, here.pose["top"].quaternion)
+    assert main(["analyze", "memory://logs/*.mcap", "--no-reference"]) == 0
+    for address, said in (("memory://logs/b.mcap", "cannot be read"),
+                          ("nothing://x.mcap", "Protocol not known")):
+        with pytest.raises(RecordingError, match=said):
+            read_recording(address)
+    monkeypatch.setitem(sys.modules, "fsspec", None)
+    with pytest.raises(RecordingError, match="needs the package fsspec: pip install fsspec"):
+        read_recording("memory://logs/a.mcap")
+
+
+def test_as_a_library_without_ros(tmp_path):
+    """Arrays and data frames in a Python where no ROS package can be imported."""
+    log = record(tmp_path / "a.mcap", scene_from_text(PAIR), 100, pushes=[
+        (20, ("left", (0, 0, 1.0, 0, 0, 2.0)))])
+    code = """
+import sys
+for name in ("rclpy", "rosgraph_msgs", "geometry_msgs", "rcl_interfaces", "diagnostic_msgs",
+             "builtin_interfaces", "std_msgs", "sensor_msgs"):
+    sys.modules[name] = None
+from liegroup_sim_ros.recording import read_recording
+recording = read_recording(sys.argv[1])
+pose, wrench = recording.pose["left"], recording.wrench["left"]
+frame = recording.to_pandas()
+assert frame["left"].shape == (11, 13) and frame.index.name == "time_s"
+assert (frame["left"][["x", "y", "z"]].to_numpy() == pose.position).all()
+assert (frame.index == pose.time).all() and frame["right"]["wz"].notna().all()
+changes = recording.to_pandas("wrench")
+assert changes.body.tolist() == ["left"] and changes.fz.tolist() == [2.0] == wrench.wrench[:, 5]
+assert recording.to_pandas("events").name.tolist() == ["start", "stop"]
+assert recording.joint_states is None and recording.to_pandas("joints").empty
+"""
+    done = subprocess.run([sys.executable, "-c", code, str(log)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_page_about_analysis_runs(tmp_path, monkeypatch, capsys):
+    """Every Python block of docs/analysis.md, one after the other, in one folder."""
+    run(tmp_path / "run.mcap", load_scene("heavy_top"))
+    monkeypatch.chdir(tmp_path)
+    text = (SCHEMA.parents[1] / "docs" / "analysis.md").read_text()
+    names = {}
+    blocks = [block.split("```")[0] for block in text.split("```python\n")[1:]]
+    for block in blocks:
+        exec(block, names)
+    assert len(blocks) == 3 and names["figures"]["repeat"]["identical"] == 51
+    assert names["largest"] == pytest.approx(np.abs(names["twist"][:, :3]).max())
+    capsys.readouterr()
+
+
+def test_joint_states_are_read(tmp_path):
+    """Coordinates and rates of every joint that has one, as the node writes them."""
+    from liegroup_sim_ros import attachments, sample_messages
+    from liegroup_sim_ros.recorder import Recorder
+    simulation = Simulation(load_scene("double_pendulum"), "rkmk4", 1e-3)
+    bodies = simulation.layout.body_names
+    topics = {"pose": {b: f"/{b}/pose" for b in bodies}, "events": "/e", "diagnostics": "/d",
+              "twist": {b: f"/{b}/twist" for b in bodies}, "applied_wrench": "/w", "clock": None}
+    (_, kind, encode), = sample_messages.joint_states(simulation.layout, "world")
+    wanted = []
+    with Recorder(tmp_path / "a.mcap", attachments.at_start(
+            simulation, "/n", "world", 1, topics)) as recorder:
+        channel = recorder.add_channel("/n/joint_states", kind)
+        for _ in range(30):
+            simulation.advance(10)
+            sample = simulation.sample()
+            recorder.write(channel, sample.time_ns, encode(sample.time_ns, sample))
+            wanted.append([sample.time_ns, *np.ravel(list(sample.joint_coordinates.values()))])
+    recording = read_recording(tmp_path / "a.mcap")
+    states = recording.joint_states
+    k = len(states.names)
+    assert k == 2 and states.names == tuple(sample.joint_coordinates)
+    assert np.array_equal(np.column_stack([states.stamp_ns, states.position[:, 0],
+                                           states.velocity[:, 0]]), np.array(wanted)[:, :3])
+    frame = recording.to_pandas("joints")
+    assert frame.shape == (30, 4) and frame[states.names[1]].velocity.iloc[-1] == wanted[-1][4]

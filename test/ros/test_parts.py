@@ -1,0 +1,203 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A recording in parts: each complete in itself, all of them one bag."""
+import json
+
+import numpy as np
+import pytest
+import yaml
+from mcap.reader import make_reader
+from node_process import COMPILING, NodeProcess
+from rcl_interfaces.msg import Log
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rosbags.highlevel import AnyReader
+
+from liegroup_core import Simulation
+from liegroup_core.scene.load import scene_from_text
+from liegroup_sim_ros import attachments
+from liegroup_sim_ros.messages import (ClockCodec, PoseStampedCodec, TwistStampedCodec,
+                                       WrenchStampedCodec)
+from liegroup_sim_ros.recorder import Recorder, RecorderError
+from liegroup_sim_ros.survey import survey
+
+# Turns are counted, a motor depends on time, and a method keeps the size of its substep.
+SCENE = """
+name: wound
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: wheel, mass: 1.0, inertia: [0.1, 0.12, 0.05], angular_velocity: [0, 0, 40]}
+  - {name: free, mass: 1.0, inertia: [0.2, 0.3, 0.4], position: [3, 0, 0],
+     angular_velocity: [1, 2, 3]}
+joints:
+  - {name: hub, type: revolute, parent: world, child: wheel, child_frame: {axis: [0, 0, 1]}}
+forces:
+  - {name: coil, type: torsional_spring_damper, joint: hub, stiffness: 0.05, damping: 0.001}
+"""
+
+
+def content(path):
+    """({attachment: JSON or text}, {topic: [(sequence, stamp, bytes)]}) of a file."""
+    with open(path, "rb") as stream:
+        reader = make_reader(stream)
+        files = {a.name: a.data for a in reader.iter_attachments()}
+        rows = {}
+        for _, channel, message in reader.iter_messages(log_time_order=False):
+            rows.setdefault(channel.topic, []).append(
+                (message.sequence, message.log_time, message.data))
+    return ({name: json.loads(data) if name.endswith(".json") else data.decode()
+             for name, data in files.items()}, rows)
+
+
+def same_bits(path):
+    """Number of samples of a part; each is made again from the part alone, to the bit."""
+    files, rows = content(path)
+    settings, state = files["settings.json"], files["initial_state.json"]
+    simulation = Simulation(scene_from_text(files["scene.yaml"]), settings["method"],
+                            settings["step"], settings["group"], settings["stabilisation"],
+                            settings["baumgarte_time"], **settings["options"])
+    assert attachments.restore(simulation, state)
+    topics, base = settings["topics"], state["base_ns"]
+    wrenches = WrenchStampedCodec.decode(
+        [data for _, _, data in rows.get(topics["applied_wrench"], [])])
+    changes = list(zip(wrenches.stamp_ns.tolist(), wrenches.frame_id, wrenches.wrench.tolist()))
+    bodies = state["bodies"]
+    poses = {b: rows[topics["pose"][b]] for b in bodies}
+    twists = {b: rows[topics["twist"][b]] for b in bodies}
+    assert poses[bodies[0]][0][1] == state["stamp_ns"]      # the first sample is the state
+    resets = [stamp for _, stamp, data in rows.get(topics["events"], []) if b"\0reset\0" in data]
+    for k, (_, stamp, _) in enumerate(poses[bodies[0]]):
+        while resets and resets[0] <= stamp:
+            base = resets.pop(0)
+            simulation.reset()
+        while changes and changes[0][0] <= stamp:
+            at, body, wrench = changes.pop(0)
+            if at < base:
+                continue                    # what ended by the reset
+            simulation.advance(round((at - base) * 1e-9 / settings["step"]) - simulation.steps)
+            simulation.apply_wrench(body, wrench)
+        simulation.advance(round((stamp - base) * 1e-9 / settings["step"]) - simulation.steps)
+        sample = simulation.sample()
+        for b in bodies:
+            assert poses[b][k][1:] == (stamp, PoseStampedCodec(settings["world_frame"]).encode(
+                stamp, sample.positions[b].tolist(), sample.quaternions[b].tolist())), (path, k)
+            assert twists[b][k][1:] == (stamp, TwistStampedCodec(b).encode(
+                stamp, sample.twists[b].tolist())), (path, k)
+    return len(poses[bodies[0]])
+
+
+def test_every_part_of_a_run_repeats_its_bits_alone(client, tmp_path):
+    """With a wrench in world axes that goes on over the parts, a pause, steps and a reset."""
+    scene = tmp_path / "wound.yaml"
+    scene.write_text(SCENE)
+    bag = tmp_path / "bag"
+    with NodeProcess({"scene": scene, "method": "rkmk54", "record": bag / "run.mcap",
+                      "publish_rate": 200.0, "record_split_duration": 0.25,
+                      "record_metadata": True, "wrench_hold": "until_replaced",
+                      "step_count": 7, "record_flush_interval": 0.2},
+                     remap=["__node:=parted"]) as node:
+        events = client.listen("/parted/events", Log, QoSProfile(
+            depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+        client.until(lambda: events, COMPILING)
+        push = client.pusher("/parted", "free/wrench")
+        push("world", torque=(0.0, 0.3, 0.0), force=(0.5, 0.0, 1.0))
+        client.until(lambda: (bag / "run_part3.mcap").exists())
+        assert client.call("/parted/pause").success
+        client.spin(0.5)                    # a part that is due may be on its way to the disk
+        paused = len(list(bag.glob("*.mcap")))
+        assert client.call("/parted/step").success
+        assert client.set("/parted", real_time_factor=0.5).successful
+        assert client.call("/parted/resume").success
+        client.until(lambda: (bag / f"run_part{paused + 1}.mcap").exists())
+        assert client.call("/parted/reset").success
+        push("free", force=(0.0, 0.0, 2.0))
+        client.until(lambda: (bag / f"run_part{paused + 3}.mcap").exists())
+        node.send(2)
+        code, errors = node.wait()
+        assert code == 0, errors
+    parts = sorted(bag.glob("*.mcap"), key=lambda path: (len(path.name), path.name))
+    assert len(parts) >= paused + 3 >= 6
+    samples = [same_bits(path) for path in parts]
+    # 50 samples of 5 ms each, then the next begins; single steps put out a sample more.
+    assert all(50 <= count <= 53 for count in samples[:-1])
+
+    numbers, before = {}, None
+    for k, path in enumerate(parts, 1):
+        found = survey(path)
+        assert found.complete and found.lost == {}
+        files, rows = content(path)
+        settings, state = files["settings.json"], files["initial_state.json"]
+        assert (settings["part"], settings.get("previous")) == (k, before)
+        assert settings["parameters"]["record_split_duration"] == 0.25
+        assert settings["parameters"]["real_time_factor"] == (1.0 if k <= paused else 0.5)
+        assert files["pacing.json"]["ticks"] > 0
+        assert settings.get("sequences", {}).items() >= numbers.items()
+        for topic, messages in rows.items():
+            first = numbers.get(topic, 0) + 1
+            assert [m[0] for m in messages] == list(range(first, first + len(messages)))
+            numbers[topic] = messages[-1][0]
+        before = path.name
+        assert state["steps"] == round((state["stamp_ns"] - state["base_ns"]) / 1e6)
+    assert state["steps"] > 0 and state["base_ns"] > 0      # after the reset
+    # The spring is wound further than a pose can tell.
+    angles = [content(path)[0]["initial_state.json"]["angles"][0] for path in parts[:3]]
+    assert abs(angles[2]) > 2 * np.pi
+
+    told = yaml.safe_load((bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert told["relative_file_paths"] == [path.name for path in parts]
+    assert told["message_count"] == sum(survey(path).count for path in parts)
+    with AnyReader([bag]) as reader:
+        counts, last = {}, 0
+        for connection, stamp, data in reader.messages():
+            reader.deserialize(data, connection.msgtype)
+            counts[connection.topic] = counts.get(connection.topic, 0) + 1
+            assert stamp >= last
+            last = stamp
+        assert reader.message_count == sum(counts.values()) == told["message_count"]
+    assert counts == {topic: number for topic, number in numbers.items()}
+
+
+def test_parts_by_size_and_sequence_numbers_over_them(tmp_path):
+    with Recorder(tmp_path / "run.mcap", {"x": ("y", b"1")}, max_size=100_000, bag=True) as log:
+        channel = log.add_channel("/pose", PoseStampedCodec.TYPE)
+        codec, random = PoseStampedCodec("world"), np.random.default_rng(1)
+        for i in range(20_000):
+            if log.is_part_due(i):
+                log.divide({"x": ("y", b"%d" % (log.part + 1))})
+                late = log.add_channel(f"/late{log.part}", ClockCodec.TYPE)
+                log.write(late, i, ClockCodec.encode(i))
+            log.write(channel, i, codec.encode(i, random.normal(size=3), random.normal(size=4)))
+    parts = [log.part_path(k) for k in range(1, log.part + 1)]
+    assert sorted(tmp_path.iterdir()) == sorted([*parts, tmp_path / "metadata.yaml"])
+    assert log.path == parts[-1] and len(parts) > 5 and log.failure is None
+    sequences = []
+    for k, path in enumerate(parts, 1):
+        files, rows = content(path)
+        assert files["x"] == str(k)
+        sequences += [sequence for sequence, _, _ in rows["/pose"]]
+        # What waits in the queue and in the chunk still goes to the part that is full.
+        assert path.stat().st_size < 100_000 + 20_000 * 135 or k == len(parts)
+    assert sequences == list(range(1, 20_001))
+    with AnyReader([tmp_path]) as reader:
+        assert reader.message_count == 20_000 + len(parts) - 1
+
+
+def test_what_is_in_the_way_of_parts_or_of_the_bag_is_refused_at_the_start(tmp_path):
+    (tmp_path / "run_part2.mcap").touch()
+    with pytest.raises(RecorderError, match="run_part2.mcap is in the way of its parts"):
+        Recorder(tmp_path / "run.mcap", max_size=1000)
+    Recorder(tmp_path / "run.mcap").close()             # not in the way of a single file
+    (tmp_path / "metadata.yaml").touch()
+    with pytest.raises(RecorderError, match="its folder is a bag already"):
+        Recorder(tmp_path / "other.mcap", bag=True)
+    assert not (tmp_path / "other.mcap").exists()
+
+
+def test_a_part_that_cannot_be_begun_ends_the_recording_and_not_the_run(tmp_path, caplog):
+    with Recorder(tmp_path / "run.mcap") as log:
+        channel = log.add_channel("/clock", ClockCodec.TYPE)
+        log.write(channel, 1, ClockCodec.encode(1))
+        (tmp_path / "run_part2.mcap").mkdir()
+        log.divide({})
+        log.write(channel, 2, ClockCodec.encode(2))
+    assert (log.written, log.lost) == (1, 1)
+    assert log.failure in caplog.text and "run_part2.mcap" in log.failure
+    assert survey(tmp_path / "run.mcap").complete

@@ -1,0 +1,285 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`recover` and `info` on files that are cut, damaged or made to do harm."""
+import json
+import random
+import struct
+import zlib
+
+import pytest
+import zstandard
+from example_run import ClockCodec, python, record_run
+from mcap.data_stream import RecordBuilder
+from mcap.reader import make_reader
+from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
+from mcap.stream_reader import StreamReader
+from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
+from rosbags.highlevel import AnyReader
+
+from liegroup_sim_ros import recorder
+from liegroup_sim_ros.info import as_json
+from liegroup_sim_ros.main import main
+from liegroup_sim_ros.mcap_records import LARGEST
+from liegroup_sim_ros.recorder import Recorder
+from liegroup_sim_ros.recording import RecordingError
+from liegroup_sim_ros.recover import write_recovered
+from liegroup_sim_ros.survey import survey
+
+COUNT = 60                                  # messages of the small file
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    """(path, [(log time, bytes)]) of a recording with a few small chunks."""
+    path = tmp_path_factory.mktemp("small") / "run.mcap"
+    written = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(recorder, "CHUNK_SIZE", 900)
+        settings = json.dumps({"format": 1}).encode()
+        with Recorder(path, {"settings.json": ("application/json", settings)}) as log:
+            channel = log.add_channel("/clock", ClockCodec.TYPE)
+            for i in range(COUNT):
+                stamp = 10**9 + i * 10**6
+                written.append((stamp, ClockCodec.encode(stamp)))
+                log.write(channel, *written[-1])
+            log.add_attachment("pacing.json", "application/json", b"{}")
+    return path, written
+
+
+def messages_of(path):
+    """[(log time, bytes)] by the reader of mcap, with all its check sums, and by its index."""
+    with open(path, "rb") as stream:
+        for _ in StreamReader(stream, validate_crcs=True).records:
+            pass
+        stream.seek(0)
+        reader = make_reader(stream)
+        rows = [(message.log_time, message.data) for _, _, message in reader.iter_messages()]
+        assert reader.get_summary().statistics.message_count == len(rows)
+    return rows
+
+
+def record(kind):
+    """Bytes of an MCAP record."""
+    builder = RecordBuilder()
+    kind.write(builder)
+    return builder.end()
+
+
+def one_line(error, path):
+    assert str(error).startswith(f"{path}: ") and "\n" not in str(error)
+
+
+def test_a_file_cut_at_any_byte_gives_its_beginning_and_nothing_else(small, tmp_path):
+    path, written = small
+    whole, cut, out = path.read_bytes(), tmp_path / "cut.mcap", tmp_path / "out.mcap"
+    counts = []
+    for size in range(len(whole)):
+        cut.write_bytes(whole[:size])
+        try:
+            found = survey(cut)
+        except RecordingError as error:
+            one_line(error, cut)
+            assert not counts               # only before there was anything in it
+            continue
+        assert not found.complete and found.lost == {}
+        assert found.stamps == ((written[0][0], written[found.count - 1][0]) if found.count
+                                else (0, 0))
+        assert as_json(found)["messages"] == found.count
+        if not counts or found.count != counts[-1] or size % 10 == 0:
+            assert write_recovered(found, out) == found.count
+            assert messages_of(out) == written[:found.count]
+            out.unlink()
+        counts.append(found.count)
+    assert counts == sorted(counts)         # more bytes, no fewer messages
+    assert len(set(counts)) == found.chunks + 1 > 4 and counts[-1] == COUNT
+
+
+def test_a_large_chunk_that_is_cut_gives_its_beginning(small, tmp_path):
+    """As other software writes them: zstd decodes blocks of 128 KiB, and chunks have several."""
+    path, cut, out = tmp_path / "large.mcap", tmp_path / "cut.mcap", tmp_path / "out.mcap"
+    noise = random.Random(2)
+    for compression in (CompressionType.ZSTD, CompressionType.NONE):
+        rows = []
+        with open(path, "wb") as stream:
+            writer = Writer(stream, chunk_size=2**20, compression=compression)
+            writer.start()
+            schema = writer.register_schema("x", "ros2msg", b"")
+            channel = writer.register_channel("/x", "cdr", schema)
+            for i in range(10_000):
+                rows.append((i, noise.randbytes(90)))
+                writer.add_message(channel, i, rows[-1][1], i + 7, i + 1)
+            writer.finish()
+        with open(path, "rb") as stream:
+            first = make_reader(stream).get_summary().chunk_indexes[0]
+        held = first.uncompressed_size / 121            # messages in it
+        for part in (0.3, 0.5, 0.9):
+            cut.write_bytes(path.read_bytes()[:int(first.chunk_start_offset
+                                                   + part * first.chunk_length)])
+            found = survey(cut)
+            assert found.unfinished == found.count > part * held - 2**17 / 121 > 1000
+            assert write_recovered(found, out) == found.count
+            assert messages_of(out) == rows[:found.count]
+            with open(out, "rb") as stream:
+                _, _, message = next(make_reader(stream).iter_messages())
+            assert (message.sequence, message.publish_time) == (1, 7)
+            out.unlink()
+
+
+def test_any_flipped_bit_is_noticed_and_no_message_is_changed(small, tmp_path):
+    path, written = small
+    whole, damaged, out = path.read_bytes(), tmp_path / "flipped.mcap", tmp_path / "out.mcap"
+    stamps = {stamp: data for stamp, data in written}
+    random.seed(1)
+    best = 0
+    for _ in range(400):
+        data = bytearray(whole)
+        data[random.randrange(len(data))] ^= 1 << random.randrange(8)
+        damaged.write_bytes(data)
+        try:
+            found = survey(damaged)
+            write_recovered(found, out)
+        except RecordingError as error:
+            one_line(error, damaged)
+            assert "not an MCAP file" in str(error)         # the very first bytes
+            continue
+        assert not found.complete
+        rows = messages_of(out)
+        assert all(stamps[stamp] == data for stamp, data in rows)
+        assert len(rows) + sum(found.lost.values()) <= COUNT
+        best += len(rows) == COUNT
+        assert len(rows) >= COUNT / 2       # one chunk of many, at most, is lost
+        out.unlink()
+    assert best > 50                        # where the index or the end was hit, nothing is
+
+
+def test_readers_open_what_was_recovered_and_it_says_what_is_missing(tmp_path, capsys):
+    path = tmp_path / "run.mcap"
+    written = record_run(path)
+    with open(path, "rb") as stream:
+        chunks = make_reader(stream).get_summary().chunk_indexes
+    data = bytearray(path.read_bytes())
+    data[chunks[1].chunk_start_offset + 100] ^= 1           # one chunk is damaged
+    last = chunks[-1]
+    path.write_bytes(data[:last.chunk_start_offset + last.chunk_length * 3 // 4])   # the end cut
+    before = path.read_bytes()
+    assert main(["recover", str(path)]) == 0
+    said = capsys.readouterr().out
+    out = tmp_path / "run_recovered.mcap"
+    assert "a damaged chunk" in said and "what came after is lost" in said
+    assert "its end is missing" in said
+    assert path.read_bytes() == before
+    found = survey(out)
+    assert found.complete and found.lost.keys() == survey(path).lost.keys()
+    with open(out, "rb") as stream:
+        reader = make_reader(stream)
+        rows = {}
+        for _, channel, message in reader.iter_messages(log_time_order=False):
+            rows.setdefault(channel.topic, []).append((message.sequence, message.log_time,
+                                                       message.data))
+    with AnyReader([out]) as reader:
+        counts = {}
+        for connection, _, payload in reader.messages():
+            reader.deserialize(payload, connection.msgtype)
+            counts[connection.topic] = counts.get(connection.topic, 0) + 1
+    assert counts == {topic: len(each) for topic, each in rows.items()}
+    for topic, each in rows.items():
+        assert all(written[topic][sequence - 1] == (stamp, data)
+                   for sequence, stamp, data in each)
+        assert found.lost.get(topic, 0) == each[-1][0] - len(each)
+    assert found.lost["/clock"] > 50
+    assert main(["recover", str(path)]) == 2
+    assert "exists already; choose another name" in capsys.readouterr().err
+    assert main(["recover", str(out)]) == 0
+    assert "there is nothing to recover" in capsys.readouterr().out
+    assert main(["recover", str(path), "-o", str(path)]) == 2 and path.read_bytes() == before
+    assert main(["info", "--json", str(path), str(out)]) == 0
+    first, second = json.loads(capsys.readouterr().out)
+    assert not first["complete"] and second["complete"]
+    assert second["recovered_from"] == "run.mcap" and first["lost"] == second["lost"] > 0
+
+
+def bomb(size, chunks):
+    """Chunks that are small and become large, each with messages of no channel."""
+    data = (struct.pack("<BQHIQQ", 5, 22, 1, 1, 1, 1)) * (size // 31)
+    chunk = record(Chunk(compression="zstd", data=zstandard.compress(data, 19),
+                         message_start_time=1, message_end_time=1,
+                         uncompressed_crc=zlib.crc32(data), uncompressed_size=len(data)))
+    return chunk * chunks
+
+
+def claimed_chunk(frame, size):
+    return record(Chunk(compression="zstd", data=frame, message_start_time=0, message_end_time=0,
+                        uncompressed_crc=0, uncompressed_size=size))
+
+
+def zeros_that_claim_nothing(size):
+    """A zstd stream without its size in front."""
+    compressor = zstandard.ZstdCompressor(level=3).compressobj()
+    return b"".join([*(compressor.compress(bytes(2**20)) for _ in range(size // 2**20)),
+                     compressor.flush()])
+
+
+EVIL = "<script>alert(1)</script>\x1b[31m\n[bold red]"
+HOSTILE = {
+    "nothing": b"", "text": b"#!/bin/sh\n", "magic only": MCAP0_MAGIC,
+    "noise": MCAP0_MAGIC + random.Random(1).randbytes(300_000),
+    "huge length": MCAP0_MAGIC + b"\x06" + b"\xff" * 8 + bytes(50),
+    "huge attachment": MCAP0_MAGIC + b"\x09" + struct.pack("<Q", 2**62) + bytes(50),
+    "many bombs": MCAP0_MAGIC + bomb(LARGEST - 100, 200),
+    "bomb that claims 2^60": MCAP0_MAGIC + claimed_chunk(zeros_that_claim_nothing(2**28), 2**60),
+    "bomb that claims little": MCAP0_MAGIC + claimed_chunk(zeros_that_claim_nothing(2**28), 9),
+    "frame that claims 2^60": MCAP0_MAGIC + claimed_chunk(
+        b"\x28\xb5\x2f\xfd\xe0" + struct.pack("<Q", 2**60) + bytes(100), 100),
+    "cut bomb": MCAP0_MAGIC + claimed_chunk(zeros_that_claim_nothing(2**30), 2**62)[:-9],
+    "chunk marks": MCAP0_MAGIC + (b"\x06" + struct.pack("<Q", 200_000) + bytes(28)
+                                  + b"\x04\0\0\0zstd" + struct.pack("<Q", 199_952)) * 8000,
+    "zero records": MCAP0_MAGIC + bytes(2_000_000),
+    "many attachments": MCAP0_MAGIC + record(Attachment(0, 0, "a", "b", b"")) * 100_000,
+    "many channels": MCAP0_MAGIC + b"".join(
+        record(Channel(id=i, topic=f"/{i}" + "x" * 300, message_encoding="cdr", metadata={},
+                       schema_id=0)) for i in range(1, 60_000)),
+    "names": MCAP0_MAGIC + record(Schema(id=1, data=b"", encoding="ros2msg", name=EVIL)) + record(
+        Channel(id=1, topic=EVIL, message_encoding="cdr", metadata={}, schema_id=1))
+        + record(Attachment(0, 0, EVIL, EVIL, b"x")) + record(Metadata(EVIL, {EVIL: EVIL})),
+    "deep JSON": MCAP0_MAGIC + record(Attachment(0, 0, "settings.json", "x", b"[" * 500_000)),
+    "nested JSON": MCAP0_MAGIC + record(Attachment(0, 0, "settings.json", "x",
+                                                   b'{"machine": ' * 400 + b"1" + b"}" * 400)),
+    "numbers of no JSON": MCAP0_MAGIC + record(Attachment(
+        0, 0, "settings.json", "x", b'{"format": 1, "step": NaN, "machine": 1e999}')),
+    "odd JSON": MCAP0_MAGIC + record(Attachment(0, 0, "settings.json", "x", json.dumps(
+        {"format": 1, "scene": EVIL, "step": {}, "sequences": {"/a": -1, "/b": "x"},
+         "part": [1]}).encode())) + record(
+        Attachment(0, 0, "initial_state.json", "x", b'{"steps": "many", "bodies": 7}')),
+}
+
+
+def test_hostile_files_take_little_memory_and_time_and_one_line(tmp_path):
+    """Each in a process that cannot have more than 1.5 GB of addresses, libraries included."""
+    for name, data in HOSTILE.items():
+        (tmp_path / f"{name}.mcap").write_bytes(data)
+    child = python("""
+        import contextlib, io, json, resource, sys, time
+        from pathlib import Path
+        from liegroup_sim_ros.main import main
+        resource.setrlimit(resource.RLIMIT_AS, (1_500_000_000, 1_500_000_000))
+        results = {}
+        for path in sorted(Path(sys.argv[1]).glob("*.mcap")):
+            for command in (["info", "--json"], ["info"], ["recover"]):
+                out, err = io.StringIO(), io.StringIO()
+                start = time.process_time()
+                with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+                    code = main([*command, str(path)])
+                results[f"{path.stem}: {' '.join(command)}"] = [
+                    code, out.getvalue(), err.getvalue(), time.process_time() - start,
+                    resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3]
+        print(json.dumps(results))
+        """, tmp_path)
+    output, errors = child.communicate(timeout=300)
+    assert child.returncode == 0, errors[-2000:]
+    for name, (code, out, err, seconds, megabytes) in json.loads(output).items():
+        assert code in (0, 2), name
+        if code == 2:
+            assert len(err.splitlines()) == 1 and "Traceback" not in err, (name, err)
+        assert "\x1b" not in out + err, name
+        # A second of pure Python for each 10 MB that the largest bombs may claim; and the
+        # interpreter with its libraries, twice the largest record and its output.
+        assert seconds < 30.0 and megabytes < 600.0, (name, seconds, megabytes)

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`liegroup_sim replay` as a process of its own, heard over DDS."""
+import signal
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseStamped
+from made_run import PAIR, record
+from node_process import PATIENCE, PUSH, python, stamp_ns
+from rcl_interfaces.msg import Log
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rosgraph_msgs.msg import Clock
+
+from liegroup_core.scene.load import scene_from_text
+from liegroup_sim_ros.main import main
+from liegroup_sim_ros.recording import read_recording
+
+STEPS = 2000                            # 4 s of simulated time, 201 samples
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    return record(tmp_path_factory.mktemp("log") / "run.mcap", scene_from_text(PAIR), STEPS,
+                  pushes=[(20, ("left", (0, 0, 1.0, 0, 0, 0))), (30, ("left", (0,) * 6))])
+
+
+class Replay:
+    """`liegroup_sim replay` and what is heard of it."""
+
+    def __init__(self, client, log, *options):
+        self.client = client
+        self.poses = client.listen("/sim_node/left/pose", PoseStamped, 1000)
+        self.clock = client.listen("/clock", Clock, 1000)
+        self.events = client.listen("/sim_node/events", Log, QoSProfile(
+            depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+        self.process = python(PUSH, "replay", log, "--start-paused", *options)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.communicate()
+
+    def call(self, name):
+        return self.client.call(f"/replay/{name}").message
+
+    def stamps(self):
+        return [stamp_ns(message.header.stamp) for message in self.poses]
+
+    def heard(self):
+        """Both ends know of each other."""
+        self.call("pause")
+        self.client.until(lambda: self.client.node.count_publishers("/sim_node/left/pose"),
+                          what="discovery")
+        self.client.spin(0.5)
+
+
+def test_every_message_with_its_stamp_and_clock(client, log):
+    """At four times the speed; then the process ends by itself."""
+    recording = read_recording(log)
+    with Replay(client, log, "--rate", "4") as replay:
+        replay.heard()
+        assert replay.stamps() == []
+        assert replay.call("resume").startswith("playing at 0 s")
+        client.until(lambda: replay.process.poll() is not None, what="the end of the replay")
+        client.spin(0.2)
+        out, err = replay.process.communicate()
+        assert (replay.process.returncode, err) == (0, "")
+        total = sum(recording.topics.values())
+        assert f"{total} messages of 7 topics published" in out
+        assert replay.stamps() == recording.pose["left"].stamp_ns.tolist()
+        numbers = [[m.pose.position.x, m.pose.orientation.w] for m in replay.poses]
+        pose = recording.pose["left"]
+        assert np.array_equal(numbers, np.stack([pose.position[:, 0], pose.quaternion[:, 3]], 1))
+        assert [event.name for event in replay.events] == ["start", "stop"]
+        # The recording has no clock: one of 100 Hz is made, up to the last message.
+        ticks = [stamp_ns(message.clock) for message in replay.clock]
+        assert ticks == sorted(ticks) and ticks[-1] == recording.pose["left"].stamp_ns[-1]
+        assert len(ticks) >= 400
+
+
+def test_seek_step_rate_and_the_end(client, log):
+    with Replay(client, log) as replay:
+        replay.heard()
+        assert client.set("/replay", position=2.0).successful
+        client.spin(0.1)
+        replay.call("play_next")
+        client.until(replay.stamps, what="one sample")
+        assert min(replay.stamps()) >= 2 * 10**9
+        for wrong in ({"position": 100.0}, {"position": -1.0}, {"rate": float("nan")}):
+            assert "must be a number from 0 to" in client.set("/replay", **wrong).reason
+        assert client.set("/replay", rate=0.5).successful
+        assert replay.call("toggle_paused").endswith("rate 0.5")
+        first = len(replay.poses)
+        client.spin(1.0)
+        # 50 samples a second at this rate is 25; a busy machine takes longer, never shorter.
+        assert 0 < len(replay.poses) - first <= 30
+        assert client.set("/replay", position=0.0).successful
+        client.until(lambda: replay.stamps()[-1] < 10**9, what="samples of the beginning")
+        replay.process.send_signal(signal.SIGINT)
+        out, err = replay.process.communicate(timeout=PATIENCE)
+        assert replay.process.returncode == 130 and "Traceback" not in err
+
+
+def test_again_and_again(client, log):
+    with Replay(client, log, "--rate", "0", "--loop", "--start", "3.5") as replay:
+        replay.heard()
+        replay.call("resume")
+        client.until(lambda: replay.stamps().count(0) > 1, what="two beginnings")
+        replay.process.send_signal(signal.SIGTERM)
+        _, err = replay.process.communicate(timeout=PATIENCE)
+        assert replay.process.returncode == 130 and "Traceback" not in err
+
+
+def test_wrong_input(log, tmp_path, capsys):
+    for arguments, said in ((["--start", "5"], "the recording has 4 s"),
+                            (["--rate", "-1"], "must be a number, at least 0"),
+                            (["--rate", "nan"], "must be a number, at least 0")):
+        assert main(["replay", str(log), *arguments]) == 2
+        assert said in (err := capsys.readouterr().err) and err.count("\n") == 1
+    (tmp_path / "x.mcap").write_bytes(b"x")
+    assert main(["replay", str(tmp_path / "x.mcap")]) == 2
+    assert "not an MCAP file" in capsys.readouterr().err
