@@ -72,7 +72,7 @@ CACHE_FOLDER = _cache_folder() if numba is not None else None
 
 
 class Kernel:
-    """A function that Numba compiles on its first call: for Python, and apart from that for kernels.
+    """A function that Numba compiles on its first call: once for Python, once for other kernels.
 
     function : what is compiled
     always   : inlined into the kernels that call it
@@ -92,24 +92,31 @@ class Kernel:
     def __call__(self, *arguments):
         return self._outer(*arguments)
 
+    def __reduce__(self):
+        return self.__qualname__            # where to find it: compiled code is not copied
+
     def entry(self, *arguments):
         """Its machine code for arguments of the types of these, to be called with no others."""
         return self._outer.compile(tuple(map(numba.typeof, arguments)))
 
 
-def same_types(called):
+class SameTypes:
     """A kernel that is always called with arguments of the same types: those of the first call.
 
     They are not looked at again, which would take longer than a small step.
     """
-    machine_code = None
 
-    def call(*arguments):
-        nonlocal machine_code
-        if machine_code is None:
-            machine_code = called.entry(*arguments)
-        return machine_code(*arguments)
-    return call if compiled() else called
+    def __init__(self, called):
+        self._called = called
+        self._machine_code = None if compiled() else called
+
+    def __call__(self, *arguments):
+        if self._machine_code is None:
+            self._machine_code = self._called.entry(*arguments)
+        return self._machine_code(*arguments)
+
+    def __reduce__(self):
+        return SameTypes, (self._called,)
 
 
 class Choice:
@@ -149,9 +156,9 @@ def kernel(function):
 
 
 def subroutine(function):
-    """A kernel that is not inlined: for what is long, or is called in several places of one kernel.
+    """A kernel that is not inlined: for what is long, or called in several places of one kernel.
 
-    How long a compilation takes goes with the size of what it makes: the solve alone is most of it.
+    How long a compilation takes goes with the size of what it makes; the solve alone is half of it.
     """
     return Kernel(function, False) if compiled() else function
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """How Numba compiles functions within functions: optimised, and made into machine code, once.
 
-Left alone, Numba optimises every function and makes machine code of it before a caller takes it in,
-and does all of that again with the caller. For kernels ten deep that was two thirds of the time of
-a compilation. Here a function that others take in stays LLVM code as it was lowered, and only the
+Left alone, Numba optimises every function and makes machine code of it before a caller takes it
+in, and does all of that again with the caller. For kernels ten deep that was two thirds of the time
+of a compilation. Here a function that others take in stays LLVM code as it was lowered, and only the
 outermost one, which Python calls, is optimised with all that is in it.
 
 Of Numba's inner parts this replaces two steps of a code library and one compiler pass.
@@ -120,7 +120,7 @@ def outer(function, cache):
 
 
 class Chosen(types.Callable, types.Dummy):
-    """Type of a function that stands for one of several: the type of its first argument says which.
+    """Type of a function that stands for one of several, as the type of its first argument says.
 
     table : {class of Struct: inner dispatcher}
     """

@@ -14,8 +14,8 @@ from ._numba import compiled
 class Struct:
     """Base of classes of arrays, numbers and other Structs under names, for kernels to read.
 
-    A class of it is a dataclass with these as its fields. Arrays are C-contiguous and their contents
-    may change; a field is never set anew, see `replace`.
+    A class of it is a dataclass with these as its fields. Arrays are C-contiguous and their
+    contents may change; a field is never set anew, see `replace`.
     """
 
     def __init_subclass__(cls):
@@ -28,6 +28,9 @@ class Struct:
     def replace(self, **changes):
         """The same with other values in some fields."""
         return dataclasses.replace(self, **changes)
+
+    def __reduce__(self):
+        return type(self), self.values()    # a copy has addresses of its own
 
     def values(self):
         """Its fields in their order."""

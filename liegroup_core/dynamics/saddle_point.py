@@ -18,8 +18,8 @@ to a third of the time.
 from .._compile import kernel, subroutine
 from ..model.arrays import WORLD
 
-# Scalars of a body, and of the joints that are most frequent. Numba compiles the kernels below once
-# for each of these values: long, but unrolled loops take a third less time.
+# Scalars of a body, and of the joints that are most frequent. Numba compiles the kernels below
+# once for each of these values: unrolled loops take a third less time.
 SPATIAL_SIZES = (6, 3, 5)           # ball; hinge, slider
 PLANAR_SIZES = (3, 2, 1)            # hinge, slider; what is left of a loop
 

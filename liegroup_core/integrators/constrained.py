@@ -32,7 +32,7 @@ Iterative Methods for Linear and Nonlinear Equations, 1995, 7.3.
 import math
 import numpy as np
 
-from .._compile import kernel, same_types
+from .._compile import SameTypes, kernel
 from .._struct import Struct, borrowed
 from ..dynamics.constraints import position_residuals
 from ..dynamics.projection import is_closed
@@ -326,7 +326,7 @@ class Constrained:
             corrections=np.zeros((REMEMBERED, rows)), bias=np.zeros(rows), growth=np.zeros(rows),
             size=np.zeros(1))
         self.work = make_work(model, 1)
-        self._advance = same_types(advance)
+        self._advance = SameTypes(advance)
 
     @staticmethod
     def options(method):

@@ -28,7 +28,7 @@ import math
 
 import numpy as np
 
-from .._compile import kernel, same_types
+from .._compile import SameTypes, kernel
 from .._struct import borrowed
 from ..dynamics.newton_euler import accelerations
 from ..forces.kinds import count_turns, too_fast
@@ -216,7 +216,7 @@ class GeneralizedAlpha:
             factored=np.zeros(1, dtype=bool))
         self._model, self._group = model, GROUPS[group]
         self.work = make_work(model, 1)
-        self._advance = same_types(advance)
+        self._advance = SameTypes(advance)
         # Step size and wrenches for which Vdot, a and lambda were started; NaN: not at all.
         self._started_for = np.zeros(1 + 6 * n + len(self.work.acting))
         self.restart()

@@ -21,7 +21,7 @@ fast body hide among many slow ones.
 import math
 import numpy as np
 
-from .._compile import kernel, same_types, warm_up
+from .._compile import SameTypes, kernel, warm_up
 from .._struct import Struct, borrowed
 from ..model.arrays import make_work
 from ..planar.arrays import make_planar_work
@@ -204,7 +204,7 @@ class MuntheKaas:
         if self._plane is not None:
             self._planar_work = make_planar_work(self._plane, self.work, stages)
         self._control = np.zeros(4)
-        self._advance, self._advance_planar = same_types(advance), same_types(advance)
+        self._advance, self._advance_planar = SameTypes(advance), SameTypes(advance)
         self._left_plane = False
         self.restart()
 

@@ -27,7 +27,7 @@ import math
 
 import numpy as np
 
-from .._compile import kernel, same_types
+from .._compile import SameTypes, kernel
 from .._struct import borrowed
 from ..forces.gravity import add_wrench as add_gravity
 from ..forces.kinds import add_wrenches
@@ -296,7 +296,7 @@ class Rotation:
                          else np.vstack([tableau.a, tableau.b]))
         self._memory = np.zeros((len(model.bodies), COLUMNS))
         self.work = make_work(model, self._weights.shape[1])
-        self._advance = same_types(advance)
+        self._advance = SameTypes(advance)
 
     @staticmethod
     def options(method):

@@ -13,7 +13,8 @@ Model and in planar/motion.py for a PlanarModel; the type of the model chooses:
     move(model, work, scheme, group, h, stage, end, pose) -> status
                             the pose and twist of a later stage, or of the end of the step
     accelerate(model, work, external) -> int
-                            accelerations of the stage; -1, or the joint whose rows depend on others
+                            accelerations of the stage; -1, or the joint whose rows depend on
+                            others
     store_slopes(model, work, scheme, group, stage)
                             slopes of the stage, from its accelerations
     check_end(model, work, h) -> status

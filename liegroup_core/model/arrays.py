@@ -11,8 +11,7 @@ components in body axes; a pose is R row by row, then r: twelve numbers.
     n bodies, m joints, s stages of the Runge-Kutta method
     a "row" is one forbidden direction of relative motion: a row of the Jacobian J
 
-A kind of thing is one structured array, a record per thing: kernels are handed few arrays, and
-reading a field costs no reference count.
+A kind of thing is one structured array, a record per thing.
 """
 import numpy as np
 
@@ -58,7 +57,7 @@ class Model(Struct):
 
     gravity: np.ndarray            # (1, 3) m/s^2, world axes
     bodies: np.ndarray             # (n,) of BODY
-    forces: tuple                  # Forces: the rows of every kind (forces/kinds.py)
+    forces: Struct                 # Forces: the rows of every kind (forces/kinds.py)
     elements: np.ndarray           # of ELEMENT
     joints: np.ndarray             # (m,) of JOINT
     row_residual: np.ndarray       # (rows,) which residual is that of a row that is solved for

@@ -1,0 +1,144 @@
+"""What a kernel reads of a Struct is what Python reads of it, at any time and in any copy."""
+import copy
+import gc
+import math
+import pickle
+
+import numpy as np
+import pytest
+
+from liegroup_core import Simulation, load_scene
+from liegroup_core._compile import Choice, compiled, kernel
+from liegroup_core._struct import Struct
+
+PAIR = np.dtype([("number", "i8"), ("vector", "f8", (3,))], align=True)
+
+
+class Inner(Struct):
+    rows: np.ndarray
+    shift: float
+
+
+class Outer(Struct):
+    flag: bool
+    count: int
+    inner: Inner
+    pairs: np.ndarray
+    cube: np.ndarray
+    nothing: np.ndarray
+
+
+@kernel
+def read(outer, i):
+    """One number of every field, and the shapes."""
+    return (outer.flag, outer.count, outer.inner.shift, outer.inner.rows[i, 1],
+            outer.pairs[i]["number"], outer.pairs[i]["vector"][2], outer.cube[1, i, 2],
+            outer.inner.rows.shape, outer.cube.shape, len(outer.pairs), len(outer.nothing))
+
+
+@kernel
+def write(outer, value):
+    """Set a number in an array, and one in a record."""
+    outer.inner.rows[1, 0] = value
+    outer.pairs[1]["number"] = int(value)
+
+
+@kernel
+def of_inner(first, factor):
+    return factor * first.shift
+
+
+@kernel
+def of_outer(first, factor):
+    return factor * first.count
+
+
+either = Choice("either", {Inner: of_inner, Outer: of_outer})
+
+
+@kernel
+def both(outer):
+    """The two meanings of one function."""
+    return either(outer, 2.0), either(outer.inner, 2.0)
+
+
+def made(flag=True, count=-7, shift=-0.25):
+    rng = np.random.default_rng(3)
+    pairs = np.zeros(4, dtype=PAIR)
+    pairs["number"], pairs["vector"] = np.arange(4) - 2, rng.normal(size=(4, 3))
+    return Outer(flag=flag, count=count, inner=Inner(rows=rng.normal(size=(4, 2)), shift=shift),
+                 pairs=pairs, cube=rng.normal(size=(2, 4, 3)), nothing=np.zeros((0, 6)))
+
+
+def expected(outer, i):
+    return (outer.flag, outer.count, outer.inner.shift, outer.inner.rows[i, 1],
+            outer.pairs[i]["number"], outer.pairs[i]["vector"][2], outer.cube[1, i, 2],
+            (4, 2), (2, 4, 3), 4, 0)
+
+
+@pytest.mark.parametrize("flag, count, shift", [(True, -7, -0.25), (False, 2**62, math.inf),
+                                                (np.True_, np.int64(-1), np.float64(5e-324))])
+def test_every_kind_of_field(flag, count, shift):
+    outer = made(flag, count, shift)
+    for i in range(4):
+        assert read(outer, i) == expected(outer, i)
+
+
+def test_arrays_are_shared_with_python():
+    outer = made()
+    write(outer, 5.0)
+    assert outer.inner.rows[1, 0] == 5.0 and outer.pairs["number"][1] == 5
+    outer.cube[1, 2, 2] = 8.0
+    assert read(outer, 2)[6] == 8.0
+
+
+def test_a_function_that_stands_for_several():
+    outer = made()
+    assert both(outer) == (-14.0, -0.5) == (either(outer, 2.0), either(outer.inner, 2.0))
+
+
+@pytest.mark.parametrize("again", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
+def test_copies_have_memory_of_their_own(again):
+    outer = made()
+    other = again(outer)
+    before = read(outer, 1)
+    write(other, 9.0)
+    assert read(outer, 1) == before and read(other, 1)[4] == 9
+    del outer
+    gc.collect()
+    [np.full(1000, np.nan) for _ in range(100)]         # would lie where freed memory was
+    assert read(other, 3) == expected(other, 3)
+
+
+def test_replaced_fields():
+    outer = made()
+    other = outer.replace(count=3)
+    assert read(other, 0)[1] == 3 and read(outer, 0)[1] == -7
+    assert other.cube is outer.cube
+
+
+def test_a_field_is_not_set_anew():
+    with pytest.raises(AttributeError):
+        made().count = 2
+
+
+@pytest.mark.parametrize("array", [np.zeros((3, 4))[:, 1:], np.zeros((3, 4), order="F")])
+def test_arrays_that_kernels_could_not_read(array):
+    if not compiled():
+        pytest.skip("nothing is compiled")
+    with pytest.raises(ValueError, match="Inner.rows must be a C-contiguous array"):
+        Inner(rows=array, shift=0.0)
+
+
+@pytest.mark.parametrize("scene, method", [
+    ("four_bar", "rkmk54"), ("heavy_top", "rkmk4"), ("double_pendulum", "generalized_alpha"),
+    ("double_pendulum", "constrained_rattle4"), ("lagrangian_top", "stoermer_verlet")])
+@pytest.mark.parametrize("again", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
+def test_a_copied_simulation_goes_on_alone(scene, method, again):
+    simulation = Simulation(load_scene(scene), method=method, step=1e-3)
+    simulation.advance(20)
+    other, before = again(simulation), simulation.state()
+    other.advance(30)
+    assert all((a == b).all() for a, b in zip(simulation.state(), before))
+    simulation.advance(30)
+    assert all((a == b).all() for a, b in zip(simulation.state(), other.state()))
