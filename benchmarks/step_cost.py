@@ -21,10 +21,20 @@ from rich.table import Table
 from liegroup_core import Simulation, load_scene
 
 STEPS = 20_000
-START = ("import time; t = time.perf_counter()\n"
-         "from liegroup_core import Simulation, load_scene\n"
-         "Simulation(load_scene('heavy_top'))\n"
-         "print(time.perf_counter() - t)")
+# Simulations that together use all kernels there are.
+FAMILIES = {"bodies in space": ("heavy_top", "rkmk4"), "bodies in a plane": ("four_bar", "rkmk4"),
+            "generalized_alpha": ("four_bar", "generalized_alpha"),
+            "constrained_rattle": ("four_bar", "constrained_rattle"),
+            "rotation methods": ("lagrangian_top", "rattle")}
+START = """
+import sys, time
+start = time.process_time()
+from liegroup_core import Simulation, load_scene
+for name in sys.argv[1:]:
+    scene, method = name.split()
+    Simulation(load_scene(scene), method=method)
+print(time.process_time() - start)
+"""
 
 
 def microseconds_per_step(scene, group, repeat):
@@ -39,11 +49,20 @@ def microseconds_per_step(scene, group, repeat):
     return times
 
 
-def start_up_seconds(cache):
-    """Seconds from `import` to a ready simulation in a new process with this cache folder."""
-    run = subprocess.run([sys.executable, "-c", START], capture_output=True, text=True, check=True,
-                         env={**os.environ, "LIEGROUP_CACHE_DIR": cache})
+def start_up_seconds(cache, *names):
+    """CPU seconds from `import` to ready simulations in a new process with this cache folder."""
+    run = subprocess.run(
+        [sys.executable, "-c", START, *(" ".join(FAMILIES[name]) for name in names)],
+        capture_output=True, text=True, check=True,
+        env={**os.environ, "LIEGROUP_CACHE_DIR": cache})
     return float(run.stdout)
+
+
+def start_up(*names):
+    """CPU seconds of a first start and of a later one, median of 5."""
+    with tempfile.TemporaryDirectory() as cache:
+        return (start_up_seconds(cache, *names),
+                statistics.median(start_up_seconds(cache, *names) for _ in range(5)))
 
 
 def bytes_allocated(steps):
@@ -73,11 +92,13 @@ def main():
                           f"{max(times):.3f}")
     console = Console()
     console.print(table)
-    with tempfile.TemporaryDirectory() as cache:
-        cold = start_up_seconds(cache)
-        warm = sorted(start_up_seconds(cache) for _ in range(5))
-    console.print(f"start-up with compilation {cold:.1f} s, from the cache {warm[2]:.2f} s "
-                  f"(median of 5, {warm[0]:.2f}..{warm[-1]:.2f})")
+    table = Table(title="Start, CPU s from import to a ready simulation")
+    for column in ("kernels of", "the first", "later"):
+        table.add_column(column, justify="left" if column == "kernels of" else "right")
+    for title, names in ({name: (name,) for name in FAMILIES} | {"all": tuple(FAMILIES)}).items():
+        cold, warm = start_up(*names)
+        table.add_row(title, f"{cold:.1f}", f"{warm:.2f}")
+    console.print(table)
     console.print(f"bytes allocated by 1000 steps {bytes_allocated(1000)}, "
                   f"by 100000 steps {bytes_allocated(100_000)}")
 
