@@ -26,8 +26,7 @@ of the step: it is eliminated once a step, all else are substitutions. Poses mov
 whichever group the simulation names.
 
 Source: Andersen, J. Comput. Phys. 52 (1983) 24-34; Marsden and West, Acta Numerica 2001, 3.5.2;
-Bou-Rabee and Marsden, Found. Comput. Math. 9 (2009) 197-219 for the turn. Broyden: Kelley,
-Iterative Methods for Linear and Nonlinear Equations, 1995, 7.3.
+Bou-Rabee and Marsden, Found. Comput. Math. 9 (2009) 197-219 for the turn.
 """
 import math
 from typing import NamedTuple
@@ -41,6 +40,7 @@ from ..forces.kinds import count_turns, too_fast
 from ..lie.vec3 import (ZERO3, axpy3, dot3, load3, load9, matmul3, matrix3, matvec3, scale3,
                         store3, store9, tmatvec3)
 from ..model.arrays import make_work
+from .broyden import broyden
 from .constrained_solve import loads, respond
 from .methods import refuse_stabilisation
 from .motion import copy_state, is_finite, orthonormal
@@ -147,18 +147,7 @@ def _correct(model, work, memory, h, k):
     step, rows = memory.corrections, len(model.row_residual)
     for r in range(rows):
         step[k, r] = -work.gap[model.row_residual[r]] / h
-    for j in range(k):
-        along = square = 0.0
-        for r in range(rows):
-            along += step[j, r] * step[k, r]
-            square += step[j, r] * step[j, r]
-        part = along / square if square > 0.0 else 0.0
-        if j < k - 1:
-            for r in range(rows):
-                step[k, r] += part * step[j + 1, r]
-        elif part < 0.5:            # else it would be far from a small change of the matrix
-            for r in range(rows):
-                step[k, r] /= 1.0 - part
+    broyden(step, k, 0.5)
 
 
 @kernel
