@@ -15,8 +15,9 @@ from .forces.timetable import Timetable
 from .forces.torsional_spring_damper import UNKNOWN_TURN
 from .integrators import check_options, make_integrator
 from .integrators.methods import GROUPS, METHODS, is_positive
-from .integrators.status import (DEPENDENT_ROWS, LARGE_ROTATION, MESSAGES, NO_RATTLE_STEP, OK,
-                                 RATTLE_WORKS, TURNS_NOT_COUNTED)
+from .integrators.smaller_step import step_that_works
+from .integrators.status import (DEPENDENT_ROWS, LARGE_ROTATION, MESSAGES, NO_RATTLE_STEP,
+                                 NOT_CONVERGED, OK, TURNS_NOT_COUNTED)
 from .model.arrays import Model
 from .model.build import build_model, initial_state
 from .model.joint_coordinates import JointCoordinates
@@ -344,9 +345,11 @@ class Simulation:
                         "where it always has one, take a redundant joint away", self.time)
         if not self._warned and self._work.report[0] > LARGE_ROTATION ** 2:
             self._warned = True
-            log.warning("a body turned by more than pi within one step (%.3g rad before t = %g s): "
-                        "the result is hardly accurate, take a smaller step",
-                        math.sqrt(self._work.report[0]), self.time)
+            turned = math.sqrt(self._work.report[0])
+            log.warning("%s, step %g s: a body turned by more than pi within one step (%.3g rad "
+                        "before t = %g s): the result is hardly accurate; that limit is at a step "
+                        "of %.2g s, take a smaller one", self.method, self.step, turned,
+                        self.time, LARGE_ROTATION / turned * self.step)
 
     def _look(self, at_once):
         """Look at the joints, if it is time to or `at_once`, and say what is wrong."""
@@ -382,14 +385,14 @@ class Simulation:
         return self.scene.joints[self.layout.owners[element]].name
 
     def _explain(self, status):
-        joint = force = body = ""
-        angle = works = 0.0
+        joint = force = body = hint = ""
+        # Of RATTLE the turn that was asked for, with the torque's part in it.
+        angle = math.sqrt(self._work.report[1])
         if status & 0xff == NO_RATTLE_STEP:
             body = self.layout.body_names[status >> 8]
-            speed = float(np.linalg.norm(self._twist[status >> 8, :3]))
-            # The turn that was asked for, with the torque's part in it.
-            angle = math.sqrt(self._work.report[1])
-            works = RATTLE_WORKS / max(speed, angle / self.step)
+        if status & 0xff in (NO_RATTLE_STEP, NOT_CONVERGED):
+            works = step_that_works(self._integrator, self.step, *self.state(), self._external)
+            hint = f": from here {works:g} s works" if works else ""
         if status & 0xff == DEPENDENT_ROWS:
             joint = self._joint_name(status >> 8)
         if status & 0xff == TURNS_NOT_COUNTED:
@@ -397,7 +400,7 @@ class Simulation:
             force = springs[status >> 8].name
         return (f"stopped at t = {self.time:.9g} s (step {self.steps}, h = {self.step:g} s): "
                 + MESSAGES[status & 0xff].format(
-                    joint=joint, force=force, body=body, angle=angle, works=works))
+                    joint=joint, force=force, body=body, angle=angle, hint=hint))
 
     def sample(self):
         """The present state as a Sample."""

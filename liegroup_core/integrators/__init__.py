@@ -26,7 +26,8 @@ def check_options(method, options):
     known = FAMILIES[METHODS[method].family].options(METHODS[method])
     for name, value in options.items():
         if name not in known:
-            raise ValueError(f"method {method} has no option {name!r}; it has: {', '.join(known)}")
+            has = f"it has: {', '.join(known)}" if known else "it has none"
+            raise ValueError(f"method {method} has no option {name!r}; {has}")
         _, text, is_good = known[name]
         if not is_good(value):
             raise ValueError(f"{name} must be {text}, got {value!r}")
