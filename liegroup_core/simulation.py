@@ -13,8 +13,8 @@ from .errors import SceneError, SimulationError
 from .forces import kinds
 from .forces.timetable import Timetable
 from .forces.torsional_spring_damper import UNKNOWN_TURN
-from .integrators import check_options, make_integrator
-from .integrators.methods import GROUPS, METHODS, is_positive
+from .integrators import check_group, check_options, make_integrator
+from .integrators.methods import METHODS, is_positive
 from .integrators.smaller_step import step_that_works
 from .integrators.status import (DEPENDENT_ROWS, LARGE_ROTATION, MESSAGES, NO_RATTLE_STEP,
                                  NOT_CONVERGED, OK, TURNS_NOT_COUNTED)
@@ -133,7 +133,8 @@ class Simulation:
     scene  : Scene, from `load_scene` or built in code
     method : name of METHODS, "rkmk4"
     step   : step size h, s; a method with error control takes substeps within it
-    group  : "se3" for SE(3)^n, or "so3xr3" for (SO(3) x R^3)^n
+    group  : "se3" for SE(3)^n, or "so3xr3" for (SO(3) x R^3)^n; "auto" is "se3" but for methods
+             that have only the latter
     stabilisation : what is done about joints that open by the errors of integration: "none";
                     "projection", which closes them again after every step; or "baumgarte", which
                     lets their errors die out within some baumgarte_time
@@ -151,21 +152,20 @@ class Simulation:
     Orders: test/verification/test_orders.py; constraint residuals: test_heavy_top.py.
     """
 
-    def __init__(self, scene, method="rkmk4", step=1e-3, group="se3", stabilisation="none",
+    def __init__(self, scene, method="rkmk4", step=1e-3, group="auto", stabilisation="none",
                  baumgarte_time=None, **options):
         if method not in METHODS:
             raise ValueError(f"unknown method {method!r}; there are: {', '.join(METHODS)}")
-        if group not in GROUPS:
-            raise ValueError(f"unknown group {group!r}; there are: {', '.join(GROUPS)}")
         if not is_positive(step):
             raise ValueError(f"the step must be a positive number of seconds, got {step!r}")
-        self.scene, self.method, self.step, self.group = scene, method, float(step), group
+        self.scene, self.method, self.step = scene, method, float(step)
+        self.group = check_group(method, group)
         self.options = check_options(method, options)
         self.stabilisation, self.baumgarte_time = stabilisation, baumgarte_time
         layout = make_layout(scene)
         self.layout = replace(layout, model=_stabilised(
             layout.model, stabilisation, baumgarte_time, self.step))
-        self._integrator = make_integrator(method, self.layout, group, self.step, self.options)
+        self._integrator = make_integrator(method, self.layout, self.group, self.step, self.options)
         self._work = self._integrator.work
         self._body = {name: i for i, name in enumerate(self.layout.body_names)}
         self._timetable = Timetable(self.layout.model.forces.applied_wrench, self.step)

@@ -23,6 +23,7 @@ Orders under such forces: test/verification/test_rotation_forces.py.
 
 Poses move on SO(3) x R^3 whichever group the simulation names.
 """
+import logging
 import math
 
 import numpy as np
@@ -41,7 +42,10 @@ from .rotation_bodies import linear_momentum, load, make_spinners, place
 from .rotation_maps import (AUSTIN, BOTTASSO_BORRI, FIRST_ITERATED, LIE_MIDPOINT, LIE_NEWMARK,
                             RATTLE, RUNGE_KUTTA, SIMO_WONG, STOERMER_VERLET, iterated_end,
                             iterated_step, kept, kicked_end, kicked_turn, turn, velocity)
+from .rotation_stability import stability_limit
 from .status import NO_RATTLE_STEP, NOT_CONVERGED, NOT_FINITE, OK
+
+log = logging.getLogger("liegroup_core")
 
 RULES = {
     "stoermer_verlet": STOERMER_VERLET, "lie_newmark": LIE_NEWMARK, "rattle": RATTLE,
@@ -332,7 +336,8 @@ class Rotation:
     def __init__(self, method, layout, group, step, options):
         model = layout.model
         refuse_stabilisation(method, model)
-        self._model, self._rule = model, RULES[method.name]
+        self._model, self._name, self._rule = model, method.name, RULES[method.name]
+        self._looked = False        # for steps that are too large at the start
         self._spinners = make_spinners(model)
         tableau = method.tableau if method.coefficients else None
         self._weights = (np.zeros((1, 0)) if tableau is None
@@ -352,5 +357,26 @@ class Rotation:
 
     def advance(self, h, steps, pose, twist, external):
         """Take steps of size h in place; returns (steps done, status)."""
+        if steps > 0 and not self._looked:
+            self._looked = True
+            self._look(h, pose, twist, external)
+        return self._advance(h, steps, pose, twist, external)
+
+    def _advance(self, h, steps, pose, twist, external):
         return advance(self._model, self.work, self._spinners, self._memory, self._loads,
-                       self._corrections, self._rule, self._weights, h, steps, pose, twist, external)
+                       self._corrections, self._rule, self._weights, h, steps, pose, twist,
+                       external)
+
+    def _look(self, h, pose, twist, external):
+        """Warn where the step is beyond what is stable at a state."""
+        def step(size, pose, twist):
+            _, status = self._advance(size, 1, pose, twist, external)
+            return (pose, twist) if status == OK else None
+
+        report = self.work.report.copy()
+        limit = stability_limit(step, self._spinners, h, pose, twist)
+        self.work.report[:] = report
+        if limit is not None:
+            log.warning("%s, step %g s: errors grow from step to step, as an oscillation is too "
+                        "fast for it; at the start of this run steps are stable up to %.2g s, "
+                        "take a smaller one", self._name, h, limit)
