@@ -29,7 +29,7 @@ FOUR_BAR_ELSEWHERE = {
                (1.06e-8, 2.00e-8, 7.53e-9, 2.69e-9))}
 
 COLOURS = ("#b3432b", "#2c6e9b", "#3f8f4f")             # of the step sizes
-TABLE_WIDTH = 136
+TABLE_WIDTH = 160
 LOWEST = 1e-17                                          # m; what is exactly zero is not drawn
 
 NOTE = ("none: no solution at this step (RATTLE), or a step that is refused (RKMK4, where a stage "

@@ -43,11 +43,10 @@ from ..model.arrays import make_work
 from .broyden import broyden
 from .constrained_solve import loads, respond
 from .methods import refuse_stabilisation
-from .motion import copy_state, is_finite, orthonormal
+from .motion import copy_state, is_finite, orthonormal, turn_status
 from .rotation_maps import turn, velocity
 from .rotation_newton import EXPONENTIAL, newton
-from .status import (LARGEST_ROTATION, NOT_CONVERGED, NOT_FINITE, OK, ROTATION_TOO_LARGE,
-                     TURNS_NOT_COUNTED)
+from .status import NOT_CONVERGED, NOT_FINITE, OK, TURNS_NOT_COUNTED
 
 
 def _mirrored(*half):
@@ -98,13 +97,11 @@ def _place(model, work, memory, h):
         momentum = matvec3(inertia, load3(memory.half, i, 0))
         x, found = newton(EXPONENTIAL, inertia, h, load3(memory.turn, i, 0), ZERO3, ZERO3, ZERO3,
                           scale3(h, momentum))
-        squared = dot3(x, x)
-        if not squared < math.inf:
-            return NOT_FINITE
+        status = turn_status(dot3(x, x))
+        if status != OK:
+            return status
         if not found:
             return NOT_CONVERGED
-        if squared > LARGEST_ROTATION * LARGEST_ROTATION:
-            return ROTATION_TOO_LARGE
         store3(x, memory.turn, i, 0)
         rot = load9(work.start_pose, i, 0)
         store9(orthonormal(matmul3(rot, turn(x))), work.stage_pose, i, 0)

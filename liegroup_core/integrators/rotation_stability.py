@@ -11,10 +11,11 @@ left of the imaginary axis belongs to an error that changes its sign and grows f
 import numpy as np
 
 from ..lie.groups import SO3
-from .status import OK
 
 GROWTH = 1.05               # of an error in one step
 DIFFERENCE = 1e-6           # rad, m, and times the fastest motion or 1 rad/s, m/s
+# rad; where a body turns by more within a step, growth need not be that of an oscillation.
+LARGEST_TURN = 0.5 * np.pi
 # Its cost grows with the cube of their number: 0.1 s for 30.
 MOST_BODIES = 30
 HALVINGS = 6
@@ -26,7 +27,9 @@ def stability_limit(step, spinners, h, pose, twist):
     step     : function (h, pose, twist) -> (pose, twist) after one step, or None where it fails
     spinners : (n,) records of rotation_bodies.SPINNER
     """
-    if len(pose) > MOST_BODIES or not _grows(step, spinners, h, pose, twist):
+    if len(pose) > MOST_BODIES or h * np.linalg.norm(twist[:, :3], axis=1).max() > LARGEST_TURN:
+        return None
+    if not _grows(step, spinners, h, pose, twist):
         return None
     good, bad = 0.5 * h, h
     while _grows(step, spinners, good, pose, twist) and good > 1e-6 * h:
