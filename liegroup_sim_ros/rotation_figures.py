@@ -56,7 +56,7 @@ class Panel:
 PANELS = (
     Panel("6.6", "Free body, 16 s: momentum", "|Y - Y0|, N m s", "free_body", 16.0, "momentum",
           ("stoermer_verlet", "lie_newmark", "rattle", "rkmk4"), MOMENTUM_STEPS, MOMENTUM),
-    Panel("6.7", "Lagrangian top, 1 s: attitude", "||R - Rref||", "lagrangian_top", 1.0,
+    Panel("6.7", "Lagrangian top, 1 s: attitude", "||R - Rref||, no unit", "lagrangian_top", 1.0,
           "attitude", ("stoermer_verlet", "lie_newmark", "rattle", "rkmk4", "lie_midpoint",
                        "simo_wong", "austin_krishnaprasad_wang", "coadjoint_rkmk4",
                        "coadjoint_rkmk8"),
@@ -64,7 +64,7 @@ PANELS = (
     Panel("6.8", "Free body, 16 s: momentum", "|Y - Y0|, N m s", "free_body", 16.0, "momentum",
           ("coadjoint_rkmk2", "coadjoint_rkmk4", "simo_wong", "austin_krishnaprasad_wang",
            "lie_newmark"), MOMENTUM_STEPS, MOMENTUM),
-    Panel("6.9", "Free body, 10 s: attitude", "||R - Rref||", "free_body", 10.0, "attitude",
+    Panel("6.9", "Free body, 10 s: attitude", "||R - Rref||, no unit", "free_body", 10.0, "attitude",
           ("coadjoint_rkmk2", "coadjoint_rkmk2_heun", "coadjoint_rkmk4",
            "austin_krishnaprasad_wang", "simo_wong", "bottasso_borri_candidate", "lie_midpoint",
            "stoermer_verlet", "lie_newmark", "rattle", "rkmk4"), FREE_STEPS, FREE_ATTITUDE,
