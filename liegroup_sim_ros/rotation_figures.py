@@ -121,8 +121,13 @@ def errors(panel, say=lambda text: None):
 
 
 def order_and_constant(steps, found, order):
-    """(order, C) from the last two errors above rounding; C = error / h^order, `order` as stated."""
+    """(order, C) from the last two errors above rounding; C = error / h^order, `order` as stated.
+
+    NaN where there are not two.
+    """
     good = [(step, error) for step, error in zip(steps, found) if error and error > ROUNDING]
+    if len(good) < 2:
+        return np.nan, np.nan
     (step, error), (last_step, last) = good[-2:]
     return np.log(error / last) / np.log(step / last_step), last / last_step ** order
 
@@ -175,7 +180,7 @@ def make_table(panel, found):
     """
     table = _new_table(f"Fig. {panel.number}, {panel.title}, {panel.unit}")
     for column in ("step", "", *(STYLES[method][0] for method in panel.methods)):
-        table.add_column(column, min_width=9)
+        table.add_column(column, min_width=max(9, *map(len, column.split()), 0))
 
     def add(name, here, elsewhere):
         table.add_row(name, "here", *here)

@@ -13,9 +13,7 @@ end, as in RATTLE. So, shown by test/verification/test_constrained_geometric.py,
   * it is of order 2 and symmetric: a step h and a step -h lead back, to rounding, with forces of
     velocity too, for V+ in Q+ is solved for;
   * it is symplectic where all forces have a potential: energy stays within O(h^2) of its start
-    and does not drift. The other symmetric turns tried were worse: with the Lie midpoint rule,
-    which is not symplectic, the energy of a chaotic chain of ball joints wandered five times as
-    far in 50 000 steps; with discrete Moser-Veselov errors were up to three times as large;
+    and does not drift. Other symmetric turns are compared in docs/long_runs.md;
   * joints are closed and J V = 0 to rounding; momentum that joints and forces leave is kept to
     rounding.
 Steps g_1 h, ..., g_k h one after the other with symmetric g, sum g = 1, are one step of higher

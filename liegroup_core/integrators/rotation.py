@@ -56,7 +56,7 @@ RULES = {
 
 # An ITERATED step is repeated with other loads until that moves no body by more than this, rad and
 # part of the largest coordinate or of 1 m; where rounding is larger, until it moves them by so many
-# times that and no longer comes down.
+# times that and it has not come down by half in two repetitions.
 TOLERANCE, STUCK = 1e-15, 100.0
 MOST_REPEATS = 100
 # Corrections of the loads that Broyden's method remembers before it begins anew, and its `most`:
@@ -293,7 +293,7 @@ def advance(model, work, spinners, memory, loads, corrections, rule, weights, h,
         copy_state(pose, twist, work.stage_pose, work.stage_twist)
         work.report[1] = 0.0
         status, ended = OK, False
-        evaluation, previous = 0, math.inf
+        evaluation, previous, earlier = 0, math.inf, math.inf
         while not ended:
             for i in range(len(spinners)):
                 for c in range(6):
@@ -311,8 +311,8 @@ def advance(model, work, spinners, memory, loads, corrections, rule, weights, h,
                 status, apart = _iterated(rule, spinners, work, memory, loads, h, evaluation, pose,
                                           twist)
                 ended = status != OK or apart <= TOLERANCE or (
-                    0.5 * previous < apart <= STUCK * TOLERANCE)
-                previous = apart
+                    0.5 * max(previous, earlier) < apart <= STUCK * TOLERANCE)
+                previous, earlier = apart, previous
                 if ended and status == OK:
                     _iterated_finish(spinners, work, memory, pose)
                 elif evaluation == MOST_REPEATS:
