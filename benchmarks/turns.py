@@ -49,7 +49,7 @@ def put(turn):
 
 
 def chain():
-    """Three bodies of unlike inertia on ball joints, let go from the side, the last one spinning."""
+    """Three bodies on ball joints, let go from the side, the last one spinning."""
     from liegroup_core import Scene
     from liegroup_core.scene.description import Body, Frame, Joint
 

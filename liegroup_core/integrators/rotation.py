@@ -54,9 +54,9 @@ RULES = {
 } | {name: RUNGE_KUTTA for name, method in METHODS.items()
      if method.family == "rotation" and method.coefficients}
 
-# An ITERATED step is repeated with other loads until that moves no body by more than this, rad and
-# part of the largest coordinate or of 1 m; where rounding is larger, until it moves them by so many
-# times that and it has not come down by half in two repetitions.
+# An ITERATED step is repeated with other loads until that moves no body by more than this, rad
+# and part of the largest coordinate or of 1 m; where rounding is larger, until it moves them by so
+# many times that and has not come down by half in two repetitions.
 TOLERANCE, STUCK = 1e-15, 100.0
 MOST_REPEATS = 100
 # Corrections of the loads that Broyden's method remembers before it begins anew, and its `most`:
@@ -251,7 +251,8 @@ def _staged(spinners, work, memory, weights, h, stage, pose, twist):
         store3(matvec3(rot, torque), work.slopes, row, 6)
         store3(force, work.slopes, row, 9)
 
-        turned, moved, torques, forces = _weighted(work.slopes, weights, stage + 1, stage + 1, n, i)
+        turned, moved, torques, forces = _weighted(work.slopes, weights, stage + 1, stage + 1, n,
+                                                   i)
         psi = scale3(h, turned)
         squared = dot3(psi, psi)
         if not squared < math.inf:
@@ -274,8 +275,8 @@ def _staged(spinners, work, memory, weights, h, stage, pose, twist):
 
 
 @kernel
-def advance(model, work, spinners, memory, loads, corrections, rule, weights, h, steps, pose, twist,
-            external):
+def advance(model, work, spinners, memory, loads, corrections, rule, weights, h, steps, pose,
+            twist, external):
     """Take `steps` steps of size h in place of pose (n, 12) and twist (n, 6).
 
     external (n, 6) : applied wrenches in body axes, constant over these steps

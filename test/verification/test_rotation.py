@@ -103,7 +103,7 @@ def test_order_on_both_problems(method):
 
 
 def test_austin_on_the_top_is_close_to_the_other_form():
-    """Ours has the momentum of the first half kick in the midpoint rule: explicit in the torque."""
+    """Ours has the momentum of the first half kick in the midpoint rule."""
     for rate, expected in zip(TOP_RATES[4:], TOP_ATTITUDE["austin_krishnaprasad_wang"][4:]):
         found = attitude_error(TOP, "austin_krishnaprasad_wang", 1 / rate, 1, TOP_R_1)
         assert 0.98 * expected < found < 0.985 * expected
@@ -157,8 +157,8 @@ def test_free_body_keeps_its_momentum_at_every_step(method):
                                     "austin_krishnaprasad_wang"])
 def test_rounding_of_the_momentum_is_a_random_walk(method):
     """3e6 steps, bounded as above: 1.1e-12. A body that is brought back to SO(3) in every step was
-    seen at 2.6e-12 to 3e-12, as some of the rounding is then the same in every step; with v = R^T P / m
-    the linear momentum, of 0.6 N s, would be off by up to 3.6e-15 in each."""
+    seen at 2.6e-12 to 3e-12, as some of the rounding is then the same in every step; with
+    v = R^T P / m the linear momentum, of 0.6 N s, would be off by up to 3.6e-15 in each."""
     simulation = Simulation(FREE, method=method, step=0.05)
     I = FREE.bodies[0].inertia_matrix
     pose, twist = simulation.state()

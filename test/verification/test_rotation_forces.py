@@ -245,7 +245,7 @@ def pendulum():
 @pytest.mark.parametrize("method", ["stoermer_verlet", "lie_newmark", "rattle",
                                     "austin_krishnaprasad_wang"])
 def test_a_step_beyond_the_stability_limit_warns_and_names_it(method, caplog):
-    """h omega = 2 for all that are explicit in the forces: found to 1 in 64, printed to two digits.
+    """h omega = 2 for all that are explicit in forces: found to 1 in 64, printed to two digits.
 
     The growth looked for, 1.05 a step, is reached at h omega = 2.0006.
     """
