@@ -4,7 +4,7 @@
     python benchmarks/rotation.py [--steps 10000000] [--method NAME ...]
 
 Prints for the free body and the Lagrangian top of the chapter
-    ns a step, of the fastest of several runs: what else the machine does only adds
+    ns of CPU time a step, of the fastest of several runs: what else the machine does only adds
     energy at 1/100, 1/10 and the end of a long run, against its start: bounded or drifting
     momentum (of the top: about the vertical) there, and the exponent with which its error grows
     with the steps: 1/2 is a random walk of roundings, 1 the same rounding again and again
@@ -24,14 +24,14 @@ SAMPLES = 60                                                # of a long run, eve
 
 
 def nanoseconds(scene, step, method, steps=100_000, repeat=7):
-    """ns of one step, the fastest of so many runs."""
+    """ns of CPU time of one step, the fastest of so many runs."""
     simulation = Simulation(load_scene(scene), method=method, step=step)
     best = np.inf
     for _ in range(repeat):
         simulation.reset()
-        start = time.perf_counter()
+        start = time.process_time()
         simulation.advance(steps)
-        best = min(best, time.perf_counter() - start)
+        best = min(best, time.process_time() - start)
     return best / steps * 1e9
 
 

@@ -13,10 +13,11 @@ from .errors import SceneError, SimulationError
 from .forces import kinds
 from .forces.timetable import Timetable
 from .forces.torsional_spring_damper import UNKNOWN_TURN
-from .integrators import check_options, make_integrator
-from .integrators.methods import GROUPS, METHODS, is_positive
-from .integrators.status import (DEPENDENT_ROWS, LARGE_ROTATION, MESSAGES, NO_RATTLE_STEP, OK,
-                                 RATTLE_WORKS, TURNS_NOT_COUNTED)
+from .integrators import check_group, check_options, make_integrator
+from .integrators.methods import METHODS, is_positive
+from .integrators.smaller_step import step_that_works
+from .integrators.status import (DEPENDENT_ROWS, LARGE_ROTATION, MESSAGES, NO_RATTLE_STEP,
+                                 NOT_CONVERGED, OK, TURNS_NOT_COUNTED)
 from .model.arrays import Model
 from .model.build import build_model, initial_state
 from .model.joint_coordinates import JointCoordinates
@@ -132,7 +133,8 @@ class Simulation:
     scene  : Scene, from `load_scene` or built in code
     method : name of METHODS, "rkmk4"
     step   : step size h, s; a method with error control takes substeps within it
-    group  : "se3" for SE(3)^n, or "so3xr3" for (SO(3) x R^3)^n
+    group  : "se3" for SE(3)^n, or "so3xr3" for (SO(3) x R^3)^n; "auto" is "se3" but for methods
+             that have only the latter
     stabilisation : what is done about joints that open by the errors of integration: "none";
                     "projection", which closes them again after every step; or "baumgarte", which
                     lets their errors die out within some baumgarte_time
@@ -150,21 +152,20 @@ class Simulation:
     Orders: test/verification/test_orders.py; constraint residuals: test_heavy_top.py.
     """
 
-    def __init__(self, scene, method="rkmk4", step=1e-3, group="se3", stabilisation="none",
+    def __init__(self, scene, method="rkmk4", step=1e-3, group="auto", stabilisation="none",
                  baumgarte_time=None, **options):
         if method not in METHODS:
             raise ValueError(f"unknown method {method!r}; there are: {', '.join(METHODS)}")
-        if group not in GROUPS:
-            raise ValueError(f"unknown group {group!r}; there are: {', '.join(GROUPS)}")
         if not is_positive(step):
             raise ValueError(f"the step must be a positive number of seconds, got {step!r}")
-        self.scene, self.method, self.step, self.group = scene, method, float(step), group
+        self.scene, self.method, self.step = scene, method, float(step)
+        self.group = check_group(method, group)
         self.options = check_options(method, options)
         self.stabilisation, self.baumgarte_time = stabilisation, baumgarte_time
         layout = make_layout(scene)
         self.layout = replace(layout, model=_stabilised(
             layout.model, stabilisation, baumgarte_time, self.step))
-        self._integrator = make_integrator(method, self.layout, group, self.step, self.options)
+        self._integrator = make_integrator(method, self.layout, self.group, self.step, self.options)
         self._work = self._integrator.work
         self._body = {name: i for i, name in enumerate(self.layout.body_names)}
         self._timetable = Timetable(self.layout.model.forces.applied_wrench, self.step)
@@ -366,9 +367,11 @@ class Simulation:
                         "where it always has one, take a redundant joint away", self.time)
         if not self._warned and self._work.report[0] > LARGE_ROTATION ** 2:
             self._warned = True
-            log.warning("a body turned by more than pi within one step (%.3g rad before t = %g s): "
-                        "the result is hardly accurate, take a smaller step",
-                        math.sqrt(self._work.report[0]), self.time)
+            turned = math.sqrt(self._work.report[0])
+            log.warning("%s, step %g s: a body turned by more than pi within one step (%.3g rad "
+                        "before t = %g s): the result is hardly accurate; that limit is at a step "
+                        "of %.2g s, take a smaller one", self.method, self.step, turned,
+                        self.time, LARGE_ROTATION / turned * self.step)
 
     def _look(self, at_once):
         """Look at the joints, if it is time to or `at_once`, and say what is wrong."""
@@ -404,14 +407,14 @@ class Simulation:
         return self.scene.joints[self.layout.owners[element]].name
 
     def _explain(self, status):
-        joint = force = body = ""
-        angle = works = 0.0
+        joint = force = body = hint = ""
+        # Of RATTLE the turn that was asked for, with the torque's part in it.
+        angle = math.sqrt(self._work.report[1])
         if status & 0xff == NO_RATTLE_STEP:
             body = self.layout.body_names[status >> 8]
-            speed = float(np.linalg.norm(self._twist[status >> 8, :3]))
-            # The turn that was asked for, with the torque's part in it.
-            angle = math.sqrt(self._work.report[1])
-            works = RATTLE_WORKS / max(speed, angle / self.step)
+        if status & 0xff in (NO_RATTLE_STEP, NOT_CONVERGED):
+            works = step_that_works(self._integrator, self.step, *self.state(), self._external)
+            hint = f": from here {works:g} s works" if works else ""
         if status & 0xff == DEPENDENT_ROWS:
             joint = self._joint_name(status >> 8)
         if status & 0xff == TURNS_NOT_COUNTED:
@@ -419,7 +422,7 @@ class Simulation:
             force = springs[status >> 8].name
         return (f"stopped at t = {self.time:.9g} s (step {self.steps}, h = {self.step:g} s): "
                 + MESSAGES[status & 0xff].format(
-                    joint=joint, force=force, body=body, angle=angle, works=works))
+                    joint=joint, force=force, body=body, angle=angle, hint=hint))
 
     def sample(self):
         """The present state as a Sample."""

@@ -64,19 +64,24 @@ def joint_errors(scene, step, group, horizon, samples=SAMPLES):
                        gap, tilt, poses, np.array(energy))
 
 
-def heavy_top_runs():
-    """{(group, step): JointErrors} of Fig. 6.2."""
-    scene = load_scene("heavy_top")
-    return {(group, step): joint_errors(scene, step, group, TOP_HORIZON)
-            for group in GROUPS for step in STEPS}
+def heavy_top_runs(say=lambda text: None):
+    """{(group, step): JointErrors} of Fig. 6.2; say: called with the name of each run."""
+    return _runs("Fig. 6.2", load_scene("heavy_top"), lambda step: TOP_HORIZON, say)
 
 
-def four_bar_runs():
-    """{(group, step): JointErrors} of Figs. 6.4 and 6.5."""
-    scene = four_bar()
-    return {(group, step): joint_errors(
-        scene, step, group, SHORT_HORIZON if step == STEPS[0] else BAR_HORIZON)
-        for group in GROUPS for step in STEPS}
+def four_bar_runs(say=lambda text: None):
+    """{(group, step): JointErrors} of Figs. 6.4 and 6.5; say: called with the name of each run."""
+    return _runs("Figs. 6.4 and 6.5", four_bar(),
+                 lambda step: SHORT_HORIZON if step == STEPS[0] else BAR_HORIZON, say)
+
+
+def _runs(name, scene, horizon, say):
+    found = {}
+    for group in GROUPS:
+        for step in STEPS:
+            say(f"{name}, rkmk4 on {group}, {step:g} s")
+            found[group, step] = joint_errors(scene, step, group, horizon(step))
+    return found
 
 
 def four_bar(ball="coupler_rocker"):

@@ -5,17 +5,19 @@ The tables beside them compare with independent implementations of the same meth
 6.9 are in rotation_figures.py. What the pictures show, and which claims of the chapter hold, is in
 docs/figures.md. No ROS.
 """
+import logging
 import sys
 from pathlib import Path
 
 from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from liegroup_core.integrators.methods import GROUPS
 
 from .chapter_runs import STEPS, four_bar_runs, heavy_top_runs
 from .report.summary import GROUPS as GROUP_NAMES
-from .rotation_figures import make_rotation_figures
+from .rotation_figures import count_runs, make_rotation_figures
 
 # Largest errors of an independent implementation, m: of the top's ball joint over 6 s, and of the
 # four-bar's joints 1 to 4 over 1 s, or 0.15 s at the largest step.
@@ -27,8 +29,12 @@ FOUR_BAR_ELSEWHERE = {
                (1.06e-8, 2.00e-8, 7.53e-9, 2.69e-9))}
 
 COLOURS = ("#b3432b", "#2c6e9b", "#3f8f4f")             # of the step sizes
-TABLE_WIDTH = 120
+TABLE_WIDTH = 160
 LOWEST = 1e-17                                          # m; what is exactly zero is not drawn
+
+NOTE = ("none: no solution at this step (RATTLE), or a step that is refused (RKMK4, where a stage "
+        "turns by nearly a full turn).\nElsewhere: independent implementations; what differs from "
+        "them and why is in docs/figures.md.")
 
 
 class FiguresError(Exception):
@@ -58,21 +64,57 @@ def run(args):
     out = Path(args.out)
     try:
         out.mkdir(parents=True, exist_ok=True)
-        with Console(stderr=True).status("integrating"):
-            paths, table = make_figures(out)
-            more_paths, tables = make_rotation_figures(out)
+        with _Progress(2 * len(GROUPS) * len(STEPS) + count_runs()) as say:
+            paths, table = make_figures(out, say)
+            more_paths, tables = make_rotation_figures(out, say)
     except OSError as error:
         raise FiguresError(f"{error.filename}: cannot be written: {error.strerror}") from None
     console = Console(file=sys.stdout)
     for each in (table, *tables):       # whole, in a narrow terminal too
         console.print(each, width=max(console.width, TABLE_WIDTH), crop=False)
+    console.print(NOTE, soft_wrap=True, highlight=False)
     print(*paths, *more_paths, sep="\n")
     return 0
 
 
-def make_figures(out):
-    """Make the pictures in a folder; returns (their paths, table of the largest errors)."""
-    top, bars = heavy_top_runs(), four_bar_runs()
+class _Progress(logging.Handler):
+    """A bar of so many runs, and the warnings of each above it, with its name."""
+
+    def __init__(self, runs):
+        super().__init__(logging.WARNING)
+        self._bar = Progress(BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
+                             TextColumn("{task.description}", markup=False),
+                             console=Console(stderr=True))
+        self._task = self._bar.add_task("", total=runs)
+        self._runs, self._made, self._name = runs, -1, ""
+
+    def __enter__(self):
+        logging.getLogger("liegroup_core").addHandler(self)
+        self._bar.start()
+        return self._say
+
+    def __exit__(self, *failure):
+        if failure == (None, None, None):
+            self._bar.update(self._task, completed=self._runs, description="done")
+        self._bar.stop()
+        logging.getLogger("liegroup_core").removeHandler(self)
+
+    def _say(self, name):
+        self._made, self._name = self._made + 1, name
+        self._bar.update(self._task, completed=self._made, description=name)
+
+    def emit(self, record):
+        figure = self._name.partition(",")[0]
+        self._bar.console.print(f"{figure}: {record.getMessage()}", style="yellow", markup=False,
+                                highlight=False, soft_wrap=True)
+
+
+def make_figures(out, say=lambda text: None):
+    """Make the pictures in a folder; returns (their paths, table of the largest errors).
+
+    say : is called with the name of each run before it is made
+    """
+    top, bars = heavy_top_runs(say), four_bar_runs(say)
     joints = bars["se3", STEPS[0]].joints
     paths = [
         _draw(out / "fig_6_2.png", top, [(0, "ball joint of the heavy top")]),

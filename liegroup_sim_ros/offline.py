@@ -47,8 +47,9 @@ def add_parser(subparsers):
                         help=f"{', '.join(METHODS)} (default: %(default)s)")
     parser.add_argument("--step", type=float, default=1e-3, metavar="S",
                         help="step size in s (default: %(default)g)")
-    parser.add_argument("--group", default="se3", metavar="NAME",
-                        help=f"{' or '.join(GROUPS)} (default: %(default)s)")
+    parser.add_argument("--group", default="auto", metavar="NAME",
+                        help=f"{' or '.join(GROUPS)}; auto: se3, but so3xr3 for methods that have "
+                        "no other (default: %(default)s)")
     parser.add_argument("--stabilisation", default="none", metavar="KIND",
                         help=f"{', '.join(STABILISATIONS)} (default: %(default)s)")
     parser.add_argument("--baumgarte-time", type=float, metavar="S",

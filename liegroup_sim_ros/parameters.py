@@ -48,8 +48,8 @@ TABLE = (
     Entry("method", "rkmk4", "integration method", choices=tuple(METHODS)),
     Entry("stabilisation", "none", "what is done about joints that open by errors of integration",
           choices=STABILISATIONS),
-    Entry("group", "se3", "configuration space of a body: SE(3) or SO(3) x R^3",
-          choices=tuple(GROUPS)),
+    Entry("group", "auto", "configuration space of a body: SE(3) or SO(3) x R^3; auto: the former, "
+          "but the latter for methods that have no other", choices=("auto", *GROUPS)),
     Entry("step", 1e-3, "step size, s", low=0.0, high=10.0, above=True),
     Entry("real_time_factor", 1.0, "simulated seconds per second; 0: as fast as it goes",
           read_only=False, low=0.0, high=1e6),

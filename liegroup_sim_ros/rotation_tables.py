@@ -32,6 +32,7 @@ MOMENTUM = {
                   7.0e-15),
     "austin_krishnaprasad_wang": (2.0e-16, 6.0e-16, 3.1e-16, 5.7e-16, 2.8e-16, 2.0e-15, 5.3e-16,
                                   1.2e-15, 2.4e-15, 8.2e-15),
+    "rattle": (None, None, None, 7.0e-16, 3.1e-16, 1.3e-15, 1.0e-15, 3.1e-15, 2.7e-15, 7.9e-15),
 }
 
 # ||R(1) - Rref||_2, Lagrangian top: Fig. 6.7. Columns per 1/h.
@@ -49,7 +50,7 @@ TOP_ATTITUDE = {
                      2.2702e-4, 5.6755e-5, 1.4189e-5, 3.5472e-6),
     "simo_wong": (1.959, 9.147e-1, 2.630e-1, 6.732e-2, 1.6913e-2, 4.2332e-3, 1.0586e-3, 2.6467e-4,
                   6.6169e-5, 1.6542e-5, 4.1356e-6),
-    # With another impulse of the torque: not the method that is here.
+    # With y_m = (y + y+)/2 where the method here has y_m of the first half kick: see docs/figures.md.
     "austin_krishnaprasad_wang": (1.985, 1.813, 1.753, 1.033, 2.7347e-1, 6.8746e-2, 1.7201e-2,
                                   4.3009e-3, 1.0753e-3, 2.6882e-4, 6.7205e-5),
 }
@@ -74,6 +75,20 @@ FREE_ATTITUDE = {
     "bottasso_borri_candidate": (2.2145e-1, 4.9533e-2, 1.1886e-2, 2.9323e-3, 1.8203e-4, 1.1363e-5,
                                  7.0997e-7),
     "lie_midpoint": (2.6858e-1, 6.7839e-2, 1.6944e-2, 4.2340e-3, 2.6458e-4, 1.6536e-5, 1.0335e-6),
+}
+
+# Order from the last two errors above rounding, and C = error / h^order at the last of them.
+TOP_CONSTANTS = {
+    "stoermer_verlet": (2.01, 1.808e4), "lie_newmark": (2.00, 1.355e5), "rattle": (2.00, 5.636e5),
+    "rkmk4": (4.00, 2.845e8), "lie_midpoint": (2.00, 1.524e4), "simo_wong": (2.00, 1.776e4),
+    "austin_krishnaprasad_wang": (2.00, 2.886e5),
+}
+FREE_CONSTANTS = {
+    "stoermer_verlet": (2.00, 0.3111), "lie_newmark": (2.00, 0.02034), "rattle": (2.00, 1.483),
+    "coadjoint_rkmk2": (2.00, 0.1115), "coadjoint_rkmk2_heun": (2.00, 0.1353),
+    "coadjoint_rkmk4": (3.98, 2.01e-3), "rkmk4": (4.00, 8.81e-4), "simo_wong": (2.00, 0.1700),
+    "austin_krishnaprasad_wang": (2.00, 0.7483), "bottasso_borri_candidate": (2.00, 0.0465),
+    "lie_midpoint": (2.00, 0.0677),
 }
 
 # Lagrangian top over 10 s: largest deviations of energy, J, vertical momentum, N m s, and spin,

@@ -13,13 +13,14 @@ An integrator is made by `family(method, layout, group, step, options)` and has
 """
 from .constrained import Constrained
 from .generalized_alpha import GeneralizedAlpha
-from .methods import METHODS
+from .methods import GROUPS, METHODS
 from .rkmk import MuntheKaas
 from .rotation import Rotation
 from .rotation_bodies import misfit as rotation_misfit
 
 FAMILIES = {"rkmk": MuntheKaas, "generalized_alpha": GeneralizedAlpha, "rotation": Rotation,
             "constrained": Constrained}
+NOT_ON_SE3 = ("rotation", "constrained")        # families with a group of their own
 
 
 def check_options(method, options):
@@ -27,11 +28,25 @@ def check_options(method, options):
     known = FAMILIES[METHODS[method].family].options(METHODS[method])
     for name, value in options.items():
         if name not in known:
-            raise ValueError(f"method {method} has no option {name!r}; it has: {', '.join(known)}")
+            has = f"it has: {', '.join(known)}" if known else "it has none"
+            raise ValueError(f"method {method} has no option {name!r}; {has}")
         _, text, is_good = known[name]
         if not is_good(value):
             raise ValueError(f"{name} must be {text}, got {value!r}")
     return {name: options.get(name, default) for name, (default, _, _) in known.items()}
+
+
+def check_group(method, group):
+    """Name of the group that a method moves poses on. Raises ValueError, one line."""
+    if group not in ("auto", *GROUPS):
+        raise ValueError(f"unknown group {group!r}; there are: auto, {', '.join(GROUPS)}")
+    alone = METHODS[method].family in NOT_ON_SE3
+    if group == "auto":
+        return "so3xr3" if alone else "se3"
+    if alone and group != "so3xr3":
+        raise ValueError(f"method {method} moves poses on SO(3) x R^3 alone: group must be "
+                         f"'so3xr3' or 'auto', got {group!r}")
+    return group
 
 
 def misfit(method, layout):

@@ -5,7 +5,6 @@ Unknowns x = (Vdot_1, lambda). They give the end of the step, `move`, and what i
     Vdot_1 - M^-1 (Q - J^T lambda) = 0 ,   g / sigma = 0
 in m/s^2 and rad/s^2, `residual`; g are the position residuals of all rows that are solved for.
 """
-import math
 import numpy as np
 
 from .._compile import kernel, subroutine
@@ -15,8 +14,8 @@ from ..dynamics.newton_euler import wrenches
 from ..lie.vec3 import (axpy3, cross3, dot3, load3, matrix3, matvec3, scale3, store3, store9, sub3,
                         tmatvec3)
 from .methods import SE3
-from .motion import displace
-from .status import LARGEST_ROTATION, NOT_FINITE, OK, ROTATION_TOO_LARGE
+from .motion import displace, turn_status
+from .status import OK
 
 
 class Coefficients(Struct):
@@ -72,10 +71,9 @@ def move(model, work, memory, numbers, group, h, pose):
             store3(rate, memory.body_rate, i, c)
         xi, eta = load3(work.slopes, i, 0), load3(work.slopes, i, 3)
         rotation = dot3(xi, xi)
-        if not rotation < LARGEST_ROTATION * LARGEST_ROTATION:
-            if rotation < math.inf:
-                return ROTATION_TOO_LARGE
-            return NOT_FINITE
+        status = turn_status(rotation)
+        if status != OK:
+            return status
         work.report[1] = max(work.report[1], rotation)
         rot, r = displace(group, pose, i, xi, eta)
         store9(rot, work.stage_pose, i, 0)

@@ -7,6 +7,7 @@ from ..lie.se3 import se3_compose, se3_exp
 from ..lie.so3 import so3_exp
 from ..lie.vec3 import add3, dot3, load3, load9, matmul3, matvec3, store3
 from .methods import SE3
+from .status import LARGEST_ROTATION, NOT_FINITE, OK, ROTATION_TOO_LARGE
 
 
 @kernel
@@ -42,6 +43,16 @@ def orthonormal(rot):
               xy, 1.5 - 0.5 * dot3(y, y), yz,
               xz, yz, 1.5 - 0.5 * dot3(z, z))
     return matmul3(rot, defect)
+
+
+@kernel
+def turn_status(squared):
+    """OK, or why a turn within a step is refused; its square in rad^2."""
+    if squared < LARGEST_ROTATION * LARGEST_ROTATION:
+        return OK
+    if squared < math.inf:
+        return ROTATION_TOO_LARGE
+    return NOT_FINITE
 
 
 @kernel

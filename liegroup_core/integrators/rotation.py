@@ -23,6 +23,7 @@ Orders under such forces: test/verification/test_rotation_forces.py.
 
 Poses move on SO(3) x R^3 whichever group the simulation names.
 """
+import logging
 import math
 
 import numpy as np
@@ -35,13 +36,17 @@ from ..lie.so3 import so3_dexpinv
 from ..lie.vec3 import (ZERO3, add3, axpy3, dot3, load3, load9, matmul3, matrix3, matvec3, scale3,
                         store3, store9, tmatvec3)
 from ..model.arrays import make_work
+from .broyden import broyden
 from .methods import METHODS, refuse_stabilisation
-from .motion import copy_state, is_finite, orthonormal
+from .motion import copy_state, is_finite
 from .rotation_bodies import linear_momentum, load, make_spinners, place
 from .rotation_maps import (AUSTIN, BOTTASSO_BORRI, FIRST_ITERATED, LIE_MIDPOINT, LIE_NEWMARK,
                             RATTLE, RUNGE_KUTTA, SIMO_WONG, STOERMER_VERLET, iterated_end,
-                            iterated_step, kicked_end, kicked_turn, turn, velocity)
+                            iterated_step, kept, kicked_end, kicked_turn, turn, velocity)
+from .rotation_stability import stability_limit
 from .status import NO_RATTLE_STEP, NOT_CONVERGED, NOT_FINITE, OK
+
+log = logging.getLogger("liegroup_core")
 
 RULES = {
     "stoermer_verlet": STOERMER_VERLET, "lie_newmark": LIE_NEWMARK, "rattle": RATTLE,
@@ -50,11 +55,14 @@ RULES = {
 } | {name: RUNGE_KUTTA for name, method in METHODS.items()
      if method.family == "rotation" and method.coefficients}
 
-# A step is repeated with the torque at its latest guess until that moves no body by more than
-# this, rad and part of the largest coordinate or of 1 m; where rounding is larger, until it moves
-# them by so many times that and no longer comes down.
+# An ITERATED step is repeated with other loads until that moves no body by more than this, rad
+# and part of the largest coordinate or of 1 m; where rounding is larger, until it moves them by so
+# many times that and has not come down by half in two repetitions.
 TOLERANCE, STUCK = 1e-15, 100.0
 MOST_REPEATS = 100
+# Corrections of the loads that Broyden's method remembers before it begins anew, and its `most`:
+# beyond, the forces nearly answer a displacement by driving it on, as a negative damping would.
+REMEMBERED, MOST_PART = 16, 0.9
 
 # Columns of the memory of a step, per body: three of each, nine of Q. LINEAR, VELOCITY and PLACE
 # are m R v, w and r at the end of the step, as far as they are known.
@@ -87,7 +95,7 @@ def _kicked(rule, spinners, work, memory, h, evaluation, pose, twist):
             store3(momentum, memory, i, MOMENTUM)
             store3(guess, memory, i, VELOCITY)
             store3(linear, memory, i, LINEAR)
-            rot = orthonormal(matmul3(load9(pose, i, 0), change))
+            rot = kept(matmul3(load9(pose, i, 0), change))
             r = axpy3(h / spinner["mass"], linear, load3(pose, i, 9))
             place(spinner, i, rot, guess, r, axpy3(0.5 * h, force, linear), work.stage_pose,
                   work.stage_twist)
@@ -114,8 +122,36 @@ def _moved(one, other):
 
 
 @kernel
-def _iterated(rule, spinners, work, memory, h, evaluation, pose, twist):
-    """ITERATED step after an evaluation of the forces; leaves the bodies where they act next.
+def _rates(spinner):
+    """What loads are measured by: 1/(kg m^2) for torques and 1/kg for forces."""
+    inertia = spinner["inertia"]
+    return 3.0 / (inertia[0] + inertia[4] + inertia[8]), 1.0 / spinner["mass"]
+
+
+@kernel
+def _expect(spinners, work, loads, corrections, evaluation):
+    """The loads of the next repetition, from those that act where the last ones have led.
+
+    loads (6 n,) : rad/s^2 and m/s^2, corrected
+    """
+    k = max(0, evaluation - 1) % REMEMBERED
+    for i in range(len(spinners)):
+        torque, force = load(spinners[i], work, i)
+        by_torque, by_force = _rates(spinners[i])
+        for c in range(3):
+            if evaluation == 0:
+                loads[6 * i + c] = loads[6 * i + 3 + c] = 0.0
+            corrections[k, 6 * i + c] = by_torque * torque[c] - loads[6 * i + c]
+            corrections[k, 6 * i + 3 + c] = by_force * force[c] - loads[6 * i + 3 + c]
+    if evaluation > 0:
+        broyden(corrections, k, MOST_PART)
+    for r in range(len(loads)):
+        loads[r] += corrections[k, r]
+
+
+@kernel
+def _iterated(rule, spinners, work, memory, loads, h, evaluation, pose, twist):
+    """ITERATED step with the loads expected; leaves the bodies where forces act next.
 
     returns (status, largest displacement against the evaluation before: rad, and part of the
     largest coordinate or of 1 m)
@@ -124,7 +160,11 @@ def _iterated(rule, spinners, work, memory, h, evaluation, pose, twist):
     for i in range(len(spinners)):
         spinner = spinners[i]
         inertia, inverse = matrix3(spinner["inertia"]), matrix3(spinner["inverse_inertia"])
-        torque, force = load(spinner, work, i)
+        by_torque, by_force = _rates(spinner)
+        torque = (loads[6 * i] / by_torque, loads[6 * i + 1] / by_torque,
+                  loads[6 * i + 2] / by_torque)
+        force = (loads[6 * i + 3] / by_force, loads[6 * i + 4] / by_force,
+                 loads[6 * i + 5] / by_force)
         w = load3(twist, i, 0)
         before = load3(memory, i, TURN)
         if evaluation == 0:
@@ -139,7 +179,8 @@ def _iterated(rule, spinners, work, memory, h, evaluation, pose, twist):
         store3(u, memory, i, TURN)
         store3(w_end, memory, i, VELOCITY)
         store9(turn(whole), memory, i, Q)
-        work.report[1] = max(work.report[1], dot3(whole, whole))
+        # Where the solution turns less than the body does, it is no better for it.
+        work.report[1] = max(work.report[1], dot3(whole, whole), h * h * dot3(w, w))
 
         r, linear = load3(pose, i, 9), linear_momentum(spinner, pose, twist, i)
         if rule == BOTTASSO_BORRI:
@@ -170,19 +211,24 @@ def _iterated(rule, spinners, work, memory, h, evaluation, pose, twist):
 def _iterated_finish(spinners, work, memory, pose):
     """Place the bodies at the end of an ITERATED step."""
     for i in range(len(spinners)):
-        rot = orthonormal(matmul3(load9(pose, i, 0), load9(memory, i, Q)))
+        rot = kept(matmul3(load9(pose, i, 0), load9(memory, i, Q)))
         place(spinners[i], i, rot, load3(memory, i, VELOCITY), load3(memory, i, PLACE),
               load3(memory, i, LINEAR), work.stage_pose, work.stage_twist)
 
 
 @kernel
-def _weighted(slopes, weights, row, stages, n, i, at):
-    """sum_l weights[row, l] of so many slopes of body i: three columns."""
-    total = ZERO3
+def _weighted(slopes, weights, row, stages, n, i):
+    """sum_l weights[row, l] of so many slopes of body i: four vectors."""
+    turned, moved, torques, forces = ZERO3, ZERO3, ZERO3, ZERO3
     for stage in range(stages):
-        if weights[row, stage] != 0.0:
-            total = axpy3(weights[row, stage], load3(slopes, stage * n + i, at), total)
-    return total
+        weight = weights[row, stage]
+        if weight != 0.0:
+            k = stage * n + i
+            turned = axpy3(weight, load3(slopes, k, 0), turned)
+            moved = axpy3(weight, load3(slopes, k, 3), moved)
+            torques = axpy3(weight, load3(slopes, k, 6), torques)
+            forces = axpy3(weight, load3(slopes, k, 9), forces)
+    return turned, moved, torques, forces
 
 
 @kernel
@@ -206,32 +252,32 @@ def _staged(spinners, work, memory, weights, h, stage, pose, twist):
         store3(matvec3(rot, torque), work.slopes, row, 6)
         store3(force, work.slopes, row, 9)
 
-        psi = scale3(h, _weighted(work.slopes, weights, stage + 1, stage + 1, n, i, 0))
+        turned, moved, torques, forces = _weighted(work.slopes, weights, stage + 1, stage + 1, n,
+                                                   i)
+        psi = scale3(h, turned)
         squared = dot3(psi, psi)
         if not squared < math.inf:
             return NOT_FINITE, True
         work.report[1] = max(work.report[1], squared)
         store3(psi, memory, i, TURN)
         start = load9(pose, i, 0)
-        impulse = scale3(h, _weighted(work.slopes, weights, stage + 1, stage + 1, n, i, 6))
         inertia = matrix3(spinner["inertia"])
-        y = add3(matvec3(inertia, load3(twist, i, 0)), tmatvec3(start, impulse))
+        y = add3(matvec3(inertia, load3(twist, i, 0)), tmatvec3(start, scale3(h, torques)))
         change = turn(psi)
         y = tmatvec3(change, y)
-        r = axpy3(h, _weighted(work.slopes, weights, stage + 1, stage + 1, n, i, 3),
-                  load3(pose, i, 9))
-        linear = axpy3(h, _weighted(work.slopes, weights, stage + 1, stage + 1, n, i, 9),
-                       linear_momentum(spinner, pose, twist, i))
+        r = axpy3(h, moved, load3(pose, i, 9))
+        linear = axpy3(h, forces, linear_momentum(spinner, pose, twist, i))
         rot = matmul3(start, change)
         if end:
-            rot = orthonormal(rot)
+            rot = kept(rot)
         place(spinner, i, rot, velocity(inertia, matrix3(spinner["inverse_inertia"]), y), r,
               linear, work.stage_pose, work.stage_twist)
     return OK, end
 
 
 @kernel
-def advance(model, work, spinners, memory, rule, weights, h, steps, pose, twist, external):
+def advance(model, work, spinners, memory, loads, corrections, rule, weights, h, steps, pose,
+            twist, external):
     """Take `steps` steps of size h in place of pose (n, 12) and twist (n, 6).
 
     external (n, 6) : applied wrenches in body axes, constant over these steps
@@ -243,12 +289,13 @@ def advance(model, work, spinners, memory, rule, weights, h, steps, pose, twist,
     """
     spinners = borrowed(spinners)
     memory, weights = borrowed(memory), borrowed(weights)
+    loads, corrections = borrowed(loads), borrowed(corrections)
     pose, twist, external = borrowed(pose), borrowed(twist), borrowed(external)
     for done in range(steps):
         copy_state(pose, twist, work.stage_pose, work.stage_twist)
         work.report[1] = 0.0
         status, ended = OK, False
-        evaluation, previous = 0, math.inf
+        evaluation, previous, earlier = 0, math.inf, math.inf
         while not ended:
             for i in range(len(spinners)):
                 for c in range(6):
@@ -262,10 +309,12 @@ def advance(model, work, spinners, memory, rule, weights, h, steps, pose, twist,
             elif rule < FIRST_ITERATED:
                 status, ended = _kicked(rule, spinners, work, memory, h, evaluation, pose, twist)
             else:
-                status, apart = _iterated(rule, spinners, work, memory, h, evaluation, pose, twist)
+                _expect(spinners, work, loads, corrections, evaluation)
+                status, apart = _iterated(rule, spinners, work, memory, loads, h, evaluation, pose,
+                                          twist)
                 ended = status != OK or apart <= TOLERANCE or (
-                    0.5 * previous < apart <= STUCK * TOLERANCE)
-                previous = apart
+                    0.5 * max(previous, earlier) < apart <= STUCK * TOLERANCE)
+                previous, earlier = apart, previous
                 if ended and status == OK:
                     _iterated_finish(spinners, work, memory, pose)
                 elif evaluation == MOST_REPEATS:
@@ -289,12 +338,15 @@ class Rotation:
     def __init__(self, method, layout, group, step, options):
         model = layout.model
         refuse_stabilisation(method, model)
-        self._model, self._rule = model, RULES[method.name]
+        self._model, self._name, self._rule = model, method.name, RULES[method.name]
+        self._looked = False        # for steps that are too large at the start
         self._spinners = make_spinners(model)
         tableau = method.tableau if method.coefficients else None
         self._weights = (np.zeros((1, 0)) if tableau is None
                          else np.vstack([tableau.a, tableau.b]))
         self._memory = np.zeros((len(model.bodies), COLUMNS))
+        self._loads = np.zeros(6 * len(model.bodies))
+        self._corrections = np.zeros((REMEMBERED, 6 * len(model.bodies)))
         self.work = make_work(model, self._weights.shape[1])
         self._advance = SameTypes(advance)
 
@@ -313,5 +365,26 @@ class Rotation:
 
     def advance(self, h, steps, pose, twist, external):
         """Take steps of size h in place; returns (steps done, status)."""
-        return self._advance(self._model, self.work, self._spinners, self._memory, self._rule,
-                             self._weights, h, steps, pose, twist, external)
+        if steps > 0 and not self._looked:
+            self._looked = True
+            self._look(h, pose, twist, external)
+        return self._take(h, steps, pose, twist, external)
+
+    def _take(self, h, steps, pose, twist, external):
+        return self._advance(self._model, self.work, self._spinners, self._memory, self._loads,
+                       self._corrections, self._rule, self._weights, h, steps, pose, twist,
+                       external)
+
+    def _look(self, h, pose, twist, external):
+        """Warn where the step is beyond what is stable at a state."""
+        def step(size, pose, twist):
+            _, status = self._take(size, 1, pose, twist, external)
+            return (pose, twist) if status == OK else None
+
+        report = self.work.report.copy()
+        limit = stability_limit(step, self._spinners, h, pose, twist)
+        self.work.report[:] = report
+        if limit is not None:
+            log.warning("%s, step %g s: errors grow from step to step, as an oscillation is too "
+                        "fast for it; at the start of this run steps are stable up to %.2g s, "
+                        "take a smaller one", self._name, h, limit)

@@ -9,7 +9,7 @@ import numpy as np
 
 from .._compile import kernel
 from ..joints.elements import PAIR
-from ..lie.vec3 import (ZERO3, add3, cross3, load3, load9, matvec3, scale3, store3, store9,
+from ..lie.vec3 import (ZERO3, add3, cross3, load3, load9, matvec3, scale3, store3, store9, sub3,
                         tmatvec3, vector3)
 from ..model.arrays import WORLD
 
@@ -30,7 +30,10 @@ def place(spinner, i, rot, w, r, linear, pose_out, twist_out):
         r = add3(vector3(spinner["pivot"]), matvec3(rot, arm))
         v = cross3(w, arm)
     else:
-        v = scale3(1.0 / spinner["mass"], tmatvec3(rot, linear))
+        # Not R^T alone: R is a rotation to some roundings, the same ones for many steps.
+        v = tmatvec3(rot, linear)
+        v = scale3(1.0 / spinner["mass"],
+                   add3(v, tmatvec3(rot, sub3(linear, matvec3(rot, v)))))
     store9(rot, pose_out, i, 0)
     store3(r, pose_out, i, 9)
     store3(w, twist_out, i, 0)

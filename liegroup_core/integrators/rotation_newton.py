@@ -18,6 +18,11 @@ from ..lie.vec3 import (IDENTITY3, axpy3, cross3, dot3, matmul3, matvec3, scale3
 
 GYROSCOPIC, RATTLE, INCREMENT, EXPONENTIAL = 0, 1, 2, 3
 
+# Where Newton's method does not get there from its start, h is raised from zero in parts between
+# these two, each solution followed by no more than so many rad from where it was expected.
+FIRST_PART, LEAST_PART = 0.125, 1e-3
+LARGEST_MOVE = 0.25
+
 # After a correction of this part of x, or of the start, the next one would be of its square: below
 # rounding, with room for a matrix that is nearly singular.
 LAST_CORRECTION = 1e-9
@@ -129,3 +134,28 @@ def newton(kind, inertia, h, start, v, a, b, c):
             if size == 0.0:
                 return base, True
     return base, False
+
+
+@subroutine
+def follow(inertia, h, start, v, a, b, c):
+    """Solve an INCREMENT equation, from a start or else along the solutions for smaller h.
+
+    returns (x, True), or (x, False) where that ends before h. At steps of much more than 1 rad
+    there are several solutions; the one that is followed is a small turn for a small h.
+    """
+    x, found = newton(INCREMENT, inertia, h, start, v, a, b, c)
+    if found:
+        return x, True
+    part, more = 0.0, FIRST_PART
+    x = (0.0, 0.0, 0.0)
+    while part < 1.0 and more >= LEAST_PART:
+        wanted = min(1.0, part + more)
+        expected = scale3(wanted / part, x) if part > 0.0 else scale3(wanted, start)
+        y, found = newton(INCREMENT, inertia, wanted * h, expected, v, a, b, c)
+        off = sub3(y, expected)
+        if found and dot3(off, off) <= LARGEST_MOVE * LARGEST_MOVE:
+            x, part = y, wanted
+            more *= 2.0
+        else:
+            more *= 0.5
+    return x, part == 1.0

@@ -19,9 +19,6 @@ NO_RATTLE_STEP = 10
 LARGEST_ROTATION = 2.0 * math.pi - 0.1
 LARGE_ROTATION = math.pi
 
-# RATTLE is solvable below 1 rad a step about a principal axis, and a little beyond about others.
-RATTLE_WORKS = 0.95
-
 MESSAGES = {
     NOT_FINITE: "the state is no longer finite: the step is too large for this motion, or a force "
                 "is; take a smaller step",
@@ -36,9 +33,9 @@ MESSAGES = {
     TOO_MANY_SUBSTEPS: "the tolerance asks for too many substeps within one step: take a smaller "
                        "step or larger tolerances; for a stiff scene another method",
     NOT_CONVERGED: "Newton's method does not solve the equations of an implicit step: it is too "
-                   "large for this motion, or the pose is singular; take a smaller step",
+                   "large for this motion, or the pose is singular; take a smaller step{hint}",
     NOT_PROJECTED: "the joints cannot be closed again by small displacements: the step is too "
                    "large for this motion; take a smaller step",
     NO_RATTLE_STEP: "RATTLE has no solution for body {body}, which turns by {angle:.3g} rad in a "
-                    "step: that must stay below 1 rad; a smaller step, {works:.2g} s, would work",
+                    "step: that must stay below 1 rad; take a smaller step{hint}",
 }

@@ -15,7 +15,7 @@ from scipy.integrate import RK45
 
 import mechanisms
 from liegroup_core import Simulation, SimulationError, load_scene
-from liegroup_core.integrators import FAMILIES, check_options, spatial
+from liegroup_core.integrators import FAMILIES, NOT_ON_SE3, check_options, spatial
 from liegroup_core.integrators.methods import METHODS
 from liegroup_core.integrators.status import (DEPENDENT_ROWS, NO_RATTLE_STEP, NOT_CONVERGED,
                                               NOT_FINITE, ROTATION_TOO_LARGE,
@@ -24,6 +24,8 @@ from liegroup_core.integrators.status import (DEPENDENT_ROWS, NO_RATTLE_STEP, NO
 TABLEAUS = {name: method for name, method in METHODS.items() if method.coefficients}
 ANYWHERE = [name for name, method in METHODS.items() if method.family != "rotation"]
 CONTROLLED = [name for name, method in TABLEAUS.items() if method.tableau.e is not None]
+ON_GROUPS = [(name, group) for name, method in METHODS.items() for group in ("se3", "so3xr3")
+             if group == "so3xr3" or method.family not in NOT_ON_SE3]
 UNIT = 2.0 ** -53
 
 
@@ -131,8 +133,7 @@ def test_entry_is_complete(name):
     assert set(check_options(name, {})) == set(FAMILIES[method.family].options(method))
 
 
-@pytest.mark.parametrize("group", ["se3", "so3xr3"])
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize("name, group", ON_GROUPS)
 def test_the_same_bits_however_the_steps_are_asked_for(name, group):
     """Also with a wrench that starts and ends in between, and again after a reset."""
     scene = mechanisms.fitting(name)
@@ -245,11 +246,12 @@ def test_a_rotation_beyond_pi_warns_once(name, caplog):
     simulation.set_state(simulation.state()[0], [[0.0, 0.0, 8.0, 0.0, 0.0, 0.0]])
     simulation.advance(1)
     simulation.advance(2)
-    assert len([r for r in caplog.records if "more than pi" in r.message]) == 1
+    said = [r.message for r in caplog.records if "more than pi" in r.message]
+    # 4 rad a step: pi is at 0.39 s.
+    assert len(said) == 1 and said[0].startswith(f"{name}, step 0.5 s:") and "step of 0.39" in said[0]
 
 
-@pytest.mark.parametrize("name", METHODS)
-@pytest.mark.parametrize("group", ["se3", "so3xr3"])
+@pytest.mark.parametrize("name, group", ON_GROUPS)
 def test_a_free_body_without_forces_or_motion_stays(name, group):
     simulation = Simulation(load_scene("free_body"), method=name, group=group, step=0.25)
     pose = simulation.state()[0]
@@ -263,6 +265,10 @@ def test_options_are_refused_where_they_mean_nothing_or_are_wrong():
     for options, text in (
             ({"method": "rkmk4", "rtol": 1e-6}, "rkmk4 has no option 'rtol'; it has: dexpinv"),
             ({"method": "rkmk54", "rho_inf": 1.0}, "it has: dexpinv, space, rtol, atol"),
+            ({"method": "rattle", "rtol": 1e-6}, "rattle has no option 'rtol'; it has none$"),
+            ({"method": "rattle", "group": "se3"}, "group must be 'so3xr3' or 'auto', got 'se3'"),
+            ({"method": "constrained_rattle", "group": "se3"}, "on SO\\(3\\) x R\\^3 alone"),
+            ({"method": "rkmk4", "group": "so3"}, "unknown group 'so3'; there are: auto, se3"),
             ({"method": "rkmk54", "atol": 0.0}, "atol must be a positive number, got 0.0"),
             ({"method": "rkmk54", "rtol": math.nan}, "rtol must be a positive number"),
             ({"method": "rkmk4", "dexpinv": "none"}, "'exact' or 'truncated', got 'none'"),
@@ -271,6 +277,7 @@ def test_options_are_refused_where_they_mean_nothing_or_are_wrong():
             ({"method": "generalized_alpha", "stabilisation": "projection"}, "closes the joints")):
         with pytest.raises(ValueError, match=text):
             Simulation(scene, **options)
+    assert Simulation(scene).group == "se3" and Simulation(scene, method="rattle").group == "so3xr3"
     assert Simulation(scene, method="rkmk54", rtol=1e-3).options == {
         "dexpinv": "exact", "space": "auto", "rtol": 1e-3, "atol": 1e-6}
 

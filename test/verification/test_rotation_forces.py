@@ -5,6 +5,7 @@ References: the independent integration of liegroup_core.reference, or SciPy's D
 written here.
 """
 import os
+import re
 import subprocess
 import sys
 
@@ -198,10 +199,77 @@ def test_a_torque_that_repetition_cannot_settle_ends_with_a_status(method):
                              parent_point=(0, 0.1, 0), child_point=(0, 0, 0.1))])
     simulation = Simulation(scene, method=method, step=0.01)
     before = simulation.state()
-    with pytest.raises(SimulationError, match="smaller step"):
+    with pytest.raises(SimulationError, match="smaller step") as failure:
         simulation.advance(1)
     assert (simulation.state()[0] == before[0]).all() and simulation.steps == 0
+    works = float(re.search(r"from here ([\d.e-]+) s works", str(failure.value)).group(1))
+    assert works < 0.01
+    Simulation(scene, method=method, step=works).advance(1)
     Simulation(scene, method=method, step=1e-4).advance(100)
+
+
+@pytest.mark.parametrize("method", ["lie_midpoint", "simo_wong"])
+def test_drag_that_repetition_cannot_settle_is_solved(method):
+    """h c / 2 m = 5: repeated, each force would be five times as far off as the one before.
+
+    The midpoint rule in world axes, v+ (1 + 5) = v (1 - 5) + h g; turning is as stiff, and stops.
+    """
+    mass, h = 2.0, 0.01
+    scene = Scene(name="honey", gravity=(0, 0, -9.81), bodies=[
+        Body(name="a", mass=mass, inertia=SIX, angular_velocity=(0.5, 0.8, 0.1),
+             linear_velocity=(0.4, -0.3, 0.2))],
+        forces=[Drag(name="honey", body="a", linear=10 * mass / h, angular=10 * 1.1 / h)])
+    simulation = Simulation(scene, method=method, step=h)
+    v, r = np.array([0.4, -0.3, 0.2]), np.zeros(3)
+    for _ in range(30):
+        simulation.advance(1)
+        v, before = ((1 - 5) * v + h * np.array([0, 0, -9.81])) / (1 + 5), v
+        r = r + h * (v + before) / 2
+        pose, twist = simulation.state()
+        # Repeated until displacements change by 1e-15 m or some roundings of them: velocities are
+        # 2/h times as far off, and what is left of that shrinks by 4/6 in every step.
+        assert np.abs(pose[0, :9].reshape(3, 3) @ twist[0, 3:] - v).max() <= 3 * 2e-15 / h
+        assert np.abs(pose[0, 9:] - r).max() <= 30 * 2e-15
+    assert np.abs(twist[0, :3]).max() < 1e-3
+
+
+def pendulum():
+    """A body that swings about its lower position with sqrt(m g a / (I + m a^2))."""
+    return Scene(name="pendulum", gravity=(0, 0, -9.81), bodies=[
+        Body(name="a", mass=1.0, inertia=(1, 1, 1), position=(0, 0, -1),
+             angular_velocity=(0.1, 0, 0), linear_velocity=(0, 0.1, 0))], joints=[
+        Joint(name="pivot", type="spherical", parent="world", child="a",
+              child_frame=Frame(position=(0, 0, 1)))])
+
+
+@pytest.mark.parametrize("method", ["stoermer_verlet", "lie_newmark", "rattle",
+                                    "austin_krishnaprasad_wang"])
+def test_a_step_beyond_the_stability_limit_warns_and_names_it(method, caplog):
+    """h omega = 2 for all that are explicit in forces: found to 1 in 64, printed to two digits.
+
+    The growth looked for, 1.05 a step, is reached at h omega = 2.0006.
+    """
+    omega = np.sqrt(9.81 / 2)
+    Simulation(pendulum(), method=method, step=1.95 / omega).advance(1)
+    assert not caplog.records
+    Simulation(pendulum(), method=method, step=2.1 / omega).advance(1)
+    said = [record.getMessage() for record in caplog.records]
+    assert len(said) == 1 and said[0].startswith(f"{method}, step 0.948")
+    limit = float(re.search(r"stable up to ([\d.e-]+) s", said[0]).group(1))
+    assert limit * omega == pytest.approx(2.0, rel=0.025)
+
+
+@pytest.mark.parametrize("method", ROTATION)
+def test_steps_that_are_stable_do_not_warn_of_it(method, caplog):
+    """Free bodies have no limit, at whatever step; bodies on springs at a small one neither."""
+    for scene, step in ((load_scene("free_body"), 4.0), (load_scene("free_body"), 1.0),
+                        (load_scene("lagrangian_top"), 1 / 64),
+                        (load_scene("lagrangian_top"), 1 / 256), (mechanisms.rotors(), 2e-3)):
+        try:
+            Simulation(scene, method=method, step=step).advance(2)
+        except SimulationError:
+            assert method == "rattle"
+    assert not any("stable up to" in record.getMessage() for record in caplog.records)
 
 
 @pytest.mark.parametrize("name, why", [

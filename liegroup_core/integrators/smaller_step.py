@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A step that works where an implicit method has failed: found by trying."""
+import math
+
+from .status import OK
+
+# Parts of the failed step that are tried first, how often the place between a step that works and
+# one that does not is halved after that, and the part of what was found that is recommended: the
+# motion goes on, and may ask for a little less.
+SMALLEST_PART, HALVINGS, PART = 1e-9, 6, 0.95
+
+
+def step_that_works(integrator, h, pose, twist, external):
+    """A step below h, s, two digits, that the integrator can take from a state; None: not found.
+
+    pose (n, 12), twist (n, 6), external (n, 6): stay as they are; the integrator is restarted
+    """
+    work = integrator.work
+    kept = work.report.copy(), work.angle.copy()
+
+    def works(size):
+        integrator.restart()
+        work.angle[:] = kept[1]
+        return integrator.advance(size, 1, pose.copy(), twist.copy(), external)[1] == OK
+
+    def largest_below(too_large):
+        size = 0.5 * too_large
+        while size >= SMALLEST_PART * h and not works(size):
+            size *= 0.5
+        return size
+
+    good = largest_below(h)
+    bad = 2.0 * good
+    for _ in range(HALVINGS):
+        middle = 0.5 * (good + bad)
+        if works(middle):
+            good = middle
+        else:
+            bad = middle
+    good = _two_digits(PART * good)
+    if not works(good):
+        good = _two_digits(largest_below(good))
+    found = good if good >= SMALLEST_PART * h else None
+    work.report[:], work.angle[:] = kept
+    integrator.restart()
+    return found
+
+
+def _two_digits(value):
+    """The value rounded down to two digits."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return float(f"{math.floor(value / unit + 1e-9) * unit:.2g}")
