@@ -372,8 +372,8 @@ class Rotation:
 
     def _take(self, h, steps, pose, twist, external):
         return self._advance(self._model, self.work, self._spinners, self._memory, self._loads,
-                       self._corrections, self._rule, self._weights, h, steps, pose, twist,
-                       external)
+                             self._corrections, self._rule, self._weights, h, steps, pose, twist,
+                             external)
 
     def _look(self, h, pose, twist, external):
         """Warn where the step is beyond what is stable at a state."""

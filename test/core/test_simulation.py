@@ -88,7 +88,7 @@ def test_a_linkage_that_is_stretched_and_cannot_move_is_refused():
 
 @pytest.mark.parametrize("setting, text", [
     ({"method": "rk9"}, "unknown method 'rk9'; there are: rkmk1, "),
-    ({"group": "so3"}, "unknown group 'so3'; there are: se3, so3xr3"),
+    ({"group": "so3"}, "unknown group 'so3'; there are: auto, se3, so3xr3"),
     ({"step": 0.0}, "positive"), ({"step": float("nan")}, "positive"), ({"step": "1"}, "positive"),
 ])
 def test_wrong_settings_say_what_would_be_right(setting, text):
