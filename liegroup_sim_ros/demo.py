@@ -82,7 +82,7 @@ def _simulate(seconds, log, output, console):
     try:
         with open(output, "w", encoding="utf-8") as stream:
             node = _start("sim_node", ["--ros-args", *arguments], stream, processes)
-            with console.status("starting (the first time on a machine compiles: a minute)"):
+            with console.status("starting (the first time on a machine compiles for some 20 s)"):
                 _wait_until(log.exists, STARTING, node, output)
             _watch(seconds, node, output, processes, console)
             node.send_signal(signal.SIGINT)

@@ -75,7 +75,7 @@ def run(args):
     scene = load_scene(args.scene)
     console = Console(stderr=True)
     try:
-        with console.status("starting (the first time on a machine compiles: a minute)"):
+        with console.status("starting (the first time on a machine compiles for some 20 s)"):
             simulation = Simulation(scene, args.method, args.step, args.group,
                                     args.stabilisation, args.baumgarte_time, **options)
     except ValueError as error:             # SceneError, too, is one
