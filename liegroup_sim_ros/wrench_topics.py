@@ -21,7 +21,7 @@ class WrenchTopics:
 
     def __init__(self, node, bodies, values, server):
         self._node, self._values, self._server = node, values, server
-        self.input = WrenchInput(bodies, values.world_frame)
+        self.input = WrenchInput(bodies, values.world_frame, values.frame_prefix)
         self._subscriptions = []
         self._listen("~/wrench", "wrench")
         self._listen("~/wrench/persistent", "persistent")
@@ -50,13 +50,15 @@ class WrenchTopics:
                                  "until_replaced": None}[hold])
 
     def _clear(self, message):
-        if message.data and not self.input.knows(message.data):
+        body, name = self.input.named(message.data)
+        if message.data and body is None:
             try:
                 self.input.refuse_clear(message.data)
             except Refusal as refusal:
                 self._say(refusal)
             return
-        self._server.clear(source_prefix("persistent", message.data))
+        target = f"{body}/{name}" if name else body
+        self._server.clear(source_prefix("persistent", target if message.data else ""))
 
     def _say(self, refusal):
         if refusal.first:
