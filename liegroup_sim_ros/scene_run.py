@@ -55,7 +55,7 @@ class SceneRun:
             raise ParameterError("parameter frame_prefix: must not begin with a slash, as no "
                                  f"frame of tf2 does, got {values.frame_prefix!r}")
         self.outputs = Outputs(node, layout, values, self._figures)
-        if path:
+        if path and (values.record_split_size or values.record_split_duration):
             # Before the samples: the first one of a part is its initial state.
             self.outputs.timed.insert(0, (values.steps["publish_rate"], self._divide_if_due))
         self.server = SimulationServer(simulation, self.outputs, values.real_time_factor, paused,

@@ -150,7 +150,7 @@ class SimulationServer(threading.Thread):
         if self.state == "running":
             tick = self._next_tick()
             if self.pacer.wait(self._stamp(tick) * 1e-9, idle):
-                self._advance(tick)
+                self._advance_to(tick)
         else:
             self._wake.wait(idle)
         if time.monotonic() >= self._next_diagnostics:
@@ -181,17 +181,22 @@ class SimulationServer(threading.Thread):
 
     def _advance(self, end):
         """Advance to step `end`, with all output on the way; True if it got there."""
-        simulation = self._simulation
-        while simulation.steps < end and not self._stopping:
-            if self._wrenches:
-                self._hand_over_wrenches()
-            try:
-                simulation.advance(min(end, self._next_tick()) - simulation.steps)
-            except SimulationError as error:
-                self._fault(str(error))
+        while self._simulation.steps < end and not self._stopping:
+            if not self._advance_to(min(end, self._next_tick())):
                 return False
-            self._put_out()
-        return simulation.steps == end
+        return self._simulation.steps == end
+
+    def _advance_to(self, tick):
+        """Advance to a step before which nothing is to be put out; False after a fault."""
+        if self._wrenches:
+            self._hand_over_wrenches()
+        try:
+            self._simulation.advance(tick - self._simulation.steps)
+        except SimulationError as error:
+            self._fault(str(error))
+            return False
+        self._put_out()
+        return True
 
     def _hand_over_wrenches(self):
         with self._lock:

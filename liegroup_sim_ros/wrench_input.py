@@ -76,7 +76,8 @@ class WrenchInput:
         try:
             start_ns, frame_id, wrench = WrenchStampedCodec.decode_one(payload)
         except MessageError as error:
-            self._refuse("damaged", lambda: str(error))
+            text = str(error)
+            self._refuse("damaged", lambda: text)
         axes = "body"
         target, name = self.named(frame_id)
         if body is not None and target != body and f"{frame_id}/".startswith(

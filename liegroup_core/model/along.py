@@ -32,10 +32,10 @@ def _quaternions(pose, out):
 
 def quaternions(pose):
     """Quaternions (..., 4) x, y, z, w >= 0 of poses (..., 12), to the bit as Sample has them."""
-    flat = np.array(pose, dtype=float, order="C").reshape(-1, 12)      # writable: the same type
-    out = np.empty((len(flat), 4))
-    _quaternions(flat, out)
-    return out.reshape(*np.shape(pose)[:-1], 4)
+    pose = np.array(pose, dtype=float, order="C")       # writable: always the same type
+    out = np.empty((*pose.shape[:-1], 4))
+    _quaternions(pose.reshape(-1, 12), out.reshape(-1, 4))
+    return out
 
 
 class Along:
