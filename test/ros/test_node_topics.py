@@ -19,10 +19,8 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import Marker, MarkerArray
 
-from liegroup_core import load_scene
 from liegroup_sim_ros.recording import read_recording
-from liegroup_sim_ros.report.motion import read_motion
-from liegroup_sim_ros.report.replay import repeat
+from liegroup_sim_ros.resimulate import resimulate
 
 STEP_NS = 1_000_000
 NODE, PREFIX = "/shown", "robot1/"
@@ -214,7 +212,7 @@ def test_reload_takes_a_new_scene_with_new_topics_and_a_new_file(client, node, f
     begin = second.initial_state["stamp_ns"]
     assert second.events[0].stamp_ns == begin > first.events[-1].stamp_ns
     assert second.pose["puck"].stamp_ns[0] == begin
-    same = repeat(load_scene(scene), second, read_motion(second))
+    same = resimulate(second)
     assert same["identical"] == same["samples"] > 5
 
 
