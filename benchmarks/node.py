@@ -152,15 +152,19 @@ def real_time(listener, folder, seconds):
 def holds(listener, folder, seconds, kind, links):
     """Whether a chain holds real time with 100 poses and twists per second of every body."""
     scene, path = folder / f"{kind}{links}.yaml", folder / f"{kind}{links}.mcap"
-    scene.write_text(chain(links, kind).text)
+    # Long links fall slowly: a free end that whips about is no motion for steps of 1 ms.
+    scene.write_text(chain(links, kind, length=10.0).text)
     with simulation(scene=scene, record=path, body_wrenches=False) as node:
         listener.figures()                  # of this node: the one before has ended
         cpu = node.cpu()
         listener.spin(seconds)
         cpu = node.cpu() - cpu
         node.end()
-    pacing = read_recording(path).pacing
+    recording = read_recording(path)
     path.unlink()
+    if not recording.complete or recording.lost or "fault" in (e.name for e in recording.events):
+        raise SystemExit(f"node.py: {links} links: the run was not good to its end")
+    pacing = recording.pacing
     factor = pacing["real_time_factor"]
     print(f"{kind:<12} {links:8d} {factor:15.5f} {pacing['lateness_us']['p99']:9.0f} "
           f"{100 * cpu / seconds:7.1f}", flush=True)
@@ -171,12 +175,15 @@ def largest(listener, folder, seconds):
     print("\nlargest chain at 100 Hz, every body's pose and twist published and recorded\n"
           "joints          links       rt factor  late p99   CPU %   (steps of 1 ms)")
     for kind in ("spherical", "revolute"):
+        def good_enough(links, kind=kind):             # twice: something else may have disturbed it
+            return any(holds(listener, folder, seconds, kind, links) for _ in range(2))
+
         good, links = 0, 50
-        while holds(listener, folder, seconds, kind, links):
+        while good_enough(links):
             good, links = links, 2 * links
         while links - good > 0.1 * links:   # between one that holds and one that does not
             middle = (good + links) // 2
-            if holds(listener, folder, seconds, kind, middle):
+            if good_enough(middle):
                 good = middle
             else:
                 links = middle
