@@ -7,8 +7,8 @@ from std_msgs.msg import String
 
 from .wrench_input import Refusal, WrenchInput, source_prefix
 
-# Messages that may wait for the executor; DDS replaces the oldest beyond. At 10 kHz the process may be
-# held up for a second: a tenth of that is often exceeded on a busy machine.
+# Messages that may wait for the executor; DDS replaces the oldest beyond. At 10 kHz the process
+# may be held up for a second: a tenth of that is often exceeded on a busy machine.
 DEPTH = 10_000
 
 

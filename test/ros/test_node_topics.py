@@ -80,7 +80,8 @@ def node(client, folder):
     scene.write_text(ARM)
     rates = {name: 1000.0 / steps for name, steps in PERIODS.items()}
     with NodeProcess({"scene": scene, "record": folder / "run.mcap", "arrow_scale": 0.1,
-                      "world_frame": "map", "frame_prefix": PREFIX, **rates}, remap=[f"__node:={NODE[1:]}"]) as process:
+                      "world_frame": "map", "frame_prefix": PREFIX, **rates},
+                     remap=[f"__node:={NODE[1:]}"]) as process:
         yield Shown(client)
         process.send(signal.SIGINT)
         assert process.wait()[0] == 0
