@@ -7,7 +7,7 @@ ros2 launch liegroup_sim_ros sim.launch.py preset:=show rviz:=true
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.conditions import IfCondition
-from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
@@ -17,6 +17,8 @@ PACKAGE = "liegroup_sim_ros"
 ARGUMENTS = {
     "scene": ("", "scene file, or name of a scene that comes along; empty: that of the preset"),
     "record": ("", "file to record to, *.mcap, or an existing folder; empty: as in the preset"),
+    "frame_prefix": ("", "what the frames of the bodies begin with, as robot1/; empty: as in the "
+                     "preset"),
     "preset": ("default", "which file of config/ has the other parameters, such as show"),
     "namespace": ("", "namespace of the node"),
     "clock_topic": ("/clock", "where /clock goes: a second simulation needs another name"),
@@ -24,12 +26,14 @@ ARGUMENTS = {
     "rviz": ("false", "true: start RViz with config/scene.rviz; give preset:=show, too"),
     "foxglove": ("false", "true: start foxglove_bridge; the layout is config/foxglove.json"),
 }
+# Of these, the parameters of the node, which win over the preset where they are given.
+PARAMETERS = ("scene", "record", "frame_prefix")
 
 
 def _simulation(context):
-    """The simulation node; scene and record only where they are given."""
+    """The simulation node."""
     # Texts, also where they look like numbers.
-    given = {name: ParameterValue(text, value_type=str) for name in ("scene", "record")
+    given = {name: ParameterValue(text, value_type=str) for name in PARAMETERS
              if (text := LaunchConfiguration(name).perform(context))}
     return [Node(
         package=PACKAGE, executable="sim_node", name="sim_node", output="screen",
@@ -42,8 +46,9 @@ def _simulation(context):
 
 def generate_launch_description():
     """Arguments and nodes."""
-    config = PathJoinSubstitution([FindPackageShare(PACKAGE), "config"])
-    preset = PathJoinSubstitution([config, [LaunchConfiguration("preset"), ".yaml"]])
+    # Lists of substitutions are joined as texts.
+    config = [FindPackageShare(PACKAGE), "/config/"]
+    preset = [*config, LaunchConfiguration("preset"), ".yaml"]
     markers = [LaunchConfiguration("namespace"), "/sim_node/markers"]
     return LaunchDescription([
         *(DeclareLaunchArgument(name, default_value=default, description=text)
@@ -53,7 +58,7 @@ def generate_launch_description():
         OpaqueFunction(function=_simulation),
         Node(package="rviz2", executable="rviz2",
              condition=IfCondition(LaunchConfiguration("rviz")),
-             arguments=["-d", PathJoinSubstitution([config, "scene.rviz"])],
+             arguments=["-d", [*config, "scene.rviz"]],
              remappings=[("/sim_node/markers", markers)]),
         Node(package="foxglove_bridge", executable="foxglove_bridge",
              condition=IfCondition(LaunchConfiguration("foxglove"))),

@@ -73,6 +73,8 @@ class WrenchSchedule:
 
         pose : (n, 12) at the start of the step
         """
+        if not self._waiting and not self._acting:
+            return ()
         touched = {c.body for c in self._acting.values() if c.in_world}
         while self._waiting and self._waiting[0].start <= step:
             command = self._waiting.pop(0)
@@ -95,6 +97,8 @@ class WrenchSchedule:
 
     def next_change(self, step):
         """The first step after this one at which a wrench starts, ends or turns with its body."""
+        if not self._waiting and not self._acting:
+            return NEVER
         starts = [c.start for c in self._waiting[:1]]
         ends = [step + 1 if c.in_world else c.end for c in self._acting.values()]
         return min(starts + ends, default=NEVER)

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from liegroup_core.lie.so3 import so3_to_quaternion
+from liegroup_core.model.along import quaternions
 
 from .cdr import Template, stamp
 
@@ -95,14 +95,14 @@ class Markers:
         time = stamp(stamp_ns)
         slots = []
         poses = sample.pose_matrices[self._owner] @ self._local
-        for rotation, place in zip(poses[:, :3, :3].reshape(-1, 9).tolist(),
-                                   poses[:, :3, 3].tolist()):
-            slots += time, (ADD,), (*place, *so3_to_quaternion(tuple(rotation)))
+        rows = np.hstack([poses[:, :3, :3].reshape(-1, 9), poses[:, :3, 3]])
+        for place, quaternion in zip(rows[:, 9:].tolist(), quaternions(rows).tolist()):
+            slots += time, (ADD,), (*place, *quaternion)
+        places = np.hstack([sample.pose[:, 9:], sample.orientation]).tolist()
         for part in (slice(3, 6), slice(0, 3)):
-            for body in self._bodies:
+            for body, pose in zip(self._bodies, places):
                 vector = self._wrenches.get(body, (0.0,) * 6)[part]
                 tip = [self.arrow_scale * component for component in vector]
-                pose = (*sample.positions[body].tolist(), *sample.quaternions[body].tolist())
                 slots += (time, (ADD if any(vector) else DELETE,), pose, (0.0, 0.0, 0.0, *tip))
         return self._template.pack(*slots)
 

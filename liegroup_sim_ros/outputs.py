@@ -39,6 +39,10 @@ class Stream:
         message_class = getattr(importlib.import_module(f"{package}.msg"), name)
         self._node = node
         self._publisher = node.create_publisher(message_class, topic, profile)
+        # Publisher.publish enters this context for every message, which takes as long as sending.
+        self._handle = self._publisher.handle
+        self._handle.__enter__()
+        self._publish = self._handle.publish_raw
         self._type, self._qos, self._depth = message_type, qos, depth
         self._write = self._channel = None
 
@@ -54,8 +58,9 @@ class Stream:
 
     def send(self, stamp_ns, data):
         """Publish and record a serialized message."""
-        self._publisher.publish(data)
-        self.record(stamp_ns, data)
+        self._publish(data)
+        if self._write is not None:
+            self._write(self._channel, stamp_ns, data)
 
     def record(self, stamp_ns, data):
         """Record a serialized message, without publishing it."""
@@ -64,6 +69,7 @@ class Stream:
 
     def close(self):
         """Take the topic away."""
+        self._handle.__exit__(None, None, None)
         self._node.destroy_publisher(self._publisher)
 
 
@@ -89,12 +95,14 @@ class Outputs:
         self.clock_steps = values.steps["clock_rate"]
         self.state_steps = values.steps["state_rate"]
         bodies, world_frame = layout.body_names, values.world_frame
+        self._frames = {body: values.frame_prefix + body for body in bodies}
         self._topics = {"pose": {}, "twist": {}}
         if values.steps["publish_rate"]:
             self._add_samples(bodies, world_frame, values.steps["publish_rate"])
         # Many bodies may be pushed at one step.
         self._applied = self._stream("~/applied_wrench", WrenchStampedCodec.TYPE, depth=100)
-        self._encode_wrench = {b: WrenchStampedCodec(b).encode for b in bodies}
+        self._encode_wrench = {body: WrenchStampedCodec(frame).encode
+                               for body, frame in self._frames.items()}
         self._events = self._stream("~/events", LogCodec.TYPE, qos="transient_local")
         self._diagnostics = self._stream("/diagnostics", diagnostics.TYPE)
         self._clock = self._state = None
@@ -105,7 +113,8 @@ class Outputs:
         self._markers = Markers(layout, world_frame, values.arrow_scale, self.acting)
         for name, topics in {**OPTIONAL, "marker_rate": lambda *_: markers(self._markers)}.items():
             if values.steps[name]:
-                self._add_optional(name, topics(layout, world_frame), values.steps[name])
+                self._add_optional(name, topics(layout, world_frame, values.frame_prefix),
+                                   values.steps[name])
 
     def _stream(self, *arguments, **options):
         self._streams.append(Stream(self._node, *arguments, **options))
@@ -118,14 +127,14 @@ class Outputs:
             pose = self._stream(f"~/{body}/pose", PoseStampedCodec.TYPE)
             twist = self._stream(f"~/{body}/twist", TwistStampedCodec.TYPE)
             self._topics["pose"][body], self._topics["twist"][body] = pose.topic, twist.topic
-            table.append((pose.send, twist.send, TwistStampedCodec(body).encode))
+            table.append((pose.send, twist.send, TwistStampedCodec(self._frames[body]).encode))
 
         def send(stamp_ns, sample):
             # Lists of all bodies at once: numbers of an array one by one cost several times more.
             for (send_pose, send_twist, encode_twist), pose, quaternion, twist in zip(
-                    table, sample.pose.tolist(), sample.quaternions.values(),
+                    table, sample.pose.tolist(), sample.orientation.tolist(),
                     sample.twist.tolist()):
-                send_pose(stamp_ns, encode_pose(stamp_ns, pose[9:], quaternion.tolist()))
+                send_pose(stamp_ns, encode_pose(stamp_ns, pose[9:], quaternion))
                 send_twist(stamp_ns, encode_twist(stamp_ns, twist))
 
         self.timed.append((steps, send))

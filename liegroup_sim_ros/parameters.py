@@ -65,6 +65,8 @@ TABLE = (
           low=0.0, high=1e9),
     Entry("record_metadata", False, "whether a metadata.yaml makes the folder a bag of rosbag2"),
     Entry("world_frame", "world", "frame id of the poses"),
+    Entry("frame_prefix", "", "what the frame id of every body begins with, such as robot1/; not "
+          "that of world_frame"),
     _rate("publish_rate", 100.0, "~/BODY/pose and ~/BODY/twist, of which recordings are made"),
     _rate("clock_rate", 100.0, "/clock"),
     _rate("state_rate", 10.0, "~/state"),

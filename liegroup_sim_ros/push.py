@@ -71,6 +71,7 @@ def _push(args):
     from geometry_msgs.msg import WrenchStamped
     from rclpy.duration import Duration
     from rclpy.executors import SingleThreadedExecutor
+    from rclpy.parameter_client import AsyncParameterClient
 
     name = "/" + args.node.strip("/")
     node = rclpy.create_node("liegroup_sim_push")
@@ -102,8 +103,12 @@ def _push(args):
                         "the same ROS_DOMAIN_ID? --node gives its name")
     if not spin_until(lambda: args.body in bodies(), ANSWER):
         raise PushError(f"{name} has no body {args.body!r}; it has: {', '.join(bodies())}")
+    answer = AsyncParameterClient(node, name).get_parameters(["frame_prefix"])
+    if not spin_until(answer.done, ANSWER):
+        raise PushError(f"{name} does not answer: is it ending?")
+    frame = answer.result().values[0].string_value + args.body
     message = WrenchStamped()
-    message.header.frame_id = args.body
+    message.header.frame_id = frame
     zero = WrenchStamped(header=message.header)
     for vector, values in ((message.wrench.force, args.force),
                            (message.wrench.torque, args.torque)):
@@ -121,14 +126,14 @@ def _push(args):
         publisher.wait_for_all_acked(Duration(seconds=ANSWER))
 
     def vanished():
-        ours = [m for m in applied if m.header.frame_id == args.body]
+        ours = [m for m in applied if m.header.frame_id == frame]
         return len(ours) > 1 and ours[-1].wrench == zero.wrench
 
     spin_until(vanished, ANSWER)
     text = (f"pushed {args.body} of {name} with force {list(args.force)} N, torque "
             f"{list(args.torque)} N m for {seconds:.2f} s: {sent} messages, then a zero one\n")
     stamps = [m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in applied
-              if m.header.frame_id == args.body]
+              if m.header.frame_id == frame]
     if not stamps:
         return text + "the simulation has not applied it: is it paused? see its log"
     return text + (f"applied from {stamps[0]:.9g} s to {stamps[-1]:.9g} s of simulated time"

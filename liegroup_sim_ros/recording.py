@@ -167,9 +167,11 @@ class Recording:
     def _decoded(self, wanted):
         """(topic, stamps, values) of the messages of poses and twists, piece by piece."""
         last = {}
-        frames = {topic: body if kind == "twist" else self.settings.get("world_frame", "world")
-                  for topic, (kind, body) in wanted.items()}
         with TellPath(self.path):
+            world, prefix = (self.settings.get(key, default) for key, default in (
+                ("world_frame", "world"), ("frame_prefix", "")))
+            frames = {topic: prefix + body if kind == "twist" else world
+                      for topic, (kind, body) in wanted.items()}
             for messages, channels in self._source.messages(self.channels):
                 for channel, index in channels:
                     if channel.topic not in wanted:

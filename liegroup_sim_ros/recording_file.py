@@ -110,6 +110,7 @@ class Scan:
         self.events, self.diagnostics = [], []
         self._tallies = {}                  # channel id -> _Tally
         self._wrenches = {body: ([], []) for body in bodies}
+        self._prefix = settings.get("frame_prefix", "")
         events, told, applied = (topics[key] for key in
                                  ("events", "diagnostics", "applied_wrench"))
         for messages, channels in source.messages():
@@ -135,9 +136,10 @@ class Scan:
 
     def _add_wrenches(self, messages, index):
         for stamps, names, which, values in decode(WrenchStampedCodec, messages, index):
-            for k, body in enumerate(names):
-                if body not in self._wrenches:
-                    raise RecordingError(f"a wrench is on {body!r:.60}, which is none of its "
+            for k, frame in enumerate(names):
+                body = frame.removeprefix(self._prefix)
+                if body not in self._wrenches or self._prefix + body != frame:
+                    raise RecordingError(f"a wrench is on {frame!r:.60}, which is none of its "
                                          "bodies")
                 self._wrenches[body][0].append(stamps[which == k])
                 self._wrenches[body][1].append(values[which == k])

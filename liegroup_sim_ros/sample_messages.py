@@ -1,19 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages about all bodies or joints at one instant, made from a Sample. No ROS is imported here.
 
-Each function takes a scene's Layout, returns [(topic, type, encode)], one entry for a topic, and
-`encode(stamp_ns, sample)` gives the serialized message. Poses are in the world frame, twists are
+Each function takes a scene's Layout, the world's frame id and what those of bodies begin with. It
+returns [(topic, type, encode)], one entry for a topic, and `encode(stamp_ns, sample)` gives the
+serialized message. Poses are in the world frame, twists are
 body twists: components in body axes, of the body frame's origin.
 """
 from .cdr import Template, stamp
 
 
-def odometry(layout, world_frame):
+def odometry(layout, world_frame, frame_prefix=""):
     """nav_msgs/Odometry of every body: pose and body twist in one; covariances are zero."""
     def of_body(body):
         template = Template()
         template.header(world_frame)
-        template.string(body)
+        template.string(frame_prefix + body)
         for numbers in ("7d", "6d"):
             template.slot(numbers)
             template.put("36d", *(0.0,) * 36)
@@ -24,12 +25,12 @@ def odometry(layout, world_frame):
             for body in layout.body_names]
 
 
-def velocities(layout, world_frame):
+def velocities(layout, world_frame, frame_prefix=""):
     """geometry_msgs/VelocityStamped of every body: its body twist, relative to the world."""
     def of_body(body):
         template = Template()
-        template.header(body)
-        template.string(body)
+        template.header(frame_prefix + body)
+        template.string(frame_prefix + body)
         template.string(world_frame)
         template.slot("6d")
         return lambda stamp_ns, sample: template.pack(stamp(stamp_ns), _twist(sample, body))
@@ -38,7 +39,7 @@ def velocities(layout, world_frame):
             for body in layout.body_names]
 
 
-def pose_array(layout, world_frame):
+def pose_array(layout, world_frame, frame_prefix=""):
     """geometry_msgs/PoseArray of all bodies, in the order of the scene."""
     bodies = layout.body_names
     template = Template()
@@ -49,7 +50,7 @@ def pose_array(layout, world_frame):
         stamp(stamp_ns), [number for body in bodies for number in _pose(sample, body)]))]
 
 
-def joint_states(layout, world_frame):
+def joint_states(layout, world_frame, frame_prefix=""):
     """sensor_msgs/JointState of the revolute and prismatic joints; no efforts."""
     names = layout.coordinates.names
     template = Template()
@@ -70,14 +71,14 @@ def joint_states(layout, world_frame):
     return [("~/joint_states", "sensor_msgs/msg/JointState", encode)]
 
 
-def transforms(layout, world_frame):
+def transforms(layout, world_frame, frame_prefix=""):
     """tf2_msgs/TFMessage: world frame to every body frame."""
     bodies = layout.body_names
     template = Template()
     template.put("I", len(bodies))
     for body in bodies:
         template.header(world_frame)
-        template.string(body)
+        template.string(frame_prefix + body)
         template.slot("7d")
 
     def encode(stamp_ns, sample):

@@ -46,11 +46,16 @@ class SceneRun:
                 part, bag = before.recorder.part + 1, before.recorder.bag
                 path = before.recorder.part_path(part)
                 self._more = {"part": part, "previous": before.recorder.path.name}
-        if not values.world_frame or values.world_frame in layout.body_names:
+        frames = [values.frame_prefix + body for body in layout.body_names]
+        if not values.world_frame or f"{values.world_frame}/".startswith(
+                tuple(f"{frame}/" for frame in frames)):
             raise ParameterError(f"parameter world_frame: must be a name that no body has, "
                                  f"got {values.world_frame!r}")
+        if values.frame_prefix.startswith("/"):
+            raise ParameterError("parameter frame_prefix: must not begin with a slash, as no "
+                                 f"frame of tf2 does, got {values.frame_prefix!r}")
         self.outputs = Outputs(node, layout, values, self._figures)
-        if path:
+        if path and (values.record_split_size or values.record_split_duration):
             # Before the samples: the first one of a part is its initial state.
             self.outputs.timed.insert(0, (values.steps["publish_rate"], self._divide_if_due))
         self.server = SimulationServer(simulation, self.outputs, values.real_time_factor, paused,
@@ -85,7 +90,7 @@ class SceneRun:
             self.simulation, self._node.get_fully_qualified_name(), values.world_frame,
             values.steps["publish_rate"], self.outputs.topics(), stamp_ns, state=state,
             parameters={name: value for name, value in vars(values).items() if name != "steps"},
-            **self._more)
+            frame_prefix=values.frame_prefix, **self._more)
 
     def _divide_if_due(self, stamp_ns, _):
         """Begin a new part of the recording, in the simulation thread."""

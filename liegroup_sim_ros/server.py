@@ -45,12 +45,14 @@ class SimulationServer(threading.Thread):
                                         if output.state_steps else [])]
         self._sent_ns = [None] * len(self._timed)       # stamp of the last message of each
         periods = {steps for steps, _ in self._timed} | {output.clock_steps} - {0}
-        self._periods = periods or {max(1, round(IDLE_TICK / simulation.step))}
+        # Multiples of another one bring no further ticks.
+        self._periods = [period for period in periods
+                         if not any(period % other == 0 for other in periods - {period})
+                         ] or [max(1, round(IDLE_TICK / simulation.step))]
         self._wake = threading.Event()
         self._lock = threading.Lock()
         self._commands = []                 # (Future, bound method, arguments)
         self._wrenches = {}                 # (source, start_ns) -> (Push, duration)
-        self._held = 0                      # wrenches that act or wait in the simulation
         self._stopping = False
         self._base_ns = base_ns
         self._origin = origin
@@ -103,7 +105,7 @@ class SimulationServer(threading.Thread):
     @property
     def wrenches_held(self):
         """Number of wrenches that act or wait."""
-        return self._held + len(self._wrenches)
+        return self._simulation.wrench_count + len(self._wrenches)
 
     def stop(self):
         """End the thread after the present tick, and wait for it."""
@@ -119,8 +121,9 @@ class SimulationServer(threading.Thread):
         try:
             self._begin()
             while not self._stopping:
-                self._wake.clear()
-                self._obey()
+                if self._wake.is_set():     # it is set behind every command
+                    self._wake.clear()
+                    self._obey()
                 self._run_on()
             self.pacer.stop()
             self._event("stop", f"stopped at step {self._simulation.steps}")
@@ -147,7 +150,7 @@ class SimulationServer(threading.Thread):
         if self.state == "running":
             tick = self._next_tick()
             if self.pacer.wait(self._stamp(tick) * 1e-9, idle):
-                self._advance(tick)
+                self._advance_to(tick)
         else:
             self._wake.wait(idle)
         if time.monotonic() >= self._next_diagnostics:
@@ -174,20 +177,26 @@ class SimulationServer(threading.Thread):
     def _next_tick(self):
         """The next step with something to put out; ticks stay on the grid after single steps."""
         steps = self._simulation.steps
-        return min((steps // period + 1) * period for period in self._periods)
+        return min([(steps // period + 1) * period for period in self._periods])
 
     def _advance(self, end):
         """Advance to step `end`, with all output on the way; True if it got there."""
-        simulation = self._simulation
-        while simulation.steps < end and not self._stopping:
-            self._hand_over_wrenches()
-            try:
-                simulation.advance(min(end, self._next_tick()) - simulation.steps)
-            except SimulationError as error:
-                self._fault(str(error))
+        while self._simulation.steps < end and not self._stopping:
+            if not self._advance_to(min(end, self._next_tick())):
                 return False
-            self._put_out()
-        return simulation.steps == end
+        return self._simulation.steps == end
+
+    def _advance_to(self, tick):
+        """Advance to a step before which nothing is to be put out; False after a fault."""
+        if self._wrenches:
+            self._hand_over_wrenches()
+        try:
+            self._simulation.advance(tick - self._simulation.steps)
+        except SimulationError as error:
+            self._fault(str(error))
+            return False
+        self._put_out()
+        return True
 
     def _hand_over_wrenches(self):
         with self._lock:
@@ -196,7 +205,6 @@ class SimulationServer(threading.Thread):
             start = (push.start_ns - self._base_ns) * 1e-9 if push.start_ns else None
             self._simulation.apply_wrench(push.body, push.wrench, start, duration, push.source,
                                           push.axes)
-        self._held = self._simulation.wrench_count
 
     def _put_out(self, everything=False):
         """Put out what is due at the present step, in the order of the stamps."""
@@ -262,7 +270,6 @@ class SimulationServer(threading.Thread):
         with self._lock:
             self._wrenches.clear()
         self._simulation.reset()
-        self._held = 0
         self._event("reset", "initial state, step 0")
         for body in list(self._output.acting):
             self._put_out_wrench(self.stamp_ns, body, (0.0,) * 6)

@@ -2,9 +2,10 @@
 """Wrench commands: what a WrenchStamped on one of the wrench topics means, and what is refused.
 
 On ~/wrench and ~/wrench/persistent frame_id names the body, and components are in its axes; on
-~/BODY/wrench it names the axes, the body's or the world's. Torques are about the origin of the
-body frame. A name behind a slash, as in `top/left`, tells commanders of one topic apart: wrenches
-of different topics and names add, a later one of the same replaces the earlier one.
+~/BODY/wrench it names the axes, the body's or the world's. The frame of a body is its name behind
+the node's prefix. Torques are about the origin of the body frame. A name behind a slash, as in
+`top/left`, tells commanders of one topic apart: wrenches of different topics and names add, a
+later one of the same replaces the earlier one.
 A zero stamp, or one that is past, means the next step; a stamp to come means that simulated time.
 A message is taken whole or refused whole; refusals are counted by reason. No ROS is imported here.
 """
@@ -53,13 +54,14 @@ def source_prefix(kind, target):
 class WrenchInput:
     """Reads and counts wrench messages.
 
-    bodies      : names of the bodies
-    world_frame : frame id of the world
+    bodies       : names of the bodies
+    world_frame  : frame id of the world
+    frame_prefix : what the frame ids of the bodies begin with
     """
 
-    def __init__(self, bodies, world_frame):
+    def __init__(self, bodies, world_frame, frame_prefix=""):
         self._bodies = dict.fromkeys(bodies)
-        self._world_frame = world_frame
+        self._world_frame, self._prefix = world_frame, frame_prefix
         self.accepted = 0
         self.refused = dict.fromkeys(REASONS, 0)
 
@@ -74,21 +76,22 @@ class WrenchInput:
         try:
             start_ns, frame_id, wrench = WrenchStampedCodec.decode_one(payload)
         except MessageError as error:
-            self._refuse("damaged", lambda: str(error))
-        frame, _, name = frame_id.partition("/")
-        if body is not None and f"{frame_id}/".startswith(f"{self._world_frame}/"):
-            frame, name = self._world_frame, frame_id[len(self._world_frame) + 1:]
-        if not frame:
+            text = str(error)
+            self._refuse("damaged", lambda: text)
+        axes = "body"
+        target, name = self.named(frame_id)
+        if body is not None and target != body and f"{frame_id}/".startswith(
+                f"{self._world_frame}/"):
+            axes, target, name = "world", body, frame_id[len(self._world_frame) + 1:]
+        if not frame_id.partition("/")[0]:
             self._refuse("no_frame", lambda: "frame_id is empty; it must be one of: "
                          + self._frames(body))
-        if not (frame in self._bodies if body is None else frame in (body, self._world_frame)):
+        if target is None or body not in (None, target):
             self._refuse("unknown_frame", lambda: f"frame_id {frame_id[:LONGEST_NAME]!r} is not "
                          f"known here; it must be one of: {self._frames(body)}")
         if len(name) > LONGEST_NAME:
             self._refuse("unknown_frame", lambda: f"frame_id {frame_id[:20]!r}...: the name "
                          f"behind the slash has more than {LONGEST_NAME} characters")
-        axes = "body" if body in (None, frame) else "world"
-        target = body or frame
         if not all(map(math.isfinite, wrench)):
             self._refuse("not_finite", lambda: f"for {target}: a component is NaN or infinite")
         if start_ns > now_ns + FARTHEST:
@@ -107,9 +110,13 @@ class WrenchInput:
         self._refuse("unknown_frame", lambda: f"~/wrench/clear: {text[:LONGEST_NAME]!r} names no "
                      f"body; it must be empty for all, or one of: {self._frames(None)}")
 
-    def knows(self, target):
-        """Whether a text is BODY or BODY/NAME."""
-        return target.partition("/")[0] in self._bodies
+    def named(self, frame_id):
+        """(body, name of the commander) of the frame of a body; (None, "") of another one."""
+        if frame_id.startswith(self._prefix):
+            body, _, name = frame_id[len(self._prefix):].partition("/")
+            if body in self._bodies:
+                return body, name
+        return None, ""
 
     def _refuse(self, reason, text):
         """text: function that makes it, for it is read the first time only."""
@@ -119,6 +126,6 @@ class WrenchInput:
 
     def _frames(self, body):
         if body is not None:
-            return f"{body}, {self._world_frame}"
-        shown = ", ".join(list(self._bodies)[:8])
+            return f"{self._prefix}{body}, {self._world_frame}"
+        shown = ", ".join(f"{self._prefix}{name}" for name in list(self._bodies)[:8])
         return shown if len(self._bodies) <= 8 else f"{shown}, ... ({len(self._bodies)} bodies)"

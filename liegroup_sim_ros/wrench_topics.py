@@ -7,7 +7,9 @@ from std_msgs.msg import String
 
 from .wrench_input import Refusal, WrenchInput, source_prefix
 
-DEPTH = 1000                                # messages that may wait for the executor
+# Messages that may wait for the executor; DDS replaces the oldest beyond. At 10 kHz the process
+# may be held up for a second: a tenth of that is often exceeded on a busy machine.
+DEPTH = 10_000
 
 
 class WrenchTopics:
@@ -21,7 +23,7 @@ class WrenchTopics:
 
     def __init__(self, node, bodies, values, server):
         self._node, self._values, self._server = node, values, server
-        self.input = WrenchInput(bodies, values.world_frame)
+        self.input = WrenchInput(bodies, values.world_frame, values.frame_prefix)
         self._subscriptions = []
         self._listen("~/wrench", "wrench")
         self._listen("~/wrench/persistent", "persistent")
@@ -50,13 +52,15 @@ class WrenchTopics:
                                  "until_replaced": None}[hold])
 
     def _clear(self, message):
-        if message.data and not self.input.knows(message.data):
+        body, name = self.input.named(message.data)
+        if message.data and body is None:
             try:
                 self.input.refuse_clear(message.data)
             except Refusal as refusal:
                 self._say(refusal)
             return
-        self._server.clear(source_prefix("persistent", message.data))
+        target = f"{body}/{name}" if name else body
+        self._server.clear(source_prefix("persistent", target if message.data else ""))
 
     def _say(self, refusal):
         if refusal.first:

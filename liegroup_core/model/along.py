@@ -2,7 +2,7 @@
 """Energies, joint residuals and quaternions of many states in one call, for long recordings."""
 import numpy as np
 
-from .._compile import kernel
+from .._compile import kernel, same_types
 from ..dynamics.constraints import position_residuals
 from ..dynamics.invariants import energy
 from ..forces import kinds
@@ -23,6 +23,7 @@ def _along(model, angle, pose, twist, energy_out, kinetic_out, residual_out, ang
         angle_out[k] = angle
 
 
+@same_types
 @kernel
 def _quaternions(pose, out):
     for k in range(len(pose)):
@@ -31,10 +32,10 @@ def _quaternions(pose, out):
 
 def quaternions(pose):
     """Quaternions (..., 4) x, y, z, w >= 0 of poses (..., 12), to the bit as Sample has them."""
-    flat = np.ascontiguousarray(pose, dtype=float).reshape(-1, 12)
-    out = np.empty((len(flat), 4))
-    _quaternions(flat, out)
-    return out.reshape(*np.shape(pose)[:-1], 4)
+    pose = np.array(pose, dtype=float, order="C")       # writable: always the same type
+    out = np.empty((*pose.shape[:-1], 4))
+    _quaternions(pose.reshape(-1, 12), out.reshape(-1, 4))
+    return out
 
 
 class Along:

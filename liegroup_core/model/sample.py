@@ -8,7 +8,7 @@ from ..dynamics import invariants
 from ..dynamics.constraints import position_residuals
 from ..forces import kinds
 from ..forces.timetable import ROUNDING, acting_at
-from ..lie.so3 import so3_to_quaternion
+from .along import quaternions
 
 
 class Sample:
@@ -65,10 +65,14 @@ class Sample:
         return self._by_body(self.pose[:, 9:])
 
     @cached_property
+    def orientation(self):
+        """(n, 4) x, y, z, w of the rotations body -> world, w >= 0."""
+        return quaternions(self.pose)
+
+    @cached_property
     def quaternions(self):
         """{body: (4,)} x, y, z, w of the rotation body -> world, w >= 0."""
-        return self._by_body(np.array([so3_to_quaternion(tuple(row))
-                                       for row in self.pose[:, :9].tolist()]))
+        return self._by_body(self.orientation)
 
     @cached_property
     def angles(self):

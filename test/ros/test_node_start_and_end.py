@@ -139,6 +139,8 @@ def test_signal_while_compiling_ends_the_node(scene, tmp_path):
     ({"scene": "no_such_scene.yaml"}, "no_such_scene"),
     ({"method": "euler"}, "parameter method: must be rkmk1"),
     ({"scene": "four_bar", "method": "rattle"}, "method rattle does not fit this scene: it takes"),
+    ({"frame_prefix": "/left/"}, "parameter frame_prefix: must not begin with a slash"),
+    ({"frame_prefix": "map/", "world_frame": "map/puck"}, "parameter world_frame: must be a name"),
     ({"stepp": 0.001}, "parameter stepp: unknown; did you mean step?"),
     ({"step": -0.001}, "parameter step: must be greater than 0"),
     ({"step": "fast"}, "parameter step: must be a number, got 'fast'"),

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Optional topics of a running node, each at its own rate; a reload; what the recordings have."""
+"""Optional topics of a running node, each at its own rate; a reload; what the recordings have.
+
+The frames of its bodies have a prefix, as those of one robot of several.
+"""
 import importlib.util
 import signal
 
@@ -7,7 +10,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray, PoseStamped, TwistStamped, VelocityStamped, WrenchStamped
-from node_process import COMPILING, NodeProcess, stamp_ns, values
+from node_process import COMPILING, PUSH, NodeProcess, python, stamp_ns, values
 from mcap.reader import make_reader
 from nav_msgs.msg import Odometry
 from rcl_interfaces.msg import Log
@@ -16,13 +19,11 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import Marker, MarkerArray
 
-from liegroup_core import load_scene
 from liegroup_sim_ros.recording import read_recording
-from liegroup_sim_ros.report.motion import Motion
-from liegroup_sim_ros.report.replay import Repeat, make_simulation
+from liegroup_sim_ros.resimulate import resimulate
 
 STEP_NS = 1_000_000
-NODE = "/shown"
+NODE, PREFIX = "/shown", "robot1/"
 # Steps from one message to the next; they have no common period but the step.
 PERIODS = {"publish_rate": 10, "odometry_rate": 20, "velocity_rate": 25, "pose_array_rate": 50,
            "joint_state_rate": 4, "marker_rate": 40, "state_rate": 125, "clock_rate": 5}
@@ -79,7 +80,8 @@ def node(client, folder):
     scene.write_text(ARM)
     rates = {name: 1000.0 / steps for name, steps in PERIODS.items()}
     with NodeProcess({"scene": scene, "record": folder / "run.mcap", "arrow_scale": 0.1,
-                      "world_frame": "map", **rates}, remap=[f"__node:={NODE[1:]}"]) as process:
+                      "world_frame": "map", "frame_prefix": PREFIX, **rates},
+                     remap=[f"__node:={NODE[1:]}"]) as process:
         yield Shown(client)
         process.send(signal.SIGINT)
         assert process.wait()[0] == 0
@@ -109,10 +111,14 @@ def test_topics_agree_at_the_same_stamp(client, node):
         for messages in (node.messages[name] for name in (
             "publish_rate", "odometry_rate", "velocity_rate", "pose_array_rate",
             "joint_state_rate", "marker_rate")))
-    twist = next(m for m in node.twist if stamp_ns(m.header.stamp) == stamp).twist
+    twist_stamped = next(m for m in node.twist if stamp_ns(m.header.stamp) == stamp)
+    twist, lower = twist_stamped.twist, f"{PREFIX}lower"
     assert odometry.pose.pose == pose.pose == poses.poses[1]
     assert odometry.twist.twist == velocity.velocity == twist
-    assert (odometry.header.frame_id, odometry.child_frame_id) == ("map", "lower")
+    assert twist_stamped.header.frame_id == odometry.child_frame_id == lower
+    assert (velocity.header.frame_id, velocity.body_frame_id) == (lower, lower)
+    assert velocity.reference_frame_id == "map" and {
+        m.header.frame_id for m in (pose, odometry, poses, markers.markers[0])} == {"map"}
     # In the plane: the second angle is that between the two bodies.
     turn = [2.0 * np.arctan2(p.orientation.y, p.orientation.w) for p in poses.poses]
     assert joints.name == ["shoulder", "elbow"]
@@ -125,7 +131,8 @@ def test_topics_agree_at_the_same_stamp(client, node):
 
 def test_applied_wrench_is_an_arrow(client, node):
     push = client.pusher(NODE, "wrench/persistent")
-    push("lower", force=(0.0, 2.0, 0.0))
+    push("lower", force=(0.0, 3.0, 0.0))        # no frame of this node
+    push(f"{PREFIX}lower", force=(0.0, 2.0, 0.0))
 
     def arrow():
         return next((m for m in node.messages["marker_rate"][-1].markers
@@ -134,8 +141,18 @@ def test_applied_wrench_is_an_arrow(client, node):
     assert client.until(arrow, what="an arrow").points[1].y == pytest.approx(0.2)
     assert client.set(NODE, arrow_scale=0.5).successful
     client.until(lambda: arrow().points[1].y == 1.0)
-    push("lower")
+    push(f"{PREFIX}lower")
     client.until(lambda: arrow() is None)
+    refused = next(pair.value for pair in node.messages["state_rate"][-1].status[0].values
+                   if pair.key == "wrenches_refused_unknown_frame")
+    assert refused == "1"
+
+
+def test_push_from_the_command_line_finds_the_prefix(client, node):
+    process = python(PUSH, "push", "lower", "--force", 0, 1, 0, "--duration", 0.1, "--node", NODE)
+    client.until(lambda: process.poll() is not None, what="end of the push")
+    output, errors = process.communicate()
+    assert process.returncode == 0 and "applied from" in output, errors
 
 
 def test_state_has_the_figures_of_the_diagnostics(node):
@@ -179,9 +196,9 @@ def test_reload_takes_a_new_scene_with_new_topics_and_a_new_file(client, node, f
     clock = np.array([stamp_ns(message.clock) for message in node.clock])
     assert (np.diff(clock) > 0).all()
     push = client.pusher(NODE, "puck/wrench")
-    push("puck", force=(0.0, 2.0, 0.0))
+    push(f"{PREFIX}puck", force=(0.0, 2.0, 0.0))
     client.until(lambda: len(applied) >= 2)
-    assert [values(m)[0] for m in applied] == ["puck", "puck"]
+    assert [values(m)[0] for m in applied] == [f"{PREFIX}puck"] * 2
     client.until(lambda: f"{NODE}/lower/pose" not in dict(client.node.get_topic_names_and_types())
                  or not client.node.get_publishers_info_by_topic(f"{NODE}/lower/pose"))
     # The part that is finished, and the one that is being written, are whole in themselves.
@@ -196,11 +213,7 @@ def test_reload_takes_a_new_scene_with_new_topics_and_a_new_file(client, node, f
     begin = second.initial_state["stamp_ns"]
     assert second.events[0].stamp_ns == begin > first.events[-1].stamp_ns
     assert second.pose["puck"].stamp_ns[0] == begin
-    motion, again = Motion(second), Repeat(second, make_simulation(load_scene(scene),
-                                                                   second.settings))
-    for block in motion.blocks():
-        again.add(block)
-    same = again.figures()
+    same = resimulate(second)
     assert same["identical"] == same["samples"] > 5
 
 

@@ -16,6 +16,7 @@ from ament_index_python.packages import get_package_prefix, get_package_share_di
 
 import liegroup_core
 import liegroup_sim_ros
+from liegroup_sim_ros.parameters import TABLE
 
 NAME = "liegroup_sim_ros"
 SOURCE = Path(__file__).resolve().parents[2]
@@ -87,11 +88,17 @@ def test_launch_file_is_python_and_its_preset_is_there():
     """launch has no wheel: that it starts the node is proved with a ROS installation only."""
     text = (SOURCE / "launch" / "sim.launch.py").read_text()
     tree = ast.parse(text)
-    arguments, = [ast.literal_eval(node.value) for node in tree.body
-                  if isinstance(node, ast.Assign) and node.targets[0].id == "ARGUMENTS"]
+    constants = {node.targets[0].id: ast.literal_eval(node.value) for node in tree.body
+                 if isinstance(node, ast.Assign)}
+    arguments, parameters = constants["ARGUMENTS"], constants["PARAMETERS"]
     assert (SOURCE / "config" / f"{arguments['preset'][0]}.yaml").exists()
     used = set(re.findall(r'LaunchConfiguration\("(\w+)"\)', text)) - {"params_file"}
-    assert used == set(arguments) - {"scene", "record"}
+    assert used == set(arguments) - set(parameters) and set(parameters) < set(arguments)
+    assert set(parameters) <= {entry.name for entry in TABLE if type(entry.default) is str}
+    node, = re.findall(r'package=PACKAGE, executable="(\w+)", name="(\w+)"', text)
+    assert node == ("sim_node", "sim_node") and (SOURCE / "liegroup_sim_ros/sim_node.py").exists()
+    remapped = re.findall(r'\("/(\w+)", LaunchConfiguration', text)
+    assert remapped == ["clock", "tf"]
 
 
 def test_ros2_run_finds_the_node_and_it_answers():

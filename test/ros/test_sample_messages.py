@@ -127,10 +127,10 @@ def only(topics):
 
 def test_odometry(layout, sample):
     for body, (topic, kind, encode) in zip(
-            layout.body_names, sample_messages.odometry(layout, "map"), strict=True):
+            layout.body_names, sample_messages.odometry(layout, "map", "left/"), strict=True):
         assert (topic, kind) == (f"~/{body}/odometry", "nav_msgs/msg/Odometry")
         message = as_ros_serializes(encode(STAMP, sample), Odometry)
-        assert (message.header.frame_id, message.child_frame_id) == ("map", body)
+        assert (message.header.frame_id, message.child_frame_id) == ("map", f"left/{body}")
         assert (message.header.stamp.sec, message.header.stamp.nanosec) == (12, 345_678_901)
         check_pose(message.pose.pose, sample.poses[body])
         twist = message.twist.twist
@@ -140,11 +140,11 @@ def test_odometry(layout, sample):
 
 
 def test_velocity(layout, sample):
-    topics = sample_messages.velocities(layout, "world")
+    topics = sample_messages.velocities(layout, "world", "left_")
     for body, (_, _, encode) in zip(layout.body_names, topics, strict=True):
         message = as_ros_serializes(encode(STAMP, sample), VelocityStamped)
         assert (message.header.frame_id, message.body_frame_id,
-                message.reference_frame_id) == (body, body, "world")
+                message.reference_frame_id) == (f"left_{body}", f"left_{body}", "world")
         assert (numbers(message.velocity.angular, "xyz") + numbers(message.velocity.linear, "xyz")
                 == sample.twists[body].tolist())
 
@@ -176,13 +176,13 @@ def test_joint_states_of_a_scene_without_such_joints():
 
 def test_transforms_are_what_an_independent_library_serializes(layout, sample):
     """tf2_msgs need not be installed; rosbags has its definition."""
-    topic, kind, encode = only(sample_messages.transforms(layout, "world"))
+    topic, kind, encode = only(sample_messages.transforms(layout, "world", "left/"))
     store = get_typestore(Stores.ROS2_JAZZY)
     payload = encode(STAMP, sample)
     message = store.deserialize_cdr(payload, kind)
     assert topic == "/tf" and bytes(store.serialize_cdr(message, kind)) == payload
     for body, transform in zip(layout.body_names, message.transforms, strict=True):
-        assert (transform.header.frame_id, transform.child_frame_id) == ("world", body)
+        assert (transform.header.frame_id, transform.child_frame_id) == ("world", f"left/{body}")
         assert transform.header.stamp.nanosec == 345_678_901
         assert (numbers(transform.transform.translation, "xyz")
                 == sample.positions[body].tolist())

@@ -15,9 +15,9 @@ NOW = 5 * 10**9
 WRENCH = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
 
 
-def read(frame, kind="wrench", body=None, wrench=WRENCH, stamp_ns=0, held=0):
+def read(frame, kind="wrench", body=None, wrench=WRENCH, stamp_ns=0, held=0, prefix=""):
     payload = WrenchStampedCodec(frame).encode(stamp_ns, wrench)
-    return WrenchInput(["top", "left"], "map/world").read(payload, kind, body, NOW, held)
+    return WrenchInput(["top", "left"], "map/world", prefix).read(payload, kind, body, NOW, held)
 
 
 @pytest.mark.parametrize("kind, body, frame, source, axes", [
@@ -32,6 +32,19 @@ def test_frame_id_says_whom_and_in_which_axes(kind, body, frame, source, axes):
     push = read(frame, kind, body)
     assert (push.source, push.axes, push.wrench) == (source, axes, WRENCH)
     assert push.body == (body or frame.partition("/")[0])
+
+
+@pytest.mark.parametrize("kind, body, frame, source, axes", [
+    ("wrench", None, "map/top", "wrench/top/", "body"),
+    ("persistent", None, "map/left/fan", "persistent/left/fan/", "body"),
+    ("body", "top", "map/top/fan", "body/top/fan/", "body"),
+    ("body", "top", "map/world", "body/top/", "world")])
+def test_frames_of_bodies_have_a_prefix(kind, body, frame, source, axes):
+    push = read(frame, kind, body, prefix="map/")
+    assert (push.source, push.axes) == (source, axes)
+    for wrong in (frame.replace("map/", "") + "s", frame.replace("map/", "mat/"), "top"):
+        with pytest.raises(Refusal, match="map/top"):
+            read(wrong, kind, body, prefix="map/")
 
 
 @pytest.mark.parametrize("target, ended", [
