@@ -2,7 +2,7 @@
 """Energies, joint residuals and quaternions of many states in one call, for long recordings."""
 import numpy as np
 
-from .._compile import kernel, same_types
+from .._compile import SameTypes, kernel
 from ..dynamics.constraints import position_residuals
 from ..dynamics.invariants import energy
 from ..forces import kinds
@@ -23,7 +23,7 @@ def _along(model, angle, pose, twist, energy_out, kinetic_out, residual_out, ang
         angle_out[k] = angle
 
 
-@same_types
+@SameTypes
 @kernel
 def _quaternions(pose, out):
     for k in range(len(pose)):
