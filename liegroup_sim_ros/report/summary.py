@@ -10,6 +10,7 @@ from liegroup_core.pacing import SLOW
 
 MOST_JOINTS = 8         # in the table; the others are in the JSON
 NO_NUMBER = ("not a number", "infinite")
+OVERVIEW = ("position", "attitude", "energy", "joints", "same bits", "lost")
 GROUPS = {"se3": "SE(3)", "so3xr3": "SO(3) x R^3"}
 
 
@@ -130,6 +131,35 @@ def _error(entry):
     if entry["max"] <= entry["uncertainty"]:
         return f"{shown(entry['uncertainty'], entry['unit'])} (all the reference can tell)"
     return shown(entry["max"], entry["unit"])
+
+
+def headline(figures):
+    """The few numbers that say most: [(what, value, remark)]."""
+    found = []
+    reference = figures.get("reference")
+    if reference and "failed" not in reference:
+        known = "the reference's own uncertainty"
+        found += [(text, shown(max(entry["max"], entry["uncertainty"]), entry["unit"]),
+                   known if entry["max"] <= entry["uncertainty"] else
+                   f"at most, known to {shown(entry['uncertainty'], entry['unit'])}")
+                  for name, text in (("position", "position error"), ("angle", "attitude error"))
+                  for entry in [reference[name]]]
+    if figures.get("joints"):
+        name, worst = max(figures["joints"].items(), key=lambda item: item[1]["largest"])
+        found.append(("joints open by", shown(worst["largest"], worst["unit"]), f"at most: {name}"))
+    if figures.get("energy") and figures["energy"]["relative_drift"] is not None:
+        found.append(("energy drift", shown(figures["energy"]["relative_drift"]),
+                      "of the largest kinetic energy"))
+    repeat = figures.get("repeat", {})
+    if "identical" in repeat:
+        same = repeat["identical"] == repeat["samples"]
+        found.append(("simulated again", "same bits" if same else "different",
+                      f"{repeat['identical']} of {repeat['samples']} samples are the same"))
+    if figures["timing"].get("real_time_factor"):
+        found.append(("real-time factor", f"{figures['timing']['real_time_factor']:.3f}",
+                      "" if not figures["timing"]["factor_wanted"] else
+                      f"wanted {shown(figures['timing']['factor_wanted'])}"))
+    return found
 
 
 def sections(figures):
@@ -281,14 +311,12 @@ def print_table(figures, console):
 def print_overview(found, console):
     """A line for each of several logs; what is wrong with them follows."""
     table = Table(box=None, padding=(0, 2, 0, 0))
-    names = [figures["log"].rpartition("/")[2] for figures in found]
-    if len(set(names)) < len(names):
-        names = [figures["log"] for figures in found]
-    for title in ("log", "position", "attitude", "energy", "joints", "same bits", "lost"):
+    names = short_names(found)
+    for title in ("log", *OVERVIEW):
         table.add_column(Text(title), overflow="fold", no_wrap=title != "log")
     for name, figures in zip(names, found):
         table.add_row(Text(name), *(Text(cell, style="bold red" if cell in NO_NUMBER else "")
-                                    for cell in _overview(figures)))
+                                    for cell in overview(figures)))
     console.print(table)
     for name, figures in zip(names, found):
         for problem in figures.get("problems") or [figures[key] for key in ("failed",)
@@ -297,9 +325,16 @@ def print_overview(found, console):
             console.print(Text(f"! {text}", style="bold red"), soft_wrap=True)
 
 
-def _overview(figures):
+def short_names(found):
+    """What the logs are called where they stand together: the names of the files, if they differ."""
+    names = [figures["log"].rpartition("/")[2] for figures in found]
+    return names if len(set(names)) == len(names) else [figures["log"] for figures in found]
+
+
+def overview(figures):
+    """The OVERVIEW of one log, a text for each."""
     if "failed" in figures:
-        return ["-"] * 6
+        return ["-"] * len(OVERVIEW)
     reference = figures.get("reference") or {"failed": ""}
     errors = ["-", "-"] if "failed" in reference else [
         _error(reference[name]).partition(" (")[0] for name in ("position", "angle")]
@@ -321,11 +356,22 @@ def print_comparison(figures, console):
         f"{figures['identical']} of {figures['samples']} samples are the same, the first other "
         f"one at {shown(figures['first_difference_s'], 's')}"), style="bold"))
     table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
-    for name, entry in figures["difference"].items():
-        table.add_row(Text(name), Text(shown(entry["max"], entry["unit"])), Text(
-            "" if entry["at_s"] is None else f"at {shown(entry['at_s'], 's')}", style="dim"))
-    for what, equal in (("scene", figures["same_scene"]), ("wrenches", figures["same_wrenches"])):
-        table.add_row(Text(what), Text("the same" if equal else "different"), Text(""))
-    for key, (mine, theirs) in figures["settings"].items():
-        table.add_row(Text(key), Text(str(mine)), Text(str(theirs)))
+    for what, value, remark in comparison_rows(figures)[1:]:
+        table.add_row(Text(what), Text(value), Text(remark, style="dim"))
     console.print(table)
+
+
+def comparison_rows(figures):
+    """The table of a comparison: [(what, value, remark)]."""
+    names = {"position": "position", "angle": "attitude", "angular": "angular velocity",
+             "linear": "velocity"}
+    rows = [("same bytes", f"{figures['identical']} of {figures['samples']} samples",
+             "" if figures["first_difference_s"] is None else
+             f"the first other one at {shown(figures['first_difference_s'], 's')}")]
+    rows += [(names[name], shown(entry["max"], entry["unit"]),
+              "" if entry["at_s"] is None else f"at {shown(entry['at_s'], 's')}")
+             for name, entry in figures["difference"].items()]
+    rows += [(what, "the same" if equal else "different", "") for what, equal in (
+        ("scene", figures["same_scene"]), ("wrenches", figures["same_wrenches"]))]
+    return rows + [(key, str(mine), f"in the other one {theirs}")
+                   for key, (mine, theirs) in figures["settings"].items()]
