@@ -24,10 +24,7 @@ const MODEBAR = {bgcolor: "rgba(0,0,0,0)", color: "--soft", activecolor: "--text
 // A finger on a plot scrolls the page until a tool is chosen above the plot.
 function drawPlane(element, plot, go) {
   const layout = {...plot.layout, modebar: MODEBAR, uirevision: 1};
-  if (touch) {
-    layout.dragmode = false;
-    layout.margin = {...layout.margin, t: 34};
-  }
+  if (touch) layout.dragmode = false;
   const fresh = !drawn.has(element);
   const draw = () => Plotly.react(element, themed(plot.data), themed(layout), {
     ...CONFIG, modeBarButtons: [["zoom2d", "pan2d", "zoomIn2d", "zoomOut2d", "resetScale2d"]]});
@@ -186,19 +183,32 @@ class Motion {
     const lengths = high.map((x, i) => 1.04 * Math.max(x - low[i], longest / 4));
     const mean = Math.cbrt(lengths.reduce((a, b) => a * b)), style = {
       color: "--soft", gridcolor: "--grid", zerolinecolor: "--grid", showbackground: false,
-      showspikes: false, nticks: 6};
+      showspikes: false};
     const scene = {aspectmode: "manual", aspectratio: {}, dragmode: "turntable"};
     ["x", "y", "z"].forEach((name, i) => {
       const middle = (low[i] + high[i]) / 2, half = lengths[i] / 2;
       scene[`${name}axis`] = {...style, title: {text: `${name} / m`},
+                              nticks: Math.max(2, Math.round(6 * lengths[i] / Math.max(...lengths))),
                               range: [middle - half, middle + half]};
       scene.aspectratio[name] = lengths[i] / mean;
     });
-    const away = 1.55 * Math.max(...Object.values(scene.aspectratio));
-    scene.camera = {eye: {x: .62 * away, y: -.95 * away, z: .5 * away},
-                    center: {x: 0, y: 0, z: -.06 * away}};
     return scene;
   }
+}
+
+// Where the whole box is in sight, looking rather across a plane of motion than along it.
+function camera({x, y, z}, width, height) {
+  const box = [x, y, z], thin = Math.min(...box), way = [.62, -.95, .5].map(
+    (part, i) => box[i] === thin && thin < .6 * Math.max(...box) ? 2 * part : part);
+  const size = Math.hypot(...way), to = way.map(part => part / size);
+  const flat = Math.hypot(to[0], to[1]), right = [-to[1] / flat, to[0] / flat, 0];
+  const up = [to[1] * right[2] - to[2] * right[1], to[2] * right[0] - to[0] * right[2],
+              to[0] * right[1] - to[1] * right[0]];
+  const reach = along => box.reduce((sum, edge, i) => sum + Math.abs(along[i]) * edge / 2, 0);
+  const slope = Math.tan(Math.PI / 8);        // plotly's field of view is 45 degrees high
+  const away = .7 * reach(to) + 1.2 * Math.max(reach(up) / slope,
+                                               reach(right) / slope / (width / height));
+  return {eye: {x: away * to[0], y: away * to[1], z: away * to[2]}, center: {x: 0, y: 0, z: -.06}};
 }
 
 function curve(path, name, colour, width) {
@@ -214,7 +224,8 @@ function drawView(root, view, planes) {
     name => root.querySelector(name));
   const count = motion.times.length, start = motion.times[0], end = motion.times[count - 1];
   const paths = motion.paths(), moving = [0, 1, 2].map(k => paths.length + k);
-  const scene = motion.axes();
+  const scene = motion.axes(), height = narrow() ? 340 : 440;
+  scene.camera = camera(scene.aspectratio, plot.clientWidth, height);
   const state = {frame: 0, time: start, playing: false, motion, plot, shown: ""};
 
   function draw() {
@@ -232,10 +243,10 @@ function drawView(root, view, planes) {
        showlegend: false, connectgaps: false, line: {color: "--soft", width: 4}},
       {type: "scatter3d", mode: "markers", x: x[2], y: y[2], z: z[2], showlegend: false,
        text: view.joints.map(joint => joint.name), hoverinfo: "text",
-       marker: {size: 5, color: "--orange", line: {width: 1, color: "--card"}}}];
+       marker: {size: 3.5, color: "--text"}}];
     data.forEach((trace, i) => { if (i >= 12) trace.showlegend = false; });
     return Plotly.react(plot, themed(data), themed({...view.layout, scene,
-      height: narrow() ? 340 : 440, uirevision: 1, modebar: MODEBAR,
+      height, uirevision: 1, modebar: MODEBAR,
       showlegend: paths.length > 1}), {
       ...CONFIG, scrollZoom: false, modeBarButtons: [["zoom3d", "pan3d", "tableRotation",
                                                       "resetCameraDefault3d"]]});

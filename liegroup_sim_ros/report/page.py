@@ -7,6 +7,7 @@ page itself forbids every script but its own, and every request (Content-Securit
 import base64
 import hashlib
 import json
+import re
 from html import escape
 from importlib.resources import files
 
@@ -19,6 +20,7 @@ from .view import make_view, speeds
 
 MOST_PARTS = 20         # logs with plots on one page; of the others it has the tables
 LONGEST = 200_000       # characters of a text
+NUMBER = re.compile(r"\d[\d.]*(?:e[+-]\d+)?(?: (?:m|s|ms|us|rad|J|W|N)\b(?:/s)?(?: m\b)?(?: s\b)?)?")
 
 
 def page_part(analysis, plots=True):
@@ -87,7 +89,7 @@ def _one(part, number, exceeded=(), bounds=()):
     figures = part["figures"]
     problems = [*exceeded, *figures["problems"]]
     return (f'<header><h1>{escape(figures["scene"])}</h1>{_state(len(problems))}</header>'
-            f'<p class="verdict">{escape(figures["verdict"])}</p>'
+            f'<p class="verdict">{_unbroken(figures["verdict"])}</p>'
             + _problems(problems) + _bounds(bounds, exceeded) + _tiles(figures)
             + (f'<p class="soft">{escape(part["description"])}</p>' if part["description"] else "")
             + f'<div data-part="{number}">{_drawn(part)}</div>' + _told(part))
@@ -99,16 +101,16 @@ def _several(parts, exceeded, bounds):
     names = short_names(found)
     wrong = [figures.get("problems", [figures.get("failed")]) for figures in found]
     bad = sum(bool(problems) for problems in wrong)
-    verdict = (f"{len(parts) - bad} of {len(parts)} recordings have nothing wrong with them."
-               if bad else f"Nothing is wrong with any of the {len(parts)} recordings.")
+    verdict = (f"{bad} of {len(parts)} recordings have problems." if bad else
+               "No problem was found in any of them.")
     lines = "".join(
         f'<tr><td data-what="log"><a href="#log{k}">{escape(name)}</a></td>'
         + "".join(f'<td data-what="{what}"{_alarm(value)}>{escape(value)}</td>'
                   for what, value in zip(OVERVIEW, overview(figures)))
-        + f'<td data-what="wrong" class="{"bad" if problems else "good"}">'
-        f'{len(problems) or "nothing"}</td></tr>'
+        + f'<td data-what="problems" class="{"bad" if problems else "good"}">'
+        f'{len(problems) or "none"}</td></tr>'
         for k, (name, figures, problems) in enumerate(zip(names, found, wrong)))
-    heads = "".join(f"<th>{what}</th>" for what in ("log", *OVERVIEW, "wrong"))
+    heads = "".join(f"<th>{what}</th>" for what in ("log", *OVERVIEW, "problems"))
     body = (f"<header><h1>{len(parts)} recordings</h1>{_state(bad + len(exceeded))}</header>"
             f'<p class="verdict">{verdict}</p>' + _problems(exceeded) + _bounds(bounds, exceeded)
             + f'<section class="card"><table class="logs"><thead><tr>{heads}</tr></thead>'
@@ -116,7 +118,7 @@ def _several(parts, exceeded, bounds):
     for k, (part, name) in enumerate(zip(parts, names)):
         figures = part["figures"]
         inside = (_problems([figures["failed"]]) if "failed" in figures else
-                  f'<p class="verdict">{escape(figures["verdict"])}</p>'
+                  f'<p class="verdict">{_unbroken(figures["verdict"])}</p>'
                   + _problems(figures["problems"]) + _tiles(figures) + _drawn(part) + _told(part))
         body += (f'<details class="log" id="log{k}" data-part="{k}"><summary>{escape(name)}'
                  f"</summary>{inside}</details>")
@@ -134,7 +136,7 @@ def _told(part):
     figures, settings = part["figures"], part["settings"]
     rows = "".join(f"<tr><td>{escape(key)}</td><td>{escape(_text(value))}</td></tr>"
                    for key, value in sorted(settings.items()) if key != "topics")
-    return ('<div class="cards">' + "".join(_rows(*section) for section in sections(figures))
+    return ('<div class="tables">' + "".join(_rows(*section) for section in sections(figures))
             + "</div>" + _details("Events", f"<pre>{_shortened(part['events'])}</pre>")
             + _details("Scene", f"<pre>{_shortened(part['scene'])}</pre>")
             + _details("Settings", f'<table class="settings">{rows}</table>')
@@ -156,9 +158,8 @@ def _view(view, has_plots):
     choices, first = speeds(view["seconds"])
     options = "".join(f'<option value="{speed:g}"{" selected" if speed == first else ""}>'
                       f"{speed:g} ×</option>" for speed in choices)
-    remark = (f"{view['frames']} instants; drag to turn, pinch or scroll with the tools for a "
-              "closer look" + ("; a click on a plot below goes to that instant" if has_plots
-                               else ""))
+    remark = f"{view['frames']} instants; drag to turn; the tools zoom and shift" + (
+        "; a click on a plot below goes to that instant" if has_plots else "")
     return (f'<section class="card view"><h3>Motion</h3><p class="remark">{remark}</p>'
             '<div class="plot"></div><div class="controls">'
             '<button type="button">Play</button>'
@@ -170,20 +171,20 @@ def _view(view, has_plots):
 
 def _rows(title, rows):
     return (f'<section class="card"><h3>{escape(title)}</h3><table class="rows">' + "".join(
-        f"<tr><td>{escape(what)}</td><td{_alarm(value)}>{escape(value)}</td>"
-        f"<td>{escape(remark)}</td></tr>" for what, value, remark in rows)
+        f"<tr><td>{escape(what)}</td><td{_alarm(value)}>{_unbroken(value)}</td>"
+        f"<td>{_unbroken(remark)}</td></tr>" for what, value, remark in rows)
         + "</table></section>")
 
 
 def _tiles(figures):
-    tiles = "".join(f"<div><span>{escape(what)}</span><b{_alarm(value)}>{escape(value)}</b>"
-                    f"<span>{escape(remark)}</span></div>"
+    tiles = "".join(f"<div><span>{escape(what)}</span><b{_alarm(value)}>{_unbroken(value)}</b>"
+                    f"<span>{_unbroken(remark)}</span></div>"
                     for what, value, remark in headline(figures))
     return f'<div class="tiles">{tiles}</div>'
 
 
 def _state(problems):
-    return ('<span class="state good">✓ nothing wrong</span>' if not problems else
+    return ('<span class="state good">✓ no problem found</span>' if not problems else
             f'<span class="state bad">✗ {problems} problem{"" if problems == 1 else "s"}</span>')
 
 
@@ -206,6 +207,11 @@ def _details(title, inside):
 def _shortened(text):
     more = len(text) - LONGEST
     return escape(text) if more <= 0 else escape(text[:LONGEST]) + f"\n... {more} more characters"
+
+
+def _unbroken(text):
+    """Escaped, and no line ends within a number or before its unit."""
+    return NUMBER.sub(r'<span class="n">\g<0></span>', escape(text))
 
 
 def _alarm(value):

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The plots of an analysis as a picture for papers, drawn by matplotlib."""
 import math
+import textwrap
 from html import unescape
 
 from matplotlib.figure import Figure
@@ -9,6 +10,7 @@ from .plots import centre_paths, difference_plot, make_plots
 
 KINDS = (".png", ".pdf", ".svg")
 WIDTH, ROW = 7.0, 2.4           # inch: the text of a page, a row of two plots
+LINE, SHORT = 34, 12            # characters; a single curve with a shorter name needs no legend
 COLOURS = {"--blue": "#2a6fd6", "--orange": "#cf6a12", "--green": "#16875a",
            "--violet": "#7049c0", "--red": "#d63a3a", "--grey": "#6b7480"}
 
@@ -59,8 +61,9 @@ def _plane(axes, title, plot):
     axes.set_ylabel(layout["yaxis"]["title"]["text"], fontsize=8)
     axes.tick_params(labelsize=7)
     axes.grid(True, lw=0.3)
-    if len(plot["data"]) > 1 or not title.startswith(plot["data"][0]["name"].title()):
-        axes.legend(fontsize=6.5, frameon=False)
+    axes.yaxis.get_offset_text().set_fontsize(7)
+    if len(plot["data"]) > 1 or len(plot["data"][0]["name"]) > SHORT:
+        axes.legend(fontsize=6, frameon=False)
 
 
 def _paths(axes, analysis):
@@ -69,8 +72,10 @@ def _paths(axes, analysis):
     for (body, path), colour in zip(paths.items(), list(COLOURS.values())[:4] * len(paths)):
         axes.plot(*path.T, lw=0.9, color=colour, label=_label(body))
     axes.set_aspect("equal", adjustable="datalim")
+    axes.set_box_aspect(None, zoom=0.9)        # its labels are not counted in the layout
     for name in "xyz":
-        getattr(axes, f"set_{name}label")(f"{name} / m", fontsize=8)
+        getattr(axes, f"set_{name}label")(f"{name} / m", fontsize=7, labelpad=-2)
+        getattr(axes, f"{name}axis").set_tick_params(pad=-1)
     axes.locator_params(nbins=4)
     axes.tick_params(labelsize=6.5)
     if 1 < len(paths) <= 8:
@@ -78,6 +83,6 @@ def _paths(axes, analysis):
 
 
 def _label(name):
-    """A name as matplotlib shows it also if it begins with an underscore."""
-    name = unescape(name)
+    """A name in lines, as matplotlib shows it also if it begins with an underscore."""
+    name = textwrap.fill(unescape(name), LINE)
     return f" {name}" if name.startswith("_") else name

@@ -75,7 +75,7 @@ def _lateness_traces(diagnostics):
 
 BASE = {"paper_bgcolor": "rgba(0,0,0,0)", "plot_bgcolor": "rgba(0,0,0,0)",
          "font": {"color": "--text", "family": "system-ui, sans-serif", "size": 12},
-         "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0},
+         "legend": {"orientation": "h", "yref": "container", "y": 0, "yanchor": "bottom", "x": 0},
          "hoverlabel": {"bgcolor": "--card", "bordercolor": "--grid", "font": {"color": "--text"}}}
 
 
@@ -104,8 +104,8 @@ def _plane(traces, bands, unit, log=False):
         "xaxis": {**axis, "title": {"text": "time / s", "standoff": 6}},
         "yaxis": {**axis, "title": {"text": unit, "standoff": 8}, **(
             {"type": "log", "dtick": _decades(traces), "exponentformat": "power"} if log else
-            {"exponentformat": "e"})},
-        "shapes": bands, "margin": {"l": 8, "r": 8, "t": 8, "b": 8}, "height": HEIGHT,
+            {"exponentformat": "power"})},
+        "shapes": bands, "margin": {"l": 8, "r": 8, "t": 30, "b": 8}, "height": HEIGHT,
         "hovermode": "x unified" if len(traces) <= 4 else "closest", **BASE}}
 
 
