@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Chromium without a window, driven by its DevTools protocol over a pipe; needs no package."""
 import base64
+import fcntl
 import json
 import os
 import select
 import shutil
 import subprocess
+import sys
 import time
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which(
@@ -16,6 +18,8 @@ OPTIONS = ("--headless=new", "--remote-debugging-pipe", "--no-sandbox", "--disab
            "--enable-unsafe-swiftshader", "--no-first-run", "--disable-extensions",
            "--disable-background-networking", "--disable-component-update", "--disable-sync",
            "--disable-dev-shm-usage", "--hide-scrollbars", "--mute-audio")
+START = ("import os, sys; os.dup2(int(sys.argv[1]), 3); os.dup2(int(sys.argv[2]), 4); "
+         "os.execv(sys.argv[3], sys.argv[3:])")
 
 
 class Browser:
@@ -27,15 +31,15 @@ class Browser:
     """
 
     def __init__(self, folder):
-        to_read, write = os.pipe()
-        read, to_write = os.pipe()
-        # Chromium reads from 3 and writes to 4, which may be what a pipe has got here already.
-        command = f'exec 3<&{to_read} 4>&{to_write}; exec "$0" "$@"'
+        (to_read, write), (read, to_write) = os.pipe(), os.pipe()
+        # Chromium reads from 3 and writes to 4, which may be something else in this process.
+        high = [fcntl.fcntl(end, fcntl.F_DUPFD, 10) for end in (to_read, to_write)]
         self._process = subprocess.Popen(
-            ["sh", "-c", command, CHROMIUM, *OPTIONS, f"--user-data-dir={folder}", "about:blank"],
-            pass_fds=(to_read, to_write), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        os.close(to_read)
-        os.close(to_write)
+            [sys.executable, "-c", START, *map(str, high), CHROMIUM, *OPTIONS,
+             f"--user-data-dir={folder}", "about:blank"],
+            pass_fds=high, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        for end in (to_read, to_write, *high):
+            os.close(end)
         self._read, self._write = read, write
         self._left, self._count, self._session = b"", 0, None
         self._loaded = False
@@ -113,6 +117,15 @@ class Browser:
         self.call("Emulation.setTouchEmulationEnabled", enabled=phone)
         self.call("Emulation.setEmulatedMedia", features=[
             {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}])
+
+    def drag(self, x, y, rise):
+        """Put a finger on a point of the window, move it so many px down, and lift it."""
+        self.call("Input.dispatchTouchEvent", type="touchStart", touchPoints=[{"x": x, "y": y}])
+        for k in range(1, 16):
+            self.call("Input.dispatchTouchEvent", type="touchMove",
+                      touchPoints=[{"x": x, "y": y + rise * k / 15}])
+        self.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+        self.run("new Promise(done => setTimeout(done, 200))")
 
     def run(self, code):
         """Value of a JavaScript expression; of a promise, what it brings."""
