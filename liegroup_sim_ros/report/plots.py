@@ -129,9 +129,14 @@ def _line(name, x, y, colour, dash="solid"):
     if len(x) > 2 * BINS:
         pick = _extremes(y)
         x, y = x[pick], y[pick]
-    return {"type": "scatter", "mode": "lines", "name": escape(name), "x": _plain(x),
+    return {"type": "scatter", "mode": "lines", "name": label(name), "x": _plain(x),
             "y": _plain(y), "line": {"color": colour, "width": 1.6, "dash": dash},
             "connectgaps": False, "hovertemplate": "%{y:.3g}"}
+
+
+def label(name):
+    """A name as plotly.js shows it to the letter, which takes tags and entities for markup."""
+    return escape(name, quote=False)
 
 
 def _extremes(y):

@@ -2,7 +2,6 @@
 """The 3D view of the page: bodies as they are drawn, joints, and where the bodies are over time."""
 import base64
 import math
-from html import escape
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -10,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from liegroup_core.simulation import make_layout
 
 from ..markers import CUBE, CYLINDER, THINNEST, solid
-from .plots import BASE, COLOURS
+from .plots import BASE, COLOURS, label
 
 # Poses of all bodies together, and of one body: more would make the page large, fewer would jump.
 MOST_PLACES, MOST_FRAMES, LEAST_FRAMES = 15_000, 3000, 200
@@ -30,12 +29,12 @@ def make_view(analysis):
     solids = [solid(body) for body in scene.bodies]
     thinnest = THINNEST * max(max(size) for _, size, _ in solids)
     bodies = [{
-        "name": escape(body.name), "solid": {CUBE: "box", CYLINDER: "cylinder"}.get(kind, "sphere"),
+        "name": label(body.name), "solid": {CUBE: "box", CYLINDER: "cylinder"}.get(kind, "sphere"),
         "size": [max(float(length), thinnest) for length in size],
         "at": local[:3, 3].tolist(), "turn": local[:3, :3].ravel().tolist(),
         "com": [float(x) for x in body.com], "colour": COLOURS[i % 4]}
         for i, (body, (kind, size, local)) in enumerate(zip(scene.bodies, solids))]
-    joints = [{"name": escape(joint.name), "parent": index.get(joint.parent, -1),
+    joints = [{"name": label(joint.name), "parent": index.get(joint.parent, -1),
                "child": index[joint.child],
                "at": (frame[:3, 3] + scene.bodies[index[joint.child]].com).tolist()}
               for joint, (_, frame) in zip(scene.joints, layout.joint_frames)]
