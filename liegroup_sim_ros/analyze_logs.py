@@ -8,6 +8,7 @@ import json
 import math
 import os
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 from rich.console import Console
@@ -19,7 +20,7 @@ from .addresses import AddressError, expand
 from .analyze import REFERENCE_SECONDS, analyse, plain
 from .recording import RecordingError, read_recording
 from .report.comparison import differences
-from .report.summary import print_comparison, print_overview, print_table
+from .report.terminal import print_comparison, print_overview, print_table
 
 FORMAT = 1                  # of the JSON document, config/analysis.schema.json
 EXIT_EXCEEDED, EXIT_WRONG_INPUT = 1, 2
@@ -141,11 +142,8 @@ def _check_picture(path):
         return
     if not path.lower().endswith((".png", ".pdf", ".svg")):
         raise AnalysisError(f"{path}: must end with .png, .pdf or .svg")
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError:
-        raise AnalysisError("--png needs matplotlib: pip install 'liegroup_sim_ros[figures]'"
-                            ) from None
+    if find_spec("matplotlib") is None:
+        raise AnalysisError("--png needs matplotlib: pip install 'liegroup_sim_ros[figures]'")
 
 
 def _draw(analysis, path, comparison):

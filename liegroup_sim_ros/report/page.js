@@ -4,7 +4,7 @@ const DATA = JSON.parse(document.getElementById("data").textContent);
 const touch = matchMedia("(pointer: coarse)").matches;
 const narrow = () => matchMedia("(max-width: 40rem)").matches;
 const drawn = new Map();                // element -> function that draws it, after a change of theme
-const views = [];                       // for the tests, and for whoever wants to look
+const views = [];                       // one of each motion that is drawn
 
 // Colours stand in the data as names of CSS variables, in entries with such a key.
 function themed(value, key = "") {
@@ -206,7 +206,7 @@ function camera({x, y, z}, width, height) {
               to[0] * right[1] - to[1] * right[0]];
   const reach = along => box.reduce((sum, edge, i) => sum + Math.abs(along[i]) * edge / 2, 0);
   const slope = Math.tan(Math.PI / 8);        // plotly's field of view is 45 degrees high
-  const away = .7 * reach(to) + 1.2 * Math.max(reach(up) / slope,
+  const away = .7 * reach(to) + 1.05 * Math.max(reach(up) / slope,
                                                reach(right) / slope / (width / height));
   return {eye: {x: away * to[0], y: away * to[1], z: away * to[2]}, center: {x: 0, y: 0, z: -.06}};
 }
@@ -312,6 +312,13 @@ for (const root of document.querySelectorAll("[data-part]")) {
   if (root.tagName !== "DETAILS" || root.open) open(root);
   else root.addEventListener("toggle", () => root.open && open(root));
 }
+// A link of the overview opens what it leads to.
+function follow() {
+  const root = /^#log\d+$/.test(location.hash) && document.querySelector(location.hash);
+  if (root) root.open = true;
+}
+addEventListener("hashchange", follow);
+follow();
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
   for (const draw of drawn.values()) draw();
 });

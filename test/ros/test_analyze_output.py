@@ -22,7 +22,8 @@ from liegroup_sim_ros.main import main
 from liegroup_sim_ros.recorder import Recorder
 from liegroup_sim_ros.recording import read_recording
 from liegroup_sim_ros.report import plots, view
-from liegroup_sim_ros.report.summary import find_problems, print_table
+from liegroup_sim_ros.report.summary import find_problems
+from liegroup_sim_ros.report.terminal import print_table
 
 
 def test_not_a_number_is_never_shown_as_fine(tmp_path, capsys):

@@ -112,6 +112,11 @@ def test_phone(browser, pages):
     browser.look(360, 740)
     browser.run("new Promise(done => setTimeout(done, 600))")
     assert right() <= 360
+    browser.open(pages / "many.html", width=360, height=740, phone=True)
+    browser.run("document.querySelectorAll('.logs a')[1].click()")
+    browser.run("new Promise(done => setTimeout(done, 50))")
+    assert browser.run("[...document.querySelectorAll('details.log')].map(d => d.open)") == [
+        False, True, False]
     opened(browser, pages / "many.html", width=360, height=740, phone=True)
     assert right() <= 360
     x, y = browser.run("(() => { const p = document.querySelector('.plane .nsewdrag'); "
