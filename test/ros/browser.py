@@ -101,7 +101,7 @@ class Browser:
         elif event == "Page.javascriptDialogOpening":
             self.dialogs.append(found["message"])
 
-    def open(self, path, width=1280, height=900, dark=False, phone=False):
+    def open(self, path, width=1100, height=800, dark=False, phone=False):
         """Load a file, in a window of such a size and theme."""
         self.errors, self.requests, self.dialogs = [], [], []
         self.look(width, height, dark, phone)
