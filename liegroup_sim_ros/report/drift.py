@@ -11,7 +11,8 @@ def extremes(values, every):
     count = len(values)
     if every <= 1 or count <= 1:
         return np.arange(count)
-    rows = np.arange(-(-count // (2 * every)) * 2 * every).clip(max=count - 1).reshape(-1, 2 * every)
+    size = 2 * every
+    rows = np.arange(-(-count // size) * size).clip(max=count - 1).reshape(-1, size)
     groups = np.arange(len(rows))
     found = [rows[groups, values[rows].argmin(axis=1)], rows[groups, values[rows].argmax(axis=1)]]
     return np.unique(found)

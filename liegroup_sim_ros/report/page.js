@@ -3,7 +3,7 @@
 const DATA = JSON.parse(document.getElementById("data").textContent);
 const touch = matchMedia("(pointer: coarse)").matches;
 const narrow = () => matchMedia("(max-width: 40rem)").matches;
-const drawn = new Map();                // element -> function that draws it, after a change of theme
+const drawn = new Map();                // element -> function that draws it, also in another theme
 const views = [];                       // one of each motion that is drawn
 
 // Colours stand in the data as names of CSS variables, in entries with such a key.
@@ -188,7 +188,7 @@ class Motion {
     ["x", "y", "z"].forEach((name, i) => {
       const middle = (low[i] + high[i]) / 2, half = lengths[i] / 2;
       scene[`${name}axis`] = {...style, title: {text: `${name} / m`},
-                              nticks: Math.max(2, Math.round(6 * lengths[i] / Math.max(...lengths))),
+                              nticks: Math.max(2, Math.round(6 * lengths[i] / longest)),
                               range: [middle - half, middle + half]};
       scene.aspectratio[name] = lengths[i] / mean;
     });
@@ -207,7 +207,7 @@ function camera({x, y, z}, width, height) {
   const reach = along => box.reduce((sum, edge, i) => sum + Math.abs(along[i]) * edge / 2, 0);
   const slope = Math.tan(Math.PI / 8);        // plotly's field of view is 45 degrees high
   const away = .7 * reach(to) + 1.05 * Math.max(reach(up) / slope,
-                                               reach(right) / slope / (width / height));
+                                               1.2 * reach(right) / slope / (width / height));
   return {eye: {x: away * to[0], y: away * to[1], z: away * to[2]}, center: {x: 0, y: 0, z: -.06}};
 }
 
