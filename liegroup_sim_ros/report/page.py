@@ -20,7 +20,8 @@ from .view import make_view, speeds
 
 MOST_PARTS = 20         # logs with plots on one page; of the others it has the tables
 LONGEST = 200_000       # characters of a text
-NUMBER = re.compile(r"\d[\d.]*(?:e[+-]\d+)?(?: (?:m|s|ms|us|rad|J|W|N)\b(?:/s)?(?: m\b)?(?: s\b)?)?")
+NUMBER = re.compile(r"\d[\d.]*(?:e[+-]\d+)?"
+                    r"(?: (?:m|s|ms|us|rad|J|W|N)\b(?:/s)?(?: m\b)?(?: s\b)?)?")
 
 
 def page_part(analysis, plots=True):

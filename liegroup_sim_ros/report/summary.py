@@ -143,7 +143,8 @@ def headline(figures):
                   for entry in [reference[name]]]
     if figures.get("joints"):
         name, worst = max(figures["joints"].items(), key=lambda item: item[1]["largest"])
-        found.append(("joints open by", shown(worst["largest"], worst["unit"]), f"at most: {name}"))
+        found.append(("joints open by", shown(worst["largest"], worst["unit"]),
+                      f"at most: {name}"))
     if figures.get("energy") and figures["energy"]["relative_drift"] is not None:
         found.append(("energy drift", shown(figures["energy"]["relative_drift"]),
                       "of the largest kinetic energy"))
@@ -288,7 +289,7 @@ def _joined(*remarks):
 
 
 def short_names(found):
-    """What the logs are called where they stand together: the names of the files, if they differ."""
+    """What logs are called where they stand together: names of files, if they differ."""
     names = [figures["log"].rpartition("/")[2] for figures in found]
     return names if len(set(names)) == len(names) else [figures["log"] for figures in found]
 

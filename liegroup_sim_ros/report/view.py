@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The 3D view of the page: bodies as they are drawn, joints, and where the bodies are over time."""
+"""The 3D view of the page: bodies as they are drawn, joints, and where they are when."""
 import base64
 import math
 
@@ -62,7 +62,7 @@ def make_view(analysis):
 
 
 def speeds(seconds):
-    """([times real time], the one to begin with) at which a run is played in 2 s to some minutes."""
+    """([times real time], the one to begin with) that play a run in 2 s to minutes."""
     seconds = seconds or 1.0
     steps = [m * 10.0**e for e in range(-6, 7) for m in (1, 2, 5)]
     usual = [s for s in steps if seconds / 200.0 <= s <= seconds / 1.5] or [1.0]

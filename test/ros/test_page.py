@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of `liegroup_sim analyze --html` in a browser, as a reader sees it and as an attacker."""
+"""The page of `liegroup_sim analyze --html` in a browser, for readers and for attackers."""
 import json
 import re
 
@@ -87,7 +87,8 @@ def test_motion(browser, pages, capsys):
         40, "block"]
     browser.run("document.querySelector('.controls button').click()")
     went = browser.run("new Promise(done => { const look = () => views[0].frame > 42 ? "
-                       "done([views[0].playing, document.querySelector('.controls button').textContent]) : "
+                       "done([views[0].playing, "
+                       "document.querySelector('.controls button').textContent]) : "
                        "setTimeout(look, 20); look(); })")
     assert went == [True, "Pause"]
     browser.run("document.querySelector('.controls button').click()")
@@ -104,7 +105,8 @@ def test_phone(browser, pages):
     def right():
         return browser.run(
             "Math.max(document.documentElement.scrollWidth, ...[...document.querySelectorAll("
-            "'.main-svg, .card, .tiles > div, canvas')].map(e => e.getBoundingClientRect().right))")
+            "'.main-svg, .card, .tiles > div, canvas')].map("
+            "e => e.getBoundingClientRect().right))")
 
     opened(browser, pages / "compared.html")
     assert browser.run("document.querySelectorAll('.plane .main-svg').length") >= 8
@@ -176,6 +178,7 @@ def test_hostile_names(browser, tmp_path, monkeypatch):
     assert browser.errors == [] and browser.dialogs == [] and len(browser.requests) == 1
     # And were a script to come in, it could neither run nor tell anybody.
     assert browser.run("(() => { const s = document.createElement('script'); s.textContent = "
-                       "'window.ran = 1'; document.body.append(s); return window.ran; })()") is None
+                       "'window.ran = 1'; document.body.append(s); return window.ran; })()"
+                       ) is None
     assert browser.run("fetch('https://example.org').then(() => 'sent', () => 'refused')"
                        ) == "refused"
