@@ -8,6 +8,7 @@ import json
 import math
 import os
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 from rich.console import Console
@@ -18,8 +19,8 @@ from liegroup_core.errors import LieGroupSimError
 from .addresses import AddressError, expand
 from .analyze import REFERENCE_SECONDS, analyse, plain
 from .recording import RecordingError, read_recording
-from .report.comparison import compare
-from .report.summary import print_comparison, print_overview, print_table
+from .report.comparison import differences
+from .report.terminal import print_comparison, print_overview, print_table
 
 FORMAT = 1                  # of the JSON document, config/analysis.schema.json
 EXIT_EXCEEDED, EXIT_WRONG_INPUT = 1, 2
@@ -42,7 +43,9 @@ def add_parser(subparsers):
     parser.add_argument("logs", metavar="LOG", nargs="+",
                         help="recording (*.mcap), pattern, or address such as s3://bucket/*.mcap")
     parser.add_argument("--compare", metavar="LOG", help="say how far it is from this one, too")
-    parser.add_argument("--html", metavar="PAGE", help="write a self-contained page of one log")
+    parser.add_argument("--html", metavar="PAGE", help="write a self-contained page")
+    parser.add_argument("--png", metavar="FILE", help="write the plots of one log as a picture: "
+                        "*.png, *.pdf or *.svg (needs matplotlib)")
     parser.add_argument("--json", metavar="FILE", help="write all figures")
     parser.add_argument("--max-error", type=_bound, metavar="X", help="largest error that passes, "
                         "of positions in m and of attitudes in rad")
@@ -73,23 +76,38 @@ def run(args):
         raise AnalysisError(str(error)) from None
     if args.no_reference and args.max_error is not None:
         raise AnalysisError("--max-error needs the reference: leave --no-reference away")
-    if len(logs) > 1 and (args.html or args.compare):
-        raise AnalysisError("--html and --compare go with one log")
+    if args.compare and (len(logs) > 1 or args.scheduler):
+        raise AnalysisError("--compare goes with one log, and without --scheduler")
+    if args.png and (len(logs) > 1 or args.scheduler):
+        raise AnalysisError("--png goes with one log, and without --scheduler")
+    _check_writable(args.json, args.html, args.png)
+    _check_picture(args.png)
     options = {"reference": not args.no_reference, "reference_seconds": args.reference_seconds}
-    comparison = None
+    comparison, parts = None, []
     if len(logs) == 1 and not args.scheduler:
-        found = [write_analysis(logs[0], args.html, args.json, *options.values()).figures]
+        analysis = _analyse_one(logs[0], options)
+        found = [analysis.figures]
         if args.compare:
             with Console(stderr=True).status("comparing"):
-                comparison = compare(read_recording(logs[0]), read_recording(args.compare))
-            print_comparison(comparison, Console(file=sys.stdout))
+                comparison = differences(read_recording(logs[0]), read_recording(args.compare))
+            print_comparison(comparison[0], Console(file=sys.stdout))
+        if args.png:
+            _draw(analysis, args.png, comparison)
+        if args.html:
+            from .report.page import page_part          # plotly takes a second to import
+            parts = [page_part(analysis)]
     else:
-        _check_writable(args.json, args.html)
-        found = analyse_many(logs, options, args.scheduler)
+        found, parts = analyse_many(logs, options, args.scheduler, bool(args.html))
         print_overview(found, Console(file=sys.stdout))
     exceeded = find_exceeded(found, args.max_error, args.max_drift)
+    if args.html:
+        from .report.page import make_page
+        bounds = [f"largest {what} {value:g}" for what, value in (
+            ("error", args.max_error), ("drift", args.max_drift)) if value is not None]
+        _write(args.html, make_page(parts, comparison, exceeded, bounds))
     if args.json:
-        _write(args.json, document(found, comparison, args.max_error, args.max_drift, exceeded))
+        _write(args.json, document(found, comparison and comparison[0], args.max_error,
+                                   args.max_drift, exceeded))
     failed = [entry for entry in found if "failed" in entry]
     if failed:
         rest = f" (and {len(failed) - 1} more like it)" if len(failed) > 1 else ""
@@ -100,19 +118,42 @@ def run(args):
     return 0
 
 
-def write_analysis(log, html=None, json_file=None, reference=True,
-                   reference_seconds=REFERENCE_SECONDS):
+def write_analysis(log, html, json_file):
     """Analyse one recording, print the table, write page and figures; returns the Analysis."""
+    from .report.page import make_page, page_part
     _check_writable(html, json_file)
+    analysis = _analyse_one(log, {})
+    _write(html, make_page([page_part(analysis)]))
+    _write(json_file, document([analysis.figures]))
+    return analysis
+
+
+def _analyse_one(log, options):
+    """Analysis of a log, told on the terminal."""
     with Console(stderr=True).status("reading") as status:
-        analysis = analyse(read_recording(log), reference, status.update, reference_seconds)
-        if html:
-            from .report.page import make_page          # plotly takes a second to import
-            _write(html, make_page(analysis))
-    if json_file:
-        _write(json_file, document([analysis.figures]))
+        analysis = analyse(read_recording(log), tell=status.update, **options)
     print_table(analysis.figures, Console(file=sys.stdout))
     return analysis
+
+
+def _check_picture(path):
+    """Raise AnalysisError, before the work, for a picture that cannot be drawn."""
+    if not path:
+        return
+    if not path.lower().endswith((".png", ".pdf", ".svg")):
+        raise AnalysisError(f"{path}: must end with .png, .pdf or .svg")
+    if find_spec("matplotlib") is None:
+        raise AnalysisError("--png needs matplotlib: pip install 'liegroup_sim_ros[figures]'")
+
+
+def _draw(analysis, path, comparison):
+    from .report.picture import write_picture
+    try:
+        write_picture(analysis, path, comparison)
+    except OSError as error:
+        raise AnalysisError(f"{path}: cannot be written: {error.strerror}") from None
+    except ValueError as error:
+        raise AnalysisError(f"{path}: {error}") from None
 
 
 def document(found, comparison=None, max_error=None, max_drift=None, exceeded=()):
@@ -158,16 +199,32 @@ def _relative_drifts(figures):
     return [(name, drift) for name, drift in drifts if drift is not None]
 
 
-def analyse_log(log, options):
-    """Figures of one log, or {"log", "failed"}; what a worker does."""
+def analyse_log(log, options, page=None):
+    """(figures of one log, what a page has of it); what a worker does.
+
+    figures are {"log", "failed"} of one that cannot be analysed
+    page : None without a page, else whether it has plots
+    """
     try:
-        return analyse(read_recording(log), **options).figures
+        analysis = analyse(read_recording(log), **options)
     except (RecordingError, LieGroupSimError) as error:
-        return {"log": str(log), "failed": " ".join(str(error).split())}
+        figures = {"log": str(log), "failed": " ".join(str(error).split())}
+        return figures, {"figures": figures}
+    if page is None:
+        return analysis.figures, None
+    from .report.page import page_part
+    return analysis.figures, page_part(analysis, page)
 
 
-def analyse_many(logs, options, scheduler=None):
-    """[figures or {"log", "failed"}] in the order of the logs, by dask where it is installed."""
+def analyse_many(logs, options, scheduler=None, page=False):
+    """([figures], [what a page has]) in the order of the logs, by dask where it is installed.
+
+    Both as analyse_log returns them.
+    """
+    drawn = None
+    if page:
+        from .report.page import MOST_PARTS as drawn
+    work = [(log, options, None if drawn is None else k < drawn) for k, log in enumerate(logs)]
     with Progress(TextColumn("analysing"), BarColumn(), MofNCompleteColumn(),
                   console=Console(stderr=True), auto_refresh=False) as progress:
         task = progress.add_task("", total=len(logs))
@@ -176,26 +233,30 @@ def analyse_many(logs, options, scheduler=None):
             progress.advance(task)
             progress.refresh()
 
-        if scheduler:
-            return _on_cluster(scheduler, logs, options, one_more)
-        try:
-            import dask
-            from dask.callbacks import Callback
-        except ImportError:
-            found = []
-            for log in logs:
-                found.append(analyse_log(log, options))
-                one_more()
-            return found
-        work = [dask.delayed(analyse_log, pure=False)(log, options) for log in logs]
-        # Forked: a Python that starts anew would start ROS's libraries too, and may hang there.
-        with (Callback(posttask=one_more), dask.config.set(
-                {"multiprocessing.context": "fork", "optimization.fuse.active": False})):
-            return list(dask.compute(*work, scheduler="processes",
-                                     num_workers=min(len(logs), os.cpu_count() or 1)))
+        found = (_on_cluster(scheduler, work, one_more) if scheduler else
+                 _on_this_machine(work, one_more))
+    return tuple(list(part) for part in zip(*found))
 
 
-def _on_cluster(address, logs, options, one_more):
+def _on_this_machine(work, one_more):
+    try:
+        import dask
+        from dask.callbacks import Callback
+    except ImportError:
+        found = []
+        for each in work:
+            found.append(analyse_log(*each))
+            one_more()
+        return found
+    tasks = [dask.delayed(analyse_log, pure=False)(*each) for each in work]
+    # Forked: a Python that starts anew would start ROS's libraries too, and may hang there.
+    with (Callback(posttask=one_more), dask.config.set(
+            {"multiprocessing.context": "fork", "optimization.fuse.active": False})):
+        return list(dask.compute(*tasks, scheduler="processes",
+                                 num_workers=min(len(work), os.cpu_count() or 1)))
+
+
+def _on_cluster(address, work, one_more):
     try:
         from dask.distributed import Client, as_completed
     except ImportError:
@@ -203,10 +264,10 @@ def _on_cluster(address, logs, options, one_more):
                             "'liegroup_sim_ros[many]'") from None
     try:
         with Client(address, timeout=CONNECTING) as client:
-            work = client.map(analyse_log, logs, [options] * len(logs), pure=False)
-            for _ in as_completed(work):
+            tasks = client.map(analyse_log, *zip(*work), pure=False)
+            for _ in as_completed(tasks):
                 one_more()
-            return client.gather(work)
+            return client.gather(tasks)
     except (OSError, TimeoutError, ValueError) as error:
         raise AnalysisError(f"no dask scheduler at {address}: {' '.join(str(error).split())[:200]}"
                             ) from None

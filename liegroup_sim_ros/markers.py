@@ -40,7 +40,7 @@ class Markers:
         self._wrenches = wrenches
         self._bodies = layout.body_names
         place = {body: i for i, body in enumerate(self._bodies)}
-        solids = [_solid(body) for body in scene.bodies]
+        solids = [solid(body) for body in scene.bodies]
         largest = max(max(size) for _, size, _ in solids)
         self._template = template = Template()
         self._owner, self._local = [], []   # body and pose in it, of each marker but the arrows
@@ -112,7 +112,7 @@ def markers(encoder):
     return [("~/markers", "visualization_msgs/msg/MarkerArray", encoder.encode)]
 
 
-def _solid(body):
+def solid(body):
     """(kind of marker, sizes (3,) in m, pose (4, 4) in the body frame) that a body is drawn as."""
     local = np.eye(4)
     shape = body.shape

@@ -6,6 +6,7 @@ from scipy.spatial.transform import Rotation
 from liegroup_core.reference import Trajectory, distance
 
 from ..recording import RecordingError
+from .drift import MOST_POINTS, thinned
 
 # Settings that are compared; where and when a run was made does not matter.
 SETTINGS = ("scene", "method", "group", "step", "stabilisation", "baumgarte_time", "options",
@@ -14,16 +15,26 @@ QUANTITIES = (("position", "m"), ("angle", "rad"), ("angular", "rad/s"), ("linea
 
 
 def compare(one, other):
-    """Figures of the difference of two Recordings, at the stamps that both have.
+    """Figures of the difference of two Recordings, see `differences`."""
+    return differences(one, other)[0]
+
+
+def differences(one, other):
+    """The difference of two Recordings, at the stamps that both have.
 
     Bodies are told by their names; those of one recording only are left out. The samples are gone
     through piece by piece. Raises RecordingError where there is nothing to compare
+    returns figures, ((times, distance in m), (times, angle in rad)) of the body that is farthest
     """
     bodies = [body for body in one.bodies if body in other.bodies]
     if not bodies:
         raise RecordingError(f"{one.path} and {other.path} have no body of the same name")
     tracks = [_Track(recording, bodies) for recording in (one, other)]
     largest = {name: {"unit": unit, "max": 0.0, "at_s": None} for name, unit in QUANTITIES}
+    expected = min(recording.topics.get(recording.settings["topics"]["pose"][bodies[0]], 0)
+                   for recording in (one, other))
+    every = -(-expected // MOST_POINTS)
+    curves = {"position": [], "angle": []}
     samples = identical = 0
     first = None
     while (found := _next(tracks)) is not None:
@@ -39,17 +50,21 @@ def compare(one, other):
         apart = distance(*(_trajectory(part) for part in (mine, theirs)))
         for name, entry in largest.items():
             values = getattr(apart, name).max(axis=1)
+            if name in curves:
+                curves[name].append(thinned(stamps * 1e-9, values, every))
             at = int(values.argmax())               # of a NaN, where it is
             if not values[at] <= entry["max"]:
                 entry["max"], entry["at_s"] = float(values[at]), float(stamps[at] * 1e-9)
     if not samples:
         raise RecordingError(f"{one.path} and {other.path} have no sample at the same time")
-    return {"logs": [str(one.path), str(other.path)], "bodies": bodies, "samples": samples,
+    figures = {"logs": [str(one.path), str(other.path)], "bodies": bodies, "samples": samples,
             "identical": identical, "first_difference_s": first, "difference": largest,
             "same_scene": one.scene_text == other.scene_text,
             "same_wrenches": one.applied_wrench == other.applied_wrench,
             "settings": {key: [one.settings.get(key), other.settings.get(key)]
                          for key in SETTINGS if one.settings.get(key) != other.settings.get(key)}}
+    return figures, tuple(tuple(np.concatenate(part) for part in zip(*parts))
+                          for parts in curves.values())
 
 
 class _Track:

@@ -2,21 +2,26 @@
 """Changes of kept quantities along a run, taken up piece by piece: largest, last, trend, curve."""
 import numpy as np
 
-MOST_POINTS = 20_000        # of a curve; the largest of each group of neighbours is taken
+MOST_POINTS = 20_000        # of a curve; the extremes of each group of neighbours are taken
 MOST_PIECES = 2000          # of a curve, where many wrenches cut it; figures have all
 
 
+def extremes(values, every):
+    """Rows of values (k,): the smallest and the largest of each group of 2 `every` neighbours."""
+    count = len(values)
+    if every <= 1 or count <= 1:
+        return np.arange(count)
+    size = 2 * every
+    rows = np.arange(-(-count // size) * size).clip(max=count - 1).reshape(-1, size)
+    groups = np.arange(len(rows))
+    found = [rows[groups, values[rows].argmin(axis=1)], rows[groups, values[rows].argmax(axis=1)]]
+    return np.unique(found)
+
+
 def thinned(times, values, every):
-    """Times (k,) and values (k,): of each group of `every` neighbours that of largest size."""
-    if every <= 1 or len(times) <= 1:
-        return times, values
-    edges = np.arange(0, len(times), every)
-    size = np.abs(values)
-    largest = np.repeat(np.maximum.reduceat(size, edges),
-                        np.diff(np.append(edges, len(times))))
-    rows = np.flatnonzero(size == largest)
-    _, first = np.unique(rows // every, return_index=True)
-    return times[rows[first]], values[rows[first]]
+    """Times (k,) and values (k,) without those between the extremes of neighbours."""
+    rows = extremes(values, every)
+    return times[rows], values[rows]
 
 
 class Drift:

@@ -1,130 +1,226 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One self-contained page of an analysis: verdict, plots, tables, scene. Needs no network."""
+"""One self-contained page of analyses: verdict, plots, motion, tables, scene. Needs no network.
+
+Names come from files that anybody may have made. They are escaped wherever they stand, and the
+page itself forbids every script but its own, and every request (Content-Security-Policy).
+"""
+import base64
+import hashlib
 import json
+import re
 from html import escape
+from importlib.resources import files
 
 from plotly.offline import get_plotlyjs
 
-from .plots import make_plots
-from .summary import NO_NUMBER, sections
+from .plots import difference_plot, make_plots
+from .summary import (NO_NUMBER, OVERVIEW, comparison_rows, headline, overview, sections,
+                      short_names)
+from .view import make_view, speeds
 
-STYLE = """
-:root { color-scheme: light dark; --page: #f6f7f9; --card: #ffffff; --text: #1b1f24;
-  --soft: #59636e; --grid: #d8dde3; --good: #12703a; --bad: #b3261e; --blue: #2a6fd6;
-  --orange: #cf6a12; --green: #16875a; --violet: #7049c0; --red: #d63a3a; --grey: #6b7480; }
-@media (prefers-color-scheme: dark) { :root { --page: #14171b; --card: #1d2127; --text: #e6e9ee;
-  --soft: #9aa5b1; --grid: #363d46; --good: #5ecb8c; --bad: #ff8a80; --blue: #5b9cf5;
-  --orange: #f0963f; --green: #45b98a; --violet: #ab8df0; --red: #ff6b6b; --grey: #97a1ad; } }
-* { box-sizing: border-box; }
-body { margin: 0; background: var(--page); color: var(--text);
-  font: 16px/1.45 system-ui, -apple-system, "Segoe UI", Roboto, sans-serif; }
-main { max-width: 78rem; margin: 0 auto; padding: 1rem; }
-h1 { font-size: 1.5rem; margin: .3rem 0 .2rem; overflow-wrap: anywhere; }
-h2 { font-size: 1.05rem; margin: 0 0 .15rem; }
-.verdict { font-size: 1.1rem; margin: .2rem 0 .7rem; overflow-wrap: anywhere; }
-.soft, .remark { color: var(--soft); font-size: .88rem; margin: 0 0 .4rem; }
-.state { font-weight: 600; } .good { color: var(--good); } .bad { color: var(--bad); }
-ul.bad { margin: .2rem 0 .8rem; padding-left: 1.2rem; overflow-wrap: anywhere; }
-.cards { display: grid; gap: .8rem; margin: .8rem 0;
-  grid-template-columns: repeat(auto-fit, minmax(min(100%, 27rem), 1fr)); }
-.card { background: var(--card); border: 1px solid var(--grid); border-radius: .6rem;
-  padding: .8rem; min-width: 0; }
-table { border-collapse: collapse; width: 100%; }
-tr + tr { border-top: 1px solid var(--grid); }
-td { padding: .28rem .5rem .28rem 0; vertical-align: top; overflow-wrap: anywhere; }
-td:nth-child(1) { width: 36%; } td:nth-child(2) { font-variant-numeric: tabular-nums;
-  font-weight: 600; width: 30%; } td:nth-child(3) { color: var(--soft); font-size: .88rem; }
-@media (max-width: 40rem) { tr { display: grid; grid-template-columns: 1fr 1fr; }
-  td:nth-child(n) { width: auto; } td:nth-child(3) { grid-column: 1 / -1; padding-top: 0; } }
-pre { overflow-x: auto; font-size: .8rem; margin: .4rem 0 0; }
-details { margin: .5rem 0; } summary { cursor: pointer; }
-"""
-
-# Theme colours are looked up when a plot is drawn. On a touch screen a finger on a plot scrolls.
-SCRIPT = """
-const plots = JSON.parse(document.getElementById("plots").textContent);
-const touch = matchMedia("(pointer: coarse)").matches;
-function themed(value, style) {
-  if (typeof value === "string" && value.startsWith("--"))
-    return style.getPropertyValue(value).trim();
-  if (Array.isArray(value)) return value.map(entry => themed(entry, style));
-  if (value && typeof value === "object")
-    return Object.fromEntries(Object.entries(value).map(([k, v]) => [k, themed(v, style)]));
-  return value;
-}
-function draw() {
-  const style = getComputedStyle(document.documentElement);
-  plots.forEach((plot, k) => {
-    const layout = themed(plot.layout, style);
-    if (touch && layout.xaxis) {
-      layout.xaxis.fixedrange = layout.yaxis.fixedrange = true;
-      layout.dragmode = false;
-    }
-    Plotly.react("plot" + k, themed(plot.data, style), layout,
-                 {responsive: true, displaylogo: false, displayModeBar: false});
-  });
-}
-draw();
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
-"""
+MOST_PARTS = 20         # logs with plots on one page; of the others it has the tables
+LONGEST = 200_000       # characters of a text
+NUMBER = re.compile(r"\d[\d.]*(?:e[+-]\d+)?"
+                    r"(?: (?:m|s|ms|us|rad|J|W|N)\b(?:/s)?(?: m\b)?(?: s\b)?)?")
 
 
-def make_page(analysis):
-    """Text of the page (HTML, about 5 MB: it carries plotly.js)."""
-    figures, recording = analysis.figures, analysis.recording
-    plots = make_plots(analysis)
-    state = ('<p class="state good">Nothing is missing, nothing is wrong with the run.</p>'
-             if not figures["problems"] else
-             '<p class="state bad">What is wrong:</p><ul class="bad">'
-             + "".join(f"<li>{escape(text)}</li>" for text in figures["problems"]) + "</ul>")
-    drawn = "".join(
-        f'<section class="card"><h2>{escape(title)}</h2><p class="remark">{escape(remark)}</p>'
-        f'<div id="plot{k}"></div></section>' for k, (title, remark, _) in enumerate(plots))
-    tables = "".join(
-        f'<section class="card"><h2>{escape(title)}</h2><table>' + "".join(
-            f"<tr><td>{escape(what)}</td><td{_alarm(value)}>{escape(value)}</td>"
-            f"<td>{escape(remark)}</td></tr>" for what, value, remark in rows)
-        + "</table></section>" for title, rows in sections(figures))
-    events = "\n".join(f"{event.stamp_ns * 1e-9:12.6f} s  {event.name}: {event.text}"
-                       for event in recording.events)
-    description = analysis.scene.description.strip()
+def page_part(analysis, plots=True):
+    """What the page has of one Analysis, JSON types only but for numbers that are none."""
+    recording = analysis.recording
+    return {
+        "figures": analysis.figures,
+        "plots": make_plots(analysis) if plots else [],
+        "view": make_view(analysis) if plots and analysis.motion.stretches else None,
+        "description": analysis.scene.description.strip(),
+        "events": "\n".join(f"{event.stamp_ns * 1e-9:12.6f} s  {event.name}: {event.text}"
+                            for event in recording.events),
+        "scene": recording.scene_text, "settings": recording.settings}
+
+
+def make_page(parts, comparison=None, exceeded=(), bounds=()):
+    """Text of the page (HTML, about 5 MB: it carries plotly.js).
+
+    parts      : of each log what page_part returned, or {"figures": {"log", "failed"}}
+    comparison : (figures, curve), see comparison.differences
+    exceeded   : a text for every bound that is exceeded
+    bounds     : a text for every bound that was given
+    """
+    data = [{"plots": [plot for *_, plot in part.get("plots", ())], "view": part.get("view")}
+            for part in parts]
+    one = len(parts) == 1
+    body = _one(parts[0], 0, exceeded, bounds) if one else _several(parts, exceeded, bounds)
+    if comparison:
+        title, remark, plot = difference_plot(comparison[1])
+        data.append({"plots": [plot], "view": None})
+        rows = _rows("Compared with the other recording", comparison_rows(comparison[0]))
+        body += (f'<h2>Compared with {escape(comparison[0]["logs"][1])}</h2>'
+                 f'<div class="cards" data-part="{len(parts)}">{_plot(title, remark)}{rows}</div>')
+    title = (f'{parts[0]["figures"]["scene"]}: how wrong is this run?' if one else
+             f"{len(parts)} recordings: how wrong are they?")
+    resources = files(__package__)
+    style, code = ((resources / f"page.{kind}").read_text(encoding="utf-8")
+                   for kind in ("css", "js"))
+    scripts = get_plotlyjs(), code
+    allowed = " ".join(f"'sha256-{_digest(script)}'" for script in scripts)
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
+<meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data: blob:; \
+style-src 'unsafe-inline'; script-src {allowed}">
 <meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{escape(figures["scene"])}: how wrong is this run?</title>
+<title>{escape(title)}</title>
 <link rel="icon" href="data:,">
-<style>{STYLE}</style>
+<style>{style}</style>
 </head>
 <body>
 <main>
-<h1>{escape(figures["scene"])}</h1>
-<p class="soft">{escape(description)}</p>
-<p class="verdict">{escape(figures["verdict"])}</p>
-{state}
-<div class="cards">{drawn}</div>
-<div class="cards">{tables}</div>
-{_details("Events", events)}
-{_details("Scene", recording.scene_text)}
-{_details("Settings", json.dumps(recording.settings, indent=1))}
-<p class="soft">{escape(figures["log"])}</p>
+{body}
 </main>
-<script type="application/json" id="plots">{_json([plot for _, _, plot in plots])}</script>
-<script>{get_plotlyjs()}</script>
-<script>{SCRIPT}</script>
+<script type="application/json" id="data">{_json(data)}</script>
+<script>{scripts[0]}</script>
+<script>{scripts[1]}</script>
 </body>
 </html>
 """
 
 
-def _details(title, text):
-    return (f'<details class="card"><summary>{escape(title)}</summary><pre>{escape(text)}</pre>'
-            "</details>")
+def _one(part, number, exceeded=(), bounds=()):
+    """The page of one log."""
+    figures = part["figures"]
+    problems = [*exceeded, *figures["problems"]]
+    return (f'<header><h1>{escape(figures["scene"])}</h1>{_state(len(problems))}</header>'
+            f'<p class="verdict">{_unbroken(figures["verdict"])}</p>'
+            + _problems(problems) + _bounds(bounds, exceeded) + _tiles(figures)
+            + (f'<p class="soft">{escape(part["description"])}</p>' if part["description"] else "")
+            + f'<div data-part="{number}">{_drawn(part)}</div>' + _told(part))
+
+
+def _several(parts, exceeded, bounds):
+    """Overview of several logs, and of each what the page of one has, to be opened."""
+    found = [part["figures"] for part in parts]
+    names = short_names(found)
+    wrong = [figures.get("problems", [figures.get("failed")]) for figures in found]
+    bad = sum(bool(problems) for problems in wrong)
+    verdict = (f"{bad} of {len(parts)} recordings have problems." if bad else
+               "No problem was found in any of them.")
+    lines = "".join(
+        f'<tr><td data-what="log"><a href="#log{k}">{escape(name)}</a></td>'
+        + "".join(f'<td data-what="{what}"{_alarm(value)}>{escape(value)}</td>'
+                  for what, value in zip(OVERVIEW, overview(figures)))
+        + f'<td data-what="problems" class="{"bad" if problems else "good"}">'
+        f'{len(problems) or "none"}</td></tr>'
+        for k, (name, figures, problems) in enumerate(zip(names, found, wrong)))
+    heads = "".join(f"<th>{what}</th>" for what in ("log", *OVERVIEW, "problems"))
+    body = (f"<header><h1>{len(parts)} recordings</h1>{_state(bad + len(exceeded))}</header>"
+            f'<p class="verdict">{verdict}</p>' + _problems(exceeded) + _bounds(bounds, exceeded)
+            + f'<section class="card"><table class="logs"><thead><tr>{heads}</tr></thead>'
+            f"<tbody>{lines}</tbody></table></section>")
+    for k, (part, name) in enumerate(zip(parts, names)):
+        figures = part["figures"]
+        inside = (_problems([figures["failed"]]) if "failed" in figures else
+                  f'<p class="verdict">{_unbroken(figures["verdict"])}</p>'
+                  + _problems(figures["problems"]) + _tiles(figures) + _drawn(part) + _told(part))
+        body += (f'<details class="log" id="log{k}" data-part="{k}"><summary>{escape(name)}'
+                 f"</summary>{inside}</details>")
+    return body
+
+
+def _drawn(part):
+    return (_view(part["view"], bool(part["plots"])) if part["view"] else "") + (
+        '<div class="cards">' + "".join(_plot(title, remark) for title, remark, _ in part["plots"])
+        + "</div>")
+
+
+def _told(part):
+    """Tables, scene and settings of a log."""
+    figures, settings = part["figures"], part["settings"]
+    rows = "".join(f"<tr><td>{escape(key)}</td><td>{escape(_text(value))}</td></tr>"
+                   for key, value in sorted(settings.items()) if key != "topics")
+    return ('<div class="tables">' + "".join(_rows(*section) for section in sections(figures))
+            + "</div>" + _details("Events", f"<pre>{_shortened(part['events'])}</pre>")
+            + _details("Scene", f"<pre>{_shortened(part['scene'])}</pre>")
+            + _details("Settings", f'<table class="settings">{rows}</table>')
+            + f'<p class="soft">{escape(figures["log"])}</p>')
+
+
+def _text(value):
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {_text(entry)}" for key, entry in value.items()) or "-"
+    return "-" if value is None else value if isinstance(value, str) else json.dumps(value)
+
+
+def _plot(title, remark):
+    return (f'<section class="card"><h3>{escape(title)}</h3><p class="remark">{escape(remark)}</p>'
+            '<div class="plot plane"></div></section>')
+
+
+def _view(view, has_plots):
+    choices, first = speeds(view["seconds"])
+    options = "".join(f'<option value="{speed:g}"{" selected" if speed == first else ""}>'
+                      f"{speed:g} ×</option>" for speed in choices)
+    remark = f"{view['frames']} instants; drag to turn; the tools zoom and shift" + (
+        "; a click on a plot below goes to that instant" if has_plots else "")
+    return (f'<section class="card view"><h3>Motion</h3><p class="remark">{remark}</p>'
+            '<div class="plot"></div><div class="controls">'
+            '<button type="button">Play</button>'
+            f'<input type="range" min="0" max="{view["frames"] - 1}" value="0" step="1" '
+            'aria-label="time">'
+            f'<output></output><select aria-label="speed, times real time">{options}</select>'
+            "</div></section>")
+
+
+def _rows(title, rows):
+    return (f'<section class="card"><h3>{escape(title)}</h3><table class="rows">' + "".join(
+        f"<tr><td>{escape(what)}</td><td{_alarm(value)}>{_unbroken(value)}</td>"
+        f"<td>{_unbroken(remark)}</td></tr>" for what, value, remark in rows)
+        + "</table></section>")
+
+
+def _tiles(figures):
+    tiles = "".join(f"<div><span>{escape(what)}</span><b{_alarm(value)}>{_unbroken(value)}</b>"
+                    f"<span>{_unbroken(remark)}</span></div>"
+                    for what, value, remark in headline(figures))
+    return f'<div class="tiles">{tiles}</div>'
+
+
+def _state(problems):
+    return ('<span class="state good">✓ no problem found</span>' if not problems else
+            f'<span class="state bad">✗ {problems} problem{"" if problems == 1 else "s"}</span>')
+
+
+def _problems(problems):
+    return ('<ul class="bad">' + "".join(f"<li>{escape(text)}</li>" for text in problems) + "</ul>"
+            if problems else "")
+
+
+def _bounds(bounds, exceeded):
+    if not bounds:
+        return ""
+    said = "Not kept" if exceeded else "Kept"
+    return f'<p class="{"bad" if exceeded else "good"}">{said}: {escape("; ".join(bounds))}</p>'
+
+
+def _details(title, inside):
+    return f'<details class="card"><summary>{title}</summary>{inside}</details>'
+
+
+def _shortened(text):
+    more = len(text) - LONGEST
+    return escape(text) if more <= 0 else escape(text[:LONGEST]) + f"\n... {more} more characters"
+
+
+def _unbroken(text):
+    """Escaped, and no line ends within a number or before its unit."""
+    return NUMBER.sub(r'<span class="n">\g<0></span>', escape(text))
 
 
 def _alarm(value):
     return ' class="bad"' if value in NO_NUMBER else ""
+
+
+def _digest(script):
+    return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
 
 
 def _json(data):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The plots of the page, as what plotly.js draws: {"data": traces, "layout": layout}.
+"""The plots of an analysis, as what plotly.js draws: {"data": traces, "layout": layout}.
 
 Colours are names of CSS variables ("--blue"); the page puts in those of its light or dark mode.
 """
@@ -8,14 +8,14 @@ from html import escape
 
 import numpy as np
 
-POINTS = 1500           # per curve; more would not be seen
-PATH_POINTS = 4000      # of all bodies together
+BINS = 1000             # of a curve: the smallest and the largest value of each are drawn
+PATH_POINTS = 4000
 HEIGHT = 340            # px
 COLOURS = ("--blue", "--orange", "--green", "--violet", "--red", "--grey")
 
 
 def make_plots(analysis):
-    """[(title, remark, plot)] of what there is to see."""
+    """[(title, remark, plot)] of what there is to see over the time."""
     figures, curves = analysis.figures, analysis.curves
     plots = []
     if not curves:
@@ -25,8 +25,6 @@ def make_plots(analysis):
         plots.append(("How the error grows", "distance from an independent tight integration, the "
                       "largest of all bodies; dotted: how well that one knows itself",
                       _plane(_error_traces(curves["reference"]), bands, "m, rad", log=True)))
-    plots.append(("The way of the centres of mass", "red: while a wrench acts; drag to turn",
-                  _paths(analysis)))
     if curves["energy"]:
         plots.append(("Energy", "change since the start of each stretch without a wrench",
                       _plane(_interval_traces([("energy", curves["energy"])]), bands, "J")))
@@ -44,7 +42,7 @@ def make_plots(analysis):
     late = _lateness_traces(analysis.recording.diagnostics)
     if late:
         plots.append(("Lateness", "of the ticks against the wall clock, since the start",
-                      _plane(late, bands, "us", log=True)))
+                      _plane(late, bands, "µs", log=True)))
     return plots
 
 
@@ -75,60 +73,27 @@ def _lateness_traces(diagnostics):
     return traces
 
 
-def _paths(analysis):
-    """3D paths; where a wrench acts on a body, its path is drawn again in red."""
-    bodies = analysis.recording.bodies
-    stretches = analysis.motion.stretches
-    count = sum(len(s.steps) for s in stretches) * len(bodies)
-    every = max(1, count // PATH_POINTS)
-    traces = []
-    times = _joined([s.log_times[::every] for s in stretches])
-    for n, body in enumerate(bodies):
-        places = _joined([s.position[::every, n] for s in stretches])
-        traces.append(_path(escape(body), places, times, COLOURS[n % 4], 2))
-        if len(bodies) == 1:            # its colour is free to show the time
-            traces[-1]["line"].update(color=_plain(times), colorscale=[
-                [0.0, "--blue"], [1.0, "--green"]], showscale=True, colorbar={
-                    "title": {"text": "s"}, "thickness": 8, "len": 0.6, "x": 1.0})
-        for stretch in stretches:
-            for first, end, pushed in stretch.pushed:
-                inside = (stretch.steps >= first) & (stretch.steps <= end)
-                if pushed == body and inside.any():
-                    traces.append(_path(f"{escape(body)}, pushed", stretch.position[inside, n],
-                                        stretch.log_times[inside], "--red", 8))
-        start = stretches[0].position[:1, n]
-        traces.append({"type": "scatter3d", "mode": "markers", "name": f"{escape(body)} at 0 s",
-                       "x": _plain(start[:, 0]), "y": _plain(start[:, 1]),
-                       "z": _plain(start[:, 2]), "showlegend": False,
-                       "marker": {"size": 4, "color": COLOURS[n % 4]}})
-    for trace in traces[20:]:           # a legend of many bodies would hide the plot
-        trace["showlegend"] = False
-    axis = {"color": "--text", "gridcolor": "--grid", "backgroundcolor": "--card",
-            "zerolinecolor": "--grid", "showbackground": False}
-    return {"data": traces, "layout": {
-        "scene": {
-            "aspectmode": "data",
-            "camera": {"eye": {"x": 1.4, "y": 1.4, "z": 0.7},
-                       "center": {"x": 0, "y": 0, "z": -0.1}},
-            **{name: {**axis, "title": {"text": f"{name[0]}, m"}}
-               for name in ("xaxis", "yaxis", "zaxis")}},
-        "margin": {"l": 0, "r": 0, "t": 0, "b": 0}, "height": HEIGHT, **_BASE,
-        "legend": {"orientation": "h", "x": 0, "y": 0, "yanchor": "bottom"},
-        "showlegend": len(bodies) > 1}}
-
-
-def _path(name, places, times, colour, width):
-    return {"type": "scatter3d", "mode": "lines", "name": name, "x": _plain(places[:, 0]),
-            "y": _plain(places[:, 1]), "z": _plain(places[:, 2]), "text": [
-                f"{t:.3f} s" if math.isfinite(t) else "" for t in times],
-            "hovertemplate": "%{text}<br>%{x:.4g}, %{y:.4g}, %{z:.4g} m",
-            "line": {"color": colour, "width": width}}
-
-
-_BASE = {"paper_bgcolor": "rgba(0,0,0,0)", "plot_bgcolor": "rgba(0,0,0,0)",
+BASE = {"paper_bgcolor": "rgba(0,0,0,0)", "plot_bgcolor": "rgba(0,0,0,0)",
          "font": {"color": "--text", "family": "system-ui, sans-serif", "size": 12},
-         "legend": {"orientation": "h", "y": -0.24, "yanchor": "top", "x": 0},
+         "legend": {"orientation": "h", "yref": "container", "y": 0, "yanchor": "bottom", "x": 0},
          "hoverlabel": {"bgcolor": "--card", "bordercolor": "--grid", "font": {"color": "--text"}}}
+
+
+def centre_paths(analysis):
+    """{body: (k, 3) m} of the centres of mass, with a gap between stretches."""
+    stretches = analysis.motion.stretches
+    every = max(1, sum(len(s.steps) for s in stretches) // PATH_POINTS)
+    return {body.name: _joined([
+        s.position[::every, n] + s.rotation[::every, n] @ np.array(body.com) for s in stretches])
+        for n, body in enumerate(analysis.scene.bodies)}
+
+
+def difference_plot(curve):
+    """(title, remark, plot) of the curves of a comparison, see comparison.py."""
+    traces = [_line(name, *part, colour) for name, part, colour in zip(
+        ("position, m", "attitude, rad"), curve, COLOURS)]
+    return ("How far the two are apart", "the largest distance of all bodies",
+            _plane(traces, [], "m, rad", log=True))
 
 
 def _plane(traces, bands, unit, log=False):
@@ -136,12 +101,12 @@ def _plane(traces, bands, unit, log=False):
     axis = {"gridcolor": "--grid", "zerolinecolor": "--grid", "linecolor": "--grid",
             "automargin": True}
     return {"data": traces, "layout": {
-        "xaxis": {**axis, "title": {"text": "time, s", "standoff": 6}},
+        "xaxis": {**axis, "title": {"text": "time / s", "standoff": 6}},
         "yaxis": {**axis, "title": {"text": unit, "standoff": 8}, **(
             {"type": "log", "dtick": _decades(traces), "exponentformat": "power"} if log else
-            {"exponentformat": "e"})},
-        "shapes": bands, "margin": {"l": 8, "r": 8, "t": 8, "b": 8}, "height": HEIGHT,
-        "hovermode": "x unified" if len(traces) <= 4 else "closest", **_BASE}}
+            {"exponentformat": "power"})},
+        "shapes": bands, "margin": {"l": 8, "r": 8, "t": 30, "b": 8}, "height": HEIGHT,
+        "hovermode": "x unified" if len(traces) <= 4 else "closest", **BASE}}
 
 
 def _decades(traces):
@@ -160,15 +125,28 @@ def _push_bands(figures, motion):
 
 
 def _line(name, x, y, colour, dash="solid"):
-    """A curve of at most POINTS: of each group of neighbours the value of largest size."""
-    if len(x) > POINTS:
-        size = np.where(np.isfinite(y), np.abs(y), np.inf)      # gaps stay
-        edges = np.linspace(0, len(x), POINTS + 1).astype(int)
-        pick = [a + int(np.argmax(size[a:b])) for a, b in zip(edges, edges[1:])]
+    """A curve; of a long one the smallest and the largest value of each bin, and its gaps."""
+    if len(x) > 2 * BINS:
+        pick = _extremes(y)
         x, y = x[pick], y[pick]
-    return {"type": "scatter", "mode": "lines", "name": escape(name), "x": _plain(x),
+    return {"type": "scatter", "mode": "lines", "name": label(name), "x": _plain(x),
             "y": _plain(y), "line": {"color": colour, "width": 1.6, "dash": dash},
             "connectgaps": False, "hovertemplate": "%{y:.3g}"}
+
+
+def label(name):
+    """A name as plotly.js shows it to the letter, which takes tags and entities for markup."""
+    return escape(name, quote=False)
+
+
+def _extremes(y):
+    """Rows of the smallest and the largest value of each bin of neighbours, and of a gap in it."""
+    gaps = ~np.isfinite(y)
+    low, high = np.where(gaps, np.inf, y), np.where(gaps, -np.inf, y)
+    edges = np.linspace(0, len(y), BINS + 1).astype(int)
+    rows = {a + int(values[a:b].argmax()) for a, b in zip(edges, edges[1:])
+            for values in (-low, high, gaps)}
+    return np.array(sorted(rows))
 
 
 def _joined(parts):

@@ -8,7 +8,7 @@ import numpy as np
 
 from liegroup_core.reference import Reference, Trajectory, WrenchChange, distance
 
-from .drift import MOST_POINTS, thinned
+from .drift import MOST_POINTS, extremes
 from .replay import Starts
 
 # (name in Distance, unit)
@@ -34,8 +34,7 @@ class Errors:
             self._known[name] = float(np.maximum(self._known[name], known.max()))
             self._final[name] = float(values[-1].max())
         worst = error.position.max(axis=1), error.angle.max(axis=1)
-        times, _ = thinned(log_times, worst[0], self._every)
-        rows = np.searchsorted(log_times, times)
+        rows = np.union1d(*(extremes(part, self._every) for part in worst))
         self._curves.setdefault(key, []).append(tuple(part[rows] for part in (
             log_times, *worst, uncertainty.position.max(axis=1), uncertainty.angle.max(axis=1))))
 

@@ -2,14 +2,12 @@
 """The figures of an analysis in words: verdict, problems, and the rows of its tables."""
 import math
 
-from rich.table import Table
-from rich.text import Text
-
 from liegroup_core.model.joint_watch import OPEN
 from liegroup_core.pacing import SLOW
 
 MOST_JOINTS = 8         # in the table; the others are in the JSON
 NO_NUMBER = ("not a number", "infinite")
+OVERVIEW = ("position", "attitude", "energy", "joints", "same bits", "lost")
 GROUPS = {"se3": "SE(3)", "so3xr3": "SO(3) x R^3"}
 
 
@@ -130,6 +128,36 @@ def _error(entry):
     if entry["max"] <= entry["uncertainty"]:
         return f"{shown(entry['uncertainty'], entry['unit'])} (all the reference can tell)"
     return shown(entry["max"], entry["unit"])
+
+
+def headline(figures):
+    """The few numbers that say most: [(what, value, remark)]."""
+    found = []
+    reference = figures.get("reference")
+    if reference and "failed" not in reference:
+        known = "the reference's own uncertainty"
+        found += [(text, shown(max(entry["max"], entry["uncertainty"]), entry["unit"]),
+                   known if entry["max"] <= entry["uncertainty"] else
+                   f"at most, known to {shown(entry['uncertainty'], entry['unit'])}")
+                  for name, text in (("position", "position error"), ("angle", "attitude error"))
+                  for entry in [reference[name]]]
+    if figures.get("joints"):
+        name, worst = max(figures["joints"].items(), key=lambda item: item[1]["largest"])
+        found.append(("joints open by", shown(worst["largest"], worst["unit"]),
+                      f"at most: {name}"))
+    if figures.get("energy") and figures["energy"]["relative_drift"] is not None:
+        found.append(("energy drift", shown(figures["energy"]["relative_drift"]),
+                      "of the largest kinetic energy"))
+    repeat = figures.get("repeat", {})
+    if "identical" in repeat:
+        same = repeat["identical"] == repeat["samples"]
+        found.append(("simulated again", "same bits" if same else "different",
+                      f"{repeat['identical']} of {repeat['samples']} samples are the same"))
+    if figures["timing"].get("real_time_factor"):
+        found.append(("real-time factor", f"{figures['timing']['real_time_factor']:.3f}",
+                      "" if not figures["timing"]["factor_wanted"] else
+                      f"wanted {shown(figures['timing']['factor_wanted'])}"))
+    return found
 
 
 def sections(figures):
@@ -260,46 +288,16 @@ def _joined(*remarks):
     return "; ".join(remark for remark in remarks if remark)
 
 
-def print_table(figures, console):
-    """Verdict, problems and tables on a terminal."""
-    console.print(Text(figures["verdict"], style="bold"))
-    for problem in figures["problems"]:
-        console.print(Text(f"! {problem}", style="bold red"))
-    for title, rows in sections(figures):
-        table = Table(box=None, show_header=False, padding=(0, 2, 0, 0), title=Text(title),
-                      title_justify="left", title_style="bold")
-        table.add_column(width=24, style="dim")
-        table.add_column(width=18)
-        table.add_column(style="dim", overflow="fold")
-        for what, value, remark in rows:
-            style = "bold red" if value in NO_NUMBER else ""
-            table.add_row(Text(what), Text(value, style=style), Text(remark))
-        console.print()
-        console.print(table)
-
-
-def print_overview(found, console):
-    """A line for each of several logs; what is wrong with them follows."""
-    table = Table(box=None, padding=(0, 2, 0, 0))
+def short_names(found):
+    """What logs are called where they stand together: names of files, if they differ."""
     names = [figures["log"].rpartition("/")[2] for figures in found]
-    if len(set(names)) < len(names):
-        names = [figures["log"] for figures in found]
-    for title in ("log", "position", "attitude", "energy", "joints", "same bits", "lost"):
-        table.add_column(Text(title), overflow="fold", no_wrap=title != "log")
-    for name, figures in zip(names, found):
-        table.add_row(Text(name), *(Text(cell, style="bold red" if cell in NO_NUMBER else "")
-                                    for cell in _overview(figures)))
-    console.print(table)
-    for name, figures in zip(names, found):
-        for problem in figures.get("problems") or [figures[key] for key in ("failed",)
-                                                   if key in figures]:
-            text = problem if problem.startswith(figures["log"]) else f"{name}: {problem}"
-            console.print(Text(f"! {text}", style="bold red"), soft_wrap=True)
+    return names if len(set(names)) == len(names) else [figures["log"] for figures in found]
 
 
-def _overview(figures):
+def overview(figures):
+    """The OVERVIEW of one log, a text for each."""
     if "failed" in figures:
-        return ["-"] * 6
+        return ["-"] * len(OVERVIEW)
     reference = figures.get("reference") or {"failed": ""}
     errors = ["-", "-"] if "failed" in reference else [
         _error(reference[name]).partition(" (")[0] for name in ("position", "angle")]
@@ -312,20 +310,17 @@ def _overview(figures):
             str(lost)]
 
 
-def print_comparison(figures, console):
-    """Difference of two logs on a terminal."""
-    same = figures["identical"] == figures["samples"]
-    console.print()
-    console.print(Text(f"Compared with {figures['logs'][1]}: " + (
-        f"the same bit for bit in {figures['samples']} samples" if same else
-        f"{figures['identical']} of {figures['samples']} samples are the same, the first other "
-        f"one at {shown(figures['first_difference_s'], 's')}"), style="bold"))
-    table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
-    for name, entry in figures["difference"].items():
-        table.add_row(Text(name), Text(shown(entry["max"], entry["unit"])), Text(
-            "" if entry["at_s"] is None else f"at {shown(entry['at_s'], 's')}", style="dim"))
-    for what, equal in (("scene", figures["same_scene"]), ("wrenches", figures["same_wrenches"])):
-        table.add_row(Text(what), Text("the same" if equal else "different"), Text(""))
-    for key, (mine, theirs) in figures["settings"].items():
-        table.add_row(Text(key), Text(str(mine)), Text(str(theirs)))
-    console.print(table)
+def comparison_rows(figures):
+    """The table of a comparison: [(what, value, remark)]."""
+    names = {"position": "position", "angle": "attitude", "angular": "angular velocity",
+             "linear": "velocity"}
+    rows = [("same bytes", f"{figures['identical']} of {figures['samples']} samples",
+             "" if figures["first_difference_s"] is None else
+             f"the first other one at {shown(figures['first_difference_s'], 's')}")]
+    rows += [(names[name], shown(entry["max"], entry["unit"]),
+              "" if entry["at_s"] is None else f"at {shown(entry['at_s'], 's')}")
+             for name, entry in figures["difference"].items()]
+    rows += [(what, "the same" if equal else "different", "") for what, equal in (
+        ("scene", figures["same_scene"]), ("wrenches", figures["same_wrenches"]))]
+    return rows + [(key, str(mine), f"in the other one {theirs}")
+                   for key, (mine, theirs) in figures["settings"].items()]

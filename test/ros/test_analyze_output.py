@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What `liegroup_sim analyze` prints and writes, and how it refuses what it cannot read."""
+import base64
 import json
 import math
 import re
@@ -7,6 +8,7 @@ import subprocess
 import sys
 from html.parser import HTMLParser
 
+import numpy as np
 import pytest
 from made_run import PACING, PAIR, record
 from rich.console import Console
@@ -19,7 +21,9 @@ from liegroup_sim_ros.analyze_logs import document
 from liegroup_sim_ros.main import main
 from liegroup_sim_ros.recorder import Recorder
 from liegroup_sim_ros.recording import read_recording
-from liegroup_sim_ros.report.summary import find_problems, print_table
+from liegroup_sim_ros.report import plots, view
+from liegroup_sim_ros.report.summary import find_problems
+from liegroup_sim_ros.report.terminal import print_table
 
 
 def test_not_a_number_is_never_shown_as_fine(tmp_path, capsys):
@@ -74,16 +78,56 @@ def test_page(tmp_path, capsys):
     assert "<script>alert(1)</script> & more" in "".join(links.texts)
     assert "start: <b>begin</b>" in "".join(links.texts)
     assert 'name="viewport"' in text and "prefers-color-scheme: dark" in text
-    plots = json.loads(next(data for given, data in links.scripts if given.get("id") == "plots"),
+    part, = json.loads(next(data for given, data in links.scripts if given.get("id") == "data"),
                        parse_constant=pytest.fail)
-    assert len(plots) == 5                  # error, paths, energy, momentum, lateness; no joints
-    for plot in plots:
+    assert len(part["plots"]) == 4                  # error, energy, momentum, lateness; no joints
+    for plot in part["plots"]:
         for trace in plot["data"]:
             assert len(trace["x"]) == len(trace["y"]) > 0
             assert sum(y is not None for y in trace["y"]) > 0
-    assert plots[0]["layout"]["shapes"][0]["x0"] == pytest.approx(0.1)
-    assert [trace["name"] for trace in plots[1]["data"] if trace["mode"] == "lines"] == [
-        "left", "left, pushed", "right"]
+    assert part["plots"][0]["layout"]["shapes"][0]["x0"] == pytest.approx(0.1)
+    motion = part["view"]
+    assert [body["name"] for body in motion["bodies"]] == ["left", "right"]
+    assert [body for body, *_ in motion["pushes"]] == [0] and motion["frames"] == 41
+
+
+def test_long_recordings_make_no_large_page(tmp_path, monkeypatch):
+    """What is drawn is bounded, and what sticks out is still there."""
+    y = np.sin(np.linspace(0.0, 300.0, 1_000_000))
+    y[123_456], y[654_321], y[777_777] = 7.0, -5.0, np.nan
+    drawn = plots._line("a curve", np.arange(1e6), y, "--blue")
+    assert len(drawn["x"]) == len(drawn["y"]) <= 3 * plots.BINS
+    assert (drawn["x"][drawn["y"].index(7.0)], drawn["x"][drawn["y"].index(-5.0)]) == (
+        123_456, 654_321)
+    assert None in drawn["y"]
+    log = record(tmp_path / "a.mcap", scene_from_text(PAIR), 2000, per_sample=1, resets=(700,))
+    monkeypatch.setattr(view, "MOST_PLACES", 400)
+    found = view.make_view(analyse(read_recording(log), reference=False))
+    assert found["frames"] == 200 and found["seconds"] == pytest.approx(4.002)
+    assert len(found["breaks"]) == 1
+    places = np.frombuffer(base64.b64decode(found["places"]), "<f4").reshape(200, 2, 7)
+    last = read_recording(log).pose["right"]
+    assert np.allclose(places[-1, 1, :3], last.position[-1], atol=1e-6)
+    assert abs(places[-1, 1, 3:] @ last.quaternion[-1]) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_pictures(tmp_path, capsys):
+    """A picture of every kind; what cannot be drawn is told before the work."""
+    log = str(record(tmp_path / "a.mcap", scene_from_text(PAIR), 100))
+    starts = {"png": b"\x89PNG", "pdf": b"%PDF", "svg": b"<?xml"}
+    for kind, start in starts.items():
+        picture = tmp_path / f"a.{kind}"
+        assert main(["analyze", log, "--no-reference", "--png", str(picture)]) == 0
+        assert picture.read_bytes().startswith(start)
+    text = (tmp_path / "a.svg").read_text()
+    assert text.count('id="axes_') == 4         # paths, energy, momentum, lateness
+    capsys.readouterr()
+    for picture, more, said in ((tmp_path / "a.jpg", [], "must end with .png"),
+                                (tmp_path / "no" / "a.png", [], "cannot be written"),
+                                (tmp_path / "a.png", [log], "goes with one log")):
+        assert main(["analyze", log, *more, "--png", str(picture)]) == 2
+        out, err = capsys.readouterr()
+        assert out == "" and said in err and err.count("\n") == 1
 
 
 @pytest.mark.parametrize("make, said", [

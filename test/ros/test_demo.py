@@ -44,7 +44,7 @@ def test_demo(tmp_path):
     said, errors = demo.communicate(timeout=COMPILING)
     assert demo.returncode == 0, errors
     assert running(out) == []
-    figures = json.loads((out / "demo.json").read_text())
+    figures, = json.loads((out / "demo.json").read_text())["logs"]
     assert figures["scene"] == "heavy_top" and figures["complete"]
     # One push; on a machine that stalls for longer than the wrench's hold time it has a gap.
     assert figures["pushes"] and figures["pushes"][-1]["to_s"] is not None

@@ -1,0 +1,324 @@
+// Plots and 3D view of the page. What there is to draw stands in the element "data", see page.py.
+"use strict";
+const DATA = JSON.parse(document.getElementById("data").textContent);
+const touch = matchMedia("(pointer: coarse)").matches;
+const narrow = () => matchMedia("(max-width: 40rem)").matches;
+const drawn = new Map();                // element -> function that draws it, also in another theme
+const views = [];                       // one of each motion that is drawn
+
+// Colours stand in the data as names of CSS variables, in entries with such a key.
+function themed(value, key = "") {
+  if (typeof value === "string")
+    return /color/i.test(key) && value.startsWith("--")
+      ? getComputedStyle(document.documentElement).getPropertyValue(value).trim() : value;
+  if (Array.isArray(value)) return /color/i.test(key) ? value.map(v => themed(v, key))
+    : value.map(v => typeof v === "object" ? themed(v) : v);
+  if (value && typeof value === "object" && !ArrayBuffer.isView(value))
+    return Object.fromEntries(Object.entries(value).map(([k, v]) => [k, themed(v, k)]));
+  return value;
+}
+
+const CONFIG = {responsive: true, displaylogo: false, displayModeBar: touch ? true : "hover"};
+const MODEBAR = {bgcolor: "rgba(0,0,0,0)", color: "--soft", activecolor: "--text"};
+
+// A finger on a plot scrolls the page until a tool is chosen above the plot.
+function drawPlane(element, plot, go) {
+  const layout = {...plot.layout, modebar: MODEBAR, uirevision: 1};
+  if (touch) layout.dragmode = false;
+  const fresh = !drawn.has(element);
+  const draw = () => Plotly.react(element, themed(plot.data), themed(layout), {
+    ...CONFIG, modeBarButtons: [["zoom2d", "pan2d", "zoomIn2d", "zoomOut2d", "resetScale2d"]]});
+  drawn.set(element, draw);
+  draw();
+  if (fresh && go) {
+    const line = element.appendChild(document.createElement("div"));
+    line.className = "cursor";
+    element.on("plotly_click", found => go(found.points[0].x));
+    element.on("plotly_afterplot", () => element.cursor());
+    element.cursor = (time = element.time) => {
+      element.time = time;
+      const {xaxis, yaxis} = element._fullLayout, x = xaxis.d2p(time);
+      line.style.display = x >= 0 && x <= xaxis._length ? "block" : "none";
+      line.style.left = `${xaxis._offset + x}px`;
+      line.style.top = `${yaxis._offset}px`;
+      line.style.height = `${yaxis._length}px`;
+    };
+  }
+}
+
+// Solids of size 1 about their centre: [vertices, triangles].
+function makeSolid(kind) {
+  const points = [], faces = [];
+  if (kind === "box") {
+    for (let k = 0; k < 8; k++) points.push([(k & 1) - .5, (k >> 1 & 1) - .5, (k >> 2) - .5]);
+    for (const [a, b, c, d] of [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3],
+                                [0, 4, 6, 2], [1, 3, 7, 5]])
+      faces.push([a, b, c], [a, c, d]);
+    return [points, faces];
+  }
+  const around = 24, rings = kind === "sphere" ? 11 : 2;
+  for (let r = 0; r < rings; r++)
+    for (let k = 0; k < around; k++) {
+      const turn = 2 * Math.PI * k / around, rise = Math.PI * (r + 1) / (rings + 1);
+      const out = kind === "sphere" ? Math.sin(rise) : 1;
+      points.push([.5 * out * Math.cos(turn), .5 * out * Math.sin(turn),
+                   kind === "sphere" ? -.5 * Math.cos(rise) : r - .5]);
+    }
+  points.push([0, 0, -.5], [0, 0, .5]);
+  const bottom = points.length - 2, top = points.length - 1, last = (rings - 1) * around;
+  for (let k = 0; k < around; k++) {
+    const next = (k + 1) % around;
+    faces.push([bottom, next, k], [top, last + k, last + next]);
+    for (let r = 0; r + 1 < rings; r++) {
+      const a = r * around + k, b = r * around + next;
+      faces.push([a, b, b + around], [a, b + around, a + around]);
+    }
+  }
+  return [points, faces];
+}
+
+function numbers(text, Kind) {
+  return new Kind(Uint8Array.from(atob(text), letter => letter.charCodeAt(0)).buffer);
+}
+
+// Row-major rotation matrix of the pose at p in places: x, y, z, and x, y, z, w of the quaternion.
+function rotation(places, p) {
+  const [x, y, z, w] = places.subarray(p + 3, p + 7);
+  return [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w),
+          2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w),
+          2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)];
+}
+
+function placed(matrix, offset, [x, y, z]) {
+  return [0, 3, 6].map((r, i) =>
+    offset[i] + matrix[r] * x + matrix[r + 1] * y + matrix[r + 2] * z);
+}
+
+// The 3D view: what is drawn of frame k, and the range of all of them.
+class Motion {
+  constructor(view) {
+    this.view = view;
+    this.bodies = view.bodies;
+    this.times = numbers(view.times, Float64Array);
+    this.places = numbers(view.places, Float32Array);
+    this.breaks = new Set(view.breaks);
+    this.points = [];
+    this.faces = [];
+    this.bodies.forEach((body, i) => {
+      const [points, faces] = makeSolid(body.solid), first = this.points.length;
+      for (const point of points)
+        this.points.push([i, placed(body.turn, body.at, point.map((x, k) => x * body.size[k]))]);
+      for (const face of faces) this.faces.push([i, ...face.map(k => k + first)]);
+    });
+  }
+
+  pose(k, i) {
+    const p = 7 * (k * this.bodies.length + i);
+    return [rotation(this.places, p), this.places.subarray(p, p + 3)];
+  }
+
+  point(k, i, local) { return i < 0 ? local : placed(...this.pose(k, i), local); }
+
+  pushed(k) {
+    const time = this.times[k];
+    return new Set(this.view.pushes.filter(([, from, to]) =>
+      time >= from && (to === null || time < to)).map(([body]) => body));
+  }
+
+  // x, y, z of bodies, links and joints
+  frame(k) {
+    const poses = this.bodies.map((_, i) => this.pose(k, i));
+    const parts = [[], [], []];
+    for (const [i, local] of this.points) parts[0].push(placed(...poses[i], local));
+    for (const {parent, child, at} of this.view.joints) {
+      const place = placed(...poses[child], at);
+      parts[2].push(place);
+      for (const i of [parent, child])
+        if (i >= 0) parts[1].push(place, placed(...poses[i], this.bodies[i].com),
+                                  [null, null, null]);
+    }
+    return [0, 1, 2].map(axis => parts.map(part => part.map(place => place[axis])));
+  }
+
+  colours(k) {
+    const pushed = this.pushed(k);
+    return this.faces.map(([i]) => pushed.has(i) ? "--red" : this.bodies[i].colour);
+  }
+
+  paths() {
+    const every = Math.max(1, Math.ceil(this.times.length * this.bodies.length / 6000));
+    const all = this.bodies.map((body, i) => {
+      const path = [];
+      for (let k = 0; k < this.times.length; k++) {
+        if (this.breaks.has(k)) path.push([null, null, null, ""]);
+        if (k % every === 0 || k === this.times.length - 1)
+          path.push([...this.point(k, i, body.com), `${this.times[k].toFixed(3)} s`]);
+      }
+      return curve(path, body.name, body.colour, 2);
+    });
+    const red = [];
+    for (const [i, from, to] of this.view.pushes.slice(0, 200)) {
+      for (let k = 0; k < this.times.length; k++)
+        if (this.times[k] >= from && (to === null || this.times[k] <= to))
+          red.push([...this.point(k, i, this.bodies[i].com), `${this.times[k].toFixed(3)} s`]);
+      red.push([null, null, null, ""]);
+    }
+    return red.some(([x]) => x !== null) ? [...all, curve(red, "pushed", "--red", 7)] : all;
+  }
+
+  // Axes as long as the motion, and at least a quarter of the longest, so that a plane is a slab.
+  axes() {
+    const low = [Infinity, Infinity, Infinity], high = low.map(x => -x);
+    const take = (place, radius) => place.forEach((x, axis) => {
+      low[axis] = Math.min(low[axis], x - radius);
+      high[axis] = Math.max(high[axis], x + radius);
+    });
+    const every = Math.max(1, Math.ceil(this.times.length / 500));
+    for (let k = 0; k < this.times.length; k += every) {
+      this.bodies.forEach((body, i) =>
+        take(this.point(k, i, body.at), .5 * Math.hypot(...body.size)));
+      for (const {child, at} of this.view.joints) take(this.point(k, child, at), 0);
+    }
+    const longest = Math.max(...high.map((x, i) => x - low[i])) || 1;
+    const lengths = high.map((x, i) => 1.04 * Math.max(x - low[i], longest / 4));
+    const mean = Math.cbrt(lengths.reduce((a, b) => a * b)), style = {
+      color: "--soft", gridcolor: "--grid", zerolinecolor: "--grid", showbackground: false,
+      showspikes: false};
+    const scene = {aspectmode: "manual", aspectratio: {}, dragmode: "turntable"};
+    ["x", "y", "z"].forEach((name, i) => {
+      const middle = (low[i] + high[i]) / 2, half = lengths[i] / 2;
+      scene[`${name}axis`] = {...style, title: {text: `${name} / m`},
+                              nticks: Math.max(2, Math.round(6 * lengths[i] / longest)),
+                              range: [middle - half, middle + half]};
+      scene.aspectratio[name] = lengths[i] / mean;
+    });
+    return scene;
+  }
+}
+
+// Where the whole box is in sight, looking rather across a plane of motion than along it.
+function camera({x, y, z}, width, height) {
+  const box = [x, y, z], thin = Math.min(...box), way = [.62, -.95, .5].map(
+    (part, i) => box[i] === thin && thin < .6 * Math.max(...box) ? 2 * part : part);
+  const size = Math.hypot(...way), to = way.map(part => part / size);
+  const flat = Math.hypot(to[0], to[1]), right = [-to[1] / flat, to[0] / flat, 0];
+  const up = [to[1] * right[2] - to[2] * right[1], to[2] * right[0] - to[0] * right[2],
+              to[0] * right[1] - to[1] * right[0]];
+  const reach = along => box.reduce((sum, edge, i) => sum + Math.abs(along[i]) * edge / 2, 0);
+  const slope = Math.tan(Math.PI / 8);        // plotly's field of view is 45 degrees high
+  const away = .7 * reach(to) + 1.05 * Math.max(reach(up) / slope,
+                                               1.2 * reach(right) / slope / (width / height));
+  return {eye: {x: away * to[0], y: away * to[1], z: away * to[2]}, center: {x: 0, y: 0, z: -.06}};
+}
+
+function curve(path, name, colour, width) {
+  return {type: "scatter3d", mode: "lines", name, x: path.map(p => p[0]), y: path.map(p => p[1]),
+          z: path.map(p => p[2]), text: path.map(p => p[3]), line: {color: colour, width},
+          opacity: .75, connectgaps: false,
+          hovertemplate: "%{text}<br>%{x:.4g}, %{y:.4g}, %{z:.4g} m"};
+}
+
+function drawView(root, view, planes) {
+  const motion = new Motion(view), plot = root.querySelector(".plot");
+  const [button, slider, speeds, output] = ["button", "input", "select", "output"].map(
+    name => root.querySelector(name));
+  const count = motion.times.length, start = motion.times[0], end = motion.times[count - 1];
+  const paths = motion.paths(), moving = [0, 1, 2].map(k => paths.length + k);
+  const scene = motion.axes(), height = narrow() ? 340 : 440;
+  scene.camera = camera(scene.aspectratio, plot.clientWidth, height);
+  const state = {frame: 0, time: start, playing: false, motion, plot, shown: ""};
+
+  function draw() {
+    const [x, y, z] = motion.frame(state.frame), k = state.frame;
+    state.shown = [...motion.pushed(k)].join();
+    const names = [];
+    for (const [i] of motion.points) names.push(motion.bodies[i].name);
+    const data = [...paths,
+      {type: "mesh3d", x: x[0], y: y[0], z: z[0], i: motion.faces.map(f => f[1]),
+       j: motion.faces.map(f => f[2]), k: motion.faces.map(f => f[3]),
+       facecolor: motion.colours(k), flatshading: true, text: names, hoverinfo: "text",
+       showlegend: false, lighting: {ambient: .6, diffuse: .7, specular: .08, roughness: .9},
+       lightposition: {x: 2000, y: -4000, z: 6000}},
+      {type: "scatter3d", mode: "lines", x: x[1], y: y[1], z: z[1], hoverinfo: "skip",
+       showlegend: false, connectgaps: false, line: {color: "--soft", width: 4}},
+      {type: "scatter3d", mode: "markers", x: x[2], y: y[2], z: z[2], showlegend: false,
+       text: view.joints.map(joint => joint.name), hoverinfo: "text",
+       marker: {size: 3.5, color: "--text"}}];
+    data.forEach((trace, i) => { if (i >= 12) trace.showlegend = false; });
+    return Plotly.react(plot, themed(data), themed({...view.layout, scene,
+      height, uirevision: 1, modebar: MODEBAR,
+      showlegend: paths.length > 1}), {
+      ...CONFIG, scrollZoom: false, modeBarButtons: [["zoom3d", "pan3d", "tableRotation",
+                                                      "resetCameraDefault3d"]]});
+  }
+
+  function show(time) {
+    state.time = Math.min(end, Math.max(start, time));
+    let low = 0, high = count - 1;          // the last frame that is not later
+    while (low < high) {
+      const middle = low + high + 1 >> 1;
+      if (motion.times[middle] <= state.time) low = middle; else high = middle - 1;
+    }
+    output.textContent = `${state.time.toFixed(view.digits)} s`;
+    for (const plane of planes) plane.cursor(state.time);
+    if (low === state.frame) return;
+    state.frame = low;
+    slider.value = low;
+    const [x, y, z] = motion.frame(low), pushed = [...motion.pushed(low)].join();
+    Plotly.restyle(plot, {x, y, z}, moving);
+    if (pushed !== state.shown) {
+      state.shown = pushed;
+      Plotly.restyle(plot, {facecolor: [themed(motion.colours(low), "color")]}, [moving[0]]);
+    }
+  }
+
+  function play(on) {
+    state.playing = on;
+    button.textContent = on ? "Pause" : "Play";
+    if (!on) return;
+    if (state.time >= end) show(start);
+    let last = performance.now();
+    const step = now => {
+      if (!state.playing) return;
+      show(state.time + (now - last) / 1000 * Number(speeds.value));
+      last = now;
+      if (state.time >= end) play(false); else requestAnimationFrame(step);
+    };
+    requestAnimationFrame(step);
+  }
+
+  slider.addEventListener("input", () => { play(false); show(motion.times[slider.value]); });
+  button.addEventListener("click", () => play(!state.playing));
+  drawn.set(plot, draw);
+  draw();
+  output.textContent = `${start.toFixed(view.digits)} s`;
+  for (const plane of planes) plane.cursor(start);
+  views.push(state);
+  return time => { play(false); show(time); };
+}
+
+// Once: the plots of a log when it is opened.
+function open(root) {
+  if (root.dataset.open) return;
+  root.dataset.open = "1";
+  const part = DATA[root.dataset.part], view = root.querySelector(".view");
+  const planes = [...root.querySelectorAll(".plane")];
+  let go = () => {};
+  planes.forEach((plane, k) => drawPlane(plane, part.plots[k], part.view && (t => go(t))));
+  if (view) go = drawView(view, part.view, planes);
+}
+
+for (const root of document.querySelectorAll("[data-part]")) {
+  if (root.tagName !== "DETAILS" || root.open) open(root);
+  else root.addEventListener("toggle", () => root.open && open(root));
+}
+// A link of the overview opens what it leads to.
+function follow() {
+  const root = /^#log\d+$/.test(location.hash) && document.querySelector(location.hash);
+  if (root) root.open = true;
+}
+addEventListener("hashchange", follow);
+follow();
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+  for (const draw of drawn.values()) draw();
+});

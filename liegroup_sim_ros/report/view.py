@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The 3D view of the page: bodies as they are drawn, joints, and where they are when."""
+import base64
+import math
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from liegroup_core.simulation import make_layout
+
+from ..markers import CUBE, CYLINDER, THINNEST, solid
+from .plots import BASE, COLOURS, label
+
+# Poses of all bodies together, and of one body: more would make the page large, fewer would jump.
+MOST_PLACES, MOST_FRAMES, LEAST_FRAMES = 15_000, 3000, 200
+MOST_PUSHES = 1000
+
+
+def make_view(analysis):
+    """What page.js draws of an Analysis with samples, for JSON; m, s, world axes.
+
+    times, places : base64 of (k,) float64, and of (k, n, 7) float32: position and x y z w of the
+                    body frames
+    breaks        : frames at which a stretch of the run begins anew
+    """
+    scene, stretches = analysis.scene, analysis.motion.stretches
+    layout = make_layout(scene)
+    index = {body.name: i for i, body in enumerate(scene.bodies)}
+    solids = [solid(body) for body in scene.bodies]
+    thinnest = THINNEST * max(max(size) for _, size, _ in solids)
+    bodies = [{
+        "name": label(body.name), "solid": {CUBE: "box", CYLINDER: "cylinder"}.get(kind, "sphere"),
+        "size": [max(float(length), thinnest) for length in size],
+        "at": local[:3, 3].tolist(), "turn": local[:3, :3].ravel().tolist(),
+        "com": [float(x) for x in body.com], "colour": COLOURS[i % 4]}
+        for i, (body, (kind, size, local)) in enumerate(zip(scene.bodies, solids))]
+    joints = [{"name": label(joint.name), "parent": index.get(joint.parent, -1),
+               "child": index[joint.child],
+               "at": (frame[:3, 3] + scene.bodies[index[joint.child]].com).tolist()}
+              for joint, (_, frame) in zip(scene.joints, layout.joint_frames)]
+    count = sum(len(stretch.steps) for stretch in stretches)
+    most = min(MOST_FRAMES, max(LEAST_FRAMES, MOST_PLACES // len(bodies)))
+    pick = np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
+    since = np.cumsum([0] + [len(stretch.steps) for stretch in stretches])
+    owner = np.searchsorted(since, pick, "right") - 1
+    times = np.concatenate([stretch.log_times for stretch in stretches])[pick]
+    position = np.concatenate([stretch.position for stretch in stretches])[pick]
+    turn = np.concatenate([stretch.rotation for stretch in stretches])[pick]
+    quaternion = Rotation.from_matrix(turn.reshape(-1, 3, 3)).as_quat()
+    places = np.concatenate([position, quaternion.reshape(*position.shape[:2], 4)], axis=2)
+    pushes = [[index[body], stretch.base_ns * 1e-9 + first * stretch.step,
+               stretch.base_ns * 1e-9 + end * stretch.step if math.isfinite(end) else None]
+              for stretch in stretches for first, end, body in stretch.pushed]
+    seconds = float(times[-1] - times[0])
+    return {"bodies": bodies, "joints": joints, "times": _packed(times, "<f8"),
+            "places": _packed(places, "<f4"), "breaks": np.flatnonzero(np.diff(owner)).tolist(),
+            "pushes": pushes[:MOST_PUSHES], "frames": len(pick), "seconds": seconds,
+            "digits": max(0, min(6, 3 - math.floor(math.log10(seconds)))) if seconds > 0 else 3,
+            "layout": {"margin": {"l": 0, "r": 0, "t": 32, "b": 0}, **BASE, "legend": {
+                "orientation": "h", "x": 0, "y": 1, "yanchor": "top",
+                "bgcolor": "rgba(0,0,0,0)"}}}
+
+
+def speeds(seconds):
+    """([times real time], the one to begin with) that play a run in 2 s to minutes."""
+    seconds = seconds or 1.0
+    steps = [m * 10.0**e for e in range(-6, 7) for m in (1, 2, 5)]
+    usual = [s for s in steps if seconds / 200.0 <= s <= seconds / 1.5] or [1.0]
+    first = 1.0 if 3.0 <= seconds <= 60.0 else min(
+        usual, key=lambda s: abs(math.log(seconds / s / 15.0)))
+    return sorted({*usual, first}), first
+
+
+def _packed(values, kind):
+    return base64.b64encode(np.ascontiguousarray(values, dtype=kind).tobytes()).decode()
