@@ -30,7 +30,7 @@ setup(
     install_requires=[
         "mcap>=1.5",
         "mcap-ros2-support",
-        "numba>=0.60",
+        "numba>=0.62",
         "numpy>=1.26",
         "plotly",
         "pydantic>=2",

@@ -59,6 +59,8 @@ def _cache_folder():
     if root is None:
         return None
     folder = root / _source_hash()
+    if folder.exists() and not os.access(folder, os.W_OK):
+        folder = root / f"{folder.name}-{os.getuid()}"      # that is another user's
     if not folder.exists():
         folder.mkdir(exist_ok=True)
         others = sorted((p for p in root.iterdir() if p.is_dir() and p != folder),

@@ -5,6 +5,7 @@ A tuple of arrays would be taken apart at every call from Python, and copied int
 it is handed to. Of a Struct a kernel gets the address, and loads from there what it uses.
 """
 import dataclasses
+import hashlib
 
 import numpy as np
 
@@ -58,12 +59,17 @@ if compiled():
     from llvmlite import ir
     from numba.core import cgutils, types
     from numba.core.datamodel import models
+    from numba.core.errors import TypingError
     from numba.core.typing.templates import AttributeTemplate
     from numba.extending import (NativeValue, infer_getattr, intrinsic, lower_getattr_generic,
                                  register_model, typeof_impl, unbox)
     from numba.np.numpy_support import from_dtype
 
     WORD = ir.IntType(64)
+
+    def _digest(kind):
+        """Short text for a type within the names of functions: the same in every process."""
+        return hashlib.sha256(str(kind).encode()).hexdigest()[:8]
 
     class BorrowedArray(types.Array):
         """Type of an array that somebody else keeps alive: its references are not counted."""
@@ -73,7 +79,7 @@ if compiled():
 
         @property
         def mangling_args(self):
-            return "borrowed", (self._code, self.ndim)
+            return "borrowed", (_digest(self.dtype), self.ndim)
 
     @register_model(BorrowedArray)
     class _BorrowedArrayModel(models.StructModel):
@@ -103,7 +109,7 @@ if compiled():
 
         @property
         def mangling_args(self):
-            return self.instance_class.__name__, (self._code,)
+            return self.instance_class.__name__, (_digest(self._fields),)
 
     register_model(StructType)(models.OpaqueModel)
 
@@ -120,7 +126,9 @@ if compiled():
             return types.boolean, [int(value)]
         if isinstance(value, (int, np.integer)):
             return types.int64, [int(np.int64(value).view(np.uint64))]
-        return types.float64, [int(np.float64(value).view(np.uint64))]
+        if isinstance(value, (float, np.floating)):
+            return types.float64, [int(np.float64(value).view(np.uint64))]
+        raise TypeError(f"{name} is nothing that kernels read: {value!r}")
 
     @typeof_impl.register(Struct)
     def _type_of(struct, context):
@@ -187,6 +195,8 @@ if compiled():
         For the entry of a kernel: its caller holds the array until it returns, so counting every
         use of it with atomic operations is in vain; it took three quarters of a step's time.
         """
+        if not isinstance(array, types.Array) or array.layout != "C":
+            raise TypingError(f"only C-contiguous arrays are borrowed, not {array}")
         kind = BorrowedArray(array.dtype, array.ndim)
 
         def codegen(context, builder, signature, arguments):

@@ -85,7 +85,8 @@ class Layout:
                does not tell whole turns. None: no joint has turned more than half a turn
         """
         near = None if near is None else np.array(near)
-        pose, twist = self.offsets.to_centres(np.array(pose), np.array(twist))
+        pose, twist = self.offsets.to_centres(
+            np.array(pose, dtype=float, order="C"), np.array(twist, dtype=float, order="C"))
         return Sample(self, time, time_ns, steps, pose, twist, near)
 
     def angles(self, pose, near=None):
@@ -196,7 +197,7 @@ class Simulation:
         Ends what `apply_wrench` does. The wrenches of the scene follow the step count.
         """
         n = len(self._body)
-        pose, twist = np.array(pose, dtype=float), np.array(twist, dtype=float)
+        pose, twist = (np.array(given, dtype=float, order="C") for given in (pose, twist))
         if pose.shape != (n, 12) or twist.shape != (n, 6):
             raise ValueError(f"expected a pose ({n}, 12) and a twist ({n}, 6), "
                              f"got {pose.shape} and {twist.shape}")
@@ -412,7 +413,9 @@ class Simulation:
         angle = math.sqrt(self._work.report[1])
         if status & 0xff == NO_RATTLE_STEP:
             body = self.layout.body_names[status >> 8]
-        if status & 0xff in (NO_RATTLE_STEP, NOT_CONVERGED):
+        # Where a wrench of the scene changes within the step, no smaller one is that of a run.
+        if (status & 0xff in (NO_RATTLE_STEP, NOT_CONVERGED)
+                and len(self._timetable.parts(self.steps)) == 1):
             works = step_that_works(self._integrator, self.step, *self.state(), self._external)
             hint = f": from here {works:g} s works" if works else ""
         if status & 0xff == DEPENDENT_ROWS:

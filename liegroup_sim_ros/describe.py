@@ -56,7 +56,7 @@ def step_cost(scene, method, seconds=MEASURING):
     steps, times = 1, []
     end = time.perf_counter() + seconds
     try:
-        while time.perf_counter() < end or not times:
+        while time.perf_counter() < end or len(times) < LEAST_RUNS:
             simulation.reset()
             start = time.perf_counter()
             simulation.advance(steps)

@@ -44,7 +44,7 @@ from .rotation_maps import (AUSTIN, BOTTASSO_BORRI, FIRST_ITERATED, LIE_MIDPOINT
                             RATTLE, RUNGE_KUTTA, SIMO_WONG, STOERMER_VERLET, iterated_end,
                             iterated_step, kept, kicked_end, kicked_turn, turn, velocity)
 from .rotation_stability import stability_limit
-from .status import NO_RATTLE_STEP, NOT_CONVERGED, NOT_FINITE, OK
+from .status import DIVERGED, HOPELESS_ROTATION, NO_RATTLE_STEP, NOT_CONVERGED, NOT_FINITE, OK
 
 log = logging.getLogger("liegroup_core")
 
@@ -322,6 +322,8 @@ def advance(model, work, spinners, memory, loads, corrections, rule, weights, h,
             evaluation += 1
         if status == OK and not is_finite(work.stage_pose, work.stage_twist):
             status = NOT_FINITE
+        if status == OK and work.report[1] > HOPELESS_ROTATION * HOPELESS_ROTATION:
+            status = DIVERGED
         if status != OK:
             return done, status
         copy_state(work.stage_pose, work.stage_twist, pose, twist)
@@ -377,14 +379,14 @@ class Rotation:
 
     def _look(self, h, pose, twist, external):
         """Warn where the step is beyond what is stable at a state."""
-        def step(size, pose, twist):
-            _, status = self._take(size, 1, pose, twist, external)
+        def step(size, steps, pose, twist):
+            _, status = self._take(size, steps, pose, twist, external)
             return (pose, twist) if status == OK else None
 
         report = self.work.report.copy()
         limit = stability_limit(step, self._spinners, h, pose, twist)
         self.work.report[:] = report
         if limit is not None:
-            log.warning("%s, step %g s: errors grow from step to step, as an oscillation is too "
-                        "fast for it; at the start of this run steps are stable up to %.2g s, "
-                        "take a smaller one", self._name, h, limit)
+            log.warning("%s, step %g s: errors grow from step to step, as an oscillation or a damper "
+                        "is too fast for it; at the start of this run steps are stable up to "
+                        "%.2g s, take a smaller one", self._name, h, limit)

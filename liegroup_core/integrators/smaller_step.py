@@ -38,8 +38,8 @@ def step_that_works(integrator, h, pose, twist, external):
         else:
             bad = middle
     good = _two_digits(PART * good)
-    if not works(good):
-        good = _two_digits(largest_below(good))
+    while good >= SMALLEST_PART * h and not works(good):
+        good = _two_digits(PART * good)
     found = good if good >= SMALLEST_PART * h else None
     work.report[:], work.angle[:] = kept
     integrator.restart()

@@ -13,11 +13,15 @@ NOT_CONVERGED = 7
 NOT_PROJECTED = 8
 OFF_PLANE = 9               # not for a user: the same steps are taken in space
 NO_RATTLE_STEP = 10
+DIVERGED = 11
 
 # dexp^-1 is singular at a rotation of 2 pi within a step and loses digits near it: its norm is
 # (t/2)/sin(t/2), 62 at 2 pi - 0.1. Beyond pi a step is legal and rarely accurate.
 LARGEST_ROTATION = 2.0 * math.pi - 0.1
 LARGE_ROTATION = math.pi
+# rad in a step, of methods for which 2 pi is no bound. More is no motion of a mechanism: explicit
+# methods get there where damping or a spring is too much for the step.
+HOPELESS_ROTATION = 1e3
 
 MESSAGES = {
     NOT_FINITE: "the state is no longer finite: the step is too large for this motion, or a force "
@@ -36,6 +40,8 @@ MESSAGES = {
                    "large for this motion, or the pose is singular; take a smaller step{hint}",
     NOT_PROJECTED: "the joints cannot be closed again by small displacements: the step is too "
                    "large for this motion; take a smaller step",
+    DIVERGED: "a body turns by more than a thousand rad within one step: the motion grows without "
+              "bound, the step is too large for its forces; take a smaller step",
     NO_RATTLE_STEP: "RATTLE has no solution for body {body}, which turns by {angle:.3g} rad in a "
                     "step: that must stay below 1 rad; take a smaller step{hint}",
 }

@@ -57,6 +57,8 @@ class JointWatch:
         """
         if self._scale is None or steps % EVERY and not at_once:
             return None
+        pose = pose.view()
+        pose.flags.writeable = False        # as in a Sample: one compiled function serves both
         position_residuals(self._layout.model, pose, self._residual)
         gaps = np.abs(self._residual) * self._scale
         worst = int(gaps.argmax())

@@ -3,6 +3,8 @@ import copy
 import gc
 import math
 import pickle
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -142,3 +144,34 @@ def test_a_copied_simulation_goes_on_alone(scene, method, again):
     assert all((a == b).all() for a, b in zip(simulation.state(), before))
     simulation.advance(30)
     assert all((a == b).all() for a, b in zip(simulation.state(), other.state()))
+
+
+@pytest.mark.parametrize("scene", ["four_bar", "ball_chain"])
+def test_states_in_any_order_of_memory_are_the_same(scene):
+    one, other = (Simulation(load_scene(scene)) for _ in range(2))
+    one.advance(50)
+    pose, twist = one.state()
+    other.set_state(np.asfortranarray(pose), np.asfortranarray(twist), 50)
+    for simulation in (one, other):
+        simulation.advance(50)
+    assert all((a == b).all() for a, b in zip(one.state(), other.state()))
+    sample = one.layout.sample(np.asfortranarray(pose), np.asfortranarray(twist))
+    assert sample.joint_residuals == one.layout.sample(pose, twist).joint_residuals
+
+
+def test_what_is_no_field():
+    with pytest.raises(TypeError, match="Inner.shift is nothing that kernels read"):
+        if not compiled():
+            pytest.skip("nothing is compiled")
+        Inner(rows=np.zeros((2, 2)), shift="0.1")
+
+
+def test_a_sample_in_another_process(tmp_path):
+    """Pickled here and read there: what follows from it is computed there."""
+    sample = Simulation(load_scene("four_bar")).sample()
+    path = tmp_path / "sample"
+    path.write_bytes(pickle.dumps(sample))
+    code = "import pickle, sys; print(pickle.load(open(sys.argv[1], 'rb')).energy.hex())"
+    said = subprocess.run([sys.executable, "-c", code, path], capture_output=True, text=True,
+                          check=True)
+    assert float.fromhex(said.stdout) == sample.energy

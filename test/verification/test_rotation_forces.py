@@ -259,6 +259,43 @@ def test_a_step_beyond_the_stability_limit_warns_and_names_it(method, caplog):
     assert limit * omega == pytest.approx(2.0, rel=0.025)
 
 
+def rod_at_rest():
+    """A slender rod on a ball joint, let go at 0.5 rad: it stretches errors where it is."""
+    return Scene(name="rod", gravity=(0, 0, -9.81), bodies=[
+        Body(name="a", mass=1.0, inertia=(0.333, 0.34, 0.02), rotation_vector=(0, -0.5, 0),
+             position=(np.sin(0.5), 0, -np.cos(0.5)))], joints=[
+        Joint(name="pivot", type="spherical", parent="world", child="a",
+              child_frame=Frame(position=(0, 0, 1)))])
+
+
+def damped(damping):
+    """A mass on a spring of 100 N/m with a damper, stretched by 0.2 m."""
+    return Scene(name="damped", gravity=(0, 0, 0), bodies=[
+        Body(name="a", mass=1.0, inertia=(1, 1.5, 2), position=(1.2, 0, 0))], forces=[
+        SpringDamper(name="s", parent="world", child="a", stiffness=100.0, damping=damping,
+                     rest_length=1.0, parent_point=(0, 0, 0), child_point=(0, 0, 0))])
+
+
+@pytest.mark.parametrize("method", ["stoermer_verlet", "rattle", "coadjoint_rkmk2"])
+@pytest.mark.parametrize("damping, step", [(30.0, 0.09), (3000.0, 0.09)])
+def test_dampers_that_are_too_much_for_a_step_warn(method, damping, step, caplog):
+    """The fast rate is c = damping to 13 %; h c must stay below about 2, and at 1.3 all is well."""
+    Simulation(damped(damping), method=method, step=1.3 / damping).advance(1)
+    assert not caplog.records
+    Simulation(damped(damping), method=method, step=step).advance(1)
+    said = [record.getMessage() for record in caplog.records]
+    assert len(said) == 1
+    limit = float(re.search(r"stable up to ([\d.e-]+) s", said[0]).group(1))
+    assert 1.8 < limit * damping < 2.6
+
+
+@pytest.mark.parametrize("method", ["coadjoint_rkmk8", "lie_midpoint", "rattle"])
+def test_a_motion_that_stretches_errors_itself_does_not_warn(method, caplog):
+    """The frozen derivative at the start has eigenvalues beyond 1.05 at these steps."""
+    Simulation(rod_at_rest(), method=method, step=0.4).advance(1)
+    assert not caplog.records
+
+
 @pytest.mark.parametrize("method", ROTATION)
 def test_steps_that_are_stable_do_not_warn_of_it(method, caplog):
     """Free bodies have no limit, at whatever step; bodies on springs at a small one neither."""
