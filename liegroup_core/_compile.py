@@ -178,7 +178,7 @@ def warm_up(call, name):
                     "some hundred times slower (pip install numba)")
     elif done is None or not done.exists():
         log.warning("compiling the kernels for their first use on this machine "
-                    "(half a minute or so, kept for the next start)")
+                    "(some twenty seconds, kept for the next start)")
     start = time.perf_counter()
     call()
     if done is not None and compiled():

@@ -16,7 +16,7 @@ from liegroup_core.model.describe import describe
 from liegroup_core.simulation import make_layout
 
 METHODS = ("rkmk4", "rkmk8")
-MEASURING = 0.2                             # s per method
+MEASURING, LEAST_RUNS = 0.2, 3              # s per method, and runs of which the fastest counts
 STEP = 1e-5                                 # s: small, so that no scene gets into trouble
 MOST_ROWS = 40                              # of a list on the terminal; JSON has all
 
