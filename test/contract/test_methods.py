@@ -17,7 +17,7 @@ import mechanisms
 from liegroup_core import Simulation, SimulationError, load_scene
 from liegroup_core.integrators import FAMILIES, NOT_ON_SE3, check_options, spatial
 from liegroup_core.integrators.methods import METHODS
-from liegroup_core.integrators.status import (DEPENDENT_ROWS, NO_RATTLE_STEP, NOT_CONVERGED,
+from liegroup_core.integrators.status import (DEPENDENT_ROWS, DIVERGED, NO_RATTLE_STEP, NOT_CONVERGED,
                                               NOT_FINITE, ROTATION_TOO_LARGE,
                                               SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS)
 
@@ -183,7 +183,7 @@ def test_steps_too_large_stop_with_the_last_good_state(name, caplog):
         simulation.advance(10)
     except SimulationError as failure:
         assert failure.status & 0xff in (ROTATION_TOO_LARGE, NOT_FINITE, NOT_CONVERGED,
-                                         NO_RATTLE_STEP)
+                                         NO_RATTLE_STEP, DIVERGED)
         assert "smaller step" in str(failure) and "\n" not in str(failure)
         good = simulation.steps
         assert good == 0 or METHODS[name].family == "rotation"

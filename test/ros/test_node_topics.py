@@ -143,9 +143,9 @@ def test_applied_wrench_is_an_arrow(client, node):
     client.until(lambda: arrow().points[1].y == 1.0)
     push(f"{PREFIX}lower")
     client.until(lambda: arrow() is None)
-    refused = next(pair.value for pair in node.messages["state_rate"][-1].status[0].values
-                   if pair.key == "wrenches_refused_unknown_frame")
-    assert refused == "1"
+    client.until(lambda: "1" == next(
+        pair.value for pair in node.messages["state_rate"][-1].status[0].values
+        if pair.key == "wrenches_refused_unknown_frame"))
 
 
 def test_push_from_the_command_line_finds_the_prefix(client, node):
