@@ -17,8 +17,8 @@ import mechanisms
 from liegroup_core import Simulation, SimulationError, load_scene
 from liegroup_core.integrators import FAMILIES, NOT_ON_SE3, check_options, spatial
 from liegroup_core.integrators.methods import METHODS
-from liegroup_core.integrators.status import (DEPENDENT_ROWS, DIVERGED, NO_RATTLE_STEP, NOT_CONVERGED,
-                                              NOT_FINITE, ROTATION_TOO_LARGE,
+from liegroup_core.integrators.status import (DEPENDENT_ROWS, DIVERGED, NO_RATTLE_STEP,
+                                              NOT_CONVERGED, NOT_FINITE, ROTATION_TOO_LARGE,
                                               SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS)
 
 TABLEAUS = {name: method for name, method in METHODS.items() if method.coefficients}
