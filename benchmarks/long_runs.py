@@ -14,13 +14,14 @@ A drift within twice its error is none that can be seen.
 """
 import argparse
 import logging
-import time
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from liegroup_core import Simulation, SimulationError, load_scene
+
+from timing import seconds_of_step
 
 SCENES = {"double_pendulum": 1e-3, "four_bar": 1e-3}    # step of constrained_rattle, s
 METHODS = (("constrained_rattle", {}), ("constrained_rattle4", {}), ("constrained_rattle8", {}),
@@ -32,13 +33,7 @@ SAMPLES, BLOCKS = 2000, 10
 def microseconds(scene, step, method, settings, steps=2000, repeat=40):
     """us of CPU time of one step, the fastest of so many runs."""
     simulation = Simulation(scene, method=method, step=step, **settings)
-    best = np.inf
-    for _ in range(repeat):
-        simulation.reset()
-        start = time.process_time()
-        simulation.advance(steps)
-        best = min(best, time.process_time() - start)
-    return best / steps * 1e6
+    return seconds_of_step(simulation, steps, repeat) * 1e6
 
 
 def kinetic_energy(simulation):

@@ -10,7 +10,6 @@ Prints for the free body and the Lagrangian top of the chapter
     with the steps: 1/2 is a random walk of roundings, 1 the same rounding again and again
 """
 import argparse
-import time
 
 import numpy as np
 from rich.console import Console
@@ -19,6 +18,8 @@ from rich.table import Table
 from liegroup_core import Simulation, SimulationError, load_scene
 from liegroup_core.integrators.methods import METHODS
 
+from timing import seconds_of_step
+
 SCENES = {"free_body": 0.05, "lagrangian_top": 1e-4}        # and the step of the long run, s
 SAMPLES = 60                                                # of a long run, evenly in log steps
 
@@ -26,13 +27,7 @@ SAMPLES = 60                                                # of a long run, eve
 def nanoseconds(scene, step, method, steps=100_000, repeat=7):
     """ns of CPU time of one step, the fastest of so many runs."""
     simulation = Simulation(load_scene(scene), method=method, step=step)
-    best = np.inf
-    for _ in range(repeat):
-        simulation.reset()
-        start = time.process_time()
-        simulation.advance(steps)
-        best = min(best, time.process_time() - start)
-    return best / steps * 1e9
+    return seconds_of_step(simulation, steps, repeat) * 1e9
 
 
 def long_run(scene, step, method, steps):

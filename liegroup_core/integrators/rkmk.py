@@ -110,8 +110,8 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
     work.angle are then those of the last good step. OFF_PLANE: the state does not lie in the plane
     of a PlanarModel, nothing is done.
 
-    Steps, substeps and stages are loops of one function: a kernel that contains the mechanics is
-    compiled once more for every function it is inlined into, for many seconds.
+    Steps, substeps and stages are loops of one function: the mechanics are compiled once more for
+    every place they are inlined into.
     """
     pose_in, twist_in = borrowed(pose_in), borrowed(twist_in)
     external_in, control = borrowed(external_in), borrowed(control)

@@ -284,8 +284,8 @@ def advance(model, work, spinners, memory, loads, corrections, rule, weights, h,
     returns (steps done, status): fewer than asked when status is not OK; pose and twist are then
     those of the last good step. A body's number stands above the low byte of NO_RATTLE_STEP.
 
-    One loop holds all methods and one place the evaluation of the forces: a kernel is compiled
-    once more for every place it is inlined into.
+    One loop holds all methods and one place the evaluation of the forces: these are compiled once
+    more for every place they are inlined into.
     """
     spinners = borrowed(spinners)
     memory, weights = borrowed(memory), borrowed(weights)
