@@ -12,16 +12,16 @@ from liegroup_core import SimulationError
 from liegroup_core.integrators.methods import GROUPS
 from liegroup_core.model.along import Along
 from liegroup_core.model.joint_watch import mechanism_size
+from liegroup_core.reference.exact import exact_solution
 from liegroup_core.scene.load import scene_from_text
 from liegroup_core.simulation import make_layout
 
 from .recording import RecordingError
-from .report.exact import exact_solution
 from .report.invariants import Energy, Joints, Momentum
 from .report.local_error import local_error
 from .report.motion import Motion
 from .report.reference import ReferenceError, exact_error
-from .report.replay import Repeat, ReplayError, Starts, make_simulation
+from .report.replay import Repeat, ReplayError, Starts, initial_state, make_simulation
 from .report.summary import find_problems, verdict
 
 # Simulated time that the independent integration covers if no other is asked for, s.
@@ -98,8 +98,9 @@ class _Parts:
             recording, make_simulation(scene, recording.settings)))}
         self._exact = None
         if reference:
-            if not any(len(track.stamp_ns) for track in recording.wrench.values()):
-                self._exact = exact_solution(layout, recording)
+            if not (recording.initial_state.get("steps")
+                    or any(len(track.stamp_ns) for track in recording.wrench.values())):
+                self._exact = exact_solution(layout, *initial_state(recording)[:2])
             if self._exact is None:
                 self._guarded["reference"] = _Guarded(lambda: ReferenceError(
                     layout, recording, expected, seconds))
