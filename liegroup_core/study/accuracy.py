@@ -10,7 +10,7 @@ means. What is not known yet is measured first, in this process, and kept.
 import logging
 from dataclasses import dataclass
 
-from ..errors import LieGroupSimError
+from ..errors import LieGroupSimError, SimulationError
 from ..integrators.methods import is_positive
 from ..simulation import Simulation
 from .settings import SHORTLIST
@@ -66,7 +66,10 @@ def choose(scene, accuracy, horizon=None, usable=lambda step: True, factor=None,
     if not (is_positive(accuracy) and accuracy <= 1.0):
         raise AccuracyError(f"the accuracy must be a number above 0 and at most 1, "
                             f"got {accuracy!r}")
-    trade = measured(scene, horizon, tell)
+    try:
+        trade = measured(scene, horizon, tell)
+    except SimulationError as error:
+        raise AccuracyError(f"no accuracy can be promised for {scene.name}: {error}") from None
 
     def fits(cell):
         return usable(cell["step"])
