@@ -28,6 +28,7 @@ ENOUGH = 1e-11              # error that need not be smaller: 1e-9 with its marg
 # Errors that two further steps do not bring down by as much are those of rounding; above the
 # second number they are those of steps that are too large altogether.
 BETTER, ROUGH = 0.5, 1e-2
+DEARER = 1.5                # as far as these steps have cost so many times more
 SETTLING = 2                # finer rungs that must not be worse
 MOST_STEPS = 1_000_000      # in a horizon, of a ladder of which no run has come to its end
 
@@ -185,9 +186,11 @@ class _Climb:
         errors = [cell["error"] for cell in good]
         if errors[-1] <= max(ENOUGH, self._known):
             return True
-        if len(good) > 2 and min(errors) < ROUGH and min(errors[-2:]) > BETTER * min(errors[:-2]):
-            return True
         last = good[-1]
+        # A tolerance that costs nothing is not yet what sets the error.
+        if (len(good) > 2 and min(errors) < ROUGH and min(errors[-2:]) > BETTER * min(errors[:-2])
+                and last["cost_us"] > DEARER * good[-3]["cost_us"]):
+            return True
         growth = last["step"] / following.step
         if len(good) > 1 and growth == 1.0:
             growth = last["cost_us"] / good[-2]["cost_us"]

@@ -4,8 +4,8 @@ from html import escape
 
 from .page import frame, plot_card, unbroken
 from .plots import BASE, COLOURS, label
-from .trade_figures import (FRONT_HEAD, cheapest_rows, front_rows, headline, reference_text,
-                            setting)
+from .trade_figures import (CHEAPEST_HEAD, FRONT_HEAD, cheapest_rows, front_rows, headline,
+                            reference_text, setting)
 
 DASHES = ("solid", "dash", "dot")
 HEIGHT = 560                # px
@@ -73,8 +73,7 @@ def make_page(parts):
                      "Work and precision", "of each method what none of its own settings beats; "
                      "red: real time on one core; grey: what the reference knows") + "</div>"
                  + _table(f"The cheapest for an accuracy, with a margin of {part['margin']:g}",
-                          ("accuracy", "setting", "error", "CPU s per s", "times real time"),
-                          cheapest_rows(part))
+                          CHEAPEST_HEAD, cheapest_rows(part))
                  + _table("What no other setting beats", FRONT_HEAD, front_rows(part)))
     title = f"{', '.join(part['scene'] for part in parts)}: what accuracy costs"
     return frame(title, body, [{"plots": [make_plot(part)], "view": None} for part in parts])
