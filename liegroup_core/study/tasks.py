@@ -6,6 +6,8 @@ so that a worker killed in the middle costs time and nothing else (test/core/tes
 """
 import logging
 import os
+import signal
+import threading
 from collections import deque
 from contextlib import ExitStack, contextmanager
 from importlib import import_module
@@ -102,11 +104,26 @@ def _this_machine(workers):
     with dask.config.set({"distributed.scheduler.allowed-failures": MOST_DEATHS,
                           "distributed.comm.timeouts.connect": f"{CONNECTING}s",
                           "distributed.admin.log-length": 0}):
-        with LocalCluster(n_workers=workers, threads_per_worker=1, processes=True,
-                          host="127.0.0.1", protocol="tcp", dashboard_address=None,
-                          memory_limit=0, silence_logs=logging.CRITICAL) as cluster:
-            with Client(cluster) as client:
-                yield client
+        with _deaf_to_interrupts():
+            cluster = LocalCluster(n_workers=workers, threads_per_worker=1, processes=True,
+                                   host="127.0.0.1", protocol="tcp", memory_limit=0,
+                                   dashboard_address="127.0.0.1:0",    # any port, not heard of
+                                   silence_logs=logging.CRITICAL)
+        with cluster, Client(cluster) as client:
+            yield client
+
+
+@contextmanager
+def _deaf_to_interrupts():
+    """Processes started in here do not hear Ctrl-C, which their parent minds for them."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @contextmanager
