@@ -14,7 +14,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from liegroup_core.errors import LieGroupSimError
 
 from . import (__version__, analyze_logs, demo, describe, figures, info, offline, push, recover,
-               replay, trade)
+               replay, sweep, trade)
 from .analyze_logs import AnalysisError
 from .demo import DemoError
 from .figures import FiguresError
@@ -39,8 +39,8 @@ def make_parser():
         "a ROS installation: ros2 run liegroup_sim_ros sim_node --ros-args -p scene:=heavy_top")
     parser.add_argument("--version", action="version", version=f"liegroup_sim {__version__}")
     subparsers = parser.add_subparsers(metavar="COMMAND", required=True)
-    for command in (demo, describe, trade, offline, analyze_logs, replay, info, recover, push,
-                    figures):
+    for command in (demo, describe, trade, sweep, offline, analyze_logs, replay, info, recover,
+                    push, figures):
         command.add_parser(subparsers)
     return parser
 

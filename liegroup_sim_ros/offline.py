@@ -17,7 +17,7 @@ from liegroup_core.integrators.methods import GROUPS, METHODS
 from liegroup_core.simulation import METHOD, STABILISATIONS, STEP
 from liegroup_core.study.accuracy import choose
 
-from .offline_files import ArrayFile, LogFile, OutputError
+from .offline_files import ArrayFile, LogFile
 
 EXIT_STOPPED = 1
 AT_ONCE = 10_000                            # steps between two looks at the clock, at most
@@ -46,6 +46,12 @@ def add_parser(subparsers):
     parser.add_argument("--every", type=int, default=10, metavar="STEPS",
                         help="steps from one sample to the next; the last state is always one "
                         "(default: %(default)s)")
+    add_settings(parser)
+    parser.set_defaults(run=run)
+
+
+def add_settings(parser):
+    """Add the options that say how to simulate."""
     parser.add_argument("--accuracy", type=float, metavar="X",
                         help="in place of method, step, group and stabilisation: the cheapest that "
                         "keeps this error, positions in parts of the scene's length and attitudes "
@@ -70,29 +76,37 @@ def add_parser(subparsers):
         parser.add_argument(f"--{name}", type=float, metavar="X",
                             help="tolerance of a method with error control")
     parser.add_argument("--rho-inf", type=float, metavar="X", help="damping of generalized_alpha")
-    parser.set_defaults(run=run)
+
+
+def given_settings(args):
+    """Arguments of Simulation among those of a command line. Raises RunError."""
+    if args.horizon is not None and args.accuracy is None:
+        raise RunError("--horizon goes with --accuracy")
+    settings = {name: getattr(args, name) for name in SETTINGS
+                if getattr(args, name) is not None}
+    if settings and args.accuracy is not None:
+        raise RunError(f"--accuracy takes the place of --{next(iter(settings)).replace('_', '-')}: "
+                       "leave one of the two away")
+    return settings
 
 
 def run(args):
     """Run the subcommand; returns the exit code. Raises SceneError, RunError, OutputError."""
-    settings = {name: getattr(args, name) for name in SETTINGS
-                if getattr(args, name) is not None}
+    settings = given_settings(args)
     kind = {".npz": ArrayFile, ".mcap": LogFile}.get(Path(args.out).suffix)
     if kind is None:
         raise RunError(f"{args.out}: the name must end in .npz or .mcap")
     if args.every < 1:
         raise RunError(f"--every must be at least 1, got {args.every}")
-    if args.horizon is not None and args.accuracy is None:
-        raise RunError("--horizon goes with --accuracy")
     scene = load_scene(args.scene)
     console = Console(stderr=True)
     try:
         with console.status("starting (the first time on a machine compiles for some 20 s)"):
             simulation = (Simulation(scene, **settings) if args.accuracy is None
-                          else _chosen(scene, args, settings))
+                          else chosen(scene, args).simulation())
     except ValueError as error:             # SceneError, too, is one
         raise RunError(str(error)) from None
-    steps = _whole_steps(args.duration, simulation.step)
+    steps = whole_steps(args.duration, simulation.step)
     samples = 1 + -(-steps // args.every)
     started = time.monotonic()
     stopped, code = None, 0
@@ -116,26 +130,26 @@ def run(args):
     return code
 
 
-def _chosen(scene, args, settings):
-    """Simulation that keeps the accuracy asked for. Raises RunError, AccuracyError, SceneError."""
-    if settings:
-        raise RunError(f"--accuracy takes the place of --{next(iter(settings)).replace('_', '-')}: "
-                       "leave one of the two away")
+def chosen(scene, args, every=None):
+    """Choice that keeps the accuracy asked for, with a step that goes into the duration.
 
+    every : s, which it goes into as well, or None
+    raises RunError, AccuracyError, SceneError
+    """
     def usable(step):
         try:
-            return _whole_steps(args.duration, step) > 0
+            return all(whole_steps(time, step) for time in (args.duration, every) if time)
         except RunError:
             return False
 
-    _whole_steps(args.duration, args.duration)      # a duration that is none is refused as such
+    whole_steps(args.duration, args.duration)       # a duration that is none is refused as such
     choice = choose(scene, args.accuracy, args.horizon, usable,
                     tell=lambda text: print(f"liegroup_sim: {text}", file=sys.stderr))
     print(f"liegroup_sim: {choice}", file=sys.stderr)
     if args.duration > choice.promise["horizon"]:
         print(f"liegroup_sim: the accuracy is promised for the first "
               f"{choice.promise['horizon']:g} s; give --horizon for more", file=sys.stderr)
-    return choice.simulation()
+    return choice
 
 
 def _simulate(simulation, steps, every, file, console):
@@ -155,14 +169,14 @@ def _simulate(simulation, steps, every, file, console):
         progress.update(task, completed=steps, said=f"{simulation.time:.3f} s")
 
 
-def _whole_steps(duration, step):
+def whole_steps(duration, step, name="--duration"):
     """Number of steps of a duration. Raises RunError."""
     if not (math.isfinite(duration) and duration > 0.0):
-        raise RunError(f"--duration must be a positive number of seconds, got {duration:g}")
+        raise RunError(f"{name} must be a positive number of seconds, got {duration:g}")
     steps = round(duration / step)
     # Far above rounding, far below what anyone would not see.
     if steps < 1 or abs(duration / step - steps) > 1e-6 * steps:
         nearest = max(1, steps) * step
-        raise RunError(f"--duration {duration:g} s is {duration / step:.6g} steps of {step:g} s, "
+        raise RunError(f"{name} {duration:g} s is {duration / step:.6g} steps of {step:g} s, "
                        f"must be a whole number of them, such as {nearest:.9g}")
     return steps

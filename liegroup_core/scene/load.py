@@ -66,14 +66,25 @@ def scene_from_text(text, source="scene"):
 
     source : path or name that errors begin with; becomes scene.source
     """
+    return _made(text, source, True)
+
+
+def scene_as_written(text, source="scene"):
+    """The same before its assembly: its numbers are those of the text, its joints may be open."""
+    return _made(text, source, False)
+
+
+def _made(text, source, complete):
     root = _read(text, source)
     if not isinstance(root.value, dict):
         raise SceneError(f"{source}:{root.line}: a scene must be a mapping with the keys "
                          f"{', '.join(Scene.model_fields)}, got {shown(root.value)}")
     try:
-        scene = assembled(Scene(**root.value))
+        scene = Scene(**root.value)
+        scene = assembled(scene) if complete else scene
         scene._text, scene._source, scene._line_of = text, source, root.line_of
-        check_consistency(scene)
+        if complete:
+            check_consistency(scene)
     except SceneError as error:
         line = root.line_of(error.place or ())
         raise SceneError(f"{source}:{line}: {error}", error.place) from None

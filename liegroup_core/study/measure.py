@@ -64,7 +64,7 @@ def measure(work):
             "cpu": cpu_name()}
     try:
         simulation = Simulation(_scene(study.text), **setting.arguments())
-        with _listening() as said:
+        with listening() as said:
             found = _judge(simulation, study, setting)
             found["cost_us"], found["timings"] = _cost(
                 simulation, float(study.truth.horizon), found.pop("cpu"))
@@ -129,7 +129,7 @@ def _cost(simulation, horizon, cpu):
 
 
 @contextmanager
-def _listening():
+def listening():
     """List of what the engine warns of in this thread, which nobody else hears."""
     said, here = [], threading.get_ident()
     logger = logging.getLogger("liegroup_core")

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What came of a sweep, as tables: how results spread, and what they depend on."""
+import re
+
+import numpy as np
+from rich.table import Table
+from rich.text import Text
+from scipy.stats import spearmanr
+
+from liegroup_core.study.sweep import OK
+
+from .summary import shown
+
+WIDTH = 130                 # characters; a narrower terminal folds the lines
+QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
+BODIES = 2                  # whose states are shown if nobody says what is to be
+REASONS = 10
+# Runs from which a rank correlation is told: below, one in twenty is as large as 0.6 by chance.
+LEAST = 10
+
+
+def spread(table, columns):
+    """{column: quantiles QUANTILES of its numbers}; None without a number."""
+    found = {}
+    for name in columns:
+        values = table[name][np.isfinite(table[name])]
+        found[name] = np.quantile(values, QUANTILES) if len(values) else None
+    return found
+
+
+def dependence(table, parameters, columns):
+    """{column: {parameter: Spearman's rank correlation}}, of runs that have both numbers.
+
+    Left out is what does not vary, and what is of fewer than LEAST runs.
+    """
+    found = {}
+    for column in columns:
+        for parameter in parameters:
+            x, y = table[parameter], table[column]
+            both = np.isfinite(x) & np.isfinite(y)
+            x, y = x[both], y[both]
+            if len(x) >= LEAST and np.ptp(x) > 0.0 and np.ptp(y) > 0.0:
+                found.setdefault(column, {})[parameter] = float(spearmanr(x, y).statistic)
+    return found
+
+
+def reasons(texts):
+    """[(count, text)] from often to rare; texts that differ in numbers alone count as one."""
+    kinds = {}
+    for text in texts:
+        kinds.setdefault(re.sub(r"[-+]?\d[\d.]*(e[-+]?\d+)?", "#", text), []).append(text)
+    return [(len(same), same[0]) for same in sorted(kinds.values(), key=len, reverse=True)]
+
+
+def print_sweep(file, show, console):
+    """Tables of a SweepFile on a terminal.
+
+    show : names of columns, or None
+    """
+    sweep = file.sweep
+    kinds = sweep.columns
+    columns = list(show or _usual(sweep))
+    wanted = ["run", "status", "warning", "cpu_s", "time", *sweep.paths, *columns]
+    read = file.table(list(dict.fromkeys(wanted)))
+    table = {name: read[name].to_numpy() if kinds[name] != "text" else read[name].to_pylist()
+             for name in read.column_names}
+    ok = np.array([status == OK for status in table["status"]])
+    console.width = max(console.width, WIDTH)
+    settings = dict(sweep.settings)
+    console.print(Text(f"{sweep.name}: {len(ok)} runs of {sweep.steps * settings['step']:.9g} s, "
+                       f"{settings['method']} at {shown(settings['step'] * 1e3, 'ms')}; "
+                       f"{len(ok) - ok.sum()} failed", style="bold"))
+    cpu = table["cpu_s"]
+    console.print(Text(f"{shown(cpu.mean() * 1e3, 'ms')} of CPU time a run, "
+                       f"{shown(cpu.sum(), 's')} in all", style="dim"))
+    _tell(console, "failed", [s for s in table["status"] if s != OK])
+    _tell(console, "warned of", [w for w in table["warning"] if w])
+    for name in dict.fromkeys((*sweep.paths, *columns)):
+        table[name] = np.where(ok, table[name], np.nan)
+    found = spread(table, (*sweep.paths, *columns))
+    _print(console, "How the runs spread that came to their end",
+           ("", "least", "5 %", "median", "95 %", "largest"),
+           [(name, *map(shown, values)) for name, values in found.items() if values is not None])
+    ranks = dependence(table, sweep.paths, columns)
+    _print(console, "What depends on what: rank correlation (Spearman), 0 none, 1 or -1 one rises "
+           "or falls with the other",
+           ("", *sweep.paths),
+           [(name, *(f"{row[path]:+.2f}" if path in row else "-" for path in sweep.paths))
+            for name, row in ranks.items()])
+
+
+def _usual(sweep):
+    floats = [name for name, kind in sweep.columns.items()
+              if kind == "float" and name not in (*sweep.paths, "cpu_s", "time", "energy_start")]
+    bodies = list(dict.fromkeys(name.rpartition(".")[0] for name in floats if "." in name))
+    return [name for name in floats if not name.rpartition(".")[0]
+            or name.rpartition(".")[0] in bodies[:BODIES]]
+
+
+def _tell(console, what, texts):
+    counted = reasons(texts)
+    for count, text in counted[:REASONS]:
+        console.print(Text(f"{count} {what}: {text}"))
+    if len(counted) > REASONS:
+        console.print(Text(f"{sum(count for count, _ in counted[REASONS:])} {what} for "
+                           f"{len(counted) - REASONS} other reasons"))
+
+
+def _print(console, title, heads, rows):
+    if not rows:
+        return
+    table = Table(box=None, padding=(0, 2, 0, 0), title=Text(title), title_justify="left",
+                  title_style="bold")
+    for head in heads:
+        table.add_column(Text(head), no_wrap=True)
+    for row in rows:
+        table.add_row(*map(Text, row))
+    console.print(table)

@@ -1,0 +1,261 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ensembles: parameters by name, the Latin hypercube, runs that depend on their number alone."""
+import math
+from pathlib import Path
+
+import numpy as np
+import pandas
+import pyarrow.parquet
+import pytest
+from scipy.special import ndtr
+
+from liegroup_core import load_scene
+from liegroup_core.scene.load import scene_as_written, scene_from_text
+from liegroup_core.study import sweep as sweeps
+from liegroup_core.study.parameters import (ParameterError, changed, parameters, path_of,
+                                            range_of)
+from liegroup_core.study.sweep import Sweep, describe, described
+from liegroup_core.study.sweep_file import SweepFile, SweepFileError
+
+SCENES = sorted((Path(__file__).resolve().parents[2] / "config" / "scenes").glob("*.yaml"))
+# A point on a spring of length 0 about the origin: x(t) = x0 cos(w t) + v0 / w sin(w t) in each
+# direction, w^2 = stiffness / mass. It does not turn.
+OSCILLATOR = """
+name: oscillator
+gravity: [0, 0, 0]
+bodies:
+  - {name: ball, mass: 1.0, inertia: [0.1, 0.1, 0.1], position: [1, 0, 0]}
+forces:
+  - {name: spring, type: spring_damper, parent: world, parent_point: [0, 0, 0], child: ball,
+     child_point: [0, 0, 0], stiffness: 4.0}
+"""
+VARY = ["mass=1:4:log", "spring.stiffness=4:9", "position.0=-1,0.5,2", "linear_velocity.1=0~0.5"]
+TIME, STEP = 2.0, 0.02
+
+
+def oscillator(samples=12, **more):
+    return Sweep.of(scene_from_text(OSCILLATOR), VARY, samples, round(TIME / STEP), **{
+        "settings": {"method": "rkmk8", "step": STEP}} | more)
+
+
+def joined(pieces):
+    """{column: values} of all runs, in their order, without what they cost."""
+    pieces = sorted(pieces, key=lambda piece: piece["run"][0])
+    return {name: [value for piece in pieces for value in piece[name]]
+            for name in pieces[0] if name != "cpu_s"}
+
+
+def same(first, second):
+    """Whether all bits are the same."""
+    def bits(columns):
+        return {name: [np.asarray(value).tobytes() if isinstance(value, (float, np.ndarray))
+                       else value for value in values] for name, values in columns.items()}
+    return bits(first) == bits(second)
+
+
+@pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
+def test_every_number_of_a_scene_is_a_parameter(path):
+    """Set to what it is, nothing changes; set to another number, nothing else changes."""
+    scene = scene_as_written(path.read_text())
+    before = parameters(scene)
+    assert all(f"bodies.{body.name}.position.0" in before for body in scene.bodies)
+    assert {f"gravity.{i}" for i in range(3)} < set(before)
+    for name, value in before.items():
+        if value is None or "inertia" in name:      # three that must fit each other
+            continue
+        after = parameters(changed(scene, {name: value * 0.75 + 0.01}))
+        assert set(after) == set(before) and after[name] == pytest.approx(value * 0.75 + 0.01)
+        turned = name.rpartition(".")[0] if "rotation_vector" in name else None
+        for other in set(before) - {name}:
+            if turned and other.startswith(turned):
+                # Written as a rotation vector now: a quaternion's way there and back rounds.
+                assert after[other] == pytest.approx(before[other], abs=1e-14)
+            elif not (turned and ".axis." in other):
+                assert after[other] == before[other], (name, other)
+
+
+def test_a_name_is_a_path_or_an_end_of_one_only():
+    scene = scene_as_written(OSCILLATOR)
+    for name in ("mass", "ball.mass", "bodies.ball.mass"):
+        assert path_of(scene, name) == "bodies.ball.mass"
+    assert path_of(scene, "rotation_vector.2") == "bodies.ball.rotation_vector.2"
+    with pytest.raises(ParameterError, match=r"no parameter mas; did you mean bodies\.ball\.mass"):
+        path_of(scene, "mas")
+    with pytest.raises(ParameterError, match="may be gravity.1, bodies.ball.inertia.1, .* and "):
+        path_of(scene, "1")
+
+
+@pytest.mark.parametrize("text, said", [
+    ("mass", "must be NAME=LOW:HIGH"), ("mass=", "must be NAME=LOW:HIGH"),
+    ("=1:2", "must be NAME=LOW:HIGH"), ("mass=a:b", "no number"), ("mass=1:2:3", "two numbers"),
+    ("mass=2:1", "2 must be below 1"), ("mass=1:1", "1 must be below 1"),
+    ("gravity.2=-1:1:log", "greater than 0, got -1"), ("mass=1,2:log", "log goes with"),
+    ("mass=1~0", "deviation must be greater than 0"), ("mass=1~-1", "deviation"),
+    ("mass=1:inf", "not finite"), ("mass=nan,1", "not finite"),
+    ("mass=-1:1", "bodies.ball.mass must be greater than 0, got -1"),
+    ("mass=0,1", "bodies.ball.mass must be greater than 0, got 0"),
+    ("stiffness=-1:1", "forces.spring.stiffness must not be negative, got -1"),
+    ("gravity.0=1:1e101", "at most 1e+100 in size"), ("weight=1:2", "no parameter weight")])
+def test_a_wrong_range_is_one_line(text, said):
+    with pytest.raises(ParameterError) as error:
+        range_of(scene_as_written(OSCILLATOR), text)
+    assert said in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("samples", [1, 7, 64])
+def test_latin_hypercube(samples):
+    """Of every parameter each of N equal shares of its range has exactly one value."""
+    sweep = oscillator(samples)
+    mass, stiffness, position, velocity = sweep.values.T
+    shares = (np.log(mass) / math.log(4.0), (stiffness - 4.0) / 5.0, ndtr(velocity / 0.5))
+    for share in shares:
+        assert sorted(np.floor(share * samples).astype(int)) == list(range(samples))
+    if samples == 64:                       # 64 shares, a third of them each
+        assert sorted(np.unique(position, return_counts=True)[1]) == [21, 21, 22]
+    assert np.array_equal(sweep.values, oscillator(samples).values)
+    assert not np.array_equal(mass, oscillator(samples, seed=1).values[:, 0])
+
+
+def test_closed_form_of_all_runs():
+    """The error of rkmk8 goes with (w h)^8 w t < (3 * 0.02)^8 * 6 < 1e-9, times a constant below
+    1e-3 of a method of order 8 (1 / 9!): below rounding, 1e-16 in each of 100 steps."""
+    columns = joined(oscillator(every=25).run(range(12), workers=1))
+    mass, k, x0, v0 = (np.array(columns[path]) for path in oscillator().paths)
+    assert columns["status"] == ["ok"] * 12 and columns["warning"] == [None] * 12
+    w = np.sqrt(k / mass)
+    assert np.allclose(columns["ball.x"], x0 * np.cos(w * TIME), rtol=0, atol=1e-13)
+    assert np.allclose(columns["ball.y"], v0 / w * np.sin(w * TIME), rtol=0, atol=1e-13)
+    assert np.allclose(columns["ball.vx"], -w * x0 * np.sin(w * TIME), rtol=0, atol=1e-12)
+    energy = (k * x0 ** 2 + mass * v0 ** 2) / 2
+    assert np.allclose(columns["energy_start"], energy, rtol=1e-14)
+    assert (np.array(columns["energy_drift"]) <= 1e-12 * energy).all()
+    assert columns["time"] == [TIME] * 12 and columns["joints"] == [0.0] * 12
+    for i in range(12):
+        times = columns["samples.time"][i]
+        assert np.allclose(times, np.arange(0.0, TIME + STEP, 25 * STEP))
+        assert np.allclose(columns["samples.ball.x"][i], x0[i] * np.cos(w[i] * times), atol=1e-13)
+        assert columns["samples.ball.y"][i][-1] == columns["ball.y"][i]
+
+
+def test_the_same_bits_with_other_workers_and_pieces(monkeypatch):
+    monkeypatch.setattr(sweeps, "FIRST", 0.0)
+    sweep = oscillator(every=50)
+    pieces = list(sweep.run(range(12), workers=1))
+    assert [len(piece["run"]) for piece in pieces] == [1, 11]
+    alone = joined(sweep.run(range(12), workers=1))
+    monkeypatch.setattr(sweeps, "PIECE", 1e-9)          # a run each
+    shared = list(sweep.run(range(12), workers=2))
+    assert len(shared) == 12
+    assert same(joined(shared), alone)
+    # Runs that are asked for alone, with gaps, too.
+    some = joined(sweep.run([2, 3, 7], workers=1))
+    assert same(some, {name: [values[k] for k in (2, 3, 7)] for name, values in alone.items()})
+
+
+def test_a_run_can_be_made_again_from_its_scene():
+    sweep = oscillator()
+    row = joined(sweep.run([5], workers=1))
+    simulation = sweep.simulation(5)
+    simulation.advance(sweep.steps)
+    assert simulation.sample().positions["ball"][0] == row["ball.x"][0]
+    assert scene_from_text(sweep.scene(5).text).bodies == sweep.scene(5).bodies
+    assert described(describe(sweep)) == sweep
+
+
+def test_runs_that_fail_are_rows_that_say_why():
+    """A start that the joint does not allow, one that is assembled, and a step that is too long."""
+    top = load_scene("heavy_top")
+    vary = ["angular_velocity.0=-1,0,1"]
+    settings = {"step": 1e-3}
+    open_ = joined(Sweep.of(top, vary, 6, 10, settings=settings).run(range(6), workers=1))
+    for value, status, time in zip(open_["bodies.top.angular_velocity.0"], open_["status"],
+                                   open_["time"]):
+        if value == 0.0:
+            assert status == "ok" and time == 0.01
+        else:
+            assert "the initial velocities violate the joint" in status and math.isnan(time)
+    closed = joined(Sweep.of(top, vary, 6, 10, assemble=True, settings=settings
+                             ).run(range(6), workers=1))
+    assert closed["status"] == ["ok"] * 6 and max(closed["joints"]) < 1e-9
+    fast = joined(Sweep.of(load_scene("lagrangian_top"), ["mass=1,1.1"], 2, 10,
+                           settings={"step": 0.1}).run(range(2), workers=1))
+    assert all("stopped at t = " in status for status in fast["status"])
+    assert all(0.0 <= time < 1.0 for time in fast["time"])
+    drawn = joined(oscillator_with("mass=0.1~1").run(range(8), workers=1))
+    for mass, status in zip(drawn["bodies.ball.mass"], drawn["status"]):
+        assert (status == "ok") is (mass > 0.0)
+        assert mass > 0.0 or "mass must be greater than 0" in status
+    assert min(drawn["bodies.ball.mass"]) < 0.0
+
+
+def oscillator_with(*vary):
+    return Sweep.of(scene_from_text(OSCILLATOR), vary, 8, 10, settings={"step": STEP})
+
+
+def test_wrong_sweeps_are_refused():
+    for change, said in (({"samples": 0}, "samples must be"), ({"seed": -1}, "the seed must be"),
+                         ({"settings": {"method": "rk"}}, "unknown method")):
+        with pytest.raises(ValueError, match=said):
+            oscillator(**change)
+    for vary, said in (((), "nothing varies"), (("mass=1:2", "ball.mass=1:3"), "given twice")):
+        with pytest.raises(ParameterError, match=said):
+            oscillator_with(*vary)
+
+
+def test_the_file_is_the_same_after_an_interrupt(tmp_path, monkeypatch):
+    monkeypatch.setattr(sweeps, "FIRST", 0.0)
+    monkeypatch.setattr(sweeps, "PIECE", 1e-9)
+    sweep = oscillator(every=50)
+    whole, begun = tmp_path / "whole.parquet", tmp_path / "begun.parquet"
+    with SweepFile(whole, describe(sweep)).writing() as file:
+        for columns in sweep.run(range(12), workers=1):
+            file.add(columns)
+    with SweepFile(begun, describe(sweep)).writing() as file:
+        runs = sweep.run(file.missing, workers=1)
+        for columns in (next(runs), next(runs)):
+            file.add(columns)
+        runs.close()
+    (begun / ".runs-000000009-000000009.parquet.part").write_bytes(b"cut off")
+    monkeypatch.setattr(sweeps, "PIECE", 1.0)
+    with SweepFile(begun, describe(sweep)).writing() as file:
+        assert list(file.missing) == list(range(2, 12))
+        for columns in sweep.run(file.missing, workers=1):
+            file.add(columns)
+        with pytest.raises(SweepFileError, match="another process is writing"):
+            with SweepFile(begun).writing():
+                pass
+    assert not list(begun.glob(".*"))
+    tables = [SweepFile(path).table().drop_columns(["cpu_s"]) for path in (whole, begun)]
+    assert tables[0].equals(tables[1]) and tables[0].num_rows == 12
+    assert SweepFile(begun).sweep == sweep and not len(SweepFile(begun).missing)
+    # Others read the folder as one table, and each file says what it is.
+    frame = pandas.read_parquet(begun)
+    assert list(frame["run"]) == list(range(12)) and frame["bodies.ball.mass"].between(1, 4).all()
+    assert frame["samples.ball.x"][0].shape == (3,)
+    assert pyarrow.parquet.read_table(begun).num_rows == 12
+    part = min(begun.glob("*.parquet"))
+    assert b"liegroup_sim.sweep" in pyarrow.parquet.read_schema(part).metadata
+
+    with pytest.raises(SweepFileError, match="has another sweep: seed 0 there and 1 here"):
+        SweepFile(begun, describe(oscillator(every=50, seed=1)))
+    part.write_bytes(part.read_bytes()[:200])
+    with pytest.raises(SweepFileError, match="is damaged"):
+        SweepFile(begun)
+
+
+def test_what_is_no_folder_of_a_sweep_is_left_alone(tmp_path):
+    sweep = describe(oscillator())
+    (tmp_path / "a.parquet").write_text("mine")
+    (tmp_path / "b.parquet").mkdir()
+    (tmp_path / "b.parquet" / "notes.txt").write_text("mine")
+    for name, said in (("a.parquet", "is a file"), ("b.parquet", "it has notes.txt"),
+                       ("c.csv", "must end in .parquet")):
+        with pytest.raises(SweepFileError, match=said):
+            SweepFile(tmp_path / name, sweep)
+    with pytest.raises(SweepFileError, match="there is no sweep"):
+        SweepFile(tmp_path / "d.parquet")
+    with pytest.raises(SweepFileError, match="cannot be written"):
+        with SweepFile(tmp_path / "none" / "e.parquet", sweep).writing():
+            pass
+    assert sorted(path.name for path in tmp_path.rglob("*")) == [
+        "a.parquet", "b.parquet", "notes.txt"]
