@@ -5,6 +5,7 @@ A tuple of arrays would be taken apart at every call from Python, and copied int
 it is handed to. Of a Struct a kernel gets the address, and loads from there what it uses.
 """
 import dataclasses
+import functools
 import hashlib
 
 import numpy as np
@@ -81,6 +82,11 @@ if compiled():
         def mangling_args(self):
             return "borrowed", (_digest(self.dtype), self.ndim)
 
+    # Made for every field of every Struct, and slow to make: half of what a Simulation costs.
+    @functools.lru_cache(maxsize=None)
+    def _borrowed_array(dtype, ndim):
+        return BorrowedArray(from_dtype(dtype), ndim)
+
     @register_model(BorrowedArray)
     class _BorrowedArrayModel(models.StructModel):
         def __init__(self, manager, kind):
@@ -107,6 +113,10 @@ if compiled():
         def key(self):
             return self.instance_class, self._fields
 
+        def __hash__(self):
+            # Of all fields and theirs it would take longer than many a kernel.
+            return hash((self.instance_class, len(self._fields)))
+
         @property
         def mangling_args(self):
             return self.instance_class.__name__, (_digest(self._fields),)
@@ -118,7 +128,7 @@ if compiled():
         if isinstance(value, np.ndarray):
             if not (value.flags.c_contiguous and value.flags.writeable):
                 raise ValueError(f"{name} must be a C-contiguous array that can be written")
-            return (BorrowedArray(from_dtype(value.dtype), value.ndim),
+            return (_borrowed_array(value.dtype, value.ndim),
                     [value.__array_interface__["data"][0], *value.shape])
         if isinstance(value, Struct):
             return value.numba_type, [value.address]

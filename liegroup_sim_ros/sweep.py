@@ -23,6 +23,8 @@ from .offline import RunError, add_settings, chosen, given_settings, whole_steps
 from .report.sweep_tables import print_sweep
 
 EXIT_INTERRUPTED = 130
+# Of what check_consistency says of a start that joints do not allow.
+CLOSING = "velocities violate the joint", "does not close at the initial poses"
 
 
 def add_parser(subparsers):
@@ -92,7 +94,10 @@ def run(args):
                   f"{sweep.samples} runs are in {args.out}, the same call makes the others",
                   file=sys.stderr)
             return EXIT_INTERRUPTED
-        print_sweep(file, args.show, Console(file=sys.stdout))
+        statuses = print_sweep(file, args.show, Console(file=sys.stdout))
+    if not args.assemble and any(hint in status for status in statuses for hint in CLOSING):
+        print("liegroup_sim: where joints hold the bodies that start otherwise, --assemble lets "
+              "them close", file=sys.stderr)
     return 0
 
 
@@ -107,7 +112,7 @@ def _asked_for(scene, args):
         if not step > 0.0:
             raise ValueError(f"the step must be a positive number of seconds, got {step:g}")
         sweep = Sweep.of(scene, args.vary, args.samples, whole_steps(args.duration, step),
-                         args.seed, args.keep and whole_steps(args.keep, step, "--keep"),
+                         args.seed, None if args.keep is None else whole_steps(args.keep, step, "--keep"),
                          args.assemble, settings)
     except ParameterError:
         raise

@@ -4,6 +4,8 @@
 For what is done once per scene: finding redundant rows, and assembly. Lengths are in units of the
 linkage's size, so that turns and shifts compare. Poses are {body: (4, 4)}, the world included.
 """
+from functools import cached_property
+
 import numpy as np
 import scipy.linalg
 
@@ -41,6 +43,7 @@ class Linkage:
     parts  : tuple of joints.elements.Element of every joint of the scene
     joints : numbers of those that are looked at
     held   : names of bodies that do not move
+    Two are equal when all these numbers are: what was found of one need not be found again.
     """
 
     def __init__(self, scene, frames, parts, joints, held=()):
@@ -55,6 +58,22 @@ class Linkage:
         self.place = {name: 6 * i for i, name in enumerate(self.bodies)}
         offsets = [np.sum(frame[:3, 3] ** 2) for pair in self.frames for frame in pair]
         self.length = np.sqrt(np.mean(offsets or [0.0])) or 1.0
+
+    @cached_property
+    def _key(self):
+        """All that it is made of, to the bit."""
+        ends = {name for joint in self.joints for name in (joint.parent, joint.child)}
+        return (tuple((joint.type, joint.parent, joint.child) for joint in self.joints),
+                tuple(self.bodies), np.array(self.frames).tobytes(),
+                tuple((part.kind, part.forbidden.tobytes(), part.pitch, part.length)
+                      for parts in self.parts for part in parts),
+                tuple((name, pose.tobytes()) for name, pose in self.start.items() if name in ends))
+
+    def __eq__(self, other):
+        return isinstance(other, Linkage) and self._key == other._key
+
+    def __hash__(self):
+        return hash(self._key)
 
     def relative(self, j, poses):
         """C_rel of the j-th of the joints: pose of the child's joint frame in the parent's one."""

@@ -17,6 +17,8 @@ Dropping is not the same as solving with a pseudo-inverse: its cut-off, met once
 the dependent row into a constraint with a wrong right-hand side and destroys the solution while
 every residual looks perfect.
 """
+from functools import lru_cache
+
 import numpy as np
 
 from ..errors import SceneError
@@ -28,6 +30,8 @@ MOST_POSES, LEAST_POSES = 40, 3             # 40 turns of 0.3 rad lead a crank t
 POSES_WORK = 2e8                            # bound on poses times rows cubed: about a second
 # The first rows found to depend are left out unless others are this many times as good.
 MUCH_BETTER = 2.0
+# Linkages of which the answers are kept: an ensemble has many runs of one, with other masses.
+REMEMBERED = 8
 
 
 def loop_joints(ends):
@@ -67,14 +71,10 @@ def kept_rows(scene, frames, parts):
     loops.sort(key=lambda j: scene.joints[j].parent != "world")
     if not loops:
         return keep
-    linkage = Linkage(scene, frames, parts, loops)
-    places = generic_poses(linkage)
-    matrices = [linkage.jacobian(poses) for poses in places]
-    chosen, best = independent_rows(matrices, [
-        scene.joints[j].parent == "world" for j in loops for _ in keep[j]])
+    chosen, moves = _chosen(Linkage(scene, frames, parts, loops))
     if chosen.all():
         return keep
-    if not _moves_freely(linkage, places[best], matrices[best]):
+    if not moves:
         numbers = np.repeat(loops, [len(keep[j]) for j in loops])
         joint = int(numbers[np.argmin(chosen)])
         raise SceneError(
@@ -87,6 +87,18 @@ def kept_rows(scene, frames, parts):
         keep[j][:] = chosen[at:at + len(keep[j])]
         at += len(keep[j])
     return keep
+
+
+@lru_cache(maxsize=REMEMBERED)
+def _chosen(linkage):
+    """(which rows to keep, whether they leave it as free as it is) of a linkage."""
+    places = generic_poses(linkage)
+    matrices = [linkage.jacobian(poses) for poses in places]
+    chosen, best = independent_rows(matrices, [
+        joint.parent == "world" for joint, count in zip(linkage.joints, linkage.counts)
+        for _ in range(count)])
+    chosen.flags.writeable = False
+    return chosen, bool(chosen.all()) or _moves_freely(linkage, places[best], matrices[best])
 
 
 def independent_rows(matrices, grounded):
@@ -142,6 +154,7 @@ def _independent(rows):
     return mask
 
 
+@lru_cache(maxsize=REMEMBERED)
 def generic_poses(linkage):
     """The start, and poses that the linkage can move to, each further on than the last."""
     rng = np.random.default_rng(1)

@@ -10,6 +10,8 @@ other joints, which close loops, are left with what their rows say of motions in
 Axes must be those of the world and, in each body, of the body: then the plane's numbers are those
 of space in another order, and nothing is rounded on the way.
 """
+from functools import lru_cache
+
 import numpy as np
 import scipy.linalg
 
@@ -19,7 +21,7 @@ from ..lie.groups import SE3
 from ..model.arrays import WORLD
 from ..model.build import LARGE_MASS_RATIO, SMALLEST_PIVOT, initial_state, refinements
 from ..model.linkage import Linkage
-from ..model.redundancy import generic_poses, independent_rows, loop_joints
+from ..model.redundancy import REMEMBERED, generic_poses, independent_rows, loop_joints
 from ..model.sparsity import Structure
 from ..scene.consistency import resolve_elements, resolve_frames
 from .arrays import PLANAR_BODY, PlanarModel
@@ -174,19 +176,30 @@ def _kept_rows(scene, elements, lift):
         return rows
     linkage = Linkage(scene, resolve_frames(scene), resolve_elements(scene), loops)
     index = {body.name: i for i, body in enumerate(scene.bodies)}
-    flat = scipy.linalg.block_diag(*(lift[index[name]] for name in linkage.bodies))
+    chosen = _chosen(linkage, *(
+        tuple(matrix.tobytes() for matrix in matrices) for matrices in (
+            [rows[j] @ lift[elements[j]["child"]].T for j in loops],
+            [lift[index[name]] for name in linkage.bodies])))
+    at = 0
+    for j in loops:
+        rows[j], at = rows[j][chosen[at:at + len(rows[j])]], at + len(rows[j])
+    return rows
+
+
+@lru_cache(maxsize=REMEMBERED)
+def _chosen(linkage, in_space, lifts):
+    """Mask of the rows to keep: bytes of (k, 6) of every joint, of (6, 3) of every body."""
+    in_space = [np.frombuffer(rows).reshape(-1, 6) for rows in in_space]
+    flat = scipy.linalg.block_diag(*(np.frombuffer(lift).reshape(6, 3) for lift in lifts))
     flat[:, ::3] /= linkage.length
-    in_space = [rows[j] @ lift[elements[j]["child"]].T for j in loops]
     matrices = []
     for poses in generic_poses(linkage):
         matrix = linkage.velocity_rows(poses, in_space) @ flat
         matrices.append(matrix / np.linalg.norm(matrix, axis=1, keepdims=True))
     chosen, _ = independent_rows(matrices, [
-        scene.joints[j].parent == "world" for j in loops for _ in rows[j]])
-    at = 0
-    for j in loops:
-        rows[j], at = rows[j][chosen[at:at + len(rows[j])]], at + len(rows[j])
-    return rows
+        joint.parent == "world" for joint, rows in zip(linkage.joints, in_space) for _ in rows])
+    chosen.flags.writeable = False
+    return chosen
 
 
 def _independent(matrix):

@@ -9,7 +9,8 @@ that is meant, with every pose, velocity and joint frame written out:
 3. Poses: the nearest ones that close all joints (Newton's method on the group). Bodies that are
    `fixed` keep the pose they were given.
 4. Velocities: with V0 the given ones, the least change in kinetic energy,
-       min (V - V0)^T M (V - V0)   with   J V = 0 ,  rates as given, velocities of `fixed` bodies.
+       min (V - V0)^T M (V - V0)   with   J V = 0 ,  rates as given, velocities of `fixed` bodies,
+   and what else is to be kept.
 
 The same text gives the same bits on the same machine. The model itself depends on the result of no
 iteration: frames and lengths come from steps 1 and 2, which only multiply poses.
@@ -29,9 +30,10 @@ from .frames import ROTATIONS, Frame
 TOLERANCE = 1e-10
 
 
-def assembled(scene):
+def assembled(scene, kept=()):
     """The scene with consistent poses and velocities at the start, not to assemble any more.
 
+    kept : (body, component 0..5) of the twists of body frames that are kept as given
     raises SceneError naming the joint that cannot be closed, and by how much
     """
     if not scene.assemble:
@@ -48,7 +50,8 @@ def assembled(scene):
     if not linkage.is_closed(poses):
         raise _open(linkage, poses)
     linkage = Linkage(centred, frames, parts, joints)
-    twists = _velocities(centred, linkage, poses, rates, {b.name for b in fixed if b.has_twist})
+    twists = _velocities(centred, linkage, poses, rates, {b.name for b in fixed if b.has_twist},
+                         _rows_of(scene, kept))
     return _with_start(scene, centred, linkage.length, poses, twists)
 
 
@@ -105,8 +108,18 @@ def _with_joints_written_out(scene):
                         bodies=[body.remade(("initial",)) for body in scene.bodies])
 
 
-def _velocities(scene, linkage, poses, rates, fixed):
-    """Step 4: twists {body: (6,)}, frames at the centres of mass."""
+def _rows_of(scene, kept):
+    """[(body, (6,) row)] that say what a component of its twist is, of the frame at its centre."""
+    rows = []
+    for body in scene.bodies:
+        to_body = np.eye(6)                                 # v = v_com - w x com
+        to_body[3:, :3] = SO3.hat(body.com)
+        rows += [(body.name, to_body[part]) for name, part in kept if name == body.name]
+    return rows
+
+
+def _velocities(scene, linkage, poses, rates, fixed, kept):
+    """Step 4: twists {body: (6,)}, frames at the centres of mass; kept : see _rows_of."""
     given = {body.name: body.twist for body in scene.bodies}
     if not linkage.bodies:
         return given
@@ -114,10 +127,17 @@ def _velocities(scene, linkage, poses, rates, fixed):
     for j in rates:
         joint, (_, F_b) = scene.joints[j], linkage.frames[j]
         rate_rows[j] = SE3.Ad(SE3.inverse(F_b))[RATES[joint.type]][None]
-    J = np.vstack([linkage.velocity_rows(poses), linkage.velocity_rows(poses, rate_rows)])
-    owner = [*np.repeat(range(len(scene.joints)), linkage.counts), *rates]
-    wanted = np.zeros(len(J))
-    wanted[len(J) - len(rates):] = list(rates.values())
+    kept = [(name, row) for name, row in kept if name in linkage.place]
+    keeping = np.zeros((len(kept), 6 * len(linkage.bodies)))
+    for row, (name, part) in zip(keeping, kept):
+        row[linkage.place[name]:linkage.place[name] + 6] = part
+    closing = linkage.velocity_rows(poses)
+    J = np.vstack([closing, linkage.velocity_rows(poses, rate_rows), keeping])
+    holders = [next(j for j, joint in enumerate(scene.joints) if name in (
+        joint.parent, joint.child)) for name, _ in kept]
+    owner = [*np.repeat(range(len(scene.joints)), linkage.counts), *rates, *holders]
+    wanted = np.concatenate([np.zeros(len(closing)), list(rates.values()),
+                             [part @ given[name] for name, part in kept]])
     V = np.concatenate([given[name] for name in linkage.bodies])
 
     # With the mass matrix M = L L^T and V + L^-T x, the least x has the least kinetic energy.

@@ -12,17 +12,18 @@ handed out to these. A run that cannot be made or has to stop is a row that says
 import math
 import time
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.stats.qmc import LatinHypercube
 
 from .._compile import source_digest
 from ..errors import LieGroupSimError
+from ..scene.assembly import assembled
 from ..scene.load import scene_as_written
 from ..simulation import Simulation
 from .measure import listening
-from .parameters import ParameterError, changed, range_of
+from .parameters import ParameterError, changed, parameters, range_of
 from .tasks import TasksError
 from .tasks import run as run_tasks
 
@@ -36,6 +37,9 @@ MOST_VALUES = 2_000_000     # in the results of a piece
 FIRST = 0.2                 # CPU s of runs that are made first, to see what one costs
 SMALL = 3.0                 # CPU s in all: below it workers take longer to start than to work
 OK = "ok"
+VELOCITIES = {"angular_velocity": 0, "linear_velocity": 3}      # first component in a twist
+PLACES = (["position"], ["rotation_vector"])
+NEAR = 1e-9                 # what assembly may do to a drawn pose without a word: its round-off
 
 
 @dataclass(frozen=True)
@@ -107,7 +111,22 @@ class Sweep:
         return self._scene_at(self.values[k])
 
     def _scene_at(self, values):
-        return changed(_base(self.text, self.name, self.assemble), dict(zip(self.paths, values)))
+        scene = changed(_base(self.text, self.name, self.assemble), dict(zip(self.paths, values)))
+        return assembled(scene, _velocities_in(self.paths))
+
+    def _unlike(self, values, scene):
+        """What assembly made of a pose that was drawn, one line, or None."""
+        found = parameters(scene) if self._places else {}
+        for path, value in zip(self.paths, values):
+            if path in self._places and abs(found[path] - value) > NEAR * max(1.0, abs(value)):
+                return (f"the joints close with {path} {found[path]:.6g} in place of {value:.6g}: "
+                        "give that body initial: fixed, or draw a joint frame that places it")
+        return None
+
+    @cached_property
+    def _places(self):
+        return {path for path in self.paths if path.split(".")[2:3] in PLACES
+                } if _base(self.text, self.name, self.assemble).assemble else set()
 
     def simulation(self, k):
         """Simulation of run k, at its start. Raises as Simulation does."""
@@ -165,6 +184,14 @@ class Sweep:
         return self.values[runs[0]:runs[0] + len(runs)]
 
 
+@lru_cache(maxsize=4)
+def _velocities_in(paths):
+    """(body, component) of all velocities among these: assembly keeps them as they are drawn."""
+    steps = [path.split(".") for path in paths]
+    return tuple((step[1], VELOCITIES[step[2]] + int(step[3])) for step in steps
+                 if step[0] == "bodies" and step[2] in VELOCITIES)
+
+
 def _together(runs):
     """How many of the first of these numbers follow each other."""
     breaks = np.flatnonzero(np.diff(runs) != 1)
@@ -213,7 +240,9 @@ def _run(sweep, values):
     looks, simulation, status = [], None, OK
     with listening() as said:
         try:
-            simulation = Simulation(sweep._scene_at(values), **dict(sweep.settings))
+            scene = sweep._scene_at(values)
+            said += filter(None, [sweep._unlike(values, scene)])
+            simulation = Simulation(scene, **dict(sweep.settings))
             looks.append(_look(simulation))
             while simulation.steps < sweep.steps:
                 simulation.advance(min(sweep.every, sweep.steps - simulation.steps))

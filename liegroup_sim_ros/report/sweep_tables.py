@@ -53,7 +53,7 @@ def reasons(texts):
 
 
 def print_sweep(file, show, console):
-    """Tables of a SweepFile on a terminal.
+    """Tables of a SweepFile on a terminal; returns the set of what its runs say of their end.
 
     show : names of columns, or None
     """
@@ -87,6 +87,7 @@ def print_sweep(file, show, console):
            ("", *sweep.paths),
            [(name, *(f"{row[path]:+.2f}" if path in row else "-" for path in sweep.paths))
             for name, row in ranks.items()])
+    return set(table["status"])
 
 
 def _usual(sweep):

@@ -10,6 +10,7 @@ import pytest
 from scipy.special import ndtr
 
 from liegroup_core import load_scene
+from liegroup_core.scene.frames import ROTATIONS
 from liegroup_core.scene.load import scene_as_written, scene_from_text
 from liegroup_core.study import sweep as sweeps
 from liegroup_core.study.parameters import (ParameterError, changed, parameters, path_of,
@@ -60,18 +61,21 @@ def test_every_number_of_a_scene_is_a_parameter(path):
     before = parameters(scene)
     assert all(f"bodies.{body.name}.position.0" in before for body in scene.bodies)
     assert {f"gravity.{i}" for i in range(3)} < set(before)
-    for name, value in before.items():
+    for name, value in list(before.items())[::math.ceil(len(before) / 60)]:
         if value is None or "inertia" in name:      # three that must fit each other
             continue
         after = parameters(changed(scene, {name: value * 0.75 + 0.01}))
-        assert set(after) == set(before) and after[name] == pytest.approx(value * 0.75 + 0.01)
-        turned = name.rpartition(".")[0] if "rotation_vector" in name else None
+        assert after[name] == value * 0.75 + 0.01
+        kind = next((kind for kind in ROTATIONS if kind in name), None)
         for other in set(before) - {name}:
-            if turned and other.startswith(turned):
-                # Written as a rotation vector now: a quaternion's way there and back rounds.
-                assert after[other] == pytest.approx(before[other], abs=1e-14)
-            elif not (turned and ".axis." in other):
+            if name.endswith("shape.length") and other.endswith("shape.radius"):
+                continue                    # of a rod: a part of its length if left out
+            if kind is None or not other.startswith(tuple(
+                    name.partition(kind)[0] + key for key in ROTATIONS)):
                 assert after[other] == before[other], (name, other)
+            elif kind == "rotation_vector" and kind in other:
+                # Written as such now: the way there and back of a quaternion or an axis rounds.
+                assert after[other] == pytest.approx(before[other], abs=1e-14)
 
 
 def test_a_name_is_a_path_or_an_end_of_one_only():
@@ -165,18 +169,23 @@ def test_a_run_can_be_made_again_from_its_scene():
 def test_runs_that_fail_are_rows_that_say_why():
     """A start that the joint does not allow, one that is assembled, and a step that is too long."""
     top = load_scene("heavy_top")
-    vary = ["angular_velocity.0=-1,0,1"]
+    vary = ["angular_velocity.2=-1,0.5,1"]
     settings = {"step": 1e-3}
     open_ = joined(Sweep.of(top, vary, 6, 10, settings=settings).run(range(6), workers=1))
-    for value, status, time in zip(open_["bodies.top.angular_velocity.0"], open_["status"],
+    for value, status, time in zip(open_["bodies.top.angular_velocity.2"], open_["status"],
                                    open_["time"]):
-        if value == 0.0:
+        if value == 0.5:
             assert status == "ok" and time == 0.01
         else:
             assert "the initial velocities violate the joint" in status and math.isnan(time)
-    closed = joined(Sweep.of(top, vary, 6, 10, assemble=True, settings=settings
+    closed = joined(Sweep.of(top, vary, 6, 10, every=10, assemble=True, settings=settings
                              ).run(range(6), workers=1))
     assert closed["status"] == ["ok"] * 6 and max(closed["joints"]) < 1e-9
+    # What was drawn is kept, the velocity of the centre follows: 0.5 m from the pivot.
+    for value, turn, speed in zip(closed["bodies.top.angular_velocity.2"],
+                                  closed["samples.top.wz"], closed["samples.top.vy"]):
+        assert turn[0] == pytest.approx(value, abs=1e-15)
+        assert speed[0] == pytest.approx(value / 2, abs=1e-15)
     fast = joined(Sweep.of(load_scene("lagrangian_top"), ["mass=1,1.1"], 2, 10,
                            settings={"step": 0.1}).run(range(2), workers=1))
     assert all("stopped at t = " in status for status in fast["status"])

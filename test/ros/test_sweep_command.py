@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`liegroup_sim sweep`, as a user meets it."""
+import re
+import signal
+
+import numpy as np
+import pandas
+import pytest
+
+from liegroup_core.study import sweep as sweeps
+from liegroup_core.study.sweep_file import SweepFile
+from liegroup_sim_ros.main import main
+
+# A free body that falls: z = -g/2 t^2 + v t, whatever its mass.
+FALL = """
+name: fall
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: stone, mass: 1.0, inertia: [0.1, 0.2, 0.25]}
+"""
+ARGUMENTS = ["--vary", "linear_velocity.2=1:3", "mass=1:9:log", "--vary", "gravity.2=-9.9:-9.7",
+             "--samples", "20", "--duration", "0.5", "--step", "0.01"]
+
+
+@pytest.fixture
+def fall(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "fall.yaml").write_text(FALL)
+    return ["sweep", "fall.yaml", *ARGUMENTS, "--out", "a.parquet"]
+
+
+def test_sweep(fall, capsys):
+    """Results as the closed form has them, the tables, and the same call once more."""
+    assert main(fall) == 0
+    out = capsys.readouterr().out
+    frame = pandas.read_parquet("a.parquet")
+    assert len(frame) == 20 and set(frame["status"]) == {"ok"}
+    t = 0.5
+    height = frame["gravity.2"] * t ** 2 / 2 + frame["bodies.stone.linear_velocity.2"] * t
+    # Exact for a method of order 4; 50 steps of additions to numbers of size 1.
+    assert np.allclose(frame["stone.z"], height, rtol=0, atol=50 * 4e-16)
+    assert "fall: 20 runs of 0.5 s, rkmk4 at 10 ms; 0 failed" in out
+    row = next(line for line in out.splitlines() if line.startswith("stone.z")).split()
+    assert float(row[1]) == pytest.approx(frame["stone.z"].min(), rel=1e-2)
+    assert float(row[5]) == pytest.approx(frame["stone.z"].max(), rel=1e-2)
+    ranks = [line for line in out.splitlines() if line.startswith("stone.z")][1].split()
+    assert float(ranks[1]) > 0.95 and abs(float(ranks[2])) < 0.5
+    assert float(ranks[1]) == pytest.approx(frame["stone.z"].corr(
+        frame["bodies.stone.linear_velocity.2"], method="spearman"), abs=0.005)
+
+    before = {path: path.stat().st_mtime_ns for path in SweepFile("a.parquet").path.iterdir()}
+    assert main([*fall, "--show", "stone.x"]) == 0
+    assert before == {path: path.stat().st_mtime_ns for path in before}
+    assert main([*fall, "--seed", "1"]) == 2
+    assert "a.parquet: has another sweep: seed 0 there and 1 here" in capsys.readouterr().err
+    assert main(["sweep", "fall.yaml", "--list"]) == 0
+    assert "bodies.stone.mass 1.0" in capsys.readouterr().out.splitlines()
+
+
+def test_ctrl_c_loses_nothing(fall, capsys, monkeypatch):
+    """The signal comes while the third piece is being written."""
+    monkeypatch.setattr(sweeps, "FIRST", 0.0)
+    monkeypatch.setattr(sweeps, "PIECE", 1e-9)
+    add, calls = SweepFile.add, []
+
+    def interrupted(file, columns):
+        calls.append(columns)
+        if len(calls) == 3:
+            signal.raise_signal(signal.SIGINT)
+        add(file, columns)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(SweepFile, "add", interrupted)
+        assert main([*fall, "--workers", "1"]) == 130
+    err = capsys.readouterr().err
+    assert "interrupted; 2 of 20 runs are in a.parquet, the same call makes the others" in err
+    assert main([*fall, "--workers", "1"]) == 0
+    assert "2 of 20 runs are in a.parquet already" in capsys.readouterr().err
+    assert main([*fall[:-1], "b.parquet"]) == 0
+    tables = [SweepFile(name).table().drop_columns(["cpu_s"]) for name in (
+        "a.parquet", "b.parquet")]
+    assert tables[0].equals(tables[1])
+
+
+def test_failed_runs_are_told_by_reason(fall, capsys):
+    """A third of the masses is negative; it ends well all the same."""
+    fall[fall.index("mass=1:9:log")] = "mass=1~2"
+    assert main(fall) == 0
+    out = capsys.readouterr().out
+    failed = int(re.search(r"; (\d+) failed", out)[1])
+    frame = pandas.read_parquet("a.parquet")
+    assert 3 <= failed == (frame["bodies.stone.mass"] <= 0.0).sum()
+    assert f"{failed} failed: Body \"stone\": mass must be greater than 0, got -" in out
+    assert frame["stone.z"].isna().sum() == failed
+
+
+def test_a_start_that_joints_do_not_allow(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    arguments = ["sweep", "heavy_top", "--vary", "angular_velocity.2=-1:1", "--samples", "12",
+                 "--duration", "0.01"]
+    assert main([*arguments, "--out", "a.parquet"]) == 0
+    out, err = capsys.readouterr()
+    assert "12 failed" in out and "the initial velocities violate the joint" in out
+    assert "--assemble" in err
+    assert main([*arguments, "--out", "b.parquet", "--assemble"]) == 0
+    assert "0 failed" in capsys.readouterr().out
+    assert main([*arguments, "--out", "b.parquet"]) == 2
+    assert "assemble True there and False here" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("change, said", [
+    (["--vary", "weight=1:2"], "the scene has no parameter weight"),
+    (["--vary", "mas=1:2"], "did you mean bodies.stone.mass"),
+    (["--vary", "mass=2:3"], "is given twice"), (["--vary", "gravity.0=a"], "no number"),
+    (["--vary", "stone.inertia.0"], "must be NAME=LOW:HIGH"),
+    (["--vary", "position.0=3:2"], "3 must be below 2"),
+    (["--samples", "0"], "samples must be at least 1"), (["--seed", "-1"], "the seed must be"),
+    (["--duration", "-1"], "--duration must be"), (["--duration", "0.505"], "whole number"),
+    (["--keep", "0.015"], "--keep 0.015 s is 1.5 steps"), (["--keep", "0"], "--keep must be"),
+    (["--step", "-1"], "the step must be"), (["--method", "rk"], "unknown method"),
+    (["--workers", "0"], "--workers"), (["--show", "moon.x"], "no column of numbers moon.x"),
+    (["--out", "a.csv"], "must end in .parquet"), (["--out", "no/a.parquet"], "cannot be written"),
+    (["--out", "taken.parquet"], "is a file"), (["--accuracy", "1e-6"], "takes the place of"),
+    (["--scheduler", "tcp://127.0.0.1:9"], "no dask scheduler")])
+def test_wrong_input_is_one_line(fall, tmp_path, monkeypatch, capsys, change, said):
+    (tmp_path / "taken.parquet").write_text("mine")
+    monkeypatch.setattr(sweeps, "FIRST", 0.0)
+    assert main([*fall, *change]) == 2
+    out, err = capsys.readouterr()
+    line = err.splitlines()[-1]
+    assert out == "" and said in line and "Traceback" not in err
+    assert (tmp_path / "taken.parquet").read_text() == "mine"
+
+
+@pytest.mark.parametrize("left", ["--samples", "--duration", "--out", "--vary"])
+def test_what_is_missing_is_named(fall, capsys, left):
+    while left in fall:
+        at = fall.index(left)
+        end = next((i for i in range(at + 1, len(fall)) if fall[i].startswith("--")), len(fall))
+        del fall[at:end]
+    assert main(fall) == 2
+    assert left in capsys.readouterr().err
+
+
+def test_pyarrow_is_named_where_it_is_missing(fall, capsys, monkeypatch):
+    monkeypatch.setattr("liegroup_core.study.sweep_file.find_spec", lambda name: None)
+    assert main(fall) == 2
+    assert "pip install 'liegroup_sim_ros[many]'" in capsys.readouterr().err
