@@ -111,9 +111,9 @@ def _asked_for(scene, args):
     try:
         if not step > 0.0:
             raise ValueError(f"the step must be a positive number of seconds, got {step:g}")
+        every = None if args.keep is None else whole_steps(args.keep, step, "--keep")
         sweep = Sweep.of(scene, args.vary, args.samples, whole_steps(args.duration, step),
-                         args.seed, None if args.keep is None else whole_steps(args.keep, step, "--keep"),
-                         args.assemble, settings)
+                         args.seed, every, args.assemble, settings)
     except ParameterError:
         raise
     except ValueError as error:             # SceneError, too, is one

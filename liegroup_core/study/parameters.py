@@ -3,8 +3,8 @@
 
     bodies.top.mass     joints.pin.parent_frame.position.0      forces.spring.stiffness   gravity.2
 
-Bodies, joints and forces are named, components of vectors numbered from 0. The last parts of a path
-do where no other path ends with them: `mass` in a scene with one body, `spring.stiffness`. A
+Bodies, joints and forces are named, components of vectors numbered from 0. The last parts of a
+path do where no other path ends with them: `mass` in a scene with one body, `spring.stiffness`. A
 rotation is its rotation vector, however the scene gives it.
 """
 import difflib

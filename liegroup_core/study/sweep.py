@@ -6,8 +6,8 @@
     for columns in sweep.run(range(100), workers=1):
         print(columns["bodies.top.mass"], columns["top.z"], columns["status"])
 
-Run k depends on the sweep and on k alone: not on the other runs, on workers, or on how the runs are
-handed out to these. A run that cannot be made or has to stop is a row that says why.
+Run k depends on the sweep and on k alone: not on the other runs, on workers, or on how the runs
+are handed out to these. A run that cannot be made or has to stop is a row that says why.
 """
 import math
 import time
@@ -164,7 +164,8 @@ class Sweep:
         total = cost * len(rest)
         if scheduler is None and workers is None and total < SMALL:
             workers = 1
-        most = max(1, min(round(max(PIECE, total / MOST_PIECES) / cost), MOST_VALUES // self._size))
+        most = round(max(PIECE, total / MOST_PIECES) / cost)
+        most = max(1, min(most, MOST_VALUES // self._size))
         pieces = []
         while len(rest):
             count = min(most, _together(rest))

@@ -167,7 +167,7 @@ def test_a_run_can_be_made_again_from_its_scene():
 
 
 def test_runs_that_fail_are_rows_that_say_why():
-    """A start that the joint does not allow, one that is assembled, and a step that is too long."""
+    """A start that the joint does not allow, one that is assembled, a step that is too long."""
     top = load_scene("heavy_top")
     vary = ["angular_velocity.2=-1,0.5,1"]
     settings = {"step": 1e-3}

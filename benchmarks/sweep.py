@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What many runs cost: one run besides its steps, a task, a worker's start, one worker and two.
+
+    python benchmarks/sweep.py [--runs N]
+
+Rates are of wall time, so on a machine that does nothing else. What docs/sweep.md says of sizing a
+cluster is made of these figures.
+"""
+import argparse
+import os
+import time
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+
+from liegroup_core import load_scene
+from liegroup_core.study.sweep import Sweep, simulate
+from liegroup_core.study.tasks import run
+
+# What varies leaves the joints closed: gravity.
+SCENES = "free_body", "heavy_top", "double_pendulum", "four_bar"
+VARY, STEPS = "gravity.0=0:1", 1000
+TASKS = 1000
+
+
+def nothing(item):
+    """A task without work."""
+    return item
+
+
+def costs(name):
+    """(CPU s of a run without a step to speak of, of one of STEPS steps): medians of 20."""
+    medians = []
+    for steps in (1, STEPS):
+        sweep = Sweep.of(load_scene(name), [VARY], 20, steps, settings={"step": 1e-3})
+        simulate((sweep, 0, sweep.values[:2]))
+        medians.append(float(np.median(simulate((sweep, 0, sweep.values))["cpu_s"])))
+    return medians
+
+
+def tasks():
+    """(s until two workers have answered, s of a further task) of the work of nothing."""
+    start = first = time.perf_counter()
+    for k, _ in enumerate(run(nothing, range(TASKS), workers=2)):
+        if k == 1:
+            first = time.perf_counter()
+        last = time.perf_counter()
+    return first - start, (last - first) / (TASKS - 2)
+
+
+def sweeping(runs, workers):
+    """(wall s, wall s from the second result on, runs in that time, CPU s, result) of a sweep."""
+    sweep = Sweep.of(load_scene("heavy_top"), [VARY], runs, STEPS, settings={"step": 1e-3})
+    start, first, pieces = time.perf_counter(), None, []
+    for columns in sweep.run(range(runs), workers=workers):
+        pieces.append(columns)
+        # Not the first piece, which is made here, nor the second, which waits for the workers.
+        if len(pieces) == 2:
+            first = time.perf_counter()
+    end, count = time.perf_counter(), runs - sum(len(piece["run"]) for piece in pieces[:2])
+    pieces.sort(key=lambda piece: piece["run"][0])
+    return (end - start, end - first, count,
+            sum(piece["cpu_s"].sum() for piece in pieces),
+            np.concatenate([piece["top.x"] for piece in pieces]))
+
+
+def main():
+    """Print the figures."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--runs", type=int, default=4000, help="default: %(default)s")
+    runs = parser.parse_args().runs
+    print(f"CPU time of a run of {STEPS} steps, rkmk4, with 10 looks at energy and joints")
+    for name in SCENES:
+        least, all_ = costs(name)
+        print(f"  {name:16s} {all_ * 1e3:7.2f} ms, "
+              f"of which {least * 1e3:6.2f} ms without the steps")
+    start, task = tasks()
+    print(f"two workers start in {start:.1f} s; a task takes"
+          f" {task * 1e3:.2f} ms more than its work")
+    found = {workers: sweeping(runs, workers) for workers in (1, 2)}
+    same = np.array_equal(found[1][-1], found[2][-1])
+    print(f"{runs} runs of heavy_top, {os.cpu_count()} cores; "
+          f"{'the same bits' if same else 'DIFFER'}")
+    print("workers   wall s   runs/s   runs/s without the start   CPU s")
+    for workers, (wall, rest, count, cpu, _) in found.items():
+        print(f"{workers:7d} {wall:8.1f} {runs / wall:8.0f} {count / rest:26.0f} {cpu:7.1f}")
+    rates = {workers: entry[2] / entry[1] for workers, entry in found.items()}
+    print(f"efficiency of two: {found[1][0] / found[2][0] / 2:.2f}, without the start "
+          f"{rates[2] / rates[1] / 2:.2f}")
+
+
+if __name__ == "__main__":
+    main()
