@@ -3,11 +3,12 @@
 
     python benchmarks/sweep.py [--runs N]
 
-Rates are of wall time, so on a machine that does nothing else. What docs/sweep.md says of sizing a
-cluster is made of these figures.
+Rates are of wall time, so on a machine that does nothing else; CPU times, of all processes
+together, hold on a busy one too. What docs/sweep.md says of sizing a cluster is made of these.
 """
 import argparse
 import os
+import resource
 import time
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -39,20 +40,25 @@ def costs(name):
     return medians
 
 
-def tasks():
-    """(s until two workers have answered, s of a further task) of the work of nothing."""
-    start = first = time.perf_counter()
-    for k, _ in enumerate(run(nothing, range(TASKS), workers=2)):
-        if k == 1:
-            first = time.perf_counter()
-        last = time.perf_counter()
-    return first - start, (last - first) / (TASKS - 2)
+def cpu():
+    """CPU s of this process and of those of its children that have ended."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(each.ru_utime + each.ru_stime for each in used)
+
+
+def tasks(count):
+    """(wall s, CPU s) of so many tasks without work, two workers from their start to their end."""
+    wall, used = time.perf_counter(), cpu()
+    for _ in run(nothing, range(count), workers=2):
+        pass
+    return np.array([time.perf_counter() - wall, cpu() - used])
 
 
 def sweeping(runs, workers):
-    """(wall s, wall s from the second result on, runs in that time, CPU s, result) of a sweep."""
+    """(wall s, wall s from the second result on, runs in that time, CPU s of the runs, CPU s of
+    all, result) of a sweep."""
     sweep = Sweep.of(load_scene("heavy_top"), [VARY], runs, STEPS, settings={"step": 1e-3})
-    start, first, pieces = time.perf_counter(), None, []
+    start, used, first, pieces = time.perf_counter(), cpu(), None, []
     for columns in sweep.run(range(runs), workers=workers):
         pieces.append(columns)
         # Not the first piece, which is made here, nor the second, which waits for the workers.
@@ -61,7 +67,7 @@ def sweeping(runs, workers):
     end, count = time.perf_counter(), runs - sum(len(piece["run"]) for piece in pieces[:2])
     pieces.sort(key=lambda piece: piece["run"][0])
     return (end - start, end - first, count,
-            sum(piece["cpu_s"].sum() for piece in pieces),
+            sum(piece["cpu_s"].sum() for piece in pieces), cpu() - used,
             np.concatenate([piece["top.x"] for piece in pieces]))
 
 
@@ -75,16 +81,18 @@ def main():
         least, all_ = costs(name)
         print(f"  {name:16s} {all_ * 1e3:7.2f} ms, "
               f"of which {least * 1e3:6.2f} ms without the steps")
-    start, task = tasks()
-    print(f"two workers start in {start:.1f} s; a task takes"
-          f" {task * 1e3:.2f} ms more than its work")
+    few = tasks(2)
+    task = (tasks(TASKS) - few) / (TASKS - 2)
+    print(f"two workers start and end in {few[0]:.1f} s, {few[1]:.1f} s of CPU time; a task takes "
+          f"{task[0] * 1e3:.2f} ms, {task[1] * 1e3:.2f} ms of CPU time, more than its work")
     found = {workers: sweeping(runs, workers) for workers in (1, 2)}
     same = np.array_equal(found[1][-1], found[2][-1])
     print(f"{runs} runs of heavy_top, {os.cpu_count()} cores; "
           f"{'the same bits' if same else 'DIFFER'}")
-    print("workers   wall s   runs/s   runs/s without the start   CPU s")
-    for workers, (wall, rest, count, cpu, _) in found.items():
-        print(f"{workers:7d} {wall:8.1f} {runs / wall:8.0f} {count / rest:26.0f} {cpu:7.1f}")
+    print("workers   wall s   runs/s   runs/s without the start   CPU s of runs   of all")
+    for workers, (wall, rest, count, own, used, _) in found.items():
+        print(f"{workers:7d} {wall:8.1f} {runs / wall:8.0f} {count / rest:26.0f} {own:15.1f} "
+              f"{used:8.1f}")
     rates = {workers: entry[2] / entry[1] for workers, entry in found.items()}
     print(f"efficiency of two: {found[1][0] / found[2][0] / 2:.2f}, without the start "
           f"{rates[2] / rates[1] / 2:.2f}")

@@ -10,8 +10,10 @@ import pytest
 from scipy.special import ndtr
 
 from liegroup_core import load_scene
+from liegroup_core.model.redundancy import generic_poses
 from liegroup_core.scene.frames import ROTATIONS
 from liegroup_core.scene.load import scene_as_written, scene_from_text
+from liegroup_core.simulation import make_layout
 from liegroup_core.study import sweep as sweeps
 from liegroup_core.study.parameters import (ParameterError, changed, parameters, path_of,
                                             range_of)
@@ -192,9 +194,41 @@ def test_runs_that_fail_are_rows_that_say_why():
     assert all(0.0 <= time < 1.0 for time in fast["time"])
     drawn = joined(oscillator_with("mass=0.1~1").run(range(8), workers=1))
     for mass, status in zip(drawn["bodies.ball.mass"], drawn["status"]):
-        assert (status == "ok") is (mass > 0.0)
+        assert (status == "ok") == (mass > 0.0)
         assert mass > 0.0 or "mass must be greater than 0" in status
     assert min(drawn["bodies.ball.mass"]) < 0.0
+
+
+def test_what_assembly_cannot_keep_is_told():
+    """Velocities that no motion has are a failure; a pose that closes elsewhere, a warning."""
+    top = load_scene("heavy_top")
+    settings = {"step": 1e-3}
+    found = joined(Sweep.of(top, ["angular_velocity.2=1:2", "linear_velocity.1=3:4"], 3, 5,
+                            assemble=True, settings=settings).run(range(3), workers=1))
+    assert all("contradict each other" in status for status in found["status"])
+    found = joined(Sweep.of(top, ["bodies.top.position.0=0.4,0.5"], 2, 5, every=5, assemble=True,
+                            settings=settings).run(range(2), workers=1))
+    assert found["status"] == ["ok"] * 2
+    for value, warning, start in zip(found["bodies.top.position.0"], found["warning"],
+                                     found["samples.top.x"]):
+        assert start[0] == 0.5              # from the pivot
+        assert (warning is None) == (value == 0.5)
+        assert warning is None or "position.0 0.5 in place of 0.4" in warning
+
+
+def test_a_linkage_is_looked_at_once():
+    """What is found of one with other masses is that of a fresh look; another length is another."""
+    generic_poses.cache_clear()
+    base = scene_as_written((SCENES[0].parent / "four_bar.yaml").read_text())
+    paths = [{}, {"bodies.rocker.shape.mass": 2.0},
+             {"joints.crank_coupler.child_frame.position.0": -0.51}]
+    layouts, looks = [], []
+    for values in paths:
+        layouts.append(make_layout(changed(base, values)))
+        assert layouts[-1].plane is not None
+        looks.append(generic_poses.cache_info().misses)
+    assert looks == [1, 1, 2]
+    assert layouts[0].kept_rows == layouts[1].kept_rows and layouts[0].dropped_rows
 
 
 def oscillator_with(*vary):
