@@ -34,6 +34,7 @@ CHECKS = 10                 # times in a run at which energy and joints are look
 # are lost when a run is interrupted. There are at most so many pieces, for each is a file.
 PIECE, MOST_PIECES = 0.5, 1000
 MOST_VALUES = 2_000_000     # in the results of a piece
+MOST_DRAWS = 100_000_000    # numbers, 0.8 GB
 FIRST = 0.2                 # CPU s of runs that are made first, to see what one costs
 SMALL = 5.0                 # CPU s in all: below it workers take longer to start than to work
 OK = "ok"
@@ -90,6 +91,9 @@ class Sweep:
         for path in paths:
             if paths.count(path) > 1:
                 raise ParameterError(f"--vary: {path} is given twice")
+        if samples * len(ranges) > MOST_DRAWS:
+            raise ParameterError(f"{samples} samples of {len(ranges)} parameters are more numbers "
+                                 f"than {MOST_DRAWS:.0e}: make several sweeps, with other seeds")
         simulation = Simulation(scene, **(settings or {}))      # compiles, and refuses settings
         settings = {"method": simulation.method, "step": simulation.step, **(settings or {})}
         return cls(scene.text, scene.name, ranges, samples, seed, steps,

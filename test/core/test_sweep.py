@@ -237,6 +237,7 @@ def oscillator_with(*vary):
 
 def test_wrong_sweeps_are_refused():
     for change, said in (({"samples": 0}, "samples must be"), ({"seed": -1}, "the seed must be"),
+                         ({"samples": 10 ** 12}, "more numbers"),
                          ({"settings": {"method": "rk"}}, "unknown method")):
         with pytest.raises(ValueError, match=said):
             oscillator(**change)

@@ -7,6 +7,7 @@ import numpy as np
 import pandas
 import pytest
 
+from liegroup_core.study import accuracy
 from liegroup_core.study import sweep as sweeps
 from liegroup_core.study.sweep_file import SweepFile
 from liegroup_sim_ros.main import main
@@ -106,6 +107,20 @@ def test_a_start_that_joints_do_not_allow(tmp_path, monkeypatch, capsys):
     assert "0 failed" in capsys.readouterr().out
     assert main([*arguments, "--out", "b.parquet"]) == 2
     assert "assemble True there and False here" in capsys.readouterr().err
+
+
+def test_a_setting_for_an_accuracy_stays_that_of_the_sweep(fall, tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("LIEGROUP_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(accuracy, "SHORTLIST", ("rkmk4",))
+    at = fall.index("--step")
+    fall[at:at + 2] = ["--accuracy", "1e-6", "--horizon", "0.5"]
+    assert main(fall) == 0
+    assert "accuracy 1e-06 over 0.5 s: rkmk4" in capsys.readouterr().err
+    settings = SweepFile("a.parquet").description["settings"]
+    # What would be chosen now is not looked for.
+    monkeypatch.setattr("liegroup_sim_ros.offline.choose", None)
+    assert main(fall) == 0
+    assert SweepFile("a.parquet").description["settings"] == settings
 
 
 @pytest.mark.parametrize("change, said", [
