@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ensembles: parameters by name, the Latin hypercube, runs that depend on their number alone."""
 import math
+import os
+import signal
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -143,15 +146,28 @@ def test_closed_form_of_all_runs():
         assert columns["samples.ball.y"][i][-1] == columns["ball.y"][i]
 
 
-def test_the_same_bits_with_other_workers_and_pieces(monkeypatch):
+def test_the_same_bits_with_other_workers_and_pieces_and_a_death(monkeypatch, tmp_path):
+    """One of two workers is killed over run 5, once."""
+    died = tmp_path / "died"
+
+    def simulate(work, limit=math.inf):
+        module = import_module("liegroup_core.study.sweep")
+        if work[1] == 5 and not died.exists():
+            died.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        # Workers import the module as it is.
+        return getattr(module, "unchanged", module.simulate)(work, limit)
+
     monkeypatch.setattr(sweeps, "FIRST", 0.0)
     sweep = oscillator(every=50)
     pieces = list(sweep.run(range(12), workers=1))
     assert [len(piece["run"]) for piece in pieces] == [1, 11]
     alone = joined(sweep.run(range(12), workers=1))
     monkeypatch.setattr(sweeps, "PIECE", 1e-9)          # a run each
+    monkeypatch.setattr(sweeps, "unchanged", sweeps.simulate, raising=False)
+    monkeypatch.setattr(sweeps, "simulate", simulate)
     shared = list(sweep.run(range(12), workers=2))
-    assert len(shared) == 12
+    assert died.exists() and len(shared) == 12
     assert same(joined(shared), alone)
     # Runs that are asked for alone, with gaps, too.
     some = joined(sweep.run([2, 3, 7], workers=1))
