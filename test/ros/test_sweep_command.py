@@ -136,7 +136,7 @@ def test_a_setting_for_an_accuracy_stays_that_of_the_sweep(fall, tmp_path, monke
     (["--workers", "0"], "--workers"), (["--show", "moon.x"], "no column of numbers moon.x"),
     (["--out", "a.csv"], "must end in .parquet"), (["--out", "no/a.parquet"], "cannot be written"),
     (["--out", "taken.parquet"], "is a file"), (["--accuracy", "1e-6"], "takes the place of")])
-def test_wrong_input_is_one_line(fall, tmp_path, monkeypatch, capsys, change, said):
+def test_wrong_input_is_one_line(fall, tmp_path, capsys, change, said):
     (tmp_path / "taken.parquet").write_text("mine")
     assert main([*fall, *change]) == 2
     out, err = capsys.readouterr()
