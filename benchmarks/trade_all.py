@@ -33,11 +33,11 @@ DATA, PAGE = ROOT / "docs" / "which_method.json", ROOT / "docs" / "which_method.
 INSTANTS = 1000             # at most, of a horizon, at which a promise is looked at
 
 
-def measure(scene, workers, budget):
+def measure(scene, methods, workers, budget):
     """(Trade, the part of the document) of a scene."""
     trade = Trade(scene, tell=lambda text: print(f"  {text}", flush=True))
     count = 0
-    for _ in trade.measure(workers=workers, budget=budget):
+    for _ in trade.measure(methods, workers=workers, budget=budget):
         count += 1
     print(f"  {count} settings measured, {len(trade.cells)} known", flush=True)
     return trade, document_part(trade)
@@ -99,6 +99,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--write", action="store_true", help="only write the page again")
     parser.add_argument("--workers", type=int, help="processes (default: one for each core)")
+    parser.add_argument("--methods", nargs="+", help="default: all that fit")
     parser.add_argument("--budget", type=float, default=BUDGET,
                         help="CPU seconds of a run at most (default: %(default)g)")
     parser.add_argument("scenes", nargs="*", help="these alone; the others stay as they are")
@@ -109,7 +110,7 @@ def main():
     for name in () if args.write else names:
         print(name, flush=True)
         scene = load_scene(name)
-        trade, part = measure(scene, args.workers, args.budget)
+        trade, part = measure(scene, args.methods, args.workers, args.budget)
         known[name] = condensed(part) | {"promises": promises(scene, trade)}
         parts = [known[key] for key in sorted(known)]
         DATA.write_text(json.dumps({"format": 1, "scenes": parts}, indent=1, allow_nan=False)

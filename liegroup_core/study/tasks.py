@@ -48,7 +48,7 @@ def run(function, items, scheduler=None, workers=None, follow=None):
 
 def _has_dask():
     try:
-        return import_module("dask.distributed") is not None
+        return all(map(import_module, ("dask", "dask.distributed")))
     except ImportError:
         return False
 

@@ -84,11 +84,11 @@ def _processor(part):
 
 
 def _table(title, heads, rows):
-    return (f'<section class="card"><h3>{escape(title)}</h3><table class="logs"><thead><tr>'
+    return (f'<div class="cards"><section class="card"><h3>{escape(title)}</h3><table class="logs"><thead><tr>'
             + "".join(f"<th>{escape(head)}</th>" for head in heads) + "</tr></thead><tbody>"
             + "".join("<tr>" + "".join(f'<td data-what="{escape(head)}">{unbroken(cell)}</td>'
                                        for head, cell in zip(heads, row)) + "</tr>"
-                      for row in rows) + "</tbody></table></section>")
+                      for row in rows) + "</tbody></table></section></div>")
 
 
 def write_picture(part, path):
