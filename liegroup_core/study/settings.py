@@ -14,7 +14,7 @@ from ..integrators.methods import GROUPS, METHODS
 STABILISATIONS = ("none", "projection")
 # Where only the best is looked for: what wins in one scene or another of those that come along,
 # found by measuring all (docs/which_method.md).
-SHORTLIST = ("rkmk4", "rkmk8", "generalized_alpha", "stoermer_verlet", "coadjoint_rkmk4",
+SHORTLIST = ("rkmk4", "rkmk54", "rkmk8", "generalized_alpha", "stoermer_verlet", "coadjoint_rkmk4",
              "coadjoint_rkmk8", "constrained_rattle", "constrained_rattle8")
 
 SAMPLES = 100               # times in a horizon at which errors are looked at

@@ -148,6 +148,7 @@ def test_the_accuracy_is_kept(name, tmp_path, monkeypatch):
     """At instants that the choice was not made from, against an integration of their own."""
     monkeypatch.setenv("LIEGROUP_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(accuracy, "SHORTLIST", ("rkmk4", "rkmk8"))
+    monkeypatch.setattr(accuracy, "BUDGET", 0.05)
     scene, said = load_scene(name), []
     for wanted in (1e-3, 1e-6):
         choice = choose(scene, wanted, 0.2, tell=said.append)
@@ -177,6 +178,7 @@ def test_the_accuracy_is_kept(name, tmp_path, monkeypatch):
 def test_refusals_say_what_can_be_had(tmp_path, monkeypatch):
     monkeypatch.setenv("LIEGROUP_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(accuracy, "SHORTLIST", ("rkmk2",))
+    monkeypatch.setattr(accuracy, "BUDGET", 0.05)
     scene = load_scene("double_pendulum")
     for arguments, said in (
             ({"accuracy": 1e-14}, "cannot be had for double_pendulum over 0.5 s on this machine; "),
