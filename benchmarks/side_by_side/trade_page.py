@@ -118,6 +118,13 @@ def promised(parts):
             lines.append(f"{begin} {setting(cell)} | "
                          f"{error_text(entry['measured'], entry['known'])} | "
                          f"{'yes' if kept else 'NO'} |")
+    ratios = [entry["measured"] / entry["promise"]["error"] for part in parts
+              for entry in part["promises"]
+              if "refused" not in entry and entry["measured"] > entry["known"]]
+    if ratios:
+        lines += ["", f"Between the samples of the trade the errors are at most {max(ratios):.2g} "
+                  "times those at the samples; the margin is "
+                  f"{parts[0]['margin']:g}."]
     return "\n".join(lines)
 
 
