@@ -6,6 +6,7 @@ its thread over native loops, so that what else the machine does counts little; 
 several runs, for anything else only adds.
 """
 import logging
+import math
 import threading
 import time
 from contextlib import contextmanager
@@ -70,6 +71,8 @@ def measure(work):
                 simulation, float(study.truth.horizon), found.pop("cpu"))
     except (SimulationError, ValueError) as error:
         return cell | {"stopped": str(error)}
+    if not all(math.isfinite(value) for value in found.values() if isinstance(value, float)):
+        return cell | {"stopped": "an error is not a finite number"}
     flagged = simulation.doubt or next((text for text in said), None)
     return cell | {"stopped": None, **found, "flagged": flagged}
 

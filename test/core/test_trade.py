@@ -124,6 +124,16 @@ def test_what_is_measured_is_kept(scene, tmp_path):
     assert third.truth.motion.position.tobytes() == first.truth.motion.position.tobytes()
 
 
+def test_a_full_disk_keeps_nobody_from_measuring(scene, tmp_path, caplog):
+    trade = made(scene, tmp_path)
+    file = trade._store.folder / "0.5s" / "cells.jsonl"
+    file.mkdir()                            # as good as a disk that takes nothing
+    found = list(islice(trade.measure(["rkmk4"], budget=0.02, workers=1), 3))
+    assert len(found) == len(trade.cells) == 3
+    assert [text for text in caplog.messages if "cannot be kept" in text] == [
+        f"what is measured cannot be kept: {file}: Is a directory"]
+
+
 def test_another_scene_version_or_processor_finds_nothing(scene, trade, monkeypatch):
     """The key notices each; what was kept of the first is found again afterwards."""
     root = trade._store.folder.parent.parent
