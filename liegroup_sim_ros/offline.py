@@ -47,8 +47,8 @@ def add_parser(subparsers):
                         help="steps from one sample to the next; the last state is always one "
                         "(default: %(default)s)")
     parser.add_argument("--accuracy", type=float, metavar="X",
-                        help="in place of method, step, group and stabilisation: the cheapest that "
-                        "keeps this error, positions in parts of the scene's length and attitudes "
+                        help="in place of method, step, group and stabilisation: the cheapest "
+                        "that keeps this error, positions in parts of the scene's length and attitudes "
                         "in rad; measured once for a scene on a machine (docs/trade.md)")
     parser.add_argument("--horizon", type=float, metavar="S", help="simulated time over which the "
                         "accuracy is promised (default: what suits the scene, at most 10)")
@@ -119,8 +119,8 @@ def run(args):
 def _chosen(scene, args, settings):
     """Simulation that keeps the accuracy asked for. Raises RunError, AccuracyError, SceneError."""
     if settings:
-        raise RunError(f"--accuracy takes the place of --{next(iter(settings)).replace('_', '-')}: "
-                       "leave one of the two away")
+        name = next(iter(settings)).replace("_", "-")
+        raise RunError(f"--accuracy takes the place of --{name}: leave one of the two away")
 
     def usable(step):
         try:

@@ -47,8 +47,8 @@ TABLE = (
     Entry("scene", "", "scene file (YAML), or the name of one that comes along; a new one is "
           "taken by ~/reload", read_only=False),
     Entry("accuracy", 0.0, "in place of method, stabilisation, group and step: the cheapest that "
-          "keeps this error in real time, positions in parts of the scene's length and attitudes in "
-          "rad; measured once for a scene on a machine, see trade.md; 0: not", low=0.0, high=1.0),
+          "keeps this error in real time, positions in parts of the scene's length and attitudes "
+          "in rad; measured once for a scene on a machine, see trade.md; 0: not", low=0.0, high=1.0),
     Entry("accuracy_horizon", 0.0, "simulated time from the start over which the accuracy is "
           "promised, s; 0: what suits the scene", low=0.0, high=1e6),
     Entry("method", METHOD, "integration method", choices=tuple(METHODS)),
@@ -142,8 +142,8 @@ def read_parameters(node):
     if values.accuracy:
         for name in CHOSEN:
             if name in given:
-                raise ParameterError(f"parameter accuracy: takes the place of {name}: leave one of "
-                                     "the two away")
+                raise ParameterError(f"parameter accuracy: takes the place of {name}: leave one "
+                                     "of the two away")
     else:
         set_step(values, values.step)
     if values.record and not values.publish_rate:

@@ -35,7 +35,7 @@ def scene(part):
              f"{_count(part['bodies'])} over {shown(part['horizon'], 's')}, lengths in parts of "
              f"{shown(part['length'], 'm')}. {part['settings']} settings, {part['stopped']} of "
              f"which had to stop. Errors against {reference_text(part)}.", "",
-             "| accuracy | the cheapest setting | its error | times real time | next best methods |",
+             "| accuracy | the cheapest setting | its error | times real time | next methods |",
              "|---|---|---|---|---|"]
     for entry in part["cheapest"]:
         if entry["cell"] is None:
@@ -104,7 +104,8 @@ def words(parts):
 
 def promised(parts):
     """The table of promises against what runs were measured to be."""
-    lines = ["| scene | horizon | promised | setting | measured | kept |", "|---|---|---|---|---|---|"]
+    lines = ["| scene | horizon | promised | setting | measured | kept |",
+             "|---|---|---|---|---|---|"]
     for part in parts:
         for entry in part["promises"]:
             begin = f"| {part['scene']} | {shown(part['horizon'], 's')} | {entry['accuracy']:g} |"
@@ -132,9 +133,10 @@ HEAD = """
 # Which method and step?
 
 Measured, for every scene in `config/scenes/`: the cheapest setting for an accuracy, and how many
-times faster than the clock it runs on one core. What accuracy means, how it is measured and how far
-it can be trusted is in [trade.md](trade.md). This page is written by `benchmarks/trade_all.py` from
-`docs/which_method.json`; your machine has other costs: `liegroup_sim trade SCENE` measures them.
+times faster than the clock it runs on one core. What accuracy means, how it is measured and how
+far it can be trusted is in [trade.md](trade.md). This page is written by
+`benchmarks/trade_all.py` from `docs/which_method.json`; your machine has other costs:
+`liegroup_sim trade SCENE` measures them.
 """
 
 PROMISED = """

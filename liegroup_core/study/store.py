@@ -6,8 +6,8 @@
     trades/NAME-KEY/HORIZON/cells.jsonl     a measured cell a line, see measure.py
 
 KEY is of the scene's text, of our sources and of the versions that numbers depend on: what is
-another scene or version finds nothing. The processor stands in each cell. A cell is written as soon
-as it is measured, so whatever ends a run loses none. All of it may be deleted at any time.
+another scene or version finds nothing. The processor stands in each cell. A cell is written as
+soon as it is measured, so whatever ends a run loses none. All of it may be deleted at any time.
 """
 import hashlib
 import json

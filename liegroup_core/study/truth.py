@@ -2,8 +2,8 @@
 """The true motion of a scene at the samples of a horizon, as well as it can be known.
 
 By the closed form where the scene has one, else by the independent integration of
-liegroup_core.reference, whose uncertainty is its distance to one ten times looser. That one is made
-in either case, and what the two differ by is kept.
+liegroup_core.reference, whose uncertainty is its distance to one ten times looser. That one is
+made in either case, and what the two differ by is kept.
 """
 import io
 import json

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The trade: its errors repeat and fall with the order, what is measured is kept, promises hold."""
+"""The trade: errors repeat and fall with the order, what is measured is kept, promises hold."""
 import json
 from itertools import islice
 
@@ -191,7 +191,7 @@ def test_refusals_say_what_can_be_had(tmp_path, monkeypatch):
     monkeypatch.setattr(accuracy, "BUDGET", 0.05)
     scene = load_scene("double_pendulum")
     for arguments, said in (
-            ({"accuracy": 1e-14}, "cannot be had for double_pendulum over 0.5 s on this machine; "),
+            ({"accuracy": 1e-14}, "cannot be had for double_pendulum over 0.5 s on this machine"),
             ({"accuracy": 1e-3, "factor": 1e9}, "times real time: the cheapest setting"),
             ({"accuracy": 1e-3, "usable": lambda step: False}, "no step can be used"),
             ({"accuracy": 0.0}, "above 0"), ({"accuracy": 2.0}, "at most 1")):
