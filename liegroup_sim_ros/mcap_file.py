@@ -59,7 +59,7 @@ class McapFile:
     def __init__(self, stream, library, profile="ros2"):
         self._stream = stream
         self._compress = zstandard.ZstdCompressor(level=1).compress
-        self._schemas, self._channels = [], []
+        self._schemas, self._channels, self._definitions = [], [], bytearray()
         self._chunks, self._attachments, self._metadata = [], [], []
         self.counts = {}                    # channel id -> messages
         self._first_ns = self._last_ns = None
@@ -79,11 +79,17 @@ class McapFile:
         self._put(data)
         return offset, len(data)
 
+    def _define(self, record):
+        """Into the next chunk: its check sum covers it, and its readers need no other place."""
+        builder = RecordBuilder()
+        record.write(builder)
+        self._definitions += builder.end()
+
     def add_schema(self, name, encoding, data):
         """Number of a new schema."""
         self._schemas.append(Schema(id=len(self._schemas) + 1, data=data, encoding=encoding,
                                     name=name))
-        self._write(self._schemas[-1])
+        self._define(self._schemas[-1])
         return self._schemas[-1].id
 
     def add_channel(self, topic, encoding, schema, metadata):
@@ -92,7 +98,7 @@ class McapFile:
                           schema_id=schema, metadata=metadata)
         self._channels.append(channel)
         self.counts[channel.id] = 0
-        self._write(channel)
+        self._define(channel)
         return channel.id
 
     def add_attachment(self, create_ns, stamp_ns, name, media_type, data):
@@ -117,7 +123,12 @@ class McapFile:
         """Write a chunk with its index; nothing for one without a message."""
         if not chunk.count:
             return
-        data, index = b"".join(chunk.parts), chunk.index
+        front, index = bytes(self._definitions), chunk.index
+        if front:
+            self._definitions.clear()
+            for each in index.values():
+                each[1::2] = array("Q", [len(front) + offset for offset in each[1::2]])
+        data = front + b"".join(chunk.parts)
         first, last = (edge(edge(each[::2]) for each in index.values()) for edge in (min, max))
         compressed = self._compress(data)
         offset, length = self._write(ChunkRecord(

@@ -98,7 +98,8 @@ class Outputs:
         self._frames = {body: values.frame_prefix + body for body in bodies}
         self._topics = {"pose": {}, "twist": {}}
         if values.steps["publish_rate"]:
-            self._add_samples(bodies, world_frame, values.steps["publish_rate"])
+            self._add_samples(bodies, world_frame, values.frame_prefix,
+                              values.steps["publish_rate"])
         # Many bodies may be pushed at one step.
         self._applied = self._stream("~/applied_wrench", WrenchStampedCodec.TYPE, depth=100)
         self._encode_wrench = {body: WrenchStampedCodec(frame).encode
@@ -120,22 +121,19 @@ class Outputs:
         self._streams.append(Stream(self._node, *arguments, **options))
         return self._streams[-1]
 
-    def _add_samples(self, bodies, world_frame, steps):
-        encode_pose = PoseStampedCodec(world_frame).encode
+    def _add_samples(self, bodies, world_frame, frame_prefix, steps):
+        encode = sample_messages.poses_and_twists(bodies, world_frame, frame_prefix)
         table = []
         for body in bodies:
             pose = self._stream(f"~/{body}/pose", PoseStampedCodec.TYPE)
             twist = self._stream(f"~/{body}/twist", TwistStampedCodec.TYPE)
             self._topics["pose"][body], self._topics["twist"][body] = pose.topic, twist.topic
-            table.append((pose.send, twist.send, TwistStampedCodec(self._frames[body]).encode))
+            table.append((pose.send, twist.send))
 
         def send(stamp_ns, sample):
-            # Lists of all bodies at once: numbers of an array one by one cost several times more.
-            for (send_pose, send_twist, encode_twist), pose, quaternion, twist in zip(
-                    table, sample.pose.tolist(), sample.orientation.tolist(),
-                    sample.twist.tolist()):
-                send_pose(stamp_ns, encode_pose(stamp_ns, pose[9:], quaternion))
-                send_twist(stamp_ns, encode_twist(stamp_ns, twist))
+            for (send_pose, send_twist), (pose, twist) in zip(table, encode(stamp_ns, sample)):
+                send_pose(stamp_ns, pose)
+                send_twist(stamp_ns, twist)
 
         self.timed.append((steps, send))
 

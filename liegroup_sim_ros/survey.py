@@ -157,7 +157,7 @@ def walk(stream, found, on_block=None, on_attachment=None, on_metadata=None):
         pass
     for piece in pieces(stream, found.size):
         if isinstance(piece, Block):
-            found.chunks += bool(piece.starts)      # not a definition that stands alone
+            found.chunks += 1
             for each in piece.definitions:
                 definitions.add(each)
             _count(found, piece, on_block)
