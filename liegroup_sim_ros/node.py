@@ -146,7 +146,10 @@ def _refused_by_rcl():
     try:
         yield
     except RuntimeError as error:           # its class is private to rclpy
-        raise ParameterError(str(error).partition(", at /")[0]) from None
+        text = str(error).partition(", at /")[0]
+        if type(error).__name__ == "UnknownROSArgsError":       # its text is a list and no more
+            text = f"unknown ROS arguments: {text}"
+        raise ParameterError(text) from None
 
 
 def run(args, signals):

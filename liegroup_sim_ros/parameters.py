@@ -17,6 +17,7 @@ from rclpy.parameter import Parameter
 from liegroup_core.integrators.methods import GROUPS, METHODS
 from liegroup_core.simulation import STABILISATIONS
 
+QOS_PREFIX = "qos_overrides."
 HOLDS = ("one_step", "timeout", "until_replaced")
 
 
@@ -116,14 +117,15 @@ def read_parameters(node):
 
     node : was created with automatically_declare_parameters_from_overrides=True; that is how
            names that nobody knows, which ROS would ignore, are seen and refused
-    returns the values, and `.steps`: {rate: steps between two messages, 0 for none}
+    returns the values, `.steps`: {rate: steps between two messages, 0 for none}, and `.qos`: names
+            of parameters for the quality of service, which qos.py reads
     raises ParameterError
     """
     given = {name: parameter.value for name, parameter in node.get_parameters_by_prefix("").items()
              if name not in _BUILT_IN}
     for name in given:
         node.undeclare_parameter(name)      # to be declared again, with its descriptor
-        if name not in _ENTRIES and not name.startswith("qos_overrides."):
+        if name not in _ENTRIES and not name.startswith(QOS_PREFIX):
             near = difflib.get_close_matches(name, _ENTRIES, n=1)
             hint = f"did you mean {near[0]}?" if near else f"there are: {', '.join(_ENTRIES)}"
             raise ParameterError(f"parameter {name}: unknown; {hint}")
@@ -134,6 +136,7 @@ def read_parameters(node):
         setattr(values, entry.name, value)
     values.steps = {name: _whole_steps(name, getattr(values, name), values.step)
                     for name in _ENTRIES if name.endswith("_rate")}
+    values.qos = [name for name in given if name.startswith(QOS_PREFIX)]
     if values.record and not values.publish_rate:
         raise ParameterError("parameter publish_rate: must be greater than 0 to record: "
                              "recordings are made of poses and twists")
