@@ -68,8 +68,14 @@ class SimNode(Node):
 
     def __init__(self, signals):
         # This node makes the simulated time: use_sim_time would make it its own listener.
-        super().__init__("sim_node", automatically_declare_parameters_from_overrides=True,
-                         parameter_overrides=[Parameter("use_sim_time", value=False)])
+        try:
+            super().__init__("sim_node", automatically_declare_parameters_from_overrides=True,
+                             parameter_overrides=[Parameter("use_sim_time", value=False)])
+        except ValueError as error:         # such as `step: []` in a file
+            empty = [name for name, parameter in getattr(self, "_parameter_overrides", {}).items()
+                     if parameter.value is None]
+            raise ParameterError(f"parameter {empty[0]}: has no value" if empty else str(error)
+                                 ) from None
         self._signals = signals
         for name in ("liegroup_core", __package__):
             logging.getLogger(name).addHandler(LogHandler(self.get_logger()))

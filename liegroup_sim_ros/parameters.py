@@ -18,6 +18,7 @@ from liegroup_core.integrators.methods import GROUPS, METHODS
 from liegroup_core.simulation import STABILISATIONS
 
 QOS_PREFIX = "qos_overrides."
+LONGEST_SHOWN = 60                          # characters of a wrong value in its error
 HOLDS = ("one_step", "timeout", "until_replaced")
 
 
@@ -100,15 +101,15 @@ def check(name, value):
     if wanted is float and type(value) is int:
         value = float(value)
     if type(value) is not wanted:
-        raise ParameterError(f"parameter {name}: must be {_TYPE_NAMES[wanted]}, got {value!r}")
+        raise ParameterError(f"parameter {name}: must be {_TYPE_NAMES[wanted]}, got {_shown(value)}")
     if entry.choices and value not in entry.choices:
         raise ParameterError(
-            f"parameter {name}: must be {_listed(entry.choices)}, got {value!r}")
+            f"parameter {name}: must be {_listed(entry.choices)}, got {_shown(value)}")
     if wanted is float and not math.isfinite(value):
-        raise ParameterError(f"parameter {name}: must be finite, got {value!r}")
+        raise ParameterError(f"parameter {name}: must be finite, got {_shown(value)}")
     if entry.low is not None and (not entry.low <= value <= entry.high
                                   or entry.above and value == entry.low):
-        raise ParameterError(f"parameter {name}: must be {_range(entry)}, got {value!r}")
+        raise ParameterError(f"parameter {name}: must be {_range(entry)}, got {_shown(value)}")
     return value
 
 
@@ -212,6 +213,11 @@ def _descriptor(entry):
             descriptor.floating_point_range = [
                 FloatingPointRange(from_value=entry.low, to_value=entry.high)]
     return descriptor
+
+
+def _shown(value):
+    text = repr(value)
+    return text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}..."
 
 
 def _range(entry):
