@@ -18,6 +18,8 @@ from liegroup_core.integrators.methods import GROUPS, METHODS
 from liegroup_core.simulation import STABILISATIONS
 
 QOS_PREFIX = "qos_overrides."
+RELIABILITIES = ("reliable", "best_effort")
+DEEPEST = 1_000_000                         # messages that a topic may keep
 LONGEST_SHOWN = 60                          # characters of a wrong value in its error
 HOLDS = ("one_step", "timeout", "until_replaced")
 
@@ -138,6 +140,8 @@ def read_parameters(node):
     values.steps = {name: _whole_steps(name, getattr(values, name), values.step)
                     for name in _ENTRIES if name.endswith("_rate")}
     values.qos = [name for name in given if name.startswith(QOS_PREFIX)]
+    for name in values.qos:
+        _check_qos(name, given[name])
     if values.record and not values.publish_rate:
         raise ParameterError("parameter publish_rate: must be greater than 0 to record: "
                              "recordings are made of poses and twists")
@@ -199,6 +203,17 @@ def _whole_steps(name, rate, step):
             f"parameter {name}: {rate:g} Hz is {steps:.6g} steps of {step:g} s, must be a whole "
             f"number of steps; possible: {' or '.join(f'{r:.9g}' for r in nearest)}")
     return whole
+
+
+def _check_qos(name, value):
+    """Raise ParameterError for a value that no topic can have: rclpy says it in riddles."""
+    policy = name.rpartition(".")[2]
+    if policy == "reliability" and value not in RELIABILITIES:
+        raise ParameterError(
+            f"parameter {name}: must be {_listed(RELIABILITIES)}, got {_shown(value)}")
+    if policy == "depth" and not (type(value) is int and 1 <= value <= DEEPEST):
+        raise ParameterError(f"parameter {name}: must be a whole number of at least 1 and at most "
+                             f"{DEEPEST}, got {_shown(value)}")
 
 
 def _descriptor(entry):
