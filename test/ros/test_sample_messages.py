@@ -240,6 +240,8 @@ def test_markers(layout, sample):
     assert (force.action, torque.action) == (Marker.ADD, Marker.ADD)
     assert found["forces", 1].action == found["torques", 3].action == Marker.DELETE
     check_pose(force.pose, sample.poses["plain"])
+    end, = as_ros_serializes(encoder.encode_end(STAMP), MarkerArray).markers
+    assert (end.action, end.header.frame_id) == (Marker.DELETEALL, "world")
 
 
 @given(st.floats(allow_nan=False), st.text(st.characters(codec="utf-8", exclude_characters="\0"),
