@@ -33,7 +33,7 @@ def small(tmp_path_factory):
     path = tmp_path_factory.mktemp("small") / "run.mcap"
     written = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(recorder, "CHUNK_SIZE", 900)
+        patch.setattr(recorder, "CHUNK_SIZE", 600)
         settings = json.dumps({"format": 1}).encode()
         with Recorder(path, {"settings.json": ("application/json", settings)}) as log:
             channel = log.add_channel("/clock", ClockCodec.TYPE)
