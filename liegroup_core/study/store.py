@@ -27,7 +27,7 @@ from .truth import as_bytes, truth_from
 log = logging.getLogger("liegroup_core")
 
 # Of what the files hold and of how it is measured.
-FORMAT = 1
+FORMAT = 2
 PACKAGES = ("numpy", "scipy", "numba", "mpmath")
 
 

@@ -208,6 +208,40 @@ def test_refusals_say_what_can_be_had(tmp_path, monkeypatch):
         Simulation(scene, horizon=1.0)
 
 
+STIFF = """
+name: damped
+gravity: [0, 0, 0]
+bodies:
+  - {name: cart, mass: 1.0, inertia: [0.1, 0.1, 0.1], position: [0.3, 0, 0]}
+joints:
+  - {name: rail, type: prismatic, parent: world, child: cart,
+     parent_frame: {axis: [1, 0, 0]}, child_frame: {axis: [1, 0, 0]}}
+forces:
+  - {name: spring, type: spring_damper, parent: world, parent_point: [-1, 0, 0], child: cart,
+     child_point: [0, 0, 0], stiffness: 1.0e+6, damping: 2.0e+3, rest_length: 1.0}
+"""
+
+
+def test_a_motion_that_is_over_before_the_first_sample_counts(tmp_path):
+    """Critically damped at 1000 / s: it is over after 10 ms, the first hundredth of the horizon.
+    The error that is measured is that of all steps: the early samples of steps of 0.5 ms are 0.5,
+    1, 2, ... ms, and the error, about as wide as the motion, is largest between two of them."""
+    scene = scene_from_text(STIFF)
+    trade = made(scene, tmp_path, 1.0)
+    (cell, _), = trade.measure(["rkmk4"], ["se3"], ["none"], [5e-4], workers=1)
+    simulation = Simulation(scene, "rkmk4", 5e-4)
+    places = []
+    for _ in range(100):
+        simulation.advance(1)
+        places.append(simulation.sample().pose[0, 9])
+    times = 5e-4 * np.arange(1, 101)
+    true = 0.3 * (1.0 + 1e3 * times) * np.exp(-1e3 * times)
+    largest = np.abs(np.array(places) - true).max()
+    assert 0.5 * largest <= cell["position"] <= largest * (1.0 + 1e-6)
+    late = np.abs(np.array(places) - true)[19::20].max()
+    assert late < 0.1 * largest             # what the hundredths alone would tell
+
+
 def test_steps_divide_the_samples():
     for horizon in ("10", "1", "0.5", "0.02", "6", "0.037"):
         horizon = settings.as_time(float(horizon))
