@@ -22,8 +22,11 @@ def make_plots(analysis):
         return plots
     bands = _push_bands(figures, analysis.motion)
     if curves.get("reference"):
-        plots.append(("How the error grows", "distance from an independent tight integration, the "
-                      "largest of all bodies; dotted: how well that one knows itself",
+        kind = figures["reference"]["kind"]
+        source = "an independent tight integration" if kind == "integration" else (
+            "the exact solution")
+        plots.append(("How the error grows", f"distance from {source}, the largest of all "
+                      "bodies; dotted: how well that one is known",
                       _plane(_error_traces(curves["reference"]), bands, "m, rad", log=True)))
     if curves["energy"]:
         plots.append(("Energy", "change since the start of each stretch without a wrench",

@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """`liegroup_sim analyze`: exact solutions, order, trends, bounds, many logs, addresses, schema."""
+import functools
 import json
 import subprocess
 import sys
+import threading
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import fsspec
@@ -263,6 +266,45 @@ def test_addresses(logs, monkeypatch):
     monkeypatch.setitem(sys.modules, "fsspec", None)
     with pytest.raises(RecordingError, match="needs the package fsspec: pip install fsspec"):
         read_recording("memory://logs/a.mcap")
+
+
+class _Web(SimpleHTTPRequestHandler):
+    """A folder on the web; of short.mcap it sends less than it says."""
+
+    def do_GET(self):
+        if not self.path.endswith("short.mcap"):
+            return super().do_GET()
+        self.send_response(200)
+        self.send_header("Content-Length", "1000000")
+        self.end_headers()
+        self.wfile.write(b"\x89MCAP0\r\n")
+
+    def log_message(self, *_):
+        pass
+
+
+def test_addresses_on_the_web(logs, capsys):
+    """Logs of a real server, by the processes of dask too; each that cannot be had is one line."""
+    server = ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(_Web, directory=logs))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    web = f"http://127.0.0.1:{server.server_port}"
+    there = read_recording(f"{web}/a.mcap")
+    assert there.complete and there.topics == read_recording(logs / "a.mcap").topics
+    capsys.readouterr()
+    assert main(["analyze", f"{web}/[ab].mcap", f"{web}/a.mcap?key=1", "--no-reference"]) == 0
+    assert "a.mcap" in capsys.readouterr().out
+
+    def refused(name, *said):
+        assert main(["analyze", f"{web}/{name}.mcap"]) == 2
+        out, err = capsys.readouterr()
+        assert out == "" and err.count("\n") == 1 and f"{web}/{name}.mcap: cannot be read: " in err
+        assert all(text in err for text in said)
+
+    refused("none", "404")
+    refused("short", "1000000")             # and not: a recording without its end
+    server.shutdown()
+    server.server_close()
+    refused("a", "Connect")
 
 
 def test_as_a_library_without_ros(tmp_path):
