@@ -165,8 +165,8 @@ class Scan:
         if stream.damaged:
             said.append(f"{stream.damaged} damaged part(s) skipped: {', '.join(stream.remarks)}")
         if not stream.finished:
-            said.append("not finished, the run was ended hard or the disk was full; everything "
-                        "up to the last flush is read")
+            said.append("not finished: it is still being recorded, the run was ended hard or the "
+                        "disk was full; everything up to the last flush is read")
         elif stream.statistics is None:
             said.append("it has no summary")
         elif any(tally.count != tally.written for tally in self._tallies.values()):

@@ -19,6 +19,7 @@ from .summary import (NO_NUMBER, OVERVIEW, comparison_rows, headline, overview, 
 from .view import make_view, speeds
 
 MOST_PARTS = 20         # logs with plots on one page; of the others it has the tables
+MOST_LISTED = 20        # problems of several logs at the top
 LONGEST = 200_000       # characters of a text
 NUMBER = re.compile(r"\d[\d.]*(?:e[+-]\d+)?"
                     r"(?: (?:m|s|ms|us|rad|J|W|N)\b(?:/s)?(?: m\b)?(?: s\b)?)?")
@@ -50,11 +51,11 @@ def make_page(parts, comparison=None, exceeded=(), bounds=()):
     one = len(parts) == 1
     body = _one(parts[0], 0, exceeded, bounds) if one else _several(parts, exceeded, bounds)
     if comparison:
-        title, remark, plot = difference_plot(comparison[1])
-        data.append({"plots": [plot], "view": None})
+        plots = difference_plot(comparison[1])
+        data.append({"plots": [plot for *_, plot in plots], "view": None})
         rows = _rows("Compared with the other recording", comparison_rows(comparison[0]))
         body += (f'<h2>Compared with {escape(comparison[0]["logs"][1])}</h2>'
-                 f'<div class="cards" data-part="{len(parts)}">{_plot(title, remark)}{rows}</div>')
+                 f'<div class="cards" data-part="{len(parts)}">{"".join(_plot(title, remark) for title, remark, _ in plots)}{rows}</div>')
     title = (f'{parts[0]["figures"]["scene"]}: how wrong is this run?' if one else
              f"{len(parts)} recordings: how wrong are they?")
     resources = files(__package__)
@@ -101,7 +102,7 @@ def _several(parts, exceeded, bounds):
     found = [part["figures"] for part in parts]
     names = short_names(found)
     wrong = [figures.get("problems", [figures.get("failed")]) for figures in found]
-    bad = sum(bool(problems) for problems in wrong)
+    bad, count = (sum(map(kind, wrong)) for kind in (bool, len))
     verdict = (f"{bad} of {len(parts)} recordings have problems." if bad else
                "No problem was found in any of them.")
     lines = "".join(
@@ -112,8 +113,9 @@ def _several(parts, exceeded, bounds):
         f'{len(problems) or "none"}</td></tr>'
         for k, (name, figures, problems) in enumerate(zip(names, found, wrong)))
     heads = "".join(f"<th>{what}</th>" for what in ("log", *OVERVIEW, "problems"))
-    body = (f"<header><h1>{len(parts)} recordings</h1>{_state(bad + len(exceeded))}</header>"
-            f'<p class="verdict">{verdict}</p>' + _problems(exceeded) + _bounds(bounds, exceeded)
+    body = (f"<header><h1>{len(parts)} recordings</h1>{_state(count + len(exceeded))}</header>"
+            f'<p class="verdict">{verdict}</p>' + _problems(_listed(names, wrong, exceeded))
+            + _bounds(bounds, exceeded)
             + f'<section class="card"><table class="logs"><thead><tr>{heads}</tr></thead>'
             f"<tbody>{lines}</tbody></table></section>")
     for k, (part, name) in enumerate(zip(parts, names)):
@@ -124,6 +126,14 @@ def _several(parts, exceeded, bounds):
         body += (f'<details class="log" id="log{k}" data-part="{k}"><summary>{escape(name)}'
                  f"</summary>{inside}</details>")
     return body
+
+
+def _listed(names, wrong, exceeded):
+    """What is wrong with several logs, the first of it."""
+    found = [*exceeded, *(text if text.startswith(name) else f"{name}: {text}"
+                          for name, problems in zip(names, wrong) for text in problems)]
+    more = len(found) - MOST_LISTED
+    return found if more <= 0 else [*found[:MOST_LISTED], f"and {more} more"]
 
 
 def _drawn(part):

@@ -23,7 +23,7 @@ def write_picture(analysis, path, comparison=None):
     """
     plots = make_plots(analysis)
     if comparison:
-        plots.append(difference_plot(comparison[1]))
+        plots += difference_plot(comparison[1])
     if not plots:
         raise ValueError("no sample is finite: there is nothing to draw")
     count = len(plots) + 1

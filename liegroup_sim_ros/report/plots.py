@@ -92,11 +92,13 @@ def centre_paths(analysis):
 
 
 def difference_plot(curve):
-    """(title, remark, plot) of the curves of a comparison, see comparison.py."""
+    """[(title, remark, plot)] of the curves of a comparison, see comparison.py; none of zeros."""
+    if not any((values > 0.0).any() for _, values in curve):
+        return []
     traces = [_line(name, *part, colour) for name, part, colour in zip(
         ("position, m", "attitude, rad"), curve, COLOURS)]
-    return ("How far the two are apart", "the largest distance of all bodies",
-            _plane(traces, [], "m, rad", log=True))
+    return [("How far the two are apart", "the largest distance of all bodies",
+             _plane(traces, [], "m, rad", log=True))]
 
 
 def _plane(traces, bands, unit, log=False):

@@ -2,6 +2,7 @@
 """`liegroup_sim analyze`: exact solutions, order, trends, bounds, many logs, addresses, schema."""
 import functools
 import json
+import math
 import subprocess
 import sys
 import threading
@@ -18,6 +19,7 @@ from liegroup_core import Simulation, load_scene
 from liegroup_core.scene.load import scene_from_text
 from liegroup_core.simulation import make_layout
 from liegroup_sim_ros.analyze import analyse
+from liegroup_sim_ros.analyze_logs import find_exceeded
 from liegroup_sim_ros.main import main
 from liegroup_sim_ros.recording import RecordingError, read_recording
 from liegroup_sim_ros.report.comparison import compare
@@ -266,6 +268,21 @@ def test_addresses(logs, monkeypatch):
     monkeypatch.setitem(sys.modules, "fsspec", None)
     with pytest.raises(RecordingError, match="needs the package fsspec: pip install fsspec"):
         read_recording("memory://logs/a.mcap")
+
+
+def test_a_bound_that_the_reference_cannot_judge_is_not_kept():
+    """The error counts with the uncertainty of what it is measured against."""
+    def figures(error, uncertainty):
+        entry = {"max": error, "uncertainty": uncertainty, "unit": "m"}
+        return [{"log": "a", "reference": {"position": entry, "angle": entry}}]
+
+    assert find_exceeded(figures(0.9, 0.05), 1.0) == []
+    for error, uncertainty, said in ((0.9, 0.2, "may be more than 1: the reference is only known"),
+                                     (math.nan, 0.0, "is more than 1"),
+                                     (0.0, math.nan, "may be more than 1"),
+                                     (1.1, 0.0, "error 1.1 m is more than 1")):
+        found = find_exceeded(figures(error, uncertainty), 1.0)
+        assert len(found) == 2 and all(said in text for text in found)
 
 
 class _Web(SimpleHTTPRequestHandler):

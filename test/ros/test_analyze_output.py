@@ -31,7 +31,7 @@ def test_not_a_number_is_never_shown_as_fine(tmp_path, capsys):
                  pacing=PACING | {"real_time_factor": 0.5, "reanchored": 3})
     analysis = analyse(read_recording(log))
     assert "too slow: real-time factor 0.5 of 1" in analysis.figures["problems"]
-    assert any("wall clock, which was given up 3 times" in text for text in analysis.figures["problems"])
+    assert any("behind the wall clock, 3 times" in text for text in analysis.figures["problems"])
     figures = analysis.figures | {"energy": analysis.figures["energy"] | {"drift_J": math.nan}}
     text = document([figures])
     assert json.loads(text, parse_constant=pytest.fail)["logs"][0]["energy"]["drift_J"] == "nan"

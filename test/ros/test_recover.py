@@ -197,6 +197,20 @@ def test_readers_open_what_was_recovered_and_it_says_what_is_missing(tmp_path, c
     assert second["recovered_from"] == "run.mcap" and first["lost"] == second["lost"] > 0
 
 
+def test_nobody_reads_what_is_said(small):
+    """As behind `| head -1`: no traceback, and the exit code of a program that the pipe ended."""
+    for many in (1, 300):                   # less, and more, than Python keeps before it writes
+        child = python("""
+            import sys
+            from liegroup_sim_ros.main import main
+            sys.stdin.read()
+            sys.exit(main(["info", "--json", *sys.argv[1:]]))
+            """, *[small[0]] * many)
+        child.stdout.close()
+        child.stdin.close()
+        assert (child.wait(60), child.stderr.read()) == (141, "")
+
+
 def bomb(size, chunks, noise=0):
     """Chunks that are small and become large, each with messages of no channel."""
     data = struct.pack("<BQHIQQ", 5, 22 + noise, 1, 1, 1, 1) + random.Random(3).randbytes(noise)
