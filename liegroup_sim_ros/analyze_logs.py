@@ -194,8 +194,8 @@ def _too_large(error, bound):
     if not error["max"] <= bound:
         return f"error {error['max']:.3g} {unit} is more than {bound:g}"
     if not error["max"] + error["uncertainty"] <= bound:
-        return (f"error {error['max']:.3g} {unit} may be more than {bound:g}: the reference is only "
-                f"known to {error['uncertainty']:.3g} {unit}")
+        return (f"error {error['max']:.3g} {unit} may be more than {bound:g}: the reference is "
+                f"only known to {error['uncertainty']:.3g} {unit}")
     return None
 
 

@@ -18,8 +18,8 @@ from .recording import RecordingError
 MOST_DEFINITIONS = 8 * 2**20    # bytes of all names and schemas
 MOST_EXTRAS = 10_000            # attachments and metadata records
 MOST_PROBLEMS = 20              # different ones that are listed
-NO_END = ("its end is missing: it is still being recorded, the run was ended hard, the disk was full "
-          "or the file was cut")
+NO_END = ("its end is missing: it is still being recorded, the run was ended hard, the disk was "
+          "full or the file was cut")
 _KEPT = ("settings.json", "initial_state.json")     # attachments whose content is looked at
 _PLAIN = frozenset(string.printable) - frozenset("\t\n\r\x0b\x0c")
 

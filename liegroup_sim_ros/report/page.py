@@ -54,8 +54,9 @@ def make_page(parts, comparison=None, exceeded=(), bounds=()):
         plots = difference_plot(comparison[1])
         data.append({"plots": [plot for *_, plot in plots], "view": None})
         rows = _rows("Compared with the other recording", comparison_rows(comparison[0]))
+        drawn = "".join(_plot(title, remark) for title, remark, _ in plots)
         body += (f'<h2>Compared with {escape(comparison[0]["logs"][1])}</h2>'
-                 f'<div class="cards" data-part="{len(parts)}">{"".join(_plot(title, remark) for title, remark, _ in plots)}{rows}</div>')
+                 f'<div class="cards" data-part="{len(parts)}">{drawn}{rows}</div>')
     title = (f'{parts[0]["figures"]["scene"]}: how wrong is this run?' if one else
              f"{len(parts)} recordings: how wrong are they?")
     resources = files(__package__)
@@ -114,7 +115,7 @@ def _several(parts, exceeded, bounds):
         for k, (name, figures, problems) in enumerate(zip(names, found, wrong)))
     heads = "".join(f"<th>{what}</th>" for what in ("log", *OVERVIEW, "problems"))
     body = (f"<header><h1>{len(parts)} recordings</h1>{_state(count + len(exceeded))}</header>"
-            f'<p class="verdict">{verdict}</p>' + _problems(_listed(names, wrong, exceeded))
+            f'<p class="verdict">{verdict}</p>' + _problems(_listed(found, names, wrong, exceeded))
             + _bounds(bounds, exceeded)
             + f'<section class="card"><table class="logs"><thead><tr>{heads}</tr></thead>'
             f"<tbody>{lines}</tbody></table></section>")
@@ -128,12 +129,13 @@ def _several(parts, exceeded, bounds):
     return body
 
 
-def _listed(names, wrong, exceeded):
+def _listed(found, names, wrong, exceeded):
     """What is wrong with several logs, the first of it."""
-    found = [*exceeded, *(text if text.startswith(name) else f"{name}: {text}"
-                          for name, problems in zip(names, wrong) for text in problems)]
-    more = len(found) - MOST_LISTED
-    return found if more <= 0 else [*found[:MOST_LISTED], f"and {more} more"]
+    listed = [*exceeded, *(f"{name}: {text.removeprefix(figures['log'] + ': ')}"
+                           for figures, name, problems in zip(found, names, wrong)
+                           for text in problems)]
+    more = len(listed) - MOST_LISTED
+    return listed if more <= 0 else [*listed[:MOST_LISTED], f"and {more} more"]
 
 
 def _drawn(part):

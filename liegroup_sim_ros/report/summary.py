@@ -245,7 +245,8 @@ def _kept_rows(figures):
     for entry in figures["momentum"]:
         rows.append((entry["component"], shown(entry["drift"], entry["unit"]), _joined(
             f"of at most {shown(entry['largest'], entry['unit'])}",
-            _trend(entry["trend_per_s"], entry["trend_explains"], f"{entry['unit']} / s"),
+            _trend(entry["trend_per_s"], entry["trend_explains"],
+                   entry["unit"].removesuffix(" s")),
             len(figures["bodies"]) > len(entry["bodies"]) and ", ".join(entry["bodies"][:4]),
             entry["left_out"] and f"without {entry['left_out']}")))
     if not figures["momentum"]:
