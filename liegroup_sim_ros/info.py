@@ -36,6 +36,8 @@ def run(args):
         except RecordingError as error:
             failures.append(error)
             continue
+        if surveys and not args.json:
+            print()
         surveys.append(as_json(found))
         if not args.json:
             print_survey(found, Console(file=sys.stdout))
@@ -107,7 +109,7 @@ def print_survey(found, console):
 
 def topics_table(found):
     """Table of the topics of a Survey: messages, rates, losses."""
-    table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for name, side in (("topic", "left"), ("type", "left"), ("messages", "right"),
                        ("per s", "right"), ("lost", "right")):
         table.add_column(name, justify=side, overflow="fold", no_wrap=side == "right")
