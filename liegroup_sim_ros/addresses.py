@@ -23,12 +23,18 @@ def is_remote(address):
 def expand(addresses):
     """Paths and addresses, with what matches in place of every pattern, sorted.
 
-    A name that exists is taken as it is. Raises AddressError for a pattern without a match.
+    A folder stands for the *.mcap in it; any other name that exists is taken as it is. Raises
+    AddressError for a pattern without a match.
     """
     found = []
     for address in map(str, addresses):
         if is_remote(address):
             found += _remote_matches(address) if glob.has_magic(address) else [address]
+        elif Path(address).is_dir():
+            matches = sorted(map(str, Path(address).glob("*.mcap")))
+            if not matches:
+                raise AddressError(f"{address}: a folder without *.mcap in it")
+            found += matches
         elif glob.has_magic(address) and not Path(address).exists():
             matches = sorted(glob.glob(address, recursive=True))
             if not matches:

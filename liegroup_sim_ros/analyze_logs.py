@@ -41,7 +41,8 @@ def add_parser(subparsers):
         epilog="Exit code: 0; 1 when a bound that was given is exceeded or cannot be judged; 2 "
         "for a log that cannot be read.")
     parser.add_argument("logs", metavar="LOG", nargs="+",
-                        help="recording (*.mcap), pattern, or address such as s3://bucket/*.mcap")
+                        help="recording (*.mcap), folder of them, pattern, or address such as "
+                        "s3://bucket/*.mcap")
     parser.add_argument("--compare", metavar="LOG", help="say how far it is from this one, too")
     parser.add_argument("--html", metavar="PAGE", help="write a self-contained page")
     parser.add_argument("--png", metavar="FILE", help="write the plots of one log as a picture: "

@@ -224,7 +224,11 @@ def _shortened(text):
 
 def _unbroken(text):
     """Escaped, and no line ends within a number or before its unit."""
-    return NUMBER.sub(r'<span class="n">\g<0></span>', escape(text))
+    parts, at = [], 0
+    for number in NUMBER.finditer(text):        # before it is escaped: entities hold digits, too
+        parts += [escape(text[at:number.start()]), f'<span class="n">{number[0]}</span>']
+        at = number.end()
+    return "".join(parts) + escape(text[at:])
 
 
 def _alarm(value):

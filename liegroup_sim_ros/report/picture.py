@@ -55,6 +55,8 @@ def _plane(axes, title, plot):
                   label=_label(trace["name"]))
     if log:
         axes.set_yscale("log")
+        if "range" in layout["yaxis"]:
+            axes.set_ylim(*(10.0**edge for edge in layout["yaxis"]["range"]))
     for band in layout["shapes"]:
         axes.axvspan(band["x0"], band["x1"], color=COLOURS["--red"], alpha=0.18, lw=0)
     axes.set_xlabel("time / s", fontsize=8)

@@ -128,12 +128,11 @@ def verdict(figures):
 
 def _error(entry):
     """Size of an error; where the reference is not sure of as much, what it is sure of."""
-    if entry["max"] <= entry["uncertainty"]:
-        return f"{shown(entry['uncertainty'], entry['unit'])} (all the reference can tell)"
-    unsure = entry["uncertainty"] > UNSURE * entry["max"]
-    return shown(entry["max"], entry["unit"]) + (
-        f" (the reference is only known to {shown(entry['uncertainty'], entry['unit'])})"
-        if unsure else "")
+    size, uncertainty = entry["max"], entry["uncertainty"]
+    if 0.0 < uncertainty >= size:
+        return f"{shown(uncertainty, entry['unit'])} (all the reference can tell)"
+    return shown(size, entry["unit"]) + (
+        f" (± {shown(uncertainty, entry['unit'])})" if uncertainty > UNSURE * size else "")
 
 
 def headline(figures):

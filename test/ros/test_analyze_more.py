@@ -22,6 +22,7 @@ from liegroup_sim_ros.analyze import analyse
 from liegroup_sim_ros.analyze_logs import find_exceeded
 from liegroup_sim_ros.main import main
 from liegroup_sim_ros.recording import RecordingError, read_recording
+from liegroup_sim_ros.report import summary
 from liegroup_sim_ros.report.comparison import compare
 from liegroup_sim_ros.report.drift import Drift, thinned
 
@@ -202,8 +203,10 @@ def test_bounds(logs, tmp_path, capsys):
     assert "its drift is not known" in capsys.readouterr().err
     assert main(["analyze", log, "--no-reference", "--max-error", "1"]) == 2
     assert main(["analyze", log, log, "--compare", log]) == 2
-    assert main(["analyze", str(tmp_path / "*.none")]) == 2
-    assert "no file matches" in capsys.readouterr().err
+    for nothing, said in ((tmp_path / "*.none", "no file matches"),
+                          (tmp_path.parent, "a folder without *.mcap in it")):
+        assert main(["analyze", str(nothing)]) == 2
+        assert said in capsys.readouterr().err
     assert main(["analyze", log, "--scheduler", "tcp://127.0.0.1:9"]) == 2
     assert "no dask scheduler" in capsys.readouterr().err
 
@@ -283,6 +286,14 @@ def test_a_bound_that_the_reference_cannot_judge_is_not_kept():
                                      (1.1, 0.0, "error 1.1 m is more than 1")):
         found = find_exceeded(figures(error, uncertainty), 1.0)
         assert len(found) == 2 and all(said in text for text in found)
+
+
+@pytest.mark.parametrize("error, uncertainty, said", [
+    (1.0, 0.05, "1 m"), (1.0, 0.2, "1 m (± 0.2 m)"), (0.0, 0.0, "0 m"),
+    (1.0, 1.5, "1.5 m (all the reference can tell)"), (math.nan, 1.0, "not a number")])
+def test_an_error_is_told_with_what_is_known_of_it(error, uncertainty, said):
+    entry = {"max": error, "uncertainty": uncertainty, "unit": "m"}
+    assert summary._error(entry) == said
 
 
 class _Web(SimpleHTTPRequestHandler):

@@ -91,6 +91,19 @@ def test_page(tmp_path, capsys):
     assert [body for body, *_ in motion["pushes"]] == [0] and motion["frames"] == 41
 
 
+def test_a_chance_hit_does_not_stretch_a_log_axis():
+    """Beginnings at 1e-46 m are left out of sight, slow growth from 1e-15 m is not."""
+    def axis(y):
+        plot = plots._plane([plots._line("error", np.arange(len(y)), y, "--blue")], [], "m", True)
+        return plot["layout"]["yaxis"]
+
+    odd = axis(np.array([0.0, 1e-46, *np.linspace(1e-15, 3e-15, 500)]))
+    assert -18.0 < odd["range"][0] < -16.0 and -14.6 < odd["range"][1] < -14.0
+    assert odd["dtick"] == 1
+    slow = axis(np.logspace(-15, 0, 500))
+    assert "range" not in slow and slow["dtick"] == 3 and axis(np.zeros(9))["dtick"] == 1
+
+
 def test_long_recordings_make_no_large_page(tmp_path, monkeypatch):
     """What is drawn is bounded, and what sticks out is still there."""
     y = np.sin(np.linspace(0.0, 300.0, 1_000_000))

@@ -171,6 +171,8 @@ def test_hostile_names(browser, tmp_path, monkeypatch):
     opened(browser, page)
     shown = browser.run("document.body.innerText")
     assert browser.run("document.querySelector('h1').textContent") == HOSTILE
+    assert browser.run("[...document.querySelectorAll('.tables td')].map(t => t.textContent)"
+                       f".join().includes({json.dumps('joint j' + HOSTILE + ' open by')})")
     assert shown.count("alert(1)") >= 4 and "</script>" in shown and str(log) in shown
     # In the legend of a plot, as text.
     assert HOSTILE in browser.run("[...document.querySelectorAll('.legendtext')].map("
