@@ -116,7 +116,7 @@ def _plane(traces, bands, unit, log=False):
 
 
 def _decades(traces):
-    """Of a log axis: decades between two lines, at most seven of them, and the range if need be."""
+    """Of a log axis: decades between two lines, of which are at most seven, and its range."""
     values = [v for trace in traces for v in trace["y"] if v is not None and v > 0.0]
     if not values:
         return {"dtick": 1}

@@ -211,10 +211,11 @@ def test_nobody_reads_what_is_said(small):
         assert (child.wait(60), child.stderr.read()) == (141, "")
 
 
-def bomb(size, chunks, noise=0):
+def bomb(size, chunks, noise=0, payload=0):
     """Chunks that are small and become large, each with messages of no channel."""
     data = struct.pack("<BQHIQQ", 5, 22 + noise, 1, 1, 1, 1) + random.Random(3).randbytes(noise)
-    data += struct.pack("<BQHIQQ", 5, 22, 1, 1, 1, 1) * ((size - noise) // 31 - 1)
+    message = struct.pack("<BQHIQQ", 5, 22 + payload, 1, 1, 1, 1) + bytes(payload)
+    data += message * ((size - len(data)) // len(message))
     chunk = record(Chunk(compression="zstd", data=zstandard.compress(data, 19),
                          message_start_time=1, message_end_time=1,
                          uncompressed_crc=zlib.crc32(data), uncompressed_size=len(data)))
@@ -242,7 +243,7 @@ HOSTILE = {
     "many bombs": MCAP0_MAGIC + bomb(LARGEST - 100, 200),
     # Each for itself within what a chunk may claim, all together not.
     "many chunks that grow": MCAP0_MAGIC + record(
-        Attachment(0, 0, "a", "b", b"")) + bomb(LARGEST - 100, 4, noise=80_000),
+        Attachment(0, 0, "a", "b", b"")) + bomb(LARGEST - 100, 4, noise=80_000, payload=1000),
     "length beyond its record": MCAP0_MAGIC + struct.pack(
         "<BQHIIIH", 3, 16, 1, 0, 0, 2**32 - 1, 0) + record(
         Channel(id=1, topic="/a", message_encoding="cdr", metadata={}, schema_id=1)),
