@@ -146,7 +146,7 @@ def test_pictures(tmp_path, capsys):
 @pytest.mark.parametrize("make, said", [
     (lambda path: None, "No such file"),
     (lambda path: path.write_bytes(b"not a log"), "not an MCAP file"),
-    (lambda path: path.mkdir(), "Is a directory")])
+    (lambda path: path.mkdir(), "a folder without")])
 def test_bad_files(tmp_path, capsys, make, said):
     make(tmp_path / "a.mcap")
     assert main(["analyze", str(tmp_path / "a.mcap")]) == 2
