@@ -23,6 +23,9 @@ from mcap.records import Channel, Header, Metadata, Schema
 LARGEST = 64 * 2**20
 # Messages carry a stamp and a number each, which do not shrink so much; bombs do.
 MOST_EXPANSION = 1000
+# A file that grows more than this, and LARGEST, is none of a log: bodies at rest reach 6.
+LARGEST_RATIO = 100
+GROWS = f"it claims to hold more than {LARGEST_RATIO} times its size; the rest is left out"
 
 RECORD = struct.Struct("<BQ")               # opcode, size of what follows
 _MESSAGE = struct.Struct("<HIQQ")           # channel, sequence, log time, publish time

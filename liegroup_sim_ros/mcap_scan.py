@@ -16,11 +16,9 @@ from mcap.opcode import Opcode
 from mcap.records import Footer, Statistics
 from mcap.writer import MCAP0_MAGIC
 
-from .mcap_records import (CHUNK, KINDS, LARGEST, RECORD, Block, Damaged, attachment_of,
-                           beginning, block_of, chunk_data, chunk_head, parsed)
+from .mcap_records import (CHUNK, GROWS, KINDS, LARGEST, LARGEST_RATIO, RECORD, Block, Damaged,
+                           attachment_of, beginning, block_of, chunk_data, chunk_head, parsed)
 
-# A file that grows more than this, and LARGEST, is none of a log: bodies at rest reach 6.
-LARGEST_RATIO = 100
 _TRIES = 16                   # times the size of the file may be read in search of a chunk
 
 _FOOTER = RECORD.size + 20
@@ -89,8 +87,7 @@ def pieces(stream, size):
             if isinstance(piece, Block):
                 budget -= len(piece.data)
                 if budget < 0:
-                    raise Damaged(f"it claims to hold more than {LARGEST_RATIO} times its size; "
-                                  "the rest is left out")
+                    raise Damaged(GROWS)
         except Damaged as damage:
             yield Damage(str(damage))
             if budget < 0:

@@ -21,8 +21,8 @@ from mcap.writer import MCAP0_MAGIC
 
 from liegroup_core._compile import subroutine
 
-from .mcap_records import (LARGEST, RECORD, Damaged, attachment_of, check_claim, chunk_data,
-                           chunk_head, parsed)
+from .mcap_records import (GROWS, LARGEST, LARGEST_RATIO, RECORD, Damaged, attachment_of,
+                           check_claim, chunk_data, chunk_head, parsed)
 
 # Messages outside of chunks are put together to pieces of this size.
 PIECE = 2**20                   # bytes
@@ -122,6 +122,7 @@ class McapStream:
         self.statistics = self.attachments_indexed = None
         self.offset = 0                     # of the record that the last item came from
         self._loose = bytearray()
+        self._budget = LARGEST + LARGEST_RATIO * size
 
     def __iter__(self):
         file = self._file
@@ -195,6 +196,9 @@ class McapStream:
         if head.data_start + head.length != length:
             raise Damaged("a chunk with a damaged head")
         check_claim(head)
+        self._budget -= head.size
+        if self._budget < 0:
+            raise Damaged(GROWS)
         if self._wanted is not None and not self._wanted(at, head.first_ns, head.last_ns):
             return None
         body += self._file.read(length - len(body))
