@@ -111,6 +111,7 @@ def make_layout(scene):
 STABILISATIONS = ("none", "projection", "baumgarte")
 # Baumgarte's time in steps if none is given. Explicit methods are stable down to half a step.
 BAUMGARTE_STEPS = 10
+METHOD, STEP = "rkmk4", 1e-3                # if none is given; s
 
 
 def _stabilised(model, kind, time, step):
@@ -133,7 +134,7 @@ class Simulation:
 
     scene  : Scene, from `load_scene` or built in code
     method : name of METHODS, "rkmk4"
-    step   : step size h, s; a method with error control takes substeps within it
+    step   : step size h, s, 1e-3; a method with error control takes substeps within it
     group  : "se3" for SE(3)^n, or "so3xr3" for (SO(3) x R^3)^n; "auto" is "se3" but for methods
              that have only the latter
     stabilisation : what is done about joints that open by the errors of integration: "none";
@@ -144,17 +145,37 @@ class Simulation:
              dexpinv="exact" or "truncated"  for all of Runge-Kutta type
              rtol=1e-6, atol=1e-6            tolerances of rkmk54
              rho_inf=0.8                     damping of generalized_alpha
+    accuracy : in place of all these settings: the largest error that is wanted over `horizon`, s
+             (None: what suits the scene). The setting comes from what was measured of this scene
+             on this machine; what is not known is measured first, once (docs/trade.md)
     raises SceneError for a scene that cannot be simulated, ValueError for a wrong setting or a
     method that does not fit the scene
 
     `doubt` is None, or a line of text since joints opened so far or so suddenly that the motion is
     hardly that of the scene; it is also logged as a warning (model/joint_watch.py).
+    `promise` is None, or of an `accuracy` what is promised (study/accuracy.py).
 
     Orders: test/verification/test_orders.py; constraint residuals: test_heavy_top.py.
     """
 
-    def __init__(self, scene, method="rkmk4", step=1e-3, group="auto", stabilisation="none",
-                 baumgarte_time=None, **options):
+    def __init__(self, scene, method=None, step=None, group="auto", stabilisation="none",
+                 baumgarte_time=None, accuracy=None, horizon=None, **options):
+        self.promise = None
+        if accuracy is not None:
+            if (method, step, group, stabilisation, baumgarte_time, options) != (
+                    None, None, "auto", "none", None, {}):
+                raise ValueError("accuracy takes the place of method, step, group, stabilisation "
+                                 "and their options: leave them away")
+            from .study.accuracy import choose
+            choice = choose(scene, accuracy, horizon)
+            self.promise = choice.promise
+            options = dict(choice.settings)
+            method, step, group, stabilisation = map(options.pop, (
+                "method", "step", "group", "stabilisation"))
+        elif horizon is not None:
+            raise ValueError("horizon goes with accuracy")
+        method = METHOD if method is None else method
+        step = STEP if step is None else step
         if method not in METHODS:
             raise ValueError(f"unknown method {method!r}; there are: {', '.join(METHODS)}")
         if not is_positive(step):

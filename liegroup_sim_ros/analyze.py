@@ -12,16 +12,17 @@ from liegroup_core import SimulationError
 from liegroup_core.integrators.methods import GROUPS
 from liegroup_core.model.along import Along
 from liegroup_core.model.joint_watch import mechanism_size
+from liegroup_core.reference.exact import exact_solution
 from liegroup_core.scene.load import scene_from_text
 from liegroup_core.simulation import make_layout
 
 from .recording import RecordingError
-from .report.exact import exact_solution
 from .report.invariants import Energy, Joints, Momentum
 from .report.local_error import local_error
 from .report.motion import Motion
+from .report.promise import Promise, is_promise
 from .report.reference import ReferenceError, exact_error
-from .report.replay import Repeat, ReplayError, Starts, make_simulation
+from .report.replay import Repeat, ReplayError, Starts, initial_state, make_simulation
 from .report.summary import find_problems, verdict
 
 # Simulated time that the independent integration covers if no other is asked for, s.
@@ -96,13 +97,15 @@ class _Parts:
         self._momentum = Momentum(scene, expected)
         self._guarded = {"repeat": _Guarded(lambda: Repeat(
             recording, make_simulation(scene, recording.settings)))}
-        self._exact = None
+        self._exact, self._promise = None, Promise(
+            recording.settings.get("promise") if reference else None)
         if reference:
-            if not any(len(track.stamp_ns) for track in recording.wrench.values()):
-                self._exact = exact_solution(layout, recording)
+            if not (recording.initial_state.get("steps")
+                    or any(len(track.stamp_ns) for track in recording.wrench.values())):
+                self._exact = exact_solution(layout, *initial_state(recording)[:2])
             if self._exact is None:
                 self._guarded["reference"] = _Guarded(lambda: ReferenceError(
-                    layout, recording, expected, seconds))
+                    layout, recording, expected, seconds, self._promise))
 
     def angles(self, block):
         """Angles of the torsional springs; called before `add` with the same Block."""
@@ -127,11 +130,13 @@ class _Parts:
         figures["mechanism_size"] = mechanism_size(self._layout.model)
         figures["repeat"] = self._guarded["repeat"].figures()
         if self._exact is not None:
-            figures["reference"], curves["reference"] = exact_error(self._exact, self._motion)
+            figures["reference"], curves["reference"] = exact_error(
+                self._exact, self._motion, self._promise)
         elif "reference" in self._guarded:
             found = self._guarded["reference"].figures()
             figures["reference"], curves["reference"] = (
                 found if isinstance(found, tuple) else (found, None))
+        figures["promise"] = self._promise.figures()
         try:
             figures["local"] = local_error(self._scene, self._recording, self._motion,
                                            self._layout)
@@ -191,7 +196,8 @@ def check_settings(recording, scene):
         "world_frame": isinstance(settings["world_frame"], str),
         "options": isinstance(settings.get("options") or {}, dict),
         "versions": isinstance(settings.get("versions") or {}, dict),
-        "stabilisation": isinstance(settings.get("stabilisation") or "none", str)}
+        "stabilisation": isinstance(settings.get("stabilisation") or "none", str),
+        "promise": settings.get("promise") is None or is_promise(settings["promise"])}
     for name, good in checks.items():
         if not good:
             raise RecordingError(f"{path}: its setting {name} makes no sense: "

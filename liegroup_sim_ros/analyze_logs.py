@@ -6,7 +6,6 @@ installed: over the cores of this machine, or over a cluster by the address of i
 """
 import json
 import math
-import os
 import sys
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,6 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from liegroup_core.errors import LieGroupSimError
+from liegroup_core.study import tasks
 
 from .addresses import AddressError, expand
 from .analyze import REFERENCE_SECONDS, analyse, plain
@@ -24,7 +24,6 @@ from .report.terminal import print_comparison, print_overview, print_table
 
 FORMAT = 1                  # of the JSON document, config/analysis.schema.json
 EXIT_EXCEEDED, EXIT_WRONG_INPUT = 1, 2
-CONNECTING = 10             # s
 
 
 class AnalysisError(Exception):
@@ -239,49 +238,16 @@ def analyse_many(logs, options, scheduler=None, page=False):
     with Progress(TextColumn("analysing"), BarColumn(), MofNCompleteColumn(),
                   console=Console(stderr=True), auto_refresh=False) as progress:
         task = progress.add_task("", total=len(logs))
-
-        def one_more(*_):
+        found = {}
+        for k, result in tasks.run(_analyse_work, work, scheduler):
+            found[k] = result
             progress.advance(task)
             progress.refresh()
-
-        found = (_on_cluster(scheduler, work, one_more) if scheduler else
-                 _on_this_machine(work, one_more))
-    return tuple(list(part) for part in zip(*found))
+    return tuple(list(part) for part in zip(*(found[k] for k in range(len(work)))))
 
 
-def _on_this_machine(work, one_more):
-    try:
-        import dask
-        from dask.callbacks import Callback
-    except ImportError:
-        found = []
-        for each in work:
-            found.append(analyse_log(*each))
-            one_more()
-        return found
-    tasks = [dask.delayed(analyse_log, pure=False)(*each) for each in work]
-    # Forked: a Python that starts anew would start ROS's libraries too, and may hang there.
-    with (Callback(posttask=one_more), dask.config.set(
-            {"multiprocessing.context": "fork", "optimization.fuse.active": False})):
-        return list(dask.compute(*tasks, scheduler="processes",
-                                 num_workers=min(len(work), os.cpu_count() or 1)))
-
-
-def _on_cluster(address, work, one_more):
-    try:
-        from dask.distributed import Client, as_completed
-    except ImportError:
-        raise AnalysisError("--scheduler needs the package distributed: pip install "
-                            "'liegroup_sim_ros[many]'") from None
-    try:
-        with Client(address, timeout=CONNECTING) as client:
-            tasks = client.map(analyse_log, *zip(*work), pure=False)
-            for _ in as_completed(tasks):
-                one_more()
-            return client.gather(tasks)
-    except (OSError, TimeoutError, ValueError) as error:
-        raise AnalysisError(f"no dask scheduler at {address}: {' '.join(str(error).split())[:200]}"
-                            ) from None
+def _analyse_work(work):
+    return analyse_log(*work)
 
 
 def _check_writable(*paths):

@@ -11,9 +11,10 @@ import platform
 import time
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 
 import numpy as np
+
+from liegroup_core.study.machine import cpu_name
 
 from . import __version__
 
@@ -72,7 +73,8 @@ def settings(simulation, sample_steps):
         "format": 1, "scene": simulation.scene.name, "method": simulation.method,
         "group": simulation.group, "step": simulation.step,
         "stabilisation": simulation.stabilisation, "baumgarte_time": simulation.baumgarte_time,
-        "options": simulation.options, "steps_per_sample": sample_steps, "versions": versions(),
+        "options": simulation.options, "promise": simulation.promise,
+        "steps_per_sample": sample_steps, "versions": versions(),
         "machine": machine(), "part": 1,
         "wall_start": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())}
 
@@ -99,7 +101,7 @@ def machine():
     """What else decides on the bits of a run: system, C library, processor and what it can do."""
     return {"system": platform.platform(), "libc": " ".join(platform.libc_ver()),
             "processor": platform.machine(), "cores": os.cpu_count(), **_compiled_for(),
-            "cpu": _cpu_name()}
+            "cpu": cpu_name()}
 
 
 def _compiled_for():
@@ -111,14 +113,3 @@ def _compiled_for():
                 "features": sorted(name for name, is_there in features.items() if is_there)}
     except (ImportError, RuntimeError):
         return {"target": None, "features": None}
-
-
-def _cpu_name():
-    """The processor's name for people, or None."""
-    try:
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    except OSError:
-        pass
-    return None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command `liegroup_sim`: describe and run scenes, analyse recordings, push, show a demo.
+"""The command `liegroup_sim`: describe, measure and run scenes, analyse recordings, push, demo.
 
 Exit code 0 when it is done, 2 and one line on stderr when something given to it is wrong, 1 when a
 simulation had to stop, 130 after Ctrl-C, 141 when nobody reads what it says.
@@ -14,7 +14,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from liegroup_core.errors import LieGroupSimError
 
 from . import (__version__, analyze_logs, demo, describe, figures, info, offline, push, recover,
-               replay)
+               replay, trade)
 from .analyze_logs import AnalysisError
 from .demo import DemoError
 from .figures import FiguresError
@@ -24,9 +24,10 @@ from .player_file import PlayError
 from .push import PushError
 from .recording import RecordingError
 from .report.replay import ReplayError
+from .trade import TradeError
 
 WRONG_INPUT = (LieGroupSimError, RecordingError, AnalysisError, DemoError, FiguresError,
-               OutputError, PlayError, PushError, ReplayError, RunError)
+               OutputError, PlayError, PushError, ReplayError, RunError, TradeError)
 EXIT_WRONG_INPUT, EXIT_INTERRUPTED, EXIT_UNREAD = 2, 130, 141
 
 
@@ -38,7 +39,8 @@ def make_parser():
         "a ROS installation: ros2 run liegroup_sim_ros sim_node --ros-args -p scene:=heavy_top")
     parser.add_argument("--version", action="version", version=f"liegroup_sim {__version__}")
     subparsers = parser.add_subparsers(metavar="COMMAND", required=True)
-    for command in (demo, describe, offline, analyze_logs, replay, info, recover, push, figures):
+    for command in (demo, describe, trade, offline, analyze_logs, replay, info, recover, push,
+                    figures):
         command.add_parser(subparsers)
     return parser
 

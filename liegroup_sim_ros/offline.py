@@ -14,14 +14,17 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from liegroup_core import Simulation, SimulationError, load_scene
 from liegroup_core.integrators.methods import GROUPS, METHODS
-from liegroup_core.simulation import STABILISATIONS
+from liegroup_core.simulation import METHOD, STABILISATIONS, STEP
+from liegroup_core.study.accuracy import choose
 
 from .offline_files import ArrayFile, LogFile, OutputError
 
 EXIT_STOPPED = 1
 AT_ONCE = 10_000                            # steps between two looks at the clock, at most
 REDRAW = 0.1                                # s
-OPTIONS = ("dexpinv", "space", "rtol", "atol", "rho_inf")     # handed on to the method if given
+# Handed on to Simulation if given.
+SETTINGS = ("method", "step", "group", "stabilisation", "baumgarte_time",
+            "dexpinv", "space", "rtol", "atol", "rho_inf")
 
 
 class RunError(Exception):
@@ -43,15 +46,21 @@ def add_parser(subparsers):
     parser.add_argument("--every", type=int, default=10, metavar="STEPS",
                         help="steps from one sample to the next; the last state is always one "
                         "(default: %(default)s)")
-    parser.add_argument("--method", default="rkmk4", metavar="NAME",
-                        help=f"{', '.join(METHODS)} (default: %(default)s)")
-    parser.add_argument("--step", type=float, default=1e-3, metavar="S",
-                        help="step size in s (default: %(default)g)")
-    parser.add_argument("--group", default="auto", metavar="NAME",
+    parser.add_argument("--accuracy", type=float, metavar="X",
+                        help="in place of method, step, group and stabilisation: the cheapest "
+                        "that keeps this error, positions in parts of the scene's length and attitudes "
+                        "in rad; measured once for a scene on a machine (docs/trade.md)")
+    parser.add_argument("--horizon", type=float, metavar="S", help="simulated time over which the "
+                        "accuracy is promised (default: what suits the scene, at most 10)")
+    parser.add_argument("--method", metavar="NAME",
+                        help=f"{', '.join(METHODS)} (default: {METHOD})")
+    parser.add_argument("--step", type=float, metavar="S",
+                        help=f"step size in s (default: {STEP:g})")
+    parser.add_argument("--group", metavar="NAME",
                         help=f"{' or '.join(GROUPS)}; auto: se3, but so3xr3 for methods that have "
-                        "no other (default: %(default)s)")
-    parser.add_argument("--stabilisation", default="none", metavar="KIND",
-                        help=f"{', '.join(STABILISATIONS)} (default: %(default)s)")
+                        "no other (default: auto)")
+    parser.add_argument("--stabilisation", metavar="KIND",
+                        help=f"{', '.join(STABILISATIONS)} (default: none)")
     parser.add_argument("--baumgarte-time", type=float, metavar="S",
                         help="time in which joint errors die out (default: ten steps)")
     parser.add_argument("--dexpinv", metavar="KIND", help="exact or truncated (default: exact)")
@@ -66,18 +75,21 @@ def add_parser(subparsers):
 
 def run(args):
     """Run the subcommand; returns the exit code. Raises SceneError, RunError, OutputError."""
-    options = {name: getattr(args, name) for name in OPTIONS if getattr(args, name) is not None}
+    settings = {name: getattr(args, name) for name in SETTINGS
+                if getattr(args, name) is not None}
     kind = {".npz": ArrayFile, ".mcap": LogFile}.get(Path(args.out).suffix)
     if kind is None:
         raise RunError(f"{args.out}: the name must end in .npz or .mcap")
     if args.every < 1:
         raise RunError(f"--every must be at least 1, got {args.every}")
+    if args.horizon is not None and args.accuracy is None:
+        raise RunError("--horizon goes with --accuracy")
     scene = load_scene(args.scene)
     console = Console(stderr=True)
     try:
         with console.status("starting (the first time on a machine compiles for some 20 s)"):
-            simulation = Simulation(scene, args.method, args.step, args.group,
-                                    args.stabilisation, args.baumgarte_time, **options)
+            simulation = (Simulation(scene, **settings) if args.accuracy is None
+                          else _chosen(scene, args, settings))
     except ValueError as error:             # SceneError, too, is one
         raise RunError(str(error)) from None
     steps = _whole_steps(args.duration, simulation.step)
@@ -102,6 +114,28 @@ def run(args):
         print(f"{args.out}: {simulation.time:.9g} s in {steps} steps, {file.count} samples, "
               f"{wall:.3g} s of wall time")
     return code
+
+
+def _chosen(scene, args, settings):
+    """Simulation that keeps the accuracy asked for. Raises RunError, AccuracyError, SceneError."""
+    if settings:
+        name = next(iter(settings)).replace("_", "-")
+        raise RunError(f"--accuracy takes the place of --{name}: leave one of the two away")
+
+    def usable(step):
+        try:
+            return _whole_steps(args.duration, step) > 0
+        except RunError:
+            return False
+
+    _whole_steps(args.duration, args.duration)      # a duration that is none is refused as such
+    choice = choose(scene, args.accuracy, args.horizon, usable,
+                    tell=lambda text: print(f"liegroup_sim: {text}", file=sys.stderr))
+    print(f"liegroup_sim: {choice}", file=sys.stderr)
+    if args.duration > choice.promise["horizon"]:
+        print(f"liegroup_sim: the accuracy is promised for the first "
+              f"{choice.promise['horizon']:g} s; give --horizon for more", file=sys.stderr)
+    return choice.simulation()
 
 
 def _simulate(simulation, steps, every, file, console):

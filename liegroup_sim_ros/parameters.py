@@ -15,13 +15,14 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 
 from liegroup_core.integrators.methods import GROUPS, METHODS
-from liegroup_core.simulation import STABILISATIONS
+from liegroup_core.simulation import METHOD, STABILISATIONS, STEP
 
 QOS_PREFIX = "qos_overrides."
 RELIABILITIES = ("reliable", "best_effort")
 DEEPEST = 1_000_000                         # messages that a topic may keep
 LONGEST_SHOWN = 60                          # characters of a wrong value in its error
 HOLDS = ("one_step", "timeout", "until_replaced")
+CHOSEN = ("method", "stabilisation", "group", "step")      # what an accuracy takes the place of
 
 
 class ParameterError(Exception):
@@ -49,12 +50,17 @@ def _rate(name, default, text):
 TABLE = (
     Entry("scene", "", "scene file (YAML), or the name of one that comes along; a new one is "
           "taken by ~/reload", read_only=False),
-    Entry("method", "rkmk4", "integration method", choices=tuple(METHODS)),
+    Entry("accuracy", 0.0, "in place of method, stabilisation, group and step: the cheapest that "
+          "keeps this error in real time, positions in parts of the scene's length and attitudes "
+          "in rad; measured once for a scene on a machine, see trade.md; 0: not", low=0.0, high=1.0),
+    Entry("accuracy_horizon", 0.0, "simulated time from the start over which the accuracy is "
+          "promised, s; 0: what suits the scene", low=0.0, high=1e6),
+    Entry("method", METHOD, "integration method", choices=tuple(METHODS)),
     Entry("stabilisation", "none", "what is done about joints that open by errors of integration",
           choices=STABILISATIONS),
     Entry("group", "auto", "configuration space of a body: SE(3) or SO(3) x R^3; auto: the former, "
           "but the latter for methods that have no other", choices=("auto", *GROUPS)),
-    Entry("step", 1e-3, "step size, s", low=0.0, high=10.0, above=True),
+    Entry("step", STEP, "step size, s", low=0.0, high=10.0, above=True),
     Entry("real_time_factor", 1.0, "simulated seconds per second; 0: as fast as it goes",
           read_only=False, low=0.0, high=1e6),
     Entry("start_paused", False, "wait for ~/resume or ~/step"),
@@ -120,8 +126,9 @@ def read_parameters(node):
 
     node : was created with automatically_declare_parameters_from_overrides=True; that is how
            names that nobody knows, which ROS would ignore, are seen and refused
-    returns the values, `.steps`: {rate: steps between two messages, 0 for none}, and `.qos`: names
-            of parameters for the quality of service, which qos.py reads
+    returns the values, `.steps`: {rate: steps between two messages, 0 for none}, which with an
+            accuracy `set_step` says when a step is chosen, and `.qos`: names of parameters for
+            the quality of service, which qos.py reads
     raises ParameterError
     """
     given = {name: parameter.value for name, parameter in node.get_parameters_by_prefix("").items()
@@ -137,8 +144,13 @@ def read_parameters(node):
         value = check(entry.name, given.get(entry.name, entry.default))
         node.declare_parameter(entry.name, value, _descriptor(entry), ignore_override=True)
         setattr(values, entry.name, value)
-    values.steps = {name: _whole_steps(name, getattr(values, name), values.step)
-                    for name in _ENTRIES if name.endswith("_rate")}
+    if values.accuracy:
+        for name in CHOSEN:
+            if name in given:
+                raise ParameterError(f"parameter accuracy: takes the place of {name}: leave one "
+                                     "of the two away")
+    else:
+        set_step(values, values.step)
     values.qos = [name for name in given if name.startswith(QOS_PREFIX)]
     for name in values.qos:
         _check_qos(name, given[name])
@@ -146,6 +158,25 @@ def read_parameters(node):
         raise ParameterError("parameter publish_rate: must be greater than 0 to record: "
                              "recordings are made of poses and twists")
     return values
+
+
+def set_step(values, step):
+    """Set `.step` and with it `.steps` of the values. Raises ParameterError."""
+    values.steps = {name: _whole_steps(name, getattr(values, name), step)
+                    for name in _ENTRIES if name.endswith("_rate")}
+    values.step = step
+
+
+def step_fits(values, step):
+    """Whether a step is allowed and all rates are whole numbers of it."""
+    try:
+        check("step", step)
+        for name in _ENTRIES:
+            if name.endswith("_rate"):
+                _whole_steps(name, getattr(values, name), step)
+    except ParameterError:
+        return False
+    return True
 
 
 def watch_parameters(node, changed):

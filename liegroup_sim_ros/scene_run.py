@@ -4,10 +4,11 @@ import threading
 from concurrent.futures import Future, wait
 
 from liegroup_core import SceneError, Simulation, load_scene
+from liegroup_core.study.accuracy import choose
 
 from . import attachments
 from .outputs import Outputs
-from .parameters import ParameterError
+from .parameters import ParameterError, set_step, step_fits
 from .qos import QosOverrides
 from .recorder import Recorder
 from .server import SimulationServer
@@ -38,6 +39,7 @@ class SceneRun:
         self.recorder = None
         layout = simulation.layout
         self._values, self._more = values, {}
+        self._sample_steps = values.steps["publish_rate"]
         base_ns, origin, path, part, bag = 0, "", values.record, 1, values.record_metadata or None
         if before is not None:
             base_ns = before.server.stamp_ns + max(1, round(simulation.step * 1e9))
@@ -59,10 +61,11 @@ class SceneRun:
         self.outputs = Outputs(node, layout, values, self._figures, qos)
         if path and (values.record_split_size or values.record_split_duration):
             # Before the samples: the first one of a part is its initial state.
-            self.outputs.timed.insert(0, (values.steps["publish_rate"], self._divide_if_due))
+            self.outputs.timed.insert(0, (self._sample_steps, self._divide_if_due))
         self.server = SimulationServer(simulation, self.outputs, values.real_time_factor, paused,
                                        base_ns, origin)
-        self.wrenches = WrenchTopics(node, layout.body_names, values, self.server, qos)
+        self.wrenches = WrenchTopics(node, layout.body_names, values, simulation.step,
+                                     self.server, qos)
         if before is None:                  # later on, the bodies that were meant may be gone
             qos.check()
         # Last of what can fail: nothing else leaves a trace on the disk.
@@ -85,7 +88,10 @@ class SceneRun:
         count = len(simulation.layout.body_names)
         self._node.get_logger().info(
             f"{simulation.scene.name}: {count} {'body' if count == 1 else 'bodies'}, "
-            f"{simulation.method}, step {simulation.step:g} s, {self.server.state}"
+            f"{simulation.method}, step {simulation.step:g} s"
+            + (f" for an accuracy of {simulation.promise['accuracy']:g} over "
+               f"{simulation.promise['horizon']:g} s" if simulation.promise else "")
+            + f", {self.server.state}"
             + (f", recording to {self.recorder.path}" if self.recorder else ""))
 
     def _attachments(self, stamp_ns, state):
@@ -93,7 +99,7 @@ class SceneRun:
         values = self._values
         return attachments.at_start(
             self.simulation, self._node.get_fully_qualified_name(), values.world_frame,
-            values.steps["publish_rate"], self.outputs.topics(), stamp_ns, state=state,
+            self._sample_steps, self.outputs.topics(), stamp_ns, state=state,
             parameters={name: value for name, value in vars(values).items()
                         if name not in ("steps", "qos")},
             frame_prefix=values.frame_prefix, **self._more)
@@ -169,8 +175,19 @@ def make_simulation(values, signals):
 def _make(values):
     scene = load_scene(values.scene)
     try:
+        if values.accuracy:
+            return _chosen(scene, values)
         return Simulation(scene, values.method, values.step, values.group, values.stabilisation)
     except SceneError:
         raise
     except ValueError as error:
-        raise ParameterError(f"parameter method, step or group: {error}") from None
+        name = "accuracy" if values.accuracy else "method, step or group"
+        raise ParameterError(f"parameter {name}: {error}") from None
+
+
+def _chosen(scene, values):
+    """Simulation that keeps the accuracy asked for, in the real time asked for."""
+    choice = choose(scene, values.accuracy, values.accuracy_horizon or None,
+                    lambda step: step_fits(values, step), values.real_time_factor)
+    set_step(values, choice.settings["step"])
+    return choice.simulation()

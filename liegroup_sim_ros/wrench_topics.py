@@ -17,12 +17,13 @@ class WrenchTopics:
     node   : rclpy Node
     bodies : names of the bodies
     values : parameters; wrench_hold and wrench_timeout are read anew for every message
-    qos    : QosOverrides
+    step   : s, of the simulation
     server : SimulationServer
+    qos    : QosOverrides
     """
 
-    def __init__(self, node, bodies, values, server, qos):
-        self._node, self._values, self._server = node, values, server
+    def __init__(self, node, bodies, values, step, server, qos):
+        self._node, self._values, self._step, self._server = node, values, step, server
         self.input = WrenchInput(bodies, values.world_frame, values.frame_prefix)
         self._qos, self._subscriptions = qos, []
         self._listen("~/wrench", "wrench")
@@ -48,7 +49,7 @@ class WrenchTopics:
             return
         values = self._values
         hold = "until_replaced" if kind == "persistent" else values.wrench_hold
-        self._server.push(push, {"one_step": values.step, "timeout": values.wrench_timeout,
+        self._server.push(push, {"one_step": self._step, "timeout": values.wrench_timeout,
                                  "until_replaced": None}[hold])
 
     def _clear(self, message):

@@ -113,6 +113,11 @@ class Reference:
                       for tolerance in (rtol, LOOSER * rtol)]
         self._apart = None
 
+    @property
+    def steps(self):
+        """Steps that the tighter of its two integrations has taken so far."""
+        return self._runs[0].taken
+
     def at(self, times):
         """(Trajectory, its uncertainty so far) at (k,) increasing times after those before."""
         times = np.asarray(times, dtype=float)
@@ -185,7 +190,7 @@ class _Run:
         self._state, self._reached = state, start
         self._solver = self._dense = self._step = None
         self._singular = [1.0, 0.0]
-        self._taken = 0
+        self.taken = 0
 
     def at(self, times):
         """States (k, 13 n + t) at increasing times."""
@@ -212,8 +217,8 @@ class _Run:
                 return False
             self._begin(*self._waiting.pop(0))
         solver = self._solver
-        self._taken += 1
-        if self._taken > MOST_STEPS:
+        self.taken += 1
+        if self.taken > MOST_STEPS:
             raise SimulationError(f"the reference integration stopped at {solver.t:.6g} s: it has "
                                   f"taken {MOST_STEPS} steps; compare a shorter time")
         message = solver.step()

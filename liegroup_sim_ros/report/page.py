@@ -54,11 +54,20 @@ def make_page(parts, comparison=None, exceeded=(), bounds=()):
         plots = difference_plot(comparison[1])
         data.append({"plots": [plot for *_, plot in plots], "view": None})
         rows = _rows("Compared with the other recording", comparison_rows(comparison[0]))
-        drawn = "".join(_plot(title, remark) for title, remark, _ in plots)
+        drawn = "".join(plot_card(title, remark) for title, remark, _ in plots)
         body += (f'<h2>Compared with {escape(comparison[0]["logs"][1])}</h2>'
                  f'<div class="cards" data-part="{len(parts)}">{drawn}{rows}</div>')
     title = (f'{parts[0]["figures"]["scene"]}: how wrong is this run?' if one else
              f"{len(parts)} recordings: how wrong are they?")
+    return frame(title, body, data)
+
+
+def frame(title, body, data):
+    """Text of a page of our looks, without network.
+
+    body : HTML; what is drawn stands in elements with data-part="k", see page.js
+    data : of each part {"plots": as plotly.js has them, "view": of view.py or None}
+    """
     resources = files(__package__)
     style, code = ((resources / f"page.{kind}").read_text(encoding="utf-8")
                    for kind in ("css", "js"))
@@ -92,7 +101,7 @@ def _one(part, number, exceeded=(), bounds=()):
     figures = part["figures"]
     problems = [*exceeded, *figures["problems"]]
     return (f'<header><h1>{escape(figures["scene"])}</h1>{_state(len(problems))}</header>'
-            f'<p class="verdict">{_unbroken(figures["verdict"])}</p>'
+            f'<p class="verdict">{unbroken(figures["verdict"])}</p>'
             + _problems(problems) + _bounds(bounds, exceeded) + _tiles(figures)
             + (f'<p class="soft">{escape(part["description"])}</p>' if part["description"] else "")
             + f'<div data-part="{number}">{_drawn(part)}</div>' + _told(part))
@@ -122,7 +131,7 @@ def _several(parts, exceeded, bounds):
     for k, (part, name) in enumerate(zip(parts, names)):
         figures = part["figures"]
         inside = (_problems([figures["failed"]]) if "failed" in figures else
-                  f'<p class="verdict">{_unbroken(figures["verdict"])}</p>'
+                  f'<p class="verdict">{unbroken(figures["verdict"])}</p>'
                   + _problems(figures["problems"]) + _tiles(figures) + _drawn(part) + _told(part))
         body += (f'<details class="log" id="log{k}" data-part="{k}"><summary>{escape(name)}'
                  f"</summary>{inside}</details>")
@@ -140,8 +149,8 @@ def _listed(found, names, wrong, exceeded):
 
 def _drawn(part):
     return (_view(part["view"], bool(part["plots"])) if part["view"] else "") + (
-        '<div class="cards">' + "".join(_plot(title, remark) for title, remark, _ in part["plots"])
-        + "</div>")
+        '<div class="cards">' + "".join(
+            plot_card(title, remark) for title, remark, _ in part["plots"]) + "</div>")
 
 
 def _told(part):
@@ -162,7 +171,8 @@ def _text(value):
     return "-" if value is None else value if isinstance(value, str) else json.dumps(value)
 
 
-def _plot(title, remark):
+def plot_card(title, remark):
+    """HTML of the place where page.js draws the next plot of a part."""
     return (f'<section class="card"><h3>{escape(title)}</h3><p class="remark">{escape(remark)}</p>'
             '<div class="plot plane"></div></section>')
 
@@ -184,14 +194,14 @@ def _view(view, has_plots):
 
 def _rows(title, rows):
     return (f'<section class="card"><h3>{escape(title)}</h3><table class="rows">' + "".join(
-        f"<tr><td>{escape(what)}</td><td{_alarm(value)}>{_unbroken(value)}</td>"
-        f"<td>{_unbroken(remark)}</td></tr>" for what, value, remark in rows)
+        f"<tr><td>{escape(what)}</td><td{_alarm(value)}>{unbroken(value)}</td>"
+        f"<td>{unbroken(remark)}</td></tr>" for what, value, remark in rows)
         + "</table></section>")
 
 
 def _tiles(figures):
-    tiles = "".join(f"<div><span>{escape(what)}</span><b{_alarm(value)}>{_unbroken(value)}</b>"
-                    f"<span>{_unbroken(remark)}</span></div>"
+    tiles = "".join(f"<div><span>{escape(what)}</span><b{_alarm(value)}>{unbroken(value)}</b>"
+                    f"<span>{unbroken(remark)}</span></div>"
                     for what, value, remark in headline(figures))
     return f'<div class="tiles">{tiles}</div>'
 
@@ -222,7 +232,7 @@ def _shortened(text):
     return escape(text) if more <= 0 else escape(text[:LONGEST]) + f"\n... {more} more characters"
 
 
-def _unbroken(text):
+def unbroken(text):
     """Escaped, and no line ends within a number or before its unit."""
     parts, at = [], 0
     for number in NUMBER.finditer(text):        # before it is escaped: entities hold digits, too

@@ -18,16 +18,22 @@ EXACT_SAMPLES = 200         # each takes some 10 ms
 
 
 class Errors:
-    """Largest and last errors, and curves of them, of pieces of trajectories."""
+    """Largest and last errors, and curves of them, of pieces of trajectories.
 
-    def __init__(self, expected):
+    promise : report.promise.Promise that takes them up, too, or None
+    """
+
+    def __init__(self, expected, promise=None):
+        self._promise = promise
         self._every = -(-expected // MOST_POINTS)
         self._max = dict.fromkeys((name for name, _ in QUANTITIES), 0.0)
         self._final, self._known = {}, dict(self._max)
         self._curves, self.seconds = {}, 0.0
 
-    def add(self, key, log_times, error, uncertainty):
-        """Take up two Distances at k times; key : tells one curve from another."""
+    def add(self, stretch, times, log_times, error, uncertainty):
+        """Take up two Distances at k times of a Stretch."""
+        if self._promise is not None:
+            self._promise.add(stretch, times, error, uncertainty)
         for name, _ in QUANTITIES:
             values, known = getattr(error, name), getattr(uncertainty, name)
             self._max[name] = float(np.maximum(self._max[name], values.max()))
@@ -35,7 +41,7 @@ class Errors:
             self._final[name] = float(values[-1].max())
         worst = error.position.max(axis=1), error.angle.max(axis=1)
         rows = np.union1d(*(extremes(part, self._every) for part in worst))
-        self._curves.setdefault(key, []).append(tuple(part[rows] for part in (
+        self._curves.setdefault(id(stretch), []).append(tuple(part[rows] for part in (
             log_times, *worst, uncertainty.position.max(axis=1), uncertainty.angle.max(axis=1))))
 
     def figures(self, **more):
@@ -51,12 +57,13 @@ class ReferenceError:
     """Distance to an independent tight integration, whose uncertainty is its distance to a looser.
 
     seconds : of simulated time to look at, of all stretches together
+    promise : as of Errors
     """
 
-    def __init__(self, layout, recording, expected, seconds=np.inf):
+    def __init__(self, layout, recording, expected, seconds=np.inf, promise=None):
         self._scene, self._starts = layout.scene, Starts(recording, layout)
         self._left, self._judged = seconds, 0.0
-        self._errors = Errors(expected)
+        self._errors = Errors(expected, promise)
         self._stretch = None
 
     def add(self, block):
@@ -87,21 +94,22 @@ class ReferenceError:
         self._start = reached
         error = distance(Trajectory(times[:k], block.rotation[:k], block.position[:k],
                                     block.twist[:k]), exact)
-        self._errors.add(id(stretch), block.log_times[:k], error, uncertainty)
+        self._errors.add(stretch, times[:k], block.log_times[:k], error, uncertainty)
 
     def figures(self):
         """(figures, curves), see Errors."""
         return self._errors.figures(kind="integration", seconds=self._judged)
 
 
-def exact_error(exact, motion):
-    """(figures, curves) against an exact solution, see exact.py; over the whole run."""
-    errors = Errors(EXACT_SAMPLES)
+def exact_error(exact, motion, promise=None):
+    """(figures, curves) against an exact solution, see liegroup_core.reference.exact; of all."""
+    errors = Errors(EXACT_SAMPLES, promise)
     for stretch in motion.stretches:
         k = len(stretch.steps)
         rows = np.unique(np.linspace(0, k - 1, min(k, EXACT_SAMPLES)).astype(int))
         found = exact.at(stretch.times[rows])
         error = distance(Trajectory(None, stretch.rotation[rows], stretch.position[rows],
                                     stretch.twist[rows]), found)
-        errors.add(id(stretch), stretch.log_times[rows], error, exact.uncertainty(found))
+        errors.add(stretch, stretch.times[rows], stretch.log_times[rows], error,
+                   exact.uncertainty(found))
     return errors.figures(kind=exact.name, seconds=sum(s.seconds for s in motion.stretches))

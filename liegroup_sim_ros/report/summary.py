@@ -5,6 +5,8 @@ import math
 from liegroup_core.model.joint_watch import OPEN
 from liegroup_core.pacing import SLOW
 
+from .promise import told
+
 UNSURE = 0.1            # part of an error beyond which its uncertainty is told with it
 MOST_JOINTS = 8         # in the table; the others are in the JSON
 NO_NUMBER = ("not a number", "infinite")
@@ -47,6 +49,9 @@ def find_problems(figures):
     problems += [f"the run stopped with an error: {text}" for text in figures["faults"]]
     problems += _open_joints(figures)
     problems += _replay_problems(figures)
+    promise = figures.get("promise")
+    if promise and promise["kept"] is False:
+        problems.append(told(promise))
     timing = figures["timing"]
     factor, wanted = timing.get("real_time_factor"), timing["factor_wanted"]
     if wanted and factor is not None and not factor >= SLOW * wanted:
@@ -112,6 +117,8 @@ def verdict(figures):
                 f" in the first {shown(reference['seconds'], 's')}")
         said.append(f"off by at most {_error(reference['position'])} and "
                     f"{_error(reference['angle'])}{part}")
+    if figures.get("promise"):
+        said.append(told(figures["promise"]))
     if figures.get("joints"):
         worst = max(figures["joints"].values(), key=lambda joint: joint["largest"])
         said.append(f"joints closed to {shown(worst['largest'], worst['unit'])}")

@@ -25,13 +25,15 @@ forces:
 
 
 def record(path, scene, steps, step=2e-3, per_sample=10, group="se3", pushes=(), resets=(),
-           spoil=lambda topic, k, data: data, pacing=PACING, end=True):
+           spoil=lambda topic, k, data: data, pacing=PACING, end=True, promise=None):
     """Record a run of so many steps.
 
     pushes : {step: (body, wrench)}, resets : steps at which to go back to the start
+    promise : of an accuracy, as in Simulation
     spoil  : may change a message, or drop it by returning None; k counts those of a topic
     """
     simulation = Simulation(scene, "rkmk4", step, group)
+    simulation.promise = promise
     bodies = [body.name for body in scene.bodies]
     topics = {"pose": {b: f"/sim_node/{b}/pose" for b in bodies},
               "twist": {b: f"/sim_node/{b}/twist" for b in bodies},

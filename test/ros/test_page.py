@@ -2,6 +2,7 @@
 """The page of `liegroup_sim analyze --html` in a browser, for readers and for attackers."""
 import json
 import re
+import sys
 
 import numpy as np
 import pytest
@@ -179,6 +180,7 @@ def test_hostile_names(browser, tmp_path, monkeypatch):
                                   "t => t.textContent).join()")
     assert browser.run("document.querySelectorAll('main script, main img, main b b').length") == 0
     several = tmp_path / "b.html"
+    monkeypatch.setitem(sys.modules, "dask", None)      # other processes know nothing of the patch
     assert main(["analyze", str(log), str(log), "--no-reference", "--html", str(several)]) == 0
     browser.open(several)
     assert browser.run("document.querySelector('.logs a').textContent") == str(log)

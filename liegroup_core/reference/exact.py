@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Exact motions of the scenes that have one: free bodies, and the symmetric heavy top.
 
-By Jacobi's elliptic functions (liegroup_core.reference.elliptic), for which mpmath is needed; no
-steps are taken, so a run of any length is judged at any of its times.
+By Jacobi's elliptic functions (elliptic.py), for which mpmath is needed; no steps are taken, so a
+run of any length is judged at any of its times.
 """
 import numpy as np
 
-from liegroup_core.reference import Distance, Trajectory
-
-from .replay import initial_state
+from .trajectory import Distance, Trajectory
 
 DIGITS = 25                 # more than float64 has, after the loss next to a separatrix
 # Of an inertia: what is less than round-off is no asymmetry.
@@ -16,16 +14,18 @@ ROUND_OFF = 1e-14
 EPS = np.finfo(float).eps
 
 
-def exact_solution(layout, recording):
-    """An Exact motion of the scene of a layout without wrenches, or None."""
+def exact_solution(layout, pose, twist):
+    """An Exact motion of the scene of a layout without wrenches, or None.
+
+    pose (n, 12), twist (n, 6) at time 0, of the frames at the centres of mass
+    """
     try:
-        from liegroup_core.reference import elliptic
+        from . import elliptic
     except ImportError:                     # no mpmath
         return None
     scene = layout.centred
-    if scene.forces or recording.initial_state.get("steps"):
+    if scene.forces:
         return None
-    pose, twist, _ = initial_state(recording)
     if not scene.joints:
         return Exact("free bodies", layout, pose, twist, [
             _free_body(elliptic, body, state, turn, scene.gravity)

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measure the trade of every scene that comes along, and write docs/which_method.md from it.
+
+    python benchmarks/trade_all.py
+    python benchmarks/trade_all.py --write          only write the page again, from its JSON
+
+What was measured before of the same scene, version and processor is taken over, so a call that was
+ended goes on; to measure costs anew, remove the folder `trades` in the cache folder
+(~/.cache/liegroup_core, or LIEGROUP_CACHE_DIR). Then, for each scene and accuracy, the setting
+that `accuracy` chooses is run and held against the truth at other instants than the trade's.
+"""
+import argparse
+import json
+import os
+import sys
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+
+from liegroup_core import load_scene
+from liegroup_core.model.build import initial_state
+from liegroup_core.reference import Reference, Trajectory, distance
+from liegroup_core.study import accuracy
+from liegroup_core.study.accuracy import AccuracyError, choose
+from liegroup_core.study.trade import ACCURACIES, BUDGET, Trade
+from liegroup_core.study.truth import scaled
+from liegroup_sim_ros.report.trade_figures import document_part
+from side_by_side import trade_page
+
+ROOT = Path(__file__).resolve().parent.parent
+DATA, PAGE = ROOT / "docs" / "which_method.json", ROOT / "docs" / "which_method.md"
+INSTANTS = 1000             # at most, of a horizon, at which a promise is looked at
+
+
+def measure(scene, methods, workers, budget):
+    """(Trade, the part of the document) of a scene."""
+    trade = Trade(scene, tell=lambda text: print(f"  {text}", flush=True))
+    count = 0
+    for _ in trade.measure(methods, workers=workers, budget=budget):
+        count += 1
+    print(f"  {count} settings measured, {len(trade.cells)} known", flush=True)
+    return trade, document_part(trade)
+
+
+def promises(scene, trade):
+    """[{accuracy, setting or refusal, promised error, measured error}] of each of ACCURACIES."""
+    found, runs = [], []
+    for wanted in ACCURACIES:
+        try:
+            choice = choose(scene, wanted, trade.horizon)
+        except AccuracyError as error:
+            found.append({"accuracy": wanted, "refused": str(error)})
+            continue
+        simulation = choice.simulation()
+        total = round(trade.horizon / simulation.step)
+        every = max(1, -(-total // INSTANTS))
+        motion = []
+        for _ in range(total // every):
+            simulation.advance(every)
+            sample = simulation.sample()
+            motion.append((sample.time, sample.pose, sample.twist))
+        entry = {"accuracy": wanted, "settings": choice.settings, "promise": choice.promise}
+        found.append(entry)
+        runs.append((entry, motion))
+    if not runs:
+        return found
+    times = np.unique(np.concatenate([[row[0] for row in motion] for _, motion in runs]))
+    pose, twist = initial_state(trade.layout.centred)
+    true, apart = Reference(scene, pose, twist, end=times[-1]).at(times)
+    known = scaled(apart.position, apart.angle, trade.truth.length)
+    for entry, motion in runs:
+        rows = np.searchsorted(times, [row[0] for row in motion])
+        poses = np.array([row[1] for row in motion])
+        k, n = poses.shape[:2]
+        off = distance(Trajectory(times[rows], poses[..., :9].reshape(k, n, 3, 3), poses[..., 9:],
+                                  np.array([row[2] for row in motion])),
+                       Trajectory(*(part[rows] for part in true)))
+        entry |= {"measured": scaled(off.position, off.angle, trade.truth.length),
+                  "known": known, "instants": k}
+    return found
+
+
+def condensed(part):
+    """A part with those cells alone that stand in one of its lists."""
+    wanted = sorted({*part["front"], *(entry["cell"] for entry in part["cheapest"]
+                                       if entry["cell"] is not None)})
+    place = {k: i for i, k in enumerate(wanted)}
+    stopped = sum(bool(cell["stopped"]) for cell in part["cells"])
+    flagged = sum(bool(cell.get("flagged")) for cell in part["cells"])
+    return part | {
+        "settings": len(part["cells"]), "stopped": stopped, "flagged": flagged,
+        "methods": trade_page.by_method(part), "cells": [part["cells"][k] for k in wanted],
+        "front": [place[k] for k in part["front"]],
+        "cheapest": [entry | {"cell": None if entry["cell"] is None else place[entry["cell"]]}
+                     for entry in part["cheapest"]]}
+
+
+def main():
+    """Measure and write; with --write only the latter."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--write", action="store_true", help="only write the page again")
+    parser.add_argument("--workers", type=int, help="processes (default: one for each core)")
+    parser.add_argument("--methods", nargs="+", help="default: all that fit")
+    parser.add_argument("--budget", type=float, default=BUDGET,
+                        help="CPU seconds of a run at most (default: %(default)g)")
+    parser.add_argument("scenes", nargs="*", help="these alone; the others stay as they are")
+    args = parser.parse_args()
+    accuracy.BUDGET = args.budget           # a choice measures no more than that
+    known = {part["scene"]: part for part in json.loads(DATA.read_text())["scenes"]} \
+        if DATA.exists() else {}
+    names = args.scenes or sorted(path.stem for path in (ROOT / "config/scenes").glob("*.yaml"))
+    for name in () if args.write else names:
+        print(name, flush=True)
+        scene = load_scene(name)
+        trade, part = measure(scene, args.methods, args.workers, args.budget)
+        known[name] = condensed(part) | {"promises": promises(scene, trade)}
+        parts = [known[key] for key in sorted(known)]
+        DATA.write_text(json.dumps({"format": 1, "scenes": parts}, indent=1, allow_nan=False)
+                        + "\n")
+    PAGE.write_text(trade_page.text(json.loads(DATA.read_text())["scenes"]))
+    print(f"wrote {PAGE}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What two workers gain: the same trade with one and with two, and that its errors are the same.
+
+    python benchmarks/trade_scaling.py
+
+Wall time, so on a machine that does nothing else. The efficiency is that of the measuring alone,
+and that with the start of the workers, which takes a few seconds once.
+"""
+import json
+import os
+import tempfile
+import time
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from liegroup_core import load_scene
+from liegroup_core.study.store import Store
+from liegroup_core.study.trade import Trade
+
+SCENE, HORIZON, BUDGET = "heavy_top", 2.0, 0.5
+STEPS = [1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5]
+METHODS = ["rkmk2", "rkmk3", "rkmk4", "rkmk8"]
+
+
+def measured(workers):
+    """(cells, wall time s, wall time from the first result on s) of a fixed list of runs."""
+    with tempfile.TemporaryDirectory() as folder:
+        trade = Trade(load_scene(SCENE), HORIZON, Store(load_scene(SCENE), folder))
+        start, first = time.perf_counter(), None
+        for _ in trade.measure(METHODS, steps=STEPS, workers=workers):
+            first = first or time.perf_counter()
+        end = time.perf_counter()
+        return trade.cells, end - start, end - first
+
+
+def main():
+    """Print the figures."""
+    measured(1)                             # compiles
+    one, two = measured(1), measured(2)
+    same = [json.dumps({key: value for key, value in cell.items()
+                        if key not in ("cost_us", "timings")}) for cell in one[0]] == [
+        json.dumps({key: value for key, value in cell.items()
+                    if key not in ("cost_us", "timings")}) for cell in two[0]]
+    print(f"{len(one[0])} runs, {os.cpu_count()} cores; errors {'the same' if same else 'DIFFER'}")
+    print("workers   wall s   without the start s   CPU s of the runs")
+    for workers, (cells, wall, rest) in ((1, one), (2, two)):
+        cpu = sum(cell["cost_us"] * 1e-6 * HORIZON * cell["timings"] for cell in cells)
+        print(f"{workers:7d} {wall:8.1f} {rest:21.1f} {cpu:19.1f}")
+    print(f"efficiency of two: {one[1] / two[1] / 2:.2f}, without the start "
+          f"{one[2] / two[2] / 2:.2f}")
+
+
+if __name__ == "__main__":
+    main()

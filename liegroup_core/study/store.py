@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What was measured of a scene, kept between runs: files in the cache folder of the user.
+
+    trades/NAME-KEY/horizon.json        the horizon that suits the scene
+    trades/NAME-KEY/HORIZON/truth.npz       the true motion, see truth.py
+    trades/NAME-KEY/HORIZON/cells.jsonl     a measured cell a line, see measure.py
+
+KEY is of the scene's text, of our sources and of the versions that numbers depend on: what is
+another scene or version finds nothing. The processor stands in each cell. A cell is written as
+soon as it is measured, so whatever ends a run loses none. All of it may be deleted at any time.
+"""
+import hashlib
+import json
+import logging
+import os
+import platform
+import re
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from zipfile import BadZipFile
+
+from .._compile import cache_root, source_digest
+from .machine import cpu_name
+from .settings import as_time
+from .truth import as_bytes, truth_from
+
+log = logging.getLogger("liegroup_core")
+
+# Of what the files hold and of how it is measured.
+FORMAT = 1
+PACKAGES = ("numpy", "scipy", "numba", "mpmath")
+
+
+def key_of(text):
+    """The key of a scene's text with these sources and versions."""
+    digest = hashlib.sha256(f"{FORMAT} {source_digest()} {platform.python_version()}".encode())
+    for package in PACKAGES:
+        try:
+            digest.update(f" {package} {version(package)}".encode())
+        except PackageNotFoundError:
+            digest.update(f" no {package}".encode())
+    digest.update(text.encode())
+    return digest.hexdigest()[:16]
+
+
+class Store:
+    """The files of one scene; without a folder that can be written, nothing is kept.
+
+    root : folder; None: that of the user's cache
+    """
+
+    def __init__(self, scene, root=None):
+        root = cache_root() if root is None else Path(root)
+        name = re.sub(r"[^A-Za-z0-9_.]", "_", scene.name)[:40]
+        self.folder = root and root / "trades" / f"{name}-{key_of(scene.text)}"
+
+    def horizon(self):
+        """The horizon that suits the scene, or None."""
+        try:
+            return as_time(json.loads((self.folder / "horizon.json").read_text()))
+        except (OSError, ValueError, TypeError):
+            return None
+
+    def truth(self, horizon):
+        """The Truth over a horizon, or None."""
+        try:
+            return truth_from(self._of(horizon) / "truth.npz")
+        except (OSError, TypeError, ValueError, KeyError, BadZipFile):
+            return None
+
+    def keep_truth(self, truth, suits):
+        """Keep a Truth; suits : its horizon is that which suits the scene."""
+        def write():
+            self._of(truth.horizon).mkdir(parents=True, exist_ok=True)
+            _write(self._of(truth.horizon) / "truth.npz", as_bytes(truth))
+            if suits:
+                _write(self.folder / "horizon.json", str(float(truth.horizon)).encode())
+        self._try(write)
+
+    def cells(self, horizon):
+        """Cells that were measured on this processor, in the order in which they were."""
+        try:
+            lines = (self._of(horizon) / "cells.jsonl").read_text(encoding="utf-8").splitlines()
+        except (OSError, TypeError):
+            return []
+        found = []
+        for line in lines:
+            try:
+                cell = json.loads(line)
+            except ValueError:              # cut off when a process was killed
+                continue
+            if isinstance(cell, dict) and cell.get("cpu") == cpu_name():
+                found.append(cell)
+        return found
+
+    def keep_cell(self, horizon, cell):
+        """Write a cell, at once and as a whole."""
+        line = "\n" + json.dumps(cell, allow_nan=False)     # first: the last one may be cut
+
+        def write():
+            with open(self._of(horizon) / "cells.jsonl", "ab", buffering=0) as stream:
+                stream.write(line.encode())
+        self._try(write)
+
+    def _try(self, write):
+        """Write; from the first failure on nothing more: what is measured is of use without."""
+        if self.folder is None:
+            return
+        try:
+            write()
+        except OSError as error:
+            log.warning("what is measured cannot be kept: %s: %s", error.filename, error.strerror)
+            self.folder = None
+
+    def _of(self, horizon):
+        return self.folder / f"{float(horizon):g}s"
+
+
+def _write(path, data):
+    """Write a file that is either there as a whole or not at all."""
+    part = path.with_name(f"{path.name}.{os.getpid()}")
+    part.write_bytes(data)
+    part.replace(path)

@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A measured trade as JSON types, and as tables in words."""
+from rich.table import Table
+from rich.text import Text
+
+from liegroup_core.study.accuracy import SHARE
+from liegroup_core.study.trade import ACCURACIES, MARGIN
+
+from ..attachments import versions
+from .summary import GROUPS, shown
+
+WIDTH = 130                 # characters; a narrower terminal folds the lines
+CHEAPEST_HEAD = ("accuracy", "setting", "error", "CPU s per s", "times real time")
+FRONT_HEAD = ("error", "CPU s per s", "setting", "rad/s", "m/s", "energy", "momentum", "joints")
+
+
+def document_part(trade):
+    """What a Trade says of its scene, JSON types; config/trade.schema.json describes it."""
+    truth = trade.truth
+    cells = trade.cells
+    number = {id(cell): k for k, cell in enumerate(cells)}
+    cheapest = []
+    for accuracy in ACCURACIES:
+        cell = trade.cheapest(accuracy)
+        cheapest.append({
+            "accuracy": accuracy, "cell": None if cell is None else number[id(cell)],
+            "real_time_factor": None if cell is None else 1e6 / cell["cost_us"]})
+    best = trade.best()
+    in_time = trade.best(lambda cell: cell["cost_us"] * 1e-6 <= SHARE)
+    return {
+        "scene": trade.scene.name, "bodies": len(trade.scene.bodies), "horizon": trade.horizon,
+        "length": truth.length,
+        "reference": {"kind": truth.kind, "known": truth.known, "agrees": truth.agrees,
+                      "position": truth.uncertainty[0], "attitude": truth.uncertainty[1],
+                      "angular": truth.uncertainty[2], "linear": truth.uncertainty[3],
+                      "seconds": truth.seconds},
+        "margin": MARGIN, "versions": versions(), "cells": cells,
+        "front": [number[id(cell)] for cell in trade.front()], "cheapest": cheapest,
+        "best": None if best is None else best[1],
+        "best_in_real_time": None if in_time is None else in_time[1]}
+
+
+def setting(cell):
+    """A cell's setting in words."""
+    tolerance = cell["options"].get("rtol")
+    more = "" if tolerance is None else f", rtol {tolerance:g}"
+    stabilised = "" if cell["stabilisation"] == "none" else f", {cell['stabilisation']}"
+    step = shown(cell["step"] * 1e3, "ms") if cell["step"] < 1.0 else shown(cell["step"], "s")
+    return (f"{cell['method']}, {step}{more}, {GROUPS[cell['group']]}"
+            f"{stabilised}")
+
+
+def error_text(value, known):
+    """An error in words; where the reference is not sure of as much, what it is sure of."""
+    return f"below {shown(known)}" if value <= known else shown(value)
+
+
+def reference_text(part):
+    """What the errors are against, in words."""
+    reference = part["reference"]
+    text = ("an independent integration" if reference["kind"] == "integration"
+            else f"the closed form ({reference['kind']})")
+    if reference["agrees"] is not None:
+        text += f", which an independent integration meets within {shown(reference['agrees'])}"
+    return f"{text}; known to {shown(reference['known'])}"
+
+
+def cheapest_rows(part):
+    """[(accuracy, setting, error, CPU s per s, times real time)], all texts."""
+    rows = []
+    for entry in part["cheapest"]:
+        if entry["cell"] is None:
+            rows.append((f"{entry['accuracy']:g}", f"none: at best {shown(part['best'])}",
+                         "-", "-", "-"))
+            continue
+        cell = part["cells"][entry["cell"]]
+        rows.append((f"{entry['accuracy']:g}", setting(cell),
+                     error_text(cell["error"], part["reference"]["known"]),
+                     shown(cell["cost_us"] * 1e-6), shown(entry["real_time_factor"])))
+    return rows
+
+
+def front_rows(part):
+    """Rows of FRONT_HEAD for the settings that no other beats, all texts."""
+    reference = part["reference"]
+    rows = []
+    for k in part["front"]:
+        cell = part["cells"][k]
+        rows.append((
+            error_text(cell["error"], reference["known"]), shown(cell["cost_us"] * 1e-6),
+            setting(cell), error_text(cell["angular"], reference["angular"]),
+            error_text(cell["linear"], reference["linear"]),
+            shown(cell["energy"]), shown(cell["momentum"]), shown(cell["joints"])))
+    return rows
+
+
+def headline(part):
+    """One sentence."""
+    stopped = sum(bool(cell["stopped"]) for cell in part["cells"])
+    return (f"{part['scene']}: {len(part['cells'])} settings over {shown(part['horizon'], 's')}, "
+            f"{stopped} of which had to stop; {len(part['front'])} that no other beats")
+
+
+def print_trade(part, console):
+    """Tables on a terminal."""
+    console.width = max(console.width, WIDTH)
+    console.print(Text(headline(part), style="bold"))
+    console.print(Text(f"errors against {reference_text(part)}; lengths in parts of "
+                       f"{shown(part['length'], 'm')}", style="dim"))
+    _print(console, f"The cheapest for an accuracy, with a margin of {part['margin']:g}",
+           CHEAPEST_HEAD, cheapest_rows(part))
+    _print(console, "What no other setting beats", FRONT_HEAD, front_rows(part))
+    console.print()
+
+
+def _print(console, title, heads, rows):
+    table = Table(box=None, padding=(0, 2, 0, 0), title=Text(title), title_justify="left",
+                  title_style="bold")
+    for head in heads:
+        table.add_column(Text(head), no_wrap=True)
+    for row in rows:
+        table.add_row(*map(Text, row))
+    console.print()
+    console.print(table)

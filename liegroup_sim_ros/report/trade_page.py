@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The work-precision plot of a trade: on a self-contained page, and as a picture for papers."""
+from html import escape
+
+from .page import frame, plot_card, unbroken
+from .plots import BASE, COLOURS, label
+from .trade_figures import (CHEAPEST_HEAD, FRONT_HEAD, cheapest_rows, front_rows, headline,
+                            reference_text, setting)
+
+DASHES = ("solid", "dash", "dot")
+HEIGHT = 560                # px
+MARKS = ("o", "s", "^", "D", "v", "P")
+LINES = ("-", "--", ":")
+COST, ERROR = "CPU time, s per simulated second", "error, rad or parts of the scene's length"
+
+
+def curves(part):
+    """[(method, cells)]: of each method what none of its own beats, from cheap to accurate."""
+    found = {}
+    for cell in sorted((cell for cell in part["cells"] if not cell["stopped"]),
+                       key=lambda cell: (cell["cost_us"], cell["error"])):
+        mine = found.setdefault(cell["method"], [])
+        if not mine or cell["error"] < mine[-1]["error"]:
+            mine.append(cell)
+    return sorted(found.items())
+
+
+def make_plot(part):
+    """What plotly.js draws of a scene: cost to the right, error upwards."""
+    known = part["reference"]["known"]
+    traces = []
+    for k, (method, cells) in enumerate(curves(part)):
+        colour = COLOURS[k % len(COLOURS)]
+        traces.append({
+            "type": "scatter", "mode": "lines+markers", "name": label(method),
+            "x": [cell["cost_us"] * 1e-6 for cell in cells],
+            "y": [max(cell["error"], known) for cell in cells],
+            "text": [label(setting(cell)) for cell in cells],
+            "line": {"color": colour, "width": 1.4,
+                     "dash": DASHES[k // len(COLOURS) % len(DASHES)]},
+            "marker": {"color": colour, "size": 6},
+            "hovertemplate": "%{text}<br>error %{y:.3g}, %{x:.3g} s per s"})
+    front = [part["cells"][k] for k in part["front"]]
+    traces.append({
+        "type": "scatter", "mode": "lines", "name": "what no other beats",
+        "x": [cell["cost_us"] * 1e-6 for cell in front],
+        "y": [max(cell["error"], known) for cell in front],
+        "line": {"color": "--text", "width": 5, "dash": "solid"}, "opacity": 0.25,
+        "hoverinfo": "skip"})
+    axis = {"type": "log", "exponentformat": "power", "gridcolor": "--grid",
+            "zerolinecolor": "--grid", "linecolor": "--grid", "automargin": True}
+    lines = [{"type": "line", "xref": xref, "yref": yref, "x0": x0, "x1": x1, "y0": y0, "y1": y1,
+              "line": {"color": colour, "width": 1, "dash": "dot"}}
+             for xref, yref, x0, x1, y0, y1, colour in (
+                 ("x", "paper", 1, 1, 0, 1, "--red"),
+                 ("paper", "y", 0, 1, known, known, "--grey"))]
+    return {"data": traces, "layout": {
+        "xaxis": {**axis, "title": {"text": COST, "standoff": 6}},
+        "yaxis": {**axis, "title": {"text": ERROR, "standoff": 8}}, "shapes": lines,
+        "margin": {"l": 8, "r": 8, "t": 30, "b": 8}, "height": HEIGHT, "hovermode": "closest",
+        **BASE}}
+
+
+def make_page(parts):
+    """Text of the page (HTML, about 5 MB: it carries plotly.js)."""
+    body = "" if len(parts) == 1 else f"<header><h1>{len(parts)} scenes</h1></header>"
+    for k, part in enumerate(parts):
+        tag = "h1" if len(parts) == 1 else "h2"
+        body += (f'<{tag}>{escape(part["scene"])}: what accuracy costs</{tag}>'
+                 f'<p class="verdict">{unbroken(headline(part))}</p>'
+                 f'<p class="soft">Errors against {unbroken(reference_text(part))}. '
+                 f'Processor: {escape(_processor(part))}.</p>'
+                 f'<div class="cards" data-part="{k}">' + plot_card(
+                     "Work and precision", "of each method what none of its own settings beats; "
+                     "red: real time on one core; grey: what the reference knows") + "</div>"
+                 + _table(f"The cheapest for an accuracy, with a margin of {part['margin']:g}",
+                          CHEAPEST_HEAD, cheapest_rows(part))
+                 + _table("What no other setting beats", FRONT_HEAD, front_rows(part)))
+    title = f"{', '.join(part['scene'] for part in parts)}: what accuracy costs"
+    return frame(title, body, [{"plots": [make_plot(part)], "view": None} for part in parts])
+
+
+def _processor(part):
+    return ", ".join(sorted({cell["cpu"] for cell in part["cells"]}))
+
+
+def _table(title, heads, rows):
+    return (f'<div class="cards"><section class="card"><h3>{escape(title)}</h3>'
+            '<table class="logs"><thead><tr>'
+            + "".join(f"<th>{escape(head)}</th>" for head in heads) + "</tr></thead><tbody>"
+            + "".join("<tr>" + "".join(f'<td data-what="{escape(head)}">{unbroken(cell)}</td>'
+                                       for head, cell in zip(heads, row)) + "</tr>"
+                      for row in rows) + "</tbody></table></section></div>")
+
+
+def write_picture(part, path):
+    """Write the plot of a scene to a file: *.png with 300 dpi, *.pdf or *.svg. Raises OSError."""
+    from matplotlib.figure import Figure
+
+    from .picture import COLOURS as INKS
+
+    known, inks = part["reference"]["known"], list(INKS.values())
+    figure = Figure(figsize=(7.0, 4.8), layout="constrained")
+    axes = figure.add_subplot()
+    front = [part["cells"][k] for k in part["front"]]
+    axes.plot([cell["cost_us"] * 1e-6 for cell in front],
+              [max(cell["error"], known) for cell in front], color="black", lw=5, alpha=0.18,
+              label="what no other beats")
+    for k, (method, cells) in enumerate(curves(part)):
+        axes.plot([cell["cost_us"] * 1e-6 for cell in cells],
+                  [max(cell["error"], known) for cell in cells], lw=0.9, ms=3,
+                  color=inks[k % len(inks)], marker=MARKS[k % len(MARKS)],
+                  ls=LINES[k // len(inks) % len(LINES)], label=method)
+    axes.axvline(1.0, color=INKS["--red"], lw=0.8, ls=":")
+    axes.axhline(known, color=INKS["--grey"], lw=0.8, ls=":")
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_xlabel(COST, fontsize=8)
+    axes.set_ylabel(ERROR, fontsize=8)
+    axes.tick_params(labelsize=7)
+    axes.grid(True, lw=0.3)
+    title = axes.set_title(f"{part['scene']}, {part['horizon']:g} s; errors against "
+                           + ("an independent integration" if part["reference"]["kind"]
+                              == "integration" else "the closed form"), fontsize=8.5)
+    title.set_parse_math(False)
+    axes.legend(fontsize=6, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    figure.savefig(path, dpi=300)

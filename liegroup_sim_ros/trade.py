@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`liegroup_sim trade`: what accuracy costs, measured for a scene on this machine. No ROS.
+
+Every measured cell is kept at once, so that a run that was ended goes on where it was.
+"""
+import json
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from liegroup_core import SimulationError, load_scene
+from liegroup_core.integrators.methods import GROUPS, METHODS
+from liegroup_core.simulation import STABILISATIONS
+from liegroup_core.study.trade import BUDGET, Trade
+
+from .report.trade_figures import document_part, print_trade
+
+FORMAT = 1                  # of the JSON document, config/trade.schema.json
+
+
+class TradeError(Exception):
+    """The trade cannot be measured or written; one line of text, exit code 2."""
+
+
+def add_parser(subparsers):
+    """Add `trade` to the subcommands of a command line."""
+    parser = subparsers.add_parser(
+        "trade", help="measure what accuracy costs for a scene on this machine",
+        description="Run a scene with methods, steps, groups and stabilisations; measure the true "
+        "error of each against an independent reference, and its cost in CPU time; name the "
+        "settings that no other beats, and the cheapest one for 1e-3, 1e-6 and 1e-9.",
+        epilog="What is measured is kept at once: after Ctrl-C the same call goes on.")
+    parser.add_argument("scenes", metavar="SCENE", nargs="+",
+                        help="scene file, or name of one that comes along")
+    parser.add_argument("--horizon", type=float, metavar="S",
+                        help="simulated time over which errors count, in s (default: what suits "
+                        "the scene, at most 10)")
+    parser.add_argument("--methods", nargs="+", metavar="NAME", help="default: all that fit")
+    parser.add_argument("--groups", nargs="+", metavar="NAME",
+                        help=f"default: {' '.join(GROUPS)}")
+    parser.add_argument("--stabilisation", nargs="+", metavar="KIND",
+                        help=f"of {', '.join(STABILISATIONS)} (default: none projection)")
+    parser.add_argument("--steps", nargs="+", type=float, metavar="S",
+                        help="default: from a tenth of the horizon down to where rounding rules")
+    parser.add_argument("--budget", type=float, default=BUDGET, metavar="S",
+                        help="CPU time of a run at most, in s (default: %(default)g)")
+    parser.add_argument("--workers", type=int, metavar="N",
+                        help="processes (default: one for each core)")
+    parser.add_argument("--scheduler", metavar="ADDRESS",
+                        help="scheduler of a dask cluster to work on, such as tcp://host:8786")
+    parser.add_argument("--json", metavar="FILE", help="write all that was measured")
+    parser.add_argument("--html", metavar="PAGE", help="write a self-contained page")
+    parser.add_argument("--png", metavar="FILE", help="write the plot of one scene as a picture: "
+                        "*.png, *.pdf or *.svg (needs matplotlib)")
+    parser.set_defaults(run=run)
+
+
+def run(args):
+    """Run the subcommand; returns the exit code. Raises SceneError, TradeError, TasksError."""
+    _check(args)
+    scenes = [load_scene(name) for name in args.scenes]
+    parts = []
+    for scene in scenes:
+        trade = measured(scene, args)
+        parts.append(document_part(trade))
+        print_trade(parts[-1], Console(file=sys.stdout))
+    if args.json:
+        _write(args.json, document(parts))
+    if args.html:
+        from .report.trade_page import make_page        # plotly takes a second to import
+        _write(args.html, make_page(parts))
+    if args.png:
+        from .report.trade_page import write_picture
+        try:
+            write_picture(parts[0], args.png)
+        except OSError as error:
+            raise TradeError(f"{args.png}: cannot be written: {error.strerror}") from None
+    return 0
+
+
+def measured(scene, args):
+    """Trade of a scene, measured as the arguments say, with a progress bar."""
+    console = Console(stderr=True)
+    try:
+        with console.status("") as status:
+            trade = Trade(scene, args.horizon, tell=lambda text: status.update(
+                f"{scene.name}: {text}"))
+        with Progress(TextColumn("{task.description}"), BarColumn(), TextColumn(
+                "{task.completed:.0f}/{task.total:.0f} ladders"), TimeElapsedColumn(),
+                TextColumn("{task.fields[said]}"), console=console) as progress:
+            task = progress.add_task(scene.name, total=1, said="")
+            for cell, (done, total) in trade.measure(
+                    args.methods, args.groups, args.stabilisation, args.steps, args.budget,
+                    args.scheduler, args.workers,
+                    lambda text: progress.update(task, said=text)):
+                progress.update(task, completed=done, total=total,
+                                said=f"{cell['method']} {cell['step']:g} s")
+            progress.update(task, completed=progress.tasks[task].total, said="")
+        return trade
+    except SimulationError as error:
+        raise TradeError(f"{scene.name}: {error}") from None
+    except ValueError as error:             # SceneError, too, is one
+        raise TradeError(str(error)) from None
+
+
+def document(parts):
+    """The JSON text; its schema is config/trade.schema.json."""
+    return json.dumps({"format": FORMAT, "scenes": parts}, indent=1, allow_nan=False) + "\n"
+
+
+def _check(args):
+    """Raise TradeError, before the work, for what is wrong."""
+    for given, known, what in ((args.methods, METHODS, "method"), (args.groups, GROUPS, "group"),
+                               (args.stabilisation, STABILISATIONS, "stabilisation")):
+        for name in given or ():
+            if name not in known:
+                raise TradeError(f"unknown {what} {name!r}; there are: {', '.join(known)}")
+    if args.workers is not None and args.workers < 1:
+        raise TradeError(f"--workers must be at least 1, got {args.workers}")
+    if not args.budget > 0.0:
+        raise TradeError(f"--budget must be a positive number of seconds, got {args.budget:g}")
+    if args.png and len(args.scenes) > 1:
+        raise TradeError("--png goes with one scene")
+    if args.png and not args.png.lower().endswith((".png", ".pdf", ".svg")):
+        raise TradeError(f"{args.png}: must end with .png, .pdf or .svg")
+    if args.png and find_spec("matplotlib") is None:
+        raise TradeError("--png needs matplotlib: pip install 'liegroup_sim_ros[figures]'")
+    for path in filter(None, (args.json, args.html, args.png)):
+        if Path(path).is_dir() or not Path(path).absolute().parent.is_dir():
+            raise TradeError(f"{path}: cannot be written: give a file in an existing folder")
+
+
+def _write(path, text):
+    try:
+        Path(path).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise TradeError(f"{path}: cannot be written: {error.strerror}") from None

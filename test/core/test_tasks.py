@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Work in parallel: nothing is lost or done twice in the result, whoever dies on the way.
+
+Functions are made inside the tests: such ones are handed to the workers as a whole.
+"""
+import os
+import signal
+
+import pytest
+
+from liegroup_core.study import tasks
+
+
+def square(x):
+    return x * x
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_items_that_follow_from_results(workers):
+    """Numbers of items go on; a worker dies over one of them, and its work is done again."""
+    def halve(x):
+        return x // 2
+
+    found = dict(tasks.run(halve, [8, 5], workers=workers,
+                           follow=lambda k, result: [result] if result else []))
+    # 8 leads to 4, 2, 1 and 5 to 2, 1: whoever comes first, seven calls.
+    assert sorted(found) == list(range(7)) and (found[0], found[1]) == (4, 2)
+    assert sorted(found.values()) == [0, 0, 1, 1, 2, 2, 4]
+
+
+def test_a_killed_worker_loses_nothing(tmp_path):
+    died, parent = tmp_path / "died", os.getpid()
+
+    def square_or_die(x):
+        if x == 3 and not died.exists():
+            died.touch()
+            assert os.getpid() != parent
+            os.kill(os.getpid(), signal.SIGKILL)
+        return x * x
+
+    found = list(tasks.run(square_or_die, range(8), workers=2))
+    assert died.exists()
+    assert sorted(found) == [(x, x * x) for x in range(8)]
+
+
+def test_work_that_kills_every_worker_is_told(monkeypatch):
+    monkeypatch.setattr(tasks, "MOST_DEATHS", 1)
+
+    def die(x):
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    with pytest.raises(tasks.TasksError, match="have died over the same piece"):
+        list(tasks.run(die, [1, 2], workers=2))
+
+
+def test_what_the_function_raises_ends_the_run():
+    def fail(x):
+        raise KeyError(x)
+
+    for workers in (1, 2):
+        with pytest.raises(KeyError):
+            list(tasks.run(fail, [1, 2], workers=workers))
+
+
+def test_no_scheduler():
+    with pytest.raises(tasks.TasksError, match="no dask scheduler at tcp://127.0.0.1:9") as error:
+        list(tasks.run(square, [1], scheduler="tcp://127.0.0.1:9"))
+    assert "\n" not in str(error.value)

@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The trade: errors repeat and fall with the order, what is measured is kept, promises hold."""
+import json
+from itertools import islice
+
+import numpy as np
+import pytest
+
+from liegroup_core import Simulation, load_scene
+from liegroup_core.integrators.methods import METHODS
+from liegroup_core.model.build import initial_state
+from liegroup_core.reference import Trajectory, distance, integrate
+from liegroup_core.scene.load import scene_from_text
+from liegroup_core.study import accuracy, settings, store, truth
+from liegroup_core.study.accuracy import AccuracyError, choose
+from liegroup_core.study.trade import MARGIN, Trade
+from liegroup_core.study.truth import scaled
+
+HORIZON = 0.5
+MEASURED = ["rkmk2", "rkmk4", "constrained_rattle"]
+# All but what is measured: the cost.
+COSTS = ("cost_us", "timings")
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return load_scene("double_pendulum")
+
+
+def made(scene, folder, horizon=HORIZON):
+    return Trade(scene, horizon, store.Store(scene, folder))
+
+
+def errors(trade):
+    """What must be the same bits again."""
+    return [{key: value for key, value in cell.items() if key not in COSTS}
+            for cell in trade.cells]
+
+
+@pytest.fixture(scope="module")
+def trade(scene, tmp_path_factory):
+    """Measured here, one after the other."""
+    trade = made(scene, tmp_path_factory.mktemp("one"))
+    for _ in trade.measure(MEASURED, stabilisations=["none"], budget=0.05, workers=1):
+        pass
+    return trade
+
+
+def test_errors_are_the_same_bits_with_two_workers(scene, trade, tmp_path):
+    """How far ladders are climbed depends on costs: those cells are compared that both have."""
+    other = made(scene, tmp_path)
+    for _ in other.measure(["rkmk4"], stabilisations=["none"], budget=0.05, workers=2):
+        pass
+
+    def bits(cells):
+        return {(cell["group"], cell["stabilisation"], cell["step"]): json.dumps(cell)
+                for cell in cells if cell["method"] == "rkmk4"}
+    one, two = bits(errors(trade)), bits(errors(other))
+    both = one.keys() & two.keys()
+    assert len(both) >= 12
+    assert all(one[key] == two[key] for key in both)
+
+
+@pytest.mark.parametrize("method", MEASURED)
+def test_errors_fall_with_the_order(trade, method):
+    """Between rungs in the asymptotic range, in the middle: 0.2 of the order, as steps are no
+    powers of each other and the next term of the error still counts."""
+    for group in {cell["group"] for cell in trade.cells if cell["method"] == method}:
+        cells = [cell for cell in trade.cells if not cell["stopped"] and (
+            cell["method"], cell["group"], cell["stabilisation"]) == (method, group, "none")]
+        slopes = [np.log(a["error"] / b["error"]) / np.log(a["step"] / b["step"])
+                  for a, b in zip(cells, cells[1:])
+                  if a["error"] < 1e-2 and b["error"] > 1e3 * trade.truth.known]
+        assert len(slopes) >= 3
+        assert np.median(slopes) == pytest.approx(METHODS[method].order, abs=0.2)
+
+
+def test_the_front_and_the_cheapest(trade):
+    settled = dict((id(cell), error) for cell, error in trade.settled())
+    front = trade.front()
+    for cell in front:
+        assert not any(other["cost_us"] <= cell["cost_us"] and settled[id(other)]
+                       < settled[id(cell)] for other, _ in trade.settled())
+    for wanted in (1e-2, 1e-4, 1e-6):
+        cell = trade.cheapest(wanted)
+        assert MARGIN * settled[id(cell)] <= wanted
+        assert cell in front
+        assert not any(MARGIN * error <= wanted and other["cost_us"] < cell["cost_us"]
+                       for other, error in trade.settled())
+    assert trade.cheapest(1e-15) is None
+
+
+def test_a_step_that_is_right_by_chance_is_not_chosen(scene, trade):
+    """A coarse step without an error is as good as the two finer ones, and no better."""
+    lucky = made(scene, trade._store.folder.parent.parent)
+    cells = [cell for cell in lucky.cells if not cell["stopped"]
+             and (cell["method"], cell["group"]) == ("rkmk2", "se3")]
+    coarse = cells[0]
+    assert coarse["error"] > 1e-3
+    before = lucky.cheapest(1e-5)
+    coarse["error"] = 0.0                   # the dict that the trade holds
+    assert min(lucky.cells, key=lambda cell: cell.get("error", 1.0)) is coarse
+    settled = {id(cell): error for cell, error in lucky.settled()}
+    assert settled[id(coarse)] == max(cell["error"] for cell in cells[1:3])
+    assert lucky.cheapest(1e-5) is before
+
+
+def test_what_is_measured_is_kept(scene, tmp_path):
+    """A run that is ended goes on where it was, even with a line that was cut off."""
+    first = made(scene, tmp_path)
+    running = first.measure(["rkmk4"], budget=0.02, workers=1)
+    taken = [cell for cell, _ in islice(running, 5)]
+    running.close()
+    file, = tmp_path.rglob("cells.jsonl")
+    with open(file, "ab") as stream:
+        stream.write(b'\n{"method": "rkm')
+    second = made(scene, tmp_path)
+    assert sorted(map(json.dumps, second.cells)) == sorted(map(json.dumps, taken))
+    more = [cell for cell, _ in second.measure(["rkmk4"], budget=0.02, workers=1)]
+    assert more and not [cell for cell in more if cell in taken]
+    third = made(scene, tmp_path)
+    assert len(third.cells) == len(taken) + len(more)
+    assert list(third.measure(["rkmk4"], budget=0.02, workers=1)) == []
+    assert third.truth.motion.position.tobytes() == first.truth.motion.position.tobytes()
+
+
+def test_a_full_disk_keeps_nobody_from_measuring(scene, tmp_path, caplog):
+    trade = made(scene, tmp_path)
+    file = trade._store.folder / "0.5s" / "cells.jsonl"
+    file.mkdir()                            # as good as a disk that takes nothing
+    found = list(islice(trade.measure(["rkmk4"], budget=0.02, workers=1), 3))
+    assert len(found) == len(trade.cells) == 3
+    assert [text for text in caplog.messages if "cannot be kept" in text] == [
+        f"what is measured cannot be kept: {file}: Is a directory"]
+
+
+def test_another_scene_version_or_processor_finds_nothing(scene, trade, monkeypatch):
+    """The key notices each; what was kept of the first is found again afterwards."""
+    root = trade._store.folder.parent.parent
+    horizon = trade.truth.horizon
+    here = store.Store(scene, root)
+    assert len(here.cells(horizon)) == len(trade.cells) and here.truth(horizon) is not None
+    heavier = scene_from_text(scene.text.replace("mass: 1.0", "mass: 1.0001"))
+    assert heavier.text != scene.text
+    other = store.Store(heavier, root)
+    assert other.cells(horizon) == [] and other.truth(horizon) is None
+    with monkeypatch.context() as patch:
+        patch.setattr(store, "source_digest", lambda: "another version")
+        assert store.Store(scene, root).truth(horizon) is None
+    with monkeypatch.context() as patch:
+        patch.setattr(store, "cpu_name", lambda: "another processor")
+        assert store.Store(scene, root).cells(horizon) == []
+    assert len(store.Store(scene, root).cells(horizon)) == len(trade.cells)
+
+
+@pytest.mark.parametrize("name", ["double_pendulum", "heavy_top", "slider_crank"])
+def test_the_accuracy_is_kept(name, tmp_path, monkeypatch):
+    """At instants that the choice was not made from, against an integration of their own."""
+    monkeypatch.setenv("LIEGROUP_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(accuracy, "SHORTLIST", ("rkmk4", "rkmk8"))
+    monkeypatch.setattr(accuracy, "BUDGET", 0.05)
+    scene, said = load_scene(name), []
+    for wanted in (1e-3, 1e-6):
+        choice = choose(scene, wanted, 0.2, tell=said.append)
+        simulation = choice.simulation()
+        assert simulation.promise["accuracy"] == wanted
+        times, poses, twists = [], [], []
+        for _ in range(round(0.2 / simulation.step)):
+            simulation.advance(1)
+            sample = simulation.sample()
+            times.append(sample.time)
+            poses.append(sample.pose)
+            twists.append(sample.twist)
+        poses = np.array(poses)
+        k, n = poses.shape[:2]
+        true, known = integrate(scene, *initial_state(simulation.layout.centred), times)
+        off = distance(Trajectory(None, poses[..., :9].reshape(k, n, 3, 3), poses[..., 9:],
+                                  np.array(twists)), true)
+        error = scaled(off.position, off.angle, choice.promise["length"])
+        assert error <= wanted
+        # Not by chance: the promise says what the error is, up to what lies between its samples.
+        assert error <= MARGIN * choice.promise["error"]
+    assert len(said) == 1 and "once for this scene on this machine" in said[0]
+    direct = Simulation(scene, accuracy=1e-6, horizon=0.2)
+    assert (direct.method, direct.step) == (simulation.method, simulation.step)
+
+
+def test_refusals_say_what_can_be_had(tmp_path, monkeypatch):
+    monkeypatch.setenv("LIEGROUP_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(accuracy, "SHORTLIST", ("rkmk2",))
+    monkeypatch.setattr(accuracy, "BUDGET", 0.05)
+    scene = load_scene("double_pendulum")
+    for arguments, said in (
+            ({"accuracy": 1e-14}, "cannot be had for double_pendulum over 0.5 s on this machine"),
+            ({"accuracy": 1e-3, "factor": 1e9}, "times real time: the cheapest setting"),
+            ({"accuracy": 1e-3, "usable": lambda step: False}, "no step can be used"),
+            ({"accuracy": 0.0}, "above 0"), ({"accuracy": 2.0}, "at most 1")):
+        with pytest.raises(AccuracyError, match=said) as error:
+            choose(scene, horizon=0.5, tell=lambda text: None, **arguments)
+        assert "\n" not in str(error.value)
+    for wrong in (-1.0, float("nan"), 0.123456):
+        with pytest.raises(ValueError, match="horizon"):
+            Trade(scene, wrong)
+    for other in ({"method": "rkmk4"}, {"step": 1e-3}, {"group": "se3"}, {"rtol": 1e-3}):
+        with pytest.raises(ValueError, match="takes the place of"):
+            Simulation(scene, accuracy=1e-3, **other)
+    with pytest.raises(ValueError, match="goes with accuracy"):
+        Simulation(scene, horizon=1.0)
+
+
+def test_steps_divide_the_samples():
+    for horizon in ("10", "1", "0.5", "0.02", "6", "0.037"):
+        horizon = settings.as_time(float(horizon))
+        found = [step for step, _ in zip(settings.steps(horizon), range(12))]
+        assert found == sorted(found, reverse=True)
+        for step in found:
+            spacing = settings.sample_spacing(step, horizon)
+            assert spacing % step == 0 and spacing % (horizon / settings.SAMPLES) == 0
+            assert horizon % spacing == 0 and horizon / spacing >= settings.LEAST_SAMPLES
+
+
+def test_the_horizon_is_as_long_as_the_motion_is_known(scene, tmp_path, monkeypatch):
+    """Kept with the scene; the samples are those of a reference that is asked for them alone."""
+    monkeypatch.setattr(truth, "HORIZONS", truth.HORIZONS[-5:-2])
+    found = Trade(scene, None, store.Store(scene, tmp_path))
+    assert found.truth.known <= truth.KNOWN
+    assert store.Store(scene, tmp_path).horizon() == found.truth.horizon
+    motion, _ = integrate(scene, *initial_state(found.layout.centred), found.truth.motion.times)
+    # Both are dense output of the same steps but for the last one.
+    assert np.abs(motion.position - found.truth.motion.position).max() <= 2.0 * truth.KNOWN

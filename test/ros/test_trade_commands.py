@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`liegroup_sim trade`, `run --accuracy` and the node's `accuracy`, as a user meets them."""
+import json
+import os
+import signal
+import time
+from pathlib import Path
+
+import jsonschema
+import pytest
+from made_run import record
+from node_process import COMPILING, python
+
+from liegroup_core import load_scene
+from liegroup_core.study import accuracy
+from liegroup_core.study.trade import Trade
+from liegroup_sim_ros.analyze import analyse
+from liegroup_sim_ros.main import main
+from liegroup_sim_ros.recording import read_recording
+
+SCHEMA = Path(__file__).resolve().parents[2] / "config" / "trade.schema.json"
+SCENE = "heavy_top"
+COMPILED = os.environ.get("LIEGROUP_CACHE_DIR", "")     # where this process has its kernels
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory):
+    """Cache folder in which the trade of SCENE over half a second is measured already, shortly."""
+    folder = tmp_path_factory.mktemp("cache")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("LIEGROUP_CACHE_DIR", str(folder))
+        trade = Trade(load_scene(SCENE), 0.5)
+        for _ in trade.measure(["rkmk4", "rkmk8"], ["se3"], ["none"], budget=0.05, workers=1):
+            pass
+    return folder
+
+
+@pytest.fixture
+def measured(kept, monkeypatch):
+    """The same for this process, in which no other method is looked for."""
+    monkeypatch.setenv("LIEGROUP_CACHE_DIR", str(kept))
+    monkeypatch.setattr(accuracy, "SHORTLIST", ("rkmk4",))
+    return kept
+
+
+def test_trade(measured, tmp_path, capsys):
+    """Table, JSON as its schema says, page and picture; nothing is measured anew."""
+    files = [tmp_path / f"a.{kind}" for kind in ("json", "html", "png")]
+    arguments = ["trade", SCENE, "--horizon", "0.5", "--methods", "rkmk4", "rkmk8", "--groups",
+                 "se3", "--stabilisation", "none", "--budget", "0.01", "--workers", "1"]
+    assert main([*arguments, "--json", str(files[0]), "--html", str(files[1]),
+                 "--png", str(files[2])]) == 0
+    out = capsys.readouterr().out
+    assert "The cheapest for an accuracy" in out and "rkmk8" in out and "below" in out
+    document = json.loads(files[0].read_text())
+    schema = json.loads(SCHEMA.read_text())
+    jsonschema.Draft202012Validator.check_schema(schema)
+    jsonschema.Draft202012Validator(schema).validate(document)
+    part, = document["scenes"]
+    costs = [part["cells"][k]["cost_us"] for k in part["front"]]
+    assert costs == sorted(costs) and len(costs) > 3
+    for entry in part["cheapest"]:
+        assert entry["cell"] is None or (
+            part["margin"] * part["cells"][entry["cell"]]["error"] <= entry["accuracy"])
+    page = files[1].read_text()
+    assert "Content-Security-Policy" in page and "what accuracy costs" in page
+    assert files[2].read_bytes().startswith(b"\x89PNG") and files[2].stat().st_size > 20_000
+
+
+@pytest.mark.parametrize("change, said", [
+    (["--methods", "rk"], "unknown method 'rk'"), (["--groups", "so3"], "unknown group"),
+    (["--stabilisation", "glue"], "unknown stabilisation"), (["--workers", "0"], "--workers"),
+    (["--horizon", "-1"], "horizon"), (["--horizon", "0.12345"], "three digits"),
+    (["--steps", "0.3", "--horizon", "0.5"], "does not fit a horizon"),
+    (["--budget", "0"], "--budget"), (["--json", "none/a.json"], "cannot be written"),
+    (["--png", "a.txt"], "must end with"), (["nope"], "nope"),
+    (["--scheduler", "tcp://127.0.0.1:9", "--horizon", "0.5", "--methods", "rkmk2"],
+     "no dask scheduler")])
+def test_wrong_input_is_one_line(measured, tmp_path, monkeypatch, capsys, change, said):
+    monkeypatch.chdir(tmp_path)
+    assert main(["trade", SCENE, *change]) == 2
+    out, err = capsys.readouterr()
+    line = err.splitlines()[-1]
+    assert out == "" and said in line and "Traceback" not in err
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_run_for_an_accuracy_and_whether_it_was_kept(measured, tmp_path, capsys):
+    log = tmp_path / "a.mcap"
+    arguments = ["run", SCENE, "--accuracy", "1e-6", "--horizon", "0.5", "--every", "1"]
+    assert main([*arguments, "--duration", "1", "--out", str(log)]) == 0
+    err = capsys.readouterr().err
+    assert "accuracy 1e-06 over 0.5 s" in err and "for the first 0.5 s" in err
+    recording = read_recording(log)
+    promise = recording.settings["promise"]
+    assert promise["accuracy"] == 1e-6 and promise["horizon"] == 0.5
+    analysis = analyse(recording)
+    found = analysis.figures["promise"]
+    assert found["kept"] is True and found["beyond"] is True and found["seconds"] == 0.5
+    assert 0.0 < found["error"] <= found["error_of_all"] and found["error"] <= 1e-6
+    assert "promised accuracy of 1e-06 is kept" in analysis.figures["verdict"]
+    assert analysis.figures["problems"] == []
+    assert main(["analyze", str(log), "--json", str(tmp_path / "a.json"), "--max-error", "1"]) == 0
+    schema = SCHEMA.with_name("analysis.schema.json")
+    jsonschema.Draft202012Validator(json.loads(schema.read_text())).validate(
+        json.loads((tmp_path / "a.json").read_text()))
+
+
+@pytest.mark.parametrize("push, kept, seconds", [(None, False, 0.5), (25, False, 0.25),
+                                                 (0, None, 0.0)])
+def test_a_broken_promise_is_a_problem(tmp_path, push, kept, seconds):
+    """Of a step that is far from it; what comes after a wrench is not held against it."""
+    pushes = [] if push is None else [(push, ("top", (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)))]
+    log = record(tmp_path / "a.mcap", load_scene(SCENE), 60, step=1e-2, per_sample=1,
+                 pushes=pushes, promise={"accuracy": 1e-6, "horizon": 0.5, "length": 0.5})
+    figures = analyse(read_recording(log)).figures
+    found = figures["promise"]
+    assert found["seconds"] == seconds and found["beyond"]
+    # At a wrench from the start on only the first state counts, which is right.
+    assert found["kept"] is (True if seconds == 0.0 else kept)
+    assert any("is not kept" in text for text in figures["problems"]) == (kept is False)
+    assert "promised accuracy of 1e-06" in figures["verdict"]
+
+
+@pytest.mark.parametrize("more, said", [
+    (["--method", "rkmk4"], "takes the place of --method"),
+    (["--step", "1e-3"], "takes the place of --step"), (["--accuracy", "0"], "above 0"),
+    (["--accuracy", "1e-14"], "cannot be had for heavy_top over 0.5 s on this machine; ")])
+def test_an_accuracy_that_cannot_be_had_is_one_line(measured, tmp_path, capsys, more, said):
+    assert main(["run", SCENE, "--accuracy", "1e-6", "--horizon", "0.5", "--duration", "0.5",
+                 "--out", str(tmp_path / "a.npz"), *more]) == 2
+    err = capsys.readouterr().err
+    assert said in err and err.count("\n") == 1 and not list(tmp_path.iterdir())
+
+
+# The compiled code stays where it is; the trade is looked for in the folder of these tests.
+NODE = """
+import os, sys
+from liegroup_core.study import accuracy
+os.environ["LIEGROUP_CACHE_DIR"] = sys.argv[1]
+accuracy.SHORTLIST = ("rkmk4",)
+from liegroup_sim_ros.sim_node import main
+sys.exit(main(["sim_node", "--ros-args", *sys.argv[2:]]))
+"""
+
+
+def node(folder, *parameters):
+    return python(NODE, folder, *(word for entry in (
+        f"scene:={SCENE}", "accuracy_horizon:=0.5", *parameters) for word in ("-p", entry)),
+        env={"LIEGROUP_CACHE_DIR": COMPILED})
+
+
+@pytest.mark.parametrize("more, said", [
+    (["accuracy:=1e-6", "step:=0.001"], "parameter accuracy: takes the place of step"),
+    (["accuracy:=1e-14"], "parameter accuracy: accuracy 1e-14 cannot be had"),
+    (["accuracy:=1e-6", "real_time_factor:=1000000.0"],
+     "at 1e+06 times real time: the cheapest setting that reaches it")])
+def test_the_node_refuses_in_one_line(measured, more, said):
+    process = node(measured, *more)
+    _, err = process.communicate(timeout=COMPILING)
+    assert process.returncode == 2 and said in err.splitlines()[-1], err
+    assert "Traceback" not in err
+
+
+def test_the_node_runs_for_an_accuracy(measured, tmp_path):
+    """It says which setting it takes, and records what it promises."""
+    log = tmp_path / "a.mcap"
+    process = node(measured, "accuracy:=1e-6", f"record:={log}", "real_time_factor:=0.0")
+    try:
+        for line in process.stderr:
+            if "for an accuracy of 1e-06 over 0.5 s" in line:
+                break
+        else:
+            pytest.fail("it never said so")
+        time.sleep(1.0)
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=COMPILING)
+    assert process.returncode == 0
+    settings = read_recording(log).settings
+    assert settings["promise"]["accuracy"] == 1e-6
+    # Messages at 100 Hz are whole steps.
+    assert (0.01 / settings["step"]) % 1.0 == pytest.approx(0.0, abs=1e-9)
+    assert f"{settings['method']}, step {settings['step']:g} s" in line

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The truth that a trade is measured against, and its errors, held to results from elsewhere.
+
+Free body, Lagrangian top: closed forms, and errors of independent implementations of the methods.
+Heavy top: end state by Taylor series in 45 digits, and errors of such an implementation. Four-bar:
+crank angle by quadrature of its energy, and errors of an implementation with other joint rows.
+"""
+import numpy as np
+import pytest
+
+from liegroup_core import Simulation, load_scene
+from liegroup_core.simulation import make_layout
+from liegroup_core.study import truth
+from liegroup_core.study.settings import as_time
+from liegroup_core.study.truth import find_truth
+
+HEAVY_R_6 = [[0.72338819974053045, -0.25225153160076429, -0.6427119707001131],
+             [-0.18843768873839291, 0.82340059951614024, -0.53525946061643169],
+             [0.66422944073496695, 0.50831153589263489, 0.54810458175368647]]
+CRANK_ANGLE_1 = -0.765225378176             # rad, modulo a turn
+# scene, horizon s, what the closed form is called, [(method, group, step s, |R - R_true|_2 there)]
+ELSEWHERE = [
+    ("free_body", 10.0, "free bodies", [
+        ("stoermer_verlet", "auto", 0.25, 1.8392e-2), ("lie_newmark", "auto", 0.25, 1.2714e-3),
+        ("coadjoint_rkmk2", "auto", 0.25, 6.6897e-3), ("rattle", "auto", 0.25, 9.5058e-2),
+        ("simo_wong", "auto", 0.25, 1.0676e-2), ("coadjoint_rkmk4", "auto", 0.25, 7.3253e-6),
+        ("rkmk4", "se3", 0.25, 3.4191e-6), ("lie_midpoint", "auto", 0.25, 4.2340e-3)]),
+    ("lagrangian_top", 1.0, "symmetric heavy top", [
+        ("stoermer_verlet", "auto", 2.0 ** -12, 1.1404e-3),
+        ("rattle", "auto", 2.0 ** -12, 3.3614e-2), ("lie_newmark", "auto", 2.0 ** -12, 8.0759e-3),
+        ("lie_midpoint", "auto", 2.0 ** -12, 9.0806e-4)]),
+    ("heavy_top", 6.0, "integration", [
+        ("rkmk4", "se3", 1e-3, 3.623e-7), ("rkmk4", "se3", 5e-4, 2.294e-8),
+        ("rkmk4", "so3xr3", 1e-3, 5.771e-6), ("rkmk4", "so3xr3", 5e-4, 3.608e-7)])]
+
+
+@pytest.fixture(autouse=True)
+def few_samples(monkeypatch):
+    """A closed form takes a while for each of them."""
+    monkeypatch.setattr(truth, "SAMPLES", 2)
+
+
+@pytest.mark.parametrize("name, horizon, kind, runs", ELSEWHERE)
+def test_errors_are_those_found_elsewhere(name, horizon, kind, runs):
+    """To the digits that are given: 1 of the fourth or fifth, and what the truth is not sure of."""
+    found = find_truth(make_layout(load_scene(name)), as_time(horizon))
+    assert found.kind == kind and found.known <= 1e-10
+    if kind != "integration":
+        assert found.agrees <= 2e-11            # two roads that share nothing
+    end = found.motion.rotation[-1, 0]
+    if name == "heavy_top":
+        assert np.linalg.norm(end - HEAVY_R_6, 2) <= 1e-10
+    for method, group, step, elsewhere in runs:
+        simulation = Simulation(load_scene(name), method, step, group)
+        simulation.advance(round(horizon / step))
+        turn = simulation.sample().pose[0, :9].reshape(3, 3)
+        error = np.linalg.norm(turn - end, 2)
+        assert error == pytest.approx(elsewhere, rel=1e-3, abs=found.known), (method, step)
+
+
+def test_the_four_bar():
+    found = find_truth(make_layout(load_scene("four_bar")), as_time(1.0))
+    crank = found.motion.rotation[-1, 0]
+    angle = np.arctan2(crank[1, 0], crank[0, 0])
+    # Twelve digits are given, and what the truth is not sure of.
+    assert angle == pytest.approx(CRANK_ANGLE_1, abs=1e-11 + found.known)
+    for step, elsewhere in ((2e-3, 2.2e-2), (1e-3, 1.7e-3), (1e-4, 1.87e-7)):
+        simulation = Simulation(load_scene("four_bar"), "rkmk4", step)
+        simulation.advance(round(1.0 / step))
+        turn = simulation.sample().pose[0, :9].reshape(3, 3).T @ crank
+        # Other joint rows are another index-1 form, whose joints drift otherwise: errors of the
+        # same order and size, not the same digits.
+        assert 0.7 * elsewhere <= abs(np.arctan2(turn[1, 0], turn[0, 0])) <= 1.1 * elsewhere
