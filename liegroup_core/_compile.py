@@ -56,11 +56,13 @@ def cache_root():
     spare = Path(tempfile.gettempdir()) / f"liegroup_core-{os.getuid()}"
     for root in (wanted, spare):
         try:
-            root.mkdir(parents=True, exist_ok=True)
+            root.mkdir(parents=True, exist_ok=True, mode=0o777 if root is wanted else 0o700)
             tempfile.TemporaryFile(dir=root).close()
-            return root
         except OSError:
             continue
+        # What is loaded from there is run: not where somebody else was first with the name.
+        if root is wanted or root.lstat().st_uid == os.getuid():
+            return root
     return None
 
 

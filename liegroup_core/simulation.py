@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulation: a scene, a method and a step; advance, sample, push."""
+import copy
 import logging
 import math
 from dataclasses import dataclass, replace
@@ -193,6 +194,9 @@ class Simulation:
         self._timetable = Timetable(self.layout.model.forces.applied_wrench, self.step)
         self._warned = self._warned_singular = False
         warm_up(self._touch, self._integrator.kernels)
+
+    def __copy__(self):
+        return copy.deepcopy(self)          # two that share a state would be one
 
     def _touch(self):
         """Call every kernel once, so that none is compiled later, in the middle of a run."""

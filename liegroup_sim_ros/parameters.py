@@ -126,9 +126,9 @@ def read_parameters(node):
 
     node : was created with automatically_declare_parameters_from_overrides=True; that is how
            names that nobody knows, which ROS would ignore, are seen and refused
-    returns the values, `.steps`: {rate: steps between two messages, 0 for none}, with an accuracy
-            only after `set_step`; and `.qos`: names of parameters for the quality of service,
-            which qos.py reads
+    returns the values, `.steps`: {rate: steps between two messages, 0 for none}, which with an
+            accuracy `set_step` says when a step is chosen, and `.qos`: names of parameters for
+            the quality of service, which qos.py reads
     raises ParameterError
     """
     given = {name: parameter.value for name, parameter in node.get_parameters_by_prefix("").items()

@@ -18,8 +18,8 @@ class WrenchTopics:
     bodies : names of the bodies
     values : parameters; wrench_hold and wrench_timeout are read anew for every message
     step   : s, of the simulation
-    qos    : QosOverrides
     server : SimulationServer
+    qos    : QosOverrides
     """
 
     def __init__(self, node, bodies, values, step, server, qos):

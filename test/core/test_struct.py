@@ -202,7 +202,8 @@ def test_arrays_that_kernels_could_not_read(array):
 @pytest.mark.parametrize("scene, method", [
     ("four_bar", "rkmk54"), ("heavy_top", "rkmk4"), ("double_pendulum", "generalized_alpha"),
     ("double_pendulum", "constrained_rattle4"), ("lagrangian_top", "stoermer_verlet")])
-@pytest.mark.parametrize("again", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
+@pytest.mark.parametrize("again", [copy.copy, copy.deepcopy,
+                                   lambda x: pickle.loads(pickle.dumps(x))])
 def test_a_copied_simulation_goes_on_alone(scene, method, again):
     simulation = Simulation(load_scene(scene), method=method, step=1e-3)
     simulation.advance(20)
