@@ -88,8 +88,8 @@ def words(parts):
             most = max(worst)
             missed = sum(1 for part in parts for entry in part["cheapest"]
                          if entry["cell"] is not None) - len(worst)
-            lines.append(f"* {method} costs {middle:.2g} times the cheapest in the middle of all "
-                         f"cases, at most {most[0]:.2g} times ({most[1]} at {most[2]:g})"
+            lines.append(f"* taken everywhere, {method} costs {middle:.2g} times the cheapest in the "
+                         f"middle of all cases, at most {most[0]:.2g} times ({most[1]} at {most[2]:g})"
                          + (f", and does not reach the accuracy in {missed} of them" if missed
                             else "") + ".")
     fastest = [(entry["real_time_factor"], part["scene"], entry["accuracy"]) for part in parts
