@@ -33,8 +33,8 @@ def scene(part):
     """The section of one scene."""
     lines = [f"### {part['scene']}", "",
              f"{_count(part['bodies'])} over {shown(part['horizon'], 's')}, lengths in parts of "
-             f"{shown(part['length'], 'm')}. {part['settings']} settings, {part['stopped']} of "
-             f"which had to stop. Errors against {reference_text(part)}.", "",
+             f"{shown(part['length'], 'm')}. {part['settings']} settings of "
+             f"{len(part['methods'])} methods, {part['stopped']} of which had to stop. Errors against {reference_text(part)}.", "",
              "| accuracy | the cheapest setting | its error | times real time | next methods |",
              "|---|---|---|---|---|"]
     for entry in part["cheapest"]:
@@ -88,10 +88,11 @@ def words(parts):
             most = max(worst)
             missed = sum(1 for part in parts for entry in part["cheapest"]
                          if entry["cell"] is not None) - len(worst)
-            lines.append(f"* taken everywhere, {method} costs {middle:.2g} times the cheapest in the "
-                         f"middle of all cases, at most {most[0]:.2g} times ({most[1]} at {most[2]:g})"
-                         + (f", and does not reach the accuracy in {missed} of them" if missed
-                            else "") + ".")
+            lines.append(f"* taken everywhere, {method} costs {middle:.2g} times the cheapest in "
+                         f"the middle of all cases, at most {most[0]:.2g} times ({most[1]} at "
+                         f"{most[2]:g})" + (
+                             f", and in {missed} of them does not reach the accuracy within the "
+                             "time that a run was given" if missed else "") + ".")
     fastest = [(entry["real_time_factor"], part["scene"], entry["accuracy"]) for part in parts
                for entry in part["cheapest"] if entry["cell"] is not None]
     slow = [f"{name} at {accuracy:g} ({shown(factor)} times)" for factor, name, accuracy in
