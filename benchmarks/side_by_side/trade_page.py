@@ -34,7 +34,8 @@ def scene(part):
     lines = [f"### {part['scene']}", "",
              f"{_count(part['bodies'])} over {shown(part['horizon'], 's')}, lengths in parts of "
              f"{shown(part['length'], 'm')}. {part['settings']} settings of "
-             f"{len(part['methods'])} methods, {part['stopped']} of which had to stop. Errors against {reference_text(part)}.", "",
+             f"{len(part['methods'])} methods, {part['stopped']} of which had to stop. Errors against "
+             f"{reference_text(part)}.", "",
              "| accuracy | the cheapest setting | its error | times real time | next methods |",
              "|---|---|---|---|---|"]
     for entry in part["cheapest"]:
