@@ -42,14 +42,14 @@ setup(
     extras_require={
         "figures": ["matplotlib", "mpmath"],
         # Of `liegroup_sim analyze`: exact solutions; many logs or runs at once, here or on a
-        # cluster, and the files of `liegroup_sim sweep`; addresses such as s3:// (each kind of them
-        # has its own package, such as s3fs).
+        # cluster, and the files of `liegroup_sim sweep`; addresses such as s3:// (other kinds than
+        # the web's have a package each, such as s3fs).
         "exact": ["mpmath"],
         "many": ["dask", "distributed", "pyarrow"],
         "pandas": ["pandas"],
-        "remote": ["fsspec"],
-        "test": ["dask", "distributed", "fsspec", "hypothesis", "jsonschema", "matplotlib",
-                 "mpmath", "pandas", "pyarrow", "pytest", "rosbags"],
+        "remote": ["aiohttp", "fsspec"],
+        "test": ["aiohttp", "dask", "distributed", "fsspec", "hypothesis", "jsonschema",
+                 "matplotlib", "mpmath", "pandas", "pyarrow", "pytest", "rosbags"],
         # What benchmarks/ compares with; Eigen's headers, for the loop around Pinocchio.
         "bench": ["cmeel-eigen", "exudyn", "mujoco", "pin"],
     },

@@ -6,8 +6,8 @@
 
 What was measured before of the same scene, version and processor is taken over, so a call that was
 ended goes on; to measure costs anew, remove the folder `trades` in the cache folder
-(~/.cache/liegroup_core, or LIEGROUP_CACHE_DIR). Then, for each scene and accuracy, the setting that
-`accuracy` chooses is run and held against the truth at other instants than those of the trade.
+(~/.cache/liegroup_core, or LIEGROUP_CACHE_DIR). Then, for each scene and accuracy, the setting
+that `accuracy` chooses is run and held against the truth at other instants than the trade's.
 """
 import argparse
 import json
@@ -22,6 +22,7 @@ import numpy as np
 from liegroup_core import load_scene
 from liegroup_core.model.build import initial_state
 from liegroup_core.reference import Reference, Trajectory, distance
+from liegroup_core.study import accuracy
 from liegroup_core.study.accuracy import AccuracyError, choose
 from liegroup_core.study.trade import ACCURACIES, BUDGET, Trade
 from liegroup_core.study.truth import scaled
@@ -33,11 +34,11 @@ DATA, PAGE = ROOT / "docs" / "which_method.json", ROOT / "docs" / "which_method.
 INSTANTS = 1000             # at most, of a horizon, at which a promise is looked at
 
 
-def measure(scene, workers, budget):
+def measure(scene, methods, workers, budget):
     """(Trade, the part of the document) of a scene."""
     trade = Trade(scene, tell=lambda text: print(f"  {text}", flush=True))
     count = 0
-    for _ in trade.measure(workers=workers, budget=budget):
+    for _ in trade.measure(methods, workers=workers, budget=budget):
         count += 1
     print(f"  {count} settings measured, {len(trade.cells)} known", flush=True)
     return trade, document_part(trade)
@@ -46,11 +47,11 @@ def measure(scene, workers, budget):
 def promises(scene, trade):
     """[{accuracy, setting or refusal, promised error, measured error}] of each of ACCURACIES."""
     found, runs = [], []
-    for accuracy in ACCURACIES:
+    for wanted in ACCURACIES:
         try:
-            choice = choose(scene, accuracy, trade.horizon)
+            choice = choose(scene, wanted, trade.horizon)
         except AccuracyError as error:
-            found.append({"accuracy": accuracy, "refused": str(error)})
+            found.append({"accuracy": wanted, "refused": str(error)})
             continue
         simulation = choice.simulation()
         total = round(trade.horizon / simulation.step)
@@ -60,9 +61,11 @@ def promises(scene, trade):
             simulation.advance(every)
             sample = simulation.sample()
             motion.append((sample.time, sample.pose, sample.twist))
-        entry = {"accuracy": accuracy, "settings": choice.settings, "promise": choice.promise}
+        entry = {"accuracy": wanted, "settings": choice.settings, "promise": choice.promise}
         found.append(entry)
         runs.append((entry, motion))
+    if not runs:
+        return found
     times = np.unique(np.concatenate([[row[0] for row in motion] for _, motion in runs]))
     pose, twist = initial_state(trade.layout.centred)
     true, apart = Reference(scene, pose, twist, end=times[-1]).at(times)
@@ -99,17 +102,19 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--write", action="store_true", help="only write the page again")
     parser.add_argument("--workers", type=int, help="processes (default: one for each core)")
+    parser.add_argument("--methods", nargs="+", help="default: all that fit")
     parser.add_argument("--budget", type=float, default=BUDGET,
                         help="CPU seconds of a run at most (default: %(default)g)")
     parser.add_argument("scenes", nargs="*", help="these alone; the others stay as they are")
     args = parser.parse_args()
+    accuracy.BUDGET = args.budget           # a choice measures no more than that
     known = {part["scene"]: part for part in json.loads(DATA.read_text())["scenes"]} \
         if DATA.exists() else {}
     names = args.scenes or sorted(path.stem for path in (ROOT / "config/scenes").glob("*.yaml"))
     for name in () if args.write else names:
         print(name, flush=True)
         scene = load_scene(name)
-        trade, part = measure(scene, args.workers, args.budget)
+        trade, part = measure(scene, args.methods, args.workers, args.budget)
         known[name] = condensed(part) | {"promises": promises(scene, trade)}
         parts = [known[key] for key in sorted(known)]
         DATA.write_text(json.dumps({"format": 1, "scenes": parts}, indent=1, allow_nan=False)

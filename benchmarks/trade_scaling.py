@@ -17,9 +17,9 @@ from liegroup_core import load_scene
 from liegroup_core.study.store import Store
 from liegroup_core.study.trade import Trade
 
-SCENE, HORIZON, BUDGET = "heavy_top", 2.0, 0.5
+SCENE, HORIZON = "heavy_top", 5.0
 STEPS = [1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5]
-METHODS = ["rkmk2", "rkmk3", "rkmk4", "rkmk8"]
+METHODS = ["rkmk2", "rkmk3", "rkmk4", "rkmk8", "generalized_alpha"]
 
 
 def measured(workers):

@@ -56,11 +56,13 @@ def cache_root():
     spare = Path(tempfile.gettempdir()) / f"liegroup_core-{os.getuid()}"
     for root in (wanted, spare):
         try:
-            root.mkdir(parents=True, exist_ok=True)
+            root.mkdir(parents=True, exist_ok=True, mode=0o777 if root is wanted else 0o700)
             tempfile.TemporaryFile(dir=root).close()
-            return root
         except OSError:
             continue
+        # What is loaded from there is run: not where somebody else was first with the name.
+        if root is wanted or root.lstat().st_uid == os.getuid():
+            return root
     return None
 
 
@@ -88,30 +90,30 @@ CACHE_FOLDER = _cache_folder() if numba is not None else None
 class Kernel:
     """A function that Numba compiles on its first call: once for Python, once for other kernels.
 
-    function : what is compiled
-    always   : inlined into the kernels that call it
+    function   : what is compiled
+    make_inner : function (this, function) that returns what other kernels take in
     """
 
-    def __init__(self, function, always):
+    def __init__(self, function, make_inner):
         functools.update_wrapper(self, function)
-        self.inner = _inlined.inner(function, always)
+        self.inner = make_inner(self, function)
         # Only while decorating: other packages of the same process keep their own cache folder.
         before = numba.config.CACHE_DIR
         numba.config.CACHE_DIR = str(CACHE_FOLDER or "")
         try:
-            self._outer = _inlined.outer(function, CACHE_FOLDER is not None)
+            self.dispatcher = _inlined.outer(function, CACHE_FOLDER is not None)
         finally:
             numba.config.CACHE_DIR = before
 
     def __call__(self, *arguments):
-        return self._outer(*arguments)
+        return self.dispatcher(*arguments)
 
     def __reduce__(self):
         return self.__qualname__            # where to find it: compiled code is not copied
 
     def entry(self, *arguments):
         """Its machine code for arguments of the types of these, to be called with no others."""
-        return self._outer.compile(tuple(map(numba.typeof, arguments)))
+        return self.dispatcher.compile(tuple(map(numba.typeof, arguments)))
 
 
 class SameTypes:
@@ -166,15 +168,21 @@ def kernel(function):
     small-angle code. Division follows IEEE 754 in machine code and raises ZeroDivisionError in
     plain Python, so kernels branch before they divide.
     """
-    return Kernel(function, True) if compiled() else function
+    return Kernel(function, lambda _, each: _inlined.inner(each, True)) if compiled() else function
 
 
 def subroutine(function):
-    """A kernel that is not inlined: for what is long, or called in several places of one kernel.
+    """A kernel that is not inlined: for what is called in several places of one kernel."""
+    return Kernel(function, lambda _, each: _inlined.inner(each, False)) if compiled() else function
 
-    How long a compilation takes goes with the size of what it makes; the solve alone is half of it.
+
+def shared(function):
+    """A kernel that returns an integer and is compiled once, for all kernels that call it.
+
+    They call its machine code. For what is long: how long a compilation takes goes with the size
+    of what it makes, and the solve would be half of every integrator.
     """
-    return Kernel(function, False) if compiled() else function
+    return Kernel(function, lambda own, _: _inlined.shared_inner(own)) if compiled() else function
 
 
 def warm_up(call, name):

@@ -6,11 +6,19 @@ in, and does all of that again with the caller. For kernels ten deep that was tw
 of a compilation. Here a function that others take in stays LLVM code as it was lowered, and only the
 outermost one, which Python calls, is optimised with all that is in it.
 
-Of Numba's inner parts this replaces two steps of a code library and one compiler pass.
+A function that is long and called by several of those, the solve, is made into machine code of its
+own, which they find under a name.
+
+Of Numba's inner parts this replaces two steps of a code library, one compiler pass and what is done
+when the cache on the disk is damaged.
 """
-from llvmlite.binding import create_new_module_pass_manager
+import hashlib
+from dataclasses import dataclass
+
+from llvmlite import binding, ir
 from numba import njit
-from numba.core import types
+from numba.core import cgutils, types
+from numba.core.caching import FunctionCache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.compiler_machinery import register_pass
@@ -18,7 +26,7 @@ from numba.core.datamodel import models
 from numba.core.imputils import lower_constant
 from numba.core.lowering import Lower
 from numba.core.typed_passes import NativeLowering
-from numba.extending import register_model
+from numba.extending import intrinsic, register_model
 
 from ._struct import StructType
 
@@ -44,7 +52,7 @@ class _OuterLibrary(JITCodeLibrary):
     """
 
     def _optimize_final_module(self):
-        inline = create_new_module_pass_manager()
+        inline = binding.create_new_module_pass_manager()
         inline.add_always_inliner_pass()
         inline.add_global_dead_code_eliminate_pass()
         passes, builder = self._codegen._module_pass_manager()
@@ -114,9 +122,75 @@ def inner(function, always):
                 no_cfunc_wrapper=True)(function)
 
 
+class _Cache(FunctionCache):
+    """Machine code on the disk; what cannot be read is made anew."""
+
+    def load_overload(self, *arguments):
+        try:
+            return super().load_overload(*arguments)
+        except Exception:       # whatever a file that was cut or garbled leads to
+            self.flush()
+            return None
+
+
 def outer(function, cache):
     """Dispatcher of the same function for Python."""
-    return njit(**OPTIONS, pipeline_class=_Outer, cache=cache)(function)
+    dispatcher = njit(**OPTIONS, pipeline_class=_Outer)(function)
+    if cache:
+        dispatcher._cache = _Cache(function)
+    return dispatcher
+
+
+@dataclass(frozen=True)
+class _Symbol:
+    """Machine code that kernels call by a name: a function for arguments of these types.
+
+    Calling this compiles it, or loads it, and makes the name known. Numba does so before it loads a
+    kernel out of the cache that calls it.
+    """
+
+    function: object            # a kernel, with the dispatcher of the function for Python
+    arguments: tuple
+
+    @property
+    def name(self):
+        text = f"{self.function.dispatcher.__qualname__} {self.arguments}"
+        return f"liegroup_core.{hashlib.sha256(text.encode()).hexdigest()[:16]}"
+
+    def __call__(self):
+        dispatcher = self.function.dispatcher
+        dispatcher.compile(self.arguments)
+        found = dispatcher.overloads[self.arguments]
+        if found.signature.return_type != types.int64:
+            raise TypeError(f"{dispatcher.__qualname__} must return an integer")
+        binding.add_symbol(self.name, found.library.get_pointer_to_function(
+            found.fndesc.llvm_cfunc_wrapper_name))
+
+
+def shared_inner(outer_kernel):
+    """Dispatcher for compiled callers that call the machine code which Python calls, too.
+
+    outer_kernel : picklable, with a dispatcher; it returns an int64
+    """
+    @intrinsic
+    def call(typing_context, given):
+        symbol = _Symbol(outer_kernel, tuple(map(types.unliteral, given)))
+        symbol()
+
+        def codegen(context, builder, signature, values):
+            numbers = [context.cast(builder, value, kind, wanted) for value, kind, wanted in zip(
+                cgutils.unpack_tuple(builder, values[0]), given, symbol.arguments)]
+            function = cgutils.get_or_insert_function(
+                builder.module, ir.FunctionType(ir.IntType(64), [each.type for each in numbers]),
+                symbol.name)
+            context.active_code_library._reload_init.add(symbol)
+            return builder.call(function, numbers)
+        return types.int64(given), codegen
+
+    def stub(*given):
+        return call(given)
+
+    return inner(stub, True)
 
 
 class Chosen(types.Callable, types.Dummy):

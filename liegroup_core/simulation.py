@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulation: a scene, a method and a step; advance, sample, push."""
+import copy
 import logging
 import math
 from dataclasses import dataclass, replace
@@ -188,11 +189,14 @@ class Simulation:
         self.layout = replace(layout, model=_stabilised(
             layout.model, stabilisation, baumgarte_time, self.step))
         self._integrator = make_integrator(method, self.layout, self.group, self.step, self.options)
-        self._work = self._integrator.work
+        self._work, self._acting = self._integrator.work, None
         self._body = {name: i for i, name in enumerate(self.layout.body_names)}
         self._timetable = Timetable(self.layout.model.forces.applied_wrench, self.step)
         self._warned = self._warned_singular = False
         warm_up(self._touch, self._integrator.kernels)
+
+    def __copy__(self):
+        return copy.deepcopy(self)          # two that share a state would be one
 
     def _touch(self):
         """Call every kernel once, so that none is compiled later, in the middle of a run."""
@@ -421,7 +425,8 @@ class Simulation:
 
     def _integrate(self, h, acting, steps):
         """Take steps of size h while the wrenches `acting` of the scene act: see `integrators`."""
-        self._work.acting[:] = acting
+        if acting is not self._acting:
+            self._work.acting[:] = self._acting = acting
         return self._integrator.advance(h, steps, self._pose, self._twist, self._external)
 
     def _joint_name(self, element):

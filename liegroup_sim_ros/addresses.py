@@ -2,8 +2,8 @@
 """Where recordings are: paths, globs, and addresses such as s3://bucket/run.mcap.
 
 Addresses are read by fsspec, an optional package, with what it knows and what is installed for it
-(s3fs for s3://, and so on); a file behind one is copied to a temporary file first, because a
-recording is gone through more than once.
+(aiohttp for http://, s3fs for s3://, and so on); a file behind one is copied to a temporary file
+first, because a recording is gone through more than once.
 """
 import glob
 import shutil
@@ -23,12 +23,18 @@ def is_remote(address):
 def expand(addresses):
     """Paths and addresses, with what matches in place of every pattern, sorted.
 
-    A name that exists is taken as it is. Raises AddressError for a pattern without a match.
+    A folder stands for the *.mcap in it; any other name that exists is taken as it is. Raises
+    AddressError for a pattern without a match.
     """
     found = []
     for address in map(str, addresses):
         if is_remote(address):
             found += _remote_matches(address) if glob.has_magic(address) else [address]
+        elif Path(address).is_dir():
+            matches = sorted(map(str, Path(address).glob("*.mcap")))
+            if not matches:
+                raise AddressError(f"{address}: a folder without *.mcap in it")
+            found += matches
         elif glob.has_magic(address) and not Path(address).exists():
             matches = sorted(glob.glob(address, recursive=True))
             if not matches:
@@ -53,7 +59,7 @@ def fetch(address):
         return copy
     except Exception as error:  # every file system has its own; none of them is known here
         copy.close()
-        raise AddressError(f"{address}: cannot be read: {_one_line(error)}") from None
+        raise AddressError(f"{address}: cannot be read: {_reason(error)}") from None
 
 
 def _remote_matches(address):
@@ -63,7 +69,7 @@ def _remote_matches(address):
         matches = sorted(map(str, system.glob(path)))
         matches = [system.unstrip_protocol(match) for match in matches]
     except Exception as error:  # likewise
-        raise AddressError(f"{address}: cannot be read: {_one_line(error)}") from None
+        raise AddressError(f"{address}: cannot be read: {_reason(error)}") from None
     if not matches:
         raise AddressError(f"{address}: no file matches")
     return matches
@@ -78,5 +84,10 @@ def _fsspec(address):
     return fsspec
 
 
-def _one_line(error):
+def _reason(error):
+    """What went wrong at the bottom of it, one line."""
+    while error.__cause__ is not None:
+        error = error.__cause__
+    if isinstance(error, FileNotFoundError):        # has the address as its text, or part of it
+        return "no such file"
     return " ".join(str(error).split())[:200] or type(error).__name__

@@ -40,7 +40,8 @@ def add_parser(subparsers):
         epilog="Exit code: 0; 1 when a bound that was given is exceeded or cannot be judged; 2 "
         "for a log that cannot be read.")
     parser.add_argument("logs", metavar="LOG", nargs="+",
-                        help="recording (*.mcap), pattern, or address such as s3://bucket/*.mcap")
+                        help="recording (*.mcap), folder of them, pattern, or address such as "
+                        "s3://bucket/*.mcap")
     parser.add_argument("--compare", metavar="LOG", help="say how far it is from this one, too")
     parser.add_argument("--html", metavar="PAGE", help="write a self-contained page")
     parser.add_argument("--png", metavar="FILE", help="write the plots of one log as a picture: "
@@ -175,9 +176,8 @@ def find_exceeded(found, max_error=None, max_drift=None):
             if "failed" in reference:
                 exceeded.append(f"{log}: its error is not known: {reference['failed']}")
             else:
-                exceeded += [f"{log}: error {reference[name]['max']:.3g} {reference[name]['unit']}"
-                             f" is more than {max_error:g}" for name in ("position", "angle")
-                             if not reference[name]["max"] <= max_error]
+                exceeded += [f"{log}: {text}" for name in ("position", "angle")
+                             if (text := _too_large(reference[name], max_error))]
         if max_drift is not None:
             drifts = _relative_drifts(figures)
             if not drifts:
@@ -186,6 +186,17 @@ def find_exceeded(found, max_error=None, max_drift=None):
             exceeded += [f"{log}: relative drift {drift:.3g} of {name} is more than {max_drift:g}"
                          for name, drift in drifts if not drift <= max_drift]
     return exceeded
+
+
+def _too_large(error, bound):
+    """None, or that an error is above a bound, or that the reference cannot tell."""
+    unit = error["unit"]
+    if not error["max"] <= bound:
+        return f"error {error['max']:.3g} {unit} is more than {bound:g}"
+    if not error["max"] + error["uncertainty"] <= bound:
+        return (f"error {error['max']:.3g} {unit} may be more than {bound:g}: the reference is "
+                f"only known to {error['uncertainty']:.3g} {unit}")
+    return None
 
 
 def _relative_drifts(figures):

@@ -36,6 +36,8 @@ def run(args):
         except RecordingError as error:
             failures.append(error)
             continue
+        if surveys and not args.json:
+            print()
         surveys.append(as_json(found))
         if not args.json:
             print_survey(found, Console(file=sys.stdout))
@@ -101,24 +103,29 @@ def print_survey(found, console):
                                  in found.attachments[:20]) or "none")
     console.print(table)
     if found.figures:
+        console.print()
         console.print(topics_table(found))
 
 
 def topics_table(found):
     """Table of the topics of a Survey: messages, rates, losses."""
-    table = Table()
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for name, side in (("topic", "left"), ("type", "left"), ("messages", "right"),
                        ("per s", "right"), ("lost", "right")):
-        table.add_column(name, justify=side, overflow="fold")
+        table.add_column(name, justify=side, overflow="fold", no_wrap=side == "right")
     for each in _in_order(found)[:MOST_ROWS]:
-        table.add_row(Text(clean(each.topic)), Text(clean(each.type)), str(each.count),
-                      f"{each.rate:.6g}" if each.rate is not None else "", str(each.lost))
+        table.add_row(Text(clean(each.topic)), Text(clean(each.type).replace("/msg/", "/")),
+                      str(each.count), _rate(each), str(each.lost))
     if len(found.figures) > MOST_ROWS:
         table.add_row(f"and {len(found.figures) - MOST_ROWS} more", "", "", "", "")
     return table
 
 
 MOST_ROWS = 200
+
+
+def _rate(each):
+    return "" if each.rate is None else f"{each.rate:.3f}".rstrip("0").rstrip(".")
 
 
 def _in_order(found):

@@ -2,7 +2,7 @@
 """The command `liegroup_sim`: describe, measure and run scenes, analyse recordings, push, demo.
 
 Exit code 0 when it is done, 2 and one line on stderr when something given to it is wrong, 1 when a
-simulation had to stop, 130 after Ctrl-C.
+simulation had to stop, 130 after Ctrl-C, 141 when nobody reads what it says.
 """
 import argparse
 import os
@@ -28,7 +28,7 @@ from .trade import TradeError
 
 WRONG_INPUT = (LieGroupSimError, RecordingError, AnalysisError, DemoError, FiguresError,
                OutputError, PlayError, PushError, ReplayError, RunError, TradeError)
-EXIT_WRONG_INPUT, EXIT_INTERRUPTED = 2, 130
+EXIT_WRONG_INPUT, EXIT_INTERRUPTED, EXIT_UNREAD = 2, 130, 141
 
 
 def make_parser():
@@ -49,10 +49,15 @@ def main(args=None):
     """Run the command; returns the exit code."""
     arguments = make_parser().parse_args(args)
     try:
-        return arguments.run(arguments)
+        code = arguments.run(arguments)
+        sys.stdout.flush()
+        return code
     except WRONG_INPUT as error:
         print(f"liegroup_sim: {' '.join(str(error).split())}", file=sys.stderr)
         return EXIT_WRONG_INPUT
+    except BrokenPipeError:         # whoever reads, as head does, has read enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_UNREAD
     except KeyboardInterrupt:
         print("liegroup_sim: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED

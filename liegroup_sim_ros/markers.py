@@ -15,7 +15,7 @@ from liegroup_core.model.along import quaternions
 from .cdr import Template, stamp
 
 CUBE, SPHERE, CYLINDER, ARROW = 1, 2, 3, 0
-ADD, DELETE = 0, 2
+ADD, DELETE, DELETE_ALL = 0, 2, 3
 BODY_COLOR = (0.35, 0.55, 0.8, 0.9)
 JOINT_COLOR = (0.9, 0.6, 0.1, 1.0)
 FORCE_COLOR, TORQUE_COLOR = (0.8, 0.1, 0.1, 1.0), (0.5, 0.1, 0.7, 1.0)
@@ -43,16 +43,20 @@ class Markers:
         solids = [solid(body) for body in scene.bodies]
         largest = max(max(size) for _, size, _ in solids)
         self._template = template = Template()
+        self._end = Template()
+        self._end.put("I", 1)
+        _add(self._end, "", 0, CUBE, world_frame, (0.0,) * 3, (0.0,) * 4)
         self._owner, self._local = [], []   # body and pose in it, of each marker but the arrows
         template.put("I", len(solids) + len(scene.joints) + 2 * len(solids))
         for i, (kind, size, local) in enumerate(solids):
-            self._add("bodies", i, kind, world_frame, np.maximum(size, THINNEST * largest),
-                      BODY_COLOR)
+            _add(template, "bodies", i, kind, world_frame,
+                 np.maximum(size, THINNEST * largest), BODY_COLOR)
             self._owner.append(i)
             self._local.append(local)
         offsets = {body.name: np.array(body.com) for body in scene.bodies}
         for i, (joint, (_, frame)) in enumerate(zip(scene.joints, layout.joint_frames)):
-            self._add("joints", i, SPHERE, world_frame, (JOINT_SIZE * largest,) * 3, JOINT_COLOR)
+            _add(template, "joints", i, SPHERE, world_frame, (JOINT_SIZE * largest,) * 3,
+                 JOINT_COLOR)
             local = frame.copy()            # in the frame at the centre of mass
             local[:3, 3] += offsets[joint.child]
             self._owner.append(place[joint.child])
@@ -60,35 +64,8 @@ class Markers:
         self._local = np.array(self._local)
         for name, color in (("forces", FORCE_COLOR), ("torques", TORQUE_COLOR)):
             for i in range(len(solids)):
-                self._add(name, i, ARROW, world_frame,
-                          (SHAFT * largest, HEAD * largest, 0.0), color)
-
-    def _add(self, namespace, number, kind, frame, size, color):
-        """One visualization_msgs/Marker; slots: stamp, action, pose, and of arrows the points."""
-        template = self._template
-        template.header(frame)
-        template.string(namespace)
-        template.put("2i", number, kind)
-        template.slot("i")
-        template.slot("7d")
-        template.put("3d", *size)
-        template.put("4f", *color)
-        template.put("iI", 0, 0)            # lifetime: for ever
-        template.put("B", False)            # not locked to the frame
-        template.put("I", 2 if kind == ARROW else 0)
-        if kind == ARROW:
-            template.slot("6d")
-        template.put("I", 0)                # colours of points
-        template.string("")                 # texture: its resource, then the image:
-        template.put("iI", 0, 0)
-        template.string("")
-        template.string("")
-        template.put("I", 0)
-        template.put("I", 0)                # texture coordinates
-        for _ in ("text", "mesh resource", "file name of the mesh"):
-            template.string("")
-        template.put("I", 0)                # the mesh
-        template.put("B", False)
+                _add(template, name, i, ARROW, world_frame, (SHAFT * largest, HEAD * largest, 0.0),
+                     color)
 
     def encode(self, stamp_ns, sample):
         """The serialized message."""
@@ -105,6 +82,37 @@ class Markers:
                 tip = [self.arrow_scale * component for component in vector]
                 slots += (time, (ADD if any(vector) else DELETE,), pose, (0.0, 0.0, 0.0, *tip))
         return self._template.pack(*slots)
+
+    def encode_end(self, stamp_ns):
+        """The serialized message that takes all markers away; viewers keep them otherwise."""
+        return self._end.pack(stamp(stamp_ns), (DELETE_ALL,), (0.0,) * 6 + (1.0,))
+
+
+def _add(template, namespace, number, kind, frame, size, color):
+    """One visualization_msgs/Marker; slots: stamp, action, pose, and of arrows the points."""
+    template.header(frame)
+    template.string(namespace)
+    template.put("2i", number, kind)
+    template.slot("i")
+    template.slot("7d")
+    template.put("3d", *size)
+    template.put("4f", *color)
+    template.put("iI", 0, 0)            # lifetime: for ever
+    template.put("B", False)            # not locked to the frame
+    template.put("I", 2 if kind == ARROW else 0)
+    if kind == ARROW:
+        template.slot("6d")
+    template.put("I", 0)                # colours of points
+    template.string("")                 # texture: its resource, then the image:
+    template.put("iI", 0, 0)
+    template.string("")
+    template.string("")
+    template.put("I", 0)
+    template.put("I", 0)                # texture coordinates
+    for _ in ("text", "mesh resource", "file name of the mesh"):
+        template.string("")
+    template.put("I", 0)                # the mesh
+    template.put("B", False)
 
 
 def markers(encoder):

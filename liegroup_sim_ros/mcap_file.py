@@ -15,8 +15,9 @@ from array import array
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import (Attachment, AttachmentIndex, Channel, Chunk, ChunkIndex, DataEnd, Footer,
-                          Header, Metadata, MetadataIndex, Schema, Statistics, SummaryOffset)
+from mcap.records import (Attachment, AttachmentIndex, Channel, ChunkIndex, DataEnd, Footer, Header,
+                          Metadata, MetadataIndex, Schema, Statistics, SummaryOffset)
+from mcap.records import Chunk as ChunkRecord
 from mcap.writer import MCAP0_MAGIC
 
 _MESSAGE = struct.Struct("<BQHIQQ")         # opcode, size, channel, sequence, log and publish time
@@ -25,23 +26,43 @@ _INDEX = struct.Struct("<BQHI")             # opcode, size, channel, size of the
 _FOOTER_START = struct.Struct("<BQQQ")      # what its check sum covers of a footer
 
 
+class Chunk:
+    """Messages packed as they will stand in a file; one thread at a time may add.
+
+    size, count : bytes before compression, and messages
+    index       : {channel id: array of stamp, offset of each message}
+    """
+
+    def __init__(self):
+        self.parts, self.size, self.count, self.index = [], 0, 0, {}
+
+    def add(self, channel, stamp_ns, data, sequence, publish_ns=None):
+        """A message whose log time, and publish time if none is given, is its stamp."""
+        if channel not in self.index:
+            self.index[channel] = array("Q")
+        self.index[channel].extend((stamp_ns, self.size))
+        self.parts += (_MESSAGE.pack(Opcode.MESSAGE, _MESSAGE_FIELDS + len(data), channel,
+                                     sequence, stamp_ns,
+                                     stamp_ns if publish_ns is None else publish_ns), data)
+        self.size += _MESSAGE.size + len(data)
+        self.count += 1
+
+
 class McapFile:
     """A file under construction: zstd, with message index, statistics and check sums.
 
-    stream     : has write(bytes) and tell()
-    library    : free text, who wrote the file
-    chunk_size : bytes before compression after which a chunk is closed
+    stream  : has write(bytes) and tell()
+    library : free text, who wrote the file
     Errors of the stream are passed on.
     """
 
-    def __init__(self, stream, library, chunk_size, profile="ros2"):
-        self._stream, self._chunk_size = stream, chunk_size
+    def __init__(self, stream, library, profile="ros2"):
+        self._stream = stream
         self._compress = zstandard.ZstdCompressor(level=1).compress
-        self._schemas, self._channels = [], []
+        self._schemas, self._channels, self._definitions = [], [], bytearray()
         self._chunks, self._attachments, self._metadata = [], [], []
         self.counts = {}                    # channel id -> messages
         self._first_ns = self._last_ns = None
-        self._begin_chunk()
         self._checksum = 0                  # of all written so far
         self._put(MCAP0_MAGIC)
         self._write(Header(profile, library))
@@ -58,21 +79,17 @@ class McapFile:
         self._put(data)
         return offset, len(data)
 
-    def _begin_chunk(self):
-        self._parts, self._size, self._index = [], 0, {}
-
-    def _put_in_chunk(self, record):
+    def _define(self, record):
+        """Into the next chunk: its check sum covers it, and its readers need no other place."""
         builder = RecordBuilder()
         record.write(builder)
-        data = builder.end()
-        self._parts.append(data)
-        self._size += len(data)
+        self._definitions += builder.end()
 
     def add_schema(self, name, encoding, data):
         """Number of a new schema."""
         self._schemas.append(Schema(id=len(self._schemas) + 1, data=data, encoding=encoding,
                                     name=name))
-        self._put_in_chunk(self._schemas[-1])
+        self._define(self._schemas[-1])
         return self._schemas[-1].id
 
     def add_channel(self, topic, encoding, schema, metadata):
@@ -81,20 +98,8 @@ class McapFile:
                           schema_id=schema, metadata=metadata)
         self._channels.append(channel)
         self.counts[channel.id] = 0
-        self._put_in_chunk(channel)
+        self._define(channel)
         return channel.id
-
-    def add_message(self, channel, stamp_ns, data, sequence, publish_ns=None):
-        """A message whose log time, and publish time if none is given, is its stamp."""
-        if channel not in self._index:
-            self._index[channel] = array("Q")
-        self._index[channel].extend((stamp_ns, self._size))
-        self._parts += (_MESSAGE.pack(Opcode.MESSAGE, _MESSAGE_FIELDS + len(data), channel,
-                                      sequence, stamp_ns,
-                                      stamp_ns if publish_ns is None else publish_ns), data)
-        self._size += _MESSAGE.size + len(data)
-        if self._size > self._chunk_size:
-            self.flush()
 
     def add_attachment(self, create_ns, stamp_ns, name, media_type, data):
         """A file within the file."""
@@ -114,15 +119,19 @@ class McapFile:
         """Least and largest stamp in closed chunks, ns; zeros without messages."""
         return (0, 0) if self._first_ns is None else (self._first_ns, self._last_ns)
 
-    def flush(self):
-        """Close the chunk, if there is a message in it, and write it with its index."""
-        if not self._index:
+    def write_chunk(self, chunk):
+        """Write a chunk with its index; nothing for one without a message."""
+        if not chunk.count:
             return
-        data, index = b"".join(self._parts), self._index
-        self._begin_chunk()
+        front, index = bytes(self._definitions), chunk.index
+        if front:
+            self._definitions.clear()
+            for each in index.values():
+                each[1::2] = array("Q", [len(front) + offset for offset in each[1::2]])
+        data = front + b"".join(chunk.parts)
         first, last = (edge(edge(each[::2]) for each in index.values()) for edge in (min, max))
         compressed = self._compress(data)
-        offset, length = self._write(Chunk(
+        offset, length = self._write(ChunkRecord(
             compression="zstd", data=compressed, message_start_time=first, message_end_time=last,
             uncompressed_crc=zlib.crc32(data), uncompressed_size=len(data)))
         start, offsets, parts = offset + length, {}, b""
@@ -142,8 +151,7 @@ class McapFile:
         self._first_ns, self._last_ns = min(self._first_ns, first), max(self._last_ns, last)
 
     def finish(self):
-        """Write the last chunk, the summary and the end."""
-        self.flush()
+        """Write the summary and the end."""
         self._write(DataEnd(self._checksum))
         start, (first, last) = self._stream.tell(), self.stamps
         statistics = Statistics(

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Single records of an MCAP file that may be damaged, or made to do harm.
+"""Single records of an MCAP file that may be damaged, or made to do harm; for all who read one.
 
 What their check sums do not confirm is refused; no size that they claim is believed, so memory is
-bounded by LARGEST.
+bounded by LARGEST. mcap_scan.py looks with them for all that is good in a damaged file,
+mcap_stream.py gives the messages of a recording as arrays.
 
 Source: mcap.dev specification, version 0.
 """
@@ -17,7 +18,14 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Metadata, Schema
 
-LARGEST = 32 * 2**20          # bytes of a record, and of a chunk when it is decompressed
+# Bytes of a record, and of a chunk when it is decompressed. Chunks of the recorder have 128 KiB,
+# those of other tools up to some MiB.
+LARGEST = 64 * 2**20
+# Messages carry a stamp and a number each, which do not shrink so much; bombs do.
+MOST_EXPANSION = 1000
+# A file that grows more than this, and LARGEST, is none of a log: bodies at rest reach 6.
+LARGEST_RATIO = 100
+GROWS = f"it claims to hold more than {LARGEST_RATIO} times its size; the rest is left out"
 
 RECORD = struct.Struct("<BQ")               # opcode, size of what follows
 _MESSAGE = struct.Struct("<HIQQ")           # channel, sequence, log time, publish time
@@ -45,6 +53,18 @@ class Block(NamedTuple):
             yield (*unpack(data, start), start + size, end)
 
 
+class ChunkHead(NamedTuple):
+    """What a chunk says of itself."""
+
+    first_ns: int               # stamps
+    last_ns: int
+    size: int                   # bytes, decompressed
+    checksum: int               # of these; 0: none
+    compression: bytes
+    data_start: int             # offset in the record
+    length: int                 # bytes, in the file
+
+
 class AttachmentPiece(NamedTuple):
     log_time: int
     create_time: int
@@ -59,38 +79,54 @@ KINDS = {Opcode.HEADER: Header, Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel,
          Opcode.METADATA: Metadata}
 
 
+class _Fields(ReadDataStream):
+    """The library's own gives fewer bytes than a length says, without a word."""
+
+    def read(self, length):
+        data = super().read(length)
+        if len(data) != length:
+            raise Damaged("a length beyond the end of its record")
+        return data
+
+
 def parsed(kind, body):
     """Record of a class of the library, or Damaged."""
     try:
-        return kind.read(ReadDataStream(BytesIO(body)))
+        return kind.read(_Fields(BytesIO(body)))
+    except Damaged:
+        raise
     except Exception as error:              # damaged bytes can make a parser raise anything
         raise Damaged(f"a damaged record ({kind.__name__})") from error
 
 
 def chunk_head(body):
-    """(compression, uncompressed size, check sum, offset of the data, their length)."""
+    """ChunkHead of a chunk, of which the first 56 bytes are enough, or Damaged."""
     if len(body) < CHUNK.size:
         raise Damaged("a damaged chunk")
-    _, _, size, checksum, name_length = CHUNK.unpack_from(body)
+    first_ns, last_ns, size, checksum, name_length = CHUNK.unpack_from(body)
     data_start = CHUNK.size + name_length + 8
     if name_length > 16 or len(body) < data_start:
         raise Damaged("a damaged chunk")
     compression = body[CHUNK.size:CHUNK.size + name_length]
     length, = struct.unpack_from("<Q", body, data_start - 8)
-    return compression, size, checksum, data_start, length
+    return ChunkHead(first_ns, last_ns, size, checksum, compression, data_start, length)
 
 
-def chunk_data(body):
-    """Records of a chunk that is whole, or Damaged."""
-    compression, size, checksum, start, length = chunk_head(body)
-    if start + length > len(body):
+def chunk_data(head, packed):
+    """Records of a chunk that is whole, out of its bytes in the file, or Damaged."""
+    if len(packed) != head.length:
         raise Damaged("a damaged chunk")
-    if size > LARGEST:
-        raise Damaged(f"a chunk of {length} bytes that claims to hold {size}")
-    data = _decompressed(compression, body[start:start + length], size)
-    if len(data) != size or checksum and zlib.crc32(data) != checksum:
+    check_claim(head)
+    data = _decompressed(head.compression, packed, head.size)
+    if len(data) != head.size or head.checksum and zlib.crc32(data) != head.checksum:
         raise Damaged("a damaged chunk")
     return data
+
+
+def check_claim(head):
+    """Raise Damaged for a chunk that claims to hold more than one of messages can."""
+    if head.size > LARGEST or head.size > MOST_EXPANSION * max(head.length, 64):
+        raise Damaged(f"a chunk of {head.length} bytes that claims to hold {head.size}")
 
 
 def _decompressed(compression, data, size):
@@ -109,7 +145,7 @@ def _decompressed(compression, data, size):
             raise Damaged("a chunk compressed with lz4: pip install lz4") from None
         try:
             return LZ4FrameDecompressor().decompress(data, size + 1)
-        except (RuntimeError, EOFError) as error:
+        except (RuntimeError, EOFError, MemoryError) as error:
             raise Damaged("a damaged chunk") from error
     if compression == b"":
         return data
@@ -119,14 +155,14 @@ def _decompressed(compression, data, size):
 def beginning(body):
     """Block of what can be had of a chunk whose end is missing, or None."""
     try:
-        compression, size, _, start, _ = chunk_head(body)
+        head = chunk_head(body)
     except Damaged:
         return None
-    data = b""
-    if compression == b"":
+    data, start = b"", head.data_start
+    if head.compression == b"":
         data = body[start:]
-    elif compression == b"zstd":
-        parts, left = [], min(size, LARGEST)
+    elif head.compression == b"zstd":
+        parts, left = [], min(head.size, LARGEST)
         decompress = zstandard.ZstdDecompressor(max_window_size=LARGEST).decompressobj().decompress
         try:
             while left > 0 and start < len(body):
@@ -136,7 +172,7 @@ def beginning(body):
                 start += 64
         except (zstandard.ZstdError, MemoryError):
             pass
-        data = b"".join(parts)[:size]
+        data = b"".join(parts)[:head.size]
     try:
         block = block_of(data, is_whole=False)
     except Damaged:
@@ -172,7 +208,7 @@ def attachment_of(body):
     if len(body) < _ATTACHMENT.size + 4:
         raise Damaged("a damaged attachment")
     log_time, create_time, at = _ATTACHMENT.unpack_from(body)
-    stream = ReadDataStream(BytesIO(body[16:]))
+    stream = _Fields(BytesIO(body[16:]))
     try:
         name, media_type = stream.read_prefixed_string(), stream.read_prefixed_string()
         length = stream.read8()

@@ -16,11 +16,9 @@ from mcap.opcode import Opcode
 from mcap.records import Footer, Statistics
 from mcap.writer import MCAP0_MAGIC
 
-from .mcap_records import (CHUNK, KINDS, LARGEST, RECORD, Block, Damaged, attachment_of,
-                           beginning, block_of, chunk_data, chunk_head, parsed)
+from .mcap_records import (CHUNK, GROWS, KINDS, LARGEST, LARGEST_RATIO, RECORD, Block, Damaged,
+                           attachment_of, beginning, block_of, chunk_data, chunk_head, parsed)
 
-# A file that grows more than this, and LARGEST, is none of a log: bodies at rest reach 6.
-LARGEST_RATIO = 100
 _TRIES = 16                   # times the size of the file may be read in search of a chunk
 
 _FOOTER = RECORD.size + 20
@@ -89,8 +87,7 @@ def pieces(stream, size):
             if isinstance(piece, Block):
                 budget -= len(piece.data)
                 if budget < 0:
-                    raise Damaged(f"it claims to hold more than {LARGEST_RATIO} times its size; "
-                                  "the rest is left out")
+                    raise Damaged(GROWS)
         except Damaged as damage:
             yield Damage(str(damage))
             if budget < 0:
@@ -128,12 +125,17 @@ def _piece(stream, opcode, start, length):
     stream.seek(start)
     body = stream.read(length)
     if opcode == Opcode.CHUNK:
-        return block_of(chunk_data(body))
+        return block_of(_chunk_data(body))
     if opcode == Opcode.ATTACHMENT:
         return attachment_of(body)
     if opcode in (Opcode.HEADER, Opcode.METADATA):
         return parsed(KINDS[opcode], body)
     return block_of(RECORD.pack(opcode, length) + body)
+
+
+def _chunk_data(body):
+    head = chunk_head(body)
+    return chunk_data(head, body[head.data_start:head.data_start + head.length])
 
 
 def _fits_itself(stream, opcode, start, length):
@@ -143,10 +145,10 @@ def _fits_itself(stream, opcode, start, length):
     if opcode != Opcode.CHUNK:
         return opcode != Opcode.ATTACHMENT
     try:
-        _, _, _, data_start, data_length = chunk_head(stream.read(min(length, 256)))
+        head = chunk_head(stream.read(min(length, 256)))
     except Damaged:
         return False
-    return data_start + data_length == length
+    return head.data_start + head.length == length
 
 
 def summary_of(stream, size):
@@ -237,11 +239,11 @@ class _Search:
             if opcode != Opcode.CHUNK or is_cut or length > LARGEST:
                 return False
             body = self._stream.read(length)
-            _, size, checksum, start, data_length = chunk_head(body)
-            self._left -= max(length, size // LARGEST_RATIO)
-            if start + data_length != length or not checksum:
+            head = chunk_head(body)
+            self._left -= max(length, head.size // LARGEST_RATIO)
+            if head.data_start + head.length != length or not head.checksum:
                 return False
-            block_of(chunk_data(body))
+            block_of(_chunk_data(body))
             return True
         except Damaged:
             return False

@@ -11,31 +11,25 @@ messages of a chunk, some 10 ns each (benchmarks/recording_analysis.py).
 
 Source: mcap.dev specification, version 0.
 """
-import io
-import struct
-import zlib
 from typing import NamedTuple
 
 import numpy as np
-import zstandard
+from mcap.opcode import Opcode
+from mcap.records import Channel as ChannelRecord
+from mcap.records import Schema, Statistics
+from mcap.writer import MCAP0_MAGIC
 
 from liegroup_core._compile import subroutine
 
-MAGIC = b"\x89MCAP0\r\n"
-(HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX, ATTACHMENT,
- ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END) = range(1, 16)
+from .mcap_records import (GROWS, LARGEST, LARGEST_RATIO, RECORD, Damaged, attachment_of,
+                           check_claim, chunk_data, chunk_head, parsed)
 
-# Chunks of the recorder have 128 KiB, those of other tools up to some MiB.
-LARGEST_CHUNK = 64 * 2**20      # bytes, unpacked
-LARGEST_RECORD = 64 * 2**20     # bytes, of any other record that is read
-# Messages carry a stamp and a number each, which do not shrink so much; bombs do.
-MOST_EXPANSION = 1000
 # Messages outside of chunks are put together to pieces of this size.
 PIECE = 2**20                   # bytes
 
-_RECORD = struct.Struct("<BQ")              # opcode, size of what follows
-_CHUNK_START = struct.Struct("<QQQII")      # start, end, unpacked size, CRC, size of next string
-_MESSAGE_START = 22                         # bytes of a message before its data
+_CHUNK_HEAD = 56                # bytes, at most
+_MESSAGE_START = 22             # bytes of a message before its data
+_READ = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.CHUNK, Opcode.ATTACHMENT, Opcode.STATISTICS)
 
 
 class Channel(NamedTuple):
@@ -45,11 +39,6 @@ class Channel(NamedTuple):
     type: str                   # name of its schema
     schema: bytes               # text of the schema
     metadata: dict
-
-
-class Attachment(NamedTuple):
-    name: str
-    data: bytes
 
 
 class Messages(NamedTuple):
@@ -70,10 +59,6 @@ class Messages(NamedTuple):
         """(len(index), size) uint8: payloads of messages of one size."""
         size = int(self.size[index[0]])
         return self.data[self.start[index][:, None] + np.arange(size)]
-
-
-class Damage(Exception):
-    """A part of the file that is not what the format says; one line of text."""
 
 
 @subroutine
@@ -118,7 +103,7 @@ def _find_messages(data, channel, sequence, log_time, start, size, other):
 
 
 class McapStream:
-    """Reads a file once: `for item in stream` gives Attachment and Messages.
+    """Reads a file once: `for item in stream` gives AttachmentPiece and Messages.
 
     file : binary file object that can seek
     size : bytes of it that count
@@ -137,26 +122,27 @@ class McapStream:
         self.statistics = self.attachments_indexed = None
         self.offset = 0                     # of the record that the last item came from
         self._loose = bytearray()
+        self._budget = LARGEST + LARGEST_RATIO * size
 
     def __iter__(self):
         file = self._file
         file.seek(0)
-        if file.read(len(MAGIC)) != MAGIC:
-            raise Damage("not an MCAP file")
-        at = len(MAGIC)
+        if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
+            raise Damaged("not an MCAP file")
+        at = len(MCAP0_MAGIC)
         while True:
-            head = file.read(_RECORD.size)
-            if len(head) < _RECORD.size:
+            head = file.read(RECORD.size)
+            if len(head) < RECORD.size:
                 break
-            opcode, length = _RECORD.unpack(head)
-            at += _RECORD.size
+            opcode, length = RECORD.unpack(head)
+            at += RECORD.size
             if opcode == 0 or length > self._size - at:
                 break
-            if opcode == FOOTER:
+            if opcode == Opcode.FOOTER:
                 self.finished = length == 20 and len(file.read(20)) == 20 and (
-                    file.read(len(MAGIC)) == MAGIC)
+                    file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC)
                 break
-            if opcode == MESSAGE:
+            if opcode == Opcode.MESSAGE:
                 self._loose += head + file.read(length)
                 if len(self._loose) > PIECE:
                     yield from self._loose_messages()
@@ -175,26 +161,28 @@ class McapStream:
 
     def _take(self, opcode, length, at):
         self.offset = at
-        if opcode not in (SCHEMA, CHANNEL, CHUNK, ATTACHMENT, STATISTICS):
+        if opcode not in _READ:
             return
-        if length > LARGEST_RECORD:
-            self._skip(f"a record claims {length} bytes")
+        if length > LARGEST:
+            self._skip(f"a record of {length} bytes, the largest that is read has {LARGEST}")
             return
         try:
-            if opcode == CHUNK:
+            if opcode == Opcode.CHUNK:
                 found = self._chunk(length, at)
                 if found is not None:
                     yield found
                 return
             data = self._file.read(length)
-            if opcode == ATTACHMENT:
-                yield _attachment(data)
-            elif opcode == STATISTICS:
-                self._take_statistics(data)
+            if opcode == Opcode.ATTACHMENT:
+                yield attachment_of(data)
+            elif opcode == Opcode.STATISTICS:
+                told = parsed(Statistics, data)
+                self.statistics = told.channel_message_counts
+                self.attachments_indexed = told.attachment_count
             else:
                 self._take_names(opcode, data)
-        except (Damage, struct.error, ValueError, IndexError, KeyError) as error:
-            self._skip(str(error) if isinstance(error, Damage) else "a record cannot be read")
+        except Damaged as damage:
+            self._skip(str(damage))
 
     def _skip(self, remark):
         self.damaged += 1
@@ -203,30 +191,28 @@ class McapStream:
 
     def _chunk(self, length, at):
         """Messages of the chunk that begins here, or None for one that is not wanted."""
-        first, last, size, crc, name = _CHUNK_START.unpack(self._file.read(_CHUNK_START.size))
-        if name > 16:
-            raise Damage("a chunk with a damaged head")
-        compression = self._file.read(name)
-        packed, = struct.unpack("<Q", self._file.read(8))
-        if packed != length - _CHUNK_START.size - name - 8:
-            raise Damage("a chunk with a damaged head")
-        if size > LARGEST_CHUNK or size > MOST_EXPANSION * max(packed, 64):
-            raise Damage(f"a chunk of {packed} bytes claims {size} unpacked")
-        if self._wanted is not None and not self._wanted(at, first, last):
+        body = self._file.read(min(length, _CHUNK_HEAD))
+        head = chunk_head(body)
+        if head.data_start + head.length != length:
+            raise Damaged("a chunk with a damaged head")
+        check_claim(head)
+        self._budget -= head.size
+        if self._budget < 0:
+            raise Damaged(GROWS)
+        if self._wanted is not None and not self._wanted(at, head.first_ns, head.last_ns):
             return None
-        data = _unpacked(compression, self._file.read(packed), size)
-        if crc and zlib.crc32(data) != crc:
-            raise Damage("a chunk whose check sum is wrong")
-        return self._messages(np.frombuffer(data, dtype=np.uint8))
+        body += self._file.read(length - len(body))
+        return self._messages(np.frombuffer(
+            chunk_data(head, memoryview(body)[head.data_start:]), dtype=np.uint8))
 
     def _messages(self, data):
-        room = len(data) // (_RECORD.size + _MESSAGE_START) + 1
+        room = len(data) // (RECORD.size + _MESSAGE_START) + 1
         channel, sequence, log_time, start, size = np.empty((5, room), dtype=np.int64)
-        other = np.empty((len(data) // _RECORD.size + 1, 3), dtype=np.int64)
+        other = np.empty((len(data) // RECORD.size + 1, 3), dtype=np.int64)
         found, others, walked = _find_messages(data, channel, sequence, log_time, start, size,
                                                other)
         for opcode, begin, length in other[:others].tolist():
-            if opcode in (SCHEMA, CHANNEL):
+            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 self._take_names(opcode, data[begin:begin + length].tobytes())
         if walked != len(data):
             self._skip("a chunk whose records do not fit")
@@ -234,88 +220,14 @@ class McapStream:
                         size[:found])
 
     def _take_names(self, opcode, data):
-        reader = _Reader(data)
-        number = reader.number("<H")
-        if opcode == SCHEMA:
-            self._schemas[number] = reader.text(), reader.text(), reader.bytes()
+        if opcode == Opcode.SCHEMA:
+            schema = parsed(Schema, data)
+            self._schemas[schema.id] = schema
             return
-        schema, topic, encoding = reader.number("<H"), reader.text(), reader.text()
-        name, _, text = self._schemas.get(schema, ("", "", b""))
-        found = Channel(number, topic, encoding, name, text, reader.map())
-        before = self.channels.setdefault(number, found)
+        told = parsed(ChannelRecord, data)
+        schema = self._schemas.get(told.schema_id)
+        found = Channel(told.id, told.topic, told.message_encoding, schema.name if schema else "",
+                        schema.data if schema else b"", told.metadata)
+        before = self.channels.setdefault(told.id, found)
         if before[:3] != found[:3]:
-            raise Damage(f"channel {number} is said to be two different ones")
-
-    def _take_statistics(self, data):
-        reader = _Reader(data)
-        for form in ("<Q", "<H", "<I"):     # messages, schemas, channels
-            reader.number(form)
-        self.attachments_indexed = reader.number("<I")
-        for form in ("<I", "<I", "<Q", "<Q"):   # metadata, chunks, first and last time
-            reader.number(form)
-        pairs = np.frombuffer(reader.bytes(), dtype=[("id", "<u2"), ("count", "<u8")])
-        self.statistics = dict(zip(pairs["id"].tolist(), pairs["count"].tolist()))
-
-
-class _Reader:
-    """Fields of a record, one after the other."""
-
-    def __init__(self, data):
-        self._data, self._at = data, 0
-
-    def number(self, form):
-        value, = struct.unpack_from(form, self._data, self._at)
-        self._at += struct.calcsize(form)
-        return value
-
-    def bytes(self):
-        size = self.number("<I")
-        if size > len(self._data) - self._at:
-            raise Damage("a record with a length beyond its end")
-        self._at += size
-        return self._data[self._at - size:self._at]
-
-    def text(self):
-        return self.bytes().decode()
-
-    def map(self):
-        inner, entries = _Reader(self.bytes()), {}
-        while inner._at < len(inner._data):
-            key = inner.text()
-            entries[key] = inner.text()
-        return entries
-
-
-def _attachment(data):
-    crc, = struct.unpack_from("<I", data, len(data) - 4)
-    if crc and zlib.crc32(data[:-4]) != crc:
-        raise Damage("an attachment whose check sum is wrong")
-    reader = _Reader(data)
-    reader.number("<Q"), reader.number("<Q")        # log time, create time
-    name = reader.text()
-    reader.text()                                   # media type
-    size = reader.number("<Q")
-    if size != len(data) - reader._at - 4:
-        raise Damage("an attachment with a length that does not fit")
-    return Attachment(name, data[reader._at:-4])
-
-
-def _unpacked(compression, packed, size):
-    """The bytes of a chunk; never more than `size` are unpacked."""
-    try:
-        if compression == b"zstd":
-            reader = zstandard.ZstdDecompressor(max_window_size=LARGEST_CHUNK).stream_reader(
-                io.BytesIO(packed))
-            data = reader.read(size + 1)
-        elif compression == b"lz4":
-            import lz4.frame
-            data = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size + 1)
-        elif compression == b"":
-            data = packed
-        else:
-            raise Damage("a chunk of an unknown compression")
-    except (zstandard.ZstdError, RuntimeError, MemoryError):
-        raise Damage("a chunk that cannot be unpacked") from None
-    if len(data) != size:
-        raise Damage("a chunk that cannot be unpacked")
-    return data
+            raise Damaged(f"channel {told.id} is said to be two different ones")

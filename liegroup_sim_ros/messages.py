@@ -3,7 +3,7 @@
 
 Plain CDR (encapsulation 00 01, little endian): stamp and frame id of std_msgs/Header, then float64
 values on the next multiple of 8 bytes, counted from behind the 4-byte encapsulation. For one frame
-id every offset is fixed, so a message is one `struct` call and a list of messages is one numpy
+id every offset is fixed, so a message is a few pieces of bytes and a list of messages is one numpy
 view; both come from `_offset_of_values`. `encode` gives the bytes of
 rclpy.serialization.serialize_message (test_messages.py), but for the gap behind the frame id: Fast
 CDR leaves there what was in memory, here it is zero, so that equal messages are equal bytes and
@@ -25,6 +25,8 @@ import numpy as np
 
 _LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 _BYTE_ORDER = {b"\x00\x00": ">", b"\x00\x01": "<"}
+_STAMP = struct.Struct("<iI").pack
+_SIX, _SEVEN = struct.Struct("<6d").pack, struct.Struct("<7d").pack
 _FRAME_ID = 16                                 # offset of the frame id's characters in the payload
 _ANGULAR_FIRST = [3, 4, 5, 0, 1, 2]            # linear first <-> angular first; its own inverse
 
@@ -94,20 +96,26 @@ class Fields:
         return self.number("i") * 1_000_000_000 + self.number("I")
 
 
+def pack_stamp(stamp_ns):
+    """The 8 bytes of a stamp, for `encode_packed`: the same for all messages of an instant."""
+    return _STAMP(*divmod(stamp_ns, 1_000_000_000))
+
+
 class PoseStampedCodec:
     """geometry_msgs/msg/PoseStamped in one frame.
 
     PoseStampedCodec("world").encode(stamp_ns, position, quaternion) -> bytes
+    .encode_packed(pack_stamp(stamp_ns), the 56 bytes of position and quaternion) -> bytes
     PoseStampedCodec.decode(payloads) -> Poses
     """
 
     TYPE = "geometry_msgs/msg/PoseStamped"
 
     def __init__(self, frame_id):
-        self._pack = _packer(frame_id, 7)
+        self.encode_packed = _packer(frame_id)
 
     def encode(self, stamp_ns, position, quaternion):
-        return self._pack(*divmod(stamp_ns, 1_000_000_000), *position, *quaternion)
+        return self.encode_packed(pack_stamp(stamp_ns), _SEVEN(*position, *quaternion))
 
     @classmethod
     def decode(cls, payloads):
@@ -119,16 +127,17 @@ class TwistStampedCodec:
     """geometry_msgs/msg/TwistStamped in one frame; `twist6` is (omega, v).
 
     TwistStampedCodec(body).encode(stamp_ns, twist6) -> bytes
+    .encode_packed(pack_stamp(stamp_ns), the 48 bytes of v and omega, linear first) -> bytes
     TwistStampedCodec.decode(payloads) -> Twists
     """
 
     TYPE = "geometry_msgs/msg/TwistStamped"
 
     def __init__(self, frame_id):
-        self._pack = _packer(frame_id, 6)
+        self.encode_packed = _packer(frame_id)
 
     def encode(self, stamp_ns, twist6):
-        return self._pack(*divmod(stamp_ns, 1_000_000_000), *twist6[3:], *twist6[:3])
+        return self.encode_packed(pack_stamp(stamp_ns), _SIX(*twist6[3:], *twist6[:3]))
 
     @classmethod
     def decode(cls, payloads):
@@ -147,10 +156,10 @@ class WrenchStampedCodec:
     TYPE = "geometry_msgs/msg/WrenchStamped"
 
     def __init__(self, frame_id):
-        self._pack = _packer(frame_id, 6)
+        self.encode_packed = _packer(frame_id)
 
     def encode(self, stamp_ns, wrench6):
-        return self._pack(*divmod(stamp_ns, 1_000_000_000), *wrench6[3:], *wrench6[:3])
+        return self.encode_packed(pack_stamp(stamp_ns), _SIX(*wrench6[3:], *wrench6[:3]))
 
     @classmethod
     def decode(cls, payloads):
@@ -216,14 +225,14 @@ def _offset_of_values(frame_size):
     return end + (4 - end) % 8                 # alignment counts from behind the encapsulation
 
 
-def _packer(frame_id, nvalues):
-    """Function (sec, nanosec, *values) -> payload for one frame id."""
+def _packer(frame_id):
+    """Function (bytes of the stamp, bytes of the float64 values) -> payload for one frame id."""
     frame = frame_id.encode() + b"\0"
     padding = _offset_of_values(len(frame)) - _FRAME_ID - len(frame)
-    pack = struct.Struct(f"<4siII{len(frame)}s{padding}x{nvalues}d").pack
+    middle = struct.pack("<I", len(frame)) + frame + bytes(padding)
 
-    def pack_message(sec, nanosec, *values):
-        return pack(_LITTLE_ENDIAN, sec, nanosec, len(frame), frame, *values)
+    def pack_message(stamp, values):
+        return _LITTLE_ENDIAN + stamp + middle + values
 
     return pack_message
 

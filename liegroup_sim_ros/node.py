@@ -68,8 +68,14 @@ class SimNode(Node):
 
     def __init__(self, signals):
         # This node makes the simulated time: use_sim_time would make it its own listener.
-        super().__init__("sim_node", automatically_declare_parameters_from_overrides=True,
-                         parameter_overrides=[Parameter("use_sim_time", value=False)])
+        try:
+            super().__init__("sim_node", automatically_declare_parameters_from_overrides=True,
+                             parameter_overrides=[Parameter("use_sim_time", value=False)])
+        except ValueError as error:         # such as `step: []` in a file
+            empty = [name for name, parameter in getattr(self, "_parameter_overrides", {}).items()
+                     if parameter.value is None]
+            raise ParameterError(f"parameter {empty[0]}: has no value" if empty else str(error)
+                                 ) from None
         self._signals = signals
         for name in ("liegroup_core", __package__):
             logging.getLogger(name).addHandler(LogHandler(self.get_logger()))
@@ -146,7 +152,10 @@ def _refused_by_rcl():
     try:
         yield
     except RuntimeError as error:           # its class is private to rclpy
-        raise ParameterError(str(error).partition(", at /")[0]) from None
+        text = str(error).partition(", at /")[0]
+        if type(error).__name__ == "UnknownROSArgsError":       # its text is a list and no more
+            text = f"unknown ROS arguments: {text}"
+        raise ParameterError(text) from None
 
 
 def run(args, signals):

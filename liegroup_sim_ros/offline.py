@@ -53,9 +53,10 @@ def add_parser(subparsers):
 def add_settings(parser):
     """Add the options that say how to simulate."""
     parser.add_argument("--accuracy", type=float, metavar="X",
-                        help="in place of method, step, group and stabilisation: the cheapest that "
-                        "keeps this error, positions in parts of the scene's length and attitudes "
-                        "in rad; measured once for a scene on a machine (docs/trade.md)")
+                        help="in place of method, step, group and stabilisation: the cheapest "
+                        "that keeps this error, positions in parts of the scene's length and "
+                        "attitudes in rad; measured once for a scene on a machine "
+                        "(docs/trade.md)")
     parser.add_argument("--horizon", type=float, metavar="S", help="simulated time over which the "
                         "accuracy is promised (default: what suits the scene, at most 10)")
     parser.add_argument("--method", metavar="NAME",
@@ -85,8 +86,8 @@ def given_settings(args):
     settings = {name: getattr(args, name) for name in SETTINGS
                 if getattr(args, name) is not None}
     if settings and args.accuracy is not None:
-        raise RunError(f"--accuracy takes the place of --{next(iter(settings)).replace('_', '-')}: "
-                       "leave one of the two away")
+        name = next(iter(settings)).replace("_", "-")
+        raise RunError(f"--accuracy takes the place of --{name}: leave one of the two away")
     return settings
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from . import attachments, schemas
 from .messages import LogCodec, PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec
 from .recorder import Recorder, RecorderError
+from .sample_messages import poses_and_twists
 
 NODE = "/sim_node"                          # names the topics, as a run of the node would
 WORLD_FRAME = "world"
@@ -98,10 +99,10 @@ class LogFile:
             raise OutputError(f"{path}: {error}; *.npz needs no ROS") from None
         except RecorderError as error:
             raise OutputError(str(error)) from None
-        add, pose = self._recorder.add_channel, PoseStampedCodec(WORLD_FRAME)
-        self._bodies = [(b, add(topics["pose"][b], pose.TYPE), pose.encode,
-                         add(topics["twist"][b], TwistStampedCodec.TYPE),
-                         TwistStampedCodec(b).encode) for b in bodies]
+        add = self._recorder.add_channel
+        self._encode = poses_and_twists(bodies, WORLD_FRAME)
+        self._channels = [(add(topics["pose"][b], PoseStampedCodec.TYPE),
+                           add(topics["twist"][b], TwistStampedCodec.TYPE)) for b in bodies]
         add(topics["applied_wrench"], WrenchStampedCodec.TYPE)
         self._events = add(topics["events"], LogCodec.TYPE, "transient_local")
         self._event(0, "start", f"{simulation.scene.name} at step 0, without a clock")
@@ -121,11 +122,9 @@ class LogFile:
     def sample(self, sample):
         """Record poses and twists of all bodies."""
         stamp = sample.time_ns
-        positions, quaternions, twists = sample.positions, sample.quaternions, sample.twists
-        for body, pose, encode_pose, twist, encode_twist in self._bodies:
-            self._recorder.write(pose, stamp, encode_pose(
-                stamp, positions[body].tolist(), quaternions[body].tolist()))
-            self._recorder.write(twist, stamp, encode_twist(stamp, twists[body].tolist()))
+        for channels, messages in zip(self._channels, self._encode(stamp, sample)):
+            for channel, message in zip(channels, messages):
+                self._recorder.write(channel, stamp, message)
         self.count, self.last_step = self.count + 1, sample.steps
 
     def finish(self, simulation, stopped, failed, wall_seconds):

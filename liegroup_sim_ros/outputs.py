@@ -6,7 +6,7 @@ is 0 is not there, and nothing is computed for it.
 """
 import importlib
 
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from . import diagnostics, sample_messages
 from .markers import Markers, markers
@@ -27,23 +27,28 @@ OPTIONAL = {
 class Stream:
     """One topic: its publisher and, when recording, its channel.
 
+    overrides    : QosOverrides
     message_type : such as "geometry_msgs/msg/PoseStamped"
     qos          : as in schemas.qos_profile
     """
 
-    def __init__(self, node, topic, message_type, qos="reliable", depth=10):
+    def __init__(self, node, overrides, topic, message_type, qos="reliable", depth=10):
         profile = QoSProfile(depth=depth)
         if qos == "transient_local":
             profile.durability = DurabilityPolicy.TRANSIENT_LOCAL
         package, _, name = message_type.split("/")
         message_class = getattr(importlib.import_module(f"{package}.msg"), name)
         self._node = node
-        self._publisher = node.create_publisher(message_class, topic, profile)
+        self._publisher = node.create_publisher(
+            message_class, topic, profile,
+            qos_overriding_options=overrides.options(node, topic, "publisher"))
         # Publisher.publish enters this context for every message, which takes as long as sending.
         self._handle = self._publisher.handle
         self._handle.__enter__()
         self._publish = self._handle.publish_raw
-        self._type, self._qos, self._depth = message_type, qos, depth
+        best_effort = profile.reliability == ReliabilityPolicy.BEST_EFFORT
+        self._type, self._qos = message_type, "best_effort" if best_effort else qos
+        self._depth = profile.depth
         self._write = self._channel = None
 
     @property
@@ -62,6 +67,10 @@ class Stream:
         if self._write is not None:
             self._write(self._channel, stamp_ns, data)
 
+    def publish(self, data):
+        """Publish a serialized message, without recording it."""
+        self._publish(data)
+
     def record(self, stamp_ns, data):
         """Record a serialized message, without publishing it."""
         if self._write is not None:
@@ -76,10 +85,11 @@ class Stream:
 class Outputs:
     """All topics of a simulation; the methods are what SimulationServer calls.
 
-    node    : rclpy Node
-    layout  : Layout of the scene
-    values  : parameters
-    figures : function that returns {name: number or text}, added to the diagnostics
+    node      : rclpy Node
+    layout    : Layout of the scene
+    values    : parameters
+    figures   : function that returns {name: number or text}, added to the diagnostics
+    overrides : QosOverrides
     raises ParameterError for a topic whose message type is not installed
 
     timed                    : [(steps from one message to the next, send(stamp_ns, sample))]
@@ -87,8 +97,8 @@ class Outputs:
     acting                   : {body: total wrench on it}, of those that are not zero
     """
 
-    def __init__(self, node, layout, values, figures):
-        self._node, self._figures = node, figures
+    def __init__(self, node, layout, values, figures, overrides):
+        self._node, self._figures, self._overrides = node, figures, overrides
         self._name = f"{node.get_fully_qualified_name()}: simulation"
         self._streams = []
         self.timed, self.acting = [], {}
@@ -98,14 +108,15 @@ class Outputs:
         self._frames = {body: values.frame_prefix + body for body in bodies}
         self._topics = {"pose": {}, "twist": {}}
         if values.steps["publish_rate"]:
-            self._add_samples(bodies, world_frame, values.steps["publish_rate"])
+            self._add_samples(bodies, world_frame, values.frame_prefix,
+                              values.steps["publish_rate"])
         # Many bodies may be pushed at one step.
         self._applied = self._stream("~/applied_wrench", WrenchStampedCodec.TYPE, depth=100)
         self._encode_wrench = {body: WrenchStampedCodec(frame).encode
                                for body, frame in self._frames.items()}
         self._events = self._stream("~/events", LogCodec.TYPE, qos="transient_local")
         self._diagnostics = self._stream("/diagnostics", diagnostics.TYPE)
-        self._clock = self._state = None
+        self._clock = self._state = self._marked = None
         if self.clock_steps:
             self._clock = self._stream("/clock", ClockCodec.TYPE, depth=1)
         if self.state_steps:
@@ -117,32 +128,31 @@ class Outputs:
                                    values.steps[name])
 
     def _stream(self, *arguments, **options):
-        self._streams.append(Stream(self._node, *arguments, **options))
+        self._streams.append(Stream(self._node, self._overrides, *arguments, **options))
         return self._streams[-1]
 
-    def _add_samples(self, bodies, world_frame, steps):
-        encode_pose = PoseStampedCodec(world_frame).encode
+    def _add_samples(self, bodies, world_frame, frame_prefix, steps):
+        encode = sample_messages.poses_and_twists(bodies, world_frame, frame_prefix)
         table = []
         for body in bodies:
             pose = self._stream(f"~/{body}/pose", PoseStampedCodec.TYPE)
             twist = self._stream(f"~/{body}/twist", TwistStampedCodec.TYPE)
             self._topics["pose"][body], self._topics["twist"][body] = pose.topic, twist.topic
-            table.append((pose.send, twist.send, TwistStampedCodec(self._frames[body]).encode))
+            table.append((pose.send, twist.send))
 
         def send(stamp_ns, sample):
-            # Lists of all bodies at once: numbers of an array one by one cost several times more.
-            for (send_pose, send_twist, encode_twist), pose, quaternion, twist in zip(
-                    table, sample.pose.tolist(), sample.orientation.tolist(),
-                    sample.twist.tolist()):
-                send_pose(stamp_ns, encode_pose(stamp_ns, pose[9:], quaternion))
-                send_twist(stamp_ns, encode_twist(stamp_ns, twist))
+            for (send_pose, send_twist), (pose, twist) in zip(table, encode(stamp_ns, sample)):
+                send_pose(stamp_ns, pose)
+                send_twist(stamp_ns, twist)
 
         self.timed.append((steps, send))
 
     def _add_optional(self, parameter, topics, steps):
         for topic, message_type, encode in topics:
+            # A viewer that comes while the time stands still shall see the scene, too.
+            qos = "transient_local" if parameter == "marker_rate" else "reliable"
             try:
-                stream = self._stream(topic, message_type)
+                stream = self._stream(topic, message_type, qos=qos)
             except ImportError:
                 package = message_type.partition("/")[0]
                 raise ParameterError(
@@ -150,6 +160,8 @@ class Outputs:
                     f"or install it (apt: ros-jazzy-{package.replace('_', '-')})") from None
             self.timed.append((steps, lambda stamp_ns, sample, stream=stream, encode=encode:
                                stream.send(stamp_ns, encode(stamp_ns, sample))))
+            if parameter == "marker_rate":
+                self._marked = stream
 
     def topics(self):
         """Resolved names, as in a recording's settings."""
@@ -167,8 +179,10 @@ class Outputs:
         for stream in self._streams:
             stream.record_to(recorder)
 
-    def close(self):
-        """Take all topics away."""
+    def close(self, stamp_ns=None):
+        """Take all topics away; with the last stamp, also the markers from those who saw them."""
+        if self._marked is not None and stamp_ns is not None:
+            self._marked.publish(self._markers.encode_end(stamp_ns))
         for stream in self._streams:
             stream.close()
 
@@ -203,6 +217,9 @@ class Outputs:
     def diagnostics(self, stamp_ns, figures):
         """/diagnostics: the server's figures and those of the node."""
         self._diagnostics.send(stamp_ns, self._encoded(stamp_ns, figures))
+        if figures["state"] != "running" and self._clock is not None:
+            # For listeners that come while the time stands still; recordings have it already.
+            self._clock.publish(ClockCodec.encode(stamp_ns))
 
     def _encoded(self, stamp_ns, figures):
         return diagnostics.encode(stamp_ns, self._name, {**figures, **self._figures()})

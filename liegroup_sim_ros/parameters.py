@@ -17,6 +17,10 @@ from rclpy.parameter import Parameter
 from liegroup_core.integrators.methods import GROUPS, METHODS
 from liegroup_core.simulation import METHOD, STABILISATIONS, STEP
 
+QOS_PREFIX = "qos_overrides."
+RELIABILITIES = ("reliable", "best_effort")
+DEEPEST = 1_000_000                         # messages that a topic may keep
+LONGEST_SHOWN = 60                          # characters of a wrong value in its error
 HOLDS = ("one_step", "timeout", "until_replaced")
 CHOSEN = ("method", "stabilisation", "group", "step")      # what an accuracy takes the place of
 
@@ -47,8 +51,8 @@ TABLE = (
     Entry("scene", "", "scene file (YAML), or the name of one that comes along; a new one is "
           "taken by ~/reload", read_only=False),
     Entry("accuracy", 0.0, "in place of method, stabilisation, group and step: the cheapest that "
-          "keeps this error in real time, positions in parts of the scene's length and attitudes in "
-          "rad; measured once for a scene on a machine, see trade.md; 0: not", low=0.0, high=1.0),
+          "keeps this error in real time, positions in parts of the scene's length and attitudes "
+          "in rad; measured once for a scene on a machine, see trade.md; 0: not", low=0.0, high=1.0),
     Entry("accuracy_horizon", 0.0, "simulated time from the start over which the accuracy is "
           "promised, s; 0: what suits the scene", low=0.0, high=1e6),
     Entry("method", METHOD, "integration method", choices=tuple(METHODS)),
@@ -105,15 +109,15 @@ def check(name, value):
     if wanted is float and type(value) is int:
         value = float(value)
     if type(value) is not wanted:
-        raise ParameterError(f"parameter {name}: must be {_TYPE_NAMES[wanted]}, got {value!r}")
+        raise ParameterError(f"parameter {name}: must be {_TYPE_NAMES[wanted]}, got {_shown(value)}")
     if entry.choices and value not in entry.choices:
         raise ParameterError(
-            f"parameter {name}: must be {_listed(entry.choices)}, got {value!r}")
+            f"parameter {name}: must be {_listed(entry.choices)}, got {_shown(value)}")
     if wanted is float and not math.isfinite(value):
-        raise ParameterError(f"parameter {name}: must be finite, got {value!r}")
+        raise ParameterError(f"parameter {name}: must be finite, got {_shown(value)}")
     if entry.low is not None and (not entry.low <= value <= entry.high
                                   or entry.above and value == entry.low):
-        raise ParameterError(f"parameter {name}: must be {_range(entry)}, got {value!r}")
+        raise ParameterError(f"parameter {name}: must be {_range(entry)}, got {_shown(value)}")
     return value
 
 
@@ -122,15 +126,16 @@ def read_parameters(node):
 
     node : was created with automatically_declare_parameters_from_overrides=True; that is how
            names that nobody knows, which ROS would ignore, are seen and refused
-    returns the values, and `.steps`: {rate: steps between two messages, 0 for none}; with an
-            accuracy, `set_step` says them when a step is chosen
+    returns the values, `.steps`: {rate: steps between two messages, 0 for none}, which with an
+            accuracy `set_step` says when a step is chosen, and `.qos`: names of parameters for
+            the quality of service, which qos.py reads
     raises ParameterError
     """
     given = {name: parameter.value for name, parameter in node.get_parameters_by_prefix("").items()
              if name not in _BUILT_IN}
     for name in given:
         node.undeclare_parameter(name)      # to be declared again, with its descriptor
-        if name not in _ENTRIES and not name.startswith("qos_overrides."):
+        if name not in _ENTRIES and not name.startswith(QOS_PREFIX):
             near = difflib.get_close_matches(name, _ENTRIES, n=1)
             hint = f"did you mean {near[0]}?" if near else f"there are: {', '.join(_ENTRIES)}"
             raise ParameterError(f"parameter {name}: unknown; {hint}")
@@ -142,10 +147,13 @@ def read_parameters(node):
     if values.accuracy:
         for name in CHOSEN:
             if name in given:
-                raise ParameterError(f"parameter accuracy: takes the place of {name}: leave one of "
-                                     "the two away")
+                raise ParameterError(f"parameter accuracy: takes the place of {name}: leave one "
+                                     "of the two away")
     else:
         set_step(values, values.step)
+    values.qos = [name for name in given if name.startswith(QOS_PREFIX)]
+    for name in values.qos:
+        _check_qos(name, given[name])
     if values.record and not values.publish_rate:
         raise ParameterError("parameter publish_rate: must be greater than 0 to record: "
                              "recordings are made of poses and twists")
@@ -228,6 +236,17 @@ def _whole_steps(name, rate, step):
     return whole
 
 
+def _check_qos(name, value):
+    """Raise ParameterError for a value that no topic can have: rclpy says it in riddles."""
+    policy = name.rpartition(".")[2]
+    if policy == "reliability" and value not in RELIABILITIES:
+        raise ParameterError(
+            f"parameter {name}: must be {_listed(RELIABILITIES)}, got {_shown(value)}")
+    if policy == "depth" and not (type(value) is int and 1 <= value <= DEEPEST):
+        raise ParameterError(f"parameter {name}: must be a whole number of at least 1 and at most "
+                             f"{DEEPEST}, got {_shown(value)}")
+
+
 def _descriptor(entry):
     descriptor = ParameterDescriptor(description=entry.text, read_only=entry.read_only)
     if entry.choices:
@@ -240,6 +259,11 @@ def _descriptor(entry):
             descriptor.floating_point_range = [
                 FloatingPointRange(from_value=entry.low, to_value=entry.high)]
     return descriptor
+
+
+def _shown(value):
+    text = repr(value)
+    return text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}..."
 
 
 def _range(entry):

@@ -6,7 +6,8 @@ from typing import NamedTuple
 import numpy as np
 import yaml
 
-from .mcap_stream import Attachment, McapStream
+from .mcap_records import AttachmentPiece
+from .mcap_stream import McapStream
 from .recording_file import TellPath
 
 _TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
@@ -68,7 +69,7 @@ class PlayFile:
             stream = McapStream(file, self._source.size, lambda at, *_: at in wanted)
             stream.channels.update(self._recording.channels)
             for item in stream:
-                if isinstance(item, Attachment):
+                if isinstance(item, AttachmentPiece):
                     continue
                 stamps = item.log_time
                 order = np.argsort(stamps, kind="stable")

@@ -99,8 +99,9 @@ def _push(args):
     # Both ways, or the answer would be missed.
     if not spin_until(lambda: publisher.get_subscription_count()
                       and node.count_publishers(f"{name}/applied_wrench"), DISCOVERY):
-        raise PushError(f"no simulation node {name} within {DISCOVERY:g} s: is it running, with "
-                        "the same ROS_DOMAIN_ID? --node gives its name")
+        raise PushError(f"no simulation node {name} within {DISCOVERY:g} s: is it running (a first "
+                        "start compiles for half a minute), with the same ROS_DOMAIN_ID? --node "
+                        "gives its name")
     if not spin_until(lambda: args.body in bodies(), ANSWER):
         raise PushError(f"{name} has no body {args.body!r}; it has: {', '.join(bodies())}")
     answer = AsyncParameterClient(node, name).get_parameters(["frame_prefix"])

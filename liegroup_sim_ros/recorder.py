@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recorder of a simulation run: self-contained MCAP files that `ros2 bag` and others open.
 
-Messages are queued by the caller and written by the recorder's own thread, the only one to touch
-the file. A chunk is closed when it reaches CHUNK_SIZE and, if messages are waiting in it, when
-`flush_interval` seconds of wall time have passed; every write goes straight to the operating
-system. So a process that is killed loses at most that interval (test_recorder.py), and what is in
-closed chunks can be read without the file's end.
+Messages are packed into chunks by the caller; the recorder's own thread, the only one to touch the
+file, compresses and writes whole chunks. So the two seldom wait for each other: a thread that had
+to do something for every message took the interpreter from the simulation a thousand times a
+second, which cost more than the recording. A chunk is closed when it reaches CHUNK_SIZE and, if
+messages are in it, when `flush_interval` seconds of wall time have passed; every write goes
+straight to the operating system. So a process that is killed loses at most that interval
+(test_recorder.py), and what is in closed chunks can be read without the file's end.
 
 log_time = publish_time = the message's stamp, simulation time in ns; sequence numbers count from 1
 in every channel, on and on over the parts of a recording. A full disk ends the recording, not the
@@ -24,7 +26,7 @@ from pathlib import Path
 
 from liegroup_sim_ros import __version__, schemas
 from liegroup_sim_ros.bag_metadata import FILE_NAME, Bag, as_yaml, record_of_file, topic_info
-from liegroup_sim_ros.mcap_file import McapFile
+from liegroup_sim_ros.mcap_file import Chunk, McapFile
 
 CHUNK_SIZE = 128 * 1024       # bytes before compression; more than nearly all messages have
 QUEUE_BYTES = 64 * 2**20      # that may wait, for messages so large that few fit
@@ -53,8 +55,8 @@ class Recorder:
     bag            : Bag that the files are added to, and whose metadata.yaml is kept beside them;
                      True: a new one; None: no metadata.yaml
 
-    Counters: `written` messages handed to the file, `queued` waiting, `lost` not in the file (0
-    unless there was a failure), `bytes` in the present file. `failure`: None or one line of text,
+    Counters: `written` messages in closed chunks of the files, `queued` waiting, `lost` not in a
+    file (0 unless there was a failure), `bytes` in the present file. `failure`: None or one line of text,
     also logged once. `with Recorder(...) as recorder:` closes it at the end. Raises RecorderError.
     """
 
@@ -73,17 +75,18 @@ class Recorder:
         self.lost = 0
         self.failure = None
         self._metadata = metadata or {}
-        self._channels = []
+        self._channels, self._registered = [], []
         self._schema_ids = {}                  # message type -> schema id in the present file
-        self._queue = deque()                  # messages, and functions that add a channel or so
-        self._lock = threading.Lock()          # of those who fill the queue
+        self._chunk = Chunk()                  # under construction
+        self._queue = deque()                  # chunks, and functions that add a channel or so
+        self._lock = threading.Lock()          # of the chunk and of those who fill the queue
         self._queue_size = queue_size
-        self._bytes_in = self._bytes_out = 0   # of messages that went into the queue, and out
+        self._given = 0                        # messages that came so far
+        self._bytes_in = self._bytes_out = 0   # of chunks that went into the queue, and out
         self._flush_interval = flush_interval
         self._max_size, self._max_duration = max_size, max_duration
         self._part_since = None                # stamp, ns; None: no sample of this part yet
         self._dividing = False
-        self._secured = 0                      # `written` at the last flush
         self._closing = threading.Event()
         self._closed = False
         try:
@@ -113,7 +116,7 @@ class Recorder:
 
     @property
     def queued(self):
-        return len(self._queue)
+        return self._given - self.written - self.lost
 
     @property
     def bytes(self):
@@ -143,34 +146,52 @@ class Recorder:
             raise RecorderError(f"cannot record {topic}: {error}") from None
         with self._lock:
             self._channels.append(channel)
+            channel.id = len(self._channels)
             self._queue.append(lambda: self._register(channel))
-            return len(self._channels) - 1
+            return channel.id - 1
 
     def write(self, channel, stamp_ns, data):
-        """Queue one serialized message, from any thread.
+        """Take in one serialized message, from any thread.
 
         Waits while the queue is full, but not after a failure. Never raises for the disk.
         """
-        while (len(self._queue) >= self._queue_size
-               or self._bytes_in - self._bytes_out > QUEUE_BYTES) and not self._closed:
-            time.sleep(_IDLE)
-        if self._closed:
-            self.lost += 1
-            return
+        if self._is_full():
+            with self._lock:
+                self._close_chunk()
+            while self._is_full() and not self._closed:
+                time.sleep(_IDLE)
         channel = self._channels[channel]
-        with self._lock:                       # numbers in the order of the queue
+        with self._lock:                       # numbers in the order of the chunks
+            self._given += 1
+            if self._closed or self.failure is not None:
+                self.lost += 1
+                return
             channel.sequence += 1
-            self._bytes_in += len(data)
-            self._queue.append((channel, channel.sequence, stamp_ns, data))
+            self._chunk.add(channel.id, stamp_ns, data, channel.sequence & 0xffffffff)
+            if self._chunk.size > CHUNK_SIZE:
+                self._close_chunk()
+
+    def _is_full(self):
+        return (self.queued >= self._queue_size
+                or self._bytes_in - self._bytes_out > QUEUE_BYTES)
+
+    def _close_chunk(self):
+        """What comes next goes into another chunk. The caller has the lock."""
+        if self._chunk.count:
+            self._bytes_in += self._chunk.size
+            self._queue.append(self._chunk)
+            self._chunk = Chunk()
+
+    def _in_order(self, action):
+        """Do something behind all that came so far, in the recorder's thread."""
+        with self._lock:
+            self._close_chunk()
+            self._queue.append(action)
 
     def add_attachment(self, name, media_type, data):
         """Attach a file, usually at the end of a part or a run."""
-        def attach():
-            self._mcap.flush()              # the stamps of all that came before count
-            self._mcap.add_attachment(time.time_ns(), self._mcap.stamps[1], name, media_type, data)
-
-        with self._lock:
-            self._queue.append(attach)
+        self._in_order(lambda: self._mcap.add_attachment(
+            time.time_ns(), self._mcap.stamps[1], name, media_type, data))
 
     def is_part_due(self, stamp_ns):
         """Whether the present part has reached its size or, at this stamp, its duration."""
@@ -192,13 +213,11 @@ class Recorder:
             self._file.close()
             self._open(path, attachments)
             self.path = path
-            for channel in self._channels:
-                if channel.id is not None:      # others come out of the queue yet
-                    self._register(channel)
+            for channel in self._registered:    # others come out of the queue yet
+                self._add_to_file(channel)
             self._dividing = False
 
-        with self._lock:
-            self._queue.append(open_next)
+        self._in_order(open_next)
 
     def close(self):
         """Write everything queued and finish the file; may be called again, from any thread.
@@ -208,14 +227,13 @@ class Recorder:
         self._closing.set()
         self._thread.join()
         atexit.unregister(self.close)
-        while self._queue:                     # came while the thread was ending
-            self.lost += isinstance(self._queue.popleft(), tuple)
+        self.lost = self._given - self.written  # with those that came while the thread was ending
 
     # What follows runs in the recorder's thread.
 
     def _open(self, path, attachments):
         self._file = _File(path)
-        self._mcap = McapFile(self._file, LIBRARY, CHUNK_SIZE)
+        self._mcap = McapFile(self._file, LIBRARY)
         self._earlier, self._schema_ids = self.written, {}
         for name, (media_type, data) in attachments.items():
             self._mcap.add_attachment(time.time_ns(), 0, name, media_type, data)
@@ -223,11 +241,16 @@ class Recorder:
             self._mcap.add_metadata(name, entries)
 
     def _register(self, channel):
+        self._registered.append(channel)
+        self._add_to_file(channel)
+
+    def _add_to_file(self, channel):
+        """Its number in the file is the same in every part: they are added in their order."""
         info = channel.info
         if info["type"] not in self._schema_ids:
             self._schema_ids[info["type"]] = self._mcap.add_schema(
                 info["type"], "ros2msg", channel.definition)
-        channel.id = self._mcap.add_channel(
+        self._mcap.add_channel(
             info["name"], "cdr", self._schema_ids[info["type"]],
             {"offered_qos_profiles": as_yaml(info["offered_qos_profiles"]),
              "topic_type_hash": info["type_description_hash"]})
@@ -236,10 +259,11 @@ class Recorder:
         flushed = time.monotonic()
         while True:
             closing = self._closing.is_set()   # asked first: then all there was is written below
-            self._write_queued()
-            if self.written > self._secured and time.monotonic() - flushed > self._flush_interval:
-                self._attempt(self._flush)
+            if closing or time.monotonic() - flushed > self._flush_interval:
+                with self._lock:
+                    self._close_chunk()
                 flushed = time.monotonic()
+            self._write_queued()
             if closing:
                 break
             if not self._queue:
@@ -249,35 +273,23 @@ class Recorder:
         self._closed = True
 
     def _write_queued(self):
-        queue, mcap = self._queue, self._mcap
-        for _ in range(len(queue)):
-            item = queue.popleft()
-            if not isinstance(item, tuple):
+        for _ in range(len(self._queue)):
+            item = self._queue.popleft()
+            if not isinstance(item, Chunk):
                 self._attempt(item)
-                mcap = self._mcap
                 continue
-            channel, sequence, stamp_ns, data = item
-            self._bytes_out += len(data)
-            if self.failure is None:
-                try:
-                    mcap.add_message(channel.id, stamp_ns, data, sequence & 0xffffffff)
-                    self.written += 1
-                    continue
-                except Exception as error:
-                    self._fail(error)
-            self.lost += 1
+            self._attempt(lambda item=item: self._write_chunk(item))
+            self._bytes_out += item.size
 
-    def _flush(self):
-        self._mcap.flush()
-        self._secured = self.written
+    def _write_chunk(self, chunk):
+        self._mcap.write_chunk(chunk)
+        self.written += chunk.count
 
     def _finish(self):
         mcap = self._mcap
-        mcap.flush()
         topics = [(channel.info, mcap.counts.get(channel.id, 0)) for channel in self._channels]
         mcap.add_metadata("rosbag2", record_of_file(self.path.name, mcap.stamps, topics))
         mcap.finish()
-        self._secured = self.written
         if self.bag is not None:
             self.bag.add_file(self.path.name, mcap.stamps, topics)
             self.bag.write(self.path.parent)
@@ -292,20 +304,21 @@ class Recorder:
 
     def _fail(self, error):
         """End the recording. Whatever the error is, the simulation goes on without it."""
-        # Chunks are written whole or not at all as far as a reader is concerned.
-        there = self._earlier + sum(self._mcap.counts.values())
-        self.lost += self.written - there
-        self.written = there
-        self.failure = (f"recording to {self.path} stopped after {self.written} messages: "
-                        f"{_reason(error)}{_where(error)}; the simulation goes on unrecorded")
+        with self._lock:
+            # A chunk whose index did not go into the file is there for a reader all the same.
+            self.written = self._earlier + sum(self._mcap.counts.values())
+            self.failure = (f"recording to {self.path} stopped after {self.written} messages: "
+                            f"{_reason(error)}{_where(error)}; the simulation goes on unrecorded")
+            self._chunk = Chunk()
+            self.lost = self._given - self.written
         _log.error(self.failure)
 
 
 class _Channel:
-    """A topic: its number in the present file, its last sequence number, what is known of it."""
+    """A topic: its number, its last sequence number, what is known of it."""
 
     def __init__(self, info, definition):
-        self.id = None
+        self.id = None                         # in every file
         self.sequence = 0
         self.info, self.definition = info, definition
 

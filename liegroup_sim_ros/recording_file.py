@@ -7,7 +7,8 @@ import numpy as np
 
 from . import diagnostics
 from .addresses import AddressError, fetch, is_remote
-from .mcap_stream import Attachment, Damage, McapStream
+from .mcap_records import AttachmentPiece, Damaged
+from .mcap_stream import McapStream
 from .messages import LogCodec, MessageError, WrenchStampedCodec, decode_rows
 from .tracks import Event, RecordingError, WrenchTrack
 
@@ -26,7 +27,7 @@ class TellPath:
     def __exit__(self, kind, error, _):
         if isinstance(error, AddressError):
             raise RecordingError(str(error)) from None
-        if isinstance(error, (RecordingError, Damage)):
+        if isinstance(error, (RecordingError, Damaged)):
             text = str(error)
             raise RecordingError(text if text.startswith(f"{self._path}: ")
                                  else f"{self._path}: {text}") from None
@@ -79,7 +80,7 @@ class Source:
         with open(self.path, "rb") as file:
             stream = McapStream(file, self.size, wanted=lambda *_: False)
             for item in stream:
-                if isinstance(item, Attachment):
+                if isinstance(item, AttachmentPiece):
                     found.setdefault(item.name, item.data)
         return found, stream
 
@@ -92,7 +93,7 @@ class Source:
             self.stream = stream = McapStream(file, self.size)
             stream.channels.update(channels or {})
             for item in stream:
-                if isinstance(item, Attachment) or not len(item.channel):
+                if isinstance(item, AttachmentPiece) or not len(item.channel):
                     continue
                 order = np.argsort(item.channel, kind="stable")
                 numbers, first = np.unique(item.channel[order], return_index=True)
@@ -164,8 +165,8 @@ class Scan:
         if stream.damaged:
             said.append(f"{stream.damaged} damaged part(s) skipped: {', '.join(stream.remarks)}")
         if not stream.finished:
-            said.append("not finished, the run was ended hard or the disk was full; everything "
-                        "up to the last flush is read")
+            said.append("not finished: it is still being recorded, the run was ended hard or the "
+                        "disk was full; everything up to the last flush is read")
         elif stream.statistics is None:
             said.append("it has no summary")
         elif any(tally.count != tally.written for tally in self._tallies.values()):

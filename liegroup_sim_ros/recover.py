@@ -14,7 +14,7 @@ from rich.console import Console
 
 from . import bag_metadata
 from .info import topics_table
-from .mcap_file import McapFile
+from .mcap_file import Chunk, McapFile
 from .mcap_records import Damaged
 from .recorder import CHUNK_SIZE, LIBRARY
 from .recording import RecordingError
@@ -92,8 +92,14 @@ def write_recovered(found, out):
 
 
 def _copy(found, file, name):
-    new = McapFile(file, LIBRARY, CHUNK_SIZE, clean(found.profile))
+    new = McapFile(file, LIBRARY, clean(found.profile))
     schemas, channels = {}, {}              # ids in the old file -> in the new one
+    chunk = Chunk()
+
+    def end_chunk():
+        nonlocal chunk
+        new.write_chunk(chunk)
+        chunk = Chunk()
 
     def channel(number):
         """The new id, with the definitions written when they are first needed."""
@@ -110,11 +116,13 @@ def _copy(found, file, name):
         data = block.data
         for number, sequence, log_time, publish_time, start, end in block.messages():
             if number in found.channels:
-                new.add_message(channels.get(number) or channel(number), log_time,
-                                data[start:end], sequence, publish_time)
+                chunk.add(channels.get(number) or channel(number), log_time, data[start:end],
+                          sequence, publish_time)
+                if chunk.size > CHUNK_SIZE:
+                    end_chunk()
 
     def copy_attachment(piece):
-        new.flush()
+        end_chunk()
         new.add_attachment(piece.create_time, piece.log_time, piece.name, piece.media_type,
                            piece.data)
 
@@ -127,7 +135,7 @@ def _copy(found, file, name):
         walk(stream, Survey(found.path, size), copy_block, copy_attachment, copy_metadata)
     for number in found.channels:           # topics without a message are there, too
         channel(number)
-    new.flush()
+    end_chunk()
     new.add_metadata(NOTE, {
         "from": found.path.name, "problems": json.dumps(list(found.problems)),
         "lost": json.dumps(found.lost), "unfinished": str(found.unfinished)})

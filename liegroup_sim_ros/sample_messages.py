@@ -1,12 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages about all bodies or joints at one instant, made from a Sample. No ROS is imported here.
 
-Each function takes a scene's Layout, the world's frame id and what those of bodies begin with. It
-returns [(topic, type, encode)], one entry for a topic, and `encode(stamp_ns, sample)` gives the
-serialized message. Poses are in the world frame, twists are
+Each function but the first takes a scene's Layout, the world's frame id and what those of bodies
+begin with. It returns [(topic, type, encode)], one entry for a topic, and `encode(stamp_ns,
+sample)` gives the serialized message. Poses are in the world frame, twists are
 body twists: components in body axes, of the body frame's origin.
 """
 from .cdr import Template, stamp
+from .messages import PoseStampedCodec, TwistStampedCodec, pack_stamp
+
+_POSE, _BODY = 7 * 8, 13 * 8                # bytes of a pose, and of a body, in Sample.rows
+
+
+def poses_and_twists(body_names, world_frame, frame_prefix=""):
+    """Function (stamp_ns, sample) -> [(PoseStamped, TwistStamped)] of all bodies, serialized."""
+    encode_pose = PoseStampedCodec(world_frame).encode_packed
+    encoders = [TwistStampedCodec(frame_prefix + body).encode_packed for body in body_names]
+    places = [(k * _BODY, k * _BODY + _POSE, (k + 1) * _BODY) for k in range(len(body_names))]
+
+    def encode(stamp_ns, sample):
+        # Bytes of all bodies at once: numbers one by one cost several times more.
+        time, rows = pack_stamp(stamp_ns), sample.rows.tobytes()
+        return [(encode_pose(time, rows[first:middle]), encode_twist(time, rows[middle:end]))
+                for encode_twist, (first, middle, end) in zip(encoders, places)]
+
+    return encode
 
 
 def odometry(layout, world_frame, frame_prefix=""):

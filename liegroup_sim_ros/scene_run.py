@@ -9,6 +9,7 @@ from liegroup_core.study.accuracy import choose
 from . import attachments
 from .outputs import Outputs
 from .parameters import ParameterError, set_step, step_fits
+from .qos import QosOverrides
 from .recorder import Recorder
 from .server import SimulationServer
 from .wrench_topics import WrenchTopics
@@ -56,14 +57,17 @@ class SceneRun:
         if values.frame_prefix.startswith("/"):
             raise ParameterError("parameter frame_prefix: must not begin with a slash, as no "
                                  f"frame of tf2 does, got {values.frame_prefix!r}")
-        self.outputs = Outputs(node, layout, values, self._figures)
+        qos = QosOverrides(values.qos)
+        self.outputs = Outputs(node, layout, values, self._figures, qos)
         if path and (values.record_split_size or values.record_split_duration):
             # Before the samples: the first one of a part is its initial state.
             self.outputs.timed.insert(0, (self._sample_steps, self._divide_if_due))
         self.server = SimulationServer(simulation, self.outputs, values.real_time_factor, paused,
                                        base_ns, origin)
         self.wrenches = WrenchTopics(node, layout.body_names, values, simulation.step,
-                                     self.server)
+                                     self.server, qos)
+        if before is None:                  # later on, the bodies that were meant may be gone
+            qos.check()
         # Last of what can fail: nothing else leaves a trace on the disk.
         if path:
             try:
@@ -81,8 +85,9 @@ class SceneRun:
         """Start the simulation thread, and say so."""
         self.server.start()
         simulation = self.simulation
+        count = len(simulation.layout.body_names)
         self._node.get_logger().info(
-            f"{simulation.scene.name}: {len(simulation.layout.body_names)} bodies, "
+            f"{simulation.scene.name}: {count} {'body' if count == 1 else 'bodies'}, "
             f"{simulation.method}, step {simulation.step:g} s"
             + (f" for an accuracy of {simulation.promise['accuracy']:g} over "
                f"{simulation.promise['horizon']:g} s" if simulation.promise else "")
@@ -95,7 +100,8 @@ class SceneRun:
         return attachments.at_start(
             self.simulation, self._node.get_fully_qualified_name(), values.world_frame,
             self._sample_steps, self.outputs.topics(), stamp_ns, state=state,
-            parameters={name: value for name, value in vars(values).items() if name != "steps"},
+            parameters={name: value for name, value in vars(values).items()
+                        if name not in ("steps", "qos")},
             frame_prefix=values.frame_prefix, **self._more)
 
     def _divide_if_due(self, stamp_ns, _):
@@ -132,11 +138,11 @@ class SceneRun:
             if self.recorder.failure is None:
                 self._node.get_logger().info(f"recorded {self.recorder.written} messages in "
                                              f"{self.recorder.path}")
-        self._close_topics()
+        self._close_topics(self.server.stamp_ns)
 
-    def _close_topics(self):
+    def _close_topics(self, stamp_ns=None):
         self.wrenches.close()
-        self.outputs.close()
+        self.outputs.close(stamp_ns)
 
 
 def make_simulation(values, signals):
@@ -149,7 +155,8 @@ def make_simulation(values, signals):
     """
     if not values.scene:
         raise ParameterError("parameter scene: is empty; give a scene file, such as "
-                             "--ros-args -p scene:=heavy_top")
+                             "--ros-args -p scene:=heavy_top; a parameter file has it below "
+                             "/**, or below the node's name, and ros__parameters")
     future = Future()
 
     def work():

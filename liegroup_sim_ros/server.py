@@ -290,10 +290,11 @@ class SimulationServer(threading.Thread):
         done = self._simulation.steps - first
         if reached:
             self._put_out(everything=True)
-        self._event("step", f"{done} steps, at step {self._simulation.steps}")
+        steps = f"{done} step{'s' if done != 1 else ''}"
+        self._event("step", f"{steps}, at step {self._simulation.steps}")
         if not reached:
             raise CommandError(f"stopped after {done} of {count} steps")
-        return f"{done} steps, at {self._seconds():.9g} s"
+        return f"{steps}, at {self._seconds():.9g} s"
 
     def _speed(self, factor):
         self.pacer.factor = factor

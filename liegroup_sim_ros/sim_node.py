@@ -52,3 +52,7 @@ def main(args=None):
         # A signal that comes now would meet Python's own handlers, in the middle of its end.
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

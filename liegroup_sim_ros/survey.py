@@ -18,6 +18,8 @@ from .recording import RecordingError
 MOST_DEFINITIONS = 8 * 2**20    # bytes of all names and schemas
 MOST_EXTRAS = 10_000            # attachments and metadata records
 MOST_PROBLEMS = 20              # different ones that are listed
+NO_END = ("its end is missing: it is still being recorded, the run was ended hard, the disk was "
+          "full or the file was cut")
 _KEPT = ("settings.json", "initial_state.json")     # attachments whose content is looked at
 _PLAIN = frozenset(string.printable) - frozenset("\t\n\r\x0b\x0c")
 
@@ -138,9 +140,11 @@ def survey(path):
         except OSError as error:
             raise RecordingError(f"{path}: {error.strerror or error}") from None
     if not found.count and not found.attachments:
+        reasons = [text for text in found.problems if text != NO_END]
         raise RecordingError(f"{path}: " + (
             "an MCAP file without any content" if found.complete
-            else "ends before anything was written to it, or all of it is damaged"))
+            else f"nothing in it can be read: {reasons[0]}" if reasons
+            else "ends before anything was written to it"))
     return found
 
 
@@ -182,8 +186,7 @@ def walk(stream, found, on_block=None, on_attachment=None, on_metadata=None):
     if found.stray:
         found.problem("messages of a channel that is not described")
     if not found.finished:
-        found.problem("its end is missing: the run was ended hard, the disk was full or the file "
-                      "was cut")
+        found.problem(NO_END)
 
 
 def _count(found, block, on_block):

@@ -44,7 +44,7 @@ def add_parser(subparsers):
     parser.add_argument("--stabilisation", nargs="+", metavar="KIND",
                         help=f"of {', '.join(STABILISATIONS)} (default: none projection)")
     parser.add_argument("--steps", nargs="+", type=float, metavar="S",
-                        help="default: from a tenth of the horizon on, until the error is rounding")
+                        help="default: from a tenth of the horizon down to where rounding rules")
     parser.add_argument("--budget", type=float, default=BUDGET, metavar="S",
                         help="CPU time of a run at most, in s (default: %(default)g)")
     parser.add_argument("--workers", type=int, metavar="N",

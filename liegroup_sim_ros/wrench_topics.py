@@ -2,7 +2,6 @@
 """Subscriptions to the wrench topics: what comes is read, refused or handed to the simulation."""
 from geometry_msgs.msg import WrenchStamped
 from rclpy.qos import QoSProfile
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from std_msgs.msg import String
 
 from .wrench_input import Refusal, WrenchInput, source_prefix
@@ -20,12 +19,13 @@ class WrenchTopics:
     values : parameters; wrench_hold and wrench_timeout are read anew for every message
     step   : s, of the simulation
     server : SimulationServer
+    qos    : QosOverrides
     """
 
-    def __init__(self, node, bodies, values, step, server):
+    def __init__(self, node, bodies, values, step, server, qos):
         self._node, self._values, self._step, self._server = node, values, step, server
         self.input = WrenchInput(bodies, values.world_frame, values.frame_prefix)
-        self._subscriptions = []
+        self._qos, self._subscriptions = qos, []
         self._listen("~/wrench", "wrench")
         self._listen("~/wrench/persistent", "persistent")
         for body in bodies if values.body_wrenches else ():
@@ -38,7 +38,7 @@ class WrenchTopics:
         self._subscriptions.append(self._node.create_subscription(
             WrenchStamped, topic, lambda payload: self._take(payload, kind, body),
             QoSProfile(depth=DEPTH), raw=True,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies()))
+            qos_overriding_options=self._qos.options(self._node, topic, "subscription")))
 
     def _take(self, payload, kind, body):
         try:

@@ -33,9 +33,10 @@ def scene(part):
     """The section of one scene."""
     lines = [f"### {part['scene']}", "",
              f"{_count(part['bodies'])} over {shown(part['horizon'], 's')}, lengths in parts of "
-             f"{shown(part['length'], 'm')}. {part['settings']} settings, {part['stopped']} of "
-             f"which had to stop. Errors against {reference_text(part)}.", "",
-             "| accuracy | the cheapest setting | its error | times real time | next best methods |",
+             f"{shown(part['length'], 'm')}. {part['settings']} settings of "
+             f"{len(part['methods'])} methods, {part['stopped']} of which had to stop. Errors against "
+             f"{reference_text(part)}.", "",
+             "| accuracy | the cheapest setting | its error | times real time | next methods |",
              "|---|---|---|---|---|"]
     for entry in part["cheapest"]:
         if entry["cell"] is None:
@@ -88,10 +89,11 @@ def words(parts):
             most = max(worst)
             missed = sum(1 for part in parts for entry in part["cheapest"]
                          if entry["cell"] is not None) - len(worst)
-            lines.append(f"* {method} costs {middle:.2g} times the cheapest in the middle of all "
-                         f"cases, at most {most[0]:.2g} times ({most[1]} at {most[2]:g})"
-                         + (f", and does not reach the accuracy in {missed} of them" if missed
-                            else "") + ".")
+            lines.append(f"* taken everywhere, {method} costs {middle:.2g} times the cheapest in "
+                         f"the middle of all cases, at most {most[0]:.2g} times ({most[1]} at "
+                         f"{most[2]:g})" + (
+                             f", and in {missed} of them does not reach the accuracy within the "
+                             "time that a run was given" if missed else "") + ".")
     fastest = [(entry["real_time_factor"], part["scene"], entry["accuracy"]) for part in parts
                for entry in part["cheapest"] if entry["cell"] is not None]
     slow = [f"{name} at {accuracy:g} ({shown(factor)} times)" for factor, name, accuracy in
@@ -104,7 +106,8 @@ def words(parts):
 
 def promised(parts):
     """The table of promises against what runs were measured to be."""
-    lines = ["| scene | horizon | promised | setting | measured | kept |", "|---|---|---|---|---|---|"]
+    lines = ["| scene | horizon | promised | setting | measured | kept |",
+             "|---|---|---|---|---|---|"]
     for part in parts:
         for entry in part["promises"]:
             begin = f"| {part['scene']} | {shown(part['horizon'], 's')} | {entry['accuracy']:g} |"
@@ -118,6 +121,13 @@ def promised(parts):
             lines.append(f"{begin} {setting(cell)} | "
                          f"{error_text(entry['measured'], entry['known'])} | "
                          f"{'yes' if kept else 'NO'} |")
+    ratios = [entry["measured"] / entry["promise"]["error"] for part in parts
+              for entry in part["promises"]
+              if "refused" not in entry and entry["measured"] > entry["known"]]
+    if ratios:
+        lines += ["", f"Between the samples of the trade the errors are at most {max(ratios):.2g} "
+                  "times those at the samples; the margin is "
+                  f"{parts[0]['margin']:g}."]
     return "\n".join(lines)
 
 
@@ -125,9 +135,10 @@ HEAD = """
 # Which method and step?
 
 Measured, for every scene in `config/scenes/`: the cheapest setting for an accuracy, and how many
-times faster than the clock it runs on one core. What accuracy means, how it is measured and how far
-it can be trusted is in [trade.md](trade.md). This page is written by `benchmarks/trade_all.py` from
-`docs/which_method.json`; your machine has other costs: `liegroup_sim trade SCENE` measures them.
+times faster than the clock it runs on one core. What accuracy means, how it is measured and how
+far it can be trusted is in [trade.md](trade.md). This page is written by
+`benchmarks/trade_all.py` from `docs/which_method.json`; your machine has other costs:
+`liegroup_sim trade SCENE` measures them.
 """
 
 PROMISED = """

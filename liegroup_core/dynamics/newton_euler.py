@@ -61,7 +61,7 @@ def accelerations(model, work, pose, twist, external):
         assemble(model, work, pose, twist)
         if model.baumgarte_rate > 0.0:
             add_baumgarte(model, work, pose)
-        dependent = solve(model, work, refinements, shift)
+        dependent = solve(model, work, refinements, shift, True)
         if dependent < 0:
             break
         # A singular pose: once more, and where the joints leave it open the masses decide.

@@ -88,7 +88,7 @@ def project(model, work, pose, twist):
                     work.solution[start + r] = -work.slip[first + r]
                 else:
                     work.solution[start + r] = -work.gap[model.row_residual[first + r]]
-        dependent = solve(model, work, model.refinements, 0.0)
+        dependent = solve(model, work, model.refinements, 0.0, True)
         if dependent >= 0:
             return rounds, DEPENDENT_ROWS + (model.joints[dependent]["element"] << 8)
         for i in range(len(model.bodies)):

@@ -15,7 +15,7 @@ The usual sizes (of a body, 6 scalars or 3 in a plane, and of two kinds of joint
 constants: the compiler then unrolls the loops over a block, which was measured to take a quarter
 to a third of the time.
 """
-from .._compile import kernel, subroutine
+from .._compile import kernel, shared
 from ..model.arrays import WORLD
 
 # Scalars of a body, and of the joints that are most frequent. Numba compiles the kernels below
@@ -319,13 +319,13 @@ def _solve(model, work, refinements, shift, sizes, fresh):
     return -1
 
 
-@subroutine
-def solve(model, work, refinements, shift, fresh=True):
+@shared
+def solve(model, work, refinements, shift, fresh):
     """`_solve` for a Model."""
     return _solve(model, work, refinements, shift, SPATIAL_SIZES, fresh)
 
 
-@subroutine
+@shared
 def solve_in_plane(model, work, refinements, shift):
     """`_solve` for a PlanarModel."""
     return _solve(model, work, refinements, shift, PLANAR_SIZES, True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Energies, joint residuals and quaternions of many states in one call, for long recordings."""
+"""Numbers of many states or bodies in one call, for long recordings and many messages."""
 import numpy as np
 
 from .._compile import SameTypes, kernel
@@ -35,6 +35,26 @@ def quaternions(pose):
     pose = np.array(pose, dtype=float, order="C")       # writable: always the same type
     out = np.empty((*pose.shape[:-1], 4))
     _quaternions(pose.reshape(-1, 12), out.reshape(-1, 4))
+    return out
+
+
+@SameTypes
+@kernel
+def _rows(pose, twist, out):
+    for k in range(len(pose)):
+        out[k, 3], out[k, 4], out[k, 5], out[k, 6] = so3_to_quaternion(load9(pose, k, 0))
+        for i in range(3):
+            out[k, i] = pose[k, 9 + i]
+            out[k, 7 + i], out[k, 10 + i] = twist[k, 3 + i], twist[k, i]
+
+
+def rows(pose, twist):
+    """(n, 13) position, quaternion as above, v, omega of poses (n, 12) and twists (n, 6).
+
+    The arrays are those of a Sample: C-contiguous, not to be written.
+    """
+    out = np.empty((len(pose), 13))
+    _rows(pose, twist, out)
     return out
 
 

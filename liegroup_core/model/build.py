@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..dynamics.constraints import assemble
-from ..dynamics.saddle_point import SPATIAL_SIZES, eliminate
+from ..dynamics.saddle_point import solve
 from ..forces.kinds import make_forces
 from ..joints.elements import DISTANCE, PAIR, PERPENDICULAR
 from ..lie.groups import SE3
@@ -79,7 +79,8 @@ def build_model(scene):
     if model.is_constant:
         work = make_work(model, 1)
         assemble(model, work, *initial_state(scene))
-        eliminate(model, model.constant, work.spare, work.solution, True, 0.0, SPATIAL_SIZES)
+        solve(model.replace(is_constant=False), work, 0, 0.0, True)
+        model.constant[:] = work.matrix
     names = tuple(part.names for elements in parts for part in elements)
     return model, tuple(frames), owners, names, tuple(kept)
 

@@ -8,7 +8,7 @@ from ..dynamics import invariants
 from ..dynamics.constraints import position_residuals
 from ..forces import kinds
 from ..forces.timetable import ROUNDING, acting_at
-from .along import quaternions
+from .along import quaternions, rows
 
 
 class Sample:
@@ -73,6 +73,12 @@ class Sample:
     def quaternions(self):
         """{body: (4,)} x, y, z, w of the rotation body -> world, w >= 0."""
         return self._by_body(self.orientation)
+
+    @property
+    def rows(self):
+        """(n, 13) per body x, y, z, then qx, qy, qz, qw, then v and omega, as messages have them:
+        the numbers of `positions`, `quaternions` and `twists`, for all bodies at once."""
+        return rows(self.pose, self.twist)
 
     @cached_property
     def angles(self):

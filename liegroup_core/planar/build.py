@@ -15,16 +15,16 @@ from functools import lru_cache
 import numpy as np
 import scipy.linalg
 
-from ..dynamics.saddle_point import PLANAR_SIZES, eliminate
+from ..dynamics.saddle_point import solve_in_plane
 from ..joints.elements import PAIR
 from ..lie.groups import SE3
-from ..model.arrays import WORLD
+from ..model.arrays import WORLD, make_work
 from ..model.build import LARGE_MASS_RATIO, SMALLEST_PIVOT, initial_state, refinements
 from ..model.linkage import Linkage
 from ..model.redundancy import REMEMBERED, generic_poses, independent_rows, loop_joints
 from ..model.sparsity import Structure
 from ..scene.consistency import resolve_elements, resolve_frames
-from .arrays import PLANAR_BODY, PlanarModel
+from .arrays import PLANAR_BODY, PlanarModel, make_planar_work
 from .state import IN_PLANE
 from .tree import tree_links
 
@@ -140,8 +140,9 @@ def _build(scene, model, world, axes):
         is_constant=all(parent == WORLD for parent, _ in ends),
         refinements=few, projects=model.projects, links=links)
     if planar.is_constant:
-        eliminate(planar, planar.constant, planar.constant.copy(), np.zeros(structure.unknowns),
-                  True, 0.0, PLANAR_SIZES)
+        work = make_planar_work(planar, make_work(model, 1), 1)
+        solve_in_plane(planar.replace(is_constant=False), work, 0, 0.0)
+        planar.constant[:] = work.matrix
     return planar
 
 

@@ -14,7 +14,7 @@ from ..errors import LieGroupSimError, SimulationError
 from ..integrators.methods import is_positive
 from ..simulation import Simulation
 from .settings import SHORTLIST
-from .trade import Trade
+from .trade import BUDGET, Trade
 
 log = logging.getLogger("liegroup_core")
 
@@ -95,10 +95,10 @@ def measured(scene, horizon=None, tell=log.warning):
         if not told:
             told.append(text)
             tell(f"measuring what {scene.name} costs and how wrong it is, once for this scene on "
-                 "this machine (a minute or less, kept for the next start)")
+                 "this machine (a minute or two, kept for the next start)")
 
     trade = Trade(scene, horizon, tell=once)
-    for _ in trade.measure(SHORTLIST, workers=1, tell=once):
+    for _ in trade.measure(SHORTLIST, budget=BUDGET, workers=1, tell=once):
         pass
     return trade
 

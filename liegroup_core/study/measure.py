@@ -6,6 +6,7 @@ its thread over native loops, so that what else the machine does counts little; 
 several runs, for anything else only adds.
 """
 import logging
+import math
 import threading
 import time
 from contextlib import contextmanager
@@ -21,7 +22,7 @@ from ..reference import Trajectory, distance
 from ..scene.load import scene_from_text
 from ..simulation import Simulation
 from .machine import cpu_name
-from .settings import as_time, sample_spacing
+from .settings import as_time, sample_times
 from .tasks import TasksError
 from .truth import Truth, momentum_drift, scaled
 
@@ -70,6 +71,8 @@ def measure(work):
                 simulation, float(study.truth.horizon), found.pop("cpu"))
     except (SimulationError, ValueError) as error:
         return cell | {"stopped": str(error)}
+    if not all(math.isfinite(value) for value in found.values() if isinstance(value, float)):
+        return cell | {"stopped": "an error is not a finite number"}
     flagged = simulation.doubt or next((text for text in said), None)
     return cell | {"stopped": None, **found, "flagged": flagged}
 
@@ -86,16 +89,15 @@ def _kept_momentum(text):
 
 def _judge(simulation, study, setting):
     """Run once through the horizon: errors, and the CPU seconds of the integration alone."""
-    truth = study.truth
-    spacing = sample_spacing(as_time(setting.step), truth.horizon)
-    every, stride = round(spacing / as_time(setting.step)), round(
-        spacing * (len(truth.motion.times) - 1) / truth.horizon)
-    true = Trajectory(*(part[::stride] for part in truth.motion))
-    samples = [simulation.sample()]
+    truth, step = study.truth, as_time(setting.step)
+    times = sample_times(truth.horizon)
+    rows = [row for row, at in enumerate(times) if at % step == 0]
+    true = Trajectory(*(part[rows] for part in truth.motion))
+    samples = []
     cpu = 0.0
-    for _ in true.times[1:]:
+    for row in rows:
         start = time.thread_time()
-        simulation.advance(every)
+        simulation.advance(round(times[row] / step) - simulation.steps)
         cpu += time.thread_time() - start
         samples.append(simulation.sample())
     poses = np.array([sample.pose for sample in samples])
@@ -107,7 +109,7 @@ def _judge(simulation, study, setting):
     return {"error": scaled(off.position, off.angle, truth.length),
             "position": float(off.position.max()), "attitude": float(off.angle.max()),
             "angular": float(off.angular.max()), "linear": float(off.linear.max()),
-            "energy": float(np.abs(energy - truth.energy[::stride]).max()
+            "energy": float(np.abs(energy - truth.energy[rows]).max()
                             / (truth.kinetic or 1.0)),
             "momentum": momentum_drift(simulation.scene, _kept_momentum(study.text), truth,
                                        motion),

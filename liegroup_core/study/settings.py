@@ -14,10 +14,12 @@ from ..integrators.methods import GROUPS, METHODS
 STABILISATIONS = ("none", "projection")
 # Where only the best is looked for: what wins in one scene or another of those that come along,
 # found by measuring all (docs/which_method.md).
-SHORTLIST = ("rkmk4", "rkmk8", "generalized_alpha", "stoermer_verlet", "coadjoint_rkmk4",
+SHORTLIST = ("rkmk4", "rkmk54", "rkmk8", "generalized_alpha", "stoermer_verlet", "coadjoint_rkmk4",
              "coadjoint_rkmk8", "constrained_rattle", "constrained_rattle8")
 
-SAMPLES = 100               # times in a horizon at which errors are looked at
+# Errors are looked at at so many times of a horizon, and at so many in the first thousandths and
+# ten-thousandths of it: a stiff scene begins with a motion that is over before the first of them.
+SAMPLES, EARLY = 100, 10
 LEAST_SAMPLES = 5           # with coarse steps fewer of them are whole numbers of steps
 COARSEST = Fraction(1, 10)  # of the horizon: the first step of a ladder
 # A method with error control takes its substeps within steps of at most so much, s: it ends one at
@@ -93,6 +95,13 @@ def sample_spacing(step, horizon):
     # That of p/q and r/s in lowest terms is lcm(p, r) / gcd(q, s).
     return Fraction(math.lcm(step.numerator, grid.numerator),
                     math.gcd(step.denominator, grid.denominator))
+
+
+def sample_times(horizon):
+    """The times, s (Fraction), of a horizon at which errors are looked at, from 0 on."""
+    return sorted({horizon * k / SAMPLES for k in range(SAMPLES + 1)}
+                  | {horizon * k / (SAMPLES * finer) for finer in (10, 100)
+                     for k in range(1, EARLY + 1)})
 
 
 def rungs(ladder, horizon):

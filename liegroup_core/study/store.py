@@ -6,11 +6,12 @@
     trades/NAME-KEY/HORIZON/cells.jsonl     a measured cell a line, see measure.py
 
 KEY is of the scene's text, of our sources and of the versions that numbers depend on: what is
-another scene or version finds nothing. The processor stands in each cell. A cell is written as soon
-as it is measured, so whatever ends a run loses none. All of it may be deleted at any time.
+another scene or version finds nothing. The processor stands in each cell. A cell is written as
+soon as it is measured, so whatever ends a run loses none. All of it may be deleted at any time.
 """
 import hashlib
 import json
+import logging
 import os
 import platform
 import re
@@ -23,8 +24,10 @@ from .machine import cpu_name
 from .settings import as_time
 from .truth import as_bytes, truth_from
 
+log = logging.getLogger("liegroup_core")
+
 # Of what the files hold and of how it is measured.
-FORMAT = 1
+FORMAT = 2
 PACKAGES = ("numpy", "scipy", "numba", "mpmath")
 
 
@@ -67,11 +70,12 @@ class Store:
 
     def keep_truth(self, truth, suits):
         """Keep a Truth; suits : its horizon is that which suits the scene."""
-        if self.folder is not None:
+        def write():
             self._of(truth.horizon).mkdir(parents=True, exist_ok=True)
             _write(self._of(truth.horizon) / "truth.npz", as_bytes(truth))
             if suits:
                 _write(self.folder / "horizon.json", str(float(truth.horizon)).encode())
+        self._try(write)
 
     def cells(self, horizon):
         """Cells that were measured on this processor, in the order in which they were."""
@@ -91,10 +95,22 @@ class Store:
 
     def keep_cell(self, horizon, cell):
         """Write a cell, at once and as a whole."""
-        if self.folder is not None:
-            line = "\n" + json.dumps(cell, allow_nan=False)     # first: the last one may be cut
+        line = "\n" + json.dumps(cell, allow_nan=False)     # first: the last one may be cut
+
+        def write():
             with open(self._of(horizon) / "cells.jsonl", "ab", buffering=0) as stream:
                 stream.write(line.encode())
+        self._try(write)
+
+    def _try(self, write):
+        """Write; from the first failure on nothing more: what is measured is of use without."""
+        if self.folder is None:
+            return
+        try:
+            write()
+        except OSError as error:
+            log.warning("what is measured cannot be kept: %s: %s", error.filename, error.strerror)
+            self.folder = None
 
     def _of(self, horizon):
         return self.folder / f"{float(horizon):g}s"

@@ -48,7 +48,7 @@ def run(function, items, scheduler=None, workers=None, follow=None):
 
 def _has_dask():
     try:
-        return import_module("dask.distributed") is not None
+        return all(map(import_module, ("dask", "dask.distributed")))
     except ImportError:
         return False
 
@@ -69,6 +69,7 @@ def _here(function, items, follow):
 def _on(client, function, items, follow):
     from dask.distributed import as_completed
     from distributed import CancelledError, KilledWorker
+    from distributed.comm import CommClosedError
 
     numbers = {}
 
@@ -89,7 +90,7 @@ def _on(client, function, items, follow):
     except KilledWorker:
         raise TasksError(f"{MOST_DEATHS} workers have died over the same piece of work: is there "
                          "enough memory? take fewer workers") from None
-    except CancelledError:
+    except (CancelledError, CommClosedError):
         raise TasksError("the connection to the dask scheduler is lost; what is done is kept"
                          ) from None
 

@@ -2,8 +2,8 @@
 """The true motion of a scene at the samples of a horizon, as well as it can be known.
 
 By the closed form where the scene has one, else by the independent integration of
-liegroup_core.reference, whose uncertainty is its distance to one ten times looser. That one is made
-in either case, and what the two differ by is kept.
+liegroup_core.reference, whose uncertainty is its distance to one ten times looser. That one is
+made in either case, and what the two differ by is kept.
 """
 import io
 import json
@@ -20,7 +20,7 @@ from ..model.build import initial_state
 from ..model.joint_watch import mechanism_size
 from ..reference import Distance, Reference, Trajectory, distance
 from ..reference.exact import exact_solution
-from .settings import SAMPLES
+from .settings import sample_times
 
 # If no horizon is asked for: the longest of these, s, at the end of which the reference still
 # knows the motion to KNOWN (of lengths in parts of the scene's, and in rad), and that takes it no
@@ -29,9 +29,6 @@ from .settings import SAMPLES
 HORIZONS = tuple(digit * Fraction(10) ** power for power in range(-5, 1) for digit in (1, 2, 5)
                  ) + (Fraction(10),)
 KNOWN, STEPS = 1e-10, 10_000
-# Between two of these horizons the motion is kept at so many times of the later one, so that
-# the samples of all that follow are among them.
-BETWEEN = 2 * SAMPLES
 
 
 class Truth(NamedTuple):
@@ -70,7 +67,7 @@ def find_truth(layout, horizon=None, tell=lambda text: None):
         horizon, motion, apart = _as_far_as_known(layout, pose, twist, length, tell)
     else:
         tell(f"the true motion over {float(horizon):g} s")
-        times = _grid(horizon)
+        times = np.array([float(at) for at in sample_times(horizon)])
         motion, apart = Reference(layout.scene, pose, twist, end=times[-1]).at(times)
     kind, agrees = "integration", None
     exact = exact_solution(layout, pose, twist)
@@ -88,20 +85,15 @@ def find_truth(layout, horizon=None, tell=lambda text: None):
         float(kinetic.max()), agrees, time.perf_counter() - began)
 
 
-def _grid(horizon):
-    return np.array([float(horizon * k / SAMPLES) for k in range(SAMPLES + 1)])
-
-
 def _as_far_as_known(layout, pose, twist, length, tell):
     """(horizon, Trajectory, Distance) of the longest of HORIZONS."""
     reference = Reference(layout.scene, pose, twist, end=float(HORIZONS[-1]))
-    kept, best, failure = {Fraction(0): None}, None, None
-    since = Fraction(0)
+    # Whichever it will be, its samples are among these.
+    wanted = sorted({at for horizon in HORIZONS for at in sample_times(horizon)})
+    kept, best, failure = {}, None, None
     for horizon in HORIZONS:
         tell(f"the true motion: {float(horizon):g} s, {reference.steps} steps")
-        between = [horizon * k / BETWEEN for k in range(BETWEEN + 1) if horizon * k / BETWEEN
-                   > since]
-        times = between if kept[Fraction(0)] is not None else [Fraction(0), *between]
+        times = [at for at in wanted if at <= horizon and at not in kept]
         try:
             motion, apart = reference.at(np.array([float(at) for at in times]))
         except SimulationError as error:
@@ -113,13 +105,14 @@ def _as_far_as_known(layout, pose, twist, length, tell):
         if best is not None and (scaled(last[0], last[2], length) > KNOWN
                                  or reference.steps > STEPS):
             break
-        best = since = horizon
+        best = horizon
     if best is None:
         raise SimulationError(f"{failure}; the scene moves too fast for a horizon to be found: "
                               "give one")
-    rows = [kept[best * k / SAMPLES] for k in range(SAMPLES + 1)]
-    columns = [np.array(column) for column in zip(*rows)]
-    return best, Trajectory(_grid(best), *columns[:3]), Distance(*columns[3:])
+    times = sample_times(best)
+    columns = [np.array(column) for column in zip(*(kept[at] for at in times))]
+    return (best, Trajectory(np.array([float(at) for at in times]), *columns[:3]),
+            Distance(*columns[3:]))
 
 
 def as_bytes(truth):

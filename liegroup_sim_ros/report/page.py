@@ -19,6 +19,7 @@ from .summary import (NO_NUMBER, OVERVIEW, comparison_rows, headline, overview, 
 from .view import make_view, speeds
 
 MOST_PARTS = 20         # logs with plots on one page; of the others it has the tables
+MOST_LISTED = 20        # problems of several logs at the top
 LONGEST = 200_000       # characters of a text
 NUMBER = re.compile(r"\d[\d.]*(?:e[+-]\d+)?"
                     r"(?: (?:m|s|ms|us|rad|J|W|N)\b(?:/s)?(?: m\b)?(?: s\b)?)?")
@@ -50,12 +51,12 @@ def make_page(parts, comparison=None, exceeded=(), bounds=()):
     one = len(parts) == 1
     body = _one(parts[0], 0, exceeded, bounds) if one else _several(parts, exceeded, bounds)
     if comparison:
-        title, remark, plot = difference_plot(comparison[1])
-        data.append({"plots": [plot], "view": None})
+        plots = difference_plot(comparison[1])
+        data.append({"plots": [plot for *_, plot in plots], "view": None})
         rows = _rows("Compared with the other recording", comparison_rows(comparison[0]))
+        drawn = "".join(plot_card(title, remark) for title, remark, _ in plots)
         body += (f'<h2>Compared with {escape(comparison[0]["logs"][1])}</h2>'
-                 f'<div class="cards" data-part="{len(parts)}">{plot_card(title, remark)}{rows}'
-                 "</div>")
+                 f'<div class="cards" data-part="{len(parts)}">{drawn}{rows}</div>')
     title = (f'{parts[0]["figures"]["scene"]}: how wrong is this run?' if one else
              f"{len(parts)} recordings: how wrong are they?")
     return frame(title, body, data)
@@ -111,7 +112,7 @@ def _several(parts, exceeded, bounds):
     found = [part["figures"] for part in parts]
     names = short_names(found)
     wrong = [figures.get("problems", [figures.get("failed")]) for figures in found]
-    bad = sum(bool(problems) for problems in wrong)
+    bad, count = (sum(map(kind, wrong)) for kind in (bool, len))
     verdict = (f"{bad} of {len(parts)} recordings have problems." if bad else
                "No problem was found in any of them.")
     lines = "".join(
@@ -122,8 +123,9 @@ def _several(parts, exceeded, bounds):
         f'{len(problems) or "none"}</td></tr>'
         for k, (name, figures, problems) in enumerate(zip(names, found, wrong)))
     heads = "".join(f"<th>{what}</th>" for what in ("log", *OVERVIEW, "problems"))
-    body = (f"<header><h1>{len(parts)} recordings</h1>{_state(bad + len(exceeded))}</header>"
-            f'<p class="verdict">{verdict}</p>' + _problems(exceeded) + _bounds(bounds, exceeded)
+    body = (f"<header><h1>{len(parts)} recordings</h1>{_state(count + len(exceeded))}</header>"
+            f'<p class="verdict">{verdict}</p>' + _problems(_listed(found, names, wrong, exceeded))
+            + _bounds(bounds, exceeded)
             + f'<section class="card"><table class="logs"><thead><tr>{heads}</tr></thead>'
             f"<tbody>{lines}</tbody></table></section>")
     for k, (part, name) in enumerate(zip(parts, names)):
@@ -134,6 +136,15 @@ def _several(parts, exceeded, bounds):
         body += (f'<details class="log" id="log{k}" data-part="{k}"><summary>{escape(name)}'
                  f"</summary>{inside}</details>")
     return body
+
+
+def _listed(found, names, wrong, exceeded):
+    """What is wrong with several logs, the first of it."""
+    listed = [*exceeded, *(f"{name}: {text.removeprefix(figures['log'] + ': ')}"
+                           for figures, name, problems in zip(found, names, wrong)
+                           for text in problems)]
+    more = len(listed) - MOST_LISTED
+    return listed if more <= 0 else [*listed[:MOST_LISTED], f"and {more} more"]
 
 
 def _drawn(part):
@@ -223,7 +234,11 @@ def _shortened(text):
 
 def unbroken(text):
     """Escaped, and no line ends within a number or before its unit."""
-    return NUMBER.sub(r'<span class="n">\g<0></span>', escape(text))
+    parts, at = [], 0
+    for number in NUMBER.finditer(text):        # before it is escaped: entities hold digits, too
+        parts += [escape(text[at:number.start()]), f'<span class="n">{number[0]}</span>']
+        at = number.end()
+    return "".join(parts) + escape(text[at:])
 
 
 def _alarm(value):

@@ -23,7 +23,7 @@ def write_picture(analysis, path, comparison=None):
     """
     plots = make_plots(analysis)
     if comparison:
-        plots.append(difference_plot(comparison[1]))
+        plots += difference_plot(comparison[1])
     if not plots:
         raise ValueError("no sample is finite: there is nothing to draw")
     count = len(plots) + 1
@@ -55,6 +55,8 @@ def _plane(axes, title, plot):
                   label=_label(trace["name"]))
     if log:
         axes.set_yscale("log")
+        if "range" in layout["yaxis"]:
+            axes.set_ylim(*(10.0**edge for edge in layout["yaxis"]["range"]))
     for band in layout["shapes"]:
         axes.axvspan(band["x0"], band["x1"], color=COLOURS["--red"], alpha=0.18, lw=0)
     axes.set_xlabel("time / s", fontsize=8)

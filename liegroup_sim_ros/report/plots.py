@@ -11,6 +11,7 @@ import numpy as np
 BINS = 1000             # of a curve: the smallest and the largest value of each are drawn
 PATH_POINTS = 4000
 HEIGHT = 340            # px
+FEW, ODD = 0.02, 1e-2   # values of log plots out of sight: these few, where so far below the rest
 COLOURS = ("--blue", "--orange", "--green", "--violet", "--red", "--grey")
 
 
@@ -22,8 +23,11 @@ def make_plots(analysis):
         return plots
     bands = _push_bands(figures, analysis.motion)
     if curves.get("reference"):
-        plots.append(("How the error grows", "distance from an independent tight integration, the "
-                      "largest of all bodies; dotted: how well that one knows itself",
+        kind = figures["reference"]["kind"]
+        source = "an independent tight integration" if kind == "integration" else (
+            "the exact solution")
+        plots.append(("How the error grows", f"distance from {source}, the largest of all "
+                      "bodies; dotted: how well that one is known",
                       _plane(_error_traces(curves["reference"]), bands, "m, rad", log=True)))
     if curves["energy"]:
         plots.append(("Energy", "change since the start of each stretch without a wrench",
@@ -89,11 +93,13 @@ def centre_paths(analysis):
 
 
 def difference_plot(curve):
-    """(title, remark, plot) of the curves of a comparison, see comparison.py."""
+    """[(title, remark, plot)] of the curves of a comparison, see comparison.py; none of zeros."""
+    if not any((values > 0.0).any() for _, values in curve):
+        return []
     traces = [_line(name, *part, colour) for name, part, colour in zip(
         ("position, m", "attitude, rad"), curve, COLOURS)]
-    return ("How far the two are apart", "the largest distance of all bodies",
-            _plane(traces, [], "m, rad", log=True))
+    return [("How far the two are apart", "the largest distance of all bodies",
+             _plane(traces, [], "m, rad", log=True))]
 
 
 def _plane(traces, bands, unit, log=False):
@@ -103,17 +109,23 @@ def _plane(traces, bands, unit, log=False):
     return {"data": traces, "layout": {
         "xaxis": {**axis, "title": {"text": "time / s", "standoff": 6}},
         "yaxis": {**axis, "title": {"text": unit, "standoff": 8}, **(
-            {"type": "log", "dtick": _decades(traces), "exponentformat": "power"} if log else
+            {"type": "log", "exponentformat": "power", **_decades(traces)} if log else
             {"exponentformat": "power"})},
         "shapes": bands, "margin": {"l": 8, "r": 8, "t": 30, "b": 8}, "height": HEIGHT,
         "hovermode": "x unified" if len(traces) <= 4 else "closest", **BASE}}
 
 
 def _decades(traces):
-    """Whole decades between two lines of a log axis, so that there are at most seven."""
+    """Of a log axis: decades between two lines, of which are at most seven, and its range."""
     values = [v for trace in traces for v in trace["y"] if v is not None and v > 0.0]
-    span = math.log10(max(values) / min(values)) if values else 1.0
-    return max(1, math.ceil(span / 7.0))
+    if not values:
+        return {"dtick": 1}
+    found, low, high = {}, min(values), max(values)
+    usual = float(np.quantile(values, FEW))
+    if low < usual * ODD:           # a difference that happens to be 1e-40 is not to be looked at
+        low = usual * ODD
+        found["range"] = [math.log10(low), math.log10(high) + 0.2]
+    return {"dtick": max(1, math.ceil(math.log10(high / low) / 7.0)), **found}
 
 
 def _push_bands(figures, motion):

@@ -47,8 +47,7 @@ class Promise:
             self._seconds = max(self._seconds or 0.0, float(np.asarray(times)[inside].max()))
 
     def figures(self):
-        """{accuracy, horizon, length; seconds that were judged, error, uncertainty, kept: True,
-        False, or None where that cannot be told; beyond: there was more; error_of_all}; or None."""
+        """What became of it, see config/analysis.schema.json; or None."""
         if self._promise is None:
             return None
         accuracy = float(self._promise["accuracy"])
@@ -68,8 +67,8 @@ def told(found):
     """What became of a promise, in words; found : figures of one."""
     accuracy = f"the promised accuracy of {found['accuracy']:g}"
     if found["seconds"] is None:
-        return (f"{accuracy} cannot be judged: nothing was recorded between the start of the scene "
-                "and the first wrench")
+        return (f"{accuracy} cannot be judged: nothing was recorded between the start of the "
+                "scene and the first wrench")
     error = (f"below {found['uncertainty']:.3g}" if found["error"] <= found["uncertainty"]
              else f"{found['error']:.3g}")
     said = {True: "is kept", False: "is not kept", None: "cannot be judged by this reference"}

@@ -7,6 +7,7 @@ from liegroup_core.pacing import SLOW
 
 from .promise import told
 
+UNSURE = 0.1            # part of an error beyond which its uncertainty is told with it
 MOST_JOINTS = 8         # in the table; the others are in the JSON
 NO_NUMBER = ("not a number", "infinite")
 OVERVIEW = ("position", "attitude", "energy", "joints", "same bits", "lost")
@@ -20,7 +21,7 @@ def shown(value, unit=""):
     if not math.isfinite(value):
         return NO_NUMBER[0] if math.isnan(value) else NO_NUMBER[1]
     number = f"{value:.3g}" if value else "0"
-    return f"{number} {unit}".strip() if unit != "1" else number
+    return f"{number} {unit.replace(', ', ' or ')}".strip() if unit != "1" else number
 
 
 def _count(number, noun):
@@ -31,7 +32,8 @@ def find_problems(figures):
     """What is wrong with the run or its recording, one sentence each; empty if nothing is."""
     problems = []
     if figures["file_problem"]:
-        problems.append(f"the file is incomplete: {figures['file_problem']}")
+        problems.append("the file is incomplete: "
+                        + figures["file_problem"].removeprefix(f"{figures['log']}: "))
     if figures["lost_messages"]:
         problems.append("messages are missing: " + ", ".join(
             f"{count} of {topic}" for topic, count in figures["lost_messages"].items()))
@@ -55,8 +57,9 @@ def find_problems(figures):
     if wanted and factor is not None and not factor >= SLOW * wanted:
         problems.append(f"too slow: real-time factor {shown(factor)} of {shown(wanted)}")
     if timing.get("reanchored"):
-        problems.append(f"more than 0.1 s behind the wall clock, which was given up "
-                        f"{_count(timing['reanchored'], 'time')}")
+        problems.append("more than 0.1 s behind the wall clock, "
+                        f"{_count(timing['reanchored'], 'time')}: it went on from there, without "
+                        "catching up")
     wrong = [name for name, value in _numbers(figures) if not math.isfinite(value)]
     if wrong:
         problems.append("not a number: " + ", ".join(wrong[:5]))
@@ -132,9 +135,11 @@ def verdict(figures):
 
 def _error(entry):
     """Size of an error; where the reference is not sure of as much, what it is sure of."""
-    if entry["max"] <= entry["uncertainty"]:
-        return f"{shown(entry['uncertainty'], entry['unit'])} (all the reference can tell)"
-    return shown(entry["max"], entry["unit"])
+    size, uncertainty = entry["max"], entry["uncertainty"]
+    if 0.0 < uncertainty >= size:
+        return f"{shown(uncertainty, entry['unit'])} (all the reference can tell)"
+    return shown(size, entry["unit"]) + (
+        f" (± {shown(uncertainty, entry['unit'])})" if uncertainty > UNSURE * size else "")
 
 
 def headline(figures):
@@ -232,7 +237,7 @@ def _trend(slope, explained, unit):
     """Whether a drift goes on in one direction, in words."""
     if slope is None or not explained > 0.5:
         return None
-    return f"grows by {shown(slope, unit)}"
+    return f"{'falls' if slope < 0.0 else 'grows'} by {shown(abs(slope), unit)}"
 
 
 def _kept_rows(figures):
@@ -246,7 +251,8 @@ def _kept_rows(figures):
     for entry in figures["momentum"]:
         rows.append((entry["component"], shown(entry["drift"], entry["unit"]), _joined(
             f"of at most {shown(entry['largest'], entry['unit'])}",
-            _trend(entry["trend_per_s"], entry["trend_explains"], f"{entry['unit']} / s"),
+            _trend(entry["trend_per_s"], entry["trend_explains"],
+                   entry["unit"].removesuffix(" s")),
             len(figures["bodies"]) > len(entry["bodies"]) and ", ".join(entry["bodies"][:4]),
             entry["left_out"] and f"without {entry['left_out']}")))
     if not figures["momentum"]:
@@ -261,14 +267,14 @@ def _kept_rows(figures):
 
 
 def _timing_rows(timing):
-    late = timing["lateness_us"]
-    ticks = timing.get("ticks")
+    late, ticks = timing["lateness_us"], timing.get("ticks")
+    no_clock = "it was not run against a clock"
     return [
         ("real-time factor", "-" if timing.get("real_time_factor") is None
          else f"{timing['real_time_factor']:.4f}",
          "as fast as it goes was wanted" if timing["factor_wanted"] == 0.0
          else f"wanted {shown(timing['factor_wanted'])}"),
-        ("lateness of a tick", _microseconds(late["p50"]),
+        ("lateness of a tick", _microseconds(late["p50"]), no_clock if late["p50"] is None else
          f"half of them; 99 % within {_microseconds(late['p99'])}, all within "
          f"{_microseconds(late['max'])}"),
         ("overruns", "-" if timing.get("overruns") is None else f"{timing['overruns']:.0f}",

@@ -37,7 +37,7 @@ def print_overview(found, console):
     for name, figures in zip(names, found):
         for problem in figures.get("problems") or [figures[key] for key in ("failed",)
                                                    if key in figures]:
-            text = problem if problem.startswith(figures["log"]) else f"{name}: {problem}"
+            text = problem if problem.startswith((figures["log"], name)) else f"{name}: {problem}"
             console.print(Text(f"! {text}", style="bold red"), soft_wrap=True)
 
 

@@ -45,7 +45,8 @@ def setting(cell):
     tolerance = cell["options"].get("rtol")
     more = "" if tolerance is None else f", rtol {tolerance:g}"
     stabilised = "" if cell["stabilisation"] == "none" else f", {cell['stabilisation']}"
-    return (f"{cell['method']}, {shown(cell['step'] * 1e3, 'ms')}{more}, {GROUPS[cell['group']]}"
+    step = shown(cell["step"] * 1e3, "ms") if cell["step"] < 1.0 else shown(cell["step"], "s")
+    return (f"{cell['method']}, {step}{more}, {GROUPS[cell['group']]}"
             f"{stabilised}")
 
 

@@ -15,7 +15,7 @@ COST, ERROR = "CPU time, s per simulated second", "error, rad or parts of the sc
 
 
 def curves(part):
-    """[(method, cells)]: of each method those that no other of its own beats, cheap to accurate."""
+    """[(method, cells)]: of each method what none of its own beats, from cheap to accurate."""
     found = {}
     for cell in sorted((cell for cell in part["cells"] if not cell["stopped"]),
                        key=lambda cell: (cell["cost_us"], cell["error"])):
@@ -52,7 +52,8 @@ def make_plot(part):
     lines = [{"type": "line", "xref": xref, "yref": yref, "x0": x0, "x1": x1, "y0": y0, "y1": y1,
               "line": {"color": colour, "width": 1, "dash": "dot"}}
              for xref, yref, x0, x1, y0, y1, colour in (
-                 ("x", "paper", 1, 1, 0, 1, "--red"), ("paper", "y", 0, 1, known, known, "--grey"))]
+                 ("x", "paper", 1, 1, 0, 1, "--red"),
+                 ("paper", "y", 0, 1, known, known, "--grey"))]
     return {"data": traces, "layout": {
         "xaxis": {**axis, "title": {"text": COST, "standoff": 6}},
         "yaxis": {**axis, "title": {"text": ERROR, "standoff": 8}}, "shapes": lines,
@@ -84,11 +85,12 @@ def _processor(part):
 
 
 def _table(title, heads, rows):
-    return (f'<section class="card"><h3>{escape(title)}</h3><table class="logs"><thead><tr>'
+    return (f'<div class="cards"><section class="card"><h3>{escape(title)}</h3>'
+            '<table class="logs"><thead><tr>'
             + "".join(f"<th>{escape(head)}</th>" for head in heads) + "</tr></thead><tbody>"
             + "".join("<tr>" + "".join(f'<td data-what="{escape(head)}">{unbroken(cell)}</td>'
                                        for head, cell in zip(heads, row)) + "</tr>"
-                      for row in rows) + "</tbody></table></section>")
+                      for row in rows) + "</tbody></table></section></div>")
 
 
 def write_picture(part, path):

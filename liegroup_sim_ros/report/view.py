@@ -9,11 +9,13 @@ from scipy.spatial.transform import Rotation
 from liegroup_core.simulation import make_layout
 
 from ..markers import CUBE, CYLINDER, THINNEST, solid
-from .plots import BASE, COLOURS, label
+from .plots import BASE, label
 
 # Poses of all bodies together, and of one body: more would make the page large, fewer would jump.
 MOST_PLACES, MOST_FRAMES, LEAST_FRAMES = 15_000, 3000, 200
 MOST_PUSHES = 1000
+# Red is what is pushed, grey what joins a joint to its bodies.
+COLOURS = ("--blue", "--orange", "--green", "--violet", "--teal", "--pink", "--olive")
 
 
 def make_view(analysis):
@@ -32,7 +34,7 @@ def make_view(analysis):
         "name": label(body.name), "solid": {CUBE: "box", CYLINDER: "cylinder"}.get(kind, "sphere"),
         "size": [max(float(length), thinnest) for length in size],
         "at": local[:3, 3].tolist(), "turn": local[:3, :3].ravel().tolist(),
-        "com": [float(x) for x in body.com], "colour": COLOURS[i % 4]}
+        "com": [float(x) for x in body.com], "colour": COLOURS[i % len(COLOURS)]}
         for i, (body, (kind, size, local)) in enumerate(zip(scene.bodies, solids))]
     joints = [{"name": label(joint.name), "parent": index.get(joint.parent, -1),
                "child": index[joint.child],

@@ -15,6 +15,7 @@ def test_all_code_of_the_page(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("LIEGROUP_CACHE_DIR", str(tmp_path))    # nothing is known there
     monkeypatch.setattr(accuracy, "SHORTLIST", ("rkmk4",))
+    monkeypatch.setattr(accuracy, "BUDGET", 0.1)
     pieces = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(), re.DOTALL | re.MULTILINE)
     assert len(pieces) == 10
     names = {}

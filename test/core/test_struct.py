@@ -1,7 +1,9 @@
 """What a kernel reads of a Struct is what Python reads of it, at any time and in any copy."""
 import copy
 import gc
+import json
 import math
+import os
 import pickle
 import subprocess
 import sys
@@ -10,7 +12,7 @@ import numpy as np
 import pytest
 
 from liegroup_core import Simulation, load_scene
-from liegroup_core._compile import Choice, compiled, kernel
+from liegroup_core._compile import CACHE_FOLDER, Choice, compiled, kernel, shared
 from liegroup_core._struct import Struct
 
 PAIR = np.dtype([("number", "i8"), ("vector", "f8", (3,))], align=True)
@@ -64,6 +66,22 @@ def both(outer):
     return either(outer, 2.0), either(outer.inner, 2.0)
 
 
+@shared
+def weighed(outer, factor, flag):
+    """Compiled once; called by both of those below."""
+    return outer.count * factor if flag else -1
+
+
+@kernel
+def once(outer):
+    return weighed(outer, 3, True) + weighed(outer, 3, outer.flag)
+
+
+@kernel
+def again(outer, factor):
+    return weighed(outer, factor, outer.flag)
+
+
 def made(flag=True, count=-7, shift=-0.25):
     rng = np.random.default_rng(3)
     pairs = np.zeros(4, dtype=PAIR)
@@ -97,6 +115,55 @@ def test_arrays_are_shared_with_python():
 def test_a_function_that_stands_for_several():
     outer = made()
     assert both(outer) == (-14.0, -0.5) == (either(outer, 2.0), either(outer.inner, 2.0))
+
+
+def test_a_function_that_several_kernels_share():
+    outer = made(count=-7)
+    assert once(outer) == -42 and again(outer, 5) == -35 == weighed(outer, 5, True)
+    other = made(flag=False, count=2)
+    assert once(other) == 5 and again(other, 5) == -1
+    if compiled():
+        assert len(weighed.dispatcher.overloads) == 1
+
+
+@pytest.mark.parametrize("harm", ["nothing", "index", "code"])
+def test_kernels_out_of_the_cache(tmp_path, harm):
+    """Also where a file of it is damaged; the caller of a shared function is loaded before that."""
+    if not compiled() or CACHE_FOLDER is None:
+        pytest.skip("nothing is compiled, or nothing is kept")
+    (tmp_path / "kernels.py").write_text("""if True:
+        import json
+        import numpy as np
+        from liegroup_core._compile import kernel, shared
+        from liegroup_core._struct import Struct
+        class One(Struct):
+            count: int
+        @shared
+        def inner(one, factor):
+            return one.count * factor
+        @kernel
+        def outer(one):
+            return inner(one, 3) + 1
+        results = [outer(One(count)) for count in (2, -4)]
+        print(json.dumps([results, sum(each.dispatcher.stats.cache_misses != {}
+                                       for each in (outer, inner))]))
+        """)
+
+    def run():
+        said = subprocess.run(
+            [sys.executable, "-c", f"import sys; sys.path.append({str(tmp_path)!r}); import kernels"],
+            capture_output=True, text=True, check=True,
+            env={**os.environ, "LIEGROUP_CACHE_DIR": str(tmp_path / "cache")})
+        return json.loads(said.stdout)
+
+    assert run() == [[7, -11], 2]
+    files = sorted(tmp_path.glob("cache/*/**/*.nb" + {"index": "i"}.get(harm, "c")))
+    assert len(files) >= 2
+    if harm != "nothing":
+        for file in files:
+            file.write_bytes(file.read_bytes()[:40] if harm == "code" else b"")
+        assert run() == [[7, -11], 2]
+    assert run() == [[7, -11], 0]
 
 
 @pytest.mark.parametrize("again", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
@@ -135,7 +202,8 @@ def test_arrays_that_kernels_could_not_read(array):
 @pytest.mark.parametrize("scene, method", [
     ("four_bar", "rkmk54"), ("heavy_top", "rkmk4"), ("double_pendulum", "generalized_alpha"),
     ("double_pendulum", "constrained_rattle4"), ("lagrangian_top", "stoermer_verlet")])
-@pytest.mark.parametrize("again", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
+@pytest.mark.parametrize("again", [copy.copy, copy.deepcopy,
+                                   lambda x: pickle.loads(pickle.dumps(x))])
 def test_a_copied_simulation_goes_on_alone(scene, method, again):
     simulation = Simulation(load_scene(scene), method=method, step=1e-3)
     simulation.advance(20)

@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """`liegroup_sim analyze`: exact solutions, order, trends, bounds, many logs, addresses, schema."""
+import functools
 import json
+import math
 import subprocess
 import sys
+import threading
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import fsspec
@@ -15,8 +19,10 @@ from liegroup_core import Simulation, load_scene
 from liegroup_core.scene.load import scene_from_text
 from liegroup_core.simulation import make_layout
 from liegroup_sim_ros.analyze import analyse
+from liegroup_sim_ros.analyze_logs import find_exceeded
 from liegroup_sim_ros.main import main
 from liegroup_sim_ros.recording import RecordingError, read_recording
+from liegroup_sim_ros.report import summary
 from liegroup_sim_ros.report.comparison import compare
 from liegroup_sim_ros.report.drift import Drift, thinned
 
@@ -197,8 +203,10 @@ def test_bounds(logs, tmp_path, capsys):
     assert "its drift is not known" in capsys.readouterr().err
     assert main(["analyze", log, "--no-reference", "--max-error", "1"]) == 2
     assert main(["analyze", log, log, "--compare", log]) == 2
-    assert main(["analyze", str(tmp_path / "*.none")]) == 2
-    assert "no file matches" in capsys.readouterr().err
+    for nothing, said in ((tmp_path / "*.none", "no file matches"),
+                          (tmp_path.parent, "a folder without *.mcap in it")):
+        assert main(["analyze", str(nothing)]) == 2
+        assert said in capsys.readouterr().err
     assert main(["analyze", log, "--scheduler", "tcp://127.0.0.1:9"]) == 2
     assert "no dask scheduler" in capsys.readouterr().err
 
@@ -263,6 +271,68 @@ def test_addresses(logs, monkeypatch):
     monkeypatch.setitem(sys.modules, "fsspec", None)
     with pytest.raises(RecordingError, match="needs the package fsspec: pip install fsspec"):
         read_recording("memory://logs/a.mcap")
+
+
+def test_a_bound_that_the_reference_cannot_judge_is_not_kept():
+    """The error counts with the uncertainty of what it is measured against."""
+    def figures(error, uncertainty):
+        entry = {"max": error, "uncertainty": uncertainty, "unit": "m"}
+        return [{"log": "a", "reference": {"position": entry, "angle": entry}}]
+
+    assert find_exceeded(figures(0.9, 0.05), 1.0) == []
+    for error, uncertainty, said in ((0.9, 0.2, "may be more than 1: the reference is only"),
+                                     (math.nan, 0.0, "is more than 1"),
+                                     (0.0, math.nan, "may be more than 1"),
+                                     (1.1, 0.0, "error 1.1 m is more than 1")):
+        found = find_exceeded(figures(error, uncertainty), 1.0)
+        assert len(found) == 2 and all(said in text for text in found)
+
+
+@pytest.mark.parametrize("error, uncertainty, said", [
+    (1.0, 0.05, "1 m"), (1.0, 0.2, "1 m (± 0.2 m)"), (0.0, 0.0, "0 m"),
+    (1.0, 1.5, "1.5 m (all the reference can tell)"), (math.nan, 1.0, "not a number")])
+def test_an_error_is_told_with_what_is_known_of_it(error, uncertainty, said):
+    entry = {"max": error, "uncertainty": uncertainty, "unit": "m"}
+    assert summary._error(entry) == said
+
+
+class _Web(SimpleHTTPRequestHandler):
+    """A folder on the web; of short.mcap it sends less than it says."""
+
+    def do_GET(self):
+        if not self.path.endswith("short.mcap"):
+            return super().do_GET()
+        self.send_response(200)
+        self.send_header("Content-Length", "1000000")
+        self.end_headers()
+        self.wfile.write(b"\x89MCAP0\r\n")
+
+    def log_message(self, *_):
+        pass
+
+
+def test_addresses_on_the_web(logs, capsys):
+    """Logs of a real server, by the processes of dask too; each that cannot be had is one line."""
+    server = ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(_Web, directory=logs))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    web = f"http://127.0.0.1:{server.server_port}"
+    there = read_recording(f"{web}/a.mcap")
+    assert there.complete and there.topics == read_recording(logs / "a.mcap").topics
+    capsys.readouterr()
+    assert main(["analyze", f"{web}/[ab].mcap", f"{web}/a.mcap?key=1", "--no-reference"]) == 0
+    assert "a.mcap" in capsys.readouterr().out
+
+    def refused(name, *said):
+        assert main(["analyze", f"{web}/{name}.mcap"]) == 2
+        out, err = capsys.readouterr()
+        assert out == "" and err.count("\n") == 1 and f"{web}/{name}.mcap: cannot be read: " in err
+        assert all(text in err for text in said)
+
+    refused("none", "404")
+    refused("short", "1000000")             # and not: a recording without its end
+    server.shutdown()
+    server.server_close()
+    refused("a", "Connect")
 
 
 def test_as_a_library_without_ros(tmp_path):

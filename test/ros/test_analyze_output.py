@@ -31,7 +31,7 @@ def test_not_a_number_is_never_shown_as_fine(tmp_path, capsys):
                  pacing=PACING | {"real_time_factor": 0.5, "reanchored": 3})
     analysis = analyse(read_recording(log))
     assert "too slow: real-time factor 0.5 of 1" in analysis.figures["problems"]
-    assert any("wall clock, which was given up 3 times" in text for text in analysis.figures["problems"])
+    assert any("behind the wall clock, 3 times" in text for text in analysis.figures["problems"])
     figures = analysis.figures | {"energy": analysis.figures["energy"] | {"drift_J": math.nan}}
     text = document([figures])
     assert json.loads(text, parse_constant=pytest.fail)["logs"][0]["energy"]["drift_J"] == "nan"
@@ -91,6 +91,19 @@ def test_page(tmp_path, capsys):
     assert [body for body, *_ in motion["pushes"]] == [0] and motion["frames"] == 41
 
 
+def test_a_chance_hit_does_not_stretch_a_log_axis():
+    """Beginnings at 1e-46 m are left out of sight, slow growth from 1e-15 m is not."""
+    def axis(y):
+        plot = plots._plane([plots._line("error", np.arange(len(y)), y, "--blue")], [], "m", True)
+        return plot["layout"]["yaxis"]
+
+    odd = axis(np.array([0.0, 1e-46, *np.linspace(1e-15, 3e-15, 500)]))
+    assert -18.0 < odd["range"][0] < -16.0 and -14.6 < odd["range"][1] < -14.0
+    assert odd["dtick"] == 1
+    slow = axis(np.logspace(-15, 0, 500))
+    assert "range" not in slow and slow["dtick"] == 3 and axis(np.zeros(9))["dtick"] == 1
+
+
 def test_long_recordings_make_no_large_page(tmp_path, monkeypatch):
     """What is drawn is bounded, and what sticks out is still there."""
     y = np.sin(np.linspace(0.0, 300.0, 1_000_000))
@@ -133,7 +146,7 @@ def test_pictures(tmp_path, capsys):
 @pytest.mark.parametrize("make, said", [
     (lambda path: None, "No such file"),
     (lambda path: path.write_bytes(b"not a log"), "not an MCAP file"),
-    (lambda path: path.mkdir(), "Is a directory")])
+    (lambda path: path.mkdir(), "a folder without")])
 def test_bad_files(tmp_path, capsys, make, said):
     make(tmp_path / "a.mcap")
     assert main(["analyze", str(tmp_path / "a.mcap")]) == 2

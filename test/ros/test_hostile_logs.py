@@ -17,6 +17,7 @@ from liegroup_core import SceneError
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.analyze import analyse
 from liegroup_sim_ros.main import main
+from liegroup_sim_ros.mcap_stream import McapStream
 from liegroup_sim_ros.recording import RecordingError, read_recording
 from liegroup_sim_ros.report.replay import ReplayError
 from liegroup_sim_ros.resimulate import resimulate
@@ -104,6 +105,29 @@ def message_bomb():
     data = (struct.pack("<BQHIQQ", 5, 22, 1, 1, 1, 1)) * (60 * 2**20 // 31)
     packed = zstandard.ZstdCompressor(level=3).compress(data)
     return with_chunk(chunk_head(len(data), len(packed), zlib.crc32(data)), packed) * 1
+
+
+def growing_chunks():
+    """Each for itself within what a chunk may claim, all together not."""
+    noise = random.Random(3).randbytes(20_000)
+    data = struct.pack("<BQHIQQ", 5, 22 + len(noise), 1, 1, 1, 1) + noise
+    data += struct.pack("<BQHIQQ", 5, 1022, 1, 1, 1, 1).ljust(1031, b"\0") * (15 * 2**20 // 1031)
+    packed = zstandard.ZstdCompressor(level=3).compress(data)
+    chunk = with_chunk(chunk_head(len(data), len(packed), zlib.crc32(data)), packed)
+    return MAGIC + chunk[len(MAGIC):] * 30
+
+
+def test_a_file_of_many_bombs_is_read_as_far_as_one_may_grow(tmp_path, capsys):
+    """What comes after is not unpacked."""
+    file = tmp_path / "grows.mcap"
+    file.write_bytes(growing_chunks())
+    with open(file, "rb") as stream:
+        reader = McapStream(stream, file.stat().st_size)
+        unpacked = sum(len(messages.data) for messages in reader)
+    assert 64 * 2**20 < unpacked < 64 * 2**20 + 100 * file.stat().st_size < 30 * 15 * 2**20
+    assert reader.damaged > 10 and "more than 100 times its size" in reader.remarks[0]
+    assert main(["analyze", str(file)]) == 2
+    assert "more than 100 times its size" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("make", [

@@ -6,7 +6,9 @@ import time
 
 import numpy as np
 import pytest
+import yaml
 from geometry_msgs.msg import PoseStamped
+from mcap.reader import make_reader
 from node_process import COMPILING, NodeProcess, stamp_ns
 from rclpy.qos import ReliabilityPolicy
 
@@ -101,19 +103,27 @@ def test_recording_of_pushes_and_controls_repeats_bit_for_bit(client, scene, tmp
 def test_signal_ends_the_node_and_finishes_its_file(client, scene, tmp_path, number):
     path = tmp_path / "run.mcap"
     name = f"/ended_by_{number.name.lower()}"
-    best_effort = f"qos_overrides.{name}/wrench.subscription.reliability"
-    with NodeProcess({"scene": scene, "record": path, "real_time_factor": 0.0,
-                      best_effort: "best_effort"},
+    qos = {f"qos_overrides.{name}/wrench.subscription.reliability": "best_effort",
+           f"qos_overrides.{name}/cube/pose.publisher.reliability": "best_effort",
+           f"qos_overrides.{name}/puck/pose.publisher.depth": 25}
+    with NodeProcess({"scene": scene, "record": path, "real_time_factor": 0.0, **qos},
                      remap=[f"__node:={name[1:]}"]) as process:
         seen = client.listen(f"{name}/puck/pose", PoseStamped, 1)
         client.until(lambda: seen, COMPILING)
         wrench, = client.node.get_subscriptions_info_by_topic(f"{name}/wrench")
-        assert wrench.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+        cube, = client.node.get_publishers_info_by_topic(f"{name}/cube/pose")
+        for endpoint in (wrench, cube):
+            assert endpoint.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
         process.send(number)
         code, errors = process.wait()
     assert code == 0 and "Traceback" not in errors, errors
     recording = read_recording(path)
     assert recording.complete and recording.events[-1].name == "stop"
+    with open(path, "rb") as stream:
+        offered = {channel.topic: yaml.safe_load(channel.metadata["offered_qos_profiles"])[0]
+                   for channel in make_reader(stream).get_summary().channels.values()}
+    assert offered[f"{name}/cube/pose"]["reliability"] == "best_effort"
+    assert offered[f"{name}/puck/pose"]["depth"] == 25
     # As fast as it goes is faster than the clock.
     assert recording.pacing["real_time_factor"] > 1.0
 
@@ -155,12 +165,18 @@ def test_wrong_parameter_is_one_line_and_exit_code_2(scene, parameters, message)
     assert lines[0].startswith("sim_node: ")
 
 
-def test_wrong_quality_of_service_is_refused_before_the_recording_is_opened(scene, tmp_path):
+@pytest.mark.parametrize("name, value, message", [
+    ("/sim_node/wrench.subscription.reliability", "bogus", "must be reliable or best"),
+    ("/sim_node/wrench.subscription.depth", 0, "must be a whole number of at least 1"),
+    ("/sim_node/wrench.subscription.depth", "many", "must be a whole number of at least 1"),
+    ("/sim_node/puk/pose.publisher.depth", 5, "did you mean qos_overrides./sim_node/puck/pose")])
+def test_wrong_quality_of_service_is_refused_before_the_recording_is_opened(
+        scene, tmp_path, name, value, message):
     path = tmp_path / "run.mcap"
-    wrong = {"qos_overrides./sim_node/wrench.subscription.reliability": "bogus"}
-    with NodeProcess({"scene": scene, "record": path, **wrong}) as process:
+    with NodeProcess({"scene": scene, "record": path, f"qos_overrides.{name}": value}) as process:
         code, errors = process.wait()
-    assert code == 2 and "Unexpected QoS override" in errors.splitlines()[-1], errors
+    line, = [line for line in errors.splitlines() if not line.startswith("[")]
+    assert code == 2 and line.startswith("sim_node: parameter qos") and message in line, errors
     assert not path.exists()
 
 

@@ -101,9 +101,11 @@ def test_launch_file_is_python_and_its_preset_is_there():
     assert remapped == ["clock", "tf"]
 
 
-def test_ros2_run_finds_the_node_and_it_answers():
-    node = Path(get_package_prefix(NAME), "lib", NAME, "sim_node")
-    ended = subprocess.run([node, "--ros-args", "-p", "scene:=no_such_scene"],
+@pytest.mark.parametrize("start", ["ros2 run", "python -m"])
+def test_node_is_found_and_answers(start):
+    command = ([Path(get_package_prefix(NAME), "lib", NAME, "sim_node")] if start == "ros2 run"
+               else [sys.executable, "-P", "-m", f"{NAME}.sim_node"])
+    ended = subprocess.run([*command, "--ros-args", "-p", "scene:=no_such_scene"],
                            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=60)
     assert ended.returncode == 2
     assert "no_such_scene" in ended.stdout

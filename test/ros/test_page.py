@@ -2,6 +2,7 @@
 """The page of `liegroup_sim analyze --html` in a browser, for readers and for attackers."""
 import json
 import re
+import sys
 
 import numpy as np
 import pytest
@@ -122,6 +123,11 @@ def test_phone(browser, pages):
     assert browser.errors == [] and len(browser.requests) == 1
     assert right() <= 360
     assert "drift" in browser.run("document.querySelector('p.bad').textContent")
+    # All that is wrong with any of them is said at the top, and counted.
+    said = browser.run("[...document.querySelectorAll('main > ul.bad > li')].map(e => "
+                       "e.textContent)")
+    assert "✗ " + str(len(said)) in browser.run("document.querySelector('.state').textContent")
+    assert said.count("bad.mcap: not an MCAP file") == 1 < len(said)
     x, y = browser.run("(() => { const p = document.querySelector('.plane .nsewdrag'); "
                        "p.scrollIntoView({block: 'center'}); const r = p.getBoundingClientRect();"
                        " return [r.x + r.width / 2, r.y + r.height / 2]; })()")
@@ -166,12 +172,15 @@ def test_hostile_names(browser, tmp_path, monkeypatch):
     opened(browser, page)
     shown = browser.run("document.body.innerText")
     assert browser.run("document.querySelector('h1').textContent") == HOSTILE
+    assert browser.run("[...document.querySelectorAll('.tables td')].map(t => t.textContent)"
+                       f".join().includes({json.dumps('joint j' + HOSTILE + ' open by')})")
     assert shown.count("alert(1)") >= 4 and "</script>" in shown and str(log) in shown
     # In the legend of a plot, as text.
     assert HOSTILE in browser.run("[...document.querySelectorAll('.legendtext')].map("
                                   "t => t.textContent).join()")
     assert browser.run("document.querySelectorAll('main script, main img, main b b').length") == 0
     several = tmp_path / "b.html"
+    monkeypatch.setitem(sys.modules, "dask", None)      # other processes know nothing of the patch
     assert main(["analyze", str(log), str(log), "--no-reference", "--html", str(several)]) == 0
     browser.open(several)
     assert browser.run("document.querySelector('.logs a').textContent") == str(log)

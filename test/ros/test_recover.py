@@ -33,7 +33,7 @@ def small(tmp_path_factory):
     path = tmp_path_factory.mktemp("small") / "run.mcap"
     written = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(recorder, "CHUNK_SIZE", 900)
+        patch.setattr(recorder, "CHUNK_SIZE", 600)
         settings = json.dumps({"format": 1}).encode()
         with Recorder(path, {"settings.json": ("application/json", settings)}) as log:
             channel = log.add_channel("/clock", ClockCodec.TYPE)
@@ -197,9 +197,25 @@ def test_readers_open_what_was_recovered_and_it_says_what_is_missing(tmp_path, c
     assert second["recovered_from"] == "run.mcap" and first["lost"] == second["lost"] > 0
 
 
-def bomb(size, chunks):
+def test_nobody_reads_what_is_said(small):
+    """As behind `| head -1`: no traceback, and the exit code of a program that the pipe ended."""
+    for many in (1, 300):                   # less, and more, than Python keeps before it writes
+        child = python("""
+            import sys
+            from liegroup_sim_ros.main import main
+            sys.stdin.read()
+            sys.exit(main(["info", "--json", *sys.argv[1:]]))
+            """, *[small[0]] * many)
+        child.stdout.close()
+        child.stdin.close()
+        assert (child.wait(60), child.stderr.read()) == (141, "")
+
+
+def bomb(size, chunks, noise=0, payload=0):
     """Chunks that are small and become large, each with messages of no channel."""
-    data = (struct.pack("<BQHIQQ", 5, 22, 1, 1, 1, 1)) * (size // 31)
+    data = struct.pack("<BQHIQQ", 5, 22 + noise, 1, 1, 1, 1) + random.Random(3).randbytes(noise)
+    message = struct.pack("<BQHIQQ", 5, 22 + payload, 1, 1, 1, 1) + bytes(payload)
+    data += message * ((size - len(data)) // len(message))
     chunk = record(Chunk(compression="zstd", data=zstandard.compress(data, 19),
                          message_start_time=1, message_end_time=1,
                          uncompressed_crc=zlib.crc32(data), uncompressed_size=len(data)))
@@ -225,6 +241,12 @@ HOSTILE = {
     "huge length": MCAP0_MAGIC + b"\x06" + b"\xff" * 8 + bytes(50),
     "huge attachment": MCAP0_MAGIC + b"\x09" + struct.pack("<Q", 2**62) + bytes(50),
     "many bombs": MCAP0_MAGIC + bomb(LARGEST - 100, 200),
+    # Each for itself within what a chunk may claim, all together not.
+    "many chunks that grow": MCAP0_MAGIC + record(
+        Attachment(0, 0, "a", "b", b"")) + bomb(LARGEST - 100, 4, noise=80_000, payload=1000),
+    "length beyond its record": MCAP0_MAGIC + struct.pack(
+        "<BQHIIIH", 3, 16, 1, 0, 0, 2**32 - 1, 0) + record(
+        Channel(id=1, topic="/a", message_encoding="cdr", metadata={}, schema_id=1)),
     "bomb that claims 2^60": MCAP0_MAGIC + claimed_chunk(zeros_that_claim_nothing(2**28), 2**60),
     "bomb that claims little": MCAP0_MAGIC + claimed_chunk(zeros_that_claim_nothing(2**28), 9),
     "frame that claims 2^60": MCAP0_MAGIC + claimed_chunk(
@@ -280,7 +302,11 @@ def test_hostile_files_take_little_memory_and_time_and_one_line(tmp_path):
         """, tmp_path)
     output, errors = child.communicate(timeout=300)
     assert child.returncode == 0, errors[-2000:]
-    for name, (code, out, err, seconds, megabytes) in json.loads(output).items():
+    results = json.loads(output)
+    assert "more than 100 times its size" in results["many chunks that grow: recover"][1]
+    assert "claims to hold" in results["bomb that claims 2^60: info"][2]
+    assert "beyond the end of its record" in results["length beyond its record: info"][2]
+    for name, (code, out, err, seconds, megabytes) in results.items():
         assert code in (0, 2), name
         if code == 2:
             assert len(err.splitlines()) == 1 and "Traceback" not in err, (name, err)

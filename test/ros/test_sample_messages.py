@@ -9,7 +9,7 @@ import math
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseArray, VelocityStamped
+from geometry_msgs.msg import PoseArray, PoseStamped, TwistStamped, VelocityStamped
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from nav_msgs.msg import Odometry
@@ -125,6 +125,22 @@ def only(topics):
     return topic, message_type, encode
 
 
+def test_pose_and_twist_of_every_body(layout, sample):
+    encode = sample_messages.poses_and_twists(layout.body_names, "odom", "left/")
+    messages = encode(STAMP, sample)
+    assert len(messages) == 4
+    for body, (pose, twist) in zip(layout.body_names, messages):
+        pose, twist = (as_ros_serializes(payload, kind)
+                       for payload, kind in ((pose, PoseStamped), (twist, TwistStamped)))
+        assert (pose.header.frame_id, twist.header.frame_id) == ("odom", f"left/{body}")
+        for header in (pose.header, twist.header):
+            assert (header.stamp.sec, header.stamp.nanosec) == divmod(STAMP, 10**9)
+        check_pose(pose.pose, sample.poses[body])
+        assert numbers(pose.pose.orientation, "xyzw") == sample.quaternions[body].tolist()
+        assert (numbers(twist.twist.angular, "xyz") + numbers(twist.twist.linear, "xyz")
+                == sample.twists[body].tolist())
+
+
 def test_odometry(layout, sample):
     for body, (topic, kind, encode) in zip(
             layout.body_names, sample_messages.odometry(layout, "map", "left/"), strict=True):
@@ -224,6 +240,8 @@ def test_markers(layout, sample):
     assert (force.action, torque.action) == (Marker.ADD, Marker.ADD)
     assert found["forces", 1].action == found["torques", 3].action == Marker.DELETE
     check_pose(force.pose, sample.poses["plain"])
+    end, = as_ros_serializes(encoder.encode_end(STAMP), MarkerArray).markers
+    assert (end.action, end.header.frame_id) == (Marker.DELETEALL, "world")
 
 
 @given(st.floats(allow_nan=False), st.text(st.characters(codec="utf-8", exclude_characters="\0"),

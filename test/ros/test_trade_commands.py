@@ -44,7 +44,7 @@ def measured(kept, monkeypatch):
 
 
 def test_trade(measured, tmp_path, capsys):
-    """The table, the JSON as its schema says, the page and the picture; nothing is measured anew."""
+    """Table, JSON as its schema says, page and picture; nothing is measured anew."""
     files = [tmp_path / f"a.{kind}" for kind in ("json", "html", "png")]
     arguments = ["trade", SCENE, "--horizon", "0.5", "--methods", "rkmk4", "rkmk8", "--groups",
                  "se3", "--stabilisation", "none", "--budget", "0.01", "--workers", "1"]

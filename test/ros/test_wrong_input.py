@@ -91,20 +91,29 @@ def wrong_scene(draw):
 @st.composite
 def wrong_parameters(draw):
     """Text of a parameter file with one parameter that is wrong."""
-    if draw(st.integers(0, 9)) == 0:
+    kind = draw(st.integers(0, 9))
+    if kind == 0:
         return draw(st.binary(min_size=1, max_size=100))
-    if draw(st.integers(0, 4)) == 0:
-        name, value = draw(WORD), draw(st.sampled_from([1, 1.5, "text", True]))
+    if kind == 1:
+        given = {"scene": "heavy_top"}
+        return yaml.dump(draw(st.sampled_from([
+            given, {"/**": given}, {"ros__parameters": given}, {"/**": {draw(WORD): given}},
+            {draw(WORD): {"ros__parameters": given}}, {"/**": {"ros__parameters": [given]}},
+            [{"/**": {"ros__parameters": given}}]]))).encode()
+    if kind < 4:
+        name = draw(WORD) if kind == 2 else f"{draw(st.sampled_from(TABLE)).name}.{draw(WORD)}"
+        value = draw(st.sampled_from([1, 1.5, "text", True, [], [[]], "x" * 5000]))
     else:
-        entry = draw(st.sampled_from(
-            [e for e in TABLE if type(e.default) is not str or e.choices]))
+        entry = draw(st.sampled_from(TABLE))
         name = entry.name
-        values = [draw(WORD), [1.0, 2.0], [True]]
+        values = [[1.0, 2.0], [True], [], [[]], [draw(WORD)]]
+        if type(entry.default) is not str or entry.choices:
+            values += [draw(WORD), "x" * 5000]
         if type(entry.default) is float:
             values += [float("nan"), float("inf"), -1.0, entry.high * 10.0, True]
             values += [0.0] if entry.above else []
         elif type(entry.default) is int:
-            values += [0, -3, 10**9, 1.5, True]
+            values += [entry.low - 1, entry.high + 1, 1.5, True]
         elif type(entry.default) is bool:
             values += [1, 0.0]
         else:
@@ -152,3 +161,4 @@ def test_wrong_parameter_file_is_one_line(tmp_path_factory, files):
     for text, code, errors in answers(folder, files, ["--params-file", "{}"]):
         assert code == 2 and errors.count("\n") == 1 and errors.startswith("sim_node: "), (
             text, code, errors)
+        assert len(errors) < 1000

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Quality of service as the user wants it: parameters qos_overrides.TOPIC.KIND.POLICY.
+
+TOPIC is a topic's full name, KIND is publisher or subscription, POLICY is depth or reliability. They
+are declared where they are given only: there would be four for every body otherwise.
+"""
+import difflib
+
+from rclpy.qos import QoSPolicyKind
+from rclpy.qos_overriding_options import QoSOverridingOptions
+
+from .parameters import QOS_PREFIX, ParameterError
+
+POLICIES = {"depth": QoSPolicyKind.DEPTH, "reliability": QoSPolicyKind.RELIABILITY}
+
+
+class QosOverrides:
+    """Those that a node was given.
+
+    names : full names of the parameters
+    """
+
+    def __init__(self, names):
+        self._names = names
+        self._possible = []
+
+    def options(self, node, topic, kind):
+        """Options for the topic's creation, None if nothing was given for it."""
+        names = {f"{QOS_PREFIX}{node.resolve_topic_name(topic)}.{kind}.{policy}": number
+                 for policy, number in POLICIES.items()}
+        self._possible += names
+        given = [number for name, number in names.items() if name in self._names]
+        return QoSOverridingOptions(given) if given else None
+
+    def check(self):
+        """All topics were made: raises ParameterError for a name that is not one of them."""
+        for name in self._names:
+            if name not in self._possible:
+                near, = difflib.get_close_matches(name, self._possible, n=1, cutoff=0.0)
+                raise ParameterError(f"parameter {name}: no topic, or nothing that can be set; "
+                                     f"did you mean {near}?")
