@@ -11,6 +11,7 @@ import functools
 import hashlib
 import logging
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -26,19 +27,29 @@ log = logging.getLogger("liegroup_core")
 
 # How many caches of other versions stay: a developer switches between a few.
 KEPT_CACHES = 6
+COMPILED = re.compile("[0-9a-f]{16}(-[0-9]+)?")     # names of the folders of compiled code
+
+
+@functools.lru_cache(maxsize=None)
+def source_digest():
+    """Hash of the sources that results depend on: all but `study`, which has no kernels."""
+    root = Path(__file__).parent
+    digest = hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        place = path.relative_to(root)
+        if place.parts[0] != "study":
+            digest.update(str(place).encode())
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
 
 
 def _source_hash():
     """Hash of all that the compiler keeps apart: sources and their place, versions."""
-    root = Path(__file__).parent
-    digest = hashlib.sha256(f"{root} {sys.version} {numba.__version__}".encode())
-    for path in sorted(root.rglob("*.py")):
-        digest.update(str(path.relative_to(root)).encode())
-        digest.update(path.read_bytes())
-    return digest.hexdigest()[:16]
+    kept_apart = f"{Path(__file__).parent} {sys.version} {numba.__version__} {source_digest()}"
+    return hashlib.sha256(kept_apart.encode()).hexdigest()[:16]
 
 
-def _cache_root():
+def cache_root():
     """The user's cache folder, or one in the temporary folder where that cannot be written."""
     default = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     wanted = Path(os.environ.get("LIEGROUP_CACHE_DIR") or Path(default) / "liegroup_core")
@@ -55,7 +66,7 @@ def _cache_root():
 
 def _cache_folder():
     """The cache folder of exactly these sources, made if need be; old ones are removed."""
-    root = _cache_root()
+    root = cache_root()
     if root is None:
         return None
     folder = root / _source_hash()
@@ -63,7 +74,8 @@ def _cache_folder():
         folder = root / f"{folder.name}-{os.getuid()}"      # that is another user's
     if not folder.exists():
         folder.mkdir(exist_ok=True)
-        others = sorted((p for p in root.iterdir() if p.is_dir() and p != folder),
+        others = sorted((p for p in root.iterdir()
+                         if p.is_dir() and p != folder and COMPILED.fullmatch(p.name)),
                         key=lambda p: p.stat().st_mtime, reverse=True)
         for old in others[KEPT_CACHES:]:
             shutil.rmtree(old, ignore_errors=True)

@@ -27,6 +27,7 @@ from .planar.build import planar_model
 from .scene.assembly import ready
 from .scene.centres import Offsets
 from .scene.description import Scene
+from .study.step_watch import StepWatch
 from .wrenches import NEVER, AppliedWrench, WrenchSchedule
 
 log = logging.getLogger("liegroup_core")
@@ -171,6 +172,7 @@ class Simulation:
         self._body = {name: i for i, name in enumerate(self.layout.body_names)}
         self._timetable = Timetable(self.layout.model.forces.applied_wrench, self.step)
         self._warned = self._warned_singular = False
+        self._steps_watch = StepWatch(self.layout, method, self.step, self._integrator)
         warm_up(self._touch, self._integrator.kernels)
 
     def _touch(self):
@@ -213,6 +215,7 @@ class Simulation:
         self._applied = []
         self.doubt = None
         self._watch = JointWatch(self.layout)
+        self._steps_watch.restart(self.steps, pose)
         self._integrator.restart()
         if memory is not None:
             self._remember(memory)
@@ -349,13 +352,19 @@ class Simulation:
                     self.steps, self.layout.body_names[body],
                     tuple(self._schedule.total[body].tolist())))
                 self._watch.restart()
-            wanted = min(end, self._watch.next_look(self.steps),
+            looks = self.steps < end and self._steps_watch.before(
+                self.steps, self._pose, self._twist)
+            wanted = min(self.steps + 1 if looks else end, self._watch.next_look(self.steps),
+                         self._steps_watch.next_look(self.steps),
                          self._schedule.next_change(self.steps),
                          self._timetable.next_change(self.steps)) - self.steps
             done, status = self._take(wanted)
             self.steps += done
             if done:
                 self._look(status != OK)
+            if looks and done and len(self._timetable.parts(self.steps - 1)) == 1:
+                self._doubt(self._steps_watch.after(self.steps, self._pose, self._twist,
+                                                    self._external))
             if status != OK:
                 raise SimulationError(self._explain(status), status & 0xff)
             if self.steps >= end:
@@ -376,10 +385,12 @@ class Simulation:
 
     def _look(self, at_once):
         """Look at the joints, if it is time to or `at_once`, and say what is wrong."""
-        doubt = self._watch.look(self._pose, self.steps, self.time, at_once)
-        if doubt:
-            self.doubt = self.doubt or doubt
-            log.warning(doubt)
+        self._doubt(self._watch.look(self._pose, self.steps, self.time, at_once))
+
+    def _doubt(self, text):
+        if text:
+            self.doubt = self.doubt or text
+            log.warning(text)
 
     def _take(self, steps):
         """Take steps over which no wrench changes, or only the next one, in parts, if one does in it.

@@ -13,10 +13,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from liegroup_core.errors import LieGroupSimError
 
-from . import (__version__, analyze_logs, demo, describe, figures, info, offline, push, recover,
-               replay)
+from . import (__version__, analyze_logs, demo, describe, extremes, figures, info, offline, push,
+               recover, replay)
 from .analyze_logs import AnalysisError
 from .demo import DemoError
+from .extremes import ExtremesError
 from .figures import FiguresError
 from .offline import RunError
 from .offline_files import OutputError
@@ -25,8 +26,8 @@ from .push import PushError
 from .recording import RecordingError
 from .report.replay import ReplayError
 
-WRONG_INPUT = (LieGroupSimError, RecordingError, AnalysisError, DemoError, FiguresError,
-               OutputError, PlayError, PushError, ReplayError, RunError)
+WRONG_INPUT = (LieGroupSimError, RecordingError, AnalysisError, DemoError, ExtremesError,
+               FiguresError, OutputError, PlayError, PushError, ReplayError, RunError)
 EXIT_WRONG_INPUT, EXIT_INTERRUPTED = 2, 130
 
 
@@ -38,7 +39,8 @@ def make_parser():
         "a ROS installation: ros2 run liegroup_sim_ros sim_node --ros-args -p scene:=heavy_top")
     parser.add_argument("--version", action="version", version=f"liegroup_sim {__version__}")
     subparsers = parser.add_subparsers(metavar="COMMAND", required=True)
-    for command in (demo, describe, offline, analyze_logs, replay, info, recover, push, figures):
+    for command in (demo, describe, offline, analyze_logs, replay, info, recover, push, figures,
+                    extremes):
         command.add_parser(subparsers)
     return parser
 
