@@ -6,6 +6,7 @@
 
 See extremes_axes.py for what is driven to its limit, extremes_cell.py for how a cell is judged.
 """
+from collections import Counter
 from functools import partial
 
 from ..errors import SceneError, SimulationError
@@ -14,7 +15,7 @@ from ..integrators.methods import METHODS
 from ..simulation import make_layout
 from . import extremes_problems as problems
 from .extremes_axes import _STEPS, AXES, Axis, _powers
-from .extremes_cell import REFUSED, SILENT, UNJUDGED, VERDICTS, run_cell
+from .extremes_cell import REFUSED, SILENT, UNJUDGED, VERDICTS, judge_alike, run_cell
 from .tasks import run
 
 
@@ -30,49 +31,47 @@ def axes_of(scene=None, horizon=8.0, long=False):
 
 
 def survey(axes, quick=False, methods=tuple(METHODS), scheduler=None, workers=None):
-    """Yields (number of columns, cells of a column that is done); a cell is a dict for JSON.
+    """Yields (number of columns, cells) as columns are done; a cell is a dict for JSON.
 
     quick : only the values that tests take
-    A column is one value of one axis: its true motion is made once, and all methods are run.
+    A column is one value of one axis: its true motion is made once, and all methods are run. Those
+    of an axis along which only the scale changes come together, as they are judged together.
     """
     columns = [(axis, value, methods) for axis in axes
                for value in (axis.quick if quick else axis.values)]
-    for _, cells in run(column, columns, scheduler, workers):
-        yield len(columns), cells
+    waiting = {axis.name: [] for axis in axes}
+    left = Counter(axis.name for axis, _, _ in columns)
+    for k, cells in run(column, columns, scheduler, workers):
+        axis = columns[k][0]
+        waiting[axis.name] += cells
+        left[axis.name] -= 1
+        if axis.alike is None or not left[axis.name]:
+            cells, waiting[axis.name] = waiting[axis.name], []
+            if axis.alike is not None:
+                judge_alike(cells, axis.alike)
+            yield len(columns), cells
+        else:
+            yield len(columns), []
 
 
 def column(item):
     """The cells of a value of an axis: item is (Axis, value, names of methods)."""
     axis, value, methods = item
-    natural = None
-    if axis.alike is not None and value != axis.alike:
-        natural = {cell["method"]: cell["error"] for cell in _cells(axis, axis.alike, methods)}
-    return _cells(axis, value, methods, natural)
-
-
-def _cells(axis, value, methods, natural=None):
+    where = {"axis": axis.name, "value": value}
     problem = axis.problem(value)
     try:
         layout = make_layout(problem.scene)
     except SceneError as error:
-        return [{"axis": axis.name, "value": value, "method": method, "verdict": REFUSED,
-                 "says": [str(error)]} for method in methods]
-    truth, unknown = None, ""
+        return [where | {"method": method, "verdict": REFUSED, "says": [str(error)]}
+                for method in methods]
+    # What a method is not for is not judged.
+    methods = [method for method in methods if not misfit(method, layout)]
     try:
         truth = problem.motion(problem.samples() * problem.step)
     except (SimulationError, ValueError) as error:
-        unknown = str(error)
-    found = []
-    for method in methods:
-        where = {"axis": axis.name, "value": value}
-        if misfit(method, layout):
-            continue                        # it is not for such scenes: nothing to judge
-        if truth is None:
-            found.append(where | {"method": method, "verdict": UNJUDGED, "says": [unknown]})
-            continue
-        expected = None if natural is None else natural[method]
-        found.append(where | run_cell(problem, truth, method, expected))
-    return found
+        return [where | {"method": method, "verdict": UNJUDGED, "says": [str(error)]}
+                for method in methods]
+    return [where | run_cell(problem, truth, method) for method in methods]
 
 
 def counts(cells):
@@ -85,4 +84,4 @@ def silent(cells):
     return [cell for cell in cells if cell["verdict"] == SILENT]
 
 
-__all__ = ["AXES", "REFUSED", "VERDICTS", "axes_of", "column", "counts", "silent", "survey"]
+__all__ = ["AXES", "VERDICTS", "axes_of", "column", "counts", "silent", "survey"]

@@ -43,6 +43,7 @@ class Problem:
     length : m, what positions are compared with beside the way that bodies go
     shown  : names of the bodies that are compared; None: all
     settings : further arguments of Simulation
+    turns  : rad that bodies turn by for sure: whole turns between samples do not show
     """
 
     scene: Any
@@ -52,6 +53,7 @@ class Problem:
     length: float
     shown: tuple | None = None
     settings: dict = field(default_factory=dict)
+    turns: float = 0.0
 
     def samples(self):
         """(k,) step counts at which the motion is compared."""
@@ -59,11 +61,10 @@ class Problem:
                          .round().astype(int))
 
 
-def run_cell(problem, truth, method, expected=None, make=Simulation):
+def run_cell(problem, truth, method, make=Simulation):
     """Run a method; returns a dict of what JSON holds: verdict, error and what the run said.
 
     truth    : Truth at the samples of the problem
-    expected : the error that this method has on the same problem at scale 1, or None
     make     : what makes the simulation
     """
     cell = {"method": method, "step": problem.step, "steps": problem.steps, "error": None,
@@ -80,14 +81,14 @@ def run_cell(problem, truth, method, expected=None, make=Simulation):
         said.append(simulation.doubt)
     cell["says"] = said + ([stopped] if stopped else [])
     cell["seconds"] = time.process_time() - began
-    return cell | {"verdict": _verdict(cell, simulation, stopped, expected)}
+    return cell | {"verdict": _verdict(cell, simulation, stopped)}
 
 
 def _run(simulation, problem, truth, cell, said):
     """Take the steps and compare on the way; returns why the run stopped, or None."""
     names = simulation.layout.body_names
     rows = [i for i, name in enumerate(names) if problem.shown is None or name in problem.shown]
-    angle_size, length_size = sizes(truth, problem.length)
+    angle_size, length_size = sizes(truth, problem.length, problem.turns)
     cell["uncertainty"] = float(truth.uncertainty / angle_size)
     for k, steps in enumerate(problem.samples().tolist()):
         try:
@@ -106,12 +107,14 @@ def _run(simulation, problem, truth, cell, said):
     return None
 
 
-def _verdict(cell, simulation, stopped, expected):
+def _verdict(cell, simulation, stopped):
     if stopped:
         return REFUSED if simulation.steps == 0 else STOPPED
-    bound = BOUND
-    if expected is not None:
-        bound = min(bound, max(NO_LOSS, ALIKE * expected))
+    return judged(cell, BOUND)
+
+
+def judged(cell, bound):
+    """The verdict of a run that went to its end, against a bound on its error."""
     if not cell["uncertainty"] < bound:
         return UNJUDGED
     if cell["error"] <= bound + cell["uncertainty"]:
@@ -119,10 +122,20 @@ def _verdict(cell, simulation, stopped, expected):
     return FLAGGED if cell["says"] else SILENT
 
 
-def sizes(truth, length):
-    """How far a motion goes: rad, at most 1, and m."""
+def judge_alike(cells, natural):
+    """Judge the cells of an axis anew by those at its natural scale, where errors must be alike."""
+    errors = {cell["method"]: cell["error"] for cell in cells if cell["value"] == natural
+              and cell["verdict"] == ACCURATE}
+    for cell in cells:
+        if cell["verdict"] == ACCURATE and cell["method"] in errors:
+            cell["verdict"] = judged(cell, min(BOUND, max(NO_LOSS,
+                                                          ALIKE * errors[cell["method"]])))
+
+
+def sizes(truth, length, turns=0.0):
+    """How far a motion goes: rad, at most 1, and m; at least by so many rad."""
     angle, way = apart(truth.rotation, truth.position, truth.rotation[:1], truth.position[:1])
-    angle = min(max(angle, way / length), 1.0)
+    angle = min(max(angle, way / length, turns), 1.0)
     return angle or 1.0, max(way, length * angle) or length
 
 

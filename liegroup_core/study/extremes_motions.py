@@ -16,7 +16,8 @@ from ..reference import integrate
 from ..scene.assembly import ready
 
 DIGITS = 25
-# Tolerance of equations in one angle, and what is left of it after some hundred radians.
+# Tolerance of equations in one or two angles, and what is left of it after some hundred radians, as
+# a part of the largest angle.
 TIGHT, ANGLE_ERROR = 1e-13, 1e-9
 
 
@@ -85,7 +86,7 @@ def one_angle(acceleration, start, rate, place):
     """
     def motion(times):
         found = _solved(lambda t, y: (y[1], acceleration(y[0])), times, (start, rate))
-        return Truth(*place(found[0]), ANGLE_ERROR)
+        return Truth(*place(found[0]), ANGLE_ERROR * min(1.0, np.abs(found[0]).max()))
     return motion
 
 
@@ -169,7 +170,7 @@ def _solved(rate, times, start):
 def linear_swing(amplitude, frequency, place):
     """A mechanism of one freedom that swings by so little that its equation is linear, from rest."""
     def motion(times):
-        return Truth(*place(amplitude * np.cos(frequency * times)), 1e-13)
+        return Truth(*place(amplitude * np.cos(frequency * times)), 1e-13 * amplitude)
     return motion
 
 

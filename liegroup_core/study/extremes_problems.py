@@ -22,10 +22,11 @@ def _gyration(inertia, mass=1.0):
 
 
 def _free(inertia, omega, step, steps, motion=None):
+    """A body that turns about its centre."""
     scene = Scene(name="free", gravity=(0, 0, 0), bodies=[
         Body(name="body", mass=1.0, inertia=inertia, angular_velocity=tuple(omega))])
     return Problem(scene, step, steps, motion or motions.free_body(inertia, omega),
-                   _gyration(inertia))
+                   _gyration(inertia), turns=min(1.0, float(np.linalg.norm(omega)) * step * steps))
 
 
 def step_free(step):
