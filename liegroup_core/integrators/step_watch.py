@@ -38,8 +38,9 @@ ENERGY_ROUNDING = 1e-12
 AHEAD = 0.25
 # Tolerances of error control that are compared with.
 TIGHTER = 0.03
-# A step is recommended at which the sum would have been this part of a doubt; so often halved.
-AIM, HALVINGS = 0.1, 24
+# A step is recommended that keeps the sum at this part of a doubt over the time so far, or over that
+# of so many steps; it is the step halved so often.
+AIM, LEAST_STEPS, HALVINGS = 0.1, 100, 24
 
 
 class StepWatch:
@@ -194,12 +195,13 @@ class StepWatch:
     def _advice(self, external, limit, done):
         if self._controlled:
             return "take smaller rtol and atol, or a smaller step"
-        aim = AIM * limit / (done * self._step)         # error per time
+        time = max(done, LEAST_STEPS) * self._step
         h = self._step
         for _ in range(HALVINGS):
             h *= 0.5
-            if self._compare(h, None, None, external) <= aim * h:
-                return f"from here steps of {h:.2g} s would keep that ten times smaller; take those"
+            if self._compare(h, None, None, external) * time <= AIM * limit * h:
+                return (f"from here steps of {h:.2g} s would keep that to {100 * AIM * PART:.2g} % "
+                        f"for {time:.3g} s; take those")
         return "take a much smaller step"
 
 
