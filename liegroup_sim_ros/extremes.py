@@ -55,20 +55,22 @@ def add_parser(subparsers):
 def run(args):
     """Run the subcommand; returns the exit code. Raises ExtremesError, SceneError, TasksError."""
     axes = _wanted(args)
+    quick = args.quick and args.scene is None
     console = Console(file=sys.stdout)
-    cells = []
+    found = {axis.name: [] for axis in axes}
+    left = {axis.name: len(axis.quick if quick else axis.values) for axis in axes}
     with Progress(BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
                   console=Console(stderr=True)) as bar:
         task = bar.add_task("")
-        for total, found in survey(axes, args.quick and args.scene is None, tuple(args.methods),
-                                   args.scheduler, args.workers):
+        for total, axis, cells in survey(axes, quick, tuple(args.methods), args.scheduler,
+                                         args.workers):
             bar.update(task, total=total, advance=1)
-            cells += found
-    order = {axis.name: k for k, axis in enumerate(axes)}
-    cells.sort(key=lambda cell: order[cell["axis"]])        # within one, values may be in any order
-    for axis in axes:
-        _print_axis(axis, [cell for cell in cells if cell["axis"] == axis.name], args.methods,
-                    console)
+            found[axis.name] += cells
+            left[axis.name] -= 1
+            if not left[axis.name]:
+                _print_axis(axis, found[axis.name], args.methods, console)
+    cells = [cell for axis in axes for value in axis.values for cell in found[axis.name]
+             if cell["value"] == value]
     _print_end(cells, console)
     try:
         if args.json:

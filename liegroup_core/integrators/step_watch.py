@@ -8,7 +8,7 @@ step. The largest over all bodies of
 is added up over the steps since the look before. l is the mechanism's size, or how far its bodies
 have gone if that is more; Omega is the rate at which the motion turns or changes its direction, so
 far: errors of velocities act for about that long. Where nothing takes or gives energy, what it is
-off by acts for ever: a body whose kinetic energy is off by the part e runs on by e/2 of its way, which
+off by acts for ever: bodies whose kinetic energy is off by the part e run on by e/2 of their way, which
 is added too. A sum that is some part of the motion so far is a doubt. Errors that grow by themselves,
 as in chaos, are not in it: it is about the steps, not about the motion.
 
@@ -61,7 +61,7 @@ class StepWatch:
         self._first = self._last = self._next = steps
         self._start = None if pose is None else pose.copy()
         self._sum = self._error = self._extent = 0.0
-        self._speed = self._change = self._turning = self._rate = 0.0
+        self._speed = self._change = self._turning = self._fastest = self._rate = 0.0
         self._kinetic, self._energy, self._off = 0.0, None, 0.0
         self._tiny = 0
         self._kept = None
@@ -88,8 +88,8 @@ class StepWatch:
         if self._last == self._first:
             self._error = error
         off, self._off = self._off, self._energy_error(pose, twist, external)
-        self._sum += 0.5 * since * (self._error + error
-                                    + (off + self._off) * self._rate * self._step)
+        along = max(self._turning, self._fastest / self._way) * self._step
+        self._sum += 0.5 * since * (self._error + error + (off + self._off) * along)
         self._error, self._last = error, steps
         done = steps - self._first
         motion = self._extent if done > FIRST_STEPS else 1.0
@@ -100,7 +100,7 @@ class StepWatch:
         if not self._sum <= limit and (not small or self._tiny >= LOOKS):
             self._next = NEVER
             return self._text(external, limit, done)
-        left = AHEAD * (limit - self._sum) / error if error > 0.0 else math.inf
+        left = AHEAD * float(limit - self._sum) / error if error > 0.0 else math.inf
         if small:
             left = done // 16
         self._next = steps - 1 + int(max(1, min(left, done)))
@@ -108,10 +108,10 @@ class StepWatch:
 
     def _follow(self, before, pose, twist):
         """Take up how far the bodies have gone and how fast."""
-        w, v = np.abs(twist[:, :3]).max(), np.abs(twist[:, 3:]).max() / self._size
         change = np.abs(twist - before)
-        self._turning = max(self._turning, w)
-        self._speed = max(self._speed, w, v)
+        self._turning = max(self._turning, float(np.abs(twist[:, :3]).max()))
+        self._fastest = max(self._fastest, float(np.abs(twist[:, 3:]).max()))
+        self._speed = max(self._turning, self._fastest / self._size)
         self._change = max(self._change, change[:, :3].max() / self._step,
                            change[:, 3:].max() / (self._size * self._step))
         self._rate = max(self._turning,

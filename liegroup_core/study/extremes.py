@@ -2,7 +2,7 @@
 """The map of extremes: every method on every axis, each cell judged, in parallel.
 
     from liegroup_core.study.extremes import survey
-    for done, cells in survey(): ...
+    for count, axis, cells in survey(AXES): ...
 
 See extremes_axes.py for what is driven to its limit, extremes_cell.py for how a cell is judged.
 """
@@ -31,7 +31,7 @@ def axes_of(scene=None, horizon=8.0, long=False):
 
 
 def survey(axes, quick=False, methods=tuple(METHODS), scheduler=None, workers=None):
-    """Yields (number of columns, cells) as columns are done; a cell is a dict for JSON.
+    """Yields (number of columns, Axis, cells) as columns are done; a cell is a dict for JSON.
 
     quick : only the values that tests take
     A column is one value of one axis: its true motion is made once, and all methods are run. Those
@@ -49,9 +49,9 @@ def survey(axes, quick=False, methods=tuple(METHODS), scheduler=None, workers=No
             cells, waiting[axis.name] = waiting[axis.name], []
             if axis.alike is not None:
                 judge_alike(cells, axis.alike)
-            yield len(columns), cells
+            yield len(columns), axis, cells
         else:
-            yield len(columns), []
+            yield len(columns), axis, []
 
 
 def column(item):

@@ -87,9 +87,8 @@ def test_truths_agree_with_the_independent_integration():
 
 
 def test_no_answer_of_the_quick_map_is_silently_wrong():
-    columns = cells = None
     cells = []
-    for columns, found in survey(axes_of(), quick=True, methods=METHODS, workers=1):
+    for columns, _, found in survey(axes_of(), quick=True, methods=METHODS, workers=1):
         cells += found
     assert silent(cells) == []
     found = counts(cells)
