@@ -17,8 +17,9 @@ from liegroup_core import load_scene
 from liegroup_core.integrators.methods import METHODS
 from liegroup_core.study.extremes import VERDICTS, axes_of, counts, silent, survey
 
+from .report.extremes_page import SIGNS, write_page
+
 EXIT_SILENT = 1
-SIGNS = dict(zip(VERDICTS, ".fxs?!"))
 STYLES = dict(zip(VERDICTS, ("green", "yellow", "blue", "cyan", "dim", "bold white on red")))
 NOTE = ("accurate: within 5 % of the motion; flagged: wrong, and the run warned; refused: no step "
         "was taken, with a reason; stopped: the run ended early and said why; unjudged: the truth "
@@ -49,6 +50,7 @@ def add_parser(subparsers):
     parser.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster")
     parser.add_argument("--png", metavar="FILE", help="write the heat map")
     parser.add_argument("--json", metavar="FILE", help="write all cells")
+    parser.add_argument("--markdown", metavar="FILE", help="write the map as tables of signs")
     parser.set_defaults(run=run)
 
 
@@ -76,6 +78,8 @@ def run(args):
         if args.json:
             Path(args.json).write_text(json.dumps(as_json(axes, cells), indent=1,
                                                   allow_nan=False) + "\n", encoding="utf-8")
+        if args.markdown:
+            write_page(axes, cells, args.methods, args.markdown)
         if args.png:
             from .report.heat_map import write_heat_map
             write_heat_map(axes, cells, args.methods, args.png)
