@@ -9,8 +9,10 @@ is added up over the steps since the look before. l is the mechanism's size, or 
 have gone if that is more; Omega is the rate at which the motion turns or changes its direction, so
 far: errors of velocities act for about that long. Where nothing takes or gives energy, what it is
 off by acts for ever: bodies whose kinetic energy is off by the part e run on by e/2 of their way, which
-is added too. A sum that is some part of the motion so far is a doubt. Errors that grow by themselves,
-as in chaos, are not in it: it is about the steps, not about the motion.
+is added too. A sum that is some part of the motion so far is a doubt. So it is where a component of the velocity
+that was small has become large, as at a separatrix, and the errors of the steps, each as a part of
+what the component was then, add up to such a part. Errors that grow otherwise, as in chaos, are
+not in it: it is about the steps, not about the motion.
 
 A look takes two steps and some 60 us. It is made after steps that double in number, more often where
 the sum is not far from a doubt, and changes nothing in the run, to the bit. What it says and what it
@@ -34,6 +36,9 @@ PART, FIRST_STEPS = 0.02, 32
 ROUNDING, LIKE_ORDER, LOOKS = 1e-11, 2.0, 3
 # Of the energies, what is rounding.
 ENERGY_ROUNDING = 1e-12
+# A component of the velocity is small below this part of the fastest, and rounding below the other.
+# Where a small one would be in doubt if it grew, looks are this part of the steps so far apart.
+SMALL, NONE, OFTEN = 0.05, 1e-12, 16
 # Steps to the next look: a part of those that the sum needs for a doubt, at this error a step.
 AHEAD = 0.25
 # Tolerances of error control that are compared with.
@@ -64,6 +69,8 @@ class StepWatch:
         self._speed = self._change = self._turning = self._fastest = self._rate = 0.0
         self._kinetic, self._energy, self._off = 0.0, None, 0.0
         self._tiny = 0
+        self._peak = self._relative = self._ratio = self._small = None
+        self._delicate = False
         self._kept = None
 
     def next_look(self, steps):
@@ -94,6 +101,9 @@ class StepWatch:
         done = steps - self._first
         motion = self._extent if done > FIRST_STEPS else 1.0
         limit = PART * motion
+        grown = self._grown(since, done, twist)
+        if grown > PART > self._sum:
+            self._sum, limit = grown, PART
         small = limit < self._sum <= ROUNDING
         if small:
             self._tiny = self._tiny + 1 if self._falls(error, external) else 0
@@ -102,7 +112,9 @@ class StepWatch:
             return self._text(external, limit, done)
         left = AHEAD * float(limit - self._sum) / error if error > 0.0 else math.inf
         if small:
-            left = done // 16
+            left = done // OFTEN
+        if self._delicate:
+            left = min(left, done // OFTEN)
         self._next = steps - 1 + int(max(1, min(left, done)))
         return None
 
@@ -134,11 +146,31 @@ class StepWatch:
         if end is None or fine is None:
             return math.inf
         turned, way = _apart(fine[0], end[0])
-        change = np.abs(fine[1] - end[1])
+        self._change_of_twist = change = np.abs(fine[1] - end[1])
         error = turned + way / self._way
         if self._rate > 0.0:
             error += max(change[:, :3].max(), change[:, 3:].max() / self._way) / self._rate
         return float(error) / self._share
+
+    def _grown(self, since, done, twist):
+        """Errors of a component that was small and is not any more, as parts of it, added up."""
+        if done <= FIRST_STEPS or not self._speed > 0.0:
+            return 0.0
+        size = np.abs(twist)
+        part = size / self._speed
+        part[:, 3:] /= self._way
+        if self._peak is None:
+            self._peak, self._small = size, part < SMALL
+            self._relative = np.zeros_like(size)
+            self._ratio = _parts(self._change_of_twist, size)
+            return 0.0
+        np.maximum(self._peak, size, out=self._peak)
+        ratio = _parts(self._change_of_twist, self._peak)
+        self._relative += 0.5 * since / self._share * (self._ratio + ratio)
+        self._ratio = ratio
+        may_grow = self._small & (part > NONE)
+        self._delicate = bool((may_grow & (self._relative + done * ratio > PART)).any())
+        return float(self._relative[self._small & (part > SMALL)].max(initial=0.0))
 
     def _falls(self, error, external):
         """Whether the error of the step kept falls with the step as the order says, twice."""
@@ -203,6 +235,11 @@ class StepWatch:
                 return (f"from here steps of {h:.2g} s would keep that to {100 * AIM * PART:.2g} % "
                         f"for {time:.3g} s; take those")
         return "take a much smaller step"
+
+
+def _parts(change, size):
+    """Changes over sizes; none where there is no size."""
+    return np.divide(change, size, out=np.zeros_like(size), where=size > 0.0)
 
 
 def _apart(one, other):

@@ -106,3 +106,11 @@ def test_it_changes_nothing_of_the_rotation_methods(monkeypatch):
             blind(patch)
             alone = run(problem.scene, 100, method=method, step=1e-3)
         assert [a.tobytes() for a in looked.state()] == [a.tobytes() for a in alone.state()]
+
+
+def test_a_small_component_that_grows():
+    """Next to a separatrix: errors of a wobble of 1e-8 decide when the body flips over."""
+    problem = problems.racket(1e-8, step=0.5)
+    for method, wrong in (("rkmk2", True), ("simo_wong", True), ("rkmk4", False)):
+        doubt = run(problem.scene, problem.steps, method=method, step=problem.step).doubt
+        assert ("added up" in doubt) if wrong else doubt is None
