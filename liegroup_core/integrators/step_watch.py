@@ -1,22 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Watch over the step of a run: whether it is small enough for the motion that it is asked for.
 
-Every so often a step h is compared with two steps h/2 from the same state; with error control, with
-a step of smaller tolerances. Of a method of order p the difference is 1 - 2^-p of the error of the
-step. The largest over all bodies of
+Every so often a step h is compared with two steps h/2 from the same state; with error control,
+with a step of smaller tolerances. Of a method of order p the difference is 1 - 2^-p of the error of
+the step. The largest over all bodies of
     angle + way / l + max(angular velocity, velocity / l) / Omega
 is added up over the steps since the look before. l is the mechanism's size, or how far its bodies
 have gone if that is more; Omega is the rate at which the motion turns or changes its direction, so
 far: errors of velocities act for about that long. Where nothing takes or gives energy, what it is
-off by acts for ever: bodies whose kinetic energy is off by the part e run on by e/2 of their way, which
-is added too. A sum that is some part of the motion so far is a doubt. So it is where a component of the velocity
-that was small has become large, as at a separatrix, and the errors of the steps, each as a part of
-what the component was then, add up to such a part. Errors that grow otherwise, as in chaos, are
-not in it: it is about the steps, not about the motion.
+off by acts for ever: bodies whose kinetic energy is off by the part e run on by e/2 of their way,
+which is added too. A sum that is some part of the motion so far is a doubt. So it is where a
+component of the velocity that was small has become large, as at a separatrix, and the errors of the
+steps, each as a part of what the component was then, add up to such a part. Errors that grow
+otherwise, as in chaos, are not in it: it is about the steps, not about the motion.
 
-A look takes two steps and some 60 us. It is made after steps that double in number, more often where
-the sum is not far from a doubt, and changes nothing in the run, to the bit. What it says and what it
-does not: docs/extremes.md.
+A look takes two steps and some 60 us. It is made after steps that double in number, more often
+where the sum is not far from a doubt, and changes nothing in the run, to the bit. What it says and
+what it does not: docs/extremes.md.
 """
 import math
 
@@ -31,20 +31,20 @@ from .status import OK
 # The sum is a doubt beyond this part of the motion: of how far bodies have gone, which counts as
 # one radian at the most and, in the first steps, at the least.
 PART, FIRST_STEPS = 0.02, 32
-# Sums of less may be rounding. They are an error of the step if that falls with it as the order says,
-# within this factor, at so many looks one after the other.
+# Sums of less may be rounding. They are an error of the step if that falls with it as the order
+# says, within this factor, at so many looks one after the other.
 ROUNDING, LIKE_ORDER, LOOKS = 1e-11, 2.0, 3
 # Of the energies, what is rounding.
 ENERGY_ROUNDING = 1e-12
-# A component of the velocity is small below this part of the fastest, and rounding below the other.
+# A component of the velocity is small below this part of the fastest, rounding below the other.
 # Where a small one would be in doubt if it grew, looks are this part of the steps so far apart.
 SMALL, NONE, OFTEN = 0.05, 1e-12, 16
 # Steps to the next look: a part of those that the sum needs for a doubt, at this error a step.
 AHEAD = 0.25
 # Tolerances of error control that are compared with.
 TIGHTER = 0.03
-# A step is recommended that keeps the sum at this part of a doubt over the time so far, or over that
-# of so many steps; it is the step halved so often.
+# A step is recommended that keeps the sum at this part of a doubt over the time so far, or over
+# that of so many steps; it is the step halved so often.
 AIM, LEAST_STEPS, HALVINGS = 0.1, 100, 24
 
 
@@ -87,7 +87,7 @@ class StepWatch:
         return True
 
     def ends(self, steps, pose, twist, external):
-        """Called after that step, at a step count; returns a line of text, or None if all is well."""
+        """Called after that step, at a step count; a line of text, or None if all is well."""
         start_pose, start_twist, _, _ = self._kept
         self._follow(start_twist, pose, twist)
         error = self._compare(self._step, pose, twist, external)
@@ -232,8 +232,8 @@ class StepWatch:
         for _ in range(HALVINGS):
             h *= 0.5
             if self._compare(h, None, None, external) * time <= AIM * limit * h:
-                return (f"from here steps of {h:.2g} s would keep that to {100 * AIM * PART:.2g} % "
-                        f"for {time:.3g} s; take those")
+                return (f"from here steps of {h:.2g} s would keep that to "
+                        f"{100 * AIM * PART:.2g} % for {time:.3g} s; take those")
         return "take a much smaller step"
 
 

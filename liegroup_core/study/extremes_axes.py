@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The axes of the map of extremes, as data: what is driven to its limit, and through which values."""
+"""The axes of the map of extremes, as data: what is driven to its limit, through which values."""
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial

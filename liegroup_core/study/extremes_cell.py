@@ -123,7 +123,7 @@ def judged(cell, bound):
 
 
 def judge_alike(cells, natural):
-    """Judge the cells of an axis anew by those at its natural scale, where errors must be alike."""
+    """Judge the cells of an axis by those at its natural scale: errors must be alike."""
     errors = {cell["method"]: cell["error"] for cell in cells if cell["value"] == natural
               and cell["verdict"] == ACCURATE}
     for cell in cells:
@@ -140,7 +140,7 @@ def sizes(truth, length, turns=0.0):
 
 
 def apart(rotation, position, rotation_2, position_2):
-    """Largest distance of attitudes, rad, and of positions, m, of bodies (..., n, 3, 3), (..., n, 3).
+    """Largest distance of attitudes (..., n, 3, 3), rad, and of positions (..., n, 3), m.
 
     Angles of 1e-300 are told from each other too.
     """

@@ -2,8 +2,8 @@
 """True motions of extreme scenes, from formulas that share nothing with the engine.
 
 A motion is a function of times (k,), s, increasing from 0, that returns a Truth. Free bodies and
-symmetric tops are Jacobi's elliptic functions (reference/elliptic.py), mechanisms of one freedom an
-equation in one angle; for all others the independent integration of reference/trajectory.py is
+symmetric tops are Jacobi's elliptic functions (reference/elliptic.py), mechanisms of one freedom
+an equation in one angle; for all others the independent integration of reference/trajectory.py is
 taken, with its own uncertainty.
 """
 from typing import NamedTuple
@@ -16,8 +16,8 @@ from ..reference import integrate
 from ..scene.assembly import ready
 
 DIGITS = 25
-# Tolerance of equations in one or two angles, and what is left of it after some hundred radians, as
-# a part of the largest angle.
+# Tolerance of equations in one or two angles, and what is left of it after some hundred radians,
+# as a part of the largest angle.
 TIGHT, ANGLE_ERROR = 1e-13, 1e-9
 
 
@@ -168,7 +168,7 @@ def _solved(rate, times, start):
 
 
 def linear_swing(amplitude, frequency, place):
-    """A mechanism of one freedom that swings by so little that its equation is linear, from rest."""
+    """A mechanism of one freedom, from rest, that swings so little that it is linear."""
     def motion(times):
         return Truth(*place(amplitude * np.cos(frequency * times)), 1e-13 * amplitude)
     return motion

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The problems along the axes of the map of extremes: scenes made to size, with their true motion."""
+"""The problems along the axes of the map: scenes made to size, with their true motion."""
 import math
 
 import numpy as np
