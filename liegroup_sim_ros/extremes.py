@@ -129,9 +129,10 @@ def _finite(value):
 def _print_axis(axis, cells, methods, console):
     values = [value for value in axis.values if any(cell["value"] == value for cell in cells)]
     by_place = {(cell["method"], cell["value"]): cell["verdict"] for cell in cells}
-    table = Table(title=Text(f"{axis.title}{f', {axis.unit}' if axis.unit else ''}"), box=None,
-                  title_justify="left", title_style="bold", padding=(0, 1, 0, 0))
-    table.add_column("")
+    console.print(Text(axis.title + (f", {axis.unit}" if axis.unit else ""), style="bold"),
+                  soft_wrap=True)
+    table = Table(box=None, padding=(0, 1, 0, 0))
+    table.add_column("", no_wrap=True)
     for value in values:
         table.add_column(f"{value:.3g}", justify="center", no_wrap=True)
     for method in methods:

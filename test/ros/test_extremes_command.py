@@ -23,7 +23,7 @@ def test_table_picture_and_json(tmp_path, capsys):
 def test_a_scene_of_the_user(capsys):
     assert main(["extremes", "free_body", "--horizon", "0.5", "--axes", "step", "--methods",
                  "rkmk4", "--workers", "1"]) == 0
-    assert "accurate 10" in capsys.readouterr().out
+    assert "accurate 9" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("wrong, says", [
