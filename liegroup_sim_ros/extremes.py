@@ -74,6 +74,7 @@ def run(args):
     cells = [cell for axis in axes for value in axis.values for cell in found[axis.name]
              if cell["value"] == value]
     _print_end(cells, console)
+    axes = tuple(axis for axis in axes if found[axis.name])     # --quick leaves some out
     try:
         if args.json:
             Path(args.json).write_text(json.dumps(as_json(axes, cells), indent=1,
