@@ -19,6 +19,7 @@ from .integrators.methods import METHODS, is_positive
 from .integrators.smaller_step import step_that_works
 from .integrators.status import (DEPENDENT_ROWS, LARGE_ROTATION, MESSAGES, NO_RATTLE_STEP,
                                  NOT_CONVERGED, OK, TURNS_NOT_COUNTED)
+from .integrators.step_watch import StepWatch
 from .model.arrays import Model
 from .model.build import build_model, initial_state
 from .model.joint_coordinates import JointCoordinates
@@ -153,7 +154,8 @@ class Simulation:
     method that does not fit the scene
 
     `doubt` is None, or a line of text since joints opened so far or so suddenly that the motion is
-    hardly that of the scene; it is also logged as a warning (model/joint_watch.py).
+    hardly that of the scene (model/joint_watch.py), or since the errors of the steps may have added
+    up to some part of the motion (integrators/step_watch.py); it is also logged as a warning.
     `promise` is None, or of an `accuracy` what is promised (study/accuracy.py).
 
     Orders: test/verification/test_orders.py; constraint residuals: test_heavy_top.py.
@@ -193,6 +195,7 @@ class Simulation:
         self._body = {name: i for i, name in enumerate(self.layout.body_names)}
         self._timetable = Timetable(self.layout.model.forces.applied_wrench, self.step)
         self._warned = self._warned_singular = False
+        self._step_watch = StepWatch(self.layout, method, self.step, self._integrator)
         warm_up(self._touch, self._integrator.kernels)
 
     def __copy__(self):
@@ -238,6 +241,7 @@ class Simulation:
         self._applied = []
         self.doubt = None
         self._watch = JointWatch(self.layout)
+        self._step_watch.restart(self.steps, pose)
         self._integrator.restart()
         if memory is not None:
             self._remember(memory)
@@ -374,13 +378,20 @@ class Simulation:
                     self.steps, self.layout.body_names[body],
                     tuple(self._schedule.total[body].tolist())))
                 self._watch.restart()
-            wanted = min(end, self._watch.next_look(self.steps),
+            compares = (self.steps < end and len(self._timetable.parts(self.steps)) == 1
+                        and self._step_watch.begins(self.steps, self._pose, self._twist))
+            wanted = min(self.steps + 1 if compares else end, self._watch.next_look(self.steps),
+                         self._step_watch.next_look(self.steps),
                          self._schedule.next_change(self.steps),
                          self._timetable.next_change(self.steps)) - self.steps
             done, status = self._take(wanted)
             self.steps += done
             if done:
-                self._look(status != OK)
+                self._say(self._watch.look(self._pose, self.steps, self.time, status != OK,
+                                           compares))
+            if done and compares:
+                self._say(self._step_watch.ends(self.steps, self._pose, self._twist,
+                                                self._external))
             if status != OK:
                 raise SimulationError(self._explain(status), status & 0xff)
             if self.steps >= end:
@@ -399,11 +410,10 @@ class Simulation:
                         "of %.2g s, take a smaller one", self.method, self.step, turned,
                         self.time, LARGE_ROTATION / turned * self.step)
 
-    def _look(self, at_once):
-        """Look at the joints, if it is time to or `at_once`, and say what is wrong."""
-        doubt = self._watch.look(self._pose, self.steps, self.time, at_once)
+    def _say(self, doubt):
+        """Keep a doubt behind those before it, and log it; None is none."""
         if doubt:
-            self.doubt = self.doubt or doubt
+            self.doubt = f"{self.doubt}; {doubt}" if self.doubt else doubt
             log.warning(doubt)
 
     def _take(self, steps):

@@ -13,10 +13,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from liegroup_core.errors import LieGroupSimError
 
-from . import (__version__, analyze_logs, demo, describe, figures, info, offline, push, recover,
-               replay, sweep, trade)
+from . import (__version__, analyze_logs, demo, describe, extremes, figures, info, offline, push,
+               recover, replay, sweep, trade)
 from .analyze_logs import AnalysisError
 from .demo import DemoError
+from .extremes import ExtremesError
 from .figures import FiguresError
 from .offline import RunError
 from .offline_files import OutputError
@@ -26,8 +27,8 @@ from .recording import RecordingError
 from .report.replay import ReplayError
 from .trade import TradeError
 
-WRONG_INPUT = (LieGroupSimError, RecordingError, AnalysisError, DemoError, FiguresError,
-               OutputError, PlayError, PushError, ReplayError, RunError, TradeError)
+WRONG_INPUT = (LieGroupSimError, RecordingError, AnalysisError, DemoError, ExtremesError,
+               FiguresError, OutputError, PlayError, PushError, ReplayError, RunError, TradeError)
 EXIT_WRONG_INPUT, EXIT_INTERRUPTED, EXIT_UNREAD = 2, 130, 141
 
 
@@ -39,8 +40,8 @@ def make_parser():
         "a ROS installation: ros2 run liegroup_sim_ros sim_node --ros-args -p scene:=heavy_top")
     parser.add_argument("--version", action="version", version=f"liegroup_sim {__version__}")
     subparsers = parser.add_subparsers(metavar="COMMAND", required=True)
-    for command in (demo, describe, trade, sweep, offline, analyze_logs, replay, info, recover,
-                    push, figures):
+    for command in (demo, describe, trade, extremes, sweep, offline, analyze_logs, replay, info,
+                    recover, push, figures):
         command.add_parser(subparsers)
     return parser
 

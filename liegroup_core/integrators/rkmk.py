@@ -193,10 +193,12 @@ class MuntheKaas:
         tableau = method.tableau
         stages = len(tableau.b)
         error = np.zeros((0, stages + 1)) if tableau.e is None else tableau.e.reshape(1, -1)
-        self._scheme = Scheme(
+        self.controlled = tableau.e is not None
+        self._given = Scheme(
             np.vstack([tableau.a, tableau.b]), error,
             EXACT if options["dexpinv"] == "exact" else max(method.order - 2, 0),
             float(options.get("rtol", 0.0)), float(options.get("atol", 1.0)))
+        self.tighten(1.0)
         self._model, self._group, self._longest = layout.model, GROUPS[group], step
         self.work = make_work(layout.model, stages)
         self._plane = layout.plane if options["space"] == "auto" else None
@@ -223,10 +225,15 @@ class MuntheKaas:
         """Forget what lasts between calls: the state is a new one."""
         self._control[:] = self._longest, 0.0, 0.0, self._longest
 
+    def tighten(self, part):
+        """From here on tolerances are this part of those of the options."""
+        self._scheme = self._given if part == 1.0 else self._given.replace(
+            rtol=part * self._given.rtol, atol=part * self._given.atol)
+
     @property
     def memory(self):
         """The arrays that last between calls: none without error control."""
-        return (self._control,) if len(self._scheme.error) else ()
+        return (self._control,) if self.controlled else ()
 
     @property
     def substeps(self):

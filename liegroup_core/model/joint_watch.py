@@ -50,12 +50,13 @@ class JointWatch:
         """The step after this one at which to look, whichever way the steps are asked for."""
         return NEVER if self._scale is None else (steps // EVERY + 1) * EVERY
 
-    def look(self, pose, steps, time, at_once=False):
+    def look(self, pose, steps, time, at_once=False, between=False):
         """Look at a pose (n, 12) of the model; returns a line of text, or None if all is well.
 
         at_once : also between the steps at which it is time to
+        between : then too, but only for joints that are open, as growth is from one time to the next
         """
-        if self._scale is None or steps % EVERY and not at_once:
+        if self._scale is None or steps % EVERY and not (at_once or between):
             return None
         pose = pose.view()
         pose.flags.writeable = False        # as in a Sample: one compiled function serves both
@@ -63,7 +64,10 @@ class JointWatch:
         gaps = np.abs(self._residual) * self._scale
         worst = int(gaps.argmax())
         gap, before = float(gaps[worst]), self._largest
-        self._largest = gap if before is None else max(gap, before)
+        if at_once or not steps % EVERY:
+            self._largest = gap if before is None else max(gap, before)
+        else:
+            before = None
         joint = self._layout.scene.joints[self._layout.joint_of_row[worst]].name
         if gap > OPEN and "open" not in self._said:
             self._said.add("open")

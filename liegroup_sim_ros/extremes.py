@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`liegroup_sim extremes`: where each method stops, as a table, a heat map and JSON. No ROS.
+
+Exit code 0 when no answer is silently wrong, 1 when one is, 2 for wrong input.
+"""
+import json
+import math
+import sys
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn
+from rich.table import Table
+from rich.text import Text
+
+from liegroup_core import load_scene
+from liegroup_core.integrators.methods import METHODS
+from liegroup_core.study.extremes import VERDICTS, axes_of, counts, silent, survey
+
+from .report.extremes_page import SIGNS, write_page
+
+EXIT_SILENT = 1
+STYLES = dict(zip(VERDICTS, ("green", "yellow", "blue", "cyan", "dim", "bold white on red")))
+NOTE = ("accurate: within 5 % of the motion; flagged: wrong, and the run warned; refused: no step "
+        "was taken, with a reason; stopped: the run ended early and said why; unjudged: the truth "
+        "is not known well enough; silent: wrong without a word")
+
+
+class ExtremesError(Exception):
+    """The map cannot be made; one line of text, exit code 2."""
+
+
+def add_parser(subparsers):
+    """Add `extremes` to the subcommands of a command line."""
+    parser = subparsers.add_parser(
+        "extremes", help="map where each method stops, and whether it says so",
+        description="Drive every method to its limits, on scenes made for it or on a scene of "
+        "yours, and judge every run against the true motion.")
+    parser.add_argument("scene", metavar="SCENE", nargs="?",
+                        help="scene file, or name of one that comes along; left out: the axes of "
+                        "docs/extremes.md")
+    parser.add_argument("--horizon", type=float, default=8.0, metavar="S",
+                        help="of a SCENE, in s (default: %(default)g)")
+    parser.add_argument("--axes", nargs="+", metavar="NAME", help="only these axes")
+    parser.add_argument("--methods", nargs="+", metavar="NAME", default=list(METHODS),
+                        help="only these methods")
+    parser.add_argument("--quick", action="store_true", help="a few values of each axis")
+    parser.add_argument("--long", action="store_true", help="runs of 1e7 steps too")
+    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one a core)")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster")
+    parser.add_argument("--png", metavar="FILE", help="write the heat map")
+    parser.add_argument("--json", metavar="FILE", help="write all cells")
+    parser.add_argument("--markdown", metavar="FILE", help="write the map as tables of signs")
+    parser.set_defaults(run=run)
+
+
+def run(args):
+    """Run the subcommand; returns the exit code. Raises ExtremesError, SceneError, TasksError."""
+    axes = _wanted(args)
+    quick = args.quick and args.scene is None
+    console = Console(file=sys.stdout)
+    found = {axis.name: [] for axis in axes}
+    left = {axis.name: len(axis.quick if quick else axis.values) for axis in axes}
+    with Progress(BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
+                  console=Console(stderr=True)) as bar:
+        task = bar.add_task("")
+        for total, axis, cells in survey(axes, quick, tuple(args.methods), args.scheduler,
+                                         args.workers):
+            bar.update(task, total=total, advance=1)
+            found[axis.name] += cells
+            left[axis.name] -= 1
+            if not left[axis.name]:
+                _print_axis(axis, found[axis.name], args.methods, console)
+    cells = [cell for axis in axes for value in axis.values for cell in found[axis.name]
+             if cell["value"] == value]
+    _print_end(cells, console)
+    axes = tuple(axis for axis in axes if found[axis.name])     # --quick leaves some out
+    try:
+        if args.json:
+            Path(args.json).write_text(json.dumps(as_json(axes, cells), indent=1,
+                                                  allow_nan=False) + "\n", encoding="utf-8")
+        if args.markdown:
+            write_page(axes, cells, args.methods, args.markdown)
+        if args.png:
+            from .report.heat_map import write_heat_map
+            write_heat_map(axes, cells, args.methods, args.png)
+    except OSError as error:
+        raise ExtremesError(f"{error.filename}: cannot be written: {error.strerror}") from None
+    except ImportError as error:
+        raise ExtremesError(f"{error.name} is needed to draw: pip install {error.name}") from None
+    return EXIT_SILENT if silent(cells) else 0
+
+
+def _wanted(args):
+    """The axes asked for, checked."""
+    unknown = [name for name in args.methods if name not in METHODS]
+    if unknown:
+        raise ExtremesError(f"unknown method {unknown[0]!r}; there are: {', '.join(METHODS)}")
+    if args.workers is not None and args.workers < 1:
+        raise ExtremesError(f"--workers must be at least 1, got {args.workers}")
+    if not (math.isfinite(args.horizon) and args.horizon > 0.0):
+        raise ExtremesError(f"--horizon must be a positive number of seconds, got {args.horizon}")
+    if args.png and Path(args.png).suffix not in (".png", ".pdf", ".svg"):
+        raise ExtremesError(f"{args.png}: the name must end in .png, .pdf or .svg")
+    if args.scene is not None:
+        load_scene(args.scene)
+    axes = axes_of(args.scene, args.horizon, args.long)
+    if args.axes:
+        names = [axis.name for axis in axes]
+        for name in args.axes:
+            if name not in names:
+                raise ExtremesError(f"unknown axis {name!r}; there are: {', '.join(names)}")
+        axes = tuple(axis for axis in axes if axis.name in args.axes)
+    return axes
+
+
+def as_json(axes, cells):
+    """What --json holds: axes, numbers of verdicts, cells."""
+    return {"schema": 1, "axes": [{"name": axis.name, "title": axis.title, "unit": axis.unit,
+                                   "values": list(axis.values)} for axis in axes],
+            "counts": counts(cells), "cells": [
+                {key: _finite(value) for key, value in cell.items()} for cell in cells]}
+
+
+def _finite(value):
+    """JSON has no infinity: an error that is not finite is null."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _print_axis(axis, cells, methods, console):
+    values = [value for value in axis.values if any(cell["value"] == value for cell in cells)]
+    by_place = {(cell["method"], cell["value"]): cell["verdict"] for cell in cells}
+    console.print(Text(axis.title + (f", {axis.unit}" if axis.unit else ""), style="bold"),
+                  soft_wrap=True)
+    table = Table(box=None, padding=(0, 1, 0, 0))
+    table.add_column("", no_wrap=True)
+    for value in values:
+        table.add_column(f"{value:.3g}", justify="center", no_wrap=True)
+    for method in methods:
+        row = [by_place.get((method, value)) for value in values]
+        if any(row):
+            table.add_row(Text(method), *(
+                Text(SIGNS[verdict], style=STYLES[verdict]) if verdict else Text("")
+                for verdict in row))
+    console.print(table, width=max(console.width, 120), crop=False)
+    console.print()
+
+
+def _print_end(cells, console):
+    console.print(Text(", ".join(f"{SIGNS[name]} {name} {number}" for name, number
+                                 in counts(cells).items())))
+    console.print(Text(NOTE, style="dim"))
+    for cell in silent(cells):
+        console.print(Text(f"! {cell['axis']} {cell['value']:g}, {cell['method']}: error "
+                           f"{cell['error']:.2g} of the motion, unsaid", style="bold red"))

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The map of extremes in words: numbers, silent answers, and a table of signs for each axis."""
+import statistics
+
+from liegroup_core.study.extremes import VERDICTS, counts, silent
+
+SIGNS = dict(zip(VERDICTS, ".fxs?!"))
+# Texts of the watch over the step, integrators/step_watch.py.
+WATCH = ("errors may have added up", "no likeness to two")
+
+
+def write_page(axes, cells, methods, path):
+    """Write the map as Markdown."""
+    with open(path, "w", encoding="utf-8") as file:
+        file.write("\n".join(_lines(axes, cells, methods)) + "\n")
+
+
+def _lines(axes, cells, methods):
+    yield "# The map of extremes"
+    yield ""
+    yield ("Made by `liegroup_sim extremes`; [extremes.md](extremes.md) says what the signs mean "
+           "and how a cell is judged.")
+    yield ""
+    yield "| sign | verdict | cells |"
+    yield "|---|---|---|"
+    for name, number in counts(cells).items():
+        yield f"| {SIGNS[name]} | {name} | {number} |"
+    yield ""
+    yield from _numbers(cells)
+    for axis in axes:
+        yield from _table(axis, [cell for cell in cells if cell["axis"] == axis.name], methods)
+
+
+def _numbers(cells):
+    wrong = silent(cells)
+    yield (f"{len(wrong)} answers are silently wrong" + (":" if wrong else "."))
+    for cell in wrong:
+        yield (f"* {cell['axis']} {cell['value']:.3g}, {cell['method']}: error "
+               f"{cell['error']:.2g} of the motion")
+    flagged = [cell for cell in cells if cell["verdict"] == "flagged"]
+    alone = [cell for cell in flagged if all(any(part in text for part in WATCH)
+                                             for text in cell["says"])]
+    warned = sorted(cell["error"] for cell in cells
+                    if cell["verdict"] == "accurate" and cell["says"])
+    yield ""
+    yield (f"{len(alone)} of the {len(flagged)} flagged cells are flagged by the watch over the "
+           "step alone: without it they would be silent.")
+    if warned:
+        yield (f"{len(warned)} accurate cells were warned of; their errors are from "
+               f"{warned[0]:.1g} to {warned[-1]:.1g} of the motion, the median is "
+               f"{statistics.median(warned):.1g}.")
+    yield ""
+
+
+def _table(axis, cells, methods):
+    values = [value for value in axis.values if any(cell["value"] == value for cell in cells)]
+    place = {(cell["method"], cell["value"]): SIGNS[cell["verdict"]] for cell in cells}
+    yield f"## {axis.title}{f', {axis.unit}' if axis.unit else ''}"
+    yield ""
+    yield "| | " + " | ".join(f"{value:.3g}" for value in values) + " |"
+    yield "|---|" + "---|" * len(values)
+    for method in methods:
+        row = [place.get((method, value), "") for value in values]
+        if any(row):
+            yield f"| {method} | " + " | ".join(row) + " |"
+    yield ""

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The map of extremes: its verdicts catch planted wrong answers, and none is silent."""
+import numpy as np
+import pytest
+
+from liegroup_core import Simulation
+from liegroup_core.study import extremes_cell, extremes_problems as problems
+from liegroup_core.study.extremes import axes_of, column, counts, silent, survey
+from liegroup_core.study.extremes_axes import AXES
+from liegroup_core.study.extremes_cell import (ACCURATE, FLAGGED, REFUSED, SILENT, STOPPED,
+                                               UNJUDGED, judge_alike, run_cell)
+
+METHODS = ("rkmk2", "rkmk4", "rkmk54", "rkmk8", "generalized_alpha", "stoermer_verlet", "rattle",
+           "constrained_rattle")
+
+
+def verdict(problem, method, make=Simulation, **more):
+    truth = problem.motion(problem.samples() * problem.step)._replace(**more)
+    return run_cell(problem, truth, method, make)
+
+
+def slow(scene, method, step, **settings):
+    """A mutant: every step is one of 0.9 h, so halves of it agree, and energy is kept."""
+    simulation = Simulation(scene, method, step, **settings)
+    advance = simulation._integrator.advance
+    simulation._integrator.advance = lambda h, *rest: advance(0.9 * h, *rest)
+    return simulation
+
+
+def lighter(scene, method, step, **settings):
+    """Another: it falls by 4/5 of gravity."""
+    gravity = tuple(0.8 * g for g in scene.gravity)
+    return Simulation(scene.model_copy(update={"gravity": gravity}), method, step, **settings)
+
+
+@pytest.mark.parametrize("mutant", [slow, lighter])
+@pytest.mark.parametrize("amplitude", [1e-300, 1e-2])
+def test_plausible_wrong_answers_are_silent(mutant, amplitude):
+    problem = problems.angle(amplitude)
+    assert verdict(problem, "rkmk4")["verdict"] == ACCURATE
+    found = verdict(problem, "rkmk4", mutant)
+    assert found["verdict"] == SILENT and found["error"] > 0.2 and not found["says"]
+
+
+def test_the_other_verdicts():
+    assert verdict(problems.step_free(0.25), "rkmk8")["verdict"] == ACCURATE
+    assert verdict(problems.step_free(1.0), "rkmk2")["verdict"] == FLAGGED
+    refused = verdict(problems.step_free(8.0), "rkmk4")
+    assert refused["verdict"] == REFUSED and "full turn" in refused["says"][0]
+    misfit = verdict(problems.mass_chain(1.0), "rattle")
+    assert misfit["verdict"] == REFUSED and "does not fit" in misfit["says"][0]
+    stopped = verdict(problems.step_top(0.2), "rkmk1")
+    assert stopped["verdict"] == STOPPED and "smaller step" in stopped["says"][-1]
+    assert verdict(problems.step_free(0.25), "rkmk8", uncertainty=0.1)["verdict"] == UNJUDGED
+
+
+def test_a_loss_of_accuracy_along_a_scale_is_wrong():
+    """1 % is right where nothing better is due, and wrong where the scale 1 has 1e-6."""
+    cells = [{"method": "rkmk4", "value": value, "error": error, "uncertainty": 0.0, "says": [],
+              "verdict": ACCURATE} for value, error in ((1.0, 1e-6), (10.0, 1e-5), (100.0, 1e-2))]
+    judge_alike(cells, 1.0)
+    assert [cell["verdict"] for cell in cells] == [ACCURATE, ACCURATE, SILENT]
+
+
+def test_sizes_are_those_of_the_motion():
+    """Angles of 1e-300 are told apart, as are turns of nearly pi."""
+    about = problems.motions.about
+    R = about(1, np.array([0.0, 1e-300]))[:, None]
+    none = np.zeros((2, 1, 3))
+    truth = problems.motions.Truth(R, none, 0.0)
+    assert extremes_cell.sizes(truth, 2.0) == (1e-300, 2e-300)
+    angle, _ = extremes_cell.apart(about(2, np.array([3.0])), none[0], about(2, np.array([0.5])),
+                                   none[0])
+    assert angle == pytest.approx(2.5, rel=1e-15)
+
+
+def test_truths_agree_with_the_independent_integration():
+    """Closed forms and equations in one angle against DOP853 on all coordinates."""
+    for problem in (problems.step_bars(5e-3), problems.mass_chain(3.0), problems.angle(1.0),
+                    problems.stiff(1e3), problems.step_top(0.05), problems.inertia_rod(10.0)):
+        times = problem.samples()[:4] * problem.step
+        mine = problem.motion(times)
+        theirs = problems.motions.integrated(problem.scene, problem.length)(times)
+        angle, way = extremes_cell.apart(mine.rotation, mine.position, theirs.rotation,
+                                         theirs.position)
+        assert max(angle, way) < 1e-8
+
+
+def test_no_answer_of_the_quick_map_is_silently_wrong():
+    cells = []
+    for columns, _, found in survey(axes_of(), quick=True, methods=METHODS, workers=1):
+        cells += found
+    assert silent(cells) == []
+    found = counts(cells)
+    assert columns == sum(len(axis.quick) for axis in AXES)
+    # Each of these is met, or the map shows nothing.
+    assert all(found[name] > 5 for name in (ACCURATE, FLAGGED, REFUSED)) and found[STOPPED] > 0
+
+
+def test_a_scene_of_the_user():
+    axes = axes_of("free_body", horizon=1.0)
+    assert [axis.name for axis in axes] == ["step", "speed"]
+    assert all(step <= 1.0 for step in axes[0].values)
+    cells = column((axes[0], 0.5, ("rkmk4", "rkmk8")))
+    assert {cell["verdict"] for cell in cells} == {ACCURATE}

@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`liegroup_sim extremes`: table, picture, JSON, and one line for wrong input."""
+import json
+
+import pytest
+
+from liegroup_sim_ros.main import main
+
+
+def test_table_picture_and_json(tmp_path, capsys):
+    picture, cells = tmp_path / "map.png", tmp_path / "map.json"
+    assert main(["extremes", "--axes", "step_free", "--methods", "rkmk4", "rkmk8", "--quick",
+                 "--workers", "1", "--png", str(picture), "--json", str(cells)]) == 0
+    shown = capsys.readouterr().out
+    assert "step, free body over 16 s, s" in shown and "silent 0" in shown
+    found = json.loads(cells.read_text())
+    assert found["counts"] == {"accurate": 4, "flagged": 0, "refused": 2, "stopped": 0,
+                               "unjudged": 0, "silent": 0}
+    assert [cell["value"] for cell in found["cells"]] == [8.0, 8.0, 1.0, 1.0, 0.25, 0.25]
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_scene_of_the_user(capsys):
+    assert main(["extremes", "free_body", "--horizon", "0.5", "--axes", "step", "--methods",
+                 "rkmk4", "--workers", "1"]) == 0
+    assert "accurate 9" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("wrong, says", [
+    (["--methods", "euler"], "unknown method 'euler'"), (["--axes", "heat"], "unknown axis 'heat'"),
+    (["no_such_scene"], "no_such_scene"), (["--workers", "0"], "--workers"),
+    (["--horizon", "nan"], "--horizon"), (["--png", "map.gif"], ".png")])
+def test_wrong_input_is_one_line(wrong, says, capsys):
+    assert main(["extremes", *wrong]) == 2
+    said = capsys.readouterr().err
+    assert says in said and said.count("\n") == 1
