@@ -378,6 +378,7 @@ class Simulation:
                     self.steps, self.layout.body_names[body],
                     tuple(self._schedule.total[body].tolist())))
                 self._watch.restart()
+                self._step_watch.pushed()
             compares = (self.steps < end and len(self._timetable.parts(self.steps)) == 1
                         and self._step_watch.begins(self.steps, self._pose, self._twist))
             wanted = min(self.steps + 1 if compares else end, self._watch.next_look(self.steps),

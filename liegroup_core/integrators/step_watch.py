@@ -54,7 +54,7 @@ class StepWatch:
     def __init__(self, layout, method, step, integrator):
         self._integrator, self._method, self._step = integrator, method, step
         self._model = layout.model
-        self._keeps_energy = all(getattr(force, "damping", 1.0) == 0.0
+        self._conservative = all(getattr(force, "damping", 1.0) == 0.0
                                  for force in layout.scene.forces)
         self._size = mechanism_size(layout.model) or 1.0
         self._share = 1.0 - 0.5 ** METHODS[method].order
@@ -72,6 +72,11 @@ class StepWatch:
         self._peak = self._relative = self._ratio = self._small = None
         self._delicate = False
         self._kept = None
+        self._keeps_energy = self._conservative
+
+    def pushed(self):
+        """A wrench from outside has come or gone: the energy is no more what it was."""
+        self._keeps_energy = False
 
     def next_look(self, steps):
         """The step after this one at whose start to look."""
@@ -94,7 +99,7 @@ class StepWatch:
         since = steps - self._last
         if self._last == self._first:
             self._error = error
-        off, self._off = self._off, self._energy_error(pose, twist, external)
+        off, self._off = self._off, self._energy_error(pose, twist)
         along = max(self._turning, self._fastest / self._way) * self._step
         self._sum += 0.5 * since * (self._error + error + (off + self._off) * along)
         self._error, self._last = error, steps
@@ -182,10 +187,9 @@ class StepWatch:
             error = finer
         return True
 
-    def _energy_error(self, pose, twist, external):
+    def _energy_error(self, pose, twist):
         """Half of what the energy is off by, as a part of the largest kinetic energy so far."""
-        if not self._keeps_energy or external.any():
-            self._keeps_energy = False
+        if not self._keeps_energy:
             return 0.0
         bodies = self._model.bodies
         momentum = np.einsum("nij,nj->ni", bodies["inertia"].reshape(-1, 3, 3), twist[:, :3])

@@ -80,6 +80,17 @@ def test_a_body_at_rest_is_left_alone():
     assert run(hanging, 4000, step=0.05).doubt is None
 
 
+def test_what_a_push_gives_is_no_error():
+    """Between two looks: the energy is another one afterwards, by 40 % of the kinetic one."""
+    simulation = Simulation(load_scene("free_body"), step=1e-3)
+    before = simulation.energy()
+    simulation.apply_wrench("body", [0.0, 0.0, 40.0, 0.0, 0.0, 0.0], start=0.6, duration=0.2)
+    simulation.advance(4000)
+    assert simulation.energy() > 1.4 * before and simulation.doubt is None
+    simulation.reset()
+    assert simulation._step_watch._keeps_energy
+
+
 @pytest.mark.parametrize("settings", [
     {"method": "rkmk4"}, {"method": "rkmk4", "space": "space"}, {"method": "rkmk54"},
     {"method": "rkmk4", "stabilisation": "projection"}, {"method": "generalized_alpha"},
