@@ -15,7 +15,7 @@ from liegroup_core.scene.description import FORCES, JOINTS
 from other_frames import described_elsewhere
 
 # What a Sample says of frames; all else is of the mechanism, wherever its frames are.
-OF_FRAMES = {"pose", "twist", "poses", "twists", "positions", "pose_matrices"}
+OF_FRAMES = {"pose", "twist", "rows", "poses", "twists", "positions", "pose_matrices"}
 
 
 def pair(name, seed=0):

@@ -62,6 +62,7 @@ def values(path):
     found.record, found.real_time_factor = str(path), 2.0
     found.record_split_duration = 0.05
     found.steps = {entry.name: 0 for entry in TABLE if entry.name.endswith("_rate")}
+    found.qos = []
     found.steps |= {"publish_rate": 2, "clock_rate": 5, "joint_state_rate": 0}
     return found
 
