@@ -13,7 +13,7 @@ so kinetic energy and linear momentum stay. Displacements are the least ones up 
 
 Source: Terze, Mueller and Zlatar, ref. [34] of the chapter, with the mass matrix as the weight.
 """
-from .._compile import kernel, subroutine
+from .._compile import kernel, shared
 from .._struct import borrowed
 from ..integrators.status import DEPENDENT_ROWS, NOT_PROJECTED, OK
 from ..lie.se3 import se3_compose, se3_exp
@@ -65,7 +65,7 @@ def _displace(pose, twist, i, xi, eta):
     store3(tmatvec3(turn, load3(twist, i, 3)), twist, i, 3)
 
 
-@subroutine
+@kernel
 def project(model, work, pose, twist):
     """Close all joints at the nearest pose and velocity, in place of pose (n, 12), twist (n, 6).
 
@@ -103,3 +103,13 @@ def project(model, work, pose, twist):
         if closed:
             return rounds, OK
     return MOST_ROUNDS, NOT_PROJECTED
+
+
+@shared
+def close_joints(model, work):
+    """`project` of the pose and velocity in `work.stage_pose` and `stage_twist`.
+
+    returns OK, or why that failed
+    """
+    _, status = project(model, work, work.stage_pose, work.stage_twist)
+    return status

@@ -220,11 +220,11 @@ def eliminate(model, solve, spare, x, fresh, shift, sizes):
         if model.vertices[v]["joint"] < 0:
             good = _take(model, solve, spare, x, v, body, 1.0, first, second, 0.0, fresh)
         elif k == first:
-            good = _take(model, solve, spare, x, v, first, -1.0, body, first, shift, fresh)
+            good = _take(model, solve, spare, x, v, first, -1.0, body, body, shift, fresh)
         elif k == second:
-            good = _take(model, solve, spare, x, v, second, -1.0, body, second, shift, fresh)
+            good = _take(model, solve, spare, x, v, second, -1.0, body, body, shift, fresh)
         else:
-            good = _take(model, solve, spare, x, v, k, -1.0, body, first, shift, fresh)
+            good = _take(model, solve, spare, x, v, k, -1.0, body, body, shift, fresh)
         if not good:
             return model.vertices[v]["joint"]
     return -1
@@ -239,11 +239,11 @@ def _substitute(model, solve, x, sizes):
         if model.vertices[v]["joint"] < 0:
             _backward(model, solve, x, v, body, first, second)
         elif k == first:
-            _backward(model, solve, x, v, first, body, first)
+            _backward(model, solve, x, v, first, body, body)
         elif k == second:
-            _backward(model, solve, x, v, second, body, second)
+            _backward(model, solve, x, v, second, body, body)
         else:
-            _backward(model, solve, x, v, k, body, first)
+            _backward(model, solve, x, v, k, body, body)
 
 
 @kernel

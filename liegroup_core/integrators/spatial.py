@@ -9,7 +9,7 @@ import math
 from .._compile import kernel
 from ..dynamics.constraints import clear_ground_slip
 from ..dynamics.newton_euler import accelerations
-from ..dynamics.projection import project
+from ..dynamics.projection import close_joints
 from ..forces import kinds
 from ..lie.coefficients import dexpinv_coefficients, truncated_dexpinv_coefficients
 from ..lie.se3 import se3_dexpinv_of
@@ -170,8 +170,7 @@ def error_norm(model, work, scheme, h, twist):
 @kernel
 def close(model, work):
     """Project the end of a step onto the constraints. Returns OK or why that failed."""
-    _, status = project(model, work, work.stage_pose, work.stage_twist)
-    return status
+    return close_joints(model, work)
 
 
 @kernel

@@ -8,7 +8,7 @@ commutative, exp is a turn and a shift, and dexp the identity.
 import math
 
 from .._compile import kernel
-from ..dynamics.projection import project
+from ..dynamics.projection import close_joints
 from ..forces import kinds
 from ..integrators.methods import EXACT, SE3
 from ..integrators.motion import copy_state, is_finite
@@ -174,7 +174,7 @@ def close(model, work):
     """Project the end of a step onto the constraints, in space. Returns OK or why that failed."""
     space = work.space
     to_space(model, work.stage_pose, work.stage_twist, space.stage_pose, space.stage_twist)
-    _, status = project(model.space, space, space.stage_pose, space.stage_twist)
+    status = close_joints(model.space, space)
     if status != OK:
         return status
     to_plane(model, space.stage_pose, space.stage_twist, work.stage_pose, work.stage_twist)
