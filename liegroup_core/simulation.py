@@ -207,7 +207,7 @@ class Simulation:
         self._advance(0)
         sample = self.sample()
         return (sample.energy, sample.power, sample.spatial_momentum, sample.quaternions,
-                sample.constraint_residual)
+                sample.rows, sample.constraint_residual)
 
     def reset(self):
         """Back to the initial state of the scene, at step 0, without wrenches."""

@@ -195,12 +195,18 @@ class StepWatch:
         momentum = np.einsum("nij,nj->ni", bodies["inertia"].reshape(-1, 3, 3), twist[:, :3])
         self._kinetic = max(self._kinetic, 0.5 * float(
             (momentum * twist[:, :3]).sum() + bodies["mass"] @ (twist[:, 3:] ** 2).sum(axis=1)))
-        now = energy(self._model, self._integrator.work.angle, pose, twist)
+        now = self._energy_of(self._integrator.work.angle, pose, twist)
         if self._energy is None:
             start_pose, start_twist, angle, _ = self._kept
-            self._energy = energy(self._model, angle, start_pose, start_twist)
+            self._energy = self._energy_of(angle, start_pose, start_twist)
         off = abs(now - self._energy) - ENERGY_ROUNDING * (abs(now) + abs(self._energy))
         return 0.5 * off / self._kinetic if off > 0.0 and self._kinetic > 0.0 else 0.0
+
+    def _energy_of(self, angle, pose, twist):
+        pose, twist = pose.view(), twist.view()
+        # As in a Sample: one compiled function serves both, and none is compiled on the way.
+        pose.flags.writeable = twist.flags.writeable = False
+        return energy(self._model, angle, pose, twist)
 
     def _take(self, h, steps, external):
         """State after steps from the one kept, or None; nothing of the run is changed."""

@@ -2,6 +2,8 @@
 """A step that is too large for its motion is not silent, and one that is not is left alone."""
 import logging
 import re
+import subprocess
+import sys
 
 import pytest
 
@@ -117,6 +119,25 @@ def test_it_changes_nothing_of_the_rotation_methods(monkeypatch):
             blind(patch)
             alone = run(problem.scene, 100, method=method, step=1e-3)
         assert [a.tobytes() for a in looked.state()] == [a.tobytes() for a in alone.state()]
+
+
+def test_nothing_is_compiled_on_the_way():
+    """By looks at steps, at joints, or for messages: a run in real time would stop for it."""
+    code = """if True:
+        import gc
+        from liegroup_core import Simulation, load_scene
+        from liegroup_core._compile import Kernel, compiled
+        kernels = [each for each in gc.get_objects() if isinstance(each, Kernel)]
+        for scene in ("heavy_top", "four_bar"):
+            simulation = Simulation(load_scene(scene))
+            before = sum(len(each.dispatcher.overloads) for each in kernels)
+            simulation.advance(3000)
+            simulation.sample().rows
+            print(sum(len(each.dispatcher.overloads) for each in kernels) - before)
+        print(bool(kernels) == compiled())
+        """
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert said.stdout.split() == ["0", "0", "True"]
 
 
 def test_a_small_component_that_grows():
