@@ -56,8 +56,9 @@ class Recorder:
                      True: a new one; None: no metadata.yaml
 
     Counters: `written` messages in closed chunks of the files, `queued` waiting, `lost` not in a
-    file (0 unless there was a failure), `bytes` in the present file. `failure`: None or one line of text,
-    also logged once. `with Recorder(...) as recorder:` closes it at the end. Raises RecorderError.
+    file (0 unless there was a failure), `bytes` in the present file. `failure`: None or one line
+    of text, also logged once. `with Recorder(...) as recorder:` closes it at the end. Raises
+    RecorderError.
     """
 
     def __init__(self, path, attachments=None, metadata=None, queue_size=20000,

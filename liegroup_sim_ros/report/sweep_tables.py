@@ -3,13 +3,13 @@
 import re
 
 import numpy as np
-from rich.table import Table
 from rich.text import Text
 from scipy.stats import spearmanr
 
 from liegroup_core.study.sweep import OK
 
 from .summary import shown
+from .terminal import plain_table
 
 WIDTH = 130                 # characters; a narrower terminal folds the lines
 QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
@@ -108,12 +108,5 @@ def _tell(console, what, texts):
 
 
 def _print(console, title, heads, rows):
-    if not rows:
-        return
-    table = Table(box=None, padding=(0, 2, 0, 0), title=Text(title), title_justify="left",
-                  title_style="bold")
-    for head in heads:
-        table.add_column(Text(head), no_wrap=True)
-    for row in rows:
-        table.add_row(*map(Text, row))
-    console.print(table)
+    if rows:
+        console.print(plain_table(title, heads, rows))

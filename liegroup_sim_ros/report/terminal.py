@@ -53,3 +53,14 @@ def print_comparison(figures, console):
     for what, value, remark in comparison_rows(figures)[1:]:
         table.add_row(Text(what), Text(value), Text(remark, style="dim"))
     console.print(table)
+
+
+def plain_table(title, heads, rows):
+    """Table without lines, of texts that are shown as they are."""
+    table = Table(box=None, padding=(0, 2, 0, 0), title=Text(title), title_justify="left",
+                  title_style="bold")
+    for head in heads:
+        table.add_column(Text(head), no_wrap=True)
+    for row in rows:
+        table.add_row(*map(Text, row))
+    return table

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
 """A measured trade as JSON types, and as tables in words."""
-from rich.table import Table
 from rich.text import Text
 
 from liegroup_core.study.accuracy import SHARE
@@ -8,6 +7,7 @@ from liegroup_core.study.trade import ACCURACIES, MARGIN
 
 from ..attachments import versions
 from .summary import GROUPS, shown
+from .terminal import plain_table
 
 WIDTH = 130                 # characters; a narrower terminal folds the lines
 CHEAPEST_HEAD = ("accuracy", "setting", "error", "CPU s per s", "times real time")
@@ -114,11 +114,5 @@ def print_trade(part, console):
 
 
 def _print(console, title, heads, rows):
-    table = Table(box=None, padding=(0, 2, 0, 0), title=Text(title), title_justify="left",
-                  title_style="bold")
-    for head in heads:
-        table.add_column(Text(head), no_wrap=True)
-    for row in rows:
-        table.add_row(*map(Text, row))
     console.print()
-    console.print(table)
+    console.print(plain_table(title, heads, rows))
