@@ -150,6 +150,9 @@ def read_parameters(node):
                 raise ParameterError(f"parameter accuracy: takes the place of {name}: leave one "
                                      "of the two away")
     else:
+        if values.accuracy_horizon:
+            raise ParameterError("parameter accuracy_horizon: goes with accuracy: give that, too, "
+                                 "or neither")
         set_step(values, values.step)
     values.qos = [name for name in given if name.startswith(QOS_PREFIX)]
     for name in values.qos:

@@ -99,6 +99,7 @@ def measured(scene, args):
                 progress.update(task, completed=done, total=total,
                                 said=f"{cell['method']} {cell['step']:g} s")
             progress.update(task, completed=progress.tasks[task].total, said="")
+        trade.keep_only(args.methods, args.groups, args.stabilisation, args.steps)
         return trade
     except SimulationError as error:
         raise TradeError(f"{scene.name}: {error}") from None

@@ -107,15 +107,19 @@ def _refusal(trade, accuracy, fits, in_time, factor):
     """One line: why there is no setting, and what there is."""
     name, over = trade.scene.name, f"over {trade.horizon:g} s on this machine"
     reaching, best = trade.cheapest(accuracy, fits), trade.best(in_time)
-    if best is None:
+    if best is not None:
+        can = f"{best[1]:.2g} can be had, with {_shown(best[0])}"
+    elif trade.best(fits) is None:
         can = "no step can be used: choose rates or a duration that are multiples of 1 ms"
     else:
-        can = f"{best[1]:.2g} can be had, with {_shown(best[0])}"
+        can = "no setting that was measured is fast enough"
     if reaching is None:
-        return f"accuracy {accuracy:g} cannot be had for {name} {over}; {can}"
+        return (f"accuracy {accuracy:g} cannot be had for {name} {over}; "
+                + (f"at {factor:g} times real time " if factor and trade.best(fits) else "") + can)
     return (f"accuracy {accuracy:g} cannot be had for {name} {over} at {factor:g} times real time:"
             f" the cheapest setting that reaches it, {_shown(reaching)}, leaves a factor of "
-            f"{SHARE * 1e6 / reaching['cost_us']:.2g} with half of a core; in real time {can}")
+            f"{SHARE * 1e6 / reaching['cost_us']:.2g} with half of a core; at {factor:g} times "
+            f"{can}")
 
 
 def _shown(cell):

@@ -77,6 +77,21 @@ def measure(work):
     return cell | {"stopped": None, **found, "flagged": flagged}
 
 
+# What a cell always has, and what it has when its run came to its end.
+ALWAYS = {"method": str, "step": float, "group": str, "stabilisation": str, "options": dict,
+          "cpu": str, "stopped": (str, type(None))}
+FINISHED = {**dict.fromkeys(("error", "position", "attitude", "angular", "linear", "energy",
+                             "joints", "cost_us"), float),
+            "momentum": (float, type(None)), "flagged": (str, type(None)), "samples": int,
+            "timings": int}
+
+
+def is_whole(cell):
+    """Whether a dict has what `measure` gives."""
+    wanted = ALWAYS | (FINISHED if cell.get("stopped", "") is None else {})
+    return all(name in cell and isinstance(cell[name], kind) for name, kind in wanted.items())
+
+
 @lru_cache(maxsize=4)
 def _scene(text):
     return scene_from_text(text)

@@ -20,7 +20,9 @@ from pathlib import Path
 from zipfile import BadZipFile
 
 from .._compile import cache_root, source_digest
+from ..integrators.methods import is_positive
 from .machine import cpu_name
+from .measure import is_whole
 from .settings import as_time
 from .truth import as_bytes, truth_from
 
@@ -57,9 +59,10 @@ class Store:
     def horizon(self):
         """The horizon that suits the scene, or None."""
         try:
-            return as_time(json.loads((self.folder / "horizon.json").read_text()))
+            found = json.loads((self.folder / "horizon.json").read_text())
         except (OSError, ValueError, TypeError):
             return None
+        return as_time(found) if is_positive(found) else None
 
     def truth(self, horizon):
         """The Truth over a horizon, or None."""
@@ -80,16 +83,16 @@ class Store:
     def cells(self, horizon):
         """Cells that were measured on this processor, in the order in which they were."""
         try:
-            lines = (self._of(horizon) / "cells.jsonl").read_text(encoding="utf-8").splitlines()
+            lines = (self._of(horizon) / "cells.jsonl").read_bytes().splitlines()
         except (OSError, TypeError):
             return []
         found = []
         for line in lines:
             try:
                 cell = json.loads(line)
-            except ValueError:              # cut off when a process was killed
+            except ValueError:              # cut off when a process was killed, or damaged
                 continue
-            if isinstance(cell, dict) and cell.get("cpu") == cpu_name():
+            if isinstance(cell, dict) and is_whole(cell) and cell["cpu"] == cpu_name():
                 found.append(cell)
         return found
 

@@ -11,6 +11,7 @@ import threading
 from collections import deque
 from contextlib import ExitStack, contextmanager
 from importlib import import_module
+from multiprocessing import resource_tracker
 
 from ..errors import LieGroupSimError
 
@@ -102,29 +103,43 @@ def _this_machine(workers):
     from dask.distributed import Client, LocalCluster
 
     # Nobody has to read that a worker was restarted, or that one ends with the whole.
-    with dask.config.set({"distributed.scheduler.allowed-failures": MOST_DEATHS,
-                          "distributed.comm.timeouts.connect": f"{CONNECTING}s",
-                          "distributed.admin.log-length": 0}):
-        with _deaf_to_interrupts():
-            cluster = LocalCluster(n_workers=workers, threads_per_worker=1, processes=True,
-                                   host="127.0.0.1", protocol="tcp", memory_limit=0,
-                                   dashboard_address="127.0.0.1:0",    # any port, not heard of
-                                   silence_logs=logging.CRITICAL)
-        with cluster, Client(cluster) as client:
-            yield client
+    with ExitStack() as stack:
+        stack.enter_context(dask.config.set({
+            "distributed.scheduler.allowed-failures": MOST_DEATHS,
+            "distributed.comm.timeouts.connect": f"{CONNECTING}s",
+            "distributed.admin.log-length": 0}))
+        try:
+            with _interrupts_later():
+                cluster = stack.enter_context(LocalCluster(
+                    n_workers=workers, threads_per_worker=1, processes=True, host="127.0.0.1",
+                    protocol="tcp", memory_limit=0,
+                    dashboard_address="127.0.0.1:0",    # any port, not heard of
+                    silence_logs=logging.CRITICAL))
+        except (OSError, RuntimeError, TimeoutError) as error:
+            raise TasksError(f"{workers} workers cannot be started, or died at once ({error}): is "
+                             "there enough memory? take fewer workers") from None
+        yield stack.enter_context(Client(cluster))
 
 
 @contextmanager
-def _deaf_to_interrupts():
-    """Processes started in here do not hear Ctrl-C, which their parent minds for them."""
+def _interrupts_later():
+    """Ctrl-C counts at the end of the block, which it would leave half done. Processes started in
+    here do not hear it: their parent minds it for them."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    pressed = []
+    resource_tracker.ensure_running()       # its start would let the signal through again
+    handler = signal.signal(signal.SIGINT, lambda *_: pressed.append(True))
+    # What is blocked is so, too, in threads and processes that are started from here.
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        signal.signal(signal.SIGINT, handler)
+        if pressed:
+            signal.raise_signal(signal.SIGINT)
 
 
 @contextmanager

@@ -10,6 +10,7 @@ Each ladder is climbed from its coarsest step to finer ones, until its error is 
 of the reference, or the next step would take too long. How it is measured: docs/trade.md.
 """
 from .._compile import source_digest
+from ..integrators import fitting_methods
 from ..integrators.methods import METHODS, is_positive
 from ..simulation import Simulation, make_layout
 from .measure import Study, measure
@@ -74,12 +75,15 @@ class Trade:
         budget             : s, CPU time that a run may take
         scheduler, workers : as of tasks.run
         tell               : function that is told what is done before the first result
-        raises ValueError for steps that do not fit, TasksError
+        raises ValueError for steps that do not fit, or if nothing does, TasksError
         """
         if steps is not None:
             steps = [_fitting(step, self.truth.horizon) for step in sorted(steps, reverse=True)]
-        climbs = [_Climb(ladder, self.truth, budget, steps) for ladder in ladders(
-            self.layout, methods, groups, stabilisations)]
+        chosen = ladders(self.layout, methods, groups, stabilisations)
+        if not chosen:
+            raise ValueError(f"{self.scene.name}: none of the methods that were asked for fits; "
+                             f"these do: {', '.join(fitting_methods(self.layout))}")
+        climbs = [_Climb(ladder, self.truth, budget, steps) for ladder in chosen]
         owners = [climb for climb in climbs if climb.next(self._cells) is not None]
         if not owners:
             return
@@ -103,6 +107,13 @@ class Trade:
         for _, cell in run(measure, [(study, climb.setting) for climb in owners], scheduler,
                            workers, follow):
             yield cell, (done[0], len(climbs))
+
+    def keep_only(self, methods=None, groups=None, stabilisations=None, steps=None):
+        """Leave out what was measured and is not of these, as of `measure`; it stays in the store,
+        so that the same question has the same answer whatever else was asked before."""
+        chosen = set(ladders(self.layout, methods, groups, stabilisations))
+        self._cells = {key: cell for key, cell in self._cells.items() if _ladder(cell) in chosen
+                       and (steps is None or cell["step"] in steps)}
 
     def _compile(self, climbs):
         """Compile here what the workers would compile all at once."""

@@ -11,7 +11,8 @@ from .terminal import plain_table
 
 WIDTH = 130                 # characters; a narrower terminal folds the lines
 CHEAPEST_HEAD = ("accuracy", "setting", "error", "CPU s per s", "times real time")
-FRONT_HEAD = ("error", "CPU s per s", "setting", "rad/s", "m/s", "energy", "momentum", "joints")
+FRONT_HEAD = ("error", "CPU s per s", "setting", "rad/s off", "m/s off", "energy off",
+              "momentum off", "joints open")
 
 
 def document_part(trade):

@@ -7,10 +7,11 @@ from .plots import BASE, COLOURS, label
 from .trade_figures import (CHEAPEST_HEAD, FRONT_HEAD, cheapest_rows, front_rows, headline,
                             reference_text, setting)
 
-DASHES = ("solid", "dash", "dot")
+DASHES = ("solid", "dash", "dot", "longdashdot")    # times 6 colours: more than there are methods
+SYMBOLS = ("circle", "square", "triangle-up", "diamond", "triangle-down", "cross")
 HEIGHT = 560                # px
 MARKS = ("o", "s", "^", "D", "v", "P")
-LINES = ("-", "--", ":")
+LINES = ("-", "--", ":", "-.")
 COST, ERROR = "CPU time, s per simulated second", "error, rad or parts of the scene's length"
 
 
@@ -38,7 +39,8 @@ def make_plot(part):
             "text": [label(setting(cell)) for cell in cells],
             "line": {"color": colour, "width": 1.4,
                      "dash": DASHES[k // len(COLOURS) % len(DASHES)]},
-            "marker": {"color": colour, "size": 6},
+            "marker": {"color": colour, "size": 6,
+                       "symbol": SYMBOLS[k % len(SYMBOLS)]},
             "hovertemplate": "%{text}<br>error %{y:.3g}, %{x:.3g} s per s"})
     front = [part["cells"][k] for k in part["front"]]
     traces.append({

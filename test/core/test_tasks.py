@@ -53,6 +53,41 @@ def test_work_that_kills_every_worker_is_told(monkeypatch):
         list(tasks.run(die, [1, 2], workers=2))
 
 
+def test_an_interrupt_while_workers_start_ends_the_run_when_they_have(monkeypatch):
+    """And they do not hear it, nor any later one."""
+    import dask.distributed
+    import psutil
+
+    class Interrupted(dask.distributed.LocalCluster):
+        def __init__(self, **arguments):
+            super().__init__(**arguments)
+            os.kill(os.getpid(), signal.SIGINT)
+            self.up = True
+
+    def deaf(x):
+        return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+
+    assert dict(tasks.run(deaf, [1, 2], workers=2)) == {0: True, 1: True}
+    before = signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr(dask.distributed, "LocalCluster", Interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        list(tasks.run(square, [1, 2], workers=2))
+    assert signal.getsignal(signal.SIGINT) is before and not deaf(0)
+    assert not [child for child in psutil.Process().children()
+                if "spawn_main" in " ".join(child.cmdline())]
+
+
+def test_workers_that_cannot_be_started(monkeypatch):
+    import dask.distributed
+
+    def dying(**arguments):
+        raise RuntimeError("Nanny failed to start.")
+
+    monkeypatch.setattr(dask.distributed, "LocalCluster", dying)
+    with pytest.raises(tasks.TasksError, match="2 workers cannot be started.*enough memory"):
+        list(tasks.run(square, [1, 2], workers=2))
+
+
 def test_what_the_function_raises_ends_the_run():
     def fail(x):
         raise KeyError(x)

@@ -124,6 +124,36 @@ def test_what_is_measured_is_kept(scene, tmp_path):
     assert third.truth.motion.position.tobytes() == first.truth.motion.position.tobytes()
 
 
+def test_a_damaged_store_is_measured_again(scene, trade, tmp_path):
+    """Lines that are no whole cell, bytes that are no text, a horizon that is none."""
+    here = made(scene, tmp_path)
+    good = trade.cells[0]
+    here._store.keep_cell(here.truth.horizon, good)
+    file, = [*here._store.folder.rglob("truth.npz")]
+    with open(file.with_name("cells.jsonl"), "ab") as stream:
+        for damaged in ({"cpu": good["cpu"]}, good | {"step": "1"}, good | {"error": None},
+                        {name: good[name] for name in good if name != "cost_us"}, [1], 3):
+            stream.write(b"\n" + json.dumps(damaged).encode())
+        stream.write(b"\n\x00\xff\xfe\n")
+    assert made(scene, tmp_path).cells == [good]
+    for text, horizon in (("0.25", 0.25), ("-3", None), ("NaN", None), ('"a"', None), ("", None)):
+        (here._store.folder / "horizon.json").write_text(text)
+        assert store.Store(scene, tmp_path).horizon() == horizon
+    file.write_bytes(file.read_bytes()[:5000])
+    assert here._store.truth(here.truth.horizon) is None
+
+
+def test_what_is_asked_for_is_answered_whatever_was_measured_before(scene, trade):
+    """Methods that do not fit are none; if that leaves none at all it is said."""
+    asked = made(scene, trade._store.folder.parent.parent)
+    asked.keep_only(["rkmk4", "stoermer_verlet"], ["se3"], steps=[1e-2, 5e-3])
+    assert {(cell["method"], cell["group"], cell["step"]) for cell in asked.cells} == {
+        ("rkmk4", "se3", 1e-2), ("rkmk4", "se3", 5e-3)}
+    assert {cell["method"] for cell in asked.front()} <= {"rkmk4"}
+    with pytest.raises(ValueError, match="double_pendulum: none of the methods .* these do: rkmk1"):
+        list(asked.measure(["stoermer_verlet"]))
+
+
 def test_a_full_disk_keeps_nobody_from_measuring(scene, tmp_path, caplog):
     trade = made(scene, tmp_path)
     file = trade._store.folder / "0.5s" / "cells.jsonl"
@@ -193,6 +223,7 @@ def test_refusals_say_what_can_be_had(tmp_path, monkeypatch):
     for arguments, said in (
             ({"accuracy": 1e-14}, "cannot be had for double_pendulum over 0.5 s on this machine"),
             ({"accuracy": 1e-3, "factor": 1e9}, "times real time: the cheapest setting"),
+            ({"accuracy": 1e-3, "factor": 1e9}, "at 1e.09 times no setting .* is fast enough"),
             ({"accuracy": 1e-3, "usable": lambda step: False}, "no step can be used"),
             ({"accuracy": 0.0}, "above 0"), ({"accuracy": 2.0}, "at most 1")):
         with pytest.raises(AccuracyError, match=said) as error:

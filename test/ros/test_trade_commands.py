@@ -62,6 +62,11 @@ def test_trade(measured, tmp_path, capsys):
     for entry in part["cheapest"]:
         assert entry["cell"] is None or (
             part["margin"] * part["cells"][entry["cell"]]["error"] <= entry["accuracy"])
+    # A narrower question is answered as if nothing else had been measured.
+    narrower = [word for word in arguments if word != "rkmk4"]
+    assert main([*narrower, "--json", str(files[0])]) == 0
+    assert {cell["method"] for cell in json.loads(files[0].read_text())["scenes"][0]["cells"]} == {
+        "rkmk8"}
     page = files[1].read_text()
     assert "Content-Security-Policy" in page and "what accuracy costs" in page
     assert files[2].read_bytes().startswith(b"\x89PNG") and files[2].stat().st_size > 20_000
@@ -156,7 +161,8 @@ def node(folder, *parameters):
     (["accuracy:=1e-6", "step:=0.001"], "parameter accuracy: takes the place of step"),
     (["accuracy:=1e-14"], "parameter accuracy: accuracy 1e-14 cannot be had"),
     (["accuracy:=1e-6", "real_time_factor:=1000000.0"],
-     "at 1e+06 times real time: the cheapest setting that reaches it")])
+     "at 1e+06 times real time: the cheapest setting that reaches it"),
+    ([], "parameter accuracy_horizon: goes with accuracy")])
 def test_the_node_refuses_in_one_line(measured, more, said):
     process = node(measured, *more)
     _, err = process.communicate(timeout=COMPILING)
