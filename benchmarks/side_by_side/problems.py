@@ -118,8 +118,11 @@ class _Planar:
         return last, start + 2 * arm, start_velocity + np.cross(omega, 2 * arm)
 
 
-def four_bar():
-    """P3: planar four-bar, its crank at 90 degrees turning at 10 pi rad/s, gravity along -y."""
+def four_bar(density=1000.0):
+    """P3: planar four-bar, its crank at 90 degrees turning at 10 pi rad/s, gravity along -y.
+
+    density : kg/m^3 of the bars; the exact ends are those of 1000
+    """
     crank, rod, base, rate = 0.5, 1.0, 1.0, 10.0 * pi
     # The elbow is where circles around the crank's tip and the rocker's pivot meet, above.
     half = hypot(base, crank) / 2
@@ -130,7 +133,7 @@ def four_bar():
                     / (rod * sin(rocker_angle - coupler_angle)))
     rocker_rate = (rate * crank * sin(coupler_angle - pi / 2)
                    / (rod * sin(coupler_angle - rocker_angle)))
-    rods, still = _Planar(0.05, 1000.0), np.zeros(3)
+    rods, still = _Planar(0.05, density), np.zeros(3)
     first, tip, velocity = rods.add(np.zeros(3), crank, pi / 2, rate, GROUND, still)
     rods.add(tip, rod, coupler_angle, coupler_rate, first, velocity)
     foot = np.array([base, 0.0, 0.0])

@@ -151,5 +151,7 @@ FOOT = """
 
 Whether the errors behind these tables are true: `test/verification/test_trade_truth.py` holds the
 truth that they are measured against to closed forms (free body, Lagrangian top), to 45-digit end
-states of the heavy top, and to the crank angle of the four-bar by quadrature of its energy.
+states of the heavy top, to the crank angle of the four-bar by quadrature of its energy, and to
+motions by the accelerations of Pinocchio. `benchmarks/trade_truth_peers.py` measures every setting
+on the fronts of four scenes by motions of Pinocchio and MuJoCo: [trade.md](trade.md) has the table.
 """

@@ -4,19 +4,27 @@
 Free body, Lagrangian top: closed forms, and errors of independent implementations of the methods.
 Heavy top: end state by Taylor series in 45 digits, and errors of such an implementation. Four-bar:
 crank angle by quadrature of its energy, and errors of an implementation with other joint rows.
+Heavy top, double pendulum, four-bar: motions by accelerations of other software, made and kept by
+benchmarks/trade_truth_peers.py.
 """
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from liegroup_core import Simulation, load_scene
+from liegroup_core.reference import Trajectory, distance
 from liegroup_core.simulation import make_layout
 from liegroup_core.study import truth
 from liegroup_core.study.settings import as_time
-from liegroup_core.study.truth import find_truth
+from liegroup_core.study.truth import find_truth, scaled
 
 HEAVY_R_6 = [[0.72338819974053045, -0.25225153160076429, -0.6427119707001131],
              [-0.18843768873839291, 0.82340059951614024, -0.53525946061643169],
              [0.66422944073496695, 0.50831153589263489, 0.54810458175368647]]
+PEERS = json.loads(Path(__file__).with_name("peers.json").read_text())
+MEASURED = Path(__file__).resolve().parents[2] / "docs" / "which_method.json"
 CRANK_ANGLE_1 = -0.765225378176             # rad, modulo a turn
 # scene, horizon s, what the closed form is called, [(method, group, step s, |R - R_true|_2 there)]
 ELSEWHERE = [
@@ -71,3 +79,49 @@ def test_the_four_bar():
         # Other joint rows are another index-1 form, whose joints drift otherwise: errors of the
         # same order and size, not the same digits.
         assert 0.7 * elsewhere <= abs(np.arctan2(turn[1, 0], turn[0, 0])) <= 1.1 * elsewhere
+
+
+def error_against(peer, rows, rotation, position):
+    """As the trade measures it, of (k, n, 3, 3) and (k, n, 3) at these of the peer's instants."""
+    def motion(turns, places):
+        return Trajectory(None, turns, places, np.zeros((*places.shape[:2], 6)))
+    off = distance(motion(rotation, position), motion(
+        np.array(peer["rotation"])[rows], np.array(peer["position"])[rows]))
+    return scaled(off.position, off.angle, peer["length"])
+
+
+@pytest.mark.parametrize("peer", PEERS, ids=lambda peer: peer["scene"])
+def test_the_truth_is_that_of_other_software(peer, monkeypatch):
+    """Within what both are sure of, which is little: the scenes are another's words, too."""
+    times = [as_time(at) for at in peer["times"]]
+    monkeypatch.setattr(truth, "sample_times", lambda horizon: times)
+    found = find_truth(make_layout(load_scene(peer["scene"])), as_time(peer["horizon"]))
+    assert found.length == pytest.approx(peer["length"]) and len(times) >= 10
+    assert max(found.known, peer["known"]) <= 1e-9
+    assert error_against(peer, slice(None), found.motion.rotation, found.motion.position) <= (
+        found.known + peer["known"])
+
+
+@pytest.mark.parametrize("peer", PEERS, ids=lambda peer: peer["scene"])
+def test_the_cheapest_settings_are_as_good_as_they_are_said_to_be(peer):
+    """By the motion of the other software, at those of its instants that are whole steps; the
+    errors that are said are the largest of more instants, and measured against our truth."""
+    part, = (part for part in json.loads(MEASURED.read_text())["scenes"]
+             if part["scene"] == peer["scene"])
+    assert part["horizon"] == peer["horizon"]
+    for entry in part["cheapest"]:
+        cell = part["cells"][entry["cell"]]
+        step = as_time(cell["step"])
+        rows = [row for row, at in enumerate(peer["times"]) if as_time(at) % step == 0]
+        simulation = Simulation(load_scene(peer["scene"]), cell["method"], cell["step"],
+                                cell["group"], stabilisation=cell["stabilisation"],
+                                **cell["options"])
+        poses = []
+        for row in rows:
+            simulation.advance(round(as_time(peer["times"][row]) / step) - simulation.steps)
+            poses.append(simulation.sample().pose)
+        poses = np.array(poses)
+        error = error_against(peer, rows, poses[..., :9].reshape(*poses.shape[:2], 3, 3),
+                              poses[..., 9:])
+        assert len(rows) >= 5 and part["margin"] * cell["error"] <= entry["accuracy"]
+        assert error <= cell["error"] + part["reference"]["known"] + peer["known"]
