@@ -277,8 +277,8 @@ def main():
     parser.add_argument("--scenes", nargs="+", choices=list(SCENES), default=list(SCENES))
     args = parser.parse_args()
     parts = {part["scene"]: part for part in json.loads(DATA.read_text())["scenes"]}
-    print("| scene | accelerations of | horizon | truths apart | ours known to | theirs known to | "
-          "settings on the front | errors apart, at most | within both |")
+    print("| scene | accelerations of | horizon | truths apart | ours known to | theirs known to "
+          "| settings on the front | errors apart, at most | within both |")
     print("|---|---|---|---|---|---|---|---|---|", flush=True)
     kept = []
     for name in args.scenes:

@@ -11,8 +11,8 @@ from .terminal import plain_table
 
 WIDTH = 130                 # characters; a narrower terminal folds the lines
 CHEAPEST_HEAD = ("accuracy", "setting", "error", "CPU s per s", "times real time")
-FRONT_HEAD = ("error", "CPU s per s", "setting", "rad/s off", "m/s off", "energy off",
-              "momentum off", "joints open")
+FRONT_HEAD = ("error", "CPU s per s", "setting", "rad/s", "m/s", "energy", "momentum", "joints")
+FRONT_TITLE = "What no other setting beats; to the right its errors of twist, energy, momentum, joints"
 
 
 def document_part(trade):
@@ -110,7 +110,7 @@ def print_trade(part, console):
                        f"{shown(part['length'], 'm')}", style="dim"))
     _print(console, f"The cheapest for an accuracy, with a margin of {part['margin']:g}",
            CHEAPEST_HEAD, cheapest_rows(part))
-    _print(console, "What no other setting beats", FRONT_HEAD, front_rows(part))
+    _print(console, FRONT_TITLE, FRONT_HEAD, front_rows(part))
     console.print()
 
 

@@ -4,8 +4,8 @@ from html import escape
 
 from .page import frame, plot_card, unbroken
 from .plots import BASE, COLOURS, label
-from .trade_figures import (CHEAPEST_HEAD, FRONT_HEAD, cheapest_rows, front_rows, headline,
-                            reference_text, setting)
+from .trade_figures import (CHEAPEST_HEAD, FRONT_HEAD, FRONT_TITLE, cheapest_rows, front_rows,
+                            headline, reference_text, setting)
 
 DASHES = ("solid", "dash", "dot", "longdashdot")    # times 6 colours: more than there are methods
 SYMBOLS = ("circle", "square", "triangle-up", "diamond", "triangle-down", "cross")
@@ -77,7 +77,7 @@ def make_page(parts):
                      "red: real time on one core; grey: what the reference knows") + "</div>"
                  + _table(f"The cheapest for an accuracy, with a margin of {part['margin']:g}",
                           CHEAPEST_HEAD, cheapest_rows(part))
-                 + _table("What no other setting beats", FRONT_HEAD, front_rows(part)))
+                 + _table(FRONT_TITLE, FRONT_HEAD, front_rows(part)))
     title = f"{', '.join(part['scene'] for part in parts)}: what accuracy costs"
     return frame(title, body, [{"plots": [make_plot(part)], "view": None} for part in parts])
 
@@ -90,8 +90,8 @@ def _table(title, heads, rows):
     return (f'<div class="cards"><section class="card"><h3>{escape(title)}</h3>'
             '<table class="logs"><thead><tr>'
             + "".join(f"<th>{escape(head)}</th>" for head in heads) + "</tr></thead><tbody>"
-            + "".join("<tr>" + "".join(f'<td data-what="{escape(head)}">{unbroken(cell)}</td>'
-                                       for head, cell in zip(heads, row)) + "</tr>"
+            + "".join("<tr>" + "".join(f'<td data-what="{escape(head)}"><span>{unbroken(cell)}'
+                                       "</span></td>" for head, cell in zip(heads, row)) + "</tr>"
                       for row in rows) + "</tbody></table></section></div>")
 
 

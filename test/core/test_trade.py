@@ -150,7 +150,7 @@ def test_what_is_asked_for_is_answered_whatever_was_measured_before(scene, trade
     assert {(cell["method"], cell["group"], cell["step"]) for cell in asked.cells} == {
         ("rkmk4", "se3", 1e-2), ("rkmk4", "se3", 5e-3)}
     assert {cell["method"] for cell in asked.front()} <= {"rkmk4"}
-    with pytest.raises(ValueError, match="double_pendulum: none of the methods .* these do: rkmk1"):
+    with pytest.raises(ValueError, match="double_pendulum: none of the .* these do: rkmk1"):
         list(asked.measure(["stoermer_verlet"]))
 
 

@@ -8,15 +8,18 @@ from pathlib import Path
 
 import jsonschema
 import pytest
+from browser import CHROMIUM, Browser
 from made_run import record
 from node_process import COMPILING, python
 
 from liegroup_core import load_scene
+from liegroup_core.integrators.methods import METHODS
 from liegroup_core.study import accuracy
 from liegroup_core.study.trade import Trade
 from liegroup_sim_ros.analyze import analyse
 from liegroup_sim_ros.main import main
 from liegroup_sim_ros.recording import read_recording
+from liegroup_sim_ros.report.trade_page import make_plot
 
 SCHEMA = Path(__file__).resolve().parents[2] / "config" / "trade.schema.json"
 SCENE = "heavy_top"
@@ -70,6 +73,45 @@ def test_trade(measured, tmp_path, capsys):
     page = files[1].read_text()
     assert "Content-Security-Policy" in page and "what accuracy costs" in page
     assert files[2].read_bytes().startswith(b"\x89PNG") and files[2].stat().st_size > 20_000
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
+def test_the_page_on_a_screen_and_on_a_phone(measured, tmp_path):
+    """Words stay whole, a value stands beside its name, nothing is wider than the phone."""
+    page = tmp_path / "a.html"
+    assert main(["trade", SCENE, "--horizon", "0.5", "--methods", "rkmk4", "rkmk8", "--groups",
+                 "se3", "--stabilisation", "none", "--budget", "0.01", "--workers", "1", "--html",
+                 str(page)]) == 0
+    browser = Browser(tmp_path / "browser")
+
+    def lines(what):
+        return browser.run(f"[...document.querySelectorAll('{what}')].map(e => "
+                           "e.getClientRects().length ? e.offsetHeight : 0)")
+    try:
+        browser.open(page, width=1000)
+        assert browser.errors == [] and browser.requests == [f"file://{page}"]
+        broken = """[...document.querySelectorAll('.logs th')].filter(th => {
+            const range = document.createRange();
+            range.selectNodeContents(th);
+            return !th.textContent.includes(' ') && range.getClientRects().length > 1;
+        }).map(th => th.textContent)"""
+        assert browser.run(broken) == []
+        browser.open(page, width=390, height=800, phone=True)
+        browser.run("new Promise(done => setTimeout(done, 600))")
+        assert browser.run("document.documentElement.scrollWidth") <= 390
+        # Two lines of a long setting are some 50 px.
+        heights = lines(".logs td")
+        assert len(heights) > 20 and max(heights) < 60
+    finally:
+        browser.close()
+
+
+def test_every_method_has_a_line_of_its_own():
+    cells = [{"method": name, "step": 0.01, "group": "se3", "stabilisation": "none", "options": {},
+              "stopped": None, "error": 1e-3, "cost_us": 1.0} for name in METHODS]
+    plot = make_plot({"cells": cells, "front": [0], "reference": {"known": 1e-12}})
+    looks = [(trace["line"]["color"], trace["line"]["dash"]) for trace in plot["data"][:-1]]
+    assert len(set(looks)) == len(looks) == len(METHODS)
 
 
 @pytest.mark.parametrize("change, said", [
