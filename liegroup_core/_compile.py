@@ -16,6 +16,7 @@ import shutil
 import sys
 import tempfile
 import time
+from contextlib import suppress
 from pathlib import Path
 
 from ._numba import compiled, numba
@@ -53,8 +54,12 @@ def cache_root():
     """The user's cache folder, or one in the temporary folder where that cannot be written."""
     default = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     wanted = Path(os.environ.get("LIEGROUP_CACHE_DIR") or Path(default) / "liegroup_core")
-    spare = Path(tempfile.gettempdir()) / f"liegroup_core-{os.getuid()}"
-    for root in (wanted, spare):
+    roots = [wanted]
+    try:
+        roots.append(Path(tempfile.gettempdir()) / f"liegroup_core-{os.getuid()}")
+    except FileNotFoundError:               # it tries to write: all disks are full
+        pass
+    for root in roots:
         try:
             root.mkdir(parents=True, exist_ok=True, mode=0o777 if root is wanted else 0o700)
             tempfile.TemporaryFile(dir=root).close()
@@ -75,7 +80,10 @@ def _cache_folder():
     if folder.exists() and not os.access(folder, os.W_OK):
         folder = root / f"{folder.name}-{os.getuid()}"      # that is another user's
     if not folder.exists():
-        folder.mkdir(exist_ok=True)
+        try:
+            folder.mkdir(exist_ok=True)
+        except OSError:                     # the disk is full
+            return None
         others = sorted((p for p in root.iterdir()
                          if p.is_dir() and p != folder and COMPILED.fullmatch(p.name)),
                         key=lambda p: p.stat().st_mtime, reverse=True)
@@ -202,5 +210,6 @@ def warm_up(call, name):
     start = time.perf_counter()
     call()
     if done is not None and compiled():
-        done.touch()
+        with suppress(OSError):
+            done.touch()
     return time.perf_counter() - start

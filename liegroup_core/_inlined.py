@@ -13,6 +13,8 @@ Of Numba's inner parts this replaces two steps of a code library, one compiler p
 when the cache on the disk is damaged.
 """
 import hashlib
+import logging
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 from llvmlite import binding, ir
@@ -29,6 +31,8 @@ from numba.core.typed_passes import NativeLowering
 from numba.extending import intrinsic, register_model
 
 from ._struct import StructType
+
+log = logging.getLogger("liegroup_core")
 
 OPTIONS = {"nogil": True, "error_model": "numpy"}
 
@@ -123,14 +127,32 @@ def inner(function, always):
 
 
 class _Cache(FunctionCache):
-    """Machine code on the disk; what cannot be read is made anew."""
+    """Machine code on the disk; what cannot be read is made anew, what cannot be written is not
+    kept."""
+
+    told = False
 
     def load_overload(self, *arguments):
         try:
             return super().load_overload(*arguments)
         except Exception:       # whatever a file that was cut or garbled leads to
-            self.flush()
+            with self._forgiving():
+                self.flush()
             return None
+
+    def save_overload(self, *arguments):
+        with self._forgiving():
+            super().save_overload(*arguments)
+
+    @contextmanager
+    def _forgiving(self):
+        try:
+            yield
+        except OSError as error:
+            if not _Cache.told:
+                _Cache.told = True
+                log.warning("compiled kernels cannot be kept, so that every start compiles them "
+                            "again: %s: %s", self.cache_path, error.strerror)
 
 
 def outer(function, cache):

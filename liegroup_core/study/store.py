@@ -112,7 +112,8 @@ class Store:
         try:
             write()
         except OSError as error:
-            log.warning("what is measured cannot be kept: %s: %s", error.filename, error.strerror)
+            log.warning("what is measured cannot be kept: %s: %s",
+                        error.filename or self.folder, error.strerror)
             self.folder = None
 
     def _of(self, horizon):
@@ -122,5 +123,9 @@ class Store:
 def _write(path, data):
     """Write a file that is either there as a whole or not at all."""
     part = path.with_name(f"{path.name}.{os.getpid()}")
-    part.write_bytes(data)
-    part.replace(path)
+    try:
+        part.write_bytes(data)
+        part.replace(path)
+    except OSError:
+        part.unlink(missing_ok=True)
+        raise

@@ -5,6 +5,7 @@ import json
 import math
 import os
 import pickle
+import resource
 import subprocess
 import sys
 
@@ -126,9 +127,10 @@ def test_a_function_that_several_kernels_share():
         assert len(weighed.dispatcher.overloads) == 1
 
 
-@pytest.mark.parametrize("harm", ["nothing", "index", "code"])
+@pytest.mark.parametrize("harm", ["nothing", "index", "code", "full"])
 def test_kernels_out_of_the_cache(tmp_path, harm):
-    """Also where a file of it is damaged; the caller of a shared function is loaded before that."""
+    """Also where a file of it is damaged, or no file can be written, as on a full disk; the caller
+    of a shared function is loaded before that."""
     if not compiled() or CACHE_FOLDER is None:
         pytest.skip("nothing is compiled, or nothing is kept")
     (tmp_path / "kernels.py").write_text("""if True:
@@ -149,13 +151,22 @@ def test_kernels_out_of_the_cache(tmp_path, harm):
                                        for each in (outer, inner))]))
         """)
 
-    def run():
+    def nothing_is_written():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
+
+    def run(prepare=None, told=0):
         said = subprocess.run(
             [sys.executable, "-c", f"import sys; sys.path.append({str(tmp_path)!r}); import kernels"],
-            capture_output=True, text=True, check=True,
+            capture_output=True, text=True, check=True, preexec_fn=prepare,
             env={**os.environ, "LIEGROUP_CACHE_DIR": str(tmp_path / "cache")})
+        assert said.stderr.count("compiled kernels cannot be kept") == told
+        assert len(said.stderr.splitlines()) == told
         return json.loads(said.stdout)
 
+    if harm == "full":
+        for _ in range(2):
+            assert run(nothing_is_written, told=1) == [[7, -11], 2]
+        return
     assert run() == [[7, -11], 2]
     files = sorted(tmp_path.glob("cache/*/**/*.nb" + {"index": "i"}.get(harm, "c")))
     assert len(files) >= 2
