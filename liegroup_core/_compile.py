@@ -161,7 +161,7 @@ class Choice:
 if compiled():
     @numba.extending.typeof_impl.register(Kernel)
     def _type_of_kernel(kernel, context):
-        return numba.types.Dispatcher(kernel.inner)
+        return _inlined.InnerFunction(kernel.inner)
 
     @numba.extending.typeof_impl.register(Choice)
     def _type_of_choice(choice, context):

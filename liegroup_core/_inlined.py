@@ -37,7 +37,23 @@ log = logging.getLogger("liegroup_core")
 OPTIONS = {"nogil": True, "error_model": "numpy"}
 
 
-class _InnerLibrary(JITCodeLibrary):
+class _Library(JITCodeLibrary):
+    """A function whose LLVM code is made smaller, and no more, before callers take it in.
+
+    What is done to loops while a caller's constants are not known yet is done in vain.
+    """
+
+    def _optimize_functions(self, ll_module):
+        ll_module.data_layout = self._codegen._data_layout
+        passes = binding.create_new_function_pass_manager()
+        passes.add_sroa_pass()
+        passes.add_simplify_cfg_pass()
+        passes.add_instruction_combine_pass()
+        for function in ll_module.functions:
+            passes.run(function, self._codegen._pass_builder())
+
+
+class _InnerLibrary(_Library):
     """LLVM code for callers."""
 
     def _optimize_final_module(self):
@@ -48,7 +64,7 @@ class _InnerLibrary(JITCodeLibrary):
         self._finalized = True
 
 
-class _OuterLibrary(JITCodeLibrary):
+class _OuterLibrary(_Library):
     """Machine code of a function with all that it has taken in.
 
     Inlined first: optimised before that, functions would be optimised over and over. Once and not
@@ -215,6 +231,16 @@ def shared_inner(outer_kernel):
     return inner(stub, True)
 
 
+class InnerFunction(types.Dispatcher):
+    """Type of a function for compiled callers: for all numbers of a type it is compiled once.
+
+    LLVM sees the constants among them, where it is inlined.
+    """
+
+    def get_call_type(self, context, args, kws):
+        return super().get_call_type(context, tuple(map(types.unliteral, args)), kws)
+
+
 class Chosen(types.Callable, types.Dummy):
     """Type of a function that stands for one of several, as the type of its first argument says.
 
@@ -226,7 +252,7 @@ class Chosen(types.Callable, types.Dummy):
         super().__init__(f"chosen({name})")
 
     def _type(self, arguments):
-        return types.Dispatcher(self._table[arguments[0].instance_class])
+        return InnerFunction(self._table[arguments[0].instance_class])
 
     def get_call_type(self, context, args, kws):
         return self._type(args).get_call_type(context, args, kws)
@@ -238,6 +264,7 @@ class Chosen(types.Callable, types.Dummy):
         return self._type(sig.args).get_impl_key(sig)
 
 
+register_model(InnerFunction)(models.OpaqueModel)
 register_model(Chosen)(models.OpaqueModel)
 
 

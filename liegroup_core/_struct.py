@@ -7,6 +7,7 @@ it is handed to. Of a Struct a kernel gets the address, and loads from there wha
 import dataclasses
 import functools
 import hashlib
+import operator
 
 import numpy as np
 
@@ -62,8 +63,9 @@ if compiled():
     from numba.core.datamodel import models
     from numba.core.errors import TypingError
     from numba.core.typing.templates import AttributeTemplate
-    from numba.extending import (NativeValue, infer_getattr, intrinsic, lower_getattr_generic,
-                                 register_model, typeof_impl, unbox)
+    from numba.extending import (NativeValue, infer_getattr, intrinsic, lower_builtin,
+                                 lower_getattr_generic, register_model, typeof_impl, unbox)
+    from numba.np import arrayobj
     from numba.np.numpy_support import from_dtype
 
     WORD = ir.IntType(64)
@@ -87,6 +89,8 @@ if compiled():
     def _borrowed_array(dtype, ndim):
         return BorrowedArray(from_dtype(dtype), ndim)
 
+    DATA, SHAPE, STRIDES = 4, 5, 6          # members of an array below
+
     @register_model(BorrowedArray)
     class _BorrowedArrayModel(models.StructModel):
         def __init__(self, manager, kind):
@@ -95,6 +99,46 @@ if compiled():
                 ("meminfo", types.voidptr), ("parent", types.voidptr), ("nitems", types.intp),
                 ("itemsize", types.intp), ("data", types.CPointer(kind.dtype)),
                 ("shape", shape), ("strides", shape)])
+
+    def _element(context, builder, kind, array, index_type, index):
+        """Address of an element; None for an index that stands for several.
+
+        Kernels count from the front: asking of every index whether it counts from the end took a
+        third of a step.
+        """
+        kinds, indices = [index_type], [index]
+        if isinstance(index_type, types.BaseTuple):
+            kinds, indices = index_type.types, cgutils.unpack_tuple(builder, index)
+        if len(kinds) < kind.ndim or not all(isinstance(each, types.Integer) for each in kinds):
+            return None
+        place = None
+        for axis, (value, each) in enumerate(zip(indices, kinds)):
+            value = context.cast(builder, value, each, types.intp)
+            length = builder.extract_value(array, (SHAPE, axis))
+            if context.enable_boundscheck:
+                cgutils.do_boundscheck(context, builder, value, length, axis)
+            place = value if place is None else builder.add(builder.mul(place, length), value)
+        return builder.gep(builder.extract_value(array, DATA), [place], inbounds=True)
+
+    @lower_builtin(operator.getitem, BorrowedArray, types.Integer)
+    @lower_builtin(operator.getitem, BorrowedArray, types.BaseTuple)
+    def _get(context, builder, signature, arguments):
+        kind, index_type = signature.args
+        address = _element(context, builder, kind, arguments[0], index_type, arguments[1])
+        if address is None:
+            return arrayobj.getitem_array_tuple(context, builder, signature, arguments) if (
+                isinstance(index_type, types.BaseTuple)) else (
+                arrayobj.getitem_arraynd_intp(context, builder, signature, arguments))
+        return arrayobj.load_item(context, builder, kind, address)
+
+    @lower_builtin(operator.setitem, BorrowedArray, types.Any, types.Any)
+    def _set(context, builder, signature, arguments):
+        kind, index_type, value_type = signature.args
+        address = _element(context, builder, kind, arguments[0], index_type, arguments[1])
+        if address is None:
+            return arrayobj.setitem_array(context, builder, signature, arguments)
+        value = context.cast(builder, arguments[2], value_type, kind.dtype)
+        return arrayobj.store_item(context, builder, kind, value, address)
 
     class StructType(types.Type):
         """Type of a Struct: its class, and name, first word and type of each field."""
@@ -183,20 +227,25 @@ if compiled():
 
     def _array(context, builder, kind, data, shape):
         """LLVM value of a BorrowedArray."""
-        array = context.make_array(kind)(context, builder)
         size = ir.Constant(WORD, context.get_abi_sizeof(context.get_data_type(kind.dtype)))
         strides = [size]
         for length in shape[:0:-1]:
             strides.insert(0, builder.mul(strides[0], length))
-        count = ir.Constant(WORD, 1)
-        for length in shape:
+        count = shape[0]
+        for length in shape[1:]:
             count = builder.mul(count, length)
-        array.meminfo = array.parent = cgutils.get_null_value(array.meminfo.type)
-        array.nitems, array.itemsize = count, size
-        array.data = builder.inttoptr(data, array.data.type)
-        array.shape = cgutils.pack_array(builder, shape, ty=WORD)
-        array.strides = cgutils.pack_array(builder, strides, ty=WORD)
-        return array._getvalue()
+        array = ir.Constant(context.get_data_type(kind), None)
+        pointer = builder.inttoptr(data, array.type.elements[DATA])
+        for member, value in enumerate((count, size, pointer), start=2):
+            array = builder.insert_value(array, value, member)
+        for axis in range(kind.ndim):
+            array = builder.insert_value(array, shape[axis], (SHAPE, axis))
+            array = builder.insert_value(array, strides[axis], (STRIDES, axis))
+        return array
+
+    @lower_builtin(len, BorrowedArray)
+    def _length(context, builder, signature, arguments):
+        return builder.extract_value(arguments[0], (SHAPE, 0))
 
     @intrinsic
     def borrowed(typing_context, array):

@@ -158,9 +158,8 @@ def assemble(model, work, pose, twist):
 
     pose (n, 12), twist (n, 6); bias: J Vdot = bias
     """
-    if not model.is_constant:
-        for i in range(len(model.constant)):
-            work.matrix[i] = model.constant[i]
+    for i in range(model.fresh):
+        work.matrix[i] = model.matrix[i]
     for j in range(len(model.joints)):
         a = model.joints[j]["parent"]
         b = model.joints[j]["child"]

@@ -18,10 +18,11 @@ to a third of the time.
 from .._compile import kernel, shared
 from ..model.arrays import WORLD
 
-# Scalars of a body, and of the joints that are most frequent. Numba compiles the kernels below
-# once for each of these values: unrolled loops take a third less time.
+# Scalars of a body, and of the joints that are most frequent. Where these are constants LLVM
+# unrolls the loops over a block: they take a third less time.
 SPATIAL_SIZES = (6, 3, 5)           # ball; hinge, slider
 PLANAR_SIZES = (3, 2, 1)            # hinge, slider; what is left of a loop
+NONE = 0                            # no usual size
 
 # A row that depends on others is given this many times its pivot floor instead of nothing.
 REGULARISATION = 1e2
@@ -85,6 +86,17 @@ def _subtract_square(solve, spare, target, left, rows, k):
 
 
 @kernel
+def _subtract_product(solve, spare, target, left, right, rows, columns, k):
+    """K_iw -= s Y_i d Y_w^T."""
+    for r in range(rows):
+        for c in range(columns):
+            total = 0.0
+            for q in range(k):
+                total += solve[left + r * k + q] * spare[right + c * k + q]
+            solve[target + r * columns + c] -= total
+
+
+@kernel
 def _eliminate(model, solve, spare, v, k, sign, usual, other, shift):
     """Eliminate vertex v of k scalars; False when one of its pivots is too small.
 
@@ -92,9 +104,11 @@ def _eliminate(model, solve, spare, v, k, sign, usual, other, shift):
     """
     vertices = model.vertices
     place = vertices[v]["diagonal"]
-    if not _invert_diagonal(solve, place, k, sign, model.pivot_floor, vertices[v]["start"], shift):
+    if (vertices[v]["is_constant"] == 0
+            and not _invert_diagonal(solve, place, k, sign, model.pivot_floor,
+                                     vertices[v]["start"], shift)):
         return False
-    for b in range(vertices[v]["column_start"], vertices[v]["column_end"]):
+    for b in range(vertices[v]["column_fresh"], vertices[v]["column_end"]):
         rows = vertices[model.columns[b, 0]]["size"]
         if rows == usual:
             _times_inverse(solve, spare, model.columns[b, 1], place, usual, k, sign)
@@ -115,14 +129,11 @@ def _eliminate(model, solve, spare, v, k, sign, usual, other, shift):
             else:
                 _subtract_square(solve, spare, target, left, rows, k)
             continue
-        # K_iw -= s Y_i d Y_w^T
         columns = vertices[model.updates[u, 4]]["size"]
-        for r in range(rows):
-            for c in range(columns):
-                total = 0.0
-                for q in range(k):
-                    total += solve[left + r * k + q] * spare[right + c * k + q]
-                solve[target + r * columns + c] -= total
+        if rows == usual and columns == usual:
+            _subtract_product(solve, spare, target, left, right, usual, usual, k)
+        else:
+            _subtract_product(solve, spare, target, left, right, rows, columns, k)
     return True
 
 
@@ -220,11 +231,11 @@ def eliminate(model, solve, spare, x, fresh, shift, sizes):
         if model.vertices[v]["joint"] < 0:
             good = _take(model, solve, spare, x, v, body, 1.0, first, second, 0.0, fresh)
         elif k == first:
-            good = _take(model, solve, spare, x, v, first, -1.0, body, body, shift, fresh)
+            good = _take(model, solve, spare, x, v, first, -1.0, first, body, shift, fresh)
         elif k == second:
-            good = _take(model, solve, spare, x, v, second, -1.0, body, body, shift, fresh)
+            good = _take(model, solve, spare, x, v, second, -1.0, second, body, shift, fresh)
         else:
-            good = _take(model, solve, spare, x, v, k, -1.0, body, body, shift, fresh)
+            good = _take(model, solve, spare, x, v, k, -1.0, body, NONE, shift, fresh)
         if not good:
             return model.vertices[v]["joint"]
     return -1
@@ -239,11 +250,11 @@ def _substitute(model, solve, x, sizes):
         if model.vertices[v]["joint"] < 0:
             _backward(model, solve, x, v, body, first, second)
         elif k == first:
-            _backward(model, solve, x, v, first, body, body)
+            _backward(model, solve, x, v, first, first, body)
         elif k == second:
-            _backward(model, solve, x, v, second, body, body)
+            _backward(model, solve, x, v, second, second, body)
         else:
-            _backward(model, solve, x, v, k, body, body)
+            _backward(model, solve, x, v, k, body, NONE)
 
 
 @kernel
@@ -257,8 +268,8 @@ def _subtract_rows(matrix, place, turned, rows, body, x, row_start, body_start, 
 
 
 @kernel
-def _subtract_product(model, matrix, x, y_out, body):
-    """y -= K x, with K as `assemble` leaves it: blocks of M in full, a body of so many scalars."""
+def _subtract_image(model, matrix, x, y_out, body):
+    """y -= K x, with the rows of joints as `assemble` leaves them, a body of so many scalars."""
     bodies = model.bodies
     for v in range(len(model.vertices)):
         if model.vertices[v]["joint"] < 0:
@@ -266,7 +277,7 @@ def _subtract_product(model, matrix, x, y_out, body):
             place = model.vertices[v]["diagonal"]
             for r in range(body):
                 for c in range(body):
-                    y_out[at + r] -= matrix[place + r * body + c] * x[at + c]
+                    y_out[at + r] -= model.constant[place + r * body + c] * x[at + c]
     for j in range(len(model.joints)):
         a = model.joints[j]["parent"]
         b = model.joints[j]["child"]
@@ -284,7 +295,7 @@ def _subtract_product(model, matrix, x, y_out, body):
 def _solve(model, work, refinements, shift, sizes, fresh):
     """Solve K x = b, with so many steps of iterative refinement.
 
-    work.matrix   : K, overwritten (a constant K is eliminated already)
+    work.matrix   : K, overwritten; what no pose changes is eliminated already
     work.solution : b, overwritten by x
     fresh         : False: work.matrix holds what an earlier call has made of K; with refinement
                     work.kept holds K too
@@ -292,12 +303,9 @@ def _solve(model, work, refinements, shift, sizes, fresh):
                     but for directions in which K is singular: there the joints are ignored
     returns -1, or the joint whose rows depend on others
     """
-    matrix = work.matrix
-    if model.is_constant:
-        matrix = model.constant
-    elif refinements > 0:
+    if refinements > 0:
         if fresh:
-            for i in range(len(work.matrix)):
+            for i in range(model.fresh):
                 work.kept[i] = work.matrix[i]
         for i in range(len(work.right)):
             work.right[i] = work.solution[i]
@@ -307,12 +315,11 @@ def _solve(model, work, refinements, shift, sizes, fresh):
             x = work.residual
             for i in range(len(work.right)):
                 x[i] = work.right[i]
-            _subtract_product(model, work.kept, work.solution, x, sizes[0])
-        unfinished = fresh and step == 0 and not model.is_constant
-        dependent = eliminate(model, matrix, work.spare, x, unfinished, shift, sizes)
+            _subtract_image(model, work.kept, work.solution, x, sizes[0])
+        dependent = eliminate(model, work.matrix, work.spare, x, fresh and step == 0, shift, sizes)
         if dependent >= 0:
             return dependent
-        _substitute(model, matrix, x, sizes)
+        _substitute(model, work.matrix, x, sizes)
         if step > 0:
             for i in range(len(work.right)):
                 work.solution[i] += x[i]

@@ -46,9 +46,10 @@ JOINT = np.dtype([
 VERTEX = np.dtype([                         # body or joint in the order of elimination
     ("joint", "i8"),                        # which joint; -1: a body
     ("size", "i8"), ("start", "i8"),        # its scalars and their place in Work.solution
-    ("diagonal", "i8"),                     # place of its diagonal block of K
-    ("column_start", "i8"), ("column_end", "i8"),     # its range of Model.columns
-    ("update_start", "i8"), ("update_end", "i8"),     # its range of Model.updates
+    ("is_constant", "i8"), ("diagonal", "i8"),      # 1: no pose changes its diagonal block; place
+    ("column_start", "i8"), ("column_fresh", "i8"), # its range of Model.columns, and from where on
+    ("column_end", "i8"),                           # poses change them
+    ("update_start", "i8"), ("update_end", "i8"),   # its range of Model.updates
 ], align=True)
 
 
@@ -65,10 +66,13 @@ class Model(Struct):
     ground_projector: np.ndarray   # (m, 36) of a PAIR to ground: M^-1 J^T (J M^-1 J^T)^-1 J
     vertices: np.ndarray           # (n + m,) of VERTEX
     columns: np.ndarray            # (b, 2) a block below the diagonal: vertex of its rows, place
-    updates: np.ndarray            # (u, 5) target place, places of L_i and L_w, vertices i and w
+    updates: np.ndarray            # (u, 5) target place, places of L_i and L_w, vertices i and w:
+                                   # where poses change L_i or L_w
     pivot_floor: np.ndarray        # (6 n + rows,) pivots below are zero: rows depend on others
-    constant: np.ndarray           # (blocks,) the part of K that no pose changes, or its factor
-    is_constant: bool              # True: no pose changes K, and `constant` is its factor
+    constant: np.ndarray           # (blocks,) the part of K that no pose changes
+    matrix: np.ndarray             # (blocks,) the same, constant vertices eliminated
+    products: np.ndarray           # (blocks,) K_iv W^T of constant blocks, of dynamics.saddle_point
+    fresh: int                     # the first so many entries of `matrix` change with the pose
     refinements: int               # steps of iterative refinement that each solve takes
     projects: bool = False         # True: every step ends with dynamics.projection
     baumgarte_rate: float = 0.0    # 1/s, see dynamics.constraints; 0: no such terms
@@ -80,10 +84,10 @@ class Work(Struct):
     child_jacobian: np.ndarray     # (m, 36) rows J_b at this pose, those of a PAIR constant
     slip: np.ndarray               # (rows,) J V
     gap: np.ndarray                # (all rows,) position residuals of the elements
-    matrix: np.ndarray             # (blocks,) K, then its factor in place
-    spare: np.ndarray              # (blocks,) for the elimination
+    matrix: np.ndarray             # (blocks,) K, then its factor in place, that of Model.matrix first
+    spare: np.ndarray              # (blocks,) for the elimination; Model.products are kept
     solution: np.ndarray           # (6 n + rows,) right-hand side, then Vdot and lambda
-    kept: np.ndarray               # as matrix and solution twice: for refinement
+    kept: np.ndarray               # (blocks,) K, and solution twice: for refinement
     right: np.ndarray
     residual: np.ndarray
     wrench: np.ndarray             # (n, 6) sum of the applied wrenches
@@ -108,7 +112,7 @@ def make_work(model, stages):
     return Work(
         child_jacobian=model.child_jacobian.copy(), slip=np.zeros(rows),
         gap=np.zeros(int(model.elements["rows"].sum())),
-        matrix=model.constant.copy(), spare=model.constant.copy(),
+        matrix=model.matrix.copy(), spare=model.products.copy(),
         solution=np.zeros(len(model.pivot_floor)),
         kept=model.constant.copy(), right=np.zeros(len(model.pivot_floor)),
         residual=np.zeros(len(model.pivot_floor)), wrench=np.zeros((n, 6)),

@@ -2,15 +2,13 @@
 """Scene -> Model: names become indices, frames become Jacobian rows, the solve gets its structure."""
 import numpy as np
 
-from ..dynamics.constraints import assemble
-from ..dynamics.saddle_point import solve
 from ..forces.kinds import make_forces
 from ..joints.elements import DISTANCE, PAIR, PERPENDICULAR
 from ..lie.groups import SE3
 from ..scene.consistency import resolve_elements, resolve_frames
-from .arrays import BODY, ELEMENT, WORLD, Model, make_work
+from .arrays import BODY, ELEMENT, WORLD, Model
 from .redundancy import kept_rows, loop_joints
-from .sparsity import Structure
+from .sparsity import cheapest_structure
 
 # A pivot this small against its row's own S_rr belongs to a singular pose: the sine of the angle by
 # which the row misses those it depends on is then below 1e-5. Nearer, the drift of a loop, 1e-9
@@ -52,10 +50,12 @@ def build_model(scene):
     jacobians = [_constant_rows(elements[e])[list(kept[e])] for e in solved]
 
     loops = set(loop_joints([(joint.parent, joint.child) for joint in scene.joints]))
-    structure = Structure(6, n, rows, ends)
     bodies = np.array([(body.mass, 1.0 / body.mass, body.inertia_matrix.ravel(),
-                        np.linalg.inv(body.inertia_matrix).ravel(), structure.start(i))
-                       for i, body in enumerate(scene.bodies)], dtype=BODY)
+                        np.linalg.inv(body.inertia_matrix).ravel(), 0)
+                       for body in scene.bodies], dtype=BODY)
+    few = refinements(bodies, ends)
+    structure = cheapest_structure(6, n, rows, ends, elements["kind"][solved] != PAIR, few == 0)
+    bodies["start"] = [structure.start(i) for i in range(n)]
     joints = structure.joints()
     joints["element"] = solved
     joints["kind"] = elements["kind"][solved]
@@ -70,17 +70,10 @@ def build_model(scene):
                               dtype=np.int64),
         child_jacobian=child_jacobian,
         ground_projector=_ground_projector(bodies, joints, jacobians),
-        vertices=structure.vertices, columns=structure.columns, updates=structure.updates,
         pivot_floor=_pivot_floor(bodies, joints, jacobians, structure.unknowns,
                                  [j for j, e in enumerate(solved) if owners[e] in loops]),
-        constant=structure.constant_part([_mass_matrix(body) for body in scene.bodies], jacobians),
-        is_constant=all(joint["parent"] == WORLD and joint["kind"] == PAIR for joint in joints),
-        refinements=refinements(bodies, ends))
-    if model.is_constant:
-        work = make_work(model, 1)
-        assemble(model, work, *initial_state(scene))
-        solve(model.replace(is_constant=False), work, 0, 0.0, True)
-        model.constant[:] = work.matrix
+        refinements=few,
+        **structure.arrays([_mass_matrix(body) for body in scene.bodies], jacobians))
     names = tuple(part.names for elements in parts for part in elements)
     return model, tuple(frames), owners, names, tuple(kept)
 

@@ -7,6 +7,7 @@ from ..dynamics.symmetry import body_groups, conserved_momentum
 from ..integrators import fitting_methods
 from ..joints.elements import PAIR
 from .arrays import WORLD
+from .sparsity import operations
 
 
 def describe(layout):
@@ -71,28 +72,14 @@ def solve_structure(model):
         fill                those of them that K itself does not have
         numbers             float64 that the blocks take, diagonal ones in full
         dense_share         the same against a dense K
-        factor_flops        additions and multiplications of a factorisation, an estimate
+        factor_flops        additions and multiplications of a factorisation at a new pose
         solve_flops         and of a solve with the factor, refinements included
         constant            True: no pose changes K, it is factorised once
         refinements         steps of iterative refinement of each solve
     """
-    size = model.vertices["size"]
-    unknowns = int(size.sum())
+    unknowns = int(model.vertices["size"].sum())
     edges = int(len(model.joints) + (model.joints["parent"] != WORLD).sum())
-    # A Cholesky factor of k x k takes k^3 / 3, a block of r x k divided by it r k^2, and an update
-    # of r x s from k columns 2 r s k, or half of it for the lower triangle of a square.
-    factor = float((size ** 3).sum()) / 3.0
-    substitution = 2.0 * float((size ** 2).sum())
-    for vertex in model.vertices:
-        k = int(vertex["size"])
-        columns = model.columns[vertex["column_start"]:vertex["column_end"]]
-        below = size[columns[:, 0]]
-        factor += float((below * k * k).sum())
-        substitution += 4.0 * float((below * k).sum())
-        updates = model.updates[vertex["update_start"]:vertex["update_end"]]
-        full = 2.0 * size[updates[:, 3]] * size[updates[:, 4]] * k
-        factor += float(full[updates[:, 3] != updates[:, 4]].sum()
-                        + full[updates[:, 3] == updates[:, 4]].sum() / 2.0)
+    factor, substitution = operations(model.vertices, model.columns, model.updates)
     numbers = len(model.constant)
     return {
         "unknowns": unknowns, "vertices": len(model.vertices), "blocks": len(model.columns),
@@ -100,7 +87,7 @@ def solve_structure(model):
         "dense_share": numbers / unknowns ** 2,
         "factor_flops": round(factor),
         "solve_flops": round(substitution * (1 + model.refinements)),
-        "constant": bool(model.is_constant), "refinements": int(model.refinements)}
+        "constant": model.fresh == 0, "refinements": int(model.refinements)}
 
 
 def _acts_on(force):

@@ -4,27 +4,33 @@
     K = | M  J^T |      vertices: the bodies, blocks of 6, and the joints, blocks of k rows;
         | J   0  |      an edge between a joint and each moving body it touches
 
-A body is eliminated by its mass; what it leaves with its joints is -J M^-1 J^T. Leaves go first:
-in a tree, body, joint, parent and so on down to the ground, each joint ADDS the inertia of all
-beyond it to its parent, and no digits cancel whatever the ratio of the masses. (S = J M^-1 J^T,
-the usual shortcut, subtracts: it loses as many digits as the ratio of neighbouring masses has.) A
-chain or tree costs O(n), without fill. In a loop a joint waits for all of its bodies, since a
-chain that is held at its far end may not move freely where the joint is: there K is reduced to
-S, by minimum degree.
+A body is eliminated by its mass; what it leaves with its joints is -J M^-1 J^T. There are two ways
+through a tree, without fill, O(n) for a chain:
+  leaves first    body, joint, parent and so on: each joint ADDS the inertia of all beyond it to its
+                  parent, and no digits cancel whatever the ratio of the masses
+  bodies first    K is reduced to S = J M^-1 J^T. Mass matrices are constant, and so is all that
+                  this does to them; what is left is as small as the joints are. It SUBTRACTS: as
+                  many digits are lost as the ratio of neighbouring masses has
+In a loop a joint waits for all of its bodies in any case, since a chain that is held at its far end
+may not move freely where the joint is: there K is reduced to S, by minimum degree.
+
+What no pose changes is eliminated here, once.
 """
 import heapq
 
 import numpy as np
+import scipy.linalg
 
 from .arrays import JOINT, VERTEX, WORLD
 
 
-def elimination_order(sizes, neighbours, bodies):
+def elimination_order(sizes, neighbours, bodies, bodies_first=False):
     """Order of the vertices, and which later vertices each one is coupled with.
 
     sizes      : (v,) scalars per vertex
     neighbours : list of sets of vertices; edges join bodies with joints
     bodies     : vertices below this number are bodies, the others joints
+    bodies_first : True: in trees, too, joints wait for their bodies
     returns (order, below): order[p] the vertex eliminated p-th; below[p] the positions, in that
     order, of the blocks below the diagonal of column p, fill included
     """
@@ -56,7 +62,7 @@ def elimination_order(sizes, neighbours, bodies):
             for joint in neighbours[v]:
                 waiting[joint] -= 1
                 # All its bodies are gone, or the part beyond it, a tree, moves freely.
-                ready[joint] |= waiting[joint] == 0 or len(near) == 1
+                ready[joint] |= waiting[joint] == 0 or (len(near) == 1 and not bodies_first)
         for other in near:
             if ready[other]:
                 heapq.heappush(heap, cost(other))
@@ -66,30 +72,88 @@ def elimination_order(sizes, neighbours, bodies):
     return order, [sorted(position[w] for w in near) for near in near_when_eliminated]
 
 
-def block_layout(sizes, below):
+def block_layout(sizes, below, changing):
     """Places of all blocks of the lower triangle, and the updates of a right-looking elimination.
 
-    sizes : (v,) scalars of each vertex in elimination order
-    below : from elimination_order
-    returns (place, size, ranges, columns, updates): place[i, j] of every block, the length of the
-    flat array, per vertex (diagonal, column_start, column_end, update_start, update_end) of
-    VERTEX, and the arrays columns and updates of Model
+    sizes    : (v,) scalars of each vertex in elimination order
+    below    : from elimination_order
+    changing : pairs (i, j), i >= j, of the blocks of K that poses change
+    returns (place, size, fresh, ranges, columns, updates): place[i, j] of every block, the length
+    of the flat array, how many of its first entries poses change, per vertex (is_constant, diagonal,
+    column_start, column_fresh, column_end, update_start, update_end) of VERTEX, and the arrays
+    columns and updates of Model
     """
-    place, size = {}, 0
+    changing = set(changing)
     for j, coupled in enumerate(below):
-        for i in [j, *coupled]:
-            place[i, j] = size
-            size += int(sizes[i] * sizes[j])
+        if (j, j) in changing:
+            changing.update((i, j) for i in coupled)
+        changing.update((i, k) for a, i in enumerate(coupled) for k in coupled[:a + 1]
+                        if (i, j) in changing or (k, j) in changing)
+    blocks = [(i, j) for j, coupled in enumerate(below) for i in [j, *coupled]]
+    blocks.sort(key=lambda block: block not in changing)
+    place, size, fresh = {}, 0, 0
+    for i, j in blocks:
+        place[i, j] = size
+        size += int(sizes[i] * sizes[j])
+        if (i, j) in changing:
+            fresh = size
     ranges, columns, updates = [], [], []
     for j, coupled in enumerate(below):
         column_start, update_start = len(columns), len(updates)
-        for a, i in enumerate(coupled):
-            columns.append((i, place[i, j]))
-            for k in coupled[:a + 1]:
-                updates.append((place[i, k], place[i, j], place[k, j], i, k))
-        ranges.append((place[j, j], column_start, len(columns), update_start, len(updates)))
-    return (place, size, ranges, np.array(columns, dtype=np.int64).reshape(-1, 2),
+        constant = [i for i in coupled if (i, j) not in changing]
+        columns += [(i, place[i, j]) for i in constant]
+        columns += [(i, place[i, j]) for i in coupled if (i, j) in changing]
+        updates += [(place[i, k], place[i, j], place[k, j], i, k)
+                    for a, i in enumerate(coupled) for k in coupled[:a + 1]
+                    if (i, j) in changing or (k, j) in changing]
+        ranges.append(((j, j) not in changing, place[j, j], column_start,
+                       column_start + len(constant), len(columns), update_start, len(updates)))
+    return (place, size, fresh, ranges, np.array(columns, dtype=np.int64).reshape(-1, 2),
             np.array(updates, dtype=np.int64).reshape(-1, 5))
+
+
+def operations(vertices, columns, updates):
+    """Additions and multiplications of an elimination at a new pose, and of a solve with it.
+
+    vertices, columns, updates : of Model
+    """
+    size = vertices["size"]
+    # A Cholesky factor of k x k takes k^3 / 3, a block of r x k divided by it r k^2, and an update
+    # of r x s from k columns 2 r s k, or half of it for the lower triangle of a square.
+    factor = float((size[vertices["is_constant"] == 0] ** 3).sum()) / 3.0
+    solve = 2.0 * float((size ** 2).sum())
+    for vertex in vertices:
+        k = int(vertex["size"])
+        first, fresh, end = (vertex[f"column_{each}"] for each in ("start", "fresh", "end"))
+        factor += float((size[columns[fresh:end, 0]] * k * k).sum())
+        solve += 4.0 * float((size[columns[first:end, 0]] * k).sum())
+        ends = updates[vertex["update_start"]:vertex["update_end"], 3:]
+        full = 2.0 * k * size[ends].prod(axis=1)
+        square = ends[:, 0] == ends[:, 1]
+        factor += float(full.sum() - full[square].sum() / 2.0)
+    return factor, solve
+
+
+def cheapest_structure(body, n, rows, ends, changing, alike):
+    """Structure of a mechanism that takes the fewest operations at a new pose.
+
+    alike : True when no digits are lost whichever way trees are gone through
+    others : of Structure
+    """
+    ways = [Structure(body, n, rows, ends, changing, bodies_first)
+            for bodies_first in ((False, True) if alike else (False,))]
+    return min(ways, key=lambda structure: structure.operations)
+
+
+def _inverse_factors(K):
+    """W (k, k), unit lower triangular, and d (k,) with K^-1 = W^T diag(d) W."""
+    k = len(K)
+    L, pivots = np.eye(k), np.zeros(k)
+    for r in range(k):
+        pivots[r] = K[r, r] - L[r, :r] ** 2 @ pivots[:r]
+        L[r + 1:, r] = (K[r + 1:, r] - L[r + 1:, :r] @ (pivots[:r] * L[r, :r])) / pivots[r]
+    W = scipy.linalg.solve_triangular(L, np.eye(k), lower=True, unit_diagonal=True)
+    return W, 1.0 / pivots
 
 
 class Structure:
@@ -99,10 +163,14 @@ class Structure:
     n    : number of bodies
     rows : scalars of each joint, one at least
     ends : (parent, child) body of each joint; the parent may be WORLD
-    vertices, columns, updates : of Model
+    changing     : whether poses change the rows of each joint for its child; those for a parent
+                   they always change
+    bodies_first : the way through trees, see above
+    unknowns   : size of K
+    operations : additions and multiplications of a solve at a new pose
     """
 
-    def __init__(self, body, n, rows, ends):
+    def __init__(self, body, n, rows, ends, changing, bodies_first):
         self._body, self._n, self._rows, self._ends = body, n, rows, ends
         sizes = [body] * n + list(rows)         # bodies 0..n-1, then joints
         neighbours = [set() for _ in sizes]
@@ -111,15 +179,20 @@ class Structure:
                 if end != WORLD:
                     neighbours[end].add(n + j)
                     neighbours[n + j].add(end)
-        order, below = elimination_order(sizes, neighbours, n)
+        order, self._below = elimination_order(sizes, neighbours, n, bodies_first)
         self._position = {v: p for p, v in enumerate(order)}
-        sizes = np.array([sizes[v] for v in order], dtype=np.int64)
+        self._sizes = sizes = np.array([sizes[v] for v in order], dtype=np.int64)
         self._starts = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64)
         self.unknowns = int(sizes.sum())
-        self._place, self._size, ranges, self.columns, self.updates = block_layout(sizes, below)
-        self.vertices = np.array(
+        blocks = [self._pair(j, pair[1]) for j, pair in enumerate(ends) if changing[j]]
+        blocks += [self._pair(j, pair[0]) for j, pair in enumerate(ends) if pair[0] != WORLD]
+        self._place, self._size, self._fresh, ranges, self._columns, self._updates = block_layout(
+            sizes, self._below, blocks)
+        self._vertices = np.array(
             [(order[p] - n if order[p] >= n else -1, sizes[p], self._starts[p], *ranges[p])
              for p in range(len(order))], dtype=VERTEX)
+
+        self.operations = sum(operations(self._vertices, self._columns, self._updates))
 
     def start(self, vertex):
         """Place of a vertex, body i or joint n + j, in Work.solution."""
@@ -142,15 +215,28 @@ class Structure:
         """Place of the block of a joint and a body in K, and 1 if it holds the rows as columns."""
         if body == WORLD:
             return -1, 0
-        joint, body = self._position[self._n + joint], self._position[body]
-        return self._place[max(joint, body), min(joint, body)], int(body > joint)
+        row, column = self._pair(joint, body)
+        return self._place[row, column], int(row == self._position[body])
 
-    def constant_part(self, masses, jacobians):
-        """The flat array of K with M and the children's rows, the rest zero.
+    def _pair(self, joint, body):
+        """The block of a joint and a body: positions of its rows and columns."""
+        joint, body = self._position[self._n + joint], self._position[body]
+        return max(joint, body), min(joint, body)
+
+    def arrays(self, masses, jacobians):
+        """Fields of a Model: its vertices, columns and updates, K and what of it is constant.
 
         masses    : mass matrix of each body
         jacobians : (k, body) rows of each joint for its child; zeros where the pose decides
         """
+        constant = self._constant_part(masses, jacobians)
+        matrix, products = self._eliminated(constant)
+        return {"vertices": self._vertices, "columns": self._columns, "updates": self._updates,
+                "constant": constant, "matrix": matrix, "products": products,
+                "fresh": self._fresh}
+
+    def _constant_part(self, masses, jacobians):
+        """The flat array of K with M and the children's rows, the rest zero."""
         constant = np.zeros(self._size)
         for i, matrix in enumerate(masses):
             at = self._place[self._position[i], self._position[i]]
@@ -159,3 +245,30 @@ class Structure:
             at, turned = self._block(j, self._ends[j][1])
             constant[at:at + jacobian.size] = (jacobian.T if turned else jacobian).ravel()
         return constant
+
+    def _eliminated(self, constant):
+        """What dynamics.saddle_point makes of the constant vertices: (matrix, products)."""
+        matrix, products = constant.copy(), np.zeros(self._size)
+        for j, coupled in enumerate(self._below):
+            if not self._vertices[j]["is_constant"]:
+                continue
+            sign = 1.0 if self._vertices[j]["joint"] < 0 else -1.0
+            diagonal = self._view(matrix, j, j)
+            W, d = _inverse_factors(sign * diagonal)
+            diagonal[:] = np.tril(W, -1) + np.diag(d)
+            constant_below = [i for i in coupled if self._place[i, j] >= self._fresh]
+            for i in constant_below:
+                Y = self._view(matrix, i, j) @ W.T
+                self._view(products, i, j)[:] = Y
+                self._view(matrix, i, j)[:] = Y * (sign * d)
+            for a, i in enumerate(constant_below):
+                for k in constant_below[:a + 1]:
+                    self._view(matrix, i, k)[:] -= (self._view(matrix, i, j)
+                                                    @ self._view(products, k, j).T)
+        return matrix, products
+
+    def _view(self, flat, i, j):
+        """Block (i, j) of a flat array, two-dimensional."""
+        rows, columns = self._sizes[i], self._sizes[j]
+        at = self._place[i, j]
+        return flat[at:at + rows * columns].reshape(rows, columns)

@@ -37,7 +37,9 @@ class PlanarModel(Struct):
     updates: np.ndarray
     pivot_floor: np.ndarray
     constant: np.ndarray
-    is_constant: bool
+    matrix: np.ndarray
+    products: np.ndarray
+    fresh: int
     refinements: int
     projects: bool
     links: np.ndarray              # (n,) of tree.LINK where K is not needed, else none
@@ -78,7 +80,7 @@ def make_planar_work(model, work, stages):
         wrench=np.zeros((n, 3)),
         stage_pose=np.zeros((n, 4)), stage_twist=np.zeros((n, 3)),
         start_pose=np.zeros((n, 4)), start_twist=np.zeros((n, 3)), velocity=np.zeros((n, 3)),
-        slopes=np.zeros(((stages + 1) * n, 6)), matrix=model.constant.copy(),
-        spare=model.constant.copy(),
+        slopes=np.zeros(((stages + 1) * n, 6)), matrix=model.matrix.copy(),
+        spare=model.products.copy(),
         solution=np.zeros(unknowns), kept=model.constant.copy(), right=np.zeros(unknowns),
         residual=np.zeros(unknowns), links=np.zeros((len(model.links), COLUMNS)))

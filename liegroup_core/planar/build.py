@@ -15,16 +15,15 @@ from functools import lru_cache
 import numpy as np
 import scipy.linalg
 
-from ..dynamics.saddle_point import solve_in_plane
 from ..joints.elements import PAIR
 from ..lie.groups import SE3
-from ..model.arrays import WORLD, make_work
+from ..model.arrays import WORLD
 from ..model.build import LARGE_MASS_RATIO, SMALLEST_PIVOT, initial_state, refinements
 from ..model.linkage import Linkage
 from ..model.redundancy import REMEMBERED, generic_poses, independent_rows, loop_joints
-from ..model.sparsity import Structure
+from ..model.sparsity import cheapest_structure
 from ..scene.consistency import resolve_elements, resolve_frames
-from .arrays import PLANAR_BODY, PlanarModel, make_planar_work
+from .arrays import PLANAR_BODY, PlanarModel
 from .state import IN_PLANE
 from .tree import tree_links
 
@@ -110,7 +109,9 @@ def _build(scene, model, world, axes):
                 for axis, body in zip(axes, model.bodies)]
     masses = [np.diag([inertia, body["mass"], body["mass"]])
               for inertia, body in zip(inertias, model.bodies)]
-    structure = Structure(3, n, [len(jacobian) for jacobian in jacobians], ends)
+    few = refinements(model.bodies, ends)
+    structure = cheapest_structure(3, n, [len(jacobian) for jacobian in jacobians], ends,
+                                   [False] * m, few == 0)
     joints = structure.joints()
     joints["element"] = solved
     child_jacobian, projectors = np.zeros((m, 9)), np.zeros((m, 9))
@@ -125,9 +126,8 @@ def _build(scene, model, world, axes):
                 jacobian * mobility).sum(axis=1)
         if parent == WORLD:
             projectors[j] = (mobility.T @ np.linalg.solve(jacobian @ mobility.T, jacobian)).ravel()
-    few = refinements(model.bodies, ends)
     links = tree_links(len(axes), ends, jacobians if _is_sturdy(model) else [])
-    planar = PlanarModel(
+    return PlanarModel(
         space=model, has_forces=any(map(len, model.forces.values())), world=world.reshape(1, 9),
         gravity=model.gravity @ world[:2].T,
         bodies=np.array([(body["mass"], inertia, 3 * i if len(links) else structure.start(i),
@@ -135,15 +135,8 @@ def _build(scene, model, world, axes):
                          for i, (body, inertia, axis) in enumerate(
                              zip(model.bodies, inertias, axes))], dtype=PLANAR_BODY),
         joints=joints, child_jacobian=child_jacobian, ground_projector=projectors,
-        vertices=structure.vertices, columns=structure.columns, updates=structure.updates,
-        pivot_floor=floor, constant=structure.constant_part(masses, jacobians),
-        is_constant=all(parent == WORLD for parent, _ in ends),
-        refinements=few, projects=model.projects, links=links)
-    if planar.is_constant:
-        work = make_planar_work(planar, make_work(model, 1), 1)
-        solve_in_plane(planar.replace(is_constant=False), work, 0, 0.0)
-        planar.constant[:] = work.matrix
-    return planar
+        pivot_floor=floor, refinements=few, projects=model.projects, links=links,
+        **structure.arrays(masses, jacobians))
 
 
 def _is_sturdy(model):

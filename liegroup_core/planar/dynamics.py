@@ -79,9 +79,8 @@ def _set_parent_rows(model, work, j, c, s, px, py):
 @kernel
 def assemble(model, work):
     """K of the stage into work.matrix, the bias of the rows into work.solution."""
-    if not model.is_constant:
-        for i in range(len(model.constant)):
-            work.matrix[i] = model.constant[i]
+    for i in range(model.fresh):
+        work.matrix[i] = model.matrix[i]
     pose, twist = work.stage_pose, work.stage_twist
     for j in range(len(model.joints)):
         a = model.joints[j]["parent"]

@@ -7,9 +7,10 @@ import mechanisms
 from liegroup_core import load_scene
 from liegroup_core.dynamics.constraints import assemble
 from liegroup_core.integrators.methods import METHODS
-from liegroup_core.model.arrays import make_work
+from liegroup_core.model.arrays import VERTEX, make_work
 from liegroup_core.model.build import initial_state
 from liegroup_core.model.describe import describe, solve_structure
+from liegroup_core.model.sparsity import block_layout, operations
 from liegroup_core.simulation import make_layout
 from liegroup_sim_ros.chapter_runs import four_bar
 
@@ -52,8 +53,9 @@ def test_structure_of_the_solve_is_that_of_the_matrix(name):
     model = layout.model
     found = solve_structure(model)
     work = make_work(model, 1)
-    work.matrix[:] = np.nan
-    assemble(model, work, *initial_state(layout.scene))
+    work.matrix[:model.fresh] = np.nan
+    work.matrix[model.fresh:] = model.constant[model.fresh:]
+    assemble(model.replace(matrix=model.constant), work, *initial_state(layout.scene))
     written = 0
     for vertex in model.vertices:
         for below, place in model.columns[vertex["column_start"]:vertex["column_end"]]:
@@ -66,10 +68,15 @@ def test_structure_of_the_solve_is_that_of_the_matrix(name):
 
 
 def test_operations_of_a_dense_factor():
-    """A free body is one dense block: k^3 / 3 to factorise, 2 k^2 to solve, k = 6."""
-    found = solve_structure(make_layout(load_scene("free_body")).model)
-    assert (found["factor_flops"], found["solve_flops"]) == (72, 72)
-    # All numbers of a ball joint's K are in use: as much as dense Cholesky of 9, about.
-    found = solve_structure(make_layout(load_scene("heavy_top")).model)
-    assert found["factor_flops"] == pytest.approx(9 ** 3 / 3, rel=0.01)
-    assert found["solve_flops"] == 2 * 9 ** 2
+    """A body and a ball joint whose blocks all change: those of dense Cholesky of 9, about."""
+    *_, ranges, columns, updates = block_layout(np.array([6, 3]), [[1], []], [(0, 0)])
+    vertices = np.array([(0, k, 0, *each) for k, each in zip((6, 3), ranges)], dtype=VERTEX)
+    factor, solve = operations(vertices, columns, updates)
+    assert factor == pytest.approx(9 ** 3 / 3, rel=0.01) and solve == 2 * 9 ** 2
+
+
+@pytest.mark.parametrize("name, unknowns", [("free_body", 6), ("heavy_top", 9)])
+def test_nothing_to_factorise_where_no_pose_changes_K(name, unknowns):
+    found = solve_structure(make_layout(load_scene(name)).model)
+    assert found["constant"] and found["factor_flops"] == 0
+    assert found["solve_flops"] == 2 * unknowns ** 2
