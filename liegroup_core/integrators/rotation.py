@@ -31,11 +31,11 @@ import numpy as np
 from .._compile import SameTypes, kernel
 from .._struct import borrowed
 from ..forces.gravity import add_wrench as add_gravity
-from ..forces.kinds import add_wrenches
+from ..forces.kinds import add_wrenches, turns_over
 from ..lie.so3 import so3_dexpinv
 from ..lie.vec3 import (ZERO3, add3, axpy3, dot3, load3, load9, matmul3, matrix3, matvec3, scale3,
                         store3, store9, tmatvec3)
-from ..model.arrays import make_work
+from ..model.arrays import MET, WAIT, make_work
 from .broyden import broyden
 from .methods import METHODS, refuse_stabilisation
 from .motion import copy_state, is_finite
@@ -328,6 +328,9 @@ def advance(model, work, spinners, memory, loads, corrections, rule, weights, h,
             return done, status
         copy_state(work.stage_pose, work.stage_twist, pose, twist)
         work.report[0] = max(work.report[0], work.report[1])
+        if work.report[3] == WAIT and turns_over(model.forces, h, pose, twist):
+            work.report[3] = MET
+            return done + 1, OK
     return steps, OK
 
 
@@ -384,6 +387,7 @@ class Rotation:
             return (pose, twist) if status == OK else None
 
         report = self.work.report.copy()
+        self.work.report[3] = 0.0
         limit = stability_limit(step, self._spinners, h, pose, twist)
         self.work.report[:] = report
         if limit is not None:
