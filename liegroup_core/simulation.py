@@ -389,6 +389,10 @@ class Simulation:
             done, status = self._take(wanted)
             self.steps += done
             met = self._work.report[3] == MET
+            if getattr(self._integrator, "doubt", None):        # one line is enough
+                self._say(self._integrator.doubt)
+                self._integrator.doubt, compares = None, False
+                self._step_watch.rest()
             if done:
                 self._say(self._watch.look(self._pose, self.steps, self.time, status != OK,
                                            compares))

@@ -199,6 +199,8 @@ class GeneralizedAlpha:
     """
 
     kernels = "generalized_alpha"
+    # J V is zero up to the square of the step only: a smaller one first swings into its own.
+    swings_in = True
     substeps = (0, 0)
 
     def __init__(self, method, layout, group, step, options):

@@ -50,6 +50,7 @@ TIGHTER = 0.03
 # that of so many steps; it is the step halved so often.
 AIM, LEAST_STEPS, HALVINGS = 0.1, 100, 24
 
+MUCH = "take a much smaller step"
 # Advice where one step, or what it does to an invariant, decides what comes after.
 PASSED = ("the ends of a spring passed each other, where its line turns faster than the step can "
           "follow; take rkmk54, which takes steps as small as that needs, or a much smaller step")
@@ -99,6 +100,10 @@ class StepWatch:
         if self._waits and steps < self._waits_from < self._next < NEVER:
             return self._waits_from
         return max(self._next, steps + 1)
+
+    def rest(self):
+        """No more looks until there is another state: what is wrong has been said."""
+        self._next = NEVER
 
     def waits(self, steps):
         """Whether to end a call before a step in which a spring may turn over."""
@@ -303,12 +308,15 @@ class StepWatch:
             return "take smaller rtol and atol, or a smaller step"
         time = max(done, LEAST_STEPS) * self._step
         h = self._step
+        keeps = f"keep that to {100 * AIM * PART:.2g} % for {time:.3g} s; take those"
+        if getattr(self._integrator, "swings_in", False):       # one such step tells nothing
+            h *= (AIM * limit * h / (self._error * time)) ** (1.0 / METHODS[self._method].order)
+            return f"steps of {h:.2g} s would, by its order, {keeps}" if h > 0.0 else MUCH
         for _ in range(HALVINGS):
             h *= 0.5
             if self._compare(h, None, None, external) * time <= AIM * limit * h:
-                return (f"from here steps of {h:.2g} s would keep that to "
-                        f"{100 * AIM * PART:.2g} % for {time:.3g} s; take those")
-        return "take a much smaller step"
+                return f"from here steps of {h:.2g} s would {keeps}"
+        return MUCH
 
 
 def _parts(change, size):

@@ -42,6 +42,19 @@ def test_plausible_wrong_answers_are_silent(mutant, amplitude):
     assert found["verdict"] == SILENT and found["error"] > 0.2 and not found["says"]
 
 
+@pytest.mark.parametrize("method", ["constrained_rattle", "constrained_rattle4",
+                                    "constrained_rattle8"])
+def test_squares_that_have_no_digits(method):
+    """Around 1e-160 rad those of angles are below the least normal number, or zero."""
+    errors = []
+    for amplitude in (1e-4, 1e-155, 1e-158, 1e-160, 1e-161, 1e-162, 1e-165):
+        problem = problems.angle(amplitude, part=1.0)
+        truth = problem.motion(problem.samples() * problem.step)
+        errors.append(run_cell(problem, truth, method)["error"])
+    # One linear problem: rounding alone differs, and the 1e-9 of the natural one's sines.
+    assert errors == pytest.approx([errors[0]] * len(errors), rel=1e-6)
+
+
 def test_the_other_verdicts():
     assert verdict(problems.step_free(0.25), "rkmk8")["verdict"] == ACCURATE
     assert verdict(problems.step_free(1.0), "rkmk2")["verdict"] == FLAGGED
