@@ -31,15 +31,17 @@ class MiddleAxis:
                 for end in ("parent", "child")} - {WORLD}
         named = {getattr(force, key, None) for force in layout.scene.forces
                  for key in ("parent", "child", "body")}
-        self._rows = [i for i, name in enumerate(layout.body_names)
-                      if i not in held and name not in named]
-        moments, self._axes = np.linalg.eigh(
-            bodies["inertia"][self._rows].reshape(-1, 3, 3))
-        self._moments = moments
-        self._square = moments ** 2
+        free = [i for i, name in enumerate(layout.body_names)
+                if i not in held and name not in named]
+        moments, axes = np.linalg.eigh(bodies["inertia"][free].reshape(-1, 3, 3))
         one, two, three = moments.T
-        self._weights = np.stack([one * (two - one), three * (three - two)], axis=1)
-        self._rate = np.sqrt(np.maximum((two - one) * (three - two), 0.0) / (one * three))
+        rate = np.sqrt(np.maximum((two - one) * (three - two), 0.0) / (one * three))
+        unstable = rate > 0.0
+        self._rows = np.array(free, dtype=int)[unstable]
+        self._axes, self._rate = axes[unstable], rate[unstable]
+        self._squares = ROUNDING * moments[unstable] ** 2
+        self._weights = np.stack([one * (two - one), 0.0 * two, three * (two - three)],
+                                 axis=1)[unstable]
         self.restart()
 
     def restart(self):
@@ -51,39 +53,45 @@ class MiddleAxis:
 
         twist (n, 6)
         """
-        if not self._rows:
+        if not len(self._rows):
             return 0.0
-        w = np.einsum("nij,ni->nj", self._axes, twist[self._rows, :3])
-        turning = np.linalg.norm(w, axis=1)
-        across = self._weights * w[:, ::2] ** 2
-        apart, self._size = across[:, 0] - across[:, 1], across.sum(axis=1)
+        square = (twist[self._rows, None, :3] @ self._axes)[:, 0] ** 2
+        across = self._weights * square
+        d = across.sum(axis=1)
         if self._first is None:
-            self._first, self._part = apart, np.zeros(len(w))
-            self._least = np.full(len(w), math.inf)
-        self._drift = np.maximum(np.abs(apart - self._first)
-                                 - ROUNDING * (self._square * w ** 2).sum(axis=1), 0.0)
-        self._floor, self._turning = np.abs(apart), turning
-        self._sine = _over(np.hypot(w[:, 0], w[:, 2]), turning)
-        near = (self._sine < NEAR) & (self._size > 0.0)
-        self._least = np.where(near, np.minimum(self._least, self._sine), self._least)
-        self._part = np.where(near, np.maximum(
-            self._part, np.minimum(_over(self._drift, self._size), 1.0)), self._part)
-        left = self._sine > LEFT * self._least
-        return float((self._part * self._sine * left).max(initial=0.0))
+            self._first, self._part = d, np.zeros(len(d))
+            self._least = np.full(len(d), math.inf)
+        self._floor, self._size = np.abs(d), np.abs(across).sum(axis=1)
+        self._drift = np.abs(d - self._first) - (self._squares * square).sum(axis=1)
+        self._square = square
+        near = square[:, 0] + square[:, 2] < NEAR ** 2 * square.sum(axis=1)
+        if not (near.any() or self._part.any()):
+            return 0.0
+        sine = self._sine()
+        self._least = np.where(near, np.minimum(self._least, sine), self._least)
+        part = np.clip(_over(self._drift, self._size), 0.0, 1.0)
+        self._part = np.where(near, np.maximum(self._part, part), self._part)
+        left = sine > LEFT * self._least
+        return float((self._part * sine * left).max(initial=0.0))
+
+    def _sine(self):
+        """Of the angle between the axis a body turns about and the middle one."""
+        return np.sqrt(_over(self._square[:, 0] + self._square[:, 2], self._square.sum(axis=1)))
 
     def steps_to(self, limit):
         """Steps after which the next `look` may say so much, at the earliest: inf, or more than 0.
         """
-        if not self._rows:
+        if not len(self._rows):
             return math.inf
-        rate = self._rate * self._turning * self._step
         # It comes near no more than its own d lets it: an error far below that is none.
-        may = (self._drift > limit * self._floor) & (rate > 0.0)
+        may = self._drift > limit * self._floor
         if not may.any():
             return math.inf
+        turning = np.sqrt(self._square.sum(axis=1))
         drift, size, part, sine, rate = (each[may] for each in (
-            self._drift, self._size, self._part, self._sine, rate))
-        nears = np.maximum(0.5 * np.log(limit * size / drift), np.log(sine / NEAR))
+            self._drift, self._size, self._part, self._sine(),
+            self._rate * turning * self._step))
+        nears = np.log(np.maximum(np.maximum(np.sqrt(limit * size / drift), sine / NEAR), TINY))
         grows = np.log(limit / np.maximum(part * sine, TINY))
         steps = np.where(part < limit, nears, grows) / rate
         return float(steps[steps > 0.0].min(initial=math.inf))

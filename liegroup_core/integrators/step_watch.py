@@ -234,9 +234,9 @@ class StepWatch:
 
     def _tilted(self, pose):
         """Errors of the angles by which spinning bodies have tilted, rad."""
-        wrong = -np.expm1(-self._relative[:, :3]) * self._across
-        if not (wrong > PART).any():
+        if not (self._relative[:, :3] > PART).any():
             return 0.0
+        wrong = -np.expm1(-self._relative[:, :3]) * self._across
         bodies = np.arange(len(pose))
         axes, starts = (given[:, :9].reshape(-1, 3, 3)[bodies, :, self._spins]
                         for given in (pose, self._start))
