@@ -39,9 +39,11 @@ class MiddleAxis:
         unstable = rate > 0.0
         self._rows = np.array(free, dtype=int)[unstable]
         self._axes, self._rate = axes[unstable], rate[unstable]
-        self._squares = ROUNDING * moments[unstable] ** 2
-        self._weights = np.stack([one * (two - one), 0.0 * two, three * (two - three)],
-                                 axis=1)[unstable]
+        # By squares of w: d, Q_1 + Q_3, rounding of d, Omega^2, and what of that is across.
+        zero, whole = np.zeros_like(two), np.ones_like(two)
+        weights = np.array([one * (two - one), zero, three * (two - three)])
+        self._sums = np.array([weights, np.abs(weights), ROUNDING * moments.T ** 2,
+                               [whole, whole, whole], [whole, zero, whole]]).T[unstable]
         self.restart()
 
     def restart(self):
@@ -56,15 +58,14 @@ class MiddleAxis:
         if not len(self._rows):
             return 0.0
         square = (twist[self._rows, None, :3] @ self._axes)[:, 0] ** 2
-        across = self._weights * square
-        d = across.sum(axis=1)
+        sums = (square[:, None] @ self._sums)[:, 0]
+        d, self._size, rounding, self._square, self._across = sums.T
         if self._first is None:
             self._first, self._part = d, np.zeros(len(d))
             self._least = np.full(len(d), math.inf)
-        self._floor, self._size = np.abs(d), np.abs(across).sum(axis=1)
-        self._drift = np.abs(d - self._first) - (self._squares * square).sum(axis=1)
-        self._square = square
-        near = square[:, 0] + square[:, 2] < NEAR ** 2 * square.sum(axis=1)
+        self._floor = np.abs(d)
+        self._drift = np.abs(d - self._first) - rounding
+        near = self._across < NEAR ** 2 * self._square
         if not (near.any() or self._part.any()):
             return 0.0
         sine = self._sine()
@@ -76,7 +77,7 @@ class MiddleAxis:
 
     def _sine(self):
         """Of the angle between the axis a body turns about and the middle one."""
-        return np.sqrt(_over(self._square[:, 0] + self._square[:, 2], self._square.sum(axis=1)))
+        return np.sqrt(_over(self._across, self._square))
 
     def steps_to(self, limit):
         """Steps after which the next `look` may say so much, at the earliest: inf, or more than 0.
@@ -87,10 +88,9 @@ class MiddleAxis:
         may = self._drift > limit * self._floor
         if not may.any():
             return math.inf
-        turning = np.sqrt(self._square.sum(axis=1))
         drift, size, part, sine, rate = (each[may] for each in (
             self._drift, self._size, self._part, self._sine(),
-            self._rate * turning * self._step))
+            self._rate * np.sqrt(self._square) * self._step))
         nears = np.log(np.maximum(np.maximum(np.sqrt(limit * size / drift), sine / NEAR), TINY))
         grows = np.log(limit / np.maximum(part * sine, TINY))
         steps = np.where(part < limit, nears, grows) / rate

@@ -234,9 +234,11 @@ class StepWatch:
 
     def _tilted(self, pose):
         """Errors of the angles by which spinning bodies have tilted, rad."""
-        if not (self._relative[:, :3] > PART).any():
+        counts = self._across & (self._relative[:, :3] > PART) & (
+            self._peak[:, :3] > NONE * self._speed)
+        if not counts.any():
             return 0.0
-        wrong = -np.expm1(-self._relative[:, :3]) * self._across
+        wrong = -np.expm1(-self._relative[:, :3]) * counts
         bodies = np.arange(len(pose))
         axes, starts = (given[:, :9].reshape(-1, 3, 3)[bodies, :, self._spins]
                         for given in (pose, self._start))
