@@ -20,7 +20,7 @@ from .integrators.smaller_step import step_that_works
 from .integrators.status import (DEPENDENT_ROWS, LARGE_ROTATION, MESSAGES, NO_RATTLE_STEP,
                                  NOT_CONVERGED, OK, TURNS_NOT_COUNTED)
 from .integrators.step_watch import StepWatch
-from .model.arrays import Model
+from .model.arrays import MET, WAIT, Model
 from .model.build import build_model, initial_state
 from .model.joint_coordinates import JointCoordinates
 from .model.joint_watch import JointWatch
@@ -385,14 +385,22 @@ class Simulation:
                          self._step_watch.next_look(self.steps),
                          self._schedule.next_change(self.steps),
                          self._timetable.next_change(self.steps)) - self.steps
+            self._work.report[3] = WAIT if self._step_watch.waits(self.steps) else 0.0
             done, status = self._take(wanted)
             self.steps += done
+            met = self._work.report[3] == MET
+            if getattr(self._integrator, "doubt", None):        # one line is enough
+                self._say(self._integrator.doubt)
+                self._integrator.doubt, compares = None, False
+                self._step_watch.rest()
             if done:
                 self._say(self._watch.look(self._pose, self.steps, self.time, status != OK,
                                            compares))
             if done and compares:
                 self._say(self._step_watch.ends(self.steps, self._pose, self._twist,
                                                 self._external))
+            if met:
+                self._step_watch.met(self.steps)
             if status != OK:
                 raise SimulationError(self._explain(status), status & 0xff)
             if self.steps >= end:

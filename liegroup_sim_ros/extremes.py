@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`liegroup_sim extremes`: where each method stops, as a table, a heat map and JSON. No ROS.
 
-Exit code 0 when no answer is silently wrong, 1 when one is, 2 for wrong input.
+Exit code 0 when no answer is silently wrong, 1 when one is, 2 for wrong input, 130 after Ctrl-C.
 """
 import json
 import math
@@ -15,11 +15,11 @@ from rich.text import Text
 
 from liegroup_core import load_scene
 from liegroup_core.integrators.methods import METHODS
-from liegroup_core.study.extremes import VERDICTS, axes_of, counts, silent, survey
+from liegroup_core.study.extremes import VERDICTS, Kept, axes_of, counts, silent, survey
 
 from .report.extremes_page import SIGNS, write_page
 
-EXIT_SILENT = 1
+EXIT_SILENT, EXIT_INTERRUPTED = 1, 130
 STYLES = dict(zip(VERDICTS, ("green", "yellow", "blue", "cyan", "dim", "bold white on red")))
 NOTE = ("accurate: within 5 % of the motion; flagged: wrong, and the run warned; refused: no step "
         "was taken, with a reason; stopped: the run ended early and said why; unjudged: the truth "
@@ -35,7 +35,8 @@ def add_parser(subparsers):
     parser = subparsers.add_parser(
         "extremes", help="map where each method stops, and whether it says so",
         description="Drive every method to its limits, on scenes made for it or on a scene of "
-        "yours, and judge every run against the true motion.")
+        "yours, and judge every run against the true motion.",
+        epilog="What was run is kept at once: after Ctrl-C the same call goes on.")
     parser.add_argument("scene", metavar="SCENE", nargs="?",
                         help="scene file, or name of one that comes along; left out: the axes of "
                         "docs/extremes.md")
@@ -56,21 +57,24 @@ def add_parser(subparsers):
 
 def run(args):
     """Run the subcommand; returns the exit code. Raises ExtremesError, SceneError, TasksError."""
-    axes = _wanted(args)
+    axes, kept = _wanted(args)
     quick = args.quick and args.scene is None
     console = Console(file=sys.stdout)
     found = {axis.name: [] for axis in axes}
-    left = {axis.name: len(axis.quick if quick else axis.values) for axis in axes}
-    with Progress(BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
-                  console=Console(stderr=True)) as bar:
-        task = bar.add_task("")
-        for total, axis, cells in survey(axes, quick, tuple(args.methods), args.scheduler,
-                                         args.workers):
-            bar.update(task, total=total, advance=1)
-            found[axis.name] += cells
-            left[axis.name] -= 1
-            if not left[axis.name]:
-                _print_axis(axis, found[axis.name], args.methods, console)
+    try:
+        with Progress(BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
+                      console=Console(stderr=True)) as bar:
+            task = bar.add_task("")
+            for total, axis, cells, complete in survey(axes, quick, tuple(args.methods),
+                                                       args.scheduler, args.workers, kept):
+                bar.update(task, total=total, advance=1)
+                found[axis.name] += cells
+                if complete:
+                    _print_axis(axis, found[axis.name], args.methods, console)
+    except KeyboardInterrupt:
+        print("liegroup_sim: interrupted; what was run is kept, the same call goes on",
+              file=sys.stderr)
+        return EXIT_INTERRUPTED
     cells = [cell for axis in axes for value in axis.values for cell in found[axis.name]
              if cell["value"] == value]
     _print_end(cells, console)
@@ -92,7 +96,7 @@ def run(args):
 
 
 def _wanted(args):
-    """The axes asked for, checked."""
+    """The axes asked for, checked, and what is kept of them."""
     unknown = [name for name in args.methods if name not in METHODS]
     if unknown:
         raise ExtremesError(f"unknown method {unknown[0]!r}; there are: {', '.join(METHODS)}")
@@ -102,8 +106,7 @@ def _wanted(args):
         raise ExtremesError(f"--horizon must be a positive number of seconds, got {args.horizon}")
     if args.png and Path(args.png).suffix not in (".png", ".pdf", ".svg"):
         raise ExtremesError(f"{args.png}: the name must end in .png, .pdf or .svg")
-    if args.scene is not None:
-        load_scene(args.scene)
+    kept = Kept.of(args.scene and load_scene(args.scene), args.horizon)
     axes = axes_of(args.scene, args.horizon, args.long)
     if args.axes:
         names = [axis.name for axis in axes]
@@ -111,7 +114,7 @@ def _wanted(args):
             if name not in names:
                 raise ExtremesError(f"unknown axis {name!r}; there are: {', '.join(names)}")
         axes = tuple(axis for axis in axes if axis.name in args.axes)
-    return axes
+    return axes, kept
 
 
 def as_json(axes, cells):

@@ -13,8 +13,8 @@ for every kind. Gravity acts on all bodies and stands apart (gravity.py).
 """
 import numpy as np
 
-from .._compile import kernel
-from .._struct import Struct
+from .._compile import kernel, subroutine
+from .._struct import Struct, borrowed
 from . import (applied_wrench, drag, linear_motor, linear_spring_damper, motor, spring_damper,
                torsional_spring_damper)
 
@@ -99,6 +99,12 @@ def too_fast(forces, h, pose, twist):
     pose, twist : at the end of the step. Its joint turns by half a turn or more.
     """
     return torsional_spring_damper.too_fast(forces.torsional_spring_damper, h, pose, twist)
+
+
+@subroutine
+def turns_over(forces, h, pose, twist):
+    """Whether the force of a spring may change its direction within a time h by much."""
+    return spring_damper.turns_over(forces.spring_damper, h, borrowed(pose), borrowed(twist))
 
 
 @kernel

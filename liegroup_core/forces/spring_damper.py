@@ -61,6 +61,23 @@ def add_wrench(rows, pose, twist, wrench_out):
 
 
 @kernel
+def turns_over(rows, h, pose, twist):
+    """Whether the ends of a spring may pass each other within a time h, so that its line turns.
+
+    An oscillation comes from d to its middle within h where |d| <= h |ddot| tan(a) / a, a the
+    angle it goes by, at a steady rate |d| <= h |ddot|: up to a = 1.17 rad twice that is enough.
+    A spring of zero rest length without a damper has a force that knows no line.
+    """
+    for e in range(len(rows)):
+        row = rows[e]
+        if row["damping"] > 0.0 or row["rest_length"] > 0.0:
+            d, ddot = _line(row, pose), _line_rate(row, pose, twist)
+            if dot3(d, d) < 4.0 * h * h * dot3(ddot, ddot):
+                return True
+    return False
+
+
+@kernel
 def energy(rows, pose):
     """Potential energy sum k (l - l0)^2 / 2 of all springs, J."""
     total = 0.0

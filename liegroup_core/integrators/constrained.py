@@ -33,10 +33,10 @@ from .._compile import SameTypes, kernel
 from .._struct import Struct, borrowed
 from ..dynamics.constraints import position_residuals
 from ..dynamics.projection import is_closed
-from ..forces.kinds import count_turns, too_fast
+from ..forces.kinds import count_turns, too_fast, turns_over
 from ..lie.vec3 import (ZERO3, axpy3, dot3, load3, load9, matmul3, matrix3, matvec3, scale3,
                         store3, store9, tmatvec3)
-from ..model.arrays import make_work
+from ..model.arrays import MET, WAIT, make_work
 from .broyden import broyden
 from .constrained_solve import loads, respond
 from .methods import refuse_stabilisation
@@ -290,6 +290,9 @@ def advance(model, work, memory, parts, h, steps, pose, twist, external):
         count_turns(model.forces, work.stage_pose, work.angle)
         copy_state(work.stage_pose, work.stage_twist, pose, twist)
         work.report[0] = max(work.report[0], work.report[1])
+        if work.report[3] == WAIT and turns_over(model.forces, h, pose, twist):
+            work.report[3] = MET
+            return done + 1, OK
     return steps, OK
 
 

@@ -31,9 +31,9 @@ import numpy as np
 from .._compile import SameTypes, kernel
 from .._struct import borrowed
 from ..dynamics.newton_euler import accelerations
-from ..forces.kinds import count_turns, too_fast
+from ..forces.kinds import count_turns, too_fast, turns_over
 from ..lie.vec3 import dot3, load3, load9, store9, vector3
-from ..model.arrays import make_work
+from ..model.arrays import MET, WAIT, make_work
 from .alpha_equations import Coefficients, Memory, move, residual, sigma
 from .dense_lu import lu_factorise, lu_solve
 from .methods import GROUPS, SE3, refuse_stabilisation
@@ -183,6 +183,9 @@ def advance(model, work, memory, numbers, group, h, steps, pose, twist, external
         count_turns(model.forces, work.stage_pose, work.angle)
         copy_state(work.stage_pose, work.stage_twist, pose, twist)
         work.report[0] = max(work.report[0], work.report[1])
+        if work.report[3] == WAIT and turns_over(model.forces, h, pose, twist):
+            work.report[3] = MET
+            return done + 1, OK
     return steps, OK
 
 
@@ -196,6 +199,8 @@ class GeneralizedAlpha:
     """
 
     kernels = "generalized_alpha"
+    # J V is zero up to the square of the step only: a smaller one first swings into its own.
+    swings_in = True
     substeps = (0, 0)
 
     def __init__(self, method, layout, group, step, options):

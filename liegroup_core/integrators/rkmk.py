@@ -23,7 +23,7 @@ import numpy as np
 
 from .._compile import SameTypes, kernel, warm_up
 from .._struct import Struct, borrowed
-from ..model.arrays import make_work
+from ..model.arrays import MET, WAIT, make_work
 from ..planar.arrays import make_planar_work
 from . import spaces
 from .methods import EXACT, GROUPS, is_positive
@@ -105,7 +105,8 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
     external (n, 6) : applied wrenches in body axes, constant over these steps
     control (4,)    : next substep in s, numbers of good substeps and of all attempts so far, next
                       substep at the start of the step; only for schemes with error control
-    returns (steps done, status): fewer than asked when status is not OK (low byte; the rest names
+    returns (steps done, status): fewer than asked also where work.report[3] becomes MET, see
+    model.arrays; fewer when status is not OK (low byte; the rest names
     the element of DEPENDENT_ROWS or the torsional spring of TURNS_NOT_COUNTED). Pose, twist and
     work.angle are then those of the last good step. OFF_PLANE: the state does not lie in the plane
     of a PlanarModel, nothing is done.
@@ -174,6 +175,9 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
             left = left - size if count > 1 else 0.0
         if status == OK:
             done += 1
+            if work.report[3] == WAIT and spaces.turns_over(model, work, h):
+                work.report[3] = MET
+                break
         elif controlled:
             _restore(work, pose, twist, control)
     spaces.leave(model, work, pose, twist, pose_in, twist_in)

@@ -23,7 +23,6 @@ Orders under such forces: test/verification/test_rotation_forces.py.
 
 Poses move on SO(3) x R^3 whichever group the simulation names.
 """
-import logging
 import math
 
 import numpy as np
@@ -31,11 +30,11 @@ import numpy as np
 from .._compile import SameTypes, kernel
 from .._struct import borrowed
 from ..forces.gravity import add_wrench as add_gravity
-from ..forces.kinds import add_wrenches
+from ..forces.kinds import add_wrenches, turns_over
 from ..lie.so3 import so3_dexpinv
 from ..lie.vec3 import (ZERO3, add3, axpy3, dot3, load3, load9, matmul3, matrix3, matvec3, scale3,
                         store3, store9, tmatvec3)
-from ..model.arrays import make_work
+from ..model.arrays import MET, WAIT, make_work
 from .broyden import broyden
 from .methods import METHODS, refuse_stabilisation
 from .motion import copy_state, is_finite
@@ -45,8 +44,6 @@ from .rotation_maps import (AUSTIN, BOTTASSO_BORRI, FIRST_ITERATED, LIE_MIDPOINT
                             iterated_step, kept, kicked_end, kicked_turn, turn, velocity)
 from .rotation_stability import stability_limit
 from .status import DIVERGED, HOPELESS_ROTATION, NO_RATTLE_STEP, NOT_CONVERGED, NOT_FINITE, OK
-
-log = logging.getLogger("liegroup_core")
 
 RULES = {
     "stoermer_verlet": STOERMER_VERLET, "lie_newmark": LIE_NEWMARK, "rattle": RATTLE,
@@ -328,6 +325,9 @@ def advance(model, work, spinners, memory, loads, corrections, rule, weights, h,
             return done, status
         copy_state(work.stage_pose, work.stage_twist, pose, twist)
         work.report[0] = max(work.report[0], work.report[1])
+        if work.report[3] == WAIT and turns_over(model.forces, h, pose, twist):
+            work.report[3] = MET
+            return done + 1, OK
     return steps, OK
 
 
@@ -342,6 +342,7 @@ class Rotation:
         refuse_stabilisation(method, model)
         self._model, self._name, self._rule = model, method.name, RULES[method.name]
         self._looked = False        # for steps that are too large at the start
+        self.doubt = None           # what that look has found, one line
         self._spinners = make_spinners(model)
         tableau = method.tableau if method.coefficients else None
         self._weights = (np.zeros((1, 0)) if tableau is None
@@ -378,15 +379,16 @@ class Rotation:
                              external)
 
     def _look(self, h, pose, twist, external):
-        """Warn where the step is beyond what is stable at a state."""
+        """Doubt a step that is beyond what is stable at a state."""
         def step(size, steps, pose, twist):
             _, status = self._take(size, steps, pose, twist, external)
             return (pose, twist) if status == OK else None
 
         report = self.work.report.copy()
+        self.work.report[3] = 0.0
         limit = stability_limit(step, self._spinners, h, pose, twist)
         self.work.report[:] = report
         if limit is not None:
-            log.warning("%s, step %g s: errors grow from step to step, as an oscillation or a damper "
-                        "is too fast for it; at the start of this run steps are stable up to "
-                        "%.2g s, take a smaller one", self._name, h, limit)
+            self.doubt = (f"{self._name}, step {h:g} s: errors grow from step to step, as an "
+                          "oscillation or a damper is too fast for it; at the start of this run "
+                          f"steps are stable up to {limit:.2g} s, take a smaller one")

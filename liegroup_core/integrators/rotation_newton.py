@@ -44,6 +44,12 @@ def _hat(x):
 
 
 @kernel
+def _size(x):
+    """Sum of the components without their signs: squares of 1e-160 have not all their digits."""
+    return abs(x[0]) + abs(x[1]) + abs(x[2])
+
+
+@kernel
 def _outer(a, b):
     """a b^T"""
     return (a[0] * b[0], a[0] * b[1], a[0] * b[2], a[1] * b[0], a[1] * b[1], a[1] * b[2],
@@ -115,18 +121,18 @@ def newton(kind, inertia, h, start, v, a, b, c):
     A correction that does not lessen what is left of the equation is halved.
     """
     base = x = start
-    scale = dot3(start, start)
+    scale = _size(start)
     correction = (0.0, 0.0, 0.0)
     least = math.inf
     for _ in range(MOST_ITERATIONS):
         left, slope = _equation(kind, inertia, h, x, v, a, b, c)
-        size = dot3(left, left)
+        size = _size(left)
         if size < least:
             least, base = size, x
             correction = solve3(slope, left)
             x = sub3(base, correction)
-            largest = max(scale, dot3(x, x))
-            if dot3(correction, correction) <= LAST_CORRECTION ** 2 * largest:
+            largest = max(scale, _size(x))
+            if _size(correction) <= LAST_CORRECTION * largest:
                 return x, True
         else:
             correction = scale3(0.5, correction)

@@ -19,6 +19,8 @@ Model and in planar/motion.py for a PlanarModel; the type of the model chooses:
                             slopes of the stage, from its accelerations
     check_end(model, work, h) -> status
                             whether the end of the step is finite, and its turns can be counted
+    turns_over(model, work, h) -> bool
+                            whether a spring may turn over in a step after a finished one
     error_norm(model, work, scheme, h, twist) -> float
                             error estimate of the step that began with `twist`: good up to 1
     close(model, work) -> status
@@ -40,5 +42,5 @@ def _of(name):
 
 enter, leave, begin, move = map(_of, ("enter", "leave", "begin", "move"))
 store_slopes, check_end, error_norm = map(_of, ("store_slopes", "check_end", "error_norm"))
-close, count_turns = map(_of, ("close", "count_turns"))
+close, count_turns, turns_over = map(_of, ("close", "count_turns", "turns_over"))
 accelerate = Choice("accelerate", {Model: spatial.accelerate, PlanarModel: accelerations})

@@ -149,6 +149,12 @@ def check_end(model, work, h):
 
 
 @kernel
+def turns_over(model, work, h):
+    """Whether a spring may turn over in a step h after the one that is finished."""
+    return kinds.turns_over(model.forces, h, work.stage_pose, work.stage_twist)
+
+
+@kernel
 def error_norm(model, work, scheme, h, twist):
     """Norm of the error estimate of a step that began with `twist`: good up to 1; see rkmk.py."""
     n = len(model.bodies)

@@ -15,7 +15,8 @@ steps, each as a part of what the component was then, add up to such a part. Err
 otherwise, as in chaos, are not in it: it is about the steps, not about the motion.
 
 A look takes two steps and some 60 us. It is made after steps that double in number, more often
-where the sum is not far from a doubt, and changes nothing in the run, to the bit. What it says and
+where the sum is not far from a doubt or would not be if errors grew on as they do, and before a
+step in which a spring may turn over; it changes nothing in the run, to the bit. What it says and
 what it does not: docs/extremes.md.
 """
 import math
@@ -26,6 +27,7 @@ from ..dynamics.invariants import energy
 from ..model.joint_watch import mechanism_size
 from ..wrenches import NEVER
 from .methods import METHODS
+from .middle_axis import MiddleAxis
 from .status import OK
 
 # The sum is a doubt beyond this part of the motion: of how far bodies have gone, which counts as
@@ -39,13 +41,21 @@ ENERGY_ROUNDING = 1e-12
 # A component of the velocity is small below this part of the fastest, rounding below the other.
 # Where a small one would be in doubt if it grew, looks are this part of the steps so far apart.
 SMALL, NONE, OFTEN = 0.05, 1e-12, 16
-# Steps to the next look: a part of those that the sum needs for a doubt, at this error a step.
+# Steps to the next look: a part of those that the sum needs for a doubt, at this error a step; or,
+# if that has grown since the look before, growing on as fast.
 AHEAD = 0.25
 # Tolerances of error control that are compared with.
 TIGHTER = 0.03
 # A step is recommended that keeps the sum at this part of a doubt over the time so far, or over
 # that of so many steps; it is the step halved so often.
 AIM, LEAST_STEPS, HALVINGS = 0.1, 100, 24
+
+MUCH = "take a much smaller step"
+# Advice where one step, or what it does to an invariant, decides what comes after.
+PASSED = ("the ends of a spring passed each other, where its line turns faster than the step can "
+          "follow; take rkmk54, which takes steps as small as that needs, or a much smaller step")
+BACK = ("a body came back to its middle axis of inertia, where the least error decides how it "
+        "turns on; take a smaller step, or a method of higher order")
 
 
 class StepWatch:
@@ -59,11 +69,17 @@ class StepWatch:
         self._size = mechanism_size(layout.model) or 1.0
         self._share = 1.0 - 0.5 ** METHODS[method].order
         self._controlled = getattr(integrator, "controlled", False)
+        self._middle_axis = MiddleAxis(layout, step)
+        # With error control the step becomes as small as it has to be.
+        self._waits = not self._controlled and any(
+            force.type == "spring_damper" and (force.damping > 0.0 or force.rest_length > 0.0)
+            for force in layout.scene.forces)
         self.restart(0, None)
 
     def restart(self, steps, pose):
         """Another state: what the steps before did does not count."""
-        self._first = self._last = self._next = steps
+        self._first = self._last = self._next = self._waits_from = steps
+        self._met, self._seen = None, steps
         self._start = None if pose is None else pose.copy()
         self._sum = self._error = self._extent = 0.0
         self._speed = self._change = self._turning = self._fastest = self._rate = 0.0
@@ -72,15 +88,32 @@ class StepWatch:
         self._peak = self._relative = self._ratio = self._small = None
         self._delicate = False
         self._kept = None
-        self._keeps_energy = self._conservative
+        self._keeps_energy, self._pushed = self._conservative, False
+        self._middle_axis.restart()
 
     def pushed(self):
         """A wrench from outside has come or gone: the energy is no more what it was."""
-        self._keeps_energy = False
+        self._keeps_energy, self._pushed = False, True
 
     def next_look(self, steps):
         """The step after this one at whose start to look."""
+        if self._waits and steps < self._waits_from < self._next < NEVER:
+            return self._waits_from
         return max(self._next, steps + 1)
+
+    def rest(self):
+        """No more looks until there is another state: what is wrong has been said."""
+        self._next = NEVER
+
+    def waits(self, steps):
+        """Whether to end a call before a step in which a spring may turn over."""
+        return self._waits and self._waits_from <= steps and self._next < NEVER
+
+    def met(self, steps):
+        """The next step is such a one: look at it, but not at all of them."""
+        if self._next < NEVER:
+            self._next = self._met = steps
+            self._waits_from = steps + (steps - self._first) // OFTEN
 
     def begins(self, steps, pose, twist):
         """Called where a step of the run begins; True when this step is to be looked at."""
@@ -99,23 +132,36 @@ class StepWatch:
         since = steps - self._last
         if self._last == self._first:
             self._error = error
+        before = self._error
         off, self._off = self._off, self._energy_error(pose, twist)
         along = max(self._turning, self._fastest / self._way) * self._step
+        if self._met == steps - 1:
+            # It is this one step's error, not that of those before and after.
+            self._sum += error
+            error = before
         self._sum += 0.5 * since * (self._error + error + (off + self._off) * along)
         self._error, self._last = error, steps
         done = steps - self._first
         motion = self._extent if done > FIRST_STEPS else 1.0
         limit = PART * motion
-        grown = self._grown(since, done, twist)
-        if grown > PART > self._sum:
-            self._sum, limit = grown, PART
+        grown = self._grown(steps, done, pose, twist)
+        back = 0.0 if self._pushed else self._middle_axis.look(twist)
+        if max(grown, back) > PART > self._sum:
+            self._sum, limit = max(grown, back), PART
         small = limit < self._sum <= ROUNDING
         if small:
             self._tiny = self._tiny + 1 if self._falls(error, external) else 0
         if not self._sum <= limit and (not small or self._tiny >= LOOKS):
             self._next = NEVER
-            return self._text(external, limit, done)
+            advice = (PASSED if self._met == steps - 1 else BACK if back == self._sum else
+                      self._advice(external, limit, done))
+            return self._text(limit, advice)
         left = AHEAD * float(limit - self._sum) / error if error > 0.0 else math.inf
+        if error > before > 0.0 and limit > self._sum:
+            growth = math.log(error / before) / since
+            left = min(left, math.log1p(growth * (limit - self._sum) / error) / growth * AHEAD)
+        if not self._pushed:
+            left = min(left, self._middle_axis.steps_to(PART))
         if small:
             left = done // OFTEN
         if self._delicate:
@@ -157,16 +203,24 @@ class StepWatch:
             error += max(change[:, :3].max(), change[:, 3:].max() / self._way) / self._rate
         return float(error) / self._share
 
-    def _grown(self, since, done, twist):
-        """Errors of a component that was small and is not any more, as parts of it, added up."""
-        if done <= FIRST_STEPS or not self._speed > 0.0:
+    def _grown(self, steps, done, pose, twist):
+        """Errors of a component that was small and is not any more, as parts of it, added up.
+
+        Or, if that is more, of components across the axis that a body spins about, such a part of
+        the angle by which they have tilted it: a slow precession is a small velocity all the time.
+        """
+        if done <= FIRST_STEPS or not self._speed > 0.0 or self._met == steps - 1:
             return 0.0
+        since, self._seen = steps - self._seen, steps
         size = np.abs(twist)
         part = size / self._speed
         part[:, 3:] /= self._way
         if self._peak is None:
             self._peak, self._small = size, part < SMALL
             self._relative = np.zeros_like(size)
+            fastest = size[:, :3].max(axis=1, keepdims=True)
+            self._across = self._small[:, :3] & (size[:, :3] < SMALL * fastest)
+            self._spins = size[:, :3].argmax(axis=1)
             self._ratio = _parts(self._change_of_twist, size)
             return 0.0
         np.maximum(self._peak, size, out=self._peak)
@@ -175,7 +229,23 @@ class StepWatch:
         self._ratio = ratio
         may_grow = self._small & (part > NONE)
         self._delicate = bool((may_grow & (self._relative + done * ratio > PART)).any())
-        return float(self._relative[self._small & (part > SMALL)].max(initial=0.0))
+        grown = self._relative[self._small & (part > SMALL)].max(initial=0.0)
+        return max(float(grown), self._tilted(pose))
+
+    def _tilted(self, pose):
+        """Errors of the angles by which spinning bodies have tilted, rad."""
+        counts = self._across & (self._relative[:, :3] > PART) & (
+            self._peak[:, :3] > NONE * self._speed)
+        if not counts.any():
+            return 0.0
+        wrong = -np.expm1(-self._relative[:, :3]) * counts
+        bodies = np.arange(len(pose))
+        axes, starts = (given[:, :9].reshape(-1, 3, 3)[bodies, :, self._spins]
+                        for given in (pose, self._start))
+        sine = np.linalg.norm(np.cross(axes, starts), axis=1)
+        across = np.where(self._across, self._peak[:, :3], 0.0)
+        share = _parts(across, np.broadcast_to(across.max(axis=1, keepdims=True), across.shape))
+        return float((wrong * share * sine[:, None]).max())
 
     def _falls(self, error, external):
         """Whether the error of the step kept falls with the step as the order says, twice."""
@@ -217,6 +287,7 @@ class StepWatch:
         pose, twist, old_angle, old_memory = self._kept
         pose, twist = pose.copy(), twist.copy()
         work.angle[:] = old_angle
+        work.report[3] = 0.0
         for array, old in zip(integrator.memory, old_memory):
             array[...] = old
         _, status = integrator.advance(h, steps, pose, twist, external)
@@ -225,26 +296,29 @@ class StepWatch:
             array[...] = old
         return (pose, twist) if status == OK else None
 
-    def _text(self, external, limit, done):
+    def _text(self, limit, advice):
         share = self._sum if limit == PART else self._sum / self._extent
         size = (f"{100.0 * min(share, 1.0):.2g} % of "
                 + ("a radian" if limit == PART else "the motion"))
         begin = f"{self._method}, step {self._step:g} s: by t = {self._step * self._last:.6g} s "
         wrong = (f"its errors may have added up to {size}" if self._sum < math.inf else
                  "a step has no likeness to two of half its size")
-        return f"{begin}{wrong}: {self._advice(external, limit, done)}"
+        return f"{begin}{wrong}: {advice}"
 
     def _advice(self, external, limit, done):
         if self._controlled:
             return "take smaller rtol and atol, or a smaller step"
         time = max(done, LEAST_STEPS) * self._step
         h = self._step
+        keeps = f"keep that to {100 * AIM * PART:.2g} % for {time:.3g} s; take those"
+        if getattr(self._integrator, "swings_in", False):       # one such step tells nothing
+            h *= (AIM * limit * h / (self._error * time)) ** (1.0 / METHODS[self._method].order)
+            return f"steps of {h:.2g} s would, by its order, {keeps}" if h > 0.0 else MUCH
         for _ in range(HALVINGS):
             h *= 0.5
             if self._compare(h, None, None, external) * time <= AIM * limit * h:
-                return (f"from here steps of {h:.2g} s would keep that to "
-                        f"{100 * AIM * PART:.2g} % for {time:.3g} s; take those")
-        return "take a much smaller step"
+                return f"from here steps of {h:.2g} s would {keeps}"
+        return MUCH
 
 
 def _parts(change, size):

@@ -18,6 +18,9 @@ import numpy as np
 from .._struct import Struct
 
 WORLD = -1                                  # index of the world where a body is meant
+# Work.report[3], an input of a call: WAIT ends it, with fewer steps than asked, before a step in
+# which a spring may turn over (forces/kinds.py); then it is MET.
+WAIT, MET = 1.0, 2.0
 
 BODY = np.dtype([
     ("mass", "f8"), ("inverse_mass", "f8"),                       # kg, 1/kg
@@ -101,8 +104,8 @@ class Work(Struct):
     start_angle: np.ndarray        # angle there
     velocity: np.ndarray           # (n, 6) velocity on the group at the start of the step
     slopes: np.ndarray             # ((s + 1) n, 12) k of stages and end: algebra, then velocity part
-    report: np.ndarray             # (3,) largest squared rotation of a stage, rad^2: so far, this step;
-                                   # number of solves at a singular pose
+    report: np.ndarray             # (4,) largest squared rotation of a stage, rad^2: so far, this step;
+                                   # number of solves at a singular pose; see WAIT
 
 
 def make_work(model, stages):
@@ -120,4 +123,4 @@ def make_work(model, stages):
         acting=np.zeros(len(model.forces.applied_wrench), dtype=bool),
         stage_pose=np.zeros((n, 12)), stage_twist=np.zeros((n, 6)),
         start_pose=np.zeros((n, 12)), start_twist=np.zeros((n, 6)), velocity=np.zeros((n, 6)),
-        slopes=np.zeros(((stages + 1) * n, 12)), report=np.zeros(3))
+        slopes=np.zeros(((stages + 1) * n, 12)), report=np.zeros(4))

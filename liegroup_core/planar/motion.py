@@ -149,6 +149,14 @@ def check_end(model, work, h):
 
 
 @kernel
+def turns_over(model, work, h):
+    """Whether a spring may turn over in a step h after the one that is finished."""
+    space = work.space
+    to_space(model, work.stage_pose, work.stage_twist, space.stage_pose, space.stage_twist)
+    return kinds.turns_over(model.space.forces, h, space.stage_pose, space.stage_twist)
+
+
+@kernel
 def error_norm(model, work, scheme, h, twist):
     """Norm of the error estimate of a step that began with `twist`: good up to 1; see rkmk.py."""
     n = len(model.bodies)

@@ -2,12 +2,13 @@
 """The map of extremes: every method on every axis, each cell judged, in parallel.
 
     from liegroup_core.study.extremes import survey
-    for count, axis, cells in survey(AXES): ...
+    for count, axis, cells, complete in survey(AXES): ...
 
 See extremes_axes.py for what is driven to its limit, extremes_cell.py for how a cell is judged.
 """
 from collections import Counter
 from functools import partial
+from pathlib import Path
 
 from ..errors import SceneError, SimulationError
 from ..integrators import misfit
@@ -16,6 +17,7 @@ from ..simulation import make_layout
 from . import extremes_problems as problems
 from .extremes_axes import _STEPS, AXES, Axis, _powers
 from .extremes_cell import REFUSED, SILENT, UNJUDGED, VERDICTS, judge_alike, run_cell
+from .store import Folder, key_of
 from .tasks import run
 
 
@@ -30,28 +32,90 @@ def axes_of(scene=None, horizon=8.0, long=False):
                  _powers(-6, 5), partial(problems.of_scene_speed, scene, horizon)))
 
 
-def survey(axes, quick=False, methods=tuple(METHODS), scheduler=None, workers=None):
-    """Yields (number of columns, Axis, cells) as columns are done; a cell is a dict for JSON.
+class Kept:
+    """Columns that were run, kept as soon as they are: what is ended goes on where it was.
+
+    folder : Folder; None: nothing is kept
+    """
+
+    FILE = "cells.jsonl"
+
+    def __init__(self, folder=None):
+        self._folder, self._known = folder, {}
+        for line in folder.lines(self.FILE) if folder else ():
+            known = self._known.setdefault((line["axis"], line["value"]), {})
+            known |= dict.fromkeys(line["methods"])
+            known |= {cell["method"]: cell for cell in line["cells"]}
+
+    @classmethod
+    def of(cls, scene=None, horizon=None, root=None):
+        """What is kept of a Scene over a horizon, or of the axes of the map.
+
+        root : folder; None: in the user's cache
+        """
+        text = "" if scene is None else f"{scene.text} {horizon}"
+        return cls(Folder(Path("extremes", key_of(f"extremes {text}")), root))
+
+    def missing(self, axis, value, methods):
+        """Those of the methods that have not been run there."""
+        return tuple(name for name in methods
+                     if name not in self._known.get((axis, value), ()))
+
+    def cells(self, axis, value, methods):
+        """Cells of those that have been, and are for the problem."""
+        known = self._known.get((axis, value), {})
+        return [dict(known[name]) for name in methods if known.get(name)]
+
+    def keep(self, axis, value, methods, cells):
+        """Keep what came of a column."""
+        line = {"axis": axis, "value": value, "methods": list(methods), "cells": cells}
+        if self._folder is not None:
+            self._folder.keep_line(self.FILE, line)
+
+
+def survey(axes, quick=False, methods=tuple(METHODS), scheduler=None, workers=None, kept=None):
+    """Yields (number of columns, Axis, cells, whether the axis is complete) as columns are done.
 
     quick : only the values that tests take
-    A column is one value of one axis: its true motion is made once, and all methods are run. Those
-    of an axis along which only the scale changes come together, as they are judged together.
+    kept  : Kept, which then holds what was run; what it holds already is not run again
+    A cell is a dict for JSON. A column is one value of one axis: its true motion is made once, and
+    all methods are run; where it takes long each method is a column of its own. Columns of an axis
+    along which only the scale changes come together, as they are judged together.
     """
-    columns = [(axis, value, methods) for axis in axes
-               for value in (axis.quick if quick else axis.values)]
+    kept = kept or Kept()
+    columns = [(axis, value, group) for axis in axes
+               for value in (axis.quick if quick else axis.values)
+               for group in ([(name,) for name in methods] if axis.long else [tuple(methods)])]
     waiting = {axis.name: [] for axis in axes}
     left = Counter(axis.name for axis, _, _ in columns)
-    for k, cells in run(column, columns, scheduler, workers):
+
+    def done(k, cells):
         axis = columns[k][0]
         waiting[axis.name] += cells
         left[axis.name] -= 1
-        if axis.alike is None or not left[axis.name]:
+        complete = not left[axis.name]
+        cells = []
+        if axis.alike is None or complete:
             cells, waiting[axis.name] = waiting[axis.name], []
             if axis.alike is not None:
                 judge_alike(cells, axis.alike)
-            yield len(columns), axis, cells
+        return len(columns), axis, cells, complete
+
+    def before(k):
+        axis, value, group = columns[k]
+        return kept.cells(axis.name, value, group)
+
+    work = []
+    for k, (axis, value, group) in enumerate(columns):
+        missing = kept.missing(axis.name, value, group)
+        if missing:
+            work.append((k, (axis, value, missing)))
         else:
-            yield len(columns), axis, []
+            yield done(k, before(k))
+    for place, cells in run(column, [item for _, item in work], scheduler, workers):
+        k, (axis, value, missing) = work[place]
+        kept.keep(axis.name, value, missing, cells)
+        yield done(k, before(k) + cells)
 
 
 def column(item):
@@ -84,4 +148,4 @@ def silent(cells):
     return [cell for cell in cells if cell["verdict"] == SILENT]
 
 
-__all__ = ["AXES", "VERDICTS", "axes_of", "column", "counts", "silent", "survey"]
+__all__ = ["AXES", "VERDICTS", "Kept", "axes_of", "column", "counts", "silent", "survey"]

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What was measured of a scene, kept between runs: files in the cache folder of the user.
+"""What was measured, kept between runs: files in the cache folder of the user.
 
-    trades/NAME-KEY/horizon.json        the horizon that suits the scene
+    trades/NAME-KEY/horizon.json        the horizon that suits a scene
     trades/NAME-KEY/HORIZON/truth.npz       the true motion, see truth.py
     trades/NAME-KEY/HORIZON/cells.jsonl     a measured cell a line, see measure.py
+    extremes/KEY/cells.jsonl                cells of the map of extremes, see extremes.py
 
 KEY is of the scene's text, of our sources and of the versions that numbers depend on: what is
 another scene or version finds nothing. The processor stands in each cell. A cell is written as
@@ -45,16 +46,62 @@ def key_of(text):
     return digest.hexdigest()[:16]
 
 
-class Store:
-    """The files of one scene; without a folder that can be written, nothing is kept.
+class Folder:
+    """A folder of files; where it cannot be written, nothing is kept.
 
-    root : folder; None: that of the user's cache
+    name : of the folder
+    root : where it is; None: in the user's cache
     """
 
-    def __init__(self, scene, root=None):
+    def __init__(self, name, root=None):
         root = cache_root() if root is None else Path(root)
+        self.folder = root and root / name
+
+    def lines(self, name):
+        """What `keep_line` has put into a file, in that order: dicts."""
+        try:
+            lines = (self.folder / name).read_bytes().splitlines()
+        except (OSError, TypeError):
+            return []
+        found = []
+        for line in lines:
+            try:
+                entry = json.loads(line)
+            except ValueError:              # cut off when a process was killed, or damaged
+                continue
+            if isinstance(entry, dict):
+                found.append(entry)
+        return found
+
+    def keep_line(self, name, entry):
+        """Write a dict of JSON types to the end of a file, at once and as a whole."""
+        line = "\n" + json.dumps(entry)     # first: the last one may be cut
+
+        def write():
+            path = self.folder / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with open(path, "ab", buffering=0) as stream:
+                stream.write(line.encode())
+        self._try(write)
+
+    def _try(self, write):
+        """Write; from the first failure on nothing more: what is measured is of use without."""
+        if self.folder is None:
+            return
+        try:
+            write()
+        except OSError as error:
+            log.warning("what is measured cannot be kept: %s: %s",
+                        error.filename or self.folder, error.strerror)
+            self.folder = None
+
+
+class Store(Folder):
+    """The files of one scene, see Folder."""
+
+    def __init__(self, scene, root=None):
         name = re.sub(r"[^A-Za-z0-9_.]", "_", scene.name)[:40]
-        self.folder = root and root / "trades" / f"{name}-{key_of(scene.text)}"
+        super().__init__(Path("trades", f"{name}-{key_of(scene.text)}"), root)
 
     def horizon(self):
         """The horizon that suits the scene, or None."""
@@ -82,42 +129,19 @@ class Store:
 
     def cells(self, horizon):
         """Cells that were measured on this processor, in the order in which they were."""
-        try:
-            lines = (self._of(horizon) / "cells.jsonl").read_bytes().splitlines()
-        except (OSError, TypeError):
-            return []
-        found = []
-        for line in lines:
-            try:
-                cell = json.loads(line)
-            except ValueError:              # cut off when a process was killed, or damaged
-                continue
-            if isinstance(cell, dict) and is_whole(cell) and cell["cpu"] == cpu_name():
-                found.append(cell)
-        return found
+        return [cell for cell in self.lines(f"{_name(horizon)}/cells.jsonl")
+                if is_whole(cell) and cell["cpu"] == cpu_name()]
 
     def keep_cell(self, horizon, cell):
         """Write a cell, at once and as a whole."""
-        line = "\n" + json.dumps(cell, allow_nan=False)     # first: the last one may be cut
-
-        def write():
-            with open(self._of(horizon) / "cells.jsonl", "ab", buffering=0) as stream:
-                stream.write(line.encode())
-        self._try(write)
-
-    def _try(self, write):
-        """Write; from the first failure on nothing more: what is measured is of use without."""
-        if self.folder is None:
-            return
-        try:
-            write()
-        except OSError as error:
-            log.warning("what is measured cannot be kept: %s: %s",
-                        error.filename or self.folder, error.strerror)
-            self.folder = None
+        self.keep_line(f"{_name(horizon)}/cells.jsonl", cell)
 
     def _of(self, horizon):
-        return self.folder / f"{float(horizon):g}s"
+        return self.folder / _name(horizon)
+
+
+def _name(horizon):
+    return f"{float(horizon):g}s"
 
 
 def _write(path, data):

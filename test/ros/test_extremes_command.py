@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """`liegroup_sim extremes`: table, picture, JSON, and one line for wrong input."""
 import json
+import signal
 
 import pytest
 
+from liegroup_core.study import extremes, store
 from liegroup_sim_ros.main import main
 
 
@@ -18,6 +20,28 @@ def test_table_picture_and_json(tmp_path, capsys):
                                "unjudged": 0, "silent": 0}
     assert [cell["value"] for cell in found["cells"]] == [8.0, 8.0, 1.0, 1.0, 0.25, 0.25]
     assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_ctrl_c_loses_nothing(tmp_path, capsys, monkeypatch):
+    """What was run before stands in the table of the next call, which runs the rest only."""
+    monkeypatch.setattr(store, "cache_root", lambda: tmp_path)
+    call = ["extremes", "--axes", "turn", "--methods", "rkmk4", "rkmk8", "--workers", "1"]
+    made, presses = [], iter([3])
+
+    def column(item):
+        if len(made) == 3 and next(presses, None):
+            signal.raise_signal(signal.SIGINT)
+        made.append(item[1])
+        return extremes_column(item)
+    extremes_column = extremes.column
+    monkeypatch.setattr(extremes, "column", column)
+    assert main(call) == 130
+    assert capsys.readouterr().err.splitlines()[-1] == (
+        "liegroup_sim: interrupted; what was run is kept, the same call goes on")
+    assert len(made) == 3
+    assert main(call) == 0
+    assert sorted(made) == sorted(next(a for a in extremes.AXES if a.name == "turn").values)
+    assert len(made) == len(set(made)) and "silent 0" in capsys.readouterr().out
 
 
 def test_a_scene_of_the_user(capsys):

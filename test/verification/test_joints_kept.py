@@ -10,6 +10,7 @@ two moving bodies, and for joints that are no subgroups, joints open at the meth
 import numpy as np
 import pytest
 
+import engine
 import mechanisms
 from liegroup_core import Simulation, SimulationError
 from liegroup_core.integrators.methods import METHODS
@@ -26,12 +27,18 @@ def opening(kind, group, step, seed, method, steps=1000):
     Random frames, body and start; gravity, and a wrench over the first second.
     Bound: a rate that a joint forbids is rounded to some ten eps of those it allows, and nobody
     sees that without stabilisation: an acceleration that is off by 2e-14 adds up to 1e-14 t^2; a
-    tilt counts over the distance moved. Measured: up to 0.4 of it, for six seeds.
+    tilt counts over the distance moved. Measured: up to 0.4 of it, for six seeds. On SO(3) x R^3
+    nothing clears the velocities of what the solve has rounded, 2^-53 g times the condition of
+    S = J M^-1 J^T, 12 to 99 here; measured: up to 0.5 of that, for nine seeds.
     returns (residual / distance moved, residual / bound), the largest each
     """
     scene = mechanisms.mechanism(np.random.default_rng([seed, 7]), [("world", "a", kind)],
                                  springs=0)
     simulation = Simulation(scene, method=method, step=step, group=group)
+    rate = 1e-14
+    if group == "so3xr3":
+        J = engine.rows(simulation)[0]
+        rate = 0.5 * 2.0 ** -53 * 9.81 * np.linalg.cond(J @ np.linalg.solve(engine.masses(scene), J.T))
     simulation.apply_wrench("a", WRENCH, duration=1.0)
     start = simulation.sample().positions["a"]
     moved, of_moved, of_bound = 1.0, 0.0, 0.0
@@ -44,7 +51,7 @@ def opening(kind, group, step, seed, method, steps=1000):
         moved = max(moved, np.linalg.norm(sample.positions["a"] - start))
         of_moved = max(of_moved, sample.constraint_residual / moved)
         of_bound = max(of_bound,
-                       sample.constraint_residual / (moved * 1e-14 * (1.0 + sample.time ** 2)))
+                       sample.constraint_residual / (moved * rate * (1.0 + sample.time ** 2)))
     return of_moved, of_bound
 
 
