@@ -150,6 +150,8 @@ class Simulation:
     accuracy : in place of all these settings: the largest error that is wanted over `horizon`, s
              (None: what suits the scene). The setting comes from what was measured of this scene
              on this machine; what is not known is measured first, once (docs/trade.md)
+    watch    : False: steps are not looked at on the way (integrators/step_watch.py). For many short
+               runs whose step is known to be small enough: a look takes longer than a step
     raises SceneError for a scene that cannot be simulated, ValueError for a wrong setting or a
     method that does not fit the scene
 
@@ -162,7 +164,7 @@ class Simulation:
     """
 
     def __init__(self, scene, method=None, step=None, group="auto", stabilisation="none",
-                 baumgarte_time=None, accuracy=None, horizon=None, **options):
+                 baumgarte_time=None, accuracy=None, horizon=None, watch=True, **options):
         self.promise = None
         if accuracy is not None:
             if (method, step, group, stabilisation, baumgarte_time, options) != (
@@ -195,7 +197,7 @@ class Simulation:
         self._body = {name: i for i, name in enumerate(self.layout.body_names)}
         self._timetable = Timetable(self.layout.model.forces.applied_wrench, self.step)
         self._warned = self._warned_singular = False
-        self._step_watch = StepWatch(self.layout, method, self.step, self._integrator)
+        self._step_watch = StepWatch(self.layout, method, self.step, self._integrator, watch)
         warm_up(self._touch, self._integrator.kernels)
 
     def __copy__(self):

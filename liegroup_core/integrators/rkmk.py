@@ -198,10 +198,10 @@ class MuntheKaas:
         stages = len(tableau.b)
         error = np.zeros((0, stages + 1)) if tableau.e is None else tableau.e.reshape(1, -1)
         self.controlled = tableau.e is not None
-        self._given = Scheme(
+        self._schemes = {1.0: Scheme(
             np.vstack([tableau.a, tableau.b]), error,
             EXACT if options["dexpinv"] == "exact" else max(method.order - 2, 0),
-            float(options.get("rtol", 0.0)), float(options.get("atol", 1.0)))
+            float(options.get("rtol", 0.0)), float(options.get("atol", 1.0)))}
         self.tighten(1.0)
         self._model, self._group, self._longest = layout.model, GROUPS[group], step
         self.work = make_work(layout.model, stages)
@@ -231,8 +231,10 @@ class MuntheKaas:
 
     def tighten(self, part):
         """From here on tolerances are this part of those of the options."""
-        self._scheme = self._given if part == 1.0 else self._given.replace(
-            rtol=part * self._given.rtol, atol=part * self._given.atol)
+        if part not in self._schemes:
+            given = self._schemes[1.0]
+            self._schemes[part] = given.replace(rtol=part * given.rtol, atol=part * given.atol)
+        self._scheme = self._schemes[part]
 
     @property
     def memory(self):

@@ -23,6 +23,7 @@ import math
 
 import numpy as np
 
+from .._compile import SameTypes
 from ..dynamics.invariants import energy
 from ..model.joint_watch import mechanism_size
 from ..wrenches import NEVER
@@ -59,9 +60,12 @@ BACK = ("a body came back to its middle axis of inertia, where the least error d
 
 
 class StepWatch:
-    """Looks at steps of an integrator on the way; says what is wrong, once."""
+    """Looks at steps of an integrator on the way; says what is wrong, once.
 
-    def __init__(self, layout, method, step, integrator):
+    on : False: it does not
+    """
+
+    def __init__(self, layout, method, step, integrator, on=True):
         self._integrator, self._method, self._step = integrator, method, step
         self._model = layout.model
         self._conservative = all(getattr(force, "damping", 1.0) == 0.0
@@ -70,15 +74,18 @@ class StepWatch:
         self._share = 1.0 - 0.5 ** METHODS[method].order
         self._controlled = getattr(integrator, "controlled", False)
         self._middle_axis = MiddleAxis(layout, step)
+        self._energy_at = SameTypes(energy)
         # With error control the step becomes as small as it has to be.
-        self._waits = not self._controlled and any(
+        self._on = on
+        self._waits = on and not self._controlled and any(
             force.type == "spring_damper" and (force.damping > 0.0 or force.rest_length > 0.0)
             for force in layout.scene.forces)
         self.restart(0, None)
 
     def restart(self, steps, pose):
         """Another state: what the steps before did does not count."""
-        self._first = self._last = self._next = self._waits_from = steps
+        self._first = self._last = self._waits_from = steps
+        self._next = steps if self._on else NEVER
         self._met, self._seen = None, steps
         self._start = None if pose is None else pose.copy()
         self._sum = self._error = self._extent = 0.0
@@ -276,7 +283,7 @@ class StepWatch:
         pose, twist = pose.view(), twist.view()
         # As in a Sample: one compiled function serves both, and none is compiled on the way.
         pose.flags.writeable = twist.flags.writeable = False
-        return energy(self._model, angle, pose, twist)
+        return self._energy_at(self._model, angle, pose, twist)
 
     def _take(self, h, steps, external):
         """State after steps from the one kept, or None; nothing of the run is changed."""
