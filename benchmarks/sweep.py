@@ -18,6 +18,7 @@ import numpy as np
 from liegroup_core import load_scene
 from liegroup_core.study.sweep import Sweep, simulate
 from liegroup_core.study.tasks import run
+from timing import speed_kept
 
 # What varies leaves the joints closed: gravity.
 SCENES = "free_body", "heavy_top", "double_pendulum", "four_bar"
@@ -96,6 +97,7 @@ def main():
     rates = {workers: entry[2] / entry[1] for workers, entry in found.items()}
     print(f"efficiency of two: {found[1][0] / found[2][0] / 2:.2f}, without the start "
           f"{rates[2] / rates[1] / 2:.2f}")
+    print(f"two processes that share nothing keep {speed_kept():.2f} of their speed here")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How long a step of a simulation takes."""
+"""How long a step of a simulation takes, and what two processes at once can have."""
+import statistics
+import subprocess
+import sys
 import time
+
+STEPPING = """
+import time
+from liegroup_core import Simulation, load_scene
+simulation = Simulation(load_scene("heavy_top"), step=1e-4, watch=False)
+print(flush=True)
+input()
+start = time.perf_counter()
+simulation.advance(2_000_000)
+print(time.perf_counter() - start)
+"""
 
 
 def seconds_of_step(simulation, steps, repeat):
@@ -12,3 +26,21 @@ def seconds_of_step(simulation, steps, repeat):
         simulation.advance(steps)
         times.append(time.process_time() - start)
     return min(times) / steps
+
+
+def speed_kept(rounds=3):
+    """Part of its speed that a process keeps beside another one that shares nothing with it.
+
+    Cores share a clock and a memory, virtual ones more: two workers cannot have more than this.
+    """
+    def seconds(count):
+        processes = [subprocess.Popen([sys.executable, "-c", STEPPING], text=True,
+                                      stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+                     for _ in range(count)]
+        for process in processes:
+            process.stdout.readline()           # it is ready
+        for process in processes:
+            process.stdin.write("\n")
+            process.stdin.flush()
+        return statistics.mean(float(process.communicate()[0]) for process in processes)
+    return statistics.median(seconds(1) / seconds(2) for _ in range(rounds))

@@ -16,6 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from liegroup_core import load_scene
 from liegroup_core.study.store import Store
 from liegroup_core.study.trade import Trade
+from timing import speed_kept
 
 SCENE, HORIZON = "heavy_top", 5.0
 STEPS = [1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5]
@@ -48,6 +49,7 @@ def main():
         print(f"{workers:7d} {wall:8.1f} {rest:21.1f} {cpu:19.1f}")
     print(f"efficiency of two: {one[1] / two[1] / 2:.2f}, without the start "
           f"{one[2] / two[2] / 2:.2f}")
+    print(f"two processes that share nothing keep {speed_kept():.2f} of their speed here")
 
 
 if __name__ == "__main__":

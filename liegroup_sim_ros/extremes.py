@@ -138,7 +138,7 @@ def _print_axis(axis, cells, methods, console):
     table = Table(box=None, padding=(0, 1, 0, 0))
     table.add_column("", no_wrap=True)
     for value in values:
-        table.add_column(f"{value:.3g}", justify="center", no_wrap=True)
+        table.add_column(f"{value:g}", justify="center", no_wrap=True)
     for method in methods:
         row = [by_place.get((method, value)) for value in values]
         if any(row):

@@ -32,7 +32,7 @@ def write_heat_map(axes, cells, methods, path):
                          norm=BoundaryNorm([k - 0.5 for k in range(len(VERDICTS) + 1)],
                                            len(VERDICTS)))
         panel.set_title(axis.title + (f", {axis.unit}" if axis.unit else ""), fontsize=8)
-        panel.set_xticks(range(len(values)), [f"{value:.3g}" for value in values], fontsize=6,
+        panel.set_xticks(range(len(values)), [f"{value:g}" for value in values], fontsize=6,
                          rotation=90)
         panel.set_yticks(range(len(methods)), methods, fontsize=6)
     for panel in list(panels.flat)[len(axes):]:
