@@ -30,6 +30,11 @@ def inverse(C):
     return result
 
 
+def _are_angular(rows):
+    """Which rows (k, 6) forbid nothing but turns."""
+    return rows[:, :3].any(axis=1) & ~rows[:, 3:].any(axis=1)
+
+
 def freedoms(matrix):
     """Directions (f, columns) that a matrix of unit rows leaves free."""
     _, sizes, directions = np.linalg.svd(matrix)
@@ -114,10 +119,17 @@ class Linkage:
         sizes = np.linalg.norm(matrix, axis=1, keepdims=True)
         return matrix / np.where(sizes > 0.0, sizes, 1.0)
 
-    def residual(self, poses):
-        """Position residuals of all joints, m and rad."""
-        return np.concatenate([np.zeros(0), *(self.joint_residual(j, poses)
-                                              for j in range(len(self.joints)))])
+    @cached_property
+    def _units(self):
+        """Unit of each row of the joints: 1 rad, or the length."""
+        return np.concatenate([np.zeros(0), *(
+            np.where(_are_angular(forbidden_rows(part, self.relative(j, self.start))),
+                     1.0, self.length) for j, part in enumerate(self.parts))])
+
+    def _gaps(self, poses):
+        """Position residuals of all joints, rad and in units of the length."""
+        return np.concatenate([np.zeros(0), *(
+            self.joint_residual(j, poses) for j in range(len(self.joints)))]) / self._units
 
     def joint_residual(self, j, poses):
         """Position residual (k,) of the j-th of the joints; closed, its slope is that of its rows."""
@@ -125,8 +137,7 @@ class Linkage:
 
     def gap(self, j, poses):
         """How far the j-th of the joints is open: m and rad."""
-        rows = forbidden_rows(self.parts[j], self.relative(j, poses))
-        angular = rows[:, :3].any(axis=1) & ~rows[:, 3:].any(axis=1)
+        angular = _are_angular(forbidden_rows(self.parts[j], self.relative(j, poses)))
         residual = self.joint_residual(j, poses)
         return np.linalg.norm(residual[~angular]), np.linalg.norm(residual[angular])
 
@@ -143,12 +154,12 @@ class Linkage:
 
     def is_closed(self, poses):
         """True when all residuals are small enough to be called closed."""
-        return self._is_small(self.residual(poses), poses, CLOSED)
+        return self._is_small(self._gaps(poses), poses, CLOSED)
 
     def _is_small(self, gap, poses, tolerance):
         """True when a residual is this small next to the coordinates it comes from."""
-        size = max([1.0, self.length, *(np.abs(poses[name][:3, 3]).max() for name in self.bodies)])
-        return np.abs(gap).max(initial=0.0) <= tolerance * size
+        farthest = max((np.abs(poses[name][:3, 3]).max() for name in self.bodies), default=0.0)
+        return np.abs(gap).max(initial=0.0) <= tolerance * max(1.0, farthest / self.length)
 
     def nearest(self, poses):
         """The poses that Newton's method on the group ends at: closed, or with a least gap.
@@ -158,7 +169,7 @@ class Linkage:
         Near closed poses the gap is squared in each round, down to round-off.
         """
         for _ in range(MOST_ROUNDS if self.bodies else 0):
-            gap = self.residual(poses)
+            gap = self._gaps(poses)
             if self._is_small(gap, poses, ROUND_OFF):
                 break
             # The joints' rows are the slope of the residual where it vanishes; from afar its
@@ -173,6 +184,7 @@ class Linkage:
 
     def _step(self, poses, gap, matrix):
         """Poses with a smaller gap by a step along a Jacobian for twists (omega, v), or None."""
+        matrix /= self._units[:, None]
         matrix.reshape(len(matrix), -1, 6)[:, :, :3] /= self.length
         step = -scipy.linalg.lstsq(matrix, gap, cond=RANK_TOLERANCE, lapack_driver="gelsy")[0]
         turn = np.abs(step.reshape(-1, 6)[:, :3]).max() / self.length
@@ -182,7 +194,7 @@ class Linkage:
         enough = 0.5 if closed else 0.01
         for _ in range(1 if closed else MOST_HALVINGS):
             moved = self.moved(poses, part * step)
-            if np.linalg.norm(self.residual(moved)) < (1.0 - enough * part) * np.linalg.norm(gap):
+            if np.linalg.norm(self._gaps(moved)) < (1.0 - enough * part) * np.linalg.norm(gap):
                 return moved
             part /= 2.0
         return None

@@ -11,10 +11,12 @@ from liegroup_core import Simulation, load_scene
 from liegroup_core.errors import SceneError
 from liegroup_core.joints import LOWER_PAIRS
 from liegroup_core.lie.groups import SO3
+from liegroup_core.model.describe import describe
 from liegroup_core.scene import (Body, Frame, Joint, Scene, check_consistency, resolve_elements,
                                  resolve_frames, scene_from_text)
 from liegroup_core.scene.assembly import assembled
 from liegroup_core.scene.description import RATES
+from liegroup_core.study import extremes_problems as problems
 from other_frames import described_elsewhere
 
 CLOSED = {name for name, (_, loops) in mechanisms.MECHANISMS.items() if loops}
@@ -310,3 +312,20 @@ def test_bodies_that_nothing_places_are_named():
     joint = Joint(name="j", type="revolute", parent="a", child="b", child_frame=Frame())
     with pytest.raises(SceneError, match='joints\\[0\\] "j": needs both frames: it puts "b"'):
         assembled(Scene(name="s", gravity=(0, 0, 0), assemble=True, bodies=bodies, joints=[joint]))
+
+
+@pytest.mark.parametrize("length", [1e-6, 1e6])
+def test_a_loop_closes_at_any_size(length):
+    """The same four-bar in other units: what is found of it is the same, to rounding."""
+    found = {}
+    for size in (1.0, length):
+        problem = problems.length_bars(size)
+        simulation = Simulation(problem.scene, step=problem.step)
+        found[size] = (simulation.layout, simulation.sample())
+    (layout, sample), (other, scaled) = found[1.0], found[length]
+    assert [joint["dropped"] for joint in describe(layout)["joints"]] == [
+        joint["dropped"] for joint in describe(other)["joints"]]
+    # Closed to 1e-12 of the length, CLOSED, whatever it is.
+    assert scaled.constraint_residual <= 1e-12 * length
+    for name, position in sample.positions.items():
+        assert np.abs(scaled.positions[name] / length - position).max() <= 1e-11
