@@ -197,6 +197,8 @@ class Simulation:
         self._body = {name: i for i, name in enumerate(self.layout.body_names)}
         self._timetable = Timetable(self.layout.model.forces.applied_wrench, self.step)
         self._warned = self._warned_singular = False
+        self._start = initial_state(self.layout.centred)
+        self._watch = JointWatch(self.layout)
         self._step_watch = StepWatch(self.layout, method, self.step, self._integrator, watch)
         warm_up(self._touch, self._integrator.kernels)
 
@@ -213,8 +215,7 @@ class Simulation:
 
     def reset(self):
         """Back to the initial state of the scene, at step 0, without wrenches."""
-        pose, twist = initial_state(self.layout.centred)
-        self.set_state(pose, twist)
+        self.set_state(*self._start)
 
     def set_state(self, pose, twist, steps=0, angles=None, memory=None):
         """Continue from a state: pose (n, 12), twist (n, 6), at a step count.
@@ -242,7 +243,7 @@ class Simulation:
         self._external = np.zeros((n, 6))   # the same about the centres of mass
         self._applied = []
         self.doubt = None
-        self._watch = JointWatch(self.layout)
+        self._watch.restart()
         self._step_watch.restart(self.steps, pose)
         self._integrator.restart()
         if memory is not None:
@@ -379,7 +380,7 @@ class Simulation:
                 self._applied.append(AppliedWrench(
                     self.steps, self.layout.body_names[body],
                     tuple(self._schedule.total[body].tolist())))
-                self._watch.restart()
+                self._watch.pushed()
                 self._step_watch.pushed()
             compares = (self.steps < end and len(self._timetable.parts(self.steps)) == 1
                         and self._step_watch.begins(self.steps, self._pose, self._twist))

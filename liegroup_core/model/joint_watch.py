@@ -21,11 +21,11 @@ SUDDEN, TOO_SMALL = 100.0, 1e-8
 
 def mechanism_size(model):
     """Length that gaps of joints are compared with, m: from joints and rims to centres of mass."""
-    gyration = np.sqrt([np.trace(np.reshape(body["inertia"], (3, 3))) / body["mass"]
-                        for body in model.bodies])
-    arms = [np.linalg.norm(element[f"{end}_point"]) for element in model.elements
-            for end in ("parent", "child") if element[end] != WORLD]
-    return float(max(gyration.max(), *arms, 0.0))
+    bodies, elements = model.bodies, model.elements
+    gyration = np.sqrt(bodies["inertia"][:, [0, 4, 8]].sum(axis=1) / bodies["mass"])
+    arms = [np.linalg.norm(elements[f"{end}_point"][elements[end] != WORLD], axis=1).max(initial=0.0)
+            for end in ("parent", "child")]
+    return float(max(gyration.max(), *arms))
 
 
 class JointWatch:
@@ -39,11 +39,15 @@ class JointWatch:
             self._scale = np.array([1.0 if name.startswith("w") else 1.0 / size
                                     for names in layout.row_names for name in names])
             self._residual = np.zeros(len(self._scale))
-        self._said = set()
         self.restart()
 
     def restart(self):
-        """Another state, or other wrenches: what the joints did before does not count."""
+        """Another state."""
+        self._said = set()
+        self.pushed()
+
+    def pushed(self):
+        """Other wrenches: what the joints did before does not count."""
         self._largest = None
 
     def next_look(self, steps):
