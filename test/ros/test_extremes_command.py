@@ -75,7 +75,7 @@ def test_values_are_told_apart_and_whole(tmp_path, capsys):
     (["--methods", "euler"], "unknown method 'euler'"), (["--axes", "heat"], "unknown axis 'heat'"),
     (["no_such_scene"], "no_such_scene"), (["--workers", "0"], "--workers"),
     (["--horizon", "nan"], "--horizon"), (["--png", "map.gif"], ".png"),
-    (["--horizon", "1e-4"], "at least 0.001"), (["--json", "/no/such/map.json"], "existing folder"),
+    (["--horizon", "1e-4"], "at least 0.001"), (["--json", "/no/such/a.json"], "existing folder"),
     (["--quick", "--axes", "racket_coarse"], "--quick"), (["--axes", "steps"], "--long"),
     (["double_pendulum", "--axes", "speed"], "at rest"),
     (["free_body", "--axes", "racket"], "not one of a SCENE")])
