@@ -17,9 +17,11 @@ from liegroup_core import load_scene
 from liegroup_core.integrators.methods import METHODS
 from liegroup_core.study.extremes import VERDICTS, Kept, axes_of, counts, silent, survey
 
-from .report.extremes_page import SIGNS, write_page
+from .report.extremes_page import SIGNS, shown, write_page
 
 EXIT_SILENT, EXIT_INTERRUPTED = 1, 130
+WIDTH = 200                     # characters that no table needs: none is cut
+SHORTEST = 1e-3                 # s, a step of the runs at other velocities
 STYLES = dict(zip(VERDICTS, ("green", "yellow", "blue", "cyan", "dim", "bold white on red")))
 NOTE = ("accurate: within 5 % of the motion; flagged: wrong, and the run warned; refused: no step "
         "was taken, with a reason; stopped: the run ended early and said why; unjudged: the truth "
@@ -58,14 +60,13 @@ def add_parser(subparsers):
 def run(args):
     """Run the subcommand; returns the exit code. Raises ExtremesError, SceneError, TasksError."""
     axes, kept = _wanted(args)
-    quick = args.quick and args.scene is None
     console = Console(file=sys.stdout)
     found = {axis.name: [] for axis in axes}
     try:
         with Progress(BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
                       console=Console(stderr=True)) as bar:
             task = bar.add_task("")
-            for total, axis, cells, complete in survey(axes, quick, tuple(args.methods),
+            for total, axis, cells, complete in survey(axes, args.quick, tuple(args.methods),
                                                        args.scheduler, args.workers, kept):
                 bar.update(task, total=total, advance=1)
                 found[axis.name] += cells
@@ -78,7 +79,6 @@ def run(args):
     cells = [cell for axis in axes for value in axis.values for cell in found[axis.name]
              if cell["value"] == value]
     _print_end(cells, console)
-    axes = tuple(axis for axis in axes if found[axis.name])     # --quick leaves some out
     try:
         if args.json:
             Path(args.json).write_text(json.dumps(as_json(axes, cells), indent=1,
@@ -102,19 +102,41 @@ def _wanted(args):
         raise ExtremesError(f"unknown method {unknown[0]!r}; there are: {', '.join(METHODS)}")
     if args.workers is not None and args.workers < 1:
         raise ExtremesError(f"--workers must be at least 1, got {args.workers}")
-    if not (math.isfinite(args.horizon) and args.horizon > 0.0):
-        raise ExtremesError(f"--horizon must be a positive number of seconds, got {args.horizon}")
+    if not (math.isfinite(args.horizon) and args.horizon >= SHORTEST):
+        raise ExtremesError(f"--horizon must be a number of seconds, at least {SHORTEST:g}, got "
+                            f"{args.horizon:g}")
     if args.png and Path(args.png).suffix not in (".png", ".pdf", ".svg"):
         raise ExtremesError(f"{args.png}: the name must end in .png, .pdf or .svg")
+    for path in filter(None, (args.json, args.markdown, args.png)):
+        if Path(path).is_dir() or not Path(path).absolute().parent.is_dir():
+            raise ExtremesError(f"{path}: cannot be written: give a file in an existing folder")
     kept = Kept.of(args.scene and load_scene(args.scene), args.horizon)
-    axes = axes_of(args.scene, args.horizon, args.long)
-    if args.axes:
-        names = [axis.name for axis in axes]
-        for name in args.axes:
-            if name not in names:
-                raise ExtremesError(f"unknown axis {name!r}; there are: {', '.join(names)}")
-        axes = tuple(axis for axis in axes if axis.name in args.axes)
+    axes = _axes(args)
+    if args.quick:
+        axes = tuple(axis for axis in axes if axis.quick)
+        if not axes:
+            raise ExtremesError(f"--quick has nothing of {', '.join(args.axes)}; leave it out")
     return axes, kept
+
+
+def _axes(args):
+    axes = axes_of(args.scene, args.horizon, args.long)
+    if not args.axes:
+        if args.scene and len(axes) == 1:
+            print(f"liegroup_sim: {args.scene} is at rest at the start, there are no velocities "
+                  "to vary", file=sys.stderr)
+        return axes
+    names = [axis.name for axis in axes]
+    for name in args.axes:
+        if name == "speed" and args.scene and name not in names:
+            raise ExtremesError(f"axis 'speed': {args.scene} is at rest at the start, there are "
+                                "no velocities to vary")
+        if name not in names and name in [axis.name for axis in axes_of(long=True)]:
+            raise ExtremesError(f"axis {name!r} is " + ("not one of a SCENE; there are: "
+                                + ", ".join(names) if args.scene else "run with --long only"))
+        if name not in names:
+            raise ExtremesError(f"unknown axis {name!r}; there are: {', '.join(names)}")
+    return tuple(axis for axis in axes if axis.name in args.axes)
 
 
 def as_json(axes, cells):
@@ -138,14 +160,14 @@ def _print_axis(axis, cells, methods, console):
     table = Table(box=None, padding=(0, 1, 0, 0))
     table.add_column("", no_wrap=True)
     for value in values:
-        table.add_column(f"{value:g}", justify="center", no_wrap=True)
+        table.add_column(shown(value), justify="center", no_wrap=True)
     for method in methods:
         row = [by_place.get((method, value)) for value in values]
         if any(row):
             table.add_row(Text(method), *(
                 Text(SIGNS[verdict], style=STYLES[verdict]) if verdict else Text("")
                 for verdict in row))
-    console.print(table, width=max(console.width, 120), crop=False)
+    console.print(table, width=WIDTH, crop=False)
     console.print()
 
 
@@ -154,5 +176,5 @@ def _print_end(cells, console):
                                  in counts(cells).items())))
     console.print(Text(NOTE, style="dim"))
     for cell in silent(cells):
-        console.print(Text(f"! {cell['axis']} {cell['value']:g}, {cell['method']}: error "
+        console.print(Text(f"! {cell['axis']} {shown(cell['value'])}, {cell['method']}: error "
                            f"{cell['error']:.2g} of the motion, unsaid", style="bold red"))

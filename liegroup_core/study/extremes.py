@@ -13,6 +13,7 @@ from pathlib import Path
 from ..errors import SceneError, SimulationError
 from ..integrators import misfit
 from ..integrators.methods import METHODS
+from ..scene.load import load_scene
 from ..simulation import make_layout
 from . import extremes_problems as problems
 from .extremes_axes import _STEPS, AXES, Axis, _powers
@@ -20,16 +21,24 @@ from .extremes_cell import REFUSED, SILENT, UNJUDGED, VERDICTS, judge_alike, run
 from .store import Folder, key_of
 from .tasks import run
 
+# Of the problems and of how they are judged: the key of what is kept does not see these sources.
+FORMAT = 2
+
 
 def axes_of(scene=None, horizon=8.0, long=False):
-    """The axes of the map; with the name of a scene, those that any scene has: step and speed."""
+    """The axes of the map; with the name of a scene, those that any scene has: step and speed.
+
+    A scene that is at rest at the start has no speeds.
+    """
     if scene is None:
         return tuple(axis for axis in AXES if long or not axis.long)
     steps = tuple(step for step in _STEPS if step <= horizon)
-    return (Axis("step", f"step, {horizon:g} s", "s", steps,
-                 partial(problems.of_scene_step, scene, horizon)),
+    axes = (Axis("step", f"step, {horizon:g} s", "s", steps,
+                 partial(problems.of_scene_step, scene, horizon), quick=steps[::3]),
             Axis("speed", f"velocities at the start at 1 ms, {horizon:g} s", "times",
-                 _powers(-6, 5), partial(problems.of_scene_speed, scene, horizon)))
+                 _powers(-6, 5), partial(problems.of_scene_speed, scene, horizon),
+                 quick=(1e-3, 1.0, 1e3)))
+    return axes if problems.moves(load_scene(scene)) else axes[:1]
 
 
 class Kept:
@@ -54,7 +63,7 @@ class Kept:
         root : folder; None: in the user's cache
         """
         text = "" if scene is None else f"{scene.text} {horizon}"
-        return cls(Folder(Path("extremes", key_of(f"extremes {text}")), root))
+        return cls(Folder(Path("extremes", key_of(f"extremes {FORMAT} {text}")), root))
 
     def missing(self, axis, value, methods):
         """Those of the methods that have not been run there."""
@@ -126,8 +135,12 @@ def column(item):
     try:
         layout = make_layout(problem.scene)
     except SceneError as error:
-        return [where | {"method": method, "verdict": REFUSED, "says": [str(error)]}
-                for method in methods]
+        refused = [where | {"method": method, "verdict": REFUSED, "says": [str(error)]}
+                   for method in methods]
+        if axis.alike is None:
+            return refused
+        layout = make_layout(axis.problem(axis.alike).scene)    # the same joints
+        return [cell for cell in refused if not misfit(cell["method"], layout)]
     # What a method is not for is not judged.
     methods = [method for method in methods if not misfit(method, layout)]
     try:

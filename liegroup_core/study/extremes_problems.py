@@ -288,6 +288,12 @@ def flat(rate, stabilisation="none"):
         settings={"stabilisation": stabilisation})
 
 
+def moves(scene):
+    """Whether anything of a Scene has a velocity at the start, or a joint a rate."""
+    return (any(any(body.angular_velocity) or any(body.linear_velocity) for body in scene.bodies)
+            or any(joint.rate for joint in scene.joints))
+
+
 def of_scene_step(name, horizon, step):
     """A scene of the user's at a step."""
     scene = load_scene(name)

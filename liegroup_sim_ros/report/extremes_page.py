@@ -15,6 +15,12 @@ def write_page(axes, cells, methods, path):
         file.write("\n".join(_lines(axes, cells, methods)) + "\n")
 
 
+def shown(value):
+    """A value of an axis, told from its neighbours: 1.000001 is not 1."""
+    short = f"{value:g}"
+    return short if float(short) == value else f"{value:.7g}"
+
+
 def _lines(axes, cells, methods):
     yield "# The map of extremes"
     yield ""
@@ -35,7 +41,7 @@ def _numbers(cells):
     wrong = silent(cells)
     yield (f"{len(wrong)} answers are silently wrong" + (":" if wrong else "."))
     for cell in wrong:
-        yield (f"* {cell['axis']} {cell['value']:g}, {cell['method']}: error "
+        yield (f"* {cell['axis']} {shown(cell['value'])}, {cell['method']}: error "
                f"{cell['error']:.2g} of the motion")
     flagged = [cell for cell in cells if cell["verdict"] == "flagged"]
     alone = [cell for cell in flagged if all(any(part in text for part in WATCH)
@@ -57,7 +63,7 @@ def _table(axis, cells, methods):
     place = {(cell["method"], cell["value"]): SIGNS[cell["verdict"]] for cell in cells}
     yield f"## {axis.title}{f', {axis.unit}' if axis.unit else ''}"
     yield ""
-    yield "| | " + " | ".join(f"{value:g}" for value in values) + " |"
+    yield "| | " + " | ".join(map(shown, values)) + " |"
     yield "|---|" + "---|" * len(values)
     for method in methods:
         row = [place.get((method, value), "") for value in values]

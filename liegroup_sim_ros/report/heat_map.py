@@ -8,6 +8,8 @@ from matplotlib.patches import Patch
 
 from liegroup_core.study.extremes import VERDICTS
 
+from .extremes_page import shown
+
 COLOURS = ("#8fcf9b", "#f2c14e", "#9db8d9", "#4f81bd", "#d9d9d9", "#d11f1f")
 ACROSS = 4                      # panels in a row
 
@@ -32,7 +34,7 @@ def write_heat_map(axes, cells, methods, path):
                          norm=BoundaryNorm([k - 0.5 for k in range(len(VERDICTS) + 1)],
                                            len(VERDICTS)))
         panel.set_title(axis.title + (f", {axis.unit}" if axis.unit else ""), fontsize=8)
-        panel.set_xticks(range(len(values)), [f"{value:g}" for value in values], fontsize=6,
+        panel.set_xticks(range(len(values)), list(map(shown, values)), fontsize=6,
                          rotation=90)
         panel.set_yticks(range(len(methods)), methods, fontsize=6)
     for panel in list(panels.flat)[len(axes):]:

@@ -137,6 +137,13 @@ def test_what_was_run_is_not_run_again(tmp_path, monkeypatch):
     assert made
 
 
+def test_a_scene_that_cannot_be_made_is_refused_by_the_methods_that_are_for_it():
+    axis = next(axis for axis in AXES if axis.name == "length_bars")
+    cells = column((axis, 1e-6, ("rkmk4", "rattle")))
+    assert [(cell["method"], cell["verdict"]) for cell in cells] == [("rkmk4", REFUSED)]
+    assert "cannot be closed" in cells[0]["says"][0]
+
+
 def test_a_scene_of_the_user():
     axes = axes_of("free_body", horizon=1.0)
     assert [axis.name for axis in axes] == ["step", "speed"]

@@ -50,10 +50,35 @@ def test_a_scene_of_the_user(capsys):
     assert "accurate 9" in capsys.readouterr().out
 
 
+def test_a_scene_at_rest_has_no_speeds_and_quick_is_quick(capsys):
+    assert main(["extremes", "double_pendulum", "--horizon", "0.5", "--quick", "--methods",
+                 "rkmk8", "rattle", "--workers", "1"]) == 0
+    shown, said = capsys.readouterr()
+    # Every third of nine steps, for the one method that is for it.
+    heads, row = (line.split() for line in shown.splitlines()[1:3])
+    assert heads == ["0.5", "0.05", "0.005"] and row == ["rkmk8", ".", ".", "."]
+    assert "velocities at" not in shown and "at rest at the start" in said
+
+
+def test_values_are_told_apart_and_whole(tmp_path, capsys):
+    """1.000001 is not 1, on the terminal and in the page, and no head of a column is cut."""
+    page, wanted = tmp_path / "map.md", next(a for a in extremes.AXES if a.name == "sleeping")
+    assert main(["extremes", "--axes", "sleeping", "--methods", "rkmk8", "--workers", "1",
+                 "--markdown", str(page)]) == 0
+    heads = capsys.readouterr().out.splitlines()[1].split()
+    assert tuple(map(float, heads)) == wanted.values
+    row = next(line for line in page.read_text().splitlines() if line.startswith("| | 0.5"))
+    assert [float(x) for x in row.strip("| ").split("|")] == list(wanted.values)
+
+
 @pytest.mark.parametrize("wrong, says", [
     (["--methods", "euler"], "unknown method 'euler'"), (["--axes", "heat"], "unknown axis 'heat'"),
     (["no_such_scene"], "no_such_scene"), (["--workers", "0"], "--workers"),
-    (["--horizon", "nan"], "--horizon"), (["--png", "map.gif"], ".png")])
+    (["--horizon", "nan"], "--horizon"), (["--png", "map.gif"], ".png"),
+    (["--horizon", "1e-4"], "at least 0.001"), (["--json", "/no/such/a.json"], "existing folder"),
+    (["--quick", "--axes", "racket_coarse"], "--quick"), (["--axes", "steps"], "--long"),
+    (["double_pendulum", "--axes", "speed"], "at rest"),
+    (["free_body", "--axes", "racket"], "not one of a SCENE")])
 def test_wrong_input_is_one_line(wrong, says, capsys):
     assert main(["extremes", *wrong]) == 2
     said = capsys.readouterr().err
