@@ -104,7 +104,8 @@ if compiled():
         """Address of an element; None for an index that stands for several.
 
         Kernels count from the front: asking of every index whether it counts from the end took a
-        third of a step.
+        third of a step. NUMBA_BOUNDSCHECK=1 raises IndexError for one that does, in kernels that
+        are compiled under it: into a LIEGROUP_CACHE_DIR of their own.
         """
         kinds, indices = [index_type], [index]
         if isinstance(index_type, types.BaseTuple):

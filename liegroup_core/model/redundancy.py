@@ -117,7 +117,9 @@ def independent_rows(matrices, grounded):
     first = np.flatnonzero(~_independent(matrices[int(np.argmax(ranks))]))
     weight = np.where(grounded, 1.0 / MUCH_BETTER, 1.0)
     best = _spared(vanishing, weight)
-    better = _quality(best, vanishing) > MUCH_BETTER * _quality(first, vanishing)
+    # Next to the tolerance both counts of dependent rows may differ: then only `best` has enough.
+    better = (len(first) != len(best)
+              or _quality(best, vanishing) > MUCH_BETTER * _quality(first, vanishing))
     mask = np.ones(len(grounded), dtype=bool)
     mask[best if better else first] = False
     return mask, int(np.argmax(ranks))

@@ -5,12 +5,13 @@
         | J   0  |      an edge between a joint and each moving body it touches
 
 A body is eliminated by its mass; what it leaves with its joints is -J M^-1 J^T. There are two ways
-through a tree, without fill, O(n) for a chain:
-  leaves first    body, joint, parent and so on: each joint ADDS the inertia of all beyond it to its
-                  parent, and no digits cancel whatever the ratio of the masses
-  bodies first    K is reduced to S = J M^-1 J^T. Mass matrices are constant, and so is all that
-                  this does to them; what is left is as small as the joints are. It SUBTRACTS: as
-                  many digits are lost as the ratio of neighbouring masses has
+through a tree, O(n) for a chain:
+  leaves first    body, joint, parent and so on, without fill: each joint ADDS the inertia of all
+                  beyond it to its parent, and no digits cancel whatever the ratio of the masses
+  bodies first    K is reduced to S = J M^-1 J^T, where all joints of a body are coupled. Mass
+                  matrices are constant, and so is all that this does to them; what is left is as
+                  small as the joints are. It SUBTRACTS: as many digits are lost as the ratio of
+                  neighbouring masses has
 In a loop a joint waits for all of its bodies in any case, since a chain that is held at its far end
 may not move freely where the joint is: there K is reduced to S, by minimum degree.
 
@@ -137,7 +138,7 @@ def operations(vertices, columns, updates):
 def cheapest_structure(body, n, rows, ends, changing, alike):
     """Structure of a mechanism that takes the fewest operations at a new pose.
 
-    alike : True when no digits are lost whichever way trees are gone through
+    alike : True when neighbouring masses differ so little that either way through trees will do
     others : of Structure
     """
     ways = [Structure(body, n, rows, ends, changing, bodies_first)
