@@ -46,7 +46,8 @@ def source_digest():
 
 def _source_hash():
     """Hash of all that the compiler keeps apart: sources and their place, versions."""
-    kept_apart = f"{Path(__file__).parent} {sys.version} {numba.__version__} {source_digest()}"
+    kept_apart = (f"{Path(__file__).parent} {sys.version} {numba.__version__} "
+                  f"{numba.config.BOUNDSCHECK} {source_digest()}")
     return hashlib.sha256(kept_apart.encode()).hexdigest()[:16]
 
 

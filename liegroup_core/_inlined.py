@@ -3,14 +3,15 @@
 
 Left alone, Numba optimises every function and makes machine code of it before a caller takes it
 in, and does all of that again with the caller. For kernels ten deep that was two thirds of the time
-of a compilation. Here a function that others take in stays LLVM code as it was lowered, and only the
-outermost one, which Python calls, is optimised with all that is in it.
+of a compilation. Here a function that others take in stays LLVM code, made smaller and no more, and
+only the outermost one, which Python calls, is optimised with all that is in it. Nor is a function
+compiled anew for every constant that it is called with: LLVM knows it where it inlines the call.
 
 A function that is long and called by several of those, the solve, is made into machine code of its
 own, which they find under a name.
 
-Of Numba's inner parts this replaces two steps of a code library, one compiler pass and what is done
-when the cache on the disk is damaged.
+Of Numba's inner parts this replaces three steps of a code library, one compiler pass, the type of a
+function, and what is done when the cache on the disk is damaged.
 """
 import hashlib
 import logging

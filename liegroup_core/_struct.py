@@ -104,8 +104,7 @@ if compiled():
         """Address of an element; None for an index that stands for several.
 
         Kernels count from the front: asking of every index whether it counts from the end took a
-        third of a step. NUMBA_BOUNDSCHECK=1 raises IndexError for one that does, in kernels that
-        are compiled under it: into a LIEGROUP_CACHE_DIR of their own.
+        third of a step. With NUMBA_BOUNDSCHECK=1 one that does raises IndexError.
         """
         kinds, indices = [index_type], [index]
         if isinstance(index_type, types.BaseTuple):
