@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The map of extremes: its verdicts catch planted wrong answers, and none is silent."""
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from liegroup_core import Simulation, load_scene
+from liegroup_core.scene.description import Frame
 from liegroup_core.study import extremes, extremes_cell, extremes_problems as problems
 from liegroup_core.study.extremes import axes_of, column, counts, silent, survey
 from liegroup_core.study.extremes_axes import AXES
@@ -138,8 +141,14 @@ def test_what_was_run_is_not_run_again(tmp_path, monkeypatch):
 
 
 def test_a_scene_that_cannot_be_made_is_refused_by_the_methods_that_are_for_it():
-    axis = next(axis for axis in AXES if axis.name == "length_bars")
-    cells = column((axis, 1e-6, ("rkmk4", "rattle")))
+    def far(distance):
+        """The four-bar, its last joint so many metres away."""
+        made = problems.length_bars(1.0)
+        *joints, last = made.scene.joints
+        last = last.model_copy(update={"parent_frame": Frame(position=(distance, 0, 0))})
+        return replace(made, scene=made.scene.model_copy(update={"joints": (*joints, last)}))
+    axis = replace(next(axis for axis in AXES if axis.name == "length_bars"), problem=far)
+    cells = column((axis, 5.0, ("rkmk4", "rattle")))
     assert [(cell["method"], cell["verdict"]) for cell in cells] == [("rkmk4", REFUSED)]
     assert "cannot be closed" in cells[0]["says"][0]
 
