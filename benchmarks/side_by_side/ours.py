@@ -12,7 +12,6 @@ from .measure import Entry, geometric
 from .problems import BALL, GROUND, HINGE
 
 CODE = "liegroup_core"
-# Simulations do not look at their steps on the way: the others do not check theirs either.
 # Methods of lower order are no candidates for any target.
 LOWEST_ORDER = 4
 JOINT_TYPES = {BALL: "spherical", HINGE: "revolute"}
@@ -54,6 +53,7 @@ class _Run:
         self.steps = 1 if self.controlled else level
         if self.controlled:
             options = options | {"rtol": level, "atol": level}
+        # Without looks at its steps: the others do not check theirs either.
         self.simulation = Simulation(scene, method=method, step=problem.duration / self.steps,
                                      watch=False, **options)
         self.start = self.simulation.state()
