@@ -27,6 +27,7 @@ from numba.core.compiler import Compiler
 from numba.core.compiler_machinery import register_pass
 from numba.core.datamodel import models
 from numba.core.imputils import lower_constant
+from numba.core.ir import Return
 from numba.core.lowering import Lower
 from numba.core.typed_passes import NativeLowering
 from numba.extending import intrinsic, register_model
@@ -36,6 +37,10 @@ from ._struct import StructType
 log = logging.getLogger("liegroup_core")
 
 OPTIONS = {"nogil": True, "error_model": "numpy"}
+
+X86 = binding.get_process_triple().split("-")[0] in ("x86_64", "i686", "i386")
+WORD32 = ir.IntType(32)
+FLUSH_TO_ZERO_AND_DENORMALS_ARE_ZERO = ir.Constant(WORD32, 0x8040)      # bits of MXCSR
 
 
 class _Library(JITCodeLibrary):
@@ -94,6 +99,32 @@ class _Lower(Lower):
                 argument.attributes.align = 8
 
 
+class _FlushingLower(_Lower):
+    """While the function runs, x86 takes numbers below 2.2e-308 for zero: see _compile.stepper."""
+
+    def pre_lower(self):
+        super().pre_lower()
+        if X86:
+            self._given = self._control("stmxcsr", cgutils.alloca_once(self.builder, WORD32))
+            flushing = cgutils.alloca_once(self.builder, WORD32)
+            self.builder.store(self.builder.or_(self.builder.load(self._given),
+                                                FLUSH_TO_ZERO_AND_DENORMALS_ARE_ZERO), flushing)
+            self._control("ldmxcsr", flushing)
+
+    def lower_inst(self, inst):
+        if X86 and isinstance(inst, Return):
+            self._control("ldmxcsr", self._given)
+        super().lower_inst(inst)
+
+    def _control(self, instruction, place):
+        """Store or load the control word of the floating-point unit."""
+        byte = ir.IntType(8).as_pointer()
+        function = cgutils.get_or_insert_function(
+            self.module, ir.FunctionType(ir.VoidType(), [byte]), f"llvm.x86.sse.{instruction}")
+        self.builder.call(function, [self.builder.bitcast(place, byte)])
+        return place
+
+
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _InnerLowering(NativeLowering):
     _name = "inner_lowering"
@@ -121,6 +152,12 @@ class _OuterLowering(NativeLowering):
         return super().run_pass(state)
 
 
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _FlushingLowering(_OuterLowering):
+    _name = "flushing_lowering"
+    lowering_class = _FlushingLower
+
+
 class _Inner(Compiler):
     lowering = _InnerLowering
 
@@ -135,6 +172,10 @@ class _Inner(Compiler):
 
 class _Outer(_Inner):
     lowering = _OuterLowering
+
+
+class _Flushing(_Inner):
+    lowering = _FlushingLowering
 
 
 def inner(function, always):
@@ -172,9 +213,9 @@ class _Cache(FunctionCache):
                             "again: %s: %s", self.cache_path, error.strerror)
 
 
-def outer(function, cache):
-    """Dispatcher of the same function for Python."""
-    dispatcher = njit(**OPTIONS, pipeline_class=_Outer)(function)
+def outer(function, cache, flushes):
+    """Dispatcher of the same function for Python; flushes: see _compile.stepper."""
+    dispatcher = njit(**OPTIONS, pipeline_class=_Flushing if flushes else _Outer)(function)
     if cache:
         dispatcher._cache = _Cache(function)
     return dispatcher

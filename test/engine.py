@@ -28,7 +28,7 @@ def rows(simulation, pose=None, twist=None):
         k, body = joint["rows"], 6 * joint["child"]
         where = model.row_residual[joint["first"]:joint["first"] + k]
         bias[where] = work.solution[joint["start"]:joint["start"] + k]
-        J[where, body:body + 6] = work.child_jacobian[j, :6 * k].reshape(k, 6)
+        J[where, body:body + 6] = work.child_jacobian[joint["first"]:joint["first"] + k]
         if joint["parent"] >= 0:
             body = 6 * joint["parent"]
             block = work.matrix[joint["parent_place"]:joint["parent_place"] + 6 * k]

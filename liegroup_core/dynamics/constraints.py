@@ -29,9 +29,6 @@ from ..lie.vec3 import (ZERO3, add3, axpy3, cross3, dot3, load3, load9, matmul3,
                         store3, sub3, tmatmul3, tmatvec3, vector3)
 from ..model.arrays import WORLD
 
-# Part of a twist's largest component below which another one is no motion any more.
-NEXT_TO_NOTHING = 1e-40
-
 
 @kernel
 def _frame(pose, body, rotation, point):
@@ -96,8 +93,8 @@ def _child_row(model, work, j, rot, p, w, v):
         q = add3(p, matvec3(rot, vector3(element["parent_point"])))
         row_w, row_v = distance_row(s, q)
         rate = distance_rate(s, q, w, v)
-    store3(row_w, work.child_jacobian, j, 0)
-    store3(row_v, work.child_jacobian, j, 3)
+    store3(row_w, work.child_jacobian, model.joints[j]["first"], 0)
+    store3(row_v, work.child_jacobian, model.joints[j]["first"], 3)
     # One row: its block is the same whether turned or not.
     place = model.joints[j]["child_place"]
     for c in range(3):
@@ -119,29 +116,29 @@ def _set_bias(model, work, j, omega, bracket_w, bracket_v, error_w, error_v, rat
     rows = model.joints[j]["rows"]
     e = ZERO3
     for r in range(rows):
-        beta = load3(work.child_jacobian, j, 6 * r + 3)
-        slip = dot3(load3(work.child_jacobian, j, 6 * r), error_w) + dot3(beta, error_v)
+        beta = load3(work.child_jacobian, first + r, 3)
+        slip = dot3(load3(work.child_jacobian, first + r, 0), error_w) + dot3(beta, error_v)
         work.slip[first + r] = slip
         e = axpy3(slip, beta, e)
     bracket_v = add3(bracket_v, cross3(omega, e))
     for r in range(rows):
         work.solution[start + r] = -rate - (
-            dot3(load3(work.child_jacobian, j, 6 * r), bracket_w)
-            + dot3(load3(work.child_jacobian, j, 6 * r + 3), bracket_v))
+            dot3(load3(work.child_jacobian, first + r, 0), bracket_w)
+            + dot3(load3(work.child_jacobian, first + r, 3), bracket_v))
 
 
 @kernel
 def _set_parent_rows(model, work, j, rot, p):
     """J_a = -J_b Ad(C_ba) of joint j into its block of K; rot, p: C_ba."""
-    rows = model.joints[j]["rows"]
+    rows, first = model.joints[j]["rows"], model.joints[j]["first"]
     place = model.joints[j]["parent_place"]
     # One scalar after the other of a row, or, in a turned block, of a column.
     row_step, step = 6, 1
     if model.joints[j]["parent_turned"] == 1:
         row_step, step = 1, rows
     for r in range(rows):
-        beta = load3(work.child_jacobian, j, 6 * r + 3)
-        row_w = tmatvec3(rot, sub3(load3(work.child_jacobian, j, 6 * r), cross3(p, beta)))
+        beta = load3(work.child_jacobian, first + r, 3)
+        row_w = tmatvec3(rot, sub3(load3(work.child_jacobian, first + r, 0), cross3(p, beta)))
         row_v = tmatvec3(rot, beta)
         at = place + r * row_step
         work.matrix[at] = -row_w[0]
@@ -158,7 +155,7 @@ def assemble(model, work, pose, twist):
 
     pose (n, 12), twist (n, 6); bias: J Vdot = bias
     """
-    for i in range(model.fresh):
+    for i in range(model.summed):
         work.matrix[i] = model.matrix[i]
     for j in range(len(model.joints)):
         a = model.joints[j]["parent"]
@@ -195,13 +192,9 @@ def clear_ground_slip(model, twist):
         if model.joints[j]["parent"] == WORLD and model.joints[j]["kind"] == PAIR:
             b = model.joints[j]["child"]
             w, v = load3(twist, b, 0), load3(twist, b, 3)
-            size = max(max(abs(w[0]), abs(w[1]), abs(w[2])), max(abs(v[0]), abs(v[1]), abs(v[2])))
             for r in range(6):
-                value = twist[b, r] - (dot3(load3(model.ground_projector, j, 6 * r), w)
-                                       + dot3(load3(model.ground_projector, j, 6 * r + 3), v))
-                # What is left of a forbidden direction gets 1e-16 times smaller every step, and
-                # numbers below 1e-308 take a hundred times as long: they make room for zero.
-                twist[b, r] = 0.0 if abs(value) <= NEXT_TO_NOTHING * size else value
+                twist[b, r] -= (dot3(load3(model.ground_projector, j, 6 * r), w)
+                                + dot3(load3(model.ground_projector, j, 6 * r + 3), v))
 
 
 @kernel
@@ -218,10 +211,11 @@ def subtract_joint_forces(model, work, multipliers, at, wrench_out):
         if model.joints[j]["parent_turned"] == 1:
             row_step, step = 1, rows
         for r in range(rows):
-            value = multipliers[at + model.joints[j]["first"] + r]
+            row = model.joints[j]["first"] + r
+            value = multipliers[at + row]
             place = model.joints[j]["parent_place"] + r * row_step
             for c in range(6):
-                wrench_out[b, c] -= value * work.child_jacobian[j, 6 * r + c]
+                wrench_out[b, c] -= value * work.child_jacobian[row, c]
                 if a != WORLD:
                     wrench_out[a, c] -= value * work.matrix[place + c * step]
 

@@ -46,9 +46,9 @@ def is_closed(model, work, pose):
         if a != WORLD:
             length += _largest3(load3(pose, a, 9))
         for r in range(model.joints[j]["rows"]):
-            beta = load3(work.child_jacobian, j, 6 * r + 3)
-            scale = 1.0 if dot3(beta, beta) == 0.0 else length
             row = model.joints[j]["first"] + r
+            beta = load3(work.child_jacobian, row, 3)
+            scale = 1.0 if dot3(beta, beta) == 0.0 else length
             # NaN is not closed
             if not abs(work.gap[model.row_residual[row]]) <= ROUND_OFF * scale:
                 return False
@@ -92,14 +92,12 @@ def project(model, work, pose, twist):
         if dependent >= 0:
             return rounds, DEPENDENT_ROWS + (model.joints[dependent]["element"] << 8)
         for i in range(len(model.bodies)):
-            at = model.bodies[i]["start"]
             if closed:
                 for c in range(6):
-                    twist[i, c] += work.solution[at + c]
+                    twist[i, c] += work.acceleration[i, c]
             else:
-                _displace(pose, twist, i,
-                          (work.solution[at], work.solution[at + 1], work.solution[at + 2]),
-                          (work.solution[at + 3], work.solution[at + 4], work.solution[at + 5]))
+                _displace(pose, twist, i, load3(work.acceleration, i, 0),
+                          load3(work.acceleration, i, 3))
         if closed:
             return rounds, OK
     return MOST_ROUNDS, NOT_PROJECTED

@@ -10,6 +10,8 @@ array `solve`. A diagonal block is positive definite, that of a joint but for it
     s K_vv = (W^T d W)^-1 ,     W unit lower triangular, d diagonal
 The inverses W and d are what is kept of it, and s K_iv W^T d of a block below it: then nothing
 waits for the solution of a triangular system, which would take most of the time of so small ones.
+The block of a body that is eliminated before poses have changed it is its mass: W and d are not
+looked for there, and M^-1, which is a small matrix and a number, and K_iv M^-1 are what is kept.
 
 The usual sizes (of a body, 6 scalars or 3 in a plane, and of two kinds of joints) are handed on as
 constants: the compiler then unrolls the loops over a block, which was measured to take a quarter
@@ -17,6 +19,8 @@ to a third of the time.
 """
 from .._compile import kernel, shared
 from ..model.arrays import WORLD
+from .blocks import (invert_diagonal, over_mass, pull_block, push_block, subtract_product,
+                     subtract_square, times_inverse)
 
 # Scalars of a body, and of the joints that are most frequent. Where these are constants LLVM
 # unrolls the loops over a block: they take a third less time.
@@ -29,173 +33,134 @@ REGULARISATION = 1e2
 
 
 @kernel
-def _invert_diagonal(solve, place, k, sign, floor, first, shift):
-    """W, and on its diagonal d, of one k x k block, in place.
+def _update(model, solve, v, k, usual, other):
+    """What the elimination of vertex v, of k scalars, leaves with those it is coupled with.
 
-    floor : smallest good pivot of every scalar, from entry `first` on
-    shift : multiple of that floor to add to the diagonal
-    returns False when a pivot is below it
-    """
-    # L / d below the diagonal, d on it
-    for r in range(k):
-        for c in range(r + 1):
-            total = sign * solve[place + r * k + c]
-            if c == r:
-                total += shift * floor[first + r]
-            for q in range(c):
-                total -= solve[place + r * k + q] * (solve[place + c * k + q]
-                                                     * solve[place + q * k + q])
-            if c < r:
-                solve[place + r * k + c] = total
-            else:
-                if not total > floor[first + r]:
-                    return False
-                solve[place + r * k + r] = 1.0 / total
-    # W = L^-1, row by row: W_rc = -sum_q L_rq W_qc
-    for r in range(1, k):
-        for c in range(r):
-            total = solve[place + r * k + c] * solve[place + c * k + c]
-            for q in range(c + 1, r):
-                total += (solve[place + r * k + q] * solve[place + q * k + q]
-                          * solve[place + q * k + c])
-            solve[place + r * k + c] = -total
-    return True
-
-
-@kernel
-def _times_inverse(solve, spare, at, place, rows, k, sign):
-    """Y = K_iv W^T of one block of `rows` rows into `spare`; s Y d in its place."""
-    for r in range(rows):
-        for c in range(k - 1, -1, -1):
-            total = solve[at + r * k + c]
-            for q in range(c):
-                total += solve[at + r * k + q] * solve[place + c * k + q]
-            spare[at + r * k + c] = total
-            solve[at + r * k + c] = total * (sign * solve[place + c * k + c])
-
-
-@kernel
-def _subtract_square(solve, spare, target, left, rows, k):
-    """K_ii -= s Y_i d Y_i^T, its lower triangle."""
-    for r in range(rows):
-        for c in range(r + 1):
-            total = 0.0
-            for q in range(k):
-                total += solve[left + r * k + q] * spare[left + c * k + q]
-            solve[target + r * rows + c] -= total
-
-
-@kernel
-def _subtract_product(solve, spare, target, left, right, rows, columns, k):
-    """K_iw -= s Y_i d Y_w^T."""
-    for r in range(rows):
-        for c in range(columns):
-            total = 0.0
-            for q in range(k):
-                total += solve[left + r * k + q] * spare[right + c * k + q]
-            solve[target + r * columns + c] -= total
-
-
-@kernel
-def _eliminate(model, solve, spare, v, k, sign, usual, other, shift):
-    """Eliminate vertex v of k scalars; False when one of its pivots is too small.
-
-    usual, other : sizes that most of its neighbours have, as constants
+    usual, other : sizes that most of them have, as constants
     """
     vertices = model.vertices
-    place = vertices[v]["diagonal"]
-    if (vertices[v]["is_constant"] == 0
-            and not _invert_diagonal(solve, place, k, sign, model.pivot_floor,
-                                     vertices[v]["start"], shift)):
-        return False
-    for b in range(vertices[v]["column_fresh"], vertices[v]["column_end"]):
-        rows = vertices[model.columns[b, 0]]["size"]
-        if rows == usual:
-            _times_inverse(solve, spare, model.columns[b, 1], place, usual, k, sign)
-        elif rows == other:
-            _times_inverse(solve, spare, model.columns[b, 1], place, other, k, sign)
-        else:
-            _times_inverse(solve, spare, model.columns[b, 1], place, rows, k, sign)
     for u in range(vertices[v]["update_start"], vertices[v]["update_end"]):
         target = model.updates[u, 0]
         left = model.updates[u, 1]
         right = model.updates[u, 2]
         rows = vertices[model.updates[u, 3]]["size"]
-        if left == right:
+        if model.updates[u, 3] == model.updates[u, 4]:
             if rows == usual:
-                _subtract_square(solve, spare, target, left, usual, k)
+                subtract_square(solve, target, left, right, usual, k)
             elif rows == other:
-                _subtract_square(solve, spare, target, left, other, k)
+                subtract_square(solve, target, left, right, other, k)
             else:
-                _subtract_square(solve, spare, target, left, rows, k)
+                subtract_square(solve, target, left, right, rows, k)
             continue
         columns = vertices[model.updates[u, 4]]["size"]
         if rows == usual and columns == usual:
-            _subtract_product(solve, spare, target, left, right, usual, usual, k)
+            subtract_product(solve, target, left, right, usual, usual, k)
         else:
-            _subtract_product(solve, spare, target, left, right, rows, columns, k)
+            subtract_product(solve, target, left, right, rows, columns, k)
+
+
+@kernel
+def _eliminate(model, solve, v, k, sign, usual, other, shift):
+    """Eliminate vertex v of k scalars; False when one of its pivots is too small."""
+    vertices = model.vertices
+    place = vertices[v]["diagonal"]
+    if (vertices[v]["is_constant"] == 0
+            and not invert_diagonal(solve, place, k, sign, model.pivot_floor,
+                                     vertices[v]["start"], shift)):
+        return False
+    for b in range(vertices[v]["column_fresh"], vertices[v]["column_end"]):
+        rows = vertices[model.columns[b, 0]]["size"]
+        at, scratch = model.columns[b, 1], model.columns[b, 2]
+        if rows == usual:
+            times_inverse(solve, at, scratch, place, usual, k, sign)
+        elif rows == other:
+            times_inverse(solve, at, scratch, place, other, k, sign)
+        else:
+            times_inverse(solve, at, scratch, place, rows, k, sign)
+    _update(model, solve, v, k, usual, other)
     return True
 
 
 @kernel
-def _push_block(solve, block, x, to, at, rows, k):
-    """x_to -= block x_at."""
-    for r in range(rows):
-        total = 0.0
-        for q in range(k):
-            total += solve[block + r * k + q] * x[at + q]
-        x[to + r] -= total
+def _eliminate_mass(model, solve, v, body, usual, other):
+    """Eliminate body v, whose block is its mass: K_iv M^-1 below it, K_iv into scratch memory."""
+    vertices = model.vertices
+    for b in range(vertices[v]["column_fresh"], vertices[v]["column_end"]):
+        for r in range(vertices[model.columns[b, 0]]["size"]):
+            over_mass(solve, vertices[v]["diagonal"], solve, model.columns[b, 1] + r * body,
+                      model.columns[b, 2] + r * body, body)
+    _update(model, solve, v, body, usual, other)
 
 
 @kernel
-def _forward(model, solve, x, v, k, sign, usual, other):
-    """Take the part of vertex v, of k scalars, from what is below it; leave s d W x_v."""
+def _push(model, solve, x, v, k, usual, other):
+    """Take the part of vertex v, of k scalars, from what is below it."""
     vertices = model.vertices
-    place = vertices[v]["diagonal"]
     at = vertices[v]["start"]
+    for b in range(vertices[v]["column_start"], vertices[v]["column_end"]):
+        below = vertices[model.columns[b, 0]]
+        rows = below["size"]
+        if rows == usual:
+            push_block(solve, model.columns[b, 1], x, below["start"], at, usual, k)
+        elif rows == other:
+            push_block(solve, model.columns[b, 1], x, below["start"], at, other, k)
+        else:
+            push_block(solve, model.columns[b, 1], x, below["start"], at, rows, k)
+
+
+@kernel
+def _pull(model, solve, x, v, k, usual, other):
+    """Take what is below vertex v, of k scalars, from it."""
+    vertices = model.vertices
+    at = vertices[v]["start"]
+    for b in range(vertices[v]["column_start"], vertices[v]["column_end"]):
+        below = vertices[model.columns[b, 0]]
+        rows = below["size"]
+        if rows == usual:
+            pull_block(solve, model.columns[b, 1], x, at, below["start"], usual, k)
+        elif rows == other:
+            pull_block(solve, model.columns[b, 1], x, at, below["start"], other, k)
+        else:
+            pull_block(solve, model.columns[b, 1], x, at, below["start"], rows, k)
+
+
+@kernel
+def _take(model, solve, x, v, k, sign, usual, other, shift, fresh):
+    """Eliminate vertex v of k scalars from K, if that is fresh, and from the right-hand side.
+
+    There s d W x_v is left.
+    """
+    if fresh and not _eliminate(model, solve, v, k, sign, usual, other, shift):
+        return False
+    place = model.vertices[v]["diagonal"]
+    at = model.vertices[v]["start"]
     for r in range(k - 1, 0, -1):
         total = x[at + r]
         for q in range(r):
             total += solve[place + r * k + q] * x[at + q]
         x[at + r] = total
-    for b in range(vertices[v]["column_start"], vertices[v]["column_end"]):
-        below = vertices[model.columns[b, 0]]
-        rows = below["size"]
-        if rows == usual:
-            _push_block(solve, model.columns[b, 1], x, below["start"], at, usual, k)
-        elif rows == other:
-            _push_block(solve, model.columns[b, 1], x, below["start"], at, other, k)
-        else:
-            _push_block(solve, model.columns[b, 1], x, below["start"], at, rows, k)
+    _push(model, solve, x, v, k, usual, other)
     for r in range(k):
         x[at + r] *= sign * solve[place + r * k + r]
+    return True
 
 
 @kernel
-def _pull_block(solve, block, x, at, start, rows, k):
-    """x_at -= block^T x_start."""
-    for q in range(k):
-        total = 0.0
-        for r in range(rows):
-            total += solve[block + r * k + q] * x[start + r]
-        x[at + q] -= total
+def _take_mass(model, solve, x, v, body, usual, other, fresh):
+    """The same of a body whose block is its mass; M^-1 x_v is left."""
+    if fresh:
+        _eliminate_mass(model, solve, v, body, usual, other)
+    _push(model, solve, x, v, body, usual, other)
+    over_mass(solve, model.vertices[v]["diagonal"], x, model.vertices[v]["start"],
+              len(model.constant), body)
 
 
 @kernel
-def _backward(model, solve, x, v, k, usual, other):
+def _give_back(model, solve, x, v, k, usual, other):
     """Take what is below vertex v, of k scalars, from it, and W^T times the rest."""
-    vertices = model.vertices
-    place = vertices[v]["diagonal"]
-    at = vertices[v]["start"]
-    for b in range(vertices[v]["column_start"], vertices[v]["column_end"]):
-        below = vertices[model.columns[b, 0]]
-        rows = below["size"]
-        if rows == usual:
-            _pull_block(solve, model.columns[b, 1], x, at, below["start"], usual, k)
-        elif rows == other:
-            _pull_block(solve, model.columns[b, 1], x, at, below["start"], other, k)
-        else:
-            _pull_block(solve, model.columns[b, 1], x, at, below["start"], rows, k)
+    _pull(model, solve, x, v, k, usual, other)
+    place = model.vertices[v]["diagonal"]
+    at = model.vertices[v]["start"]
     for r in range(k - 1):
         total = x[at + r]
         for q in range(r + 1, k):
@@ -204,21 +169,12 @@ def _backward(model, solve, x, v, k, usual, other):
 
 
 @kernel
-def _take(model, solve, spare, x, v, k, sign, usual, other, shift, fresh):
-    """Eliminate vertex v of k scalars from K, if that is fresh, and from the right-hand side."""
-    if fresh and not _eliminate(model, solve, spare, v, k, sign, usual, other, shift):
-        return False
-    _forward(model, solve, x, v, k, sign, usual, other)
-    return True
-
-
-@kernel
-def eliminate(model, solve, spare, x, fresh, shift, sizes):
+def eliminate(model, solve, x, fresh, shift, sizes):
     """Forward elimination of K (Vdot, lambda) = (Q, bias) in place of K and its right-hand side.
 
-    solve : the lower triangle of K, if it is `fresh`; else what an earlier call has made of it
-    spare : scratch memory as long as `solve`
-    x     : (unknowns,) in the order of the vertices
+    solve : the lower triangle of K, if it is `fresh`; else what an earlier call has made of it.
+            Behind it is scratch memory
+    x     : (unknowns,) of bodies, then of joints
     shift : 0, or a multiple of the pivot floors to take from the zeros on the joints' diagonal
     sizes : SPATIAL_SIZES or PLANAR_SIZES
     returns -1, or the joint (number in model.joints) whose rows depend on others: K is singular
@@ -228,14 +184,18 @@ def eliminate(model, solve, spare, x, fresh, shift, sizes):
     body, first, second = sizes
     for v in range(len(model.vertices)):
         k = model.vertices[v]["size"]
+        good = True
         if model.vertices[v]["joint"] < 0:
-            good = _take(model, solve, spare, x, v, body, 1.0, first, second, 0.0, fresh)
+            if model.vertices[v]["is_constant"] == 1:
+                _take_mass(model, solve, x, v, body, first, second, fresh)
+            else:
+                good = _take(model, solve, x, v, body, 1.0, first, second, 0.0, fresh)
         elif k == first:
-            good = _take(model, solve, spare, x, v, first, -1.0, first, body, shift, fresh)
+            good = _take(model, solve, x, v, first, -1.0, first, body, shift, fresh)
         elif k == second:
-            good = _take(model, solve, spare, x, v, second, -1.0, second, body, shift, fresh)
+            good = _take(model, solve, x, v, second, -1.0, second, body, shift, fresh)
         else:
-            good = _take(model, solve, spare, x, v, k, -1.0, body, NONE, shift, fresh)
+            good = _take(model, solve, x, v, k, -1.0, body, NONE, shift, fresh)
         if not good:
             return model.vertices[v]["joint"]
     return -1
@@ -248,13 +208,16 @@ def _substitute(model, solve, x, sizes):
     for v in range(len(model.vertices) - 1, -1, -1):
         k = model.vertices[v]["size"]
         if model.vertices[v]["joint"] < 0:
-            _backward(model, solve, x, v, body, first, second)
+            if model.vertices[v]["is_constant"] == 1:
+                _pull(model, solve, x, v, body, first, second)
+            else:
+                _give_back(model, solve, x, v, body, first, second)
         elif k == first:
-            _backward(model, solve, x, v, first, first, body)
+            _give_back(model, solve, x, v, first, first, body)
         elif k == second:
-            _backward(model, solve, x, v, second, second, body)
+            _give_back(model, solve, x, v, second, second, body)
         else:
-            _backward(model, solve, x, v, k, body, NONE)
+            _give_back(model, solve, x, v, k, body, NONE)
 
 
 @kernel
@@ -270,7 +233,6 @@ def _subtract_rows(matrix, place, turned, rows, body, x, row_start, body_start, 
 @kernel
 def _subtract_image(model, matrix, x, y_out, body):
     """y -= K x, with the rows of joints as `assemble` leaves them, a body of so many scalars."""
-    bodies = model.bodies
     for v in range(len(model.vertices)):
         if model.vertices[v]["joint"] < 0:
             at = model.vertices[v]["start"]
@@ -284,11 +246,11 @@ def _subtract_image(model, matrix, x, y_out, body):
         rows = model.joints[j]["rows"]
         start = model.joints[j]["start"]
         _subtract_rows(matrix, model.joints[j]["child_place"], model.joints[j]["child_turned"],
-                       rows, body, x, start, bodies[b]["start"], y_out)
+                       rows, body, x, start, body * b, y_out)
         if a != WORLD:
             _subtract_rows(matrix, model.joints[j]["parent_place"],
                            model.joints[j]["parent_turned"], rows, body, x, start,
-                           bodies[a]["start"], y_out)
+                           body * a, y_out)
 
 
 @kernel
@@ -316,7 +278,7 @@ def _solve(model, work, refinements, shift, sizes, fresh):
             for i in range(len(work.right)):
                 x[i] = work.right[i]
             _subtract_image(model, work.kept, work.solution, x, sizes[0])
-        dependent = eliminate(model, work.matrix, work.spare, x, fresh and step == 0, shift, sizes)
+        dependent = eliminate(model, work.matrix, x, fresh and step == 0, shift, sizes)
         if dependent >= 0:
             return dependent
         _substitute(model, work.matrix, x, sizes)

@@ -1,18 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Uniform gravity."""
 from .._compile import kernel
-from ..lie.vec3 import dot3, load3, load9, tmatvec3
+from ..lie.vec3 import dot3, load3, load9, scale3, tmatvec3
+
+
+@kernel
+def force(model, pose, i):
+    """m R^T g of a body, in body axes; it has no torque about the centre of mass."""
+    return scale3(model.bodies[i]["mass"],
+                  tmatvec3(load9(pose, i, 0), load3(model.gravity, 0, 0)))
 
 
 @kernel
 def add_wrench(model, pose, wrench_out):
-    """Add m R^T g to the force of every body (body axes; no torque about the centre of mass)."""
-    gravity = load3(model.gravity, 0, 0)
+    """Add m R^T g to the force of every body."""
     for i in range(len(model.bodies)):
-        force = tmatvec3(load9(pose, i, 0), gravity)
-        mass = model.bodies[i]["mass"]
+        weight = force(model, pose, i)
         for c in range(3):
-            wrench_out[i, 3 + c] += mass * force[c]
+            wrench_out[i, 3 + c] += weight[c]
 
 
 @kernel

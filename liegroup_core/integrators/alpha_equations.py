@@ -98,7 +98,7 @@ def residual(model, work, memory, numbers, group, h, pose, external):
     if status != OK:
         return status
     n = len(model.bodies)
-    wrenches(model, work, work.stage_pose, work.stage_twist, external)
+    wrenches(model, work, work.stage_pose, work.stage_twist, external, work.wrench)
     assemble(model, work, work.stage_pose, work.stage_twist)
     subtract_joint_forces(model, work, memory.x, 6 * n, work.wrench)
     for i in range(n):

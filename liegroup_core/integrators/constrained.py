@@ -29,7 +29,7 @@ Bou-Rabee and Marsden, Found. Comput. Math. 9 (2009) 197-219 for the turn.
 import math
 import numpy as np
 
-from .._compile import SameTypes, kernel
+from .._compile import SameTypes, kernel, stepper
 from .._struct import Struct, borrowed
 from ..dynamics.constraints import position_residuals
 from ..dynamics.projection import is_closed
@@ -253,7 +253,7 @@ def _second_half(model, work, memory, h, external):
     return NOT_CONVERGED
 
 
-@kernel
+@stepper
 def advance(model, work, memory, parts, h, steps, pose, twist, external):
     """Take `steps` steps of size h in place of pose (n, 12) and twist (n, 6).
 

@@ -40,9 +40,8 @@ def respond(model, work, impulse, target, fresh, less, pose, twist, velocity_out
         if fresh:
             assemble(model, work, pose, twist)
         for i in range(len(model.bodies)):
-            at = model.bodies[i]["start"]
             for c in range(6):
-                work.solution[at + c] = impulse[i, c]
+                work.acceleration[i, c] = impulse[i, c]
         for j in range(len(model.joints)):
             start, first = model.joints[j]["start"], model.joints[j]["first"]
             for r in range(model.joints[j]["rows"]):
@@ -56,7 +55,6 @@ def respond(model, work, impulse, target, fresh, less, pose, twist, velocity_out
     if dependent >= 0:
         return DEPENDENT_ROWS + (model.joints[dependent]["element"] << 8)
     for i in range(len(model.bodies)):
-        at = model.bodies[i]["start"]
         for c in range(6):
-            velocity_out[i, c] += work.solution[at + c]
+            velocity_out[i, c] += work.acceleration[i, c]
     return OK

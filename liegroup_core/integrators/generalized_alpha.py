@@ -28,7 +28,7 @@ import math
 
 import numpy as np
 
-from .._compile import SameTypes, kernel
+from .._compile import SameTypes, kernel, stepper
 from .._struct import borrowed
 from ..dynamics.newton_euler import accelerations
 from ..forces.kinds import count_turns, too_fast, turns_over
@@ -147,7 +147,7 @@ def _newton(model, work, memory, numbers, group, h, pose, external):
     return NOT_CONVERGED
 
 
-@kernel
+@stepper
 def advance(model, work, memory, numbers, group, h, steps, pose, twist, external):
     """Take `steps` steps of size h in place of pose (n, 12) and twist (n, 6).
 
@@ -265,11 +265,8 @@ class GeneralizedAlpha:
                 linear = work.acceleration[:, 3:] + np.cross(twist[:, :3], twist[:, 3:])
                 memory.rate[:, 3:] = np.einsum("nij,nj->ni", turn, linear)
             memory.mean[:] = memory.rate
+            memory.x[:] = work.solution
             memory.x[:memory.rate.size] = memory.rate.ravel()
-            for joint in self._model.joints:
-                first, start, rows = (joint[name] for name in ("first", "start", "rows"))
-                at = memory.rate.size + first
-                memory.x[at:at + rows] = work.solution[start:start + rows]
             memory.factored[0] = False
             self._shift_mean(h, pose, twist, external)
         return dependent

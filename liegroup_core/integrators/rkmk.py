@@ -21,7 +21,7 @@ fast body hide among many slow ones.
 import math
 import numpy as np
 
-from .._compile import SameTypes, kernel, warm_up
+from .._compile import SameTypes, kernel, stepper, warm_up
 from .._struct import Struct, borrowed
 from ..model.arrays import MET, WAIT, make_work
 from ..planar.arrays import make_planar_work
@@ -97,7 +97,7 @@ def _restore(work, pose, twist, control):
     control[0] = control[3]
 
 
-@kernel
+@stepper
 def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in, control):
     """Take `steps` steps of size h in place of pose (n, 12) and twist (n, 6).
 

@@ -27,7 +27,7 @@ import math
 
 import numpy as np
 
-from .._compile import SameTypes, kernel
+from .._compile import SameTypes, kernel, stepper
 from .._struct import borrowed
 from ..forces.gravity import add_wrench as add_gravity
 from ..forces.kinds import add_wrenches, turns_over
@@ -272,7 +272,7 @@ def _staged(spinners, work, memory, weights, h, stage, pose, twist):
     return OK, end
 
 
-@kernel
+@stepper
 def advance(model, work, spinners, memory, loads, corrections, rule, weights, h, steps, pose,
             twist, external):
     """Take `steps` steps of size h in place of pose (n, 12) and twist (n, 6).

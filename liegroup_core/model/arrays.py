@@ -25,7 +25,6 @@ WAIT, MET = 1.0, 2.0
 BODY = np.dtype([
     ("mass", "f8"), ("inverse_mass", "f8"),                       # kg, 1/kg
     ("inertia", "f8", (9,)), ("inverse_inertia", "f8", (9,)),     # kg m^2 about the COM, body axes
-    ("start", "i8"),                                              # its place in Work.solution
 ], align=True)
 
 ELEMENT = np.dtype([
@@ -49,7 +48,8 @@ JOINT = np.dtype([
 VERTEX = np.dtype([                         # body or joint in the order of elimination
     ("joint", "i8"),                        # which joint; -1: a body
     ("size", "i8"), ("start", "i8"),        # its scalars and their place in Work.solution
-    ("is_constant", "i8"), ("diagonal", "i8"),      # 1: no pose changes its diagonal block; place
+    ("is_constant", "i8"), ("diagonal", "i8"),      # 1: no pose changes its diagonal block, and
+                                                    # that of a body is its mass; place
     ("column_start", "i8"), ("column_fresh", "i8"), # its range of Model.columns, and from where on
     ("column_end", "i8"),                           # poses change them
     ("update_start", "i8"), ("update_end", "i8"),   # its range of Model.updates
@@ -65,17 +65,18 @@ class Model(Struct):
     elements: np.ndarray           # of ELEMENT
     joints: np.ndarray             # (m,) of JOINT
     row_residual: np.ndarray       # (rows,) which residual is that of a row that is solved for
-    child_jacobian: np.ndarray     # (m, 36) rows J_b = A Ad(F_b^-1) of a PAIR, the first 6 k used
+    child_jacobian: np.ndarray     # (rows, 6) J_b = A Ad(F_b^-1) of every PAIR
     ground_projector: np.ndarray   # (m, 36) of a PAIR to ground: M^-1 J^T (J M^-1 J^T)^-1 J
     vertices: np.ndarray           # (n + m,) of VERTEX
-    columns: np.ndarray            # (b, 2) a block below the diagonal: vertex of its rows, place
-    updates: np.ndarray            # (u, 5) target place, places of L_i and L_w, vertices i and w:
-                                   # where poses change L_i or L_w
+    columns: np.ndarray            # (b, 3) a block below the diagonal: vertex of its rows, place,
+                                   # and where poses change it that of its product
+    updates: np.ndarray            # (u, 5) target place, places of both factors, vertices i and w
+                                   # of its rows and columns: where poses change one of the factors
     pivot_floor: np.ndarray        # (6 n + rows,) pivots below are zero: rows depend on others
     constant: np.ndarray           # (blocks,) the part of K that no pose changes
-    matrix: np.ndarray             # (blocks,) the same, constant vertices eliminated
-    products: np.ndarray           # (blocks,) K_iv W^T of constant blocks, of dynamics.saddle_point
-    fresh: int                     # the first so many entries of `matrix` change with the pose
+    matrix: np.ndarray             # the same, constant vertices eliminated; then scratch memory
+    summed: int                    # the first so many entries of `matrix` begin so at every pose;
+    fresh: int                     # from there to here they are written anew
     refinements: int               # steps of iterative refinement that each solve takes
     projects: bool = False         # True: every step ends with dynamics.projection
     baumgarte_rate: float = 0.0    # 1/s, see dynamics.constraints; 0: no such terms
@@ -84,17 +85,15 @@ class Model(Struct):
 class Work(Struct):
     """Scratch memory of one simulation; nothing but `angle` outlives a call."""
 
-    child_jacobian: np.ndarray     # (m, 36) rows J_b at this pose, those of a PAIR constant
+    child_jacobian: np.ndarray     # (rows, 6) J_b at this pose, those of a PAIR constant
     slip: np.ndarray               # (rows,) J V
     gap: np.ndarray                # (all rows,) position residuals of the elements
-    matrix: np.ndarray             # (blocks,) K, then its factor in place, that of Model.matrix first
-    spare: np.ndarray              # (blocks,) for the elimination; Model.products are kept
+    matrix: np.ndarray             # as Model.matrix: K, then its factor in place
     solution: np.ndarray           # (6 n + rows,) right-hand side, then Vdot and lambda
     kept: np.ndarray               # (blocks,) K, and solution twice: for refinement
     right: np.ndarray
     residual: np.ndarray
     wrench: np.ndarray             # (n, 6) sum of the applied wrenches
-    acceleration: np.ndarray       # (n, 6) Vdot
     angle: np.ndarray              # rad, of each torsional spring at the last finished step: state
     acting: np.ndarray             # bool, of each applied wrench of the scene: input of a call
     stage_pose: np.ndarray         # (n, 12)
@@ -106,6 +105,13 @@ class Work(Struct):
     slopes: np.ndarray             # ((s + 1) n, 12) k of stages and end: algebra, then velocity part
     report: np.ndarray             # (4,) largest squared rotation of a stage, rad^2: so far, this step;
                                    # number of solves at a singular pose; see WAIT
+    acceleration: np.ndarray = None    # (n, 6) those 6 n of `solution`: Q, then Vdot
+
+    def __post_init__(self):
+        # In copies, too, the same memory.
+        shape = self.wrench.shape
+        self.__dict__["acceleration"] = self.solution[:shape[0] * shape[1]].reshape(shape)
+        super().__post_init__()
 
 
 def make_work(model, stages):
@@ -115,11 +121,10 @@ def make_work(model, stages):
     return Work(
         child_jacobian=model.child_jacobian.copy(), slip=np.zeros(rows),
         gap=np.zeros(int(model.elements["rows"].sum())),
-        matrix=model.matrix.copy(), spare=model.products.copy(),
-        solution=np.zeros(len(model.pivot_floor)),
+        matrix=model.matrix.copy(), solution=np.zeros(len(model.pivot_floor)),
         kept=model.constant.copy(), right=np.zeros(len(model.pivot_floor)),
         residual=np.zeros(len(model.pivot_floor)), wrench=np.zeros((n, 6)),
-        acceleration=np.zeros((n, 6)), angle=np.zeros(springs), start_angle=np.zeros(springs),
+        angle=np.zeros(springs), start_angle=np.zeros(springs),
         acting=np.zeros(len(model.forces.applied_wrench), dtype=bool),
         stage_pose=np.zeros((n, 12)), stage_twist=np.zeros((n, 6)),
         start_pose=np.zeros((n, 12)), start_twist=np.zeros((n, 6)), velocity=np.zeros((n, 6)),

@@ -51,28 +51,23 @@ def build_model(scene):
 
     loops = set(loop_joints([(joint.parent, joint.child) for joint in scene.joints]))
     bodies = np.array([(body.mass, 1.0 / body.mass, body.inertia_matrix.ravel(),
-                        np.linalg.inv(body.inertia_matrix).ravel(), 0)
+                        np.linalg.inv(body.inertia_matrix).ravel())
                        for body in scene.bodies], dtype=BODY)
-    few = refinements(bodies, ends)
-    structure = cheapest_structure(6, n, rows, ends, elements["kind"][solved] != PAIR, few == 0)
-    bodies["start"] = [structure.start(i) for i in range(n)]
+    structure = cheapest_structure(6, n, rows, ends, elements["kind"][solved] != PAIR,
+                                   are_alike(bodies, elements))
     joints = structure.joints()
     joints["element"] = solved
     joints["kind"] = elements["kind"][solved]
-    child_jacobian = np.zeros((len(ends), 36))
-    for j, jacobian in enumerate(jacobians):
-        child_jacobian[j, :jacobian.size] = jacobian.ravel()
-
     model = Model(
         gravity=np.array([scene.gravity], dtype=float), bodies=bodies,
         forces=_forces(scene, index, frames), elements=elements, joints=joints,
         row_residual=np.array([elements[e]["row_start"] + r for e in solved for r in kept[e]],
                               dtype=np.int64),
-        child_jacobian=child_jacobian,
+        child_jacobian=np.concatenate([np.zeros((0, 6)), *jacobians]),
         ground_projector=_ground_projector(bodies, joints, jacobians),
         pivot_floor=_pivot_floor(bodies, joints, jacobians, structure.unknowns,
                                  [j for j, e in enumerate(solved) if owners[e] in loops]),
-        refinements=few,
+        refinements=refinements(bodies, ends),
         **structure.arrays([_mass_matrix(body) for body in scene.bodies], jacobians))
     names = tuple(part.names for elements in parts for part in elements)
     return model, tuple(frames), owners, names, tuple(kept)
@@ -156,6 +151,24 @@ def _forces(scene, index, frames):
     ends = {joint.name: (index[joint.parent], index[joint.child], *pair)
             for joint, pair in zip(scene.joints, frames)}
     return make_forces(scene.forces, index, ends)
+
+
+def are_alike(bodies, elements):
+    """True when bodies differ so little that what is subtracted from masses loses few digits.
+
+    Their masses and inertias do, and no body is next to a point mass on the lever of a joint: a
+    force there moves that point by its turn, m p^T x I^-1 x p, not much more than by its shift, 1.
+    """
+    turned = [0.0]
+    for end in ("parent", "child"):
+        held = elements[elements[end] != WORLD]
+        body = bodies[held[end]]
+        lever = np.cross(np.eye(3), held[f"{end}_point"][:, None, :])
+        inverse = body["inverse_inertia"].reshape(-1, 3, 3)
+        turned.extend(body["mass"] * np.einsum("eri,eij,erj->e", lever, inverse, lever))
+    sizes = bodies["mass"], bodies["inertia"][:, [0, 4, 8]].sum(axis=1)
+    return (max(turned) <= LARGE_MASS_RATIO
+            and all(np.ptp(np.log(size)) <= np.log(LARGE_MASS_RATIO) for size in sizes))
 
 
 def refinements(bodies, ends):

@@ -79,37 +79,51 @@ def block_layout(sizes, below, changing):
     sizes    : (v,) scalars of each vertex in elimination order
     below    : from elimination_order
     changing : pairs (i, j), i >= j, of the blocks of K that poses change
-    returns (place, size, fresh, ranges, columns, updates): place[i, j] of every block, the length
-    of the flat array, how many of its first entries poses change, per vertex (is_constant, diagonal,
-    column_start, column_fresh, column_end, update_start, update_end) of VERTEX, and the arrays
-    columns and updates of Model
+    returns (place, ends, ranges, columns, updates): place[i, j] of every block in the flat array;
+    where the parts of that end: the blocks that elimination adds to, those that are written anew at
+    every pose, all others, scratch memory; per vertex (is_constant, diagonal, column_start,
+    column_fresh, column_end, update_start, update_end) of VERTEX; the arrays columns and updates
+    of Model
     """
-    changing = set(changing)
+    written, changing = set(changing), set(changing)
     for j, coupled in enumerate(below):
         if (j, j) in changing:
             changing.update((i, j) for i in coupled)
         changing.update((i, k) for a, i in enumerate(coupled) for k in coupled[:a + 1]
                         if (i, j) in changing or (k, j) in changing)
     blocks = [(i, j) for j, coupled in enumerate(below) for i in [j, *coupled]]
-    blocks.sort(key=lambda block: block not in changing)
-    place, size, fresh = {}, 0, 0
-    for i, j in blocks:
-        place[i, j] = size
-        size += int(sizes[i] * sizes[j])
-        if (i, j) in changing:
+    blocks.sort(key=lambda block: (block not in changing, block in written))
+    place, size, summed, fresh = {}, 0, 0, 0
+    for block in blocks:
+        place[block] = size
+        size += int(sizes[block[0]] * sizes[block[1]])
+        if block in changing:
             fresh = size
+            if block not in written:
+                summed = size
+    end = size + max(sizes)
     ranges, columns, updates = [], [], []
     for j, coupled in enumerate(below):
         column_start, update_start = len(columns), len(updates)
         constant = [i for i in coupled if (i, j) not in changing]
-        columns += [(i, place[i, j]) for i in constant]
-        columns += [(i, place[i, j]) for i in coupled if (i, j) in changing]
-        updates += [(place[i, k], place[i, j], place[k, j], i, k)
-                    for a, i in enumerate(coupled) for k in coupled[:a + 1]
-                    if (i, j) in changing or (k, j) in changing]
+        columns += [(i, place[i, j], -1) for i in constant]
+        scratch, free = {}, size
+        for i in coupled:
+            if (i, j) in changing:
+                scratch[i] = free
+                free += int(sizes[i] * sizes[j])
+                columns.append((i, place[i, j], scratch[i]))
+        end = max(end, free)
+        for a, i in enumerate(coupled):
+            for k in coupled[:a + 1]:
+                if k in scratch:
+                    updates.append((place[i, k], place[i, j], scratch[k], i, k))
+                elif i in scratch:
+                    updates.append((place[i, k], scratch[i], place[k, j], i, k))
         ranges.append(((j, j) not in changing, place[j, j], column_start,
                        column_start + len(constant), len(columns), update_start, len(updates)))
-    return (place, size, fresh, ranges, np.array(columns, dtype=np.int64).reshape(-1, 2),
+    return (place, (summed, fresh, size, end), ranges,
+            np.array(columns, dtype=np.int64).reshape(-1, 3),
             np.array(updates, dtype=np.int64).reshape(-1, 5))
 
 
@@ -120,14 +134,19 @@ def operations(vertices, columns, updates):
     """
     size = vertices["size"]
     # A Cholesky factor of k x k takes k^3 / 3, a block of r x k divided by it r k^2, and an update
-    # of r x s from k columns 2 r s k, or half of it for the lower triangle of a square.
+    # of r x s from k columns 2 r s k, or half of it for the lower triangle of a square. A solve
+    # takes two triangles of every vertex, k^2 each. In place of k^2 a constant body, a matrix of
+    # t x t and one number, takes 2 t (t - 1) + k, with t = k // 2.
     factor = float((size[vertices["is_constant"] == 0] ** 3).sum()) / 3.0
-    solve = 2.0 * float((size ** 2).sum())
+    solve = 0.0
     for vertex in vertices:
         k = int(vertex["size"])
         first, fresh, end = (vertex[f"column_{each}"] for each in ("start", "fresh", "end"))
-        factor += float((size[columns[fresh:end, 0]] * k * k).sum())
-        solve += 4.0 * float((size[columns[first:end, 0]] * k).sum())
+        row = k * k
+        if vertex["joint"] < 0 and vertex["is_constant"]:
+            row = 2 * (k // 2) * (k // 2 - 1) + k
+        factor += float(size[columns[fresh:end, 0]].sum()) * row
+        solve += 2.0 * row + 4.0 * float((size[columns[first:end, 0]] * k).sum())
         ends = updates[vertex["update_start"]:vertex["update_end"], 3:]
         full = 2.0 * k * size[ends].prod(axis=1)
         square = ends[:, 0] == ends[:, 1]
@@ -146,15 +165,29 @@ def cheapest_structure(body, n, rows, ends, changing, alike):
     return min(ways, key=lambda structure: structure.operations)
 
 
-def _inverse_factors(K):
-    """W (k, k), unit lower triangular, and d (k,) with K^-1 = W^T diag(d) W."""
-    k = len(K)
-    L, pivots = np.eye(k), np.zeros(k)
+def _keep_joint(block):
+    """Of the constant block K of a joint keep W and d, -K^-1 = W^T d W; W^T and -d."""
+    k = len(block)
+    K, L, pivots = -block, np.eye(k), np.zeros(k)
     for r in range(k):
         pivots[r] = K[r, r] - L[r, :r] ** 2 @ pivots[:r]
         L[r + 1:, r] = (K[r + 1:, r] - L[r + 1:, :r] @ (pivots[:r] * L[r, :r])) / pivots[r]
     W = scipy.linalg.solve_triangular(L, np.eye(k), lower=True, unit_diagonal=True)
-    return W, 1.0 / pivots
+    block[:] = np.tril(W, -1) + np.diag(1.0 / pivots)
+    return W.T, np.diag(-1.0 / pivots)
+
+
+def _keep_body(block):
+    """Of the constant block M of a body keep the inverse of its inertia and 1 / mass; 1 and M^-1.
+
+    It is the mass, and diagonal but for the inertia: what a joint that goes before the body adds
+    has come from the body on its other side, by rows for a parent, which poses change.
+    """
+    turns = len(block) // 2
+    inverse = np.linalg.inv(block)
+    block[:] = 0.0
+    block.flat[:turns * turns + 1] = [*inverse[:turns, :turns].ravel(), inverse[-1, -1]]
+    return np.eye(len(block)), inverse
 
 
 class Structure:
@@ -183,31 +216,26 @@ class Structure:
         order, self._below = elimination_order(sizes, neighbours, n, bodies_first)
         self._position = {v: p for p, v in enumerate(order)}
         self._sizes = sizes = np.array([sizes[v] for v in order], dtype=np.int64)
-        self._starts = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64)
         self.unknowns = int(sizes.sum())
         blocks = [self._pair(j, pair[1]) for j, pair in enumerate(ends) if changing[j]]
         blocks += [self._pair(j, pair[0]) for j, pair in enumerate(ends) if pair[0] != WORLD]
-        self._place, self._size, self._fresh, ranges, self._columns, self._updates = block_layout(
+        self._place, self._ends_of_parts, ranges, self._columns, self._updates = block_layout(
             sizes, self._below, blocks)
+        # In Work.solution: bodies, then joints, each in their own order.
+        self._starts = np.cumsum([0, *([body] * n), *rows])
         self._vertices = np.array(
-            [(order[p] - n if order[p] >= n else -1, sizes[p], self._starts[p], *ranges[p])
-             for p in range(len(order))], dtype=VERTEX)
-
+            [(max(v - n, -1), sizes[p], self._starts[v], *ranges[p])
+             for p, v in enumerate(order)], dtype=VERTEX)
         self.operations = sum(operations(self._vertices, self._columns, self._updates))
-
-    def start(self, vertex):
-        """Place of a vertex, body i or joint n + j, in Work.solution."""
-        return self._starts[self._position[vertex]]
 
     def joints(self):
         """(m,) of JOINT, all but their kinds and elements."""
         joints = np.zeros(len(self._ends), dtype=JOINT)
-        firsts = np.concatenate([[0], np.cumsum(self._rows)])
         for j, (parent, child) in enumerate(self._ends):
             joint = joints[j]
             joint["parent"], joint["child"] = parent, child
-            joint["rows"], joint["first"] = self._rows[j], firsts[j]
-            joint["start"] = self.start(self._n + j)
+            joint["rows"], joint["start"] = self._rows[j], self._starts[self._n + j]
+            joint["first"] = joint["start"] - self._starts[self._n]
             joint["child_place"], joint["child_turned"] = self._block(j, child)
             joint["parent_place"], joint["parent_turned"] = self._block(j, parent)
         return joints
@@ -230,15 +258,16 @@ class Structure:
         masses    : mass matrix of each body
         jacobians : (k, body) rows of each joint for its child; zeros where the pose decides
         """
+        summed, fresh, _, _ = self._ends_of_parts
         constant = self._constant_part(masses, jacobians)
-        matrix, products = self._eliminated(constant)
         return {"vertices": self._vertices, "columns": self._columns, "updates": self._updates,
-                "constant": constant, "matrix": matrix, "products": products,
-                "fresh": self._fresh}
+                "constant": constant, "matrix": self._eliminated(constant), "summed": summed,
+                "fresh": fresh}
 
     def _constant_part(self, masses, jacobians):
         """The flat array of K with M and the children's rows, the rest zero."""
-        constant = np.zeros(self._size)
+        _, _, size, _ = self._ends_of_parts
+        constant = np.zeros(size)
         for i, matrix in enumerate(masses):
             at = self._place[self._position[i], self._position[i]]
             constant[at:at + matrix.size] = matrix.ravel()
@@ -248,25 +277,23 @@ class Structure:
         return constant
 
     def _eliminated(self, constant):
-        """What dynamics.saddle_point makes of the constant vertices: (matrix, products)."""
-        matrix, products = constant.copy(), np.zeros(self._size)
+        """What dynamics.saddle_point makes of the constant vertices, and its scratch memory."""
+        _, fresh, size, end = self._ends_of_parts
+        matrix = np.concatenate([constant, np.zeros(end - size)])
         for j, coupled in enumerate(self._below):
             if not self._vertices[j]["is_constant"]:
                 continue
-            sign = 1.0 if self._vertices[j]["joint"] < 0 else -1.0
             diagonal = self._view(matrix, j, j)
-            W, d = _inverse_factors(sign * diagonal)
-            diagonal[:] = np.tril(W, -1) + np.diag(d)
-            constant_below = [i for i in coupled if self._place[i, j] >= self._fresh]
-            for i in constant_below:
-                Y = self._view(matrix, i, j) @ W.T
-                self._view(products, i, j)[:] = Y
-                self._view(matrix, i, j)[:] = Y * (sign * d)
+            constant_below = [i for i in coupled if self._place[i, j] >= fresh]
+            keep = _keep_joint if self._vertices[j]["joint"] >= 0 else _keep_body
+            P, D = keep(diagonal)
+            products = {i: self._view(matrix, i, j) @ P for i in constant_below}
+            for i, product in products.items():
+                self._view(matrix, i, j)[:] = product @ D
             for a, i in enumerate(constant_below):
                 for k in constant_below[:a + 1]:
-                    self._view(matrix, i, k)[:] -= (self._view(matrix, i, j)
-                                                    @ self._view(products, k, j).T)
-        return matrix, products
+                    self._view(matrix, i, k)[:] -= self._view(matrix, i, j) @ products[k].T
+        return matrix
 
     def _view(self, flat, i, j):
         """Block (i, j) of a flat array, two-dimensional."""

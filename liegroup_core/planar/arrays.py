@@ -16,7 +16,6 @@ from .tree import COLUMNS
 
 PLANAR_BODY = np.dtype([
     ("mass", "f8"), ("inertia", "f8"),          # kg; kg m^2 about the normal and the COM
-    ("start", "i8"),                            # its place in PlanarWork.solution
     ("axes", "f8", (9,)),                       # rows: its planar axes in its body axes
 ], align=True)
 
@@ -30,7 +29,7 @@ class PlanarModel(Struct):
     gravity: np.ndarray            # (1, 2) m/s^2
     bodies: np.ndarray             # (n,) of PLANAR_BODY
     joints: np.ndarray             # (m,) of JOINT: lower pairs
-    child_jacobian: np.ndarray     # (m, 9) rows for the child, the first 3 k used
+    child_jacobian: np.ndarray     # (rows, 3) of all joints for their children
     ground_projector: np.ndarray   # (m, 9) of a joint to ground: M^-1 J^T (J M^-1 J^T)^-1 J
     vertices: np.ndarray
     columns: np.ndarray
@@ -38,7 +37,7 @@ class PlanarModel(Struct):
     pivot_floor: np.ndarray
     constant: np.ndarray
     matrix: np.ndarray
-    products: np.ndarray
+    summed: int
     fresh: int
     refinements: int
     projects: bool
@@ -63,7 +62,6 @@ class PlanarWork(Struct):
     velocity: np.ndarray           # (n, 3)
     slopes: np.ndarray             # ((s + 1) n, 6)
     matrix: np.ndarray
-    spare: np.ndarray
     solution: np.ndarray
     links: np.ndarray              # (n, 17) see tree.py
     kept: np.ndarray
@@ -81,6 +79,5 @@ def make_planar_work(model, work, stages):
         stage_pose=np.zeros((n, 4)), stage_twist=np.zeros((n, 3)),
         start_pose=np.zeros((n, 4)), start_twist=np.zeros((n, 3)), velocity=np.zeros((n, 3)),
         slopes=np.zeros(((stages + 1) * n, 6)), matrix=model.matrix.copy(),
-        spare=model.products.copy(),
         solution=np.zeros(unknowns), kept=model.constant.copy(), right=np.zeros(unknowns),
         residual=np.zeros(unknowns), links=np.zeros((len(model.links), COLUMNS)))

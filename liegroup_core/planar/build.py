@@ -18,7 +18,7 @@ import scipy.linalg
 from ..joints.elements import PAIR
 from ..lie.groups import SE3
 from ..model.arrays import WORLD
-from ..model.build import LARGE_MASS_RATIO, SMALLEST_PIVOT, initial_state, refinements
+from ..model.build import SMALLEST_PIVOT, are_alike, initial_state, refinements
 from ..model.linkage import Linkage
 from ..model.redundancy import REMEMBERED, generic_poses, independent_rows, loop_joints
 from ..model.sparsity import cheapest_structure
@@ -29,8 +29,6 @@ from .tree import tree_links
 
 # Planar axes in world axes, as rows, for a normal along z, y and x.
 PLANES = (np.eye(3), np.eye(3)[[2, 0, 1]], np.eye(3)[[1, 2, 0]])
-# Inertia against that of the mass on the lever of a joint. Less, and tree.py loses three digits.
-LEAST_GYRATION = 1e-3
 # In-plane part of a unit row below which it says nothing new.
 ROW_TOLERANCE = 1e-6
 
@@ -109,49 +107,33 @@ def _build(scene, model, world, axes):
                 for axis, body in zip(axes, model.bodies)]
     masses = [np.diag([inertia, body["mass"], body["mass"]])
               for inertia, body in zip(inertias, model.bodies)]
-    few = refinements(model.bodies, ends)
+    alike = are_alike(model.bodies, model.elements)
     structure = cheapest_structure(3, n, [len(jacobian) for jacobian in jacobians], ends,
-                                   [False] * m, few == 0)
+                                   [False] * m, alike)
     joints = structure.joints()
     joints["element"] = solved
-    child_jacobian, projectors = np.zeros((m, 9)), np.zeros((m, 9))
+    projectors = np.zeros((m, 9))
     floor = np.zeros(structure.unknowns)
     # Every joint is one element here: all are pairs.
     loops = set(loop_joints([(joint.parent, joint.child) for joint in scene.joints]))
     for j, ((parent, child), jacobian) in enumerate(zip(ends, jacobians)):
-        child_jacobian[j, :jacobian.size] = jacobian.ravel()
         mobility = jacobian / np.diag(masses[child])
         if solved[j] in loops:
             floor[joints[j]["start"]:joints[j]["start"] + len(jacobian)] = SMALLEST_PIVOT * (
                 jacobian * mobility).sum(axis=1)
         if parent == WORLD:
             projectors[j] = (mobility.T @ np.linalg.solve(jacobian @ mobility.T, jacobian)).ravel()
-    links = tree_links(len(axes), ends, jacobians if _is_sturdy(model) else [])
+    links = tree_links(len(axes), ends, jacobians if alike else [])
     return PlanarModel(
         space=model, has_forces=any(map(len, model.forces.values())), world=world.reshape(1, 9),
         gravity=model.gravity @ world[:2].T,
-        bodies=np.array([(body["mass"], inertia, 3 * i if len(links) else structure.start(i),
-                          axis.ravel())
-                         for i, (body, inertia, axis) in enumerate(
-                             zip(model.bodies, inertias, axes))], dtype=PLANAR_BODY),
-        joints=joints, child_jacobian=child_jacobian, ground_projector=projectors,
-        pivot_floor=floor, refinements=few, projects=model.projects, links=links,
+        bodies=np.array([(body["mass"], inertia, axis.ravel())
+                         for body, inertia, axis in zip(model.bodies, inertias, axes)],
+                        dtype=PLANAR_BODY),
+        joints=joints, child_jacobian=np.concatenate([np.zeros((0, 3)), *jacobians]),
+        ground_projector=projectors,
+        pivot_floor=floor, refinements=refinements(model.bodies, ends), projects=model.projects, links=links,
         **structure.arrays(masses, jacobians))
-
-
-def _is_sturdy(model):
-    """True when bodies are alike enough for tree.py, which loses digits where they are not.
-
-    No mass or inertia is far from the others, and no body is next to a point mass on a lever.
-    """
-    lever = np.zeros(len(model.bodies))
-    for element in model.elements:
-        for end in ("parent", "child"):
-            if element[end] != WORLD:
-                lever[element[end]] = max(lever[element[end]], (element[f"{end}_point"] ** 2).sum())
-    mass, inertia = model.bodies["mass"], model.bodies["inertia"][:, [0, 4, 8]].sum(axis=1)
-    return bool((inertia >= LEAST_GYRATION * mass * lever).all()
-                and max(np.ptp(np.log(mass)), np.ptp(np.log(inertia))) <= np.log(LARGE_MASS_RATIO))
 
 
 def _kept_rows(scene, elements, lift):

@@ -9,9 +9,9 @@ the parent at the child is W = (omega_a, R v_a - omega_a J p), and (alpha, beta)
 e is the velocity error of the joint, as in dynamics.constraints.
 """
 from .._compile import kernel
-from ..dynamics.constraints import NEXT_TO_NOTHING
 from ..dynamics.newton_euler import REFINEMENTS_WHEN_SINGULAR
 from ..dynamics.saddle_point import REGULARISATION, solve_in_plane
+from ..lie.vec3 import load3
 from ..model.arrays import WORLD
 from .state import add_forces
 from .tree import solve_tree
@@ -24,7 +24,7 @@ def _wrenches(model, work, external):
         add_forces(model, work, work.wrench)
     gx, gy = model.gravity[0, 0], model.gravity[0, 1]
     for i in range(len(model.bodies)):
-        at = model.bodies[i]["start"]
+        at = 3 * i
         mass = model.bodies[i]["mass"]
         c, s = work.stage_pose[i, 0], work.stage_pose[i, 1]
         w, vx, vy = work.stage_twist[i, 0], work.stage_twist[i, 1], work.stage_twist[i, 2]
@@ -43,33 +43,33 @@ def _set_bias(model, work, j, w, error, bracket_x, bracket_y):
     w : of the child; error : (omega, v_1, v_2) of the child less that of the parent
     bracket : linear part of [V_b, W], its angular part is 0
     """
-    start = model.joints[j]["start"]
+    start, first = model.joints[j]["start"], model.joints[j]["first"]
     rows = model.joints[j]["rows"]
     jacobian = model.child_jacobian
     ex, ey = 0.0, 0.0
     for r in range(rows):
-        alpha, x, y = jacobian[j, 3 * r], jacobian[j, 3 * r + 1], jacobian[j, 3 * r + 2]
+        alpha, x, y = load3(jacobian, first + r, 0)
         slip = alpha * error[0] + x * error[1] + y * error[2]
         ex += slip * x
         ey += slip * y
     bracket_x -= w * ey
     bracket_y += w * ex
     for r in range(rows):
-        work.solution[start + r] = -(jacobian[j, 3 * r + 1] * bracket_x
-                                     + jacobian[j, 3 * r + 2] * bracket_y)
+        work.solution[start + r] = -(jacobian[first + r, 1] * bracket_x
+                                     + jacobian[first + r, 2] * bracket_y)
 
 
 @kernel
 def _set_parent_rows(model, work, j, c, s, px, py):
     """Rows of joint j for its parent into K; turn (c, s) and place p: the parent's from the child."""
-    rows = model.joints[j]["rows"]
+    rows, first = model.joints[j]["rows"], model.joints[j]["first"]
     place = model.joints[j]["parent_place"]
     row_step, step = 3, 1
     if model.joints[j]["parent_turned"] == 1:
         row_step, step = 1, rows
     jacobian = model.child_jacobian
     for r in range(rows):
-        alpha, x, y = jacobian[j, 3 * r], jacobian[j, 3 * r + 1], jacobian[j, 3 * r + 2]
+        alpha, x, y = load3(jacobian, first + r, 0)
         at = place + r * row_step
         work.matrix[at] = (px * y - py * x) - alpha
         work.matrix[at + step] = -(c * x + s * y)
@@ -79,7 +79,7 @@ def _set_parent_rows(model, work, j, c, s, px, py):
 @kernel
 def assemble(model, work):
     """K of the stage into work.matrix, the bias of the rows into work.solution."""
-    for i in range(model.fresh):
+    for i in range(model.summed):
         work.matrix[i] = model.matrix[i]
     pose, twist = work.stage_pose, work.stage_twist
     for j in range(len(model.joints)):
@@ -131,9 +131,7 @@ def clear_ground_slip(model, twist):
         if model.joints[j]["parent"] == WORLD:
             b = model.joints[j]["child"]
             w, vx, vy = twist[b, 0], twist[b, 1], twist[b, 2]
-            size = max(abs(w), max(abs(vx), abs(vy)))
             for r in range(3):
-                value = twist[b, r] - (model.ground_projector[j, 3 * r] * w
-                                       + model.ground_projector[j, 3 * r + 1] * vx
-                                       + model.ground_projector[j, 3 * r + 2] * vy)
-                twist[b, r] = 0.0 if abs(value) <= NEXT_TO_NOTHING * size else value
+                twist[b, r] -= (model.ground_projector[j, 3 * r] * w
+                                + model.ground_projector[j, 3 * r + 1] * vx
+                                + model.ground_projector[j, 3 * r + 2] * vy)

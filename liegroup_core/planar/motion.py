@@ -112,7 +112,7 @@ def store_slopes(model, work, scheme, group, stage):
     n = len(model.bodies)
     for i in range(n):
         row = stage * n + i
-        at = model.bodies[i]["start"]
+        at = 3 * i
         w, vx, vy = work.stage_twist[i, 0], work.stage_twist[i, 1], work.stage_twist[i, 2]
         ax, ay = work.solution[at + 1], work.solution[at + 2]
         if group != SE3:

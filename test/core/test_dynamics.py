@@ -17,8 +17,7 @@ def engine_accelerations(simulation):
     pose, twist = simulation.state()
     work = simulation._work
     assert accelerations(simulation.layout.model, work, pose, twist, np.zeros_like(twist)) == -1
-    return {name: work.solution[body["start"]:body["start"] + 6].copy()
-            for name, body in zip(simulation.layout.body_names, simulation.layout.model.bodies)}
+    return dict(zip(simulation.layout.body_names, work.acceleration.copy()))
 
 
 @pytest.mark.parametrize("name", mechanisms.MECHANISMS)
@@ -73,7 +72,7 @@ def test_both_ways_through_a_tree(monkeypatch, bodies_first, seed):
     solved = np.abs(J).sum(axis=1) > 0.0
     J, bias = J[solved], bias[solved]
     work, (pose, twist) = simulation._work, simulation.state()
-    wrenches(simulation.layout.model, work, pose, twist, np.zeros_like(twist))
+    wrenches(simulation.layout.model, work, pose, twist, np.zeros_like(twist), work.wrench)
     K = np.block([[engine.masses(scene), J.T], [J, np.zeros((len(J), len(J)))]])
     wanted = np.linalg.solve(K, np.concatenate([work.wrench.ravel(), bias]))[:twist.size]
     found = np.concatenate(list(engine_accelerations(simulation).values()))
@@ -128,9 +127,11 @@ def test_in_a_ring_a_joint_waits_for_its_bodies():
         assert v < n or all(body in order[:p] for body in neighbours[v])
     # A ring of 2 n vertices fills one block for each but the last three.
     assert sum(map(len, below)) <= 2 * (2 * n) - 3
-    place, size, fresh, _, columns, _ = block_layout(np.array([sizes[v] for v in order]), below, [])
+    place, ends, _, columns, _ = block_layout(np.array([sizes[v] for v in order]), below, [])
     assert len(columns) == sum(map(len, below)) and len(place) == 2 * n + len(columns)
-    assert fresh == 0 and size == sum(sizes[order[i]] * sizes[order[j]] for i, j in place)
+    size = sum(sizes[order[i]] * sizes[order[j]] for i, j in place)
+    # Nothing changes, and scratch memory is that of a body's part of the solution.
+    assert ends == (0, 0, size, size + 6)
 
 
 def test_bodies_first_leave_the_joints_of_a_body_coupled():
@@ -144,14 +145,26 @@ def test_bodies_first_leave_the_joints_of_a_body_coupled():
 
 def test_what_depends_on_a_pose_changes_and_nothing_else():
     """A body on two joints, 6 + 3 + 3: the block of the second joint changes."""
-    place, size, fresh, ranges, columns, updates = block_layout(
+    place, (summed, fresh, size, end), ranges, columns, updates = block_layout(
         np.array([6, 3, 3]), [[1, 2], [2], []], [(2, 0)])
     changing = {block for block, at in place.items() if at < fresh}
     assert changing == {(2, 0), (2, 1), (2, 2)} and fresh == 18 + 9 + 9
+    # The block that is written anew comes after those that are added to.
+    assert place[2, 0] == summed == 9 + 9
     assert [constant for constant, *_ in ranges] == [True, True, False]
     # Of the body's two columns the second is formed anew, and so is what it is multiplied with.
     assert [tuple(row[3:]) for row in updates] == [(2, 1), (2, 2), (2, 2)]
     assert size == 36 + 2 * 18 + 3 * 9 and len(columns) == 3
+    # One product at a time is kept, that of the body: of a factor that changes with all others.
+    assert end == size + 18 and (columns[columns[:, 2] >= 0, 2] == size).all()
+    assert (updates[:, 1:3] == size).any(axis=1).all()
+
+
+@pytest.mark.parametrize("name", mechanisms.MECHANISMS)
+def test_what_is_written_anew_has_no_constant_part(name):
+    """`assemble` writes those blocks of J over, so nothing may have been added to them."""
+    model = Simulation(mechanisms.named(name)).layout.model
+    assert not model.matrix[model.summed:model.fresh].any()
 
 
 @pytest.mark.parametrize("name", mechanisms.MECHANISMS)

@@ -323,7 +323,8 @@ def test_the_bias_is_the_rate_of_the_rows_where_joints_are_open_too(name):
     slips, bias = speeds(0.0)
     model, work = simulation.layout.model, simulation._work
     for j, joint in enumerate(model.joints):
-        where = model.row_residual[joint["first"]:joint["first"] + joint["rows"]]
-        beta = work.child_jacobian[j].reshape(6, 6)[:joint["rows"], 3:]
+        rows = slice(joint["first"], joint["first"] + joint["rows"])
+        where = model.row_residual[rows]
+        beta = work.child_jacobian[rows, 3:]
         rate[where] += beta @ np.cross(twist[joint["child"], :3], slips[where] @ beta)
     np.testing.assert_allclose(rate, -bias, atol=1e-6)

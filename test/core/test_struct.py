@@ -5,6 +5,7 @@ import json
 import math
 import os
 import pickle
+import platform
 import resource
 import subprocess
 import sys
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 
 from liegroup_core import Simulation, load_scene
-from liegroup_core._compile import CACHE_FOLDER, Choice, compiled, kernel, shared
+from liegroup_core._compile import CACHE_FOLDER, Choice, compiled, kernel, shared, stepper
 from liegroup_core._struct import Struct
 
 PAIR = np.dtype([("number", "i8"), ("vector", "f8", (3,))], align=True)
@@ -125,6 +126,36 @@ def test_a_function_that_several_kernels_share():
     assert once(other) == 5 and again(other, 5) == -1
     if compiled():
         assert len(weighed.dispatcher.overloads) == 1
+
+
+@kernel
+def halved(array):
+    """Half of every number, in place; True when there is any."""
+    for i in range(len(array)):
+        array[i] *= 0.5
+    return len(array) > 0
+
+
+@stepper
+def halved_by_steps(array, steps):
+    for _ in range(steps):
+        if not halved(array):
+            return False
+    return True
+
+
+@pytest.mark.skipif(not compiled() or platform.machine() not in ("x86_64", "AMD64"),
+                    reason="other processors are as fast with such numbers")
+@pytest.mark.parametrize("numbers, ended", [((1.0, 2.0 ** -1022, -2.0 ** -1021, 2.0 ** -1030), True),
+                                            ((), False)])
+def test_what_is_next_to_zero_is_zero_in_steps_and_nowhere_else(numbers, ended):
+    """The smallest normal number is 2^-1022; half of it would take a hundred times as long."""
+    array = np.array(numbers)
+    assert halved_by_steps(array, 2) == ended
+    assert array.tolist() == [0.25, 0.0, 0.0, 0.0][:len(array)]
+    array = np.array([2.0 ** -1022, 2.0 ** -1030])
+    assert halved(array) and array.tolist() == [2.0 ** -1023, 2.0 ** -1031]
+    assert (array * 0.5).tolist() == [2.0 ** -1024, 2.0 ** -1032]
 
 
 @pytest.mark.parametrize("harm", ["nothing", "index", "code", "full"])
