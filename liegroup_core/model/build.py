@@ -16,7 +16,7 @@ from .sparsity import cheapest_structure
 SMALLEST_PIVOT = 1e-10
 
 # From here on a step of refinement costs less than the digits that are lost without it.
-LARGE_MASS_RATIO = 1e3
+LARGE_RATIO = 1e3
 
 
 def initial_state(scene):
@@ -53,8 +53,8 @@ def build_model(scene):
     bodies = np.array([(body.mass, 1.0 / body.mass, body.inertia_matrix.ravel(),
                         np.linalg.inv(body.inertia_matrix).ravel())
                        for body in scene.bodies], dtype=BODY)
-    structure = cheapest_structure(6, n, rows, ends, elements["kind"][solved] != PAIR,
-                                   are_alike(bodies, elements))
+    few = refinements(bodies, ends, elements)
+    structure = cheapest_structure(6, n, rows, ends, elements["kind"][solved] != PAIR, few == 0)
     joints = structure.joints()
     joints["element"] = solved
     joints["kind"] = elements["kind"][solved]
@@ -67,7 +67,7 @@ def build_model(scene):
         ground_projector=_ground_projector(bodies, joints, jacobians),
         pivot_floor=_pivot_floor(bodies, joints, jacobians, structure.unknowns,
                                  [j for j, e in enumerate(solved) if owners[e] in loops]),
-        refinements=refinements(bodies, ends),
+        refinements=few,
         **structure.arrays([_mass_matrix(body) for body in scene.bodies], jacobians))
     names = tuple(part.names for elements in parts for part in elements)
     return model, tuple(frames), owners, names, tuple(kept)
@@ -153,30 +153,23 @@ def _forces(scene, index, frames):
     return make_forces(scene.forces, index, ends)
 
 
-def are_alike(bodies, elements):
-    """True when bodies differ so little that what is subtracted from masses loses few digits.
+def refinements(bodies, ends, elements):
+    """Steps of iterative refinement: one where the solve would lose more than three digits or so.
 
-    Their masses and inertias do, and no body is next to a point mass on the lever of a joint: a
-    force there moves that point by its turn, m p^T x I^-1 x p, not much more than by its shift, 1.
+    It does for joined bodies of very different mass or inertia, and for a body that is next to a
+    point mass on the lever p of a joint: a force there moves that point by the body's turn,
+    m tr(p^T x I^-1 x p), much more than by its shift, 1.
+
+    bodies : (n,) of BODY; ends : (parent, child) of each joint; elements : of ELEMENT
     """
-    turned = [0.0]
+    inertia = bodies["inertia"][:, [0, 4, 8]].sum(axis=1)
+    ratios = [1.0] + [sizes[a] / sizes[b] for sizes in (bodies["mass"], inertia)
+                      for a, b in ends if a != WORLD]
     for end in ("parent", "child"):
         held = elements[elements[end] != WORLD]
         body = bodies[held[end]]
         lever = np.cross(np.eye(3), held[f"{end}_point"][:, None, :])
         inverse = body["inverse_inertia"].reshape(-1, 3, 3)
-        turned.extend(body["mass"] * np.einsum("eri,eij,erj->e", lever, inverse, lever))
-    sizes = bodies["mass"], bodies["inertia"][:, [0, 4, 8]].sum(axis=1)
-    return (max(turned) <= LARGE_MASS_RATIO
-            and all(np.ptp(np.log(size)) <= np.log(LARGE_MASS_RATIO) for size in sizes))
-
-
-def refinements(bodies, ends):
-    """Steps of iterative refinement: one for joined bodies of very different mass or inertia.
-
-    bodies : (n,) of BODY; ends : (parent, child) of each joint
-    """
-    inertia = bodies["inertia"][:, [0, 4, 8]].sum(axis=1)
-    ratios = [1.0] + [sizes[a] / sizes[b] for sizes in (bodies["mass"], inertia)
-                      for a, b in ends if a != WORLD]
-    return int(max(max(ratio, 1.0 / ratio) for ratio in ratios) > LARGE_MASS_RATIO)
+        turned = body["mass"] * np.einsum("eri,eij,erj->e", lever, inverse, lever)
+        ratios.extend(np.maximum(turned, 1.0))
+    return int(max(max(ratio, 1.0 / ratio) for ratio in ratios) > LARGE_RATIO)

@@ -18,7 +18,7 @@ import scipy.linalg
 from ..joints.elements import PAIR
 from ..lie.groups import SE3
 from ..model.arrays import WORLD
-from ..model.build import SMALLEST_PIVOT, are_alike, initial_state, refinements
+from ..model.build import LARGE_RATIO, SMALLEST_PIVOT, initial_state, refinements
 from ..model.linkage import Linkage
 from ..model.redundancy import REMEMBERED, generic_poses, independent_rows, loop_joints
 from ..model.sparsity import cheapest_structure
@@ -107,9 +107,9 @@ def _build(scene, model, world, axes):
                 for axis, body in zip(axes, model.bodies)]
     masses = [np.diag([inertia, body["mass"], body["mass"]])
               for inertia, body in zip(inertias, model.bodies)]
-    alike = are_alike(model.bodies, model.elements)
+    few = refinements(model.bodies, ends, model.elements)
     structure = cheapest_structure(3, n, [len(jacobian) for jacobian in jacobians], ends,
-                                   [False] * m, alike)
+                                   [False] * m, few == 0)
     joints = structure.joints()
     joints["element"] = solved
     projectors = np.zeros((m, 9))
@@ -123,6 +123,7 @@ def _build(scene, model, world, axes):
                 jacobian * mobility).sum(axis=1)
         if parent == WORLD:
             projectors[j] = (mobility.T @ np.linalg.solve(jacobian @ mobility.T, jacobian)).ravel()
+    alike = few == 0 and _are_alike(model.bodies)
     links = tree_links(len(axes), ends, jacobians if alike else [])
     return PlanarModel(
         space=model, has_forces=any(map(len, model.forces.values())), world=world.reshape(1, 9),
@@ -132,8 +133,14 @@ def _build(scene, model, world, axes):
                         dtype=PLANAR_BODY),
         joints=joints, child_jacobian=np.concatenate([np.zeros((0, 3)), *jacobians]),
         ground_projector=projectors,
-        pivot_floor=floor, refinements=refinements(model.bodies, ends), projects=model.projects, links=links,
+        pivot_floor=floor, refinements=few, projects=model.projects, links=links,
         **structure.arrays(masses, jacobians))
+
+
+def _are_alike(bodies):
+    """True when no mass or inertia is far from any other: tree.py loses digits where they are."""
+    sizes = bodies["mass"], bodies["inertia"][:, [0, 4, 8]].sum(axis=1)
+    return all(np.ptp(np.log(size)) <= np.log(LARGE_RATIO) for size in sizes)
 
 
 def _kept_rows(scene, elements, lift):
