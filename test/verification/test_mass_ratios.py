@@ -90,7 +90,8 @@ def test_welded_bodies_of_hardly_any_inertia_stay():
     for space in ("auto", "space"):
         simulation = Simulation(scene, space=space)
         simulation.advance(1000)
-        # Rows of lever 1 m against a gyration radius of 1e-5 m: an angular acceleration loses ten
-        # digits, of torques of 10 N m over 1e-10 kg m^2 then 1e-5 rad/s^2 at the worst, over 1 s.
-        assert simulation.sample().constraint_residual <= 1e-5
+        # Rows of lever 1 m against a gyration radius of 1e-5 m lose ten digits of an angular
+        # acceleration, which a refinement finds: accelerations of 10 m/s^2 are then right to some
+        # 1e-15 of that, 5e-15 m in 1 s; 1e-13 has room for a few of them.
+        assert simulation.sample().constraint_residual <= 1e-13
         assert simulation.singular_solves == 0
