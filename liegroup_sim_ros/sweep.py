@@ -14,7 +14,7 @@ from liegroup_core.scene.load import scene_as_written
 from liegroup_core.simulation import STEP
 from liegroup_core.study.parameters import ParameterError, parameters
 from liegroup_core.study.store import PACKAGES
-from liegroup_core.study.sweep import Sweep, describe
+from liegroup_core.study.sweep import OK, Sweep, describe
 from liegroup_core.study.sweep_file import SweepFile, SweepFileError
 
 from . import __version__
@@ -22,7 +22,7 @@ from .attachments import versions
 from .offline import RunError, add_settings, chosen, given_settings, whole_steps
 from .report.sweep_tables import print_sweep
 
-EXIT_INTERRUPTED = 130
+EXIT_ALL_FAILED, EXIT_INTERRUPTED = 1, 130
 # Of what check_consistency says of a start that joints do not allow.
 CLOSING = "velocities violate the joint", "does not close at the initial poses"
 
@@ -98,7 +98,7 @@ def run(args):
     if not args.assemble and any(hint in status for status in statuses for hint in CLOSING):
         print("liegroup_sim: where joints hold the bodies that start otherwise, --assemble lets "
               "them close", file=sys.stderr)
-    return 0
+    return 0 if OK in statuses else EXIT_ALL_FAILED
 
 
 def _asked_for(scene, args):

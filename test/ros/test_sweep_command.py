@@ -99,7 +99,7 @@ def test_a_start_that_joints_do_not_allow(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     arguments = ["sweep", "heavy_top", "--vary", "angular_velocity.2=-1:1", "--samples", "12",
                  "--duration", "0.01"]
-    assert main([*arguments, "--out", "a.parquet"]) == 0
+    assert main([*arguments, "--out", "a.parquet"]) == 1
     out, err = capsys.readouterr()
     assert "12 failed" in out and "the initial velocities violate the joint" in out
     assert "--assemble" in err
