@@ -5,7 +5,8 @@ Numba's own cache checks only the file a kernel stands in, so an edit in a helpe
 callers with the old code. Here the cache folder is named after a hash of all our sources: any
 edit, in any file, starts a new folder.
 
-Without Numba the same functions run as plain Python: the same results, slowly.
+Without Numba the same functions run as plain Python: the same results, slowly, but for numbers that
+are next to zero (`stepper`).
 """
 import functools
 import hashlib

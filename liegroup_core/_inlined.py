@@ -100,7 +100,10 @@ class _Lower(Lower):
 
 
 class _FlushingLower(_Lower):
-    """While the function runs, x86 takes numbers below 2.2e-308 for zero: see _compile.stepper."""
+    """While the function runs, x86 takes numbers below 2.2e-308 for zero: see _compile.stepper.
+
+    An exception would leave it so; kernels raise none, but for NUMBA_BOUNDSCHECK=1.
+    """
 
     def pre_lower(self):
         super().pre_lower()

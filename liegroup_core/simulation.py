@@ -113,6 +113,8 @@ def make_layout(scene):
 STABILISATIONS = ("none", "projection", "baumgarte")
 # Baumgarte's time in steps if none is given. Explicit methods are stable down to half a step.
 BAUMGARTE_STEPS = 10
+# Largest entry of R R^T - 1 of a state that is continued from.
+NO_ROTATION = 1e-6
 METHOD, STEP = "rkmk4", 1e-3                # if none is given; s
 
 
@@ -166,6 +168,8 @@ class Simulation:
     def __init__(self, scene, method=None, step=None, group="auto", stabilisation="none",
                  baumgarte_time=None, accuracy=None, horizon=None, watch=True, **options):
         self.promise = None
+        if not isinstance(scene, Scene):
+            raise ValueError(f"expected a Scene, got {scene!r}: load_scene reads one from a file")
         if accuracy is not None:
             if (method, step, group, stabilisation, baumgarte_time, options) != (
                     None, None, "auto", "none", None, {}):
@@ -181,7 +185,7 @@ class Simulation:
             raise ValueError("horizon goes with accuracy")
         method = METHOD if method is None else method
         step = STEP if step is None else step
-        if method not in METHODS:
+        if not isinstance(method, str) or method not in METHODS:
             raise ValueError(f"unknown method {method!r}; there are: {', '.join(METHODS)}")
         if not is_positive(step):
             raise ValueError(f"the step must be a positive number of seconds, got {step!r}")
@@ -226,6 +230,7 @@ class Simulation:
         memory : bytes that `memory()` gave at this state; then the run goes on to the bit. None:
                  a method that keeps something between steps starts anew
         Ends what `apply_wrench` does. The wrenches of the scene follow the step count.
+        raises ValueError for what is no such state
         """
         n = len(self._body)
         pose, twist = (np.array(given, dtype=float, order="C") for given in (pose, twist))
@@ -234,6 +239,11 @@ class Simulation:
                              f"got {pose.shape} and {twist.shape}")
         if not (np.isfinite(pose).all() and np.isfinite(twist).all()):
             raise ValueError("the state has a number that is not finite")
+        turned = pose[:, :9].reshape(n, 3, 3)
+        off = np.abs(turned @ turned.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+        for i in np.flatnonzero((off > NO_ROTATION) | (np.linalg.det(turned) < 0.0)):
+            raise ValueError(f"the first nine numbers of the pose of {self.layout.body_names[i]} "
+                             "are no rotation matrix")
         k = len(self._work.angle)
         if angles is not None and (np.shape(angles) != (k,) or not np.isfinite(angles).all()):
             raise ValueError(f"expected {k} finite angles of torsional springs, got {angles!r}")
@@ -402,6 +412,8 @@ class Simulation:
             if done and compares:
                 self._say(self._step_watch.ends(self.steps, self._pose, self._twist,
                                                 self._external))
+            elif done:
+                self._step_watch.glance(self.steps, self._pose, self._twist)
             if met:
                 self._step_watch.met(self.steps)
             if status != OK:

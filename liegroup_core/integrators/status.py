@@ -26,8 +26,9 @@ HOPELESS_ROTATION = 1e3
 MESSAGES = {
     NOT_FINITE: "the state is no longer finite: the step is too large for this motion, or a force "
                 "is; take a smaller step",
-    ROTATION_TOO_LARGE: "a body turns by nearly a full turn within one step, where the method has "
-                        "no solution; take a smaller step",
+    ROTATION_TOO_LARGE: "a body would turn by nearly a full turn within one step, where the method "
+                        "has no solution; take a smaller step, or, where joints are next to a "
+                        "singular pose, stabilisation projection",
     DEPENDENT_ROWS: "the rows of joint {joint} depend on those of other joints at this pose "
                     "(a singular pose or a redundant joint)",
     TURNS_NOT_COUNTED: "the joint of {force} turns by half a turn or more within one step, where "

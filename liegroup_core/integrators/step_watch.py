@@ -16,8 +16,8 @@ otherwise, as in chaos, are not in it: it is about the steps, not about the moti
 
 A look takes two steps and some 60 us. It is made after steps that double in number, more often
 where the sum is not far from a doubt or would not be if errors grew on as they do, and before a
-step in which a spring may turn over; it changes nothing in the run, to the bit. What it says and
-what it does not: docs/extremes.md.
+step in which a spring may turn over, and where a glance finds that the energy has leapt; it changes
+nothing in the run, to the bit. What it says and what it does not: docs/extremes.md.
 """
 import math
 
@@ -50,11 +50,15 @@ TIGHTER = 0.03
 # A step is recommended that keeps the sum at this part of a doubt over the time so far, or over
 # that of so many steps; it is the step halved so often.
 AIM, LEAST_STEPS, HALVINGS = 0.1, 100, 24
+# Steps between glances at the energy of mechanisms with loops, which have singular poses.
+GLANCE = 500
 
 MUCH = "take a much smaller step"
 # Advice where one step, or what it does to an invariant, decides what comes after.
 PASSED = ("the ends of a spring passed each other, where its line turns faster than the step can "
           "follow; take rkmk54, which takes steps as small as that needs, or a much smaller step")
+LEAPT = ("the energy has leapt, as where a step passes a singular pose of the joints and goes on with "
+         "other velocities; take a smaller step, or a method with stabilisation projection")
 BACK = ("a body came back to its middle axis of inertia, where the least error decides how it "
         "turns on; take a smaller step, or a method of higher order")
 
@@ -68,6 +72,7 @@ class StepWatch:
     def __init__(self, layout, method, step, integrator, on=True):
         self._integrator, self._method, self._step = integrator, method, step
         self._model = layout.model
+        self._has_loops = bool(layout.model.pivot_floor.any())
         self._conservative = all(getattr(force, "damping", 1.0) == 0.0
                                  for force in layout.scene.forces)
         self._size = mechanism_size(layout.model) or 1.0
@@ -86,7 +91,7 @@ class StepWatch:
         """Another state: what the steps before did does not count."""
         self._first = self._last = self._waits_from = steps
         self._next = steps if self._on else NEVER
-        self._met, self._seen = None, steps
+        self._met, self._leapt, self._seen = None, None, steps
         self._start = None if pose is None else pose.copy()
         self._sum = self._error = self._extent = 0.0
         self._speed = self._change = self._turning = self._fastest = self._rate = 0.0
@@ -106,6 +111,8 @@ class StepWatch:
         """The step after this one at whose start to look."""
         if self._waits and steps < self._waits_from < self._next < NEVER:
             return self._waits_from
+        if self._has_loops and self._keeps_energy and self._next < NEVER:
+            return max(min(self._next, (steps // GLANCE + 1) * GLANCE), steps + 1)
         return max(self._next, steps + 1)
 
     def rest(self):
@@ -130,6 +137,15 @@ class StepWatch:
         self._kept = (pose.copy(), twist.copy(), integrator.work.angle.copy(),
                       [array.copy() for array in integrator.memory])
         return True
+
+    def glance(self, steps, pose, twist):
+        """Look at the next step where the energy is off by much: it has leapt since the last look.
+
+        So it does where a step passes a singular pose and goes on with other velocities.
+        """
+        if (self._has_loops and steps % GLANCE == 0 and self._next < NEVER
+                and self._energy is not None and self._energy_error(pose, twist) > PART):
+            self._next = self._leapt = steps
 
     def ends(self, steps, pose, twist, external):
         """Called after that step, at a step count; a line of text, or None if all is well."""
@@ -160,8 +176,8 @@ class StepWatch:
             self._tiny = self._tiny + 1 if self._falls(error, external) else 0
         if not self._sum <= limit and (not small or self._tiny >= LOOKS):
             self._next = NEVER
-            advice = (PASSED if self._met == steps - 1 else BACK if back == self._sum else
-                      self._advice(external, limit, done))
+            advice = (PASSED if self._met == steps - 1 else LEAPT if self._leapt == steps - 1 else
+                      BACK if back == self._sum else self._advice(external, limit, done))
             return self._text(limit, advice)
         left = AHEAD * float(limit - self._sum) / error if error > 0.0 else math.inf
         if error > before > 0.0 and limit > self._sum:

@@ -18,7 +18,7 @@ import scipy.linalg
 from ..joints.elements import PAIR
 from ..lie.groups import SE3
 from ..model.arrays import WORLD
-from ..model.build import LARGE_RATIO, SMALLEST_PIVOT, initial_state, refinements
+from ..model.build import LARGE_RATIO, SMALLEST_PIVOT, are_unlike, initial_state
 from ..model.linkage import Linkage
 from ..model.redundancy import REMEMBERED, generic_poses, independent_rows, loop_joints
 from ..model.sparsity import cheapest_structure
@@ -103,13 +103,14 @@ def _build(scene, model, world, axes):
     jacobians = [rows[e] for e in solved]
     ends = [(int(model.elements[e]["parent"]), int(model.elements[e]["child"])) for e in solved]
     n, m = len(axes), len(solved)
-    inertias = [axis[2] @ body["inertia"].reshape(3, 3) @ axis[2]
-                for axis, body in zip(axes, model.bodies)]
+    inertias = np.array([axis[2] @ body["inertia"].reshape(3, 3) @ axis[2]
+                         for axis, body in zip(axes, model.bodies)])
     masses = [np.diag([inertia, body["mass"], body["mass"]])
               for inertia, body in zip(inertias, model.bodies)]
-    few = refinements(model.bodies, ends, model.elements)
+    unlike = are_unlike(model.bodies["mass"], inertias, ends,
+                        _turned(model.elements, axes, model.bodies["mass"], inertias))
     structure = cheapest_structure(3, n, [len(jacobian) for jacobian in jacobians], ends,
-                                   [False] * m, few == 0)
+                                   [False] * m, not unlike)
     joints = structure.joints()
     joints["element"] = solved
     projectors = np.zeros((m, 9))
@@ -123,7 +124,7 @@ def _build(scene, model, world, axes):
                 jacobian * mobility).sum(axis=1)
         if parent == WORLD:
             projectors[j] = (mobility.T @ np.linalg.solve(jacobian @ mobility.T, jacobian)).ravel()
-    alike = few == 0 and _are_alike(model.bodies)
+    alike = not unlike and _are_alike(model.bodies["mass"], inertias)
     links = tree_links(len(axes), ends, jacobians if alike else [])
     return PlanarModel(
         space=model, has_forces=any(map(len, model.forces.values())), world=world.reshape(1, 9),
@@ -133,13 +134,23 @@ def _build(scene, model, world, axes):
                         dtype=PLANAR_BODY),
         joints=joints, child_jacobian=np.concatenate([np.zeros((0, 3)), *jacobians]),
         ground_projector=projectors,
-        pivot_floor=floor, refinements=few, projects=model.projects, links=links,
+        pivot_floor=floor, refinements=int(unlike), projects=model.projects, links=links,
         **structure.arrays(masses, jacobians))
 
 
-def _are_alike(bodies):
+def _turned(elements, axes, masses, inertias):
+    """m p^2 / I of every end of an element: p its point in the plane, from the centre of mass."""
+    turned = []
+    for end in ("parent", "child"):
+        held = elements[elements[end] != WORLD]
+        body = held[end]
+        points = np.einsum("erc,ec->er", axes[body, :2], held[f"{end}_point"])
+        turned.extend(masses[body] * (points ** 2).sum(axis=1) / inertias[body])
+    return turned
+
+
+def _are_alike(*sizes):
     """True when no mass or inertia is far from any other: tree.py loses digits where they are."""
-    sizes = bodies["mass"], bodies["inertia"][:, [0, 4, 8]].sum(axis=1)
     return all(np.ptp(np.log(size)) <= np.log(LARGE_RATIO) for size in sizes)
 
 

@@ -41,7 +41,7 @@ def _powers(first, last, every=1):
 _TURNS = (0.1, 0.5, 1.0, 2.0, 3.0, np.pi, 3.5, 5.0, 6.1, 2 * np.pi, 7.0, 10.0, 30.0)
 _RATIOS = (1.0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6)
 _MASSES = _powers(-8, 8, 2)
-_ANGLES = (1e-300, 1e-200, 1e-160, 1e-100, 1e-30, 1e-16, 1e-12, 1e-8, 1e-4, 1e-2, 1.0)
+_ANGLES = (1e-250, 1e-200, 1e-160, 1e-100, 1e-30, 1e-16, 1e-12, 1e-8, 1e-4, 1e-2, 1.0)
 _STEPS = (8.0, 4.0, 2.0, 1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 5e-3, 2e-3, 1e-3)
 
 AXES = (
@@ -61,7 +61,7 @@ AXES = (
     Axis("spin_top", "spin, top at 1 ms", "rad/s", _powers(-6, 5), problems.spin_top,
          quick=(1e3,)),
     Axis("angle", "amplitude, pendulum, 0.1 rad of its swing a step", "rad", _ANGLES,
-         problems.angle, alike=1e-2, quick=(1e-300, 1e-2)),
+         problems.angle, alike=1e-2, quick=(1e-250, 1e-2)),
     Axis("angle_coarse", "amplitude, pendulum, 1 rad of its swing a step", "rad", _ANGLES,
          partial(problems.angle, part=1.0), quick=(1e-4,)),
     Axis("mass_chain", "mass ratio, two rods", "", _MASSES, problems.mass_chain, quick=(1e8,)),

@@ -98,6 +98,16 @@ def test_a_flat_parallelogram_is_crossed_at_speed(angle):
         assert (simulation.singular_solves > 0) == (angle == 0.0)
 
 
+@pytest.mark.parametrize("rate, step", [(3.0, 1e-4), (0.3, 1e-3)])
+def test_energy_that_leaps_at_a_flat_pose_is_told(rate, step):
+    """Half a step from the flat pose RATTLE takes velocities of another motion, its joints closed."""
+    simulation = Simulation(parallelogram(0.5, rate), method="constrained_rattle", step=step)
+    start = simulation.energy()
+    simulation.advance(round(3.0 / rate / step))
+    assert abs(simulation.energy() / start - 1.0) > 0.1
+    assert "the energy has leapt" in simulation.doubt
+
+
 def exact_accelerations(model, pose, scene):
     """Vdot at rest from the rows of the model, solved with 60 digits."""
     mpmath.mp.dps = 60

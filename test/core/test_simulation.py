@@ -130,6 +130,17 @@ def test_a_state_that_is_none_is_refused():
         simulation.set_state(pose[:, :9], twist)
     with pytest.raises(ValueError, match="not finite"):
         simulation.set_state(pose, twist * np.nan)
+    for factor in (0.0, 1.5, -1.0):
+        with pytest.raises(ValueError, match="pose of body are no rotation matrix"):
+            simulation.set_state(factor * pose, twist)
+
+
+@pytest.mark.parametrize("given, message", [
+    (("heavy_top",), "expected a Scene, got 'heavy_top': load_scene reads one from a file"),
+    ((load_scene("free_body"), ["rkmk4"]), "unknown method")])
+def test_what_is_no_scene_or_method_is_refused(given, message):
+    with pytest.raises(ValueError, match=message):
+        Simulation(*given)
 
 
 def test_without_the_compiler_the_same_numbers():
