@@ -17,9 +17,10 @@ SMALLEST_PIVOT = 1e-10
 
 # From here on a step of refinement costs less than the digits that are lost without it.
 LARGE_RATIO = 1e3
-# From these ratios of a body's own moments of inertia on one, two and three steps are taken: twelve
-# rods on hinges were found to lose 1e-12 times the ratio, and each step leaves about the square.
-SLENDER = (1e2, 1e6, 1e8)
+# From these ratios of a body's own moments of inertia on one, two and three steps are taken: where
+# rows of joints mix its turns, twelve rods were found to lose 1e-12 times the ratio, and four rods
+# whose rows do not a thousandth of it or less; each step leaves about the square.
+SLENDER, ALIGNED = (1e2, 1e6, 1e8), 1e-4
 
 
 def initial_state(scene):
@@ -159,24 +160,54 @@ def _forces(scene, index, frames):
 def refinements(bodies, ends, elements):
     """Steps of iterative refinement: as many as find the digits that the solve loses.
 
-    Besides those of `are_unlike` it loses digits to a slender body where a joint forbids its turns:
-    its rows mix the turn about the long axis with the others, and that is so much easier.
-
     bodies : (n,) of BODY; ends : (parent, child) of each joint; elements : of ELEMENT
     """
     inverse = bodies["inverse_inertia"].reshape(-1, 3, 3)
-    forbids_turns = ((elements["kind"] == PERPENDICULAR)
-                     | elements["forbidden"].reshape(-1, 6, 6)[:, :, :3].any(axis=(1, 2)))
-    turned, slender = [], [1.0]
+    turned = []
     for end in ("parent", "child"):
         held = elements[elements[end] != WORLD]
         lever = np.cross(np.eye(3), held[f"{end}_point"][:, None, :])
         turned.extend(bodies["mass"][held[end]] * np.einsum("eri,eij,erj->e", lever,
                                                             inverse[held[end]], lever))
-        moments = np.linalg.eigvalsh(inverse[elements[forbids_turns & (elements[end] != WORLD)][end]])
-        slender.extend(moments[:, 2] / moments[:, 0])
     unlike = are_unlike(bodies["mass"], bodies["inertia"][:, [0, 4, 8]].sum(axis=1), ends, turned)
-    return max(int(unlike), int(np.searchsorted(SLENDER, max(slender))))
+    mixed = _mixed_turns(inverse, elements, _outer_ends(len(bodies), ends, elements))
+    return max(int(unlike), int(np.searchsorted(SLENDER, mixed)))
+
+
+def _mixed_turns(inverse, elements, outer):
+    """How much easier one turn of a slender body is than another that a joint's row mixes with it.
+
+    Rows that keep principal turns apart lose a part ALIGNED of the digits that others do.
+    inverse : (n, 3, 3) of the inertias; outer : of every element the body further from the world
+    """
+    forbidden = elements["forbidden"].reshape(-1, 6, 6)[:, :, :3]
+    turns = (elements["kind"] == PERPENDICULAR) | forbidden.any(axis=(1, 2))
+    if not turns.any():
+        return 1.0
+    moments, axes = np.linalg.eigh(inverse[outer[turns]])
+    ratio = moments[:, :, None] / moments[:, None, :]
+    rows = np.einsum("erf,ebf,ebp->erp", forbidden[turns],
+                     elements["child_rotation"][turns].reshape(-1, 3, 3), axes)
+    mix = np.abs(rows[:, :, :, None] * rows[:, :, None, :]).max(axis=1)
+    # Seen from a parent rows turn with the joint, as those that depend on the pose do.
+    mix[(outer != elements["child"])[turns] | (elements["kind"] != PAIR)[turns]] = 1.0
+    return float((np.maximum(mix, ALIGNED) * ratio).max())
+
+
+def _outer_ends(n, ends, elements):
+    """Of every element the end that is more joints away from the world."""
+    near = [set() for _ in range(n + 1)]            # the last one, WORLD, is the world
+    for a, b in ends:
+        near[a].add(b)
+        near[b].add(a)
+    depth, front = np.full(n + 1, n + 1), [WORLD]
+    depth[WORLD] = 0
+    while front:
+        reached = sorted({b for a in front for b in near[a] if depth[b] > n})
+        depth[reached] = depth[front[0]] + 1
+        front = reached
+    return np.where(depth[elements["parent"]] > depth[elements["child"]], elements["parent"],
+                    elements["child"])
 
 
 def are_unlike(masses, inertias, ends, turned):
