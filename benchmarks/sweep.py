@@ -16,7 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 from liegroup_core import load_scene
-from liegroup_core.study.sweep import Sweep, simulate
+from liegroup_core.study.sweep.sweep import Sweep, simulate
 from liegroup_core.study.tasks import run
 from timing import speed_kept
 

@@ -22,10 +22,10 @@ import numpy as np
 from liegroup_core import load_scene
 from liegroup_core.model.build import initial_state
 from liegroup_core.reference import Reference, Trajectory, distance
-from liegroup_core.study import accuracy
-from liegroup_core.study.accuracy import AccuracyError, choose
-from liegroup_core.study.trade import ACCURACIES, BUDGET, Trade
-from liegroup_core.study.truth import scaled
+from liegroup_core.study.trade import accuracy
+from liegroup_core.study.trade.accuracy import AccuracyError, choose
+from liegroup_core.study.trade.trade import ACCURACIES, BUDGET, Trade
+from liegroup_core.study.trade.reference_solution import scaled
 from liegroup_sim_ros.report.trade_figures import document_part
 from side_by_side import trade_page
 

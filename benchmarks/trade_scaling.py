@@ -14,8 +14,8 @@ import time
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from liegroup_core import load_scene
-from liegroup_core.study.store import Store
-from liegroup_core.study.trade import Trade
+from liegroup_core.study.trade.cache import Store
+from liegroup_core.study.trade.trade import Trade
 from timing import speed_kept
 
 SCENE, HORIZON = "heavy_top", 5.0

@@ -28,9 +28,9 @@ from scipy.integrate import solve_ivp
 from liegroup_core import Simulation, load_scene
 from liegroup_core.reference import Trajectory, distance
 from liegroup_core.simulation import make_layout
-from liegroup_core.study.measure import listening
-from liegroup_core.study.settings import as_time, sample_times
-from liegroup_core.study.truth import find_truth, scaled
+from liegroup_core.study.trade.measure import listening
+from liegroup_core.study.trade.configurations import as_time, sample_times
+from liegroup_core.study.trade.reference_solution import find_truth, scaled
 from side_by_side import problems
 from side_by_side.mujoco_code import model_of
 from side_by_side.problems import BALL, GROUND, HINGE, Body, Joint, Problem

@@ -8,9 +8,9 @@
     print(simulation.sample().poses["top"])
 """
 from .errors import SceneError, SimulationError
-from .model.sample import Sample
-from .scene.description import Scene
-from .scene.load import load_scene
+from liegroup_core.observables.sample import Sample
+from liegroup_core.scene.description import Scene
+from liegroup_core.scene.load import load_scene
 from .simulation import Simulation
 
 __all__ = ["Sample", "Scene", "SceneError", "Simulation", "SimulationError", "load_scene"]

@@ -24,7 +24,7 @@ class SceneError(LieGroupSimError, ValueError):
 class SimulationError(LieGroupSimError, RuntimeError):
     """An integration that had to stop; the simulation keeps its last good state.
 
-    status : the kernel's status code (`liegroup_core.integrators.status`)
+    status : the kernel's status code (`liegroup_core.status`)
     """
 
     def __init__(self, message, status=None):

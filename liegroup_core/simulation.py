@@ -9,27 +9,27 @@ from numbers import Integral, Real
 
 import numpy as np
 
-from ._compile import warm_up
+from liegroup_core.compiling.kernels import warm_up
 from .errors import SceneError, SimulationError
-from .forces import kinds
-from .forces.timetable import Timetable
-from .forces.torsional_spring_damper import UNKNOWN_TURN
+from liegroup_core.forces import kinds
+from liegroup_core.forces.timetable import Timetable
+from liegroup_core.forces.torsional_spring_damper import UNKNOWN_TURN
 from .integrators import check_group, check_options, make_integrator
-from .integrators.methods import METHODS, is_positive
-from .integrators.smaller_step import step_that_works
-from .integrators.status import (DEPENDENT_ROWS, LARGE_ROTATION, MESSAGES, NO_RATTLE_STEP,
-                                 NOT_CONVERGED, OK, TURNS_NOT_COUNTED)
-from .integrators.step_watch import StepWatch
-from .model.arrays import MET, WAIT, Model
-from .model.build import build_model, initial_state
-from .model.joint_coordinates import JointCoordinates
-from .model.joint_watch import JointWatch
-from .model.sample import Sample
-from .planar.build import planar_model
-from .scene.assembly import ready
-from .scene.centres import Offsets
-from .scene.description import Scene
-from .wrenches import NEVER, AppliedWrench, WrenchSchedule
+from liegroup_core.integrators.methods import METHODS, is_positive
+from liegroup_core.integrators.smaller_step import step_that_works
+from .status import (DEPENDENT_ROWS, LARGE_ROTATION, MESSAGES, NO_RATTLE_STEP, NOT_CONVERGED, OK,
+                     TURNS_NOT_COUNTED)
+from liegroup_core.monitor.step_watch import StepWatch
+from liegroup_core.model.arrays import MET, WAIT, Model
+from liegroup_core.model.build import build_model, initial_state
+from liegroup_core.observables.joint_coordinates import JointCoordinates
+from liegroup_core.monitor.joint_watch import JointWatch
+from liegroup_core.observables.sample import Sample
+from liegroup_core.formulations.planar.build import planar_model
+from liegroup_core.scene.assembly import ready
+from liegroup_core.scene.centres import Offsets
+from liegroup_core.scene.description import Scene
+from liegroup_core.forces.schedule import NEVER, AppliedWrench, WrenchSchedule
 
 log = logging.getLogger("liegroup_core")
 
@@ -152,15 +152,15 @@ class Simulation:
     accuracy : in place of all these settings: the largest error that is wanted over `horizon`, s
              (None: what suits the scene). The setting comes from what was measured of this scene
              on this machine; what is not known is measured first, once (docs/trade.md)
-    watch    : False: steps are not looked at on the way (integrators/step_watch.py). For many short
+    watch    : False: steps are not looked at on the way (monitor/step_watch.py). For many short
                runs whose step is known to be small enough: a look takes longer than a step
     raises SceneError for a scene that cannot be simulated, ValueError for a wrong setting or a
     method that does not fit the scene
 
     `doubt` is None, or a line of text since joints opened so far or so suddenly that the motion is
-    hardly that of the scene (model/joint_watch.py), or since the errors of the steps may have added
-    up to some part of the motion (integrators/step_watch.py); it is also logged as a warning.
-    `promise` is None, or of an `accuracy` what is promised (study/accuracy.py).
+    hardly that of the scene (monitor/joint_watch.py), or since the errors of the steps may have added
+    up to some part of the motion (monitor/step_watch.py); it is also logged as a warning.
+    `promise` is None, or of an `accuracy` what is promised (study/trade/accuracy.py).
 
     Orders: test/verification/test_orders.py; constraint residuals: test_heavy_top.py.
     """
@@ -175,7 +175,7 @@ class Simulation:
                     None, None, "auto", "none", None, {}):
                 raise ValueError("accuracy takes the place of method, step, group, stabilisation "
                                  "and their options: leave them away")
-            from .study.accuracy import choose
+            from liegroup_core.study.trade.accuracy import choose
             choice = choose(scene, accuracy, horizon)
             self.promise = choice.promise
             options = dict(choice.settings)

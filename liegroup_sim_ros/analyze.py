@@ -10,20 +10,21 @@ from dataclasses import dataclass
 
 from liegroup_core import SimulationError
 from liegroup_core.integrators.methods import GROUPS
-from liegroup_core.model.along import Along
-from liegroup_core.model.joint_watch import mechanism_size
+from liegroup_core.observables.along import Along
+from liegroup_core.monitor.joint_watch import mechanism_size
 from liegroup_core.reference.exact import exact_solution
 from liegroup_core.scene.load import scene_from_text
 from liegroup_core.simulation import make_layout
 
 from .recording import RecordingError
-from .report.invariants import Energy, Joints, Momentum
-from .report.local_error import local_error
-from .report.motion import Motion
-from .report.promise import Promise, is_promise
-from .report.reference import ReferenceError, exact_error
-from .report.replay import Repeat, ReplayError, Starts, initial_state, make_simulation
-from .report.summary import find_problems, verdict
+from liegroup_sim_ros.report.invariants import Energy, Joints, Momentum
+from liegroup_sim_ros.report.local_error import local_error
+from liegroup_sim_ros.report.motion import Motion
+from liegroup_sim_ros.report.promise import Promise, is_promise
+from liegroup_sim_ros.report.reference import ReferenceError, exact_error
+from liegroup_sim_ros.report.replay import (Repeat, ReplayError, Starts, initial_state,
+                                            make_simulation)
+from liegroup_sim_ros.report.summary import find_problems, verdict
 
 # Simulated time that the independent integration covers if no other is asked for, s.
 REFERENCE_SECONDS = 60.0

@@ -19,8 +19,8 @@ from liegroup_core.study import tasks
 from .addresses import AddressError, expand
 from .analyze import REFERENCE_SECONDS, analyse, plain
 from .recording import RecordingError, read_recording
-from .report.comparison import differences
-from .report.terminal import print_comparison, print_overview, print_table
+from liegroup_sim_ros.report.comparison import differences
+from liegroup_sim_ros.report.terminal import print_comparison, print_overview, print_table
 
 FORMAT = 1                  # of the JSON document, config/analysis.schema.json
 EXIT_EXCEEDED, EXIT_WRONG_INPUT = 1, 2
@@ -94,14 +94,14 @@ def run(args):
         if args.png:
             _draw(analysis, args.png, comparison)
         if args.html:
-            from .report.page import page_part          # plotly takes a second to import
+            from liegroup_sim_ros.report.page import page_part          # plotly takes a second to import
             parts = [page_part(analysis)]
     else:
         found, parts = analyse_many(logs, options, args.scheduler, bool(args.html))
         print_overview(found, Console(file=sys.stdout))
     exceeded = find_exceeded(found, args.max_error, args.max_drift)
     if args.html:
-        from .report.page import make_page
+        from liegroup_sim_ros.report.page import make_page
         bounds = [f"largest {what} {value:g}" for what, value in (
             ("error", args.max_error), ("drift", args.max_drift)) if value is not None]
         _write(args.html, make_page(parts, comparison, exceeded, bounds))
@@ -120,7 +120,7 @@ def run(args):
 
 def write_analysis(log, html, json_file):
     """Analyse one recording, print the table, write page and figures; returns the Analysis."""
-    from .report.page import make_page, page_part
+    from liegroup_sim_ros.report.page import make_page, page_part
     _check_writable(html, json_file)
     analysis = _analyse_one(log, {})
     _write(html, make_page([page_part(analysis)]))
@@ -147,7 +147,7 @@ def _check_picture(path):
 
 
 def _draw(analysis, path, comparison):
-    from .report.picture import write_picture
+    from liegroup_sim_ros.report.picture import write_picture
     try:
         write_picture(analysis, path, comparison)
     except OSError as error:
@@ -222,7 +222,7 @@ def analyse_log(log, options, page=None):
         return figures, {"figures": figures}
     if page is None:
         return analysis.figures, None
-    from .report.page import page_part
+    from liegroup_sim_ros.report.page import page_part
     return analysis.figures, page_part(analysis, page)
 
 
@@ -233,7 +233,7 @@ def analyse_many(logs, options, scheduler=None, page=False):
     """
     drawn = None
     if page:
-        from .report.page import MOST_PARTS as drawn
+        from liegroup_sim_ros.report.page import MOST_PARTS as drawn
     work = [(log, options, None if drawn is None else k < drawn) for k, log in enumerate(logs)]
     with Progress(TextColumn("analysing"), BarColumn(), MofNCompleteColumn(),
                   console=Console(stderr=True), auto_refresh=False) as progress:

@@ -16,7 +16,7 @@ import numpy as np
 
 from liegroup_core.study.machine import cpu_name
 
-from . import __version__
+from liegroup_sim_ros import __version__
 
 # Packages whose versions may matter to the numbers or to the file.
 _PACKAGES = ("numpy", "scipy", "numba", "llvmlite", "mcap", "zstandard", "ros-jazzy-rclpy")

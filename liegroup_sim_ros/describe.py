@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`liegroup_sim describe`: what a scene is to the solver, what it keeps, what a step costs.
 
-The facts come from liegroup_core.model.describe; only the cost of a step is measured. No ROS.
+The facts come from liegroup_core.describe; only the cost of a step is measured. No ROS.
 """
 import json
 import sys
@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from liegroup_core import Simulation, SimulationError, load_scene
-from liegroup_core.model.describe import describe
+from liegroup_core.describe import describe
 from liegroup_core.simulation import make_layout
 
 METHODS = ("rkmk4", "rkmk8")

@@ -15,9 +15,9 @@ from rich.text import Text
 
 from liegroup_core import load_scene
 from liegroup_core.integrators.methods import METHODS
-from liegroup_core.study.extremes import VERDICTS, Kept, axes_of, counts, silent, survey
+from liegroup_core.study.extremes.extremes import VERDICTS, Kept, axes_of, counts, silent, survey
 
-from .report.extremes_page import SIGNS, shown, write_page
+from liegroup_sim_ros.report.extremes_page import SIGNS, shown, write_page
 
 EXIT_SILENT, EXIT_INTERRUPTED = 1, 130
 WIDTH = 200                     # characters that no table needs: none is cut
@@ -86,7 +86,7 @@ def run(args):
         if args.markdown:
             write_page(axes, cells, args.methods, args.markdown)
         if args.png:
-            from .report.heat_map import write_heat_map
+            from liegroup_sim_ros.report.heat_map import write_heat_map
             write_heat_map(axes, cells, args.methods, args.png)
     except OSError as error:
         raise ExtremesError(f"{error.filename}: cannot be written: {error.strerror}") from None

@@ -16,7 +16,7 @@ from rich.table import Table
 from liegroup_core.integrators.methods import GROUPS
 
 from .chapter_runs import STEPS, four_bar_runs, heavy_top_runs
-from .report.summary import GROUPS as GROUP_NAMES
+from liegroup_sim_ros.report.summary import GROUPS as GROUP_NAMES
 from .rotation_figures import count_runs, make_rotation_figures
 
 # Largest errors of an independent implementation, m: of the top's ball joint over 6 s, and of the

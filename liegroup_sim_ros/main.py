@@ -13,8 +13,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from liegroup_core.errors import LieGroupSimError
 
-from . import (__version__, analyze_logs, demo, describe, extremes, figures, info, offline, push,
-               recover, replay, sweep, trade)
+from liegroup_sim_ros import __version__
+from . import (analyze_logs, demo, describe, extremes, figures, info, offline, push, recover,
+               replay, sweep, trade)
 from .analyze_logs import AnalysisError
 from .demo import DemoError
 from .extremes import ExtremesError
@@ -24,7 +25,7 @@ from .offline_files import OutputError
 from .player_file import PlayError
 from .push import PushError
 from .recording import RecordingError
-from .report.replay import ReplayError
+from liegroup_sim_ros.report.replay import ReplayError
 from .trade import TradeError
 
 WRONG_INPUT = (LieGroupSimError, RecordingError, AnalysisError, DemoError, ExtremesError,

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from liegroup_core.model.along import quaternions
+from liegroup_core.observables.along import quaternions
 
 from .cdr import Template, stamp
 

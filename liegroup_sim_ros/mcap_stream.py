@@ -19,7 +19,7 @@ from mcap.records import Channel as ChannelRecord
 from mcap.records import Schema, Statistics
 from mcap.writer import MCAP0_MAGIC
 
-from liegroup_core._compile import subroutine
+from liegroup_core.compiling.kernels import subroutine
 
 from .mcap_records import (GROWS, LARGEST, LARGEST_RATIO, RECORD, Damaged, attachment_of,
                            check_claim, chunk_data, chunk_head, parsed)

@@ -15,7 +15,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from liegroup_core import Simulation, SimulationError, load_scene
 from liegroup_core.integrators.methods import GROUPS, METHODS
 from liegroup_core.simulation import METHOD, STABILISATIONS, STEP
-from liegroup_core.study.accuracy import choose
+from liegroup_core.study.trade.accuracy import choose
 
 from .offline_files import ArrayFile, LogFile
 

@@ -10,8 +10,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from . import diagnostics, sample_messages
 from .markers import Markers, markers
-from .messages import (ClockCodec, LogCodec, PoseStampedCodec, TwistStampedCodec,
-                       WrenchStampedCodec)
+from .messages import ClockCodec, LogCodec, PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec
 from .parameters import ParameterError
 
 # Parameter with the rate -> function that gives the topics.

@@ -24,9 +24,10 @@ import time
 from collections import deque
 from pathlib import Path
 
-from liegroup_sim_ros import __version__, schemas
-from liegroup_sim_ros.bag_metadata import FILE_NAME, Bag, as_yaml, record_of_file, topic_info
-from liegroup_sim_ros.mcap_file import Chunk, McapFile
+from liegroup_sim_ros import __version__
+from . import schemas
+from .bag_metadata import FILE_NAME, Bag, as_yaml, record_of_file, topic_info
+from .mcap_file import Chunk, McapFile
 
 CHUNK_SIZE = 128 * 1024       # bytes before compression; more than nearly all messages have
 QUEUE_BYTES = 64 * 2**20      # that may wait, for messages so large that few fit

@@ -7,7 +7,7 @@ from rich.console import Console
 
 from .player_file import PlayError, PlayFile
 from .recording import read_recording
-from .report.replay import ReplayError
+from liegroup_sim_ros.report.replay import ReplayError
 from .resimulate import resimulate, told
 
 EXIT_DIFFERENT = 1

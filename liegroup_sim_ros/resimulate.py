@@ -9,9 +9,9 @@ from liegroup_core.scene.load import scene_from_text
 
 from .analyze import check_settings
 from .attachments import machine, versions
-from .report.motion import Motion
-from .report.replay import Repeat, ReplayError, make_simulation
-from .report.summary import shown
+from liegroup_sim_ros.report.motion import Motion
+from liegroup_sim_ros.report.replay import Repeat, ReplayError, make_simulation
+from liegroup_sim_ros.report.summary import shown
 
 # What may change the bits, as far as a recording says it: older ones say less.
 _VERSIONS = ("liegroup_sim_ros", "numpy", "scipy", "numba", "llvmlite")

@@ -4,7 +4,7 @@ import threading
 from concurrent.futures import Future, wait
 
 from liegroup_core import SceneError, Simulation, load_scene
-from liegroup_core.study.accuracy import choose
+from liegroup_core.study.trade.accuracy import choose
 
 from . import attachments
 from .outputs import Outputs

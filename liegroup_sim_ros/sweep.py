@@ -12,15 +12,15 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from liegroup_core import load_scene
 from liegroup_core.scene.load import scene_as_written
 from liegroup_core.simulation import STEP
-from liegroup_core.study.parameters import ParameterError, parameters
-from liegroup_core.study.store import PACKAGES
-from liegroup_core.study.sweep import OK, Sweep, describe
-from liegroup_core.study.sweep_file import SweepFile, SweepFileError
+from liegroup_core.study.sweep.parameters import ParameterError, parameters
+from liegroup_core.study.trade.cache import PACKAGES
+from liegroup_core.study.sweep.sweep import OK, Sweep, describe
+from liegroup_core.study.sweep.file import SweepFile, SweepFileError
 
-from . import __version__
+from liegroup_sim_ros import __version__
 from .attachments import versions
 from .offline import RunError, add_settings, chosen, given_settings, whole_steps
-from .report.sweep_tables import print_sweep
+from liegroup_sim_ros.report.sweep_tables import print_sweep
 
 EXIT_ALL_FAILED, EXIT_INTERRUPTED = 1, 130
 # Of what check_consistency says of a start that joints do not allow.

@@ -3,7 +3,7 @@
 import numpy as np
 
 import naive
-from liegroup_core.dynamics.constraints import assemble, position_residuals
+from liegroup_core.formulations.absolute.constraints import assemble, position_residuals
 
 
 def residual(model, found):

@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 
-from .._compile import kernel
-from ..lie.vec3 import add3, cross3, dot3, load3, load9, tmatvec3, vector3
+from liegroup_core.compiling.kernels import kernel
+from liegroup_core.lie.vec3 import add3, cross3, dot3, load3, load9, tmatvec3, vector3
 
 ROW = np.dtype([
     ("body", "i8"), ("world_axes", "i8"),                         # world_axes: 1, body axes: 0

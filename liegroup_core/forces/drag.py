@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 
-from .._compile import kernel
-from ..lie.vec3 import dot3, load3
+from liegroup_core.compiling.kernels import kernel
+from liegroup_core.lie.vec3 import dot3, load3
 
 ROW = np.dtype([
     ("body", "i8"),

@@ -13,8 +13,8 @@ for every kind. Gravity acts on all bodies and stands apart (gravity.py).
 """
 import numpy as np
 
-from .._compile import kernel, subroutine
-from .._struct import Struct, borrowed
+from liegroup_core.compiling.kernels import kernel, subroutine
+from liegroup_core.compiling.structs import Struct, borrowed
 from . import (applied_wrench, drag, linear_motor, linear_spring_damper, motor, spring_damper,
                torsional_spring_damper)
 

@@ -2,7 +2,7 @@
 """Spring with damper along the z axis of a joint that slides: force -(k (s - s0) + c sdot)."""
 import numpy as np
 
-from .._compile import kernel
+from liegroup_core.compiling.kernels import kernel
 from . import slide
 
 ROW = np.dtype(slide.FIELDS + [

@@ -8,7 +8,7 @@ order.
 """
 import numpy as np
 
-from .._compile import kernel
+from liegroup_core.compiling.kernels import kernel
 from . import turn
 
 ROW = np.dtype(turn.FIELDS + [

@@ -8,8 +8,8 @@ A force f z acts on the child at o_b and -f z on the parent at the same point: t
 every point, and their work is f ds exactly, also where a method lets the joint drift by a little
 (test/contract/test_forces.py).
 """
-from .._compile import kernel
-from ..lie.vec3 import dot3, scale3, sub3, vector3
+from liegroup_core.compiling.kernels import kernel
+from liegroup_core.lie.vec3 import dot3, scale3, sub3, vector3
 from .points import apply_force, place_of, point, point_velocity, world_axes
 
 FIELDS = [

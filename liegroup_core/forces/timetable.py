@@ -9,7 +9,7 @@ from bisect import bisect_right
 
 import numpy as np
 
-from ..wrenches import NEVER
+from .schedule import NEVER
 
 # Times typed in decimals and n * step are each off by half a unit in the last place or so.
 ROUNDING = 4.0 * np.finfo(float).eps

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from .._compile import kernel
+from liegroup_core.compiling.kernels import kernel
 from . import turn
 
 ROW = np.dtype(turn.FIELDS + [

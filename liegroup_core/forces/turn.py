@@ -14,9 +14,10 @@ step.
 """
 import math
 
-from .._compile import kernel
-from ..lie.vec3 import add3, dot3, load3, load9, matmul3, matrix3, scale3, sub3, tmatmul3
-from ..model.arrays import WORLD
+from liegroup_core.compiling.kernels import kernel
+from liegroup_core.lie.vec3 import (add3, dot3, load3, load9, matmul3, matrix3, scale3, sub3,
+                                    tmatmul3)
+from liegroup_core.model.arrays import WORLD
 from .points import apply_torque, world_axes
 
 FIELDS = [

@@ -11,12 +11,12 @@ An integrator is made by `family(method, layout, group, step, options)` and has
                      constant over these steps; pose and twist stay the last good ones
     substeps         (good ones, attempts) since the restart, (0, 0) where there are none
 """
-from .constrained import Constrained
-from .generalized_alpha import GeneralizedAlpha
+from liegroup_core.integrators.rattle.rattle import Constrained
+from liegroup_core.integrators.generalized_alpha.generalized_alpha import GeneralizedAlpha
 from .methods import GROUPS, METHODS
-from .rkmk import MuntheKaas
-from .rotation import Rotation
-from .rotation_bodies import misfit as rotation_misfit
+from liegroup_core.integrators.rkmk.munthe_kaas import MuntheKaas
+from liegroup_core.integrators.rotation.rotation import Rotation
+from liegroup_core.integrators.rotation.bodies import misfit as rotation_misfit
 
 FAMILIES = {"rkmk": MuntheKaas, "generalized_alpha": GeneralizedAlpha, "rotation": Rotation,
             "constrained": Constrained}

@@ -3,7 +3,7 @@
 
 Source: Kelley, Iterative Methods for Linear and Nonlinear Equations, 1995, 7.3.
 """
-from .._compile import kernel
+from liegroup_core.compiling.kernels import kernel
 
 
 @kernel

@@ -2,12 +2,12 @@
 """What all integrators do with a state: its velocity on the group, displacing it, copying it."""
 import math
 
-from .._compile import kernel
-from ..lie.se3 import se3_compose, se3_exp
-from ..lie.so3 import so3_exp
-from ..lie.vec3 import add3, dot3, load3, load9, matmul3, matvec3, store3
+from liegroup_core.compiling.kernels import kernel
+from liegroup_core.lie.se3 import se3_compose, se3_exp
+from liegroup_core.lie.so3 import so3_exp
+from liegroup_core.lie.vec3 import add3, dot3, load3, load9, matmul3, matvec3, store3
 from .methods import SE3
-from .status import LARGEST_ROTATION, NOT_FINITE, OK, ROTATION_TOO_LARGE
+from liegroup_core.status import LARGEST_ROTATION, NOT_FINITE, OK, ROTATION_TOO_LARGE
 
 
 @kernel

@@ -2,7 +2,7 @@
 """A step that works where an implicit method has failed: found by trying."""
 import math
 
-from .status import OK
+from liegroup_core.status import OK
 
 # Parts of the failed step that are tried first, how often the place between a step that works and
 # one that does not is halved after that, and the part of what was found that is recommended: the

@@ -12,8 +12,8 @@ Where the points coincide there is no direction: the row is then zero, which the
 """
 import math
 
-from .._compile import kernel
-from ..lie.vec3 import ZERO3, add3, axpy3, cross3, dot3, scale3, sub3
+from liegroup_core.compiling.kernels import kernel
+from liegroup_core.lie.vec3 import ZERO3, add3, axpy3, cross3, dot3, scale3, sub3
 
 
 @kernel

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .._compile import kernel
-from ..lie.vec3 import tmatvec3
+from liegroup_core.compiling.kernels import kernel
+from liegroup_core.lie.vec3 import tmatvec3
 
 _COORDINATES = ("wx", "wy", "wz", "vx", "vy", "vz")
 

@@ -9,8 +9,8 @@ body axes, where y is constant and xdot = -w x x with the relative twist (w, v) 
 """
 import math
 
-from .._compile import kernel
-from ..lie.vec3 import cross3, dot3
+from liegroup_core.compiling.kernels import kernel
+from liegroup_core.lie.vec3 import cross3, dot3
 
 
 @kernel

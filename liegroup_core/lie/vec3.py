@@ -7,7 +7,7 @@ column, never through a slice: a slice costs two atomic operations on a referenc
 """
 import math
 
-from .._compile import kernel
+from liegroup_core.compiling.kernels import kernel
 
 ZERO3 = (0.0, 0.0, 0.0)
 IDENTITY3 = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)

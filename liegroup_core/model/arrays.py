@@ -15,7 +15,7 @@ A kind of thing is one structured array, a record per thing.
 """
 import numpy as np
 
-from .._struct import Struct
+from liegroup_core.compiling.structs import Struct
 
 WORLD = -1                                  # index of the world where a body is meant
 # Work.report[3], an input of a call: WAIT ends it, with fewer steps than asked, before a step in

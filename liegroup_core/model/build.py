@@ -2,10 +2,10 @@
 """Scene -> Model: names become indices, frames become Jacobian rows, the solve gets its structure."""
 import numpy as np
 
-from ..forces.kinds import make_forces
-from ..joints.elements import DISTANCE, PAIR, PERPENDICULAR
-from ..lie.groups import SE3
-from ..scene.consistency import resolve_elements, resolve_frames
+from liegroup_core.forces.kinds import make_forces
+from liegroup_core.joints.elements import DISTANCE, PAIR, PERPENDICULAR
+from liegroup_core.lie.groups import SE3
+from liegroup_core.scene.consistency import resolve_elements, resolve_frames
 from .arrays import BODY, ELEMENT, WORLD, Model
 from .redundancy import kept_rows, loop_joints
 from .sparsity import cheapest_structure

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._compile import subroutine
+from liegroup_core.compiling.kernels import subroutine
 
 GROUND = -1             # index of the world where a body is meant
 STATE = 13              # numbers per body: quaternion, position, velocity, angular velocity

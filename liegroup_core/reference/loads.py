@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._compile import subroutine
+from liegroup_core.compiling.kernels import subroutine
 from .equations import GROUND, direction, point, rotate, rotate_back, turning
 
 

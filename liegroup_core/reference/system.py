@@ -2,8 +2,8 @@
 """The arrays of the reference integration from a scene."""
 import numpy as np
 
-from ..errors import SimulationError
-from ..scene.consistency import resolve_frames
+from liegroup_core.errors import SimulationError
+from liegroup_core.scene.consistency import resolve_frames
 from .equations import DISTANCE, GROUND, JOINTS, X, Equations
 from .loads import Loads
 from .rigid_body_dae import System

@@ -16,8 +16,8 @@ import numpy as np
 import yaml
 from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
 
-from ..errors import SceneError
-from ..joints.elements import PLAIN_JOINTS
+from liegroup_core.errors import SceneError
+from liegroup_core.joints.elements import PLAIN_JOINTS
 from .forces import (ConstantWrench, Drag, LinearMotor, LinearSpringDamper, Motor, SpringDamper,
                      TorsionalSpringDamper)
 from .frames import ROTATIONS, Frame, Placed

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import yaml
 
-from ..errors import SceneError
+from liegroup_core.errors import SceneError
 from .assembly import assembled
 from .consistency import check_consistency
 from .description import Scene

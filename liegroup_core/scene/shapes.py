@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from ..errors import SceneError
+from liegroup_core.errors import SceneError
 from .frames import Placed
 from .values import (LARGEST_NUMBER, Direction, Positive, Quaternion, RotationVector, Sizes,
                      Vector3, real_inertia)

@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import (AfterValidator, BaseModel, BeforeValidator, ConfigDict, ValidationError,
                       WithJsonSchema, model_validator)
 
-from ..errors import SceneError
+from liegroup_core.errors import SceneError
 
 # Squares and products of three numbers of this size still fit into a float (1.8e308).
 LARGEST_NUMBER = 1e100

@@ -13,7 +13,7 @@ from contextlib import ExitStack, contextmanager
 from importlib import import_module
 from multiprocessing import resource_tracker
 
-from ..errors import LieGroupSimError
+from liegroup_core.errors import LieGroupSimError
 
 CONNECTING = 10             # s
 # So many workers may die over the same piece before it is taken to be what kills them.

@@ -5,7 +5,7 @@ from scipy.spatial.transform import Rotation
 
 from liegroup_core.reference import Trajectory, distance
 
-from ..recording import RecordingError
+from liegroup_sim_ros.recording import RecordingError
 from .drift import MOST_POINTS, thinned
 
 # Settings that are compared; where and when a run was made does not matter.

@@ -2,10 +2,10 @@
 """The map of extremes in words: numbers, silent answers, and a table of signs for each axis."""
 import statistics
 
-from liegroup_core.study.extremes import VERDICTS, counts, silent
+from liegroup_core.study.extremes.extremes import VERDICTS, counts, silent
 
 SIGNS = dict(zip(VERDICTS, ".fxs?!"))
-# Texts of the watch over the step, integrators/step_watch.py.
+# Texts of the watch over the step, monitor/step_watch.py.
 WATCH = ("errors may have added up", "no likeness to two")
 
 

@@ -6,7 +6,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from liegroup_core.study.extremes import VERDICTS
+from liegroup_core.study.extremes.extremes import VERDICTS
 
 from .extremes_page import shown
 

@@ -2,7 +2,7 @@
 """What a run should keep and how well it did: energy, momentum components, closed joints."""
 import numpy as np
 
-from liegroup_core.dynamics.symmetry import conserved_momentum, momentum_values
+from liegroup_core.model.symmetry import conserved_momentum, momentum_values
 
 from .drift import MOST_POINTS, Drift, thinned
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from liegroup_core import SimulationError
 from liegroup_core.integrators.methods import METHODS
-from liegroup_core.model.joint_watch import mechanism_size
+from liegroup_core.monitor.joint_watch import mechanism_size
 from liegroup_core.simulation import BAUMGARTE_STEPS
 
 from .replay import make_simulation

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..recording import RecordingError
+from liegroup_sim_ros.recording import RecordingError
 
 # Samples that are kept for plots and for a closer look, of all bodies together and at least.
 KEPT, LEAST_KEPT = 40_000, 2000

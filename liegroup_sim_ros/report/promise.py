@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a run kept the accuracy that its setting was chosen for (liegroup_core.study.accuracy).
+"""Whether a run kept the accuracy that its setting was chosen for (liegroup_core.study.trade.accuracy).
 
 The promise is over the first `horizon` seconds from the start of the scene, until a wrench comes
 from outside; what lies beyond is told, and not held against it.
@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from liegroup_core.study.truth import scaled
+from liegroup_core.study.trade.reference_solution import scaled
 
 # Of a horizon: times are step counts times the step, rounded.
 ROUNDING = 1e-9

@@ -4,12 +4,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from liegroup_core import Simulation, SimulationError
-from liegroup_core.model.along import quaternions
+from liegroup_core.observables.along import quaternions
 from liegroup_core.model.build import initial_state as state_of_scene
 from liegroup_core.reference import Trajectory, distance
 
-from ..attachments import restore
-from ..recording import RecordingError
+from liegroup_sim_ros.attachments import restore
+from liegroup_sim_ros.recording import RecordingError
 
 # A simulation takes a microsecond a step or more: what a damaged file may ask for is bounded.
 MOST_STEPS = 10**9

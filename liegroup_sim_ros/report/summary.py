@@ -2,7 +2,7 @@
 """The figures of an analysis in words: verdict, problems, and the rows of its tables."""
 import math
 
-from liegroup_core.model.joint_watch import OPEN
+from liegroup_core.monitor.joint_watch import OPEN
 from liegroup_core.pacing import SLOW
 
 from .promise import told

@@ -6,7 +6,7 @@ import numpy as np
 from rich.text import Text
 from scipy.stats import spearmanr
 
-from liegroup_core.study.sweep import OK
+from liegroup_core.study.sweep.sweep import OK
 
 from .summary import shown
 from .terminal import plain_table

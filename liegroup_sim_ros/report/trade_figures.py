@@ -2,10 +2,10 @@
 """A measured trade as JSON types, and as tables in words."""
 from rich.text import Text
 
-from liegroup_core.study.accuracy import SHARE
-from liegroup_core.study.trade import ACCURACIES, MARGIN
+from liegroup_core.study.trade.accuracy import SHARE
+from liegroup_core.study.trade.trade import ACCURACIES, MARGIN
 
-from ..attachments import versions
+from liegroup_sim_ros.attachments import versions
 from .summary import GROUPS, shown
 from .terminal import plain_table
 

@@ -6,8 +6,8 @@ from scipy.integrate import solve_ivp
 
 import mechanisms
 from liegroup_core import Simulation
-from liegroup_core.dynamics.symmetry import conserved_momentum, momentum_values
-from liegroup_core.model.sample import Sample
+from liegroup_core.model.symmetry import conserved_momentum, momentum_values
+from liegroup_core.observables.sample import Sample
 from liegroup_core.reference import WrenchChange, integrate
 from liegroup_core.scene import Body, Frame, Joint, Scene, scene_from_text
 from liegroup_core.scene.centres import PLACES, Offsets, at_centres_of_mass

@@ -7,7 +7,7 @@ import engine
 import mechanisms
 import naive
 from liegroup_core import Scene, Simulation
-from liegroup_core.dynamics.newton_euler import accelerations, wrenches
+from liegroup_core.formulations.absolute.newton_euler import accelerations, wrenches
 from liegroup_core.model import build
 from liegroup_core.model.sparsity import Structure, block_layout, elimination_order
 from liegroup_core.scene.consistency import resolve_frames

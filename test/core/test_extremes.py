@@ -7,10 +7,10 @@ import pytest
 
 from liegroup_core import Simulation, load_scene
 from liegroup_core.scene.description import Frame
-from liegroup_core.study import extremes, extremes_cell, extremes_problems as problems
-from liegroup_core.study.extremes import axes_of, column, counts, silent, survey
-from liegroup_core.study.extremes_axes import AXES
-from liegroup_core.study.extremes_cell import (ACCURATE, FLAGGED, REFUSED, SILENT, STOPPED,
+from liegroup_core.study.extremes import extremes, cell as extremes_cell, problems as problems
+from liegroup_core.study.extremes.extremes import axes_of, column, counts, silent, survey
+from liegroup_core.study.extremes.axes import AXES
+from liegroup_core.study.extremes.cell import (ACCURATE, FLAGGED, REFUSED, SILENT, STOPPED,
                                                UNJUDGED, judge_alike, run_cell)
 
 METHODS = ("rkmk2", "rkmk4", "rkmk54", "rkmk8", "generalized_alpha", "stoermer_verlet", "rattle",

@@ -6,7 +6,7 @@ import time
 import pytest
 
 from liegroup_core import Simulation, load_scene
-from liegroup_core._compile import compiled
+from liegroup_core.compiling.kernels import compiled
 
 
 @pytest.mark.skipif(not compiled(), reason="nothing is compiled")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from liegroup_core import Simulation, SimulationError, load_scene
-from liegroup_core.model.joint_watch import EVERY, mechanism_size
+from liegroup_core.monitor.joint_watch import EVERY, mechanism_size
 
 
 def run(name, steps, every=100, **settings):

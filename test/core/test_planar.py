@@ -10,7 +10,7 @@ import pytest
 import mechanisms
 from liegroup_core import Scene, Simulation, load_scene
 from liegroup_core.lie.groups import SO3
-from liegroup_core.model.describe import describe
+from liegroup_core.describe import describe
 from liegroup_core.scene.description import (Body, Drag, Frame, Joint, ScrewJoint, SpringDamper,
                                              TorsionalSpringDamper)
 from liegroup_core.simulation import make_layout

@@ -7,8 +7,8 @@ import engine
 import mechanisms
 import naive
 from liegroup_core import Simulation, SimulationError
-from liegroup_core.dynamics.projection import project
-from liegroup_core.integrators.status import DEPENDENT_ROWS, NOT_PROJECTED, OK
+from liegroup_core.formulations.absolute.projection import project
+from liegroup_core.status import DEPENDENT_ROWS, NOT_PROJECTED, OK
 from liegroup_core.lie.groups import SE3
 
 def disturbed(simulation, rng, size):

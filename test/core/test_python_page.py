@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from liegroup_core import load_scene
-from liegroup_core.study import accuracy
+from liegroup_core.study.trade import accuracy
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "python.md"
 

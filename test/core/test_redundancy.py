@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from liegroup_core import Scene, Simulation
-from liegroup_core.dynamics.newton_euler import accelerations
+from liegroup_core.formulations.absolute.newton_euler import accelerations
 from liegroup_core.lie.groups import SO3
 from liegroup_core.model.redundancy import loop_joints
 from liegroup_core.scene.description import Body, Frame, Joint

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from liegroup_core.integrators.rotation_newton import (GYROSCOPIC, INCREMENT, RATTLE, _equation,
+from liegroup_core.integrators.rotation.newton import (GYROSCOPIC, INCREMENT, RATTLE, _equation,
                                                        newton)
 from liegroup_core.lie.groups import SO3
 

@@ -9,7 +9,7 @@ import pytest
 
 import mechanisms
 from liegroup_core import SceneError, Simulation, SimulationError, load_scene
-from liegroup_core.integrators.status import NOT_FINITE, ROTATION_TOO_LARGE
+from liegroup_core.status import NOT_FINITE, ROTATION_TOO_LARGE
 
 
 @pytest.mark.parametrize("group", ["se3", "so3xr3"])

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from liegroup_core import Simulation, load_scene
-from liegroup_core.integrators.step_watch import StepWatch
+from liegroup_core.monitor.step_watch import StepWatch
 from liegroup_core.scene.description import SpringDamper
-from liegroup_core.study import extremes_problems as problems
+from liegroup_core.study.extremes import problems as problems
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENES = ROOT / "config" / "scenes"
@@ -145,7 +145,7 @@ def test_nothing_is_compiled_on_the_way():
     code = """if True:
         import gc
         from liegroup_core import Simulation, load_scene
-        from liegroup_core._compile import Kernel, compiled
+        from liegroup_core.compiling.kernels import Kernel, compiled
         kernels = [each for each in gc.get_objects() if isinstance(each, Kernel)]
         for scene in ("heavy_top", "four_bar"):
             simulation = Simulation(load_scene(scene))

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from liegroup_core import Simulation, load_scene
-from liegroup_core._compile import CACHE_FOLDER, Choice, compiled, kernel, shared, stepper
-from liegroup_core._struct import Struct
+from liegroup_core.compiling.kernels import CACHE_FOLDER, Choice, compiled, kernel, shared, stepper
+from liegroup_core.compiling.structs import Struct
 
 PAIR = np.dtype([("number", "i8"), ("vector", "f8", (3,))], align=True)
 
@@ -167,8 +167,8 @@ def test_kernels_out_of_the_cache(tmp_path, harm):
     (tmp_path / "kernels.py").write_text("""if True:
         import json
         import numpy as np
-        from liegroup_core._compile import kernel, shared
-        from liegroup_core._struct import Struct
+        from liegroup_core.compiling.kernels import kernel, shared
+        from liegroup_core.compiling.structs import Struct
         class One(Struct):
             count: int
         @shared

@@ -15,15 +15,15 @@ from scipy.special import ndtr
 from liegroup_core import load_scene
 from liegroup_core.model import redundancy
 from liegroup_core.model.redundancy import generic_poses
-from liegroup_core.planar import build as planar_build
+from liegroup_core.formulations.planar import build as planar_build
 from liegroup_core.scene.frames import ROTATIONS
 from liegroup_core.scene.load import scene_as_written, scene_from_text
 from liegroup_core.simulation import make_layout
-from liegroup_core.study import sweep as sweeps
-from liegroup_core.study.parameters import (ParameterError, changed, parameters, path_of,
-                                            range_of)
-from liegroup_core.study.sweep import Sweep, describe, described
-from liegroup_core.study.sweep_file import SweepFile, SweepFileError
+from liegroup_core.study.sweep import sweep as sweeps
+from liegroup_core.study.sweep.parameters import (ParameterError, changed, parameters, path_of,
+                                                  range_of)
+from liegroup_core.study.sweep.sweep import Sweep, describe, described
+from liegroup_core.study.sweep.file import SweepFile, SweepFileError
 
 SCENES = sorted((Path(__file__).resolve().parents[2] / "config" / "scenes").glob("*.yaml"))
 # A point on a spring of length 0 about the origin: x(t) = x0 cos(w t) + v0 / w sin(w t) in each
@@ -153,7 +153,7 @@ def test_the_same_bits_with_other_workers_and_pieces_and_a_death(monkeypatch, tm
     died = tmp_path / "died"
 
     def simulate(work, limit=math.inf):
-        module = import_module("liegroup_core.study.sweep")
+        module = import_module("liegroup_core.study.sweep.sweep")
         if work[1] == 5 and not died.exists():
             died.touch()
             os.kill(os.getpid(), signal.SIGKILL)

@@ -11,10 +11,11 @@ from liegroup_core.integrators.methods import METHODS
 from liegroup_core.model.build import initial_state
 from liegroup_core.reference import Trajectory, distance, integrate
 from liegroup_core.scene.load import scene_from_text
-from liegroup_core.study import accuracy, settings, store, truth
-from liegroup_core.study.accuracy import AccuracyError, choose
-from liegroup_core.study.trade import MARGIN, Trade
-from liegroup_core.study.truth import scaled
+from liegroup_core.study.trade import (accuracy, configurations as settings, cache as store,
+                                       reference_solution as truth)
+from liegroup_core.study.trade.accuracy import AccuracyError, choose
+from liegroup_core.study.trade.trade import MARGIN, Trade
+from liegroup_core.study.trade.reference_solution import scaled
 
 HORIZON = 0.5
 MEASURED = ["rkmk2", "rkmk4", "constrained_rattle"]

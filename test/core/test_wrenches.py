@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from liegroup_core import Simulation, load_scene
-from liegroup_core.wrenches import NEVER, WrenchSchedule
+from liegroup_core.forces.schedule import NEVER, WrenchSchedule
 
 PUSH = (1.0, 0.0, 0.0, 0.0, 2.0, 0.0)
 POSE = np.array([[1.0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0]])

@@ -5,7 +5,8 @@ import signal
 
 import pytest
 
-from liegroup_core.study import extremes, store
+from liegroup_core.study.extremes import extremes
+from liegroup_core.study.trade import cache as store
 from liegroup_sim_ros.main import main
 
 

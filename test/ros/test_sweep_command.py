@@ -7,9 +7,9 @@ import numpy as np
 import pandas
 import pytest
 
-from liegroup_core.study import accuracy
-from liegroup_core.study import sweep as sweeps
-from liegroup_core.study.sweep_file import SweepFile
+from liegroup_core.study.trade import accuracy
+from liegroup_core.study.sweep import sweep as sweeps
+from liegroup_core.study.sweep.file import SweepFile
 from liegroup_sim_ros.main import main
 
 # A free body that falls: z = -g/2 t^2 + v t, whatever its mass.
@@ -156,6 +156,6 @@ def test_what_is_missing_is_named(fall, capsys, left):
 
 
 def test_pyarrow_is_named_where_it_is_missing(fall, capsys, monkeypatch):
-    monkeypatch.setattr("liegroup_core.study.sweep_file.find_spec", lambda name: None)
+    monkeypatch.setattr("liegroup_core.study.sweep.file.find_spec", lambda name: None)
     assert main(fall) == 2
     assert "pip install 'liegroup_sim_ros[many]'" in capsys.readouterr().err

@@ -14,8 +14,8 @@ from node_process import COMPILING, python
 
 from liegroup_core import load_scene
 from liegroup_core.integrators.methods import METHODS
-from liegroup_core.study import accuracy
-from liegroup_core.study.trade import Trade
+from liegroup_core.study.trade import accuracy
+from liegroup_core.study.trade.trade import Trade
 from liegroup_sim_ros.analyze import analyse
 from liegroup_sim_ros.main import main
 from liegroup_sim_ros.recording import read_recording

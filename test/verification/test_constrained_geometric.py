@@ -9,9 +9,9 @@ import pytest
 import engine
 import mechanisms
 from liegroup_core import Scene, Simulation, SimulationError, load_scene
-from liegroup_core.integrators.constrained import SUBSTEPS
+from liegroup_core.integrators.rattle.rattle import SUBSTEPS
 from liegroup_core.integrators.methods import METHODS
-from liegroup_core.integrators.status import NOT_CONVERGED, ROTATION_TOO_LARGE
+from liegroup_core.status import NOT_CONVERGED, ROTATION_TOO_LARGE
 from liegroup_core.reference import integrate
 from liegroup_core.scene.description import Drag, Motor, TorsionalSpringDamper
 

@@ -18,8 +18,7 @@ from liegroup_core import Scene, Simulation, SimulationError, load_scene
 from liegroup_core.integrators import fitting_methods
 from liegroup_core.integrators.methods import METHODS
 from liegroup_core.reference import integrate
-from liegroup_core.scene.description import (Body, ConstantWrench, Drag, Frame, Joint,
-                                             SpringDamper)
+from liegroup_core.scene.description import Body, ConstantWrench, Drag, Frame, Joint, SpringDamper
 from liegroup_core.simulation import make_layout
 
 ROTATION = [name for name, method in METHODS.items() if method.family == "rotation"]
@@ -353,8 +352,8 @@ def test_steps_allocate_nothing():
             "from numba.core.runtime import rtsys\n"
             "from liegroup_core import Simulation\n"
             "from liegroup_core.integrators.methods import METHODS\n"
-            "from liegroup_core.integrators.step_watch import StepWatch\n"
-            "from liegroup_core.wrenches import NEVER\n"
+            "from liegroup_core.monitor.step_watch import StepWatch\n"
+            "from liegroup_core.forces.schedule import NEVER\n"
             "StepWatch.begins = lambda *_: False\n"        # looks allocate: some, in 400 steps more
             "StepWatch.next_look = lambda *_: NEVER\n"
             "for name, method in METHODS.items():\n"

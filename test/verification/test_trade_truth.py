@@ -16,9 +16,9 @@ import pytest
 from liegroup_core import Simulation, load_scene
 from liegroup_core.reference import Trajectory, distance
 from liegroup_core.simulation import make_layout
-from liegroup_core.study import truth
-from liegroup_core.study.settings import as_time
-from liegroup_core.study.truth import find_truth, scaled
+from liegroup_core.study.trade import reference_solution as truth
+from liegroup_core.study.trade.configurations import as_time
+from liegroup_core.study.trade.reference_solution import find_truth, scaled
 
 HEAVY_R_6 = [[0.72338819974053045, -0.25225153160076429, -0.6427119707001131],
              [-0.18843768873839291, 0.82340059951614024, -0.53525946061643169],

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a scene has become: its freedoms, rows left out, the structure of the solve, what it keeps.
+
+Facts as JSON types, found without taking a step; nothing here depends on the machine.
+"""
+from liegroup_core.model.symmetry import body_groups, conserved_momentum
+from .integrators import fitting_methods
+from liegroup_core.joints.elements import PAIR
+from liegroup_core.model.arrays import WORLD
+from liegroup_core.model.sparsity import operations
+
+
+def describe(layout):
+    """Facts about a mechanism.
+
+    layout : simulation.Layout, from `make_layout(scene)` or `Simulation.layout`
+    returns dict of
+        scene, description, gravity  of the scene; gravity in m/s^2
+        bodies              [{name, mass}], kg
+        joints              [{name, type, parent, child, rows, dropped}]: names of all its rows,
+                            wx..vz, and of those left out because they depend on others
+        forces              [{name, type, on}]: on, names of what it acts between or at
+        degrees_of_freedom  6 n - rows that are solved for: freedoms of the mechanism but at
+                            singular poses
+        rows, solved_rows   numbers of rows of all joints, and without those left out
+        dropped_rows        [[joint, row]]
+        plane               normal, x, y or z, of the plane in which the joints hold all bodies and
+                            Munthe-Kaas methods integrate them; None: bodies in space
+        solve               structure of K in (6.22), of bodies in that plane or in space, see
+                            `solve_structure`
+        methods             names of the integration methods that can serve it
+        groups              [[body]]: what joints and forces hang together without the world
+        kept_momentum       [{bodies, components}] in words; None where no component can be named,
+                            for a joint that is no lower pair
+    raises SceneError
+    """
+    scene, model = layout.scene, layout.model
+    dropped = layout.dropped_rows
+    rows = {joint.name: [] for joint in scene.joints}
+    for owner, names in zip(layout.owners, layout.row_names):
+        rows[scene.joints[owner].name] += names
+    only_pairs = bool((model.elements["kind"] == PAIR).all())
+    return {
+        "scene": scene.name, "description": scene.description, "gravity": list(scene.gravity),
+        "bodies": [{"name": body.name, "mass": float(mass)}
+                   for body, mass in zip(scene.bodies, model.bodies["mass"])],
+        "joints": [{"name": joint.name, "type": joint.type, "parent": joint.parent,
+                    "child": joint.child, "rows": rows[joint.name],
+                    "dropped": [row for name, row in dropped if name == joint.name]}
+                   for joint in scene.joints],
+        "forces": [{"name": force.name, "type": force.type, "on": _acts_on(force)}
+                   for force in scene.forces],
+        "degrees_of_freedom": 6 * len(model.bodies) - len(model.row_residual),
+        "rows": int(model.elements["rows"].sum()), "solved_rows": len(model.row_residual),
+        "dropped_rows": [list(entry) for entry in dropped],
+        "plane": None if layout.plane is None else "xyz"[int(layout.plane.world[0, 6:].argmax())],
+        "solve": solve_structure(model if layout.plane is None else layout.plane),
+        "methods": fitting_methods(layout),
+        "groups": [[scene.bodies[i].name for i in group] for group in body_groups(scene)],
+        "kept_momentum": [{"bodies": list(kept.bodies), "components": list(kept.labels)}
+                          for kept in conserved_momentum(scene)] if only_pairs else None,
+    }
+
+
+def solve_structure(model):
+    """Structure of the block factorisation of K, see model.sparsity.
+
+    returns dict of
+        unknowns            accelerations and multipliers: size of K
+        vertices            diagonal blocks: bodies, and joints with a row
+        blocks              dense blocks below the diagonal, fill included
+        fill                those of them that K itself does not have
+        numbers             float64 that the blocks take, diagonal ones in full
+        dense_share         the same against a dense K
+        factor_flops        additions and multiplications of a factorisation at a new pose
+        solve_flops         and of a solve with the factor, refinements included
+        constant            True: no pose changes K, it is factorised once
+        refinements         steps of iterative refinement of each solve
+    """
+    unknowns = int(model.vertices["size"].sum())
+    edges = int(len(model.joints) + (model.joints["parent"] != WORLD).sum())
+    factor, substitution = operations(model.vertices, model.columns, model.updates)
+    numbers = len(model.constant)
+    return {
+        "unknowns": unknowns, "vertices": len(model.vertices), "blocks": len(model.columns),
+        "fill": len(model.columns) - edges, "numbers": numbers,
+        "dense_share": numbers / unknowns ** 2,
+        "factor_flops": round(factor),
+        "solve_flops": round(substitution * (1 + model.refinements)),
+        "constant": model.fresh == 0, "refinements": int(model.refinements)}
+
+
+def _acts_on(force):
+    """Names of the two ends of a force, of its joint, or of its body."""
+    if hasattr(force, "joint"):
+        return [force.joint]
+    return [force.body] if hasattr(force, "body") else [force.parent, force.child]

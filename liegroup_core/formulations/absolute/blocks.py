@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Dense blocks of a few scalars in one flat array: what an elimination does with them.
+
+A block begins at a place in the array, here `solve`, and holds its entries row by row. A vector is
+a place in an array too. Sizes are arguments: where callers hand on constants the loops are
+unrolled, since all of this is inlined.
+"""
+from liegroup_core.compiling.kernels import kernel
+
+
+@kernel
+def invert_diagonal(solve, place, k, sign, floor, first, shift):
+    """W, and on its diagonal d, of one k x k block, in place.
+
+    floor : smallest good pivot of every scalar, from entry `first` on
+    shift : multiple of that floor to add to the diagonal
+    returns False when a pivot is below it
+    """
+    # L / d below the diagonal, d on it
+    for r in range(k):
+        for c in range(r + 1):
+            total = sign * solve[place + r * k + c]
+            if c == r:
+                total += shift * floor[first + r]
+            for q in range(c):
+                total -= solve[place + r * k + q] * (solve[place + c * k + q]
+                                                     * solve[place + q * k + q])
+            if c < r:
+                solve[place + r * k + c] = total
+            else:
+                if not total > floor[first + r]:
+                    return False
+                solve[place + r * k + r] = 1.0 / total
+    # W = L^-1, row by row: W_rc = -sum_q L_rq W_qc
+    for r in range(1, k):
+        for c in range(r):
+            total = solve[place + r * k + c] * solve[place + c * k + c]
+            for q in range(c + 1, r):
+                total += (solve[place + r * k + q] * solve[place + q * k + q]
+                          * solve[place + q * k + c])
+            solve[place + r * k + c] = -total
+    return True
+
+
+@kernel
+def times_inverse(solve, at, scratch, place, rows, k, sign):
+    """Y = K_iv W^T of one block of `rows` rows into scratch memory; s Y d in its place."""
+    for r in range(rows):
+        for c in range(k - 1, -1, -1):
+            total = solve[at + r * k + c]
+            for q in range(c):
+                total += solve[at + r * k + q] * solve[place + c * k + q]
+            solve[scratch + r * k + c] = total
+            solve[at + r * k + c] = total * (sign * solve[place + c * k + c])
+
+
+@kernel
+def over_mass(solve, place, x, at, scratch, body):
+    """x_at = M^-1 x_at of one body, x_at as it was into scratch memory.
+
+    place : of the inverse of the inertia, then 1 / mass
+    """
+    for r in range(body):
+        solve[scratch + r] = x[at + r]
+    turns = body // 2
+    for r in range(turns):
+        total = 0.0
+        for q in range(turns):
+            total += solve[place + r * turns + q] * solve[scratch + q]
+        x[at + r] = total
+    for r in range(turns, body):
+        x[at + r] = solve[place + turns * turns] * solve[scratch + r]
+
+
+@kernel
+def subtract_square(solve, target, left, right, rows, k):
+    """K_ii -= L R^T, its lower triangle: all of it is symmetric."""
+    for r in range(rows):
+        for c in range(r + 1):
+            total = 0.0
+            for q in range(k):
+                total += solve[left + r * k + q] * solve[right + c * k + q]
+            solve[target + r * rows + c] -= total
+
+
+@kernel
+def subtract_product(solve, target, left, right, rows, columns, k):
+    """K_iw -= L R^T."""
+    for r in range(rows):
+        for c in range(columns):
+            total = 0.0
+            for q in range(k):
+                total += solve[left + r * k + q] * solve[right + c * k + q]
+            solve[target + r * columns + c] -= total
+
+
+@kernel
+def push_block(solve, block, x, to, at, rows, k):
+    """x_to -= block x_at."""
+    for r in range(rows):
+        total = 0.0
+        for q in range(k):
+            total += solve[block + r * k + q] * x[at + q]
+        x[to + r] -= total
+
+
+@kernel
+def pull_block(solve, block, x, to, at, rows, k):
+    """x_to -= block^T x_at."""
+    for q in range(k):
+        total = 0.0
+        for r in range(rows):
+            total += solve[block + r * k + q] * x[at + r]
+        x[to + q] -= total

@@ -1,0 +1,235 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rows of the joints: residual, Jacobian and acceleration bias.
+
+A lower pair forbids the directions A (k x 6) of the relative twist of its two frames. With
+C_ba = C_b^-1 C_a, W = Ad(C_ba) V_a the parent's twist seen from the child, and J_b = A Ad(F_b^-1)
+constant, all a joint needs while integrating is
+    velocity      J_b (V_b - W) = 0     so  J_a = -J_b Ad(C_ba)
+    acceleration  J Vdot = -J_b [V_b, W] - J_b (0, omega_b x e)
+because [V_b - W, W] = [V_b, W]. The last term is zero as long as the velocities keep the joint;
+e is the velocity error of the joint's point, and the term keeps an error there may be constant in
+world axes, as g'' = 0, (6.29), does, instead of in axes of the child. On a fast four-bar this was
+measured to drift less. To ground W = 0 and J_b is all: that is why joints to ground are kept
+exactly on SE(3).
+
+The other elements (joints.elements) have a J_b that depends on the pose. It is computed anew
+every time, and the bias has the term -Jdot_b (V_b - W) more.
+
+Baumgarte's terms make an error g of position and velocity die out, gddot + 2 a gdot + a^2 g = 0:
+the bias gets -2 a J V - a^2 g.
+"""
+from liegroup_core.compiling.kernels import kernel, subroutine
+from liegroup_core.compiling.structs import borrowed
+from liegroup_core.joints.distance import distance_rate, distance_residual, distance_row
+from liegroup_core.joints.elements import DISTANCE, PAIR, PERPENDICULAR
+from liegroup_core.joints.pairs import pair_coordinates
+from liegroup_core.joints.perpendicular import (perpendicular_rate, perpendicular_residual,
+                                                perpendicular_row)
+from liegroup_core.lie.se3 import se3_ad, se3_Ad, se3_inverse
+from liegroup_core.lie.vec3 import (ZERO3, add3, axpy3, cross3, dot3, load3, load9, matmul3,
+                                    matrix3, matvec3, store3, sub3, tmatmul3, tmatvec3, vector3)
+from liegroup_core.model.arrays import WORLD
+
+
+@kernel
+def _frame(pose, body, rotation, point):
+    """Rotation and origin in the world of a frame that is fixed in a body (or in the world)."""
+    if body == WORLD:
+        return rotation, point
+    rot = load9(pose, body, 0)
+    return matmul3(rot, rotation), add3(load3(pose, body, 9), matvec3(rot, point))
+
+
+@subroutine
+def position_residuals(model, pose, residual_out):
+    """How far every element is from closed, all rows, rad and m; see joints.elements.
+
+    pose (n, 12), residual_out (all rows,)
+    """
+    pose, residual_out = borrowed(pose), borrowed(residual_out)
+    for e in range(len(model.elements)):
+        element = model.elements[e]
+        kind = element["kind"]
+        first = element["row_start"]
+        rot_a, at_a = _frame(pose, element["parent"], matrix3(element["parent_rotation"]),
+                             vector3(element["parent_point"]))
+        rot_b, at_b = _frame(pose, element["child"], matrix3(element["child_rotation"]),
+                             vector3(element["child_point"]))
+        rot = tmatmul3(rot_a, rot_b)
+        p = tmatvec3(rot_a, sub3(at_b, at_a))
+        if kind == PERPENDICULAR:
+            residual_out[first] = perpendicular_residual(rot)
+        elif kind == DISTANCE:
+            residual_out[first] = distance_residual(p, element["length"])
+        else:
+            angular, linear = pair_coordinates(rot, p, element["turns_freely"] == 1,
+                                               element["pitch"])
+            forbidden = element["forbidden"]
+            for r in range(element["rows"]):
+                total = 0.0
+                for c in range(3):
+                    total += (forbidden[6 * r + c] * angular[c]
+                              + forbidden[6 * r + 3 + c] * linear[c])
+                residual_out[first + r] = total
+
+
+@kernel
+def _child_row(model, work, j, rot, p, w, v):
+    """Row of an element that is no PAIR, at this pose, into work.child_jacobian and K.
+
+    rot, p : C_ba, pose of the parent in the body frame of the child
+    w, v   : V_b - W
+    returns Jdot_b (V_b - W)
+    """
+    element = model.elements[model.joints[j]["element"]]
+    if element["kind"] == PERPENDICULAR:
+        # columns of the frames: x of the parent's one, y of the child's one
+        parent, child = element["parent_rotation"], element["child_rotation"]
+        x = matvec3(rot, (parent[0], parent[3], parent[6]))
+        y = (child[1], child[4], child[7])
+        row_w, row_v = perpendicular_row(x, y), ZERO3
+        rate = perpendicular_rate(x, y, w)
+    else:
+        s = vector3(element["child_point"])
+        q = add3(p, matvec3(rot, vector3(element["parent_point"])))
+        row_w, row_v = distance_row(s, q)
+        rate = distance_rate(s, q, w, v)
+    store3(row_w, work.child_jacobian, model.joints[j]["first"], 0)
+    store3(row_v, work.child_jacobian, model.joints[j]["first"], 3)
+    # One row: its block is the same whether turned or not.
+    place = model.joints[j]["child_place"]
+    for c in range(3):
+        work.matrix[place + c] = row_w[c]
+        work.matrix[place + 3 + c] = row_v[c]
+    return rate
+
+
+@kernel
+def _set_bias(model, work, j, omega, bracket_w, bracket_v, error_w, error_v, rate):
+    """Bias of the rows of joint j into work.solution, and J V into work.slip.
+
+    omega   : angular velocity of the child, body axes
+    bracket : [V_b, W]; error : V_b - W; both in body axes of the child
+    rate    : Jdot_b (V_b - W) of an element that is no PAIR, else 0
+    """
+    start = model.joints[j]["start"]
+    first = model.joints[j]["first"]
+    rows = model.joints[j]["rows"]
+    e = ZERO3
+    for r in range(rows):
+        beta = load3(work.child_jacobian, first + r, 3)
+        slip = dot3(load3(work.child_jacobian, first + r, 0), error_w) + dot3(beta, error_v)
+        work.slip[first + r] = slip
+        e = axpy3(slip, beta, e)
+    bracket_v = add3(bracket_v, cross3(omega, e))
+    for r in range(rows):
+        work.solution[start + r] = -rate - (
+            dot3(load3(work.child_jacobian, first + r, 0), bracket_w)
+            + dot3(load3(work.child_jacobian, first + r, 3), bracket_v))
+
+
+@kernel
+def _set_parent_rows(model, work, j, rot, p):
+    """J_a = -J_b Ad(C_ba) of joint j into its block of K; rot, p: C_ba."""
+    rows, first = model.joints[j]["rows"], model.joints[j]["first"]
+    place = model.joints[j]["parent_place"]
+    # One scalar after the other of a row, or, in a turned block, of a column.
+    row_step, step = 6, 1
+    if model.joints[j]["parent_turned"] == 1:
+        row_step, step = 1, rows
+    for r in range(rows):
+        beta = load3(work.child_jacobian, first + r, 3)
+        row_w = tmatvec3(rot, sub3(load3(work.child_jacobian, first + r, 0), cross3(p, beta)))
+        row_v = tmatvec3(rot, beta)
+        at = place + r * row_step
+        work.matrix[at] = -row_w[0]
+        work.matrix[at + step] = -row_w[1]
+        work.matrix[at + 2 * step] = -row_w[2]
+        work.matrix[at + 3 * step] = -row_v[0]
+        work.matrix[at + 4 * step] = -row_v[1]
+        work.matrix[at + 5 * step] = -row_v[2]
+
+
+@kernel
+def assemble(model, work, pose, twist):
+    """K of this pose into work.matrix, J V into work.slip, the rows' bias into work.solution.
+
+    pose (n, 12), twist (n, 6); bias: J Vdot = bias
+    """
+    for i in range(model.summed):
+        work.matrix[i] = model.matrix[i]
+    for j in range(len(model.joints)):
+        a = model.joints[j]["parent"]
+        b = model.joints[j]["child"]
+        omega, v = load3(twist, b, 0), load3(twist, b, 3)
+        rot_b = load9(pose, b, 0)
+        if a == WORLD:
+            rate = 0.0
+            if model.joints[j]["kind"] != PAIR:
+                rot, p = se3_inverse(rot_b, load3(pose, b, 9))
+                rate = _child_row(model, work, j, rot, p, omega, v)
+            _set_bias(model, work, j, omega, ZERO3, ZERO3, omega, v, rate)
+            continue
+        rot = tmatmul3(rot_b, load9(pose, a, 0))
+        p = tmatvec3(rot_b, sub3(load3(pose, a, 9), load3(pose, b, 9)))
+        parent_w, parent_v = se3_Ad(rot, p, load3(twist, a, 0), load3(twist, a, 3))
+        error_w, error_v = sub3(omega, parent_w), sub3(v, parent_v)
+        bracket_w, bracket_v = se3_ad(omega, v, parent_w, parent_v)
+        rate = 0.0
+        if model.joints[j]["kind"] != PAIR:
+            rate = _child_row(model, work, j, rot, p, error_w, error_v)
+        _set_bias(model, work, j, omega, bracket_w, bracket_v, error_w, error_v, rate)
+        _set_parent_rows(model, work, j, rot, p)
+
+
+@kernel
+def clear_ground_slip(model, twist):
+    """Take from the twists (n, 6) what rounding has left of J V at lower pairs to ground.
+
+    On SE(3) these velocities are kept exactly, but for rounding: a bias of 1e-16 of the forces that
+    always points the same way would let the joint open with the square of time.
+    """
+    for j in range(len(model.joints)):
+        if model.joints[j]["parent"] == WORLD and model.joints[j]["kind"] == PAIR:
+            b = model.joints[j]["child"]
+            w, v = load3(twist, b, 0), load3(twist, b, 3)
+            for r in range(6):
+                twist[b, r] -= (dot3(load3(model.ground_projector, j, 6 * r), w)
+                                + dot3(load3(model.ground_projector, j, 6 * r + 3), v))
+
+
+@kernel
+def subtract_joint_forces(model, work, multipliers, at, wrench_out):
+    """Take J^T lambda from the wrenches (n, 6), with the rows that `assemble` has left.
+
+    multipliers : lambda of Model.row_residual from entry `at` on
+    """
+    for j in range(len(model.joints)):
+        a = model.joints[j]["parent"]
+        b = model.joints[j]["child"]
+        rows = model.joints[j]["rows"]
+        row_step, step = 6, 1
+        if model.joints[j]["parent_turned"] == 1:
+            row_step, step = 1, rows
+        for r in range(rows):
+            row = model.joints[j]["first"] + r
+            value = multipliers[at + row]
+            place = model.joints[j]["parent_place"] + r * row_step
+            for c in range(6):
+                wrench_out[b, c] -= value * work.child_jacobian[row, c]
+                if a != WORLD:
+                    wrench_out[a, c] -= value * work.matrix[place + c * step]
+
+
+@subroutine
+def add_baumgarte(model, work, pose):
+    """Add Baumgarte's terms to the bias that `assemble` has left."""
+    pose = borrowed(pose)
+    rate = model.baumgarte_rate
+    position_residuals(model, pose, work.gap)
+    for j in range(len(model.joints)):
+        first = model.joints[j]["first"]
+        for r in range(model.joints[j]["rows"]):
+            g = work.gap[model.row_residual[first + r]]
+            work.solution[model.joints[j]["start"] + r] -= rate * (
+                2.0 * work.slip[first + r] + rate * g)

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The arrays that planar kernels see: what Model and Work are for motions in space.
+
+World axes are renamed so that the plane is that of the first two, and body axes likewise: both by
+turns that take axes to axes, so that numbers are only moved and their signs changed. In these
+axes a body turns by an angle theta about the third. Its pose is (cos theta, sin theta, x, y), of
+the centre of mass; its twist (omega, v_1, v_2), v in body axes; a wrench (torque, force_1,
+force_2). The rows of a joint are rows for (omega, v_1, v_2).
+"""
+import numpy as np
+
+from liegroup_core.compiling.structs import Struct
+
+from liegroup_core.model.arrays import Model, Work
+from .tree import COLUMNS
+
+PLANAR_BODY = np.dtype([
+    ("mass", "f8"), ("inertia", "f8"),          # kg; kg m^2 about the normal and the COM
+    ("axes", "f8", (9,)),                       # rows: its planar axes in its body axes
+], align=True)
+
+
+class PlanarModel(Struct):
+    """What does not change while a planar mechanism is integrated; fields as those of Model."""
+
+    space: Model                   # the same mechanism in space
+    has_forces: bool               # there is one besides gravity
+    world: np.ndarray              # (1, 9) rows: the planar axes in world axes
+    gravity: np.ndarray            # (1, 2) m/s^2
+    bodies: np.ndarray             # (n,) of PLANAR_BODY
+    joints: np.ndarray             # (m,) of JOINT: lower pairs
+    child_jacobian: np.ndarray     # (rows, 3) of all joints for their children
+    ground_projector: np.ndarray   # (m, 9) of a joint to ground: M^-1 J^T (J M^-1 J^T)^-1 J
+    vertices: np.ndarray
+    columns: np.ndarray
+    updates: np.ndarray
+    pivot_floor: np.ndarray
+    constant: np.ndarray
+    matrix: np.ndarray
+    summed: int
+    fresh: int
+    refinements: int
+    projects: bool
+    links: np.ndarray              # (n,) of tree.LINK where K is not needed, else none
+
+
+class PlanarWork(Struct):
+    """Scratch memory of one simulation; fields as those of Work, of which it shares some."""
+
+    space: Work
+    angle: np.ndarray              # shared
+    start_angle: np.ndarray        # shared
+    report: np.ndarray             # shared
+    pose: np.ndarray               # (n, 4)
+    twist: np.ndarray              # (n, 3)
+    external: np.ndarray           # (n, 3) applied wrenches
+    wrench: np.ndarray             # (n, 3) those of the forces
+    stage_pose: np.ndarray         # (n, 4)
+    stage_twist: np.ndarray        # (n, 3)
+    start_pose: np.ndarray         # (n, 4)
+    start_twist: np.ndarray        # (n, 3)
+    velocity: np.ndarray           # (n, 3)
+    slopes: np.ndarray             # ((s + 1) n, 6)
+    matrix: np.ndarray
+    solution: np.ndarray
+    links: np.ndarray              # (n, 17) see tree.py
+    kept: np.ndarray
+    right: np.ndarray
+    residual: np.ndarray
+
+
+def make_planar_work(model, work, stages):
+    """Allocate the scratch memory of a PlanarModel beside the Work of the same mechanism."""
+    n, unknowns = len(model.bodies), len(model.pivot_floor)
+    return PlanarWork(
+        space=work, angle=work.angle, start_angle=work.start_angle, report=work.report,
+        pose=np.zeros((n, 4)), twist=np.zeros((n, 3)), external=np.zeros((n, 3)),
+        wrench=np.zeros((n, 3)),
+        stage_pose=np.zeros((n, 4)), stage_twist=np.zeros((n, 3)),
+        start_pose=np.zeros((n, 4)), start_twist=np.zeros((n, 3)), velocity=np.zeros((n, 3)),
+        slopes=np.zeros(((stages + 1) * n, 6)), matrix=model.matrix.copy(),
+        solution=np.zeros(unknowns), kept=model.constant.copy(), right=np.zeros(unknowns),
+        residual=np.zeros(unknowns), links=np.zeros((len(model.links), COLUMNS)))

@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which mechanisms live in a plane, and their PlanarModel.
+
+A lower pair moves in the plane when all that it allows does: a hinge along the normal, a slider
+across it, a plate on the plane. Where such pairs connect every body with the world, no body can
+leave the plane, whatever acts on it and whatever its inertia is: they take up all that pushes
+across. Then three scalars a body are enough, the in-plane part of (6.22), to the last digit; all
+other joints, which close loops, are left with what their rows say of motions in the plane.
+
+Axes must be those of the world and, in each body, of the body: then the plane's numbers are those
+of space in another order, and nothing is rounded on the way.
+"""
+from functools import lru_cache
+
+import numpy as np
+import scipy.linalg
+
+from liegroup_core.joints.elements import PAIR
+from liegroup_core.lie.groups import SE3
+from liegroup_core.model.arrays import WORLD
+from liegroup_core.model.build import LARGE_RATIO, SMALLEST_PIVOT, are_unlike, initial_state
+from liegroup_core.joints.linkage import Linkage
+from liegroup_core.model.redundancy import REMEMBERED, generic_poses, independent_rows, loop_joints
+from liegroup_core.model.sparsity import cheapest_structure
+from liegroup_core.scene.consistency import resolve_elements, resolve_frames
+from .arrays import PLANAR_BODY, PlanarModel
+from .state import IN_PLANE
+from .tree import tree_links
+
+# Planar axes in world axes, as rows, for a normal along z, y and x.
+PLANES = (np.eye(3), np.eye(3)[[2, 0, 1]], np.eye(3)[[1, 2, 0]])
+# In-plane part of a unit row below which it says nothing new.
+ROW_TOLERANCE = 1e-6
+
+
+def planar_model(scene, model):
+    """PlanarModel of a mechanism, or None when its joints do not hold it in a plane.
+
+    scene : its body frames at the centres of mass; model : the Model made of it
+    """
+    if len(model.elements) == 0 or (model.elements["kind"] != PAIR).any():
+        return None
+    pose, _ = initial_state(scene)
+    for world in PLANES:
+        axes = _body_axes(world, pose)
+        if axes is not None and _is_held(world[2], pose, model.elements):
+            return _build(scene, model, world, axes)
+    return None
+
+
+def _body_axes(world, pose):
+    """(n, 3, 3) rows: planar axes of every body in its body axes, or None when they are none.
+
+    Along the normal a body axis must lie; the two others then do for planar axes.
+    """
+    axes = []
+    for R in pose[:, :9].reshape(-1, 3, 3):
+        normal = R.T @ world[2]
+        k = int(np.argmax(np.abs(normal)))
+        if np.abs(np.delete(normal, k)).max() > IN_PLANE:
+            return None
+        # (k+1, k+2, k) is right-handed; for a normal along -k the first two change places.
+        sign = 1.0 if normal[k] > 0.0 else -1.0
+        first, second = (k + 1) % 3, (k + 2) % 3
+        if sign < 0.0:
+            first, second = second, first
+        rows = np.eye(3)[[first, second, k]]
+        rows[2] *= sign
+        axes.append(rows)
+    return np.array(axes)
+
+
+def _is_held(normal, pose, elements):
+    """True when pairs that move in the plane connect every body with the world."""
+    reached, last = {WORLD}, 0
+    links = [(int(e["parent"]), int(e["child"])) for e in elements
+             if _moves_in_plane(normal, pose, e)]
+    while len(reached) > last:
+        last = len(reached)
+        for pair in links:
+            if reached.intersection(pair):
+                reached.update(pair)
+    return len(reached) == len(pose) + 1
+
+
+def _moves_in_plane(normal, pose, element):
+    """True when a pair allows nothing but turns about the normal and shifts across it."""
+    R = pose[element["child"], :9].reshape(3, 3) @ element["child_rotation"].reshape(3, 3)
+    free = scipy.linalg.null_space(element["forbidden"][:6 * element["rows"]].reshape(-1, 6))
+    turns, shifts = R @ free[:3], R @ free[3:]
+    return (np.abs(np.cross(normal, turns.T)).max(initial=0.0) <= IN_PLANE
+            and np.abs(normal @ shifts).max(initial=0.0) <= IN_PLANE)
+
+
+def _build(scene, model, world, axes):
+    """PlanarModel of a mechanism that is held in the plane."""
+    # (6, 3): twist of space of a planar one
+    lift = np.zeros((len(axes), 6, 3))
+    lift[:, :3, 0] = axes[:, 2]
+    lift[:, 3:, 1:] = axes[:, :2].transpose(0, 2, 1)
+    rows = _kept_rows(scene, model.elements, lift)
+    solved = [e for e, kept in enumerate(rows) if len(kept)]
+    jacobians = [rows[e] for e in solved]
+    ends = [(int(model.elements[e]["parent"]), int(model.elements[e]["child"])) for e in solved]
+    n, m = len(axes), len(solved)
+    inertias = np.array([axis[2] @ body["inertia"].reshape(3, 3) @ axis[2]
+                         for axis, body in zip(axes, model.bodies)])
+    masses = [np.diag([inertia, body["mass"], body["mass"]])
+              for inertia, body in zip(inertias, model.bodies)]
+    unlike = are_unlike(model.bodies["mass"], inertias, ends,
+                        _turned(model.elements, axes, model.bodies["mass"], inertias))
+    structure = cheapest_structure(3, n, [len(jacobian) for jacobian in jacobians], ends,
+                                   [False] * m, not unlike)
+    joints = structure.joints()
+    joints["element"] = solved
+    projectors = np.zeros((m, 9))
+    floor = np.zeros(structure.unknowns)
+    # Every joint is one element here: all are pairs.
+    loops = set(loop_joints([(joint.parent, joint.child) for joint in scene.joints]))
+    for j, ((parent, child), jacobian) in enumerate(zip(ends, jacobians)):
+        mobility = jacobian / np.diag(masses[child])
+        if solved[j] in loops:
+            floor[joints[j]["start"]:joints[j]["start"] + len(jacobian)] = SMALLEST_PIVOT * (
+                jacobian * mobility).sum(axis=1)
+        if parent == WORLD:
+            projectors[j] = (mobility.T @ np.linalg.solve(jacobian @ mobility.T, jacobian)).ravel()
+    alike = not unlike and _are_alike(model.bodies["mass"], inertias)
+    links = tree_links(len(axes), ends, jacobians if alike else [])
+    return PlanarModel(
+        space=model, has_forces=any(map(len, model.forces.values())), world=world.reshape(1, 9),
+        gravity=model.gravity @ world[:2].T,
+        bodies=np.array([(body["mass"], inertia, axis.ravel())
+                         for body, inertia, axis in zip(model.bodies, inertias, axes)],
+                        dtype=PLANAR_BODY),
+        joints=joints, child_jacobian=np.concatenate([np.zeros((0, 3)), *jacobians]),
+        ground_projector=projectors,
+        pivot_floor=floor, refinements=int(unlike), projects=model.projects, links=links,
+        **structure.arrays(masses, jacobians))
+
+
+def _turned(elements, axes, masses, inertias):
+    """m p^2 / I of every end of an element: p its point in the plane, from the centre of mass."""
+    turned = []
+    for end in ("parent", "child"):
+        held = elements[elements[end] != WORLD]
+        body = held[end]
+        points = np.einsum("erc,ec->er", axes[body, :2], held[f"{end}_point"])
+        turned.extend(masses[body] * (points ** 2).sum(axis=1) / inertias[body])
+    return turned
+
+
+def _are_alike(*sizes):
+    """True when no mass or inertia is far from any other: tree.py loses digits where they are."""
+    return all(np.ptp(np.log(size)) <= np.log(LARGE_RATIO) for size in sizes)
+
+
+def _kept_rows(scene, elements, lift):
+    """Rows (k, 3) of every element for the planar twist of its child, independent of each other."""
+    rows = []
+    for element in elements:
+        frame = np.eye(4)
+        frame[:3, :3] = element["child_rotation"].reshape(3, 3)
+        frame[:3, 3] = element["child_point"]
+        matrix = element["forbidden"][:6 * element["rows"]].reshape(-1, 6)
+        matrix = matrix @ SE3.Ad(SE3.inverse(frame)) @ lift[element["child"]]
+        rows.append(_independent(matrix))
+    loops = loop_joints([(joint.parent, joint.child) for joint in scene.joints])
+    loops.sort(key=lambda j: scene.joints[j].parent != "world")
+    if not loops:
+        return rows
+    linkage = Linkage(scene, resolve_frames(scene), resolve_elements(scene), loops)
+    index = {body.name: i for i, body in enumerate(scene.bodies)}
+    chosen = _chosen(linkage, *(
+        tuple(matrix.tobytes() for matrix in matrices) for matrices in (
+            [rows[j] @ lift[elements[j]["child"]].T for j in loops],
+            [lift[index[name]] for name in linkage.bodies])))
+    at = 0
+    for j in loops:
+        rows[j], at = rows[j][chosen[at:at + len(rows[j])]], at + len(rows[j])
+    return rows
+
+
+@lru_cache(maxsize=REMEMBERED)
+def _chosen(linkage, in_space, lifts):
+    """Mask of the rows to keep: bytes of (k, 6) of every joint, of (6, 3) of every body."""
+    in_space = [np.frombuffer(rows).reshape(-1, 6) for rows in in_space]
+    flat = scipy.linalg.block_diag(*(np.frombuffer(lift).reshape(6, 3) for lift in lifts))
+    flat[:, ::3] /= linkage.length
+    matrices = []
+    for poses in generic_poses(linkage):
+        matrix = linkage.velocity_rows(poses, in_space) @ flat
+        matrices.append(matrix / np.linalg.norm(matrix, axis=1, keepdims=True))
+    chosen, _ = independent_rows(matrices, [
+        joint.parent == "world" for joint, rows in zip(linkage.joints, in_space) for _ in rows])
+    chosen.flags.writeable = False
+    return chosen
+
+
+def _independent(matrix):
+    """Those rows of a joint that say something of motions in the plane, each something new."""
+    _, R, order = scipy.linalg.qr(matrix.T, mode="economic", pivoting=True)
+    size = np.abs(np.diag(R))
+    count = int((size > ROW_TOLERANCE * max(size.max(initial=0.0), 1.0)).sum())
+    return matrix[np.sort(order[:count])]

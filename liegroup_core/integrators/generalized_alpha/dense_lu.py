@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""LU factors of a dense square matrix with row exchanges (Gaussian elimination).
+
+In place and without allocation, as kernels need it.
+"""
+import math
+
+from liegroup_core.compiling.kernels import kernel
+
+
+@kernel
+def lu_factorise(matrix, pivots):
+    """LU factors with row exchanges in place; False for a matrix that has none."""
+    size = len(pivots)
+    for k in range(size):
+        best = k
+        for r in range(k + 1, size):
+            if abs(matrix[r, k]) > abs(matrix[best, k]):
+                best = r
+        pivots[k] = best
+        if not 0.0 < abs(matrix[best, k]) < math.inf:
+            return False
+        if best != k:
+            for c in range(size):
+                matrix[k, c], matrix[best, c] = matrix[best, c], matrix[k, c]
+        for r in range(k + 1, size):
+            factor = matrix[r, k] / matrix[k, k]
+            matrix[r, k] = factor
+            if factor != 0.0:
+                for c in range(k + 1, size):
+                    matrix[r, c] -= factor * matrix[k, c]
+    return True
+
+
+@kernel
+def lu_solve(matrix, pivots, x):
+    """Solve with the factors of `lu_factorise`, in place of the right-hand side x."""
+    size = len(pivots)
+    for k in range(size):
+        x[k], x[pivots[k]] = x[pivots[k]], x[k]
+    for k in range(size):
+        for r in range(k + 1, size):
+            x[r] -= matrix[r, k] * x[k]
+    for k in range(size - 1, -1, -1):
+        for c in range(k + 1, size):
+            x[k] -= matrix[k, c] * x[c]
+        x[k] /= matrix[k, k]

@@ -1,0 +1,294 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Generalised-alpha method on the group with the joints at position level (index 3).
+
+For stiff scenes: implicit, of order 2, with a damping of what the step cannot resolve that the
+user sets, rho_inf from 1 (none) to 0 (all of it within one step). One step, velocities V on the
+group:
+    q_1 = q_0 exp psi ,   psi = h V_0 + h^2 ((1/2 - beta) a_0 + beta a_1)
+    V_1 = V_0 + h ((1 - gamma) a_0 + gamma a_1)
+    (1 - alpha_m) a_1 + alpha_m a_0 = (1 - alpha_f) Vdot_1 + alpha_f Vdot_0
+    M Vdot_1 + J^T lambda = Q(q_1, V_1) ,   g(q_1) = 0
+    alpha_m = (2 rho - 1)/(rho + 1), alpha_f = rho/(rho + 1),
+    gamma = 1/2 + alpha_f - alpha_m, beta = (gamma + 1/2)^2 / 4
+Every joint stays closed to rounding, on both groups and at every step size, without stabilisation
+(test/verification/test_orders.py); velocities of the joints are off by O(h^2). On SO(3) x R^3 V is
+(omega, rdot), see rkmk.py.
+
+Newton's method in x = (Vdot_1, lambda): with sigma = d psi/d Vdot_1 the joints' equations are
+g / sigma = 0, which makes the matrix [[I, M^-1 J^T], [J, 0]] plus O(h): it does not degenerate for
+small steps as the one for psi does. The matrix is taken by differences, so every kind of force is
+treated implicitly without formulas of its own. It is dense: its factors cost (6 n + rows)^3 / 3
+multiplications, which suits some ten bodies and not a hundred. They are kept over iterations and
+steps as long as the iteration converges quickly.
+
+Source: Bruels, Cardona and Arnold, Mech. Mach. Theory 48 (2012) 121-137, table 1; the scaling
+after Bottasso, Bauchau and Cardona, J. Comput. Nonlinear Dyn. 2 (2007).
+"""
+import math
+
+import numpy as np
+
+from liegroup_core.compiling.kernels import SameTypes, kernel, stepper
+from liegroup_core.compiling.structs import borrowed
+from liegroup_core.formulations.absolute.newton_euler import accelerations
+from liegroup_core.forces.kinds import count_turns, too_fast, turns_over
+from liegroup_core.lie.vec3 import dot3, load3, load9, store9, vector3
+from liegroup_core.model.arrays import MET, WAIT, make_work
+from .equations import Coefficients, Memory, move, residual, sigma
+from .dense_lu import lu_factorise, lu_solve
+from liegroup_core.integrators.methods import GROUPS, SE3, refuse_stabilisation
+from liegroup_core.integrators.motion import copy_state, group_velocity, is_finite, orthonormal
+from liegroup_core.status import DEPENDENT_ROWS, NOT_CONVERGED, NOT_FINITE, OK, TURNS_NOT_COUNTED
+
+# Newton's method ends when a correction of the poses, rad and m, is this part of the largest
+# coordinate or of 1: some ten roundings. What is left of it in a pose is 2 / h times that in the
+# velocity. Where rounding is larger, corrections stop shrinking: then so many times that.
+TOLERANCE, STUCK = 2e-15, 100.0
+# New factors are made when a correction is more than SLOW times the one before; a correction is
+# halved when the next one is more than GROWTH times as large. Some growth must pass: a stiff
+# spring that the first guess stretches pulls so hard that corrections grow before they shrink.
+SLOW, GROWTH = 0.1, 10.0
+MOST_ITERATIONS = 50
+DISPLACEMENT = 1e-7         # rad and m, of a pose for differences: half the digits are right
+
+
+@kernel
+def _differentiate(model, work, memory, numbers, group, h, pose, external):
+    """Factors of the residual's derivative at memory.x, whose residual is memory.base."""
+    rates = 6 * len(model.bodies)
+    for c in range(len(memory.x)):
+        kept = memory.x[c]
+        memory.x[c] += DISPLACEMENT / sigma(numbers, h) if c < rates else 1.0 + abs(kept)
+        change = memory.x[c] - kept
+        status = residual(model, work, memory, numbers, group, h, pose, external)
+        memory.x[c] = kept
+        if status != OK:
+            return status
+        for r in range(len(memory.x)):
+            memory.matrix[r, c] = (memory.residual[r] - memory.base[r]) / change
+    memory.factored[0] = lu_factorise(memory.matrix, memory.pivots)
+    return OK if memory.factored[0] else NOT_CONVERGED
+
+
+@kernel
+def _correct(model, memory, numbers, h):
+    """Correction for the residual in memory.next, in its place; its largest displacement."""
+    lu_solve(memory.matrix, memory.pivots, memory.next)
+    largest = 0.0
+    for k in range(6 * len(model.bodies)):
+        # NaN becomes the largest, and stays it.
+        if not abs(memory.next[k]) <= largest:
+            largest = abs(memory.next[k])
+    return largest * sigma(numbers, h)
+
+
+@kernel
+def _tolerance(model, pose):
+    """Correction of a pose at which Newton's method ends, m and rad."""
+    largest = 1.0
+    for i in range(len(model.bodies)):
+        r = load3(pose, i, 9)
+        largest = max(largest, math.sqrt(dot3(r, r)))
+    for e in range(len(model.elements)):
+        for r in (vector3(model.elements[e]["parent_point"]),
+                  vector3(model.elements[e]["child_point"])):
+            largest = max(largest, math.sqrt(dot3(r, r)))
+    return TOLERANCE * largest
+
+
+@kernel
+def _newton(model, work, memory, numbers, group, h, pose, external):
+    """Solve one step for memory.x, from memory.x on; returns a status."""
+    size = len(memory.x)
+    tolerance = _tolerance(model, pose)
+    for k in range(size):
+        memory.start[k] = memory.x[k]
+    old_factors = memory.factored[0]
+    status, previous = OK, math.inf
+    for _ in range(MOST_ITERATIONS):
+        status = residual(model, work, memory, numbers, group, h, pose, external)
+        correction = math.inf
+        if status == OK and memory.factored[0]:
+            for k in range(size):
+                memory.next[k] = memory.residual[k]
+            correction = _correct(model, memory, numbers, h)
+        if (STUCK * tolerance < previous < math.inf) and not correction < GROWTH * previous:
+            if old_factors:
+                # They have led astray: begin again with new ones.
+                old_factors = memory.factored[0] = False
+                previous = math.inf
+                for k in range(size):
+                    memory.x[k] = memory.start[k]
+            else:
+                for k in range(size):
+                    memory.correction[k] *= 0.5
+                    memory.x[k] += memory.correction[k]
+            continue
+        if status != OK:
+            return status
+        if not memory.factored[0] or max(SLOW * previous, STUCK * tolerance) < correction:
+            for k in range(size):
+                memory.base[k] = memory.residual[k]
+            status = _differentiate(model, work, memory, numbers, group, h, pose, external)
+            if status != OK:
+                return status
+            old_factors = False
+            for k in range(size):
+                memory.next[k] = memory.base[k]
+            correction = _correct(model, memory, numbers, h)
+        for k in range(size):
+            memory.correction[k] = memory.next[k]
+            memory.x[k] -= memory.correction[k]
+        if correction <= tolerance or SLOW * previous < correction <= STUCK * tolerance:
+            return OK
+        previous = correction
+    if status != OK:
+        return status
+    return NOT_CONVERGED
+
+
+@stepper
+def advance(model, work, memory, numbers, group, h, steps, pose, twist, external):
+    """Take `steps` steps of size h in place of pose (n, 12) and twist (n, 6).
+
+    external (n, 6) : applied wrenches in body axes, constant over these steps
+    returns (steps done, status), as rkmk.advance does; when status is not OK, memory is of no use
+    """
+    pose, twist, external = borrowed(pose), borrowed(twist), borrowed(external)
+    n = len(model.bodies)
+    inverse = 1.0 / (1.0 - numbers.alpha_m)
+    for done in range(steps):
+        for i in range(n):
+            group_velocity(group, pose, twist, i, work.velocity)
+            for c in range(6):
+                memory.old[i, c] = inverse * (numbers.alpha_f * memory.rate[i, c]
+                                              - numbers.alpha_m * memory.mean[i, c])
+        status = _newton(model, work, memory, numbers, group, h, pose, external)
+        work.report[1] = 0.0
+        if status == OK:
+            status = move(model, work, memory, numbers, group, h, pose)
+        if status == OK and not is_finite(work.stage_pose, work.stage_twist):
+            status = NOT_FINITE
+        if status == OK:
+            fast = too_fast(model.forces, h, work.stage_pose, work.stage_twist)
+            status = OK if fast < 0 else TURNS_NOT_COUNTED + (fast << 8)
+        if status != OK:
+            return done, status
+        for i in range(n):
+            store9(orthonormal(load9(work.stage_pose, i, 0)), work.stage_pose, i, 0)
+            for c in range(6):
+                memory.rate[i, c] = memory.x[6 * i + c]
+                memory.mean[i, c] = (memory.old[i, c] + inverse * (1.0 - numbers.alpha_f)
+                                     * memory.rate[i, c])
+        count_turns(model.forces, work.stage_pose, work.angle)
+        copy_state(work.stage_pose, work.stage_twist, pose, twist)
+        work.report[0] = max(work.report[0], work.report[1])
+        if work.report[3] == WAIT and turns_over(model.forces, h, pose, twist):
+            work.report[3] = MET
+            return done + 1, OK
+    return steps, OK
+
+
+class GeneralizedAlpha:
+    """The method on a model: its memory, and what lasts between calls.
+
+    rho_inf : spectral radius at infinite step size, 0..1
+
+    What lasts is Vdot, its mean a, lambda and the factors. They start from the index-1
+    accelerations after `restart`, after a failed step, and where wrenches or the step size jump.
+    """
+
+    kernels = "generalized_alpha"
+    # J V is zero up to the square of the step only: a smaller one first swings into its own.
+    swings_in = True
+    substeps = (0, 0)
+
+    def __init__(self, method, layout, group, step, options):
+        rho = float(options["rho_inf"])
+        alpha_m, alpha_f = (2.0 * rho - 1.0) / (rho + 1.0), rho / (rho + 1.0)
+        gamma = 0.5 + alpha_f - alpha_m
+        self._numbers = Coefficients(alpha_m, alpha_f, 0.25 * (gamma + 0.5) ** 2, gamma)
+        model = layout.model
+        refuse_stabilisation(method, model)
+        n, rows = len(model.bodies), len(model.row_residual)
+        size = 6 * n + rows
+        self._memory = Memory(
+            rate=np.zeros((n, 6)), mean=np.zeros((n, 6)), old=np.zeros((n, 6)),
+            body_rate=np.zeros((n, 6)), x=np.zeros(size), start=np.zeros(size),
+            residual=np.zeros(size), base=np.zeros(size), correction=np.zeros(size),
+            next=np.zeros(size),
+            matrix=np.zeros((size, size)), pivots=np.zeros(size, dtype=np.int64),
+            factored=np.zeros(1, dtype=bool))
+        self._model, self._group = model, GROUPS[group]
+        self.work = make_work(model, 1)
+        self._advance = SameTypes(advance)
+        # Step size and wrenches for which Vdot, a and lambda were started; NaN: not at all.
+        self._started_for = np.zeros(1 + 6 * n + len(self.work.acting))
+        self.restart()
+
+    @staticmethod
+    def options(method):
+        """{name: (default, what it may be, check)} of the options this method takes."""
+        return {"rho_inf": (0.8, "a number from 0 to 1", _is_part)}
+
+    def restart(self):
+        """Forget what lasts between calls: the state is a new one."""
+        self._started_for[:] = np.nan
+
+    @property
+    def memory(self):
+        """The arrays that last between calls."""
+        return (self._started_for, *self._memory.values())
+
+    def advance(self, h, steps, pose, twist, external):
+        """Take steps of size h in place; returns (steps done, status)."""
+        now = np.concatenate(((h,), external.ravel(), self.work.acting))
+        if self._started_for.tobytes() != now.tobytes():
+            dependent = self._start(h, pose, twist, external)
+            if dependent >= 0:
+                return 0, DEPENDENT_ROWS + (self._model.joints[dependent]["element"] << 8)
+            self._started_for[:] = now
+        done, status = self._advance(self._model, self.work, self._memory, self._numbers,
+                                     self._group, h, steps, pose, twist, external)
+        if status != OK:
+            self.restart()
+        return done, status
+
+    def _start(self, h, pose, twist, external):
+        """Vdot, a and lambda from the index-1 equations; -1, or the joint whose rows depend."""
+        work, memory = self.work, self._memory
+        dependent = accelerations(self._model, work, pose, twist, external)
+        if dependent < 0:
+            memory.rate[:] = work.acceleration
+            if self._group != SE3:
+                turn = pose[:, :9].reshape(-1, 3, 3)
+                linear = work.acceleration[:, 3:] + np.cross(twist[:, :3], twist[:, 3:])
+                memory.rate[:, 3:] = np.einsum("nij,nj->ni", turn, linear)
+            memory.mean[:] = memory.rate
+            memory.x[:] = work.solution
+            memory.x[:memory.rate.size] = memory.rate.ravel()
+            memory.factored[0] = False
+            self._shift_mean(h, pose, twist, external)
+        return dependent
+
+    def _shift_mean(self, h, pose, twist, external):
+        """Move a from Vdot to where it belongs, alpha_m - alpha_f steps on, by a trial step.
+
+        A step that begins with a = Vdot is of first order only: with wrenches that change at every
+        step the whole run would be.
+        """
+        memory, angle = self._memory, self.work.angle.copy()
+        rate, x = memory.rate.copy(), memory.x.copy()
+        _, status = self._advance(self._model, self.work, memory, self._numbers, self._group, h, 1,
+                                  pose.copy(), twist.copy(), external)
+        # A trial that fails leaves the rate as it is.
+        shift = self._numbers.alpha_m - self._numbers.alpha_f
+        memory.mean[:] = rate + shift * (memory.rate - rate)
+        memory.rate[:], memory.x[:], self.work.angle[:] = rate, x, angle
+        if status != OK:
+            memory.factored[0] = False
+
+
+def _is_part(value):
+    """True for a number from 0 to 1."""
+    return isinstance(value, (int, float)) and 0.0 <= value <= 1.0

@@ -1,0 +1,3 @@
+# SPDX-License-Identifier: Apache-2.0
+"""RATTLE for mechanisms: symmetric, keeps constraints at the positions and velocities.
+"""

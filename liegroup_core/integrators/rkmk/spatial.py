@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a Munthe-Kaas step does with bodies in space: states on SE(3)^n or (SO(3) x R^3)^n.
+
+The functions of this file stand in `spaces`, where planar.motion has the same for motions in a
+plane. Their model is a Model, their work a Work.
+"""
+import math
+
+from liegroup_core.compiling.kernels import kernel
+from liegroup_core.formulations.absolute.constraints import clear_ground_slip
+from liegroup_core.formulations.absolute.newton_euler import accelerations
+from liegroup_core.formulations.absolute.projection import close_joints
+from liegroup_core.forces import kinds
+from liegroup_core.lie.coefficients import dexpinv_coefficients, truncated_dexpinv_coefficients
+from liegroup_core.lie.se3 import se3_dexpinv_of
+from liegroup_core.lie.so3 import so3_dexpinv_of
+from liegroup_core.lie.vec3 import (ZERO3, add3, axpy3, cross3, dot3, load3, load9, matvec3,
+                                    scale3, store3, store9, tmatvec3)
+from liegroup_core.integrators.methods import EXACT, SE3
+from liegroup_core.integrators.motion import (copy_state, displace, group_velocity, is_finite,
+                                              orthonormal)
+from liegroup_core.status import (LARGEST_ROTATION, NOT_FINITE, OK, ROTATION_TOO_LARGE,
+                                  TURNS_NOT_COUNTED)
+
+
+@kernel
+def enter(model, work, pose, twist, external):
+    """The arrays to integrate: those of the caller."""
+    return pose, twist, external, OK
+
+
+@kernel
+def leave(model, work, pose, twist, pose_out, twist_out):
+    """Nothing to hand back: the caller's arrays have been integrated."""
+    return
+
+
+@kernel
+def begin(model, work, group, pose, twist):
+    """Stage 0: the state itself."""
+    for i in range(len(model.bodies)):
+        group_velocity(group, pose, twist, i, work.velocity)
+    copy_state(pose, twist, work.stage_pose, work.stage_twist)
+
+
+@kernel
+def _increment(h, weights, row, stages, slopes, n, i):
+    """h sum_l weights[row, l] k_l of body i over so many stages: four vectors."""
+    xi, eta, dw, dv = ZERO3, ZERO3, ZERO3, ZERO3
+    for stage in range(stages):
+        weight = weights[row, stage]
+        if weight != 0.0:
+            k = stage * n + i
+            xi = axpy3(weight, load3(slopes, k, 0), xi)
+            eta = axpy3(weight, load3(slopes, k, 3), eta)
+            dw = axpy3(weight, load3(slopes, k, 6), dw)
+            dv = axpy3(weight, load3(slopes, k, 9), dv)
+    return scale3(h, xi), scale3(h, eta), scale3(h, dw), scale3(h, dv)
+
+
+@kernel
+def move(model, work, scheme, group, h, stage, end, pose):
+    """Place all bodies at X_0 exp Psi of a stage: work.stage_pose and stage_twist.
+
+    stage : its Psi is left in work.slopes for `store_slopes`
+    end   : True for the end of a step, where R is also brought back to SO(3), and joints to ground
+            are cleared of rounding
+    returns OK, ROTATION_TOO_LARGE or NOT_FINITE
+    """
+    n = len(model.bodies)
+    for i in range(n):
+        xi, eta, dw, dv = _increment(h, scheme.a, stage, stage, work.slopes, n, i)
+        rotation = dot3(xi, xi)
+        if not rotation < LARGEST_ROTATION * LARGEST_ROTATION:
+            if rotation < math.inf:
+                return ROTATION_TOO_LARGE
+            return NOT_FINITE
+        work.report[1] = max(work.report[1], rotation)
+        rot, r = displace(group, pose, i, xi, eta)
+        if end:
+            rot = orthonormal(rot)
+        store3(xi, work.slopes, stage * n + i, 0)
+        store3(eta, work.slopes, stage * n + i, 3)
+        v = add3(load3(work.velocity, i, 3), dv)
+        if group != SE3:
+            v = tmatvec3(rot, v)
+        store9(rot, work.stage_pose, i, 0)
+        store3(r, work.stage_pose, i, 9)
+        store3(add3(load3(work.velocity, i, 0), dw), work.stage_twist, i, 0)
+        store3(v, work.stage_twist, i, 3)
+    if end and group == SE3 and model.baumgarte_rate == 0.0:
+        clear_ground_slip(model, work.stage_twist)
+    return OK
+
+
+@kernel
+def _store_slope(work, scheme, group, n, i, stage):
+    """k of body i and a stage from work.stage_pose, stage_twist and acceleration.
+
+    Psi stands where k will. In the first stage Psi = 0, and dexp^-1 is the identity.
+    """
+    row = stage * n + i
+    w = load3(work.stage_twist, i, 0)
+    v = load3(work.stage_twist, i, 3)
+    linear = load3(work.acceleration, i, 3)
+    if group != SE3:
+        rot = load9(work.stage_pose, i, 0)
+        linear = matvec3(rot, add3(linear, cross3(w, v)))
+        v = matvec3(rot, v)
+    if stage > 0:
+        xi = scale3(-1.0, load3(work.slopes, row, 0))
+        if scheme.highest == EXACT:
+            first = 0.5
+            b, u = dexpinv_coefficients(dot3(xi, xi))
+        else:
+            first, b, u = truncated_dexpinv_coefficients(scheme.highest, dot3(xi, xi))
+        if group == SE3:
+            eta = scale3(-1.0, load3(work.slopes, row, 3))
+            w, v = se3_dexpinv_of(first, b, u, xi, eta, w, v)
+        else:
+            w = so3_dexpinv_of(first, b, xi, w)
+    store3(w, work.slopes, row, 0)
+    store3(v, work.slopes, row, 3)
+    store3(load3(work.acceleration, i, 0), work.slopes, row, 6)
+    store3(linear, work.slopes, row, 9)
+
+
+@kernel
+def accelerate(model, work, external):
+    """Accelerations of a stage. Returns -1, or the joint whose rows depend on others."""
+    return accelerations(model, work, work.stage_pose, work.stage_twist, external)
+
+
+@kernel
+def store_slopes(model, work, scheme, group, stage):
+    """k of all bodies, of a stage that has been evaluated."""
+    n = len(model.bodies)
+    for i in range(n):
+        _store_slope(work, scheme, group, n, i, stage)
+
+
+@kernel
+def check_end(model, work, h):
+    """OK, NOT_FINITE or TURNS_NOT_COUNTED + (spring << 8) for the end of a step of size h."""
+    if not is_finite(work.stage_pose, work.stage_twist):
+        return NOT_FINITE
+    fast = kinds.too_fast(model.forces, h, work.stage_pose, work.stage_twist)
+    if fast >= 0:
+        return TURNS_NOT_COUNTED + (fast << 8)
+    return OK
+
+
+@kernel
+def turns_over(model, work, h):
+    """Whether a spring may turn over in a step h after the one that is finished."""
+    return kinds.turns_over(model.forces, h, work.stage_pose, work.stage_twist)
+
+
+@kernel
+def error_norm(model, work, scheme, h, twist):
+    """Norm of the error estimate of a step that began with `twist`: good up to 1; see rkmk.py."""
+    n = len(model.bodies)
+    largest = 0.0
+    for i in range(n):
+        xi, eta, dw, dv = _increment(h, scheme.error, 0, scheme.error.shape[1], work.slopes, n, i)
+        w0, w1 = load3(twist, i, 0), load3(work.stage_twist, i, 0)
+        v0, v1 = load3(twist, i, 3), load3(work.stage_twist, i, 3)
+        tol_w = scheme.atol + scheme.rtol * math.sqrt(max(dot3(w0, w0), dot3(w1, w1)))
+        tol_v = scheme.atol + scheme.rtol * math.sqrt(max(dot3(v0, v0), dot3(v1, v1)))
+        error = ((dot3(xi, xi) + dot3(eta, eta)) / (scheme.atol * scheme.atol)
+                 + dot3(dw, dw) / (tol_w * tol_w) + dot3(dv, dv) / (tol_v * tol_v))
+        if not error < math.inf:
+            return math.inf
+        largest = max(largest, error)
+    return math.sqrt(largest)
+
+
+@kernel
+def close(model, work):
+    """Project the end of a step onto the constraints. Returns OK or why that failed."""
+    return close_joints(model, work)
+
+
+@kernel
+def count_turns(model, work):
+    """Angles of the torsional springs at the end of a step."""
+    kinds.count_turns(model.forces, work.stage_pose, work.angle)

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bodies as the rotation methods see them: each turns about one point, free or held there.
+
+A body turns about its centre of mass where it is free, about the ball joint where it is held, with
+I = I_com + m (|d|^2 1 - d d^T), d from the joint to the centre of mass. A held body's centre of
+mass is where R puts it, r = pivot + R d, v = w x d: the joint is closed to rounding in every step.
+"""
+import numpy as np
+
+from liegroup_core.compiling.kernels import kernel
+from liegroup_core.joints.elements import PAIR
+from liegroup_core.lie.vec3 import (ZERO3, add3, cross3, load3, load9, matvec3, scale3, store3,
+                                    store9, sub3, tmatvec3, vector3)
+from liegroup_core.model.arrays import WORLD
+
+SPINNER = np.dtype([
+    ("held", "i8"),                                             # 1: by a ball joint
+    ("inertia", "f8", (9,)), ("inverse_inertia", "f8", (9,)),   # kg m^2, about its point
+    ("arm", "f8", (3,)),                    # m, from the joint to the centre of mass, body axes
+    ("pivot", "f8", (3,)),                  # m, the joint in the world
+    ("mass", "f8"),                         # kg
+], align=True)
+
+
+@kernel
+def place(spinner, i, rot, w, r, linear, pose_out, twist_out):
+    """Set a body to R and w; to r and m R v = linear where it is free."""
+    if spinner["held"] == 1:
+        arm = vector3(spinner["arm"])
+        r = add3(vector3(spinner["pivot"]), matvec3(rot, arm))
+        v = cross3(w, arm)
+    else:
+        # Not R^T alone: R is a rotation to some roundings, the same ones for many steps.
+        v = tmatvec3(rot, linear)
+        v = scale3(1.0 / spinner["mass"],
+                   add3(v, tmatvec3(rot, sub3(linear, matvec3(rot, v)))))
+    store9(rot, pose_out, i, 0)
+    store3(r, pose_out, i, 9)
+    store3(w, twist_out, i, 0)
+    store3(v, twist_out, i, 3)
+
+
+@kernel
+def load(spinner, work, i):
+    """Torque about the point of a body in body axes, force in world axes."""
+    force = load3(work.wrench, i, 3)
+    torque = load3(work.wrench, i, 0)
+    if spinner["held"] == 1:
+        return add3(torque, cross3(vector3(spinner["arm"]), force)), ZERO3
+    return torque, matvec3(load9(work.stage_pose, i, 0), force)
+
+
+@kernel
+def linear_momentum(spinner, pose, twist, i):
+    """m R v of a body, world axes."""
+    return scale3(spinner["mass"], matvec3(load9(pose, i, 0), load3(twist, i, 3)))
+
+
+def misfit(layout):
+    """Why a scene (simulation.Layout) has other bodies, in words, or ""."""
+    held = set()
+    for element, owner in zip(layout.model.elements, layout.owners):
+        joint = layout.scene.joints[owner]
+        if element["parent"] != WORLD or element["kind"] != PAIR or not element["turns_freely"]:
+            return ("it takes bodies that are free or held by one ball joint to the ground, and "
+                    f"{joint.name} is a {joint.type} joint from {joint.parent} to {joint.child}")
+        if element["child"] in held:
+            return f"it takes one ball joint a body, and {joint.child} has more"
+        held.add(element["child"])
+    return ""
+
+
+def make_spinners(model):
+    """The bodies of a model as records of SPINNER."""
+    spinners = np.zeros(len(model.bodies), dtype=SPINNER)
+    for name in ("mass", "inertia", "inverse_inertia"):
+        spinners[name] = model.bodies[name]
+    for element in model.elements:
+        spinner = spinners[element["child"]]
+        d = -element["child_point"]
+        inertia = spinner["inertia"].reshape(3, 3) + spinner["mass"] * (
+            d @ d * np.eye(3) - np.outer(d, d))
+        spinner["held"], spinner["arm"], spinner["pivot"] = 1, d, element["parent_point"]
+        spinner["inertia"] = inertia.ravel()
+        spinner["inverse_inertia"] = np.linalg.inv(inertia).ravel()
+    return spinners

@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Implicit equations of one rotating body, solved by Newton's method with their exact Jacobian.
+
+Vectors in body axes, I the inertia about the centre of mass or the fixed point, t = |x|.
+    GYROSCOPIC  I x + (h/2) x x I x = c                                               x in rad/s
+    RATTLE      (sin t/t) I x + ((1-cos t)/t^2) x x I x = c                           x in rad
+    EXPONENTIAL I x + x x I x / 2 + b x x (x x I x) = c,  b = (1 - (t/2) cot(t/2))/t^2  x in rad
+    INCREMENT   (2/h) I x - I dexp_{-x} v - exp(-x) a - exp(-x/2) b = c               x in rad
+All are smooth, so Newton's method doubles the digits once it is near.
+"""
+import math
+
+from liegroup_core.compiling.kernels import kernel, subroutine
+from liegroup_core.lie.coefficients import dexp_slopes, dexpinv_coefficients, exp_coefficients
+from liegroup_core.lie.so3 import so3_dexp, so3_exp
+from liegroup_core.lie.vec3 import (IDENTITY3, axpy3, cross3, dot3, matmul3, matvec3, scale3,
+                                    solve3, sub3, tmatvec3)
+
+GYROSCOPIC, RATTLE, INCREMENT, EXPONENTIAL = 0, 1, 2, 3
+
+# Where Newton's method does not get there from its start, h is raised from zero in parts between
+# these two, each solution followed by no more than so many rad from where it was expected.
+FIRST_PART, LEAST_PART = 0.125, 1e-3
+LARGEST_MOVE = 0.25
+
+# After a correction of this part of x, or of the start, the next one would be of its square: below
+# rounding, with room for a matrix that is nearly singular.
+LAST_CORRECTION = 1e-9
+MOST_ITERATIONS = 60
+
+
+@kernel
+def _combine(s, m, t, n):
+    """s m + t n of two matrices."""
+    return (s * m[0] + t * n[0], s * m[1] + t * n[1], s * m[2] + t * n[2],
+            s * m[3] + t * n[3], s * m[4] + t * n[4], s * m[5] + t * n[5],
+            s * m[6] + t * n[6], s * m[7] + t * n[7], s * m[8] + t * n[8])
+
+
+@kernel
+def _hat(x):
+    """Matrix of the cross product with x from the left."""
+    return (0.0, -x[2], x[1], x[2], 0.0, -x[0], -x[1], x[0], 0.0)
+
+
+@kernel
+def _size(x):
+    """Sum of the components without their signs: squares of 1e-160 have not all their digits."""
+    return abs(x[0]) + abs(x[1]) + abs(x[2])
+
+
+@kernel
+def _outer(a, b):
+    """a b^T"""
+    return (a[0] * b[0], a[0] * b[1], a[0] * b[2], a[1] * b[0], a[1] * b[1], a[1] * b[2],
+            a[2] * b[0], a[2] * b[1], a[2] * b[2])
+
+
+@kernel
+def _turned(x, a):
+    """exp(-x) a and its derivative by x, (exp(-x) a)^ dexp_{-x}."""
+    q = tmatvec3(so3_exp(x), a)
+    _, c, d = exp_coefficients(dot3(x, x))
+    dexp = _combine(1.0, _combine(1.0 - d * dot3(x, x), IDENTITY3, -c, _hat(x)), d, _outer(x, x))
+    return q, matmul3(_hat(q), dexp)
+
+
+@kernel
+def _dexp_slope(x, v):
+    """Derivative of dexp_{-x} v by x."""
+    _, c, d = exp_coefficients(dot3(x, x))
+    c_slope, d_slope = dexp_slopes(dot3(x, x))
+    xv = cross3(x, v)
+    by_length = axpy3(-c_slope, xv, scale3(d_slope, cross3(x, xv)))
+    inner = _combine(1.0, _combine(dot3(x, v), IDENTITY3, 1.0, _outer(x, v)), -2.0, _outer(v, x))
+    return _combine(1.0, _combine(c, _hat(v), d, inner), 1.0, _outer(by_length, x))
+
+
+@kernel
+def _equation(kind, inertia, h, x, v, a, b, c):
+    """Left-hand side minus c, and its derivative by x."""
+    turned = matvec3(inertia, x)
+    if kind == INCREMENT:
+        first, first_slope = _turned(x, a)
+        second, second_slope = _turned(scale3(0.5, x), b)
+        carried = matvec3(inertia, so3_dexp(scale3(-1.0, x), v))
+        value = sub3(axpy3(2.0 / h, turned, scale3(-1.0, carried)), first)
+        outer = _combine(2.0 / h, inertia, -1.0, matmul3(inertia, _dexp_slope(x, v)))
+        slope = _combine(1.0, outer, -1.0, _combine(1.0, first_slope, 0.5, second_slope))
+        return sub3(sub3(value, second), c), slope
+    gyration = cross3(x, turned)
+    gyration_slope = _combine(1.0, matmul3(_hat(x), inertia), -1.0, _hat(turned))
+    if kind == GYROSCOPIC:
+        return (sub3(axpy3(0.5 * h, gyration, turned), c),
+                _combine(1.0, inertia, 0.5 * h, gyration_slope))
+    squared = dot3(x, x)
+    if kind == EXPONENTIAL:
+        b, u = dexpinv_coefficients(squared)
+        twice = cross3(x, gyration)
+        # x x (x x a) = (x x^T - x^2) a, differentiated by both x in it
+        both = _combine(1.0, _outer(x, x), -squared, IDENTITY3)
+        twice_slope = _combine(1.0, _combine(1.0, matmul3(both, inertia), 1.0, _outer(x, turned)),
+                               1.0, _combine(dot3(x, turned), IDENTITY3, -2.0,
+                                             _outer(turned, x)))
+        return (sub3(axpy3(b, twice, axpy3(0.5, gyration, turned)), c),
+                _combine(1.0, _combine(1.0, inertia, 0.5, gyration_slope), 1.0,
+                         _combine(b, twice_slope, u, _outer(twice, x))))
+    sinc, versinc, cubic = exp_coefficients(squared)
+    versinc_slope, _ = dexp_slopes(squared)
+    # (1/t) d/dt sin t/t = (t - sin t)/t^3 - (1 - cos t)/t^2
+    by_length = axpy3(cubic - versinc, turned, scale3(versinc_slope, gyration))
+    return (sub3(axpy3(sinc, turned, scale3(versinc, gyration)), c),
+            _combine(1.0, _combine(sinc, inertia, versinc, gyration_slope), 1.0,
+                     _outer(by_length, x)))
+
+
+@subroutine
+def newton(kind, inertia, h, start, v, a, b, c):
+    """Solve an equation from a start; returns (x, True), or (x, False) where it does not converge.
+
+    A correction that does not lessen what is left of the equation is halved.
+    """
+    base = x = start
+    scale = _size(start)
+    correction = (0.0, 0.0, 0.0)
+    least = math.inf
+    for _ in range(MOST_ITERATIONS):
+        left, slope = _equation(kind, inertia, h, x, v, a, b, c)
+        size = _size(left)
+        if size < least:
+            least, base = size, x
+            correction = solve3(slope, left)
+            x = sub3(base, correction)
+            largest = max(scale, _size(x))
+            if _size(correction) <= LAST_CORRECTION * largest:
+                return x, True
+        else:
+            correction = scale3(0.5, correction)
+            x = sub3(base, correction)
+            if size == 0.0:
+                return base, True
+    return base, False
+
+
+@subroutine
+def follow(inertia, h, start, v, a, b, c):
+    """Solve an INCREMENT equation, from a start or else along the solutions for smaller h.
+
+    returns (x, True), or (x, False) where that ends before h. At steps of much more than 1 rad
+    there are several solutions; the one that is followed is a small turn for a small h.
+    """
+    x, found = newton(INCREMENT, inertia, h, start, v, a, b, c)
+    if found:
+        return x, True
+    part, more = 0.0, FIRST_PART
+    x = (0.0, 0.0, 0.0)
+    while part < 1.0 and more >= LEAST_PART:
+        wanted = min(1.0, part + more)
+        expected = scale3(wanted / part, x) if part > 0.0 else scale3(wanted, start)
+        y, found = newton(INCREMENT, inertia, wanted * h, expected, v, a, b, c)
+        off = sub3(y, expected)
+        if found and dot3(off, off) <= LARGEST_MOVE * LARGEST_MOVE:
+            x, part = y, wanted
+            more *= 2.0
+        else:
+            more *= 0.5
+    return x, part == 1.0

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers of many states or bodies in one call, for long recordings and many messages."""
+import numpy as np
+
+from liegroup_core.compiling.kernels import SameTypes, kernel
+from liegroup_core.formulations.absolute.constraints import position_residuals
+from liegroup_core.formulations.absolute.invariants import energy
+from liegroup_core.forces import kinds
+from liegroup_core.forces.gravity import energy as gravity_energy
+from liegroup_core.lie.so3 import so3_to_quaternion
+from liegroup_core.lie.vec3 import load9
+
+
+@kernel
+def _along(model, angle, pose, twist, energy_out, kinetic_out, residual_out, angle_out):
+    for k in range(len(pose)):
+        kinds.count_turns(model.forces, pose[k], angle)
+        total = energy(model, angle, pose[k], twist[k])
+        energy_out[k] = total
+        kinetic_out[k] = total - (gravity_energy(model, pose[k])
+                                  + kinds.energy(model.forces, angle, pose[k]))
+        position_residuals(model, pose[k], residual_out[k])
+        angle_out[k] = angle
+
+
+@SameTypes
+@kernel
+def _quaternions(pose, out):
+    for k in range(len(pose)):
+        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = so3_to_quaternion(load9(pose, k, 0))
+
+
+def quaternions(pose):
+    """Quaternions (..., 4) x, y, z, w >= 0 of poses (..., 12), to the bit as Sample has them."""
+    pose = np.array(pose, dtype=float, order="C")       # writable: always the same type
+    out = np.empty((*pose.shape[:-1], 4))
+    _quaternions(pose.reshape(-1, 12), out.reshape(-1, 4))
+    return out
+
+
+@SameTypes
+@kernel
+def _rows(pose, twist, out):
+    for k in range(len(pose)):
+        out[k, 3], out[k, 4], out[k, 5], out[k, 6] = so3_to_quaternion(load9(pose, k, 0))
+        for i in range(3):
+            out[k, i] = pose[k, 9 + i]
+            out[k, 7 + i], out[k, 10 + i] = twist[k, 3 + i], twist[k, i]
+
+
+def rows(pose, twist):
+    """(n, 13) position, quaternion as above, v, omega of poses (n, 12) and twists (n, 6).
+
+    The arrays are those of a Sample: C-contiguous, not to be written.
+    """
+    out = np.empty((len(pose), 13))
+    _rows(pose, twist, out)
+    return out
+
+
+class Along:
+    """Follows a motion of the body frames of a layout, piece by piece.
+
+    The turns of torsional springs are counted from one state to the next, which must be less than
+    half a turn on. `restart` where a motion begins anew.
+    """
+
+    def __init__(self, layout):
+        self._layout = layout
+        joints = len(layout.scene.joints)
+        self._of_joint = np.zeros((len(layout.joint_of_row), joints))
+        self._of_joint[np.arange(len(layout.joint_of_row)), layout.joint_of_row] = 1.0
+        self.restart()
+
+    def restart(self, near=None):
+        """The next state is the first one of a motion.
+
+        near : (t,) rad, angles of the torsional springs there; None: less than half a turn
+        """
+        self._angle, self._near = None, near
+
+    def follow(self, pose, twist):
+        """What the next k states have.
+
+        pose (k, n, 12), twist (k, n, 6) of the body frames, k > 0
+        returns energy (k,) J, kinetic energy (k,) J, residual (k, joints) m and rad: the norm of
+        each joint's, angles (k, t) rad of the torsional springs
+        """
+        layout = self._layout
+        pose, twist = (np.ascontiguousarray(part) for part in
+                       layout.offsets.to_centres(pose, twist))
+        if self._angle is None:
+            self._angle = layout.angles(pose[0], self._near)
+        k = len(pose)
+        energies, kinetic = np.empty(k), np.empty(k)
+        residual = np.zeros((k, len(layout.joint_of_row)))
+        angles = np.empty((k, len(self._angle)))
+        _along(layout.model, self._angle, pose, twist, energies, kinetic, residual, angles)
+        return energies, kinetic, np.sqrt(residual ** 2 @ self._of_joint), angles

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sample: an immutable copy of a state with names, the only thing that leaves the core."""
+from functools import cached_property
+
+import numpy as np
+
+from liegroup_core.formulations.absolute import invariants
+from liegroup_core.formulations.absolute.constraints import position_residuals
+from liegroup_core.forces import kinds
+from liegroup_core.forces.timetable import ROUNDING, acting_at
+from .along import quaternions, rows
+
+
+class Sample:
+    """State of a mechanism at one instant.
+
+    layout : Layout of its scene
+    time, time_ns, steps : s, ns, and number of steps since the start or the last reset
+    pose  : (n, 12) per body R row by row, then r in m; body frame -> world
+    twist : (n, 6) per body omega rad/s, v m/s; body axes, v of the frame's origin
+    It is made from the pose and twist of the frames at the centres of mass; what it has is of the
+    body frames of the scene.
+    What follows from these is computed when it is asked for, and once.
+    """
+
+    def __init__(self, layout, time, time_ns, steps, pose, twist, near):
+        self._layout, self._near = layout, near
+        self.time, self.time_ns, self.steps = time, time_ns, steps
+        self._state = pose, twist
+        self.pose, self.twist = layout.offsets.to_bodies(pose, twist)
+        for array in (pose, twist, self.pose, self.twist):
+            array.flags.writeable = False
+
+    @property
+    def body_names(self):
+        """Names of the bodies in the order of `pose` and `twist`."""
+        return self._layout.body_names
+
+    def _by_body(self, values):
+        return dict(zip(self._layout.body_names, values))
+
+    @cached_property
+    def pose_matrices(self):
+        """(n, 4, 4) homogeneous poses, body frame -> world."""
+        matrices = np.zeros((len(self.pose), 4, 4))
+        matrices[:, :3, :3] = self.pose[:, :9].reshape(-1, 3, 3)
+        matrices[:, :3, 3] = self.pose[:, 9:]
+        matrices[:, 3, 3] = 1.0
+        matrices.flags.writeable = False
+        return matrices
+
+    @cached_property
+    def poses(self):
+        """{body: (4, 4)} homogeneous poses, body frame -> world."""
+        return self._by_body(self.pose_matrices)
+
+    @cached_property
+    def twists(self):
+        """{body: (6,)} (omega, v), body-fixed."""
+        return self._by_body(self.twist)
+
+    @cached_property
+    def positions(self):
+        """{body: (3,)} of the body frame's origin, m, world axes."""
+        return self._by_body(self.pose[:, 9:])
+
+    @cached_property
+    def orientation(self):
+        """(n, 4) x, y, z, w of the rotations body -> world, w >= 0."""
+        return quaternions(self.pose)
+
+    @cached_property
+    def quaternions(self):
+        """{body: (4,)} x, y, z, w of the rotation body -> world, w >= 0."""
+        return self._by_body(self.orientation)
+
+    @property
+    def rows(self):
+        """(n, 13) per body x, y, z, then qx, qy, qz, qw, then v and omega, as messages have them:
+        the numbers of `positions`, `quaternions` and `twists`, for all bodies at once."""
+        return rows(self.pose, self.twist)
+
+    @cached_property
+    def angles(self):
+        """(k,) angle of each torsional spring in the order of the scene, over many turns, rad."""
+        return self._layout.angles(self._state[0], self._near)
+
+    @cached_property
+    def joint_coordinates(self):
+        """{joint: (coordinate, rate)} of the revolute joints in rad and rad/s, of the prismatic
+        ones in m and m/s. Whole turns are counted where the joint has a torsional spring; other
+        angles lie between -pi and pi."""
+        return self._layout.coordinates.at(*self._state, self.angles)
+
+    @cached_property
+    def energy(self):
+        """Kinetic energy plus potential energy of gravity and springs, J."""
+        return invariants.energy(self._layout.model, self.angles, *self._state)
+
+    @cached_property
+    def power(self):
+        """Rate of the energy, W: what motors and the scene's applied wrenches give, and dampers
+        and drag take. Wrenches applied from outside the scene come on top."""
+        forces = self._layout.model.forces
+        # A wrench that starts at this very time acts, whichever way the time was rounded.
+        acting = acting_at(forces.applied_wrench, self.time * (1.0 + ROUNDING))
+        return kinds.power(forces, acting, *self._state)
+
+    @cached_property
+    def spatial_momentum(self):
+        """(6,) angular momentum about the world origin, then linear momentum; world axes."""
+        return np.concatenate(
+            invariants.spatial_momentum(self._layout.model, *self._state))
+
+    @cached_property
+    def joint_residuals(self):
+        """{joint: norm of its position residual}, m and rad."""
+        model, joints = self._layout.model, self._layout.scene.joints
+        residual = np.zeros(len(self._layout.joint_of_row))
+        position_residuals(model, self._state[0], residual)
+        squares = np.bincount(self._layout.joint_of_row, residual ** 2, len(joints))
+        return {joint.name: float(norm) for joint, norm in zip(joints, np.sqrt(squares))}
+
+    @cached_property
+    def constraint_residual(self):
+        """The largest joint residual, 0 without joints."""
+        return max(self.joint_residuals.values(), default=0.0)

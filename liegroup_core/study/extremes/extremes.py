@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The map of extremes: every method on every axis, each cell judged, in parallel.
+
+    from liegroup_core.study.extremes.extremes import survey
+    for count, axis, cells, complete in survey(AXES): ...
+
+See extremes_axes.py for what is driven to its limit, extremes_cell.py for how a cell is judged.
+"""
+from collections import Counter
+from functools import partial
+from pathlib import Path
+
+from liegroup_core.errors import SceneError, SimulationError
+from liegroup_core.integrators import misfit
+from liegroup_core.integrators.methods import METHODS
+from liegroup_core.scene.load import load_scene
+from liegroup_core.simulation import make_layout
+from . import problems as problems
+from .axes import _STEPS, AXES, Axis, _powers
+from .cell import REFUSED, SILENT, UNJUDGED, VERDICTS, judge_alike, run_cell
+from liegroup_core.study.trade.cache import Folder, key_of
+from liegroup_core.study.tasks import run
+
+# Of the problems and of how they are judged: the key of what is kept does not see these sources.
+FORMAT = 2
+
+
+def axes_of(scene=None, horizon=8.0, long=False):
+    """The axes of the map; with the name of a scene, those that any scene has: step and speed.
+
+    A scene that is at rest at the start has no speeds.
+    """
+    if scene is None:
+        return tuple(axis for axis in AXES if long or not axis.long)
+    steps = tuple(step for step in _STEPS if step <= horizon)
+    axes = (Axis("step", f"step, {horizon:g} s", "s", steps,
+                 partial(problems.of_scene_step, scene, horizon), quick=steps[::3]),
+            Axis("speed", f"velocities at the start at 1 ms, {horizon:g} s", "times",
+                 _powers(-6, 5), partial(problems.of_scene_speed, scene, horizon),
+                 quick=(1e-3, 1.0, 1e3)))
+    return axes if problems.moves(load_scene(scene)) else axes[:1]
+
+
+class Kept:
+    """Columns that were run, kept as soon as they are: what is ended goes on where it was.
+
+    folder : Folder; None: nothing is kept
+    """
+
+    FILE = "cells.jsonl"
+
+    def __init__(self, folder=None):
+        self._folder, self._known = folder, {}
+        for line in folder.lines(self.FILE) if folder else ():
+            known = self._known.setdefault((line["axis"], line["value"]), {})
+            known |= dict.fromkeys(line["methods"])
+            known |= {cell["method"]: cell for cell in line["cells"]}
+
+    @classmethod
+    def of(cls, scene=None, horizon=None, root=None):
+        """What is kept of a Scene over a horizon, or of the axes of the map.
+
+        root : folder; None: in the user's cache
+        """
+        text = "" if scene is None else f"{scene.text} {horizon}"
+        return cls(Folder(Path("extremes", key_of(f"extremes {FORMAT} {text}")), root))
+
+    def missing(self, axis, value, methods):
+        """Those of the methods that have not been run there."""
+        return tuple(name for name in methods
+                     if name not in self._known.get((axis, value), ()))
+
+    def cells(self, axis, value, methods):
+        """Cells of those that have been, and are for the problem."""
+        known = self._known.get((axis, value), {})
+        return [dict(known[name]) for name in methods if known.get(name)]
+
+    def keep(self, axis, value, methods, cells):
+        """Keep what came of a column."""
+        line = {"axis": axis, "value": value, "methods": list(methods), "cells": cells}
+        if self._folder is not None:
+            self._folder.keep_line(self.FILE, line)
+
+
+def survey(axes, quick=False, methods=tuple(METHODS), scheduler=None, workers=None, kept=None):
+    """Yields (number of columns, Axis, cells, whether the axis is complete) as columns are done.
+
+    quick : only the values that tests take
+    kept  : Kept, which then holds what was run; what it holds already is not run again
+    A cell is a dict for JSON. A column is one value of one axis: its true motion is made once, and
+    all methods are run; where it takes long each method is a column of its own. Columns of an axis
+    along which only the scale changes come together, as they are judged together.
+    """
+    kept = kept or Kept()
+    columns = [(axis, value, group) for axis in axes
+               for value in (axis.quick if quick else axis.values)
+               for group in ([(name,) for name in methods] if axis.long else [tuple(methods)])]
+    waiting = {axis.name: [] for axis in axes}
+    left = Counter(axis.name for axis, _, _ in columns)
+
+    def done(k, cells):
+        axis = columns[k][0]
+        waiting[axis.name] += cells
+        left[axis.name] -= 1
+        complete = not left[axis.name]
+        cells = []
+        if axis.alike is None or complete:
+            cells, waiting[axis.name] = waiting[axis.name], []
+            if axis.alike is not None:
+                judge_alike(cells, axis.alike)
+        return len(columns), axis, cells, complete
+
+    def before(k):
+        axis, value, group = columns[k]
+        return kept.cells(axis.name, value, group)
+
+    work = []
+    for k, (axis, value, group) in enumerate(columns):
+        missing = kept.missing(axis.name, value, group)
+        if missing:
+            work.append((k, (axis, value, missing)))
+        else:
+            yield done(k, before(k))
+    for place, cells in run(column, [item for _, item in work], scheduler, workers):
+        k, (axis, value, missing) = work[place]
+        kept.keep(axis.name, value, missing, cells)
+        yield done(k, before(k) + cells)
+
+
+def column(item):
+    """The cells of a value of an axis: item is (Axis, value, names of methods)."""
+    axis, value, methods = item
+    where = {"axis": axis.name, "value": value}
+    problem = axis.problem(value)
+    try:
+        layout = make_layout(problem.scene)
+    except SceneError as error:
+        refused = [where | {"method": method, "verdict": REFUSED, "says": [str(error)]}
+                   for method in methods]
+        if axis.alike is None:
+            return refused
+        layout = make_layout(axis.problem(axis.alike).scene)    # the same joints
+        return [cell for cell in refused if not misfit(cell["method"], layout)]
+    # What a method is not for is not judged.
+    methods = [method for method in methods if not misfit(method, layout)]
+    try:
+        truth = problem.motion(problem.samples() * problem.step)
+    except (SimulationError, ValueError) as error:
+        return [where | {"method": method, "verdict": UNJUDGED, "says": [str(error)]}
+                for method in methods]
+    return [where | run_cell(problem, truth, method) for method in methods]
+
+
+def counts(cells):
+    """{verdict: number of cells}."""
+    return {verdict: sum(cell["verdict"] == verdict for cell in cells) for verdict in VERDICTS}
+
+
+def silent(cells):
+    """The cells that must not be."""
+    return [cell for cell in cells if cell["verdict"] == SILENT]
+
+
+__all__ = ["AXES", "VERDICTS", "Kept", "axes_of", "column", "counts", "silent", "survey"]

@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of a scene: every number in it by its path, ranges of them, and changed scenes.
+
+    bodies.top.mass     joints.pin.parent_frame.position.0      forces.spring.stiffness   gravity.2
+
+Bodies, joints and forces are named, components of vectors numbered from 0. The last parts of a
+path do where no other path ends with them: `mass` in a scene with one body, `spring.stiffness`. A
+rotation is its rotation vector, however the scene gives it.
+"""
+import difflib
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+from scipy.special import ndtri
+
+from liegroup_core.errors import LieGroupSimError
+from liegroup_core.lie.groups import SO3
+from liegroup_core.scene.description import RATES, Body
+from liegroup_core.scene.frames import ROTATIONS, Placed
+from liegroup_core.scene.values import Described, Number
+
+SHOWN = 12                  # names in a message
+# Made from others, or bound together by more than their own rules.
+OF_SHAPE = ("mass", "inertia", "com")
+
+
+class ParameterError(LieGroupSimError, ValueError):
+    """A parameter that is not there, or a range that is none; one line of text, exit code 2."""
+
+
+def parameters(scene):
+    """{path: number} of all numbers of a scene; None where the scene leaves it to the others."""
+    return {".".join(path): value for path, value in _numbers(scene, ())}
+
+
+def _numbers(value, path):
+    if value is None or isinstance(value, float):
+        yield path, value
+    elif isinstance(value, tuple):
+        for i, entry in enumerate(value):
+            yield from _numbers(entry, (*path, getattr(entry, "name", str(i))))
+    elif isinstance(value, Described):
+        for key in type(value).model_fields:
+            if _is_parameter(value, key):
+                yield from _numbers(_entry(value, key), (*path, key))
+
+
+def _is_parameter(model, key):
+    entry = _entry(model, key)
+    if isinstance(model, Body) and model.shape is not None and key in OF_SHAPE:
+        return False
+    if key == "rate":
+        return model.type in RATES
+    return key != "quaternion" and (key == "length" or isinstance(
+        entry, (float, tuple, Described)))
+
+
+def _entry(model, key):
+    """An entry of a model; a rotation vector also where the scene gives the rotation otherwise."""
+    entry = getattr(model, key)
+    if key == "rotation_vector" and entry is None and isinstance(model, Placed):
+        return tuple(SO3.log(model.rotation).tolist())
+    return entry
+
+
+def path_of(scene, name):
+    """The path that a name stands for: the path itself, or an end that no other path has.
+
+    raises ParameterError that says which names there are
+    """
+    known = parameters(scene)
+    if name in known:
+        return name
+    found = [path for path in known if path.endswith(f".{name}")]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        raise ParameterError(f"the parameter {name} may be {_listed(found)}: say which")
+    ends = {".".join(path.split(".")[-k:]): path for path in known for k in (1, 2, 3)}
+    close = [ends[end] for end in difflib.get_close_matches(name, list(ends), n=3, cutoff=0.7)]
+    close += difflib.get_close_matches(name, list(known), n=3, cutoff=0.6)
+    meant = f"did you mean {_listed(list(dict.fromkeys(close)), 3, 'or')}? " if close else ""
+    raise ParameterError(f"the scene has no parameter {name[:60]}; {meant}there are "
+                         f"{_listed(list(known))}")
+
+
+def _listed(names, most=SHOWN, word="and"):
+    if len(names) > most:
+        return f"{', '.join(names[:most])} and {len(names) - most} more"
+    return f" {word} ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+
+
+def changed(scene, values):
+    """The scene with other numbers, {path: number}, checked like a new one. Raises SceneError."""
+    tree = {}
+    for path, value in values.items():
+        *inner, last = path.split(".")
+        branch = tree
+        for step in inner:
+            branch = branch.setdefault(step, {})
+        branch[last] = float(value)
+    return _changed(scene, tree)
+
+
+def _changed(value, tree):
+    if not isinstance(tree, dict):
+        return tree
+    if isinstance(value, tuple):
+        labels = [getattr(entry, "name", str(i)) for i, entry in enumerate(value)]
+        return [_changed(entry, tree[label]) if label in tree else entry
+                for label, entry in zip(labels, value)]
+    update = {key: _changed(_entry(value, key), branch) for key, branch in tree.items()}
+    other = [key for key in ROTATIONS if key != "rotation_vector"]
+    return value.remade(other if "rotation_vector" in tree else (), **update)
+
+
+@dataclass(frozen=True)
+class Range:
+    """Values of one parameter, as shares u of 0..1 of all of them.
+
+    kind : uniform (low, high), log (low, high), choice (values), normal (mean, deviation)
+    """
+
+    path: str
+    kind: str
+    numbers: tuple
+
+    def at(self, u):
+        """(k,) values for shares (k,); the same share is the same value."""
+        if self.kind == "choice":
+            index = np.minimum((u * len(self.numbers)).astype(int), len(self.numbers) - 1)
+            return np.array(self.numbers)[index]
+        first, second = self.numbers
+        if self.kind == "normal":
+            tiny = np.finfo(float).eps
+            return first + second * ndtri(np.clip(u, tiny, 1.0 - tiny))
+        values = (first * (second / first) ** u if self.kind == "log"
+                  else first + u * (second - first))
+        return np.clip(values, first, second)
+
+    def __str__(self):
+        mark = {"choice": ",", "normal": "~"}.get(self.kind, ":")
+        return (f"{self.path}={mark.join(map(repr, self.numbers))}"
+                + (":log" if self.kind == "log" else ""))
+
+
+def range_of(scene, text):
+    """Range of a text: NAME=LOW:HIGH, NAME=LOW:HIGH:log, NAME=A,B,C or NAME=MEAN~DEVIATION.
+
+    raises ParameterError for another form, an unknown name, and a number the scene cannot have
+    """
+    name, equals, rest = text.partition("=")
+    if not equals or not name.strip() or not rest.strip():
+        raise _refused(text, "must be NAME=LOW:HIGH, NAME=LOW:HIGH:log, NAME=A,B,C or "
+                             "NAME=MEAN~DEVIATION")
+    path = path_of(scene, name.strip())
+    log = rest.endswith(":log")
+    rest = rest.removesuffix(":log")
+    mark = next((mark for mark in "~,:" if mark in rest), ",")
+    try:
+        numbers = tuple(float(part) for part in rest.split(mark))
+    except ValueError:
+        raise _refused(text, "has something that is no number") from None
+    if not all(map(math.isfinite, numbers)):
+        raise _refused(text, "has a number that is not finite")
+    kind = {"~": "normal", ",": "choice", ":": "log" if log else "uniform"}[mark]
+    if log and kind != "log":
+        raise _refused(text, "log goes with LOW:HIGH")
+    if kind != "choice" and len(numbers) != 2:
+        raise _refused(text, f"must have two numbers, has {len(numbers)}")
+    if kind in ("uniform", "log") and not numbers[0] < numbers[1]:
+        raise _refused(text, f"{numbers[0]:g} must be below {numbers[1]:g}")
+    if kind == "log" and not numbers[0] > 0.0:
+        raise _refused(text, f"log needs numbers greater than 0, got {numbers[0]:g}")
+    if kind == "normal" and not numbers[1] > 0.0:
+        raise _refused(text, f"the deviation must be greater than 0, got {numbers[1]:g}")
+    rule = _rule(scene, path)
+    for number in numbers[:1] if kind == "normal" else numbers:
+        try:
+            rule.validate_python(number)
+        except ValidationError as error:
+            cause = error.errors()[0].get("ctx", {}).get("error", "is refused")
+            raise _refused(text, f"{path} {cause}, got {number:g}") from None
+    return Range(path, kind, numbers)
+
+
+def _rule(scene, path):
+    """What the number itself must be, whatever stands beside it."""
+    model, steps = scene, path.split(".")
+    while steps:
+        key = steps.pop(0)
+        if isinstance(model, tuple):
+            model = next((entry for entry in model if getattr(entry, "name", None) == key), None)
+        elif steps:
+            model = _entry(model, key)
+        elif isinstance(model, Described):
+            field = type(model).model_fields[key]
+            return TypeAdapter(Annotated[field.annotation, *field.metadata]
+                               if field.metadata else field.annotation)
+    return TypeAdapter(Number)
+
+
+def _refused(text, why):
+    return ParameterError(f"--vary {text[:80]}: {why}")

@@ -1,0 +1,304 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ensembles: many runs of a scene whose numbers are drawn from ranges, by a Latin hypercube.
+
+    scene = load_scene("heavy_top")
+    sweep = Sweep.of(scene, ["mass=10:20"], samples=100, steps=1000)
+    for columns in sweep.run(range(100), workers=1):
+        print(columns["bodies.top.mass"], columns["top.z"], columns["status"])
+
+Run k depends on the sweep and on k alone: not on the other runs, on workers, or on how the runs
+are handed out to these. A run that cannot be made or has to stop is a row that says why.
+"""
+import math
+import time
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from scipy.stats.qmc import LatinHypercube
+
+from liegroup_core.compiling.kernels import source_digest
+from liegroup_core.errors import LieGroupSimError
+from liegroup_core.scene.assembly import assembled
+from liegroup_core.scene.load import scene_as_written
+from liegroup_core.simulation import Simulation
+from liegroup_core.study.trade.measure import listening
+from .parameters import ParameterError, changed, parameters, range_of
+from liegroup_core.study.tasks import TasksError
+from liegroup_core.study.tasks import run as run_tasks
+
+FORMAT = 1                  # of the description and of the columns
+POSE, TWIST = ("x", "y", "z", "qx", "qy", "qz", "qw"), ("wx", "wy", "wz", "vx", "vy", "vz")
+CHECKS = 10                 # times in a run at which energy and joints are looked at, if not told
+# A piece of work takes so long, CPU s: far above what handing it out costs, short enough that few
+# are lost when a run is interrupted. There are at most so many pieces, for each is a file.
+PIECE, MOST_PIECES = 0.5, 1000
+MOST_VALUES = 2_000_000     # in the results of a piece
+MOST_DRAWS = 100_000_000    # numbers, 0.8 GB
+FIRST = 0.2                 # CPU s of runs that are made first, to see what one costs
+SMALL = 5.0                 # CPU s in all: below it workers take longer to start than to work
+OK = "ok"
+VELOCITIES = {"angular_velocity": 0, "linear_velocity": 3}      # first component in a twist
+PLACES = (["position"], ["rotation_vector"])
+NEAR = 1e-9                 # what assembly may do to a drawn pose without a word: its round-off
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """What the runs of an ensemble are made of: all that a worker must know.
+
+    text     : of the scene file
+    name     : of the scene
+    ranges   : tuple of Range
+    samples  : number of runs
+    seed     : of the Latin hypercube, a whole number from 0 on
+    steps    : of each run
+    every    : steps from one look at energy and joints to the next
+    keep     : whether the states at these times are kept
+    assemble : whether joints are to close poses and velocities, whatever the scene says
+    settings : ((name, value), ...), arguments of Simulation, method and step among them
+    sources  : digest of the sources, which a worker must have too
+    """
+
+    text: str
+    name: str
+    ranges: tuple
+    samples: int
+    seed: int
+    steps: int
+    every: int
+    keep: bool
+    assemble: bool
+    settings: tuple
+    sources: str
+
+    @classmethod
+    def of(cls, scene, vary, samples, steps, seed=0, every=None, assemble=False, settings=None):
+        """Sweep of a Scene with ranges as texts, see parameters.range_of; the rest as above.
+
+        every : None: a tenth of the run, and no states are kept
+        raises ParameterError, SceneError, ValueError for settings that do not fit the scene
+        """
+        for number, least, what in ((samples, 1, "samples"), (steps, 1, "steps"),
+                                    (seed, 0, "the seed"), (every or 1, 1, "every")):
+            if number < least:
+                raise ParameterError(f"{what} must be at least {least}, got {number}")
+        written = scene_as_written(scene.text, scene.source)
+        ranges = tuple(range_of(written, text) for text in vary)
+        if not ranges:
+            raise ParameterError("nothing varies: give --vary NAME=LOW:HIGH")
+        paths = [entry.path for entry in ranges]
+        for path in paths:
+            if paths.count(path) > 1:
+                raise ParameterError(f"--vary: {path} is given twice")
+        if samples * len(ranges) > MOST_DRAWS:
+            raise ParameterError(f"{samples} samples of {len(ranges)} parameters are more numbers "
+                                 f"than {MOST_DRAWS:.0e}: make several sweeps, with other seeds")
+        simulation = Simulation(scene, **(settings or {}))      # compiles, and refuses settings
+        settings = {"method": simulation.method, "step": simulation.step, **(settings or {})}
+        return cls(scene.text, scene.name, ranges, samples, seed, steps,
+                   every or max(1, math.ceil(steps / CHECKS)), bool(every), assemble,
+                   tuple(sorted(settings.items())), source_digest())
+
+    @property
+    def paths(self):
+        """Names of the parameters, which are those of their columns."""
+        return tuple(entry.path for entry in self.ranges)
+
+    @property
+    def values(self):
+        """(samples, parameters) values: of each parameter one in every share of its range."""
+        return _values(self.ranges, self.samples, self.seed)
+
+    def scene(self, k):
+        """Scene of run k; its `text` is a scene file. Raises SceneError."""
+        return self._scene_at(self.values[k])
+
+    def _scene_at(self, values):
+        scene = changed(_base(self.text, self.name, self.assemble), dict(zip(self.paths, values)))
+        return assembled(scene, _velocities_in(self.paths))
+
+    def _unlike(self, values, scene):
+        """What assembly made of a pose that was drawn, one line, or None."""
+        found = parameters(scene) if self._places else {}
+        for path, value in zip(self.paths, values):
+            if path in self._places and abs(found[path] - value) > NEAR * max(1.0, abs(value)):
+                return (f"the joints close with {path} {found[path]:.6g} in place of {value:.6g}: "
+                        "give that body initial: fixed, or draw a joint frame that places it")
+        return None
+
+    @cached_property
+    def _places(self):
+        return {path for path in self.paths if path.split(".")[2:3] in PLACES
+                } if _base(self.text, self.name, self.assemble).assemble else set()
+
+    def simulation(self, k):
+        """Simulation of run k, at its start. Raises as Simulation does."""
+        return Simulation(self.scene(k), **dict(self.settings))
+
+    @property
+    def columns(self):
+        """{name: "int", "float", "text" or "list"} of what comes of a run, see docs/sweep.md."""
+        bodies = [body.name for body in _base(self.text, self.name, False).bodies]
+        state = [f"{body}.{part}" for body in bodies for part in POSE + TWIST]
+        kept = [f"samples.{name}" for name in ("time", *state)] if self.keep else []
+        floats = ("time", *state, "energy_start", "energy_drift", "joints")
+        return ({"run": "int"} | dict.fromkeys(self.paths, "float")
+                | {"status": "text", "warning": "text"} | dict.fromkeys(floats, "float")
+                | dict.fromkeys(kept, "list") | {"cpu_s": "float"})
+
+    def run(self, runs, scheduler=None, workers=None):
+        """Make runs, ascending numbers; yields {column: (k,) values} of pieces as they are done.
+
+        scheduler, workers : as of tasks.run; None: few short runs are made here, one by one
+        raises TasksError
+        """
+        runs = np.asarray(runs, dtype=int)
+        if not len(runs):
+            return
+        try:
+            self.simulation(int(runs[0]))       # what has not been compiled is no part of the cost
+        except (LieGroupSimError, ValueError, ArithmeticError):
+            pass
+        first = simulate((self, int(runs[0]), self._given(runs[:_together(runs)])), FIRST)
+        yield first
+        rest = runs[len(first["run"]):]
+        costs = first["cpu_s"]
+        cost = max(float(np.mean(costs[1:] if len(costs) > 1 else costs)), 1e-6)
+        total = cost * len(rest)
+        if scheduler is None and workers is None and total < SMALL:
+            workers = 1
+        most = round(max(PIECE, total / MOST_PIECES) / cost)
+        most = max(1, min(most, MOST_VALUES // self._size))
+        pieces = []
+        while len(rest):
+            count = min(most, _together(rest))
+            pieces.append((self, int(rest[0]), self._given(rest[:count])))
+            rest = rest[count:]
+        if pieces:
+            for _, columns in run_tasks(simulate, pieces, scheduler, workers):
+                yield columns
+
+    @property
+    def _size(self):
+        """Numbers that come of a run, about."""
+        kinds = list(self.columns.values())
+        return len(kinds) + kinds.count("list") * (2 + self.steps // self.every)
+
+    def _given(self, runs):
+        return self.values[runs[0]:runs[0] + len(runs)]
+
+
+@lru_cache(maxsize=4)
+def _velocities_in(paths):
+    """(body, component) of all velocities among these: assembly keeps them as they are drawn."""
+    steps = [path.split(".") for path in paths]
+    return tuple((step[1], VELOCITIES[step[2]] + int(step[3])) for step in steps
+                 if step[0] == "bodies" and step[2] in VELOCITIES)
+
+
+def _together(runs):
+    """How many of the first of these numbers follow each other."""
+    breaks = np.flatnonzero(np.diff(runs) != 1)
+    return int(breaks[0]) + 1 if len(breaks) else len(runs)
+
+
+@lru_cache(maxsize=4)
+def _values(ranges, samples, seed):
+    shares = LatinHypercube(len(ranges), seed=np.random.default_rng(seed)).random(samples)
+    values = np.column_stack([entry.at(u) for entry, u in zip(ranges, shares.T)])
+    values.flags.writeable = False
+    return values
+
+
+@lru_cache(maxsize=4)
+def _base(text, name, assemble):
+    scene = scene_as_written(text, name)
+    return scene.remade(assemble=True) if assemble else scene
+
+
+def simulate(work, limit=math.inf):
+    """What comes of (Sweep, number of the first run, values of its parameters and the next ones').
+
+    limit : CPU s after which no further run is begun
+    returns {column: values}, see Sweep.columns
+    raises TasksError where the sources here are others than those of the sweep
+    """
+    sweep, first, values = work
+    if sweep.sources != source_digest():
+        raise TasksError("a worker has another version of liegroup_core: install the same on all")
+    rows, spent = [], 0.0
+    for k, row in enumerate(values):
+        rows.append({"run": first + k, **dict(zip(sweep.paths, row)), **_run(sweep, row)})
+        spent += rows[-1]["cpu_s"]
+        if spent > limit:
+            break
+    kinds = {"int": np.int64, "float": float}
+    return {name: np.array([row.get(name, math.nan) for row in rows], dtype=kinds[kind])
+            if kind in kinds else [row.get(name) for row in rows]
+            for name, kind in sweep.columns.items()}
+
+
+def _run(sweep, values):
+    """One run as {column: value}; what it did not come to is left out."""
+    start = time.thread_time()
+    looks, simulation, status = [], None, OK
+    with listening() as said:
+        try:
+            scene = sweep._scene_at(values)
+            said += filter(None, [sweep._unlike(values, scene)])
+            simulation = Simulation(scene, **dict(sweep.settings))
+            looks.append(_look(simulation))
+            while simulation.steps < sweep.steps:
+                simulation.advance(min(sweep.every, sweep.steps - simulation.steps))
+                looks.append(_look(simulation))
+        except (LieGroupSimError, ValueError, ArithmeticError) as error:
+            status = " ".join(str(error).split()) or type(error).__name__
+            if looks and simulation.steps > looks[-1].steps:
+                looks.append(_look(simulation))
+    found = {"status": status, "warning": None}
+    if looks:
+        energy = np.array([sample.energy for sample in looks])
+        found |= {
+            "warning": simulation.doubt or next(iter(said), None),
+            "energy_start": energy[0], "energy_drift": np.abs(energy - energy[0]).max(),
+            "joints": max(sample.constraint_residual for sample in looks)}
+        states = np.array([_state(sample) for sample in (looks if sweep.keep else looks[-1:])])
+        names = ["time", *(f"{body}.{part}" for body in looks[0].body_names
+                           for part in POSE + TWIST)]
+        found |= dict(zip(names, states[-1]))
+        if sweep.keep:
+            found |= {f"samples.{name}": column for name, column in zip(names, states.T.copy())}
+    return found | {"cpu_s": time.thread_time() - start}
+
+
+def _look(simulation):
+    sample = simulation.sample()
+    if not math.isfinite(sample.energy):
+        raise ArithmeticError(f"the energy is not finite at t = {sample.time:.9g} s")
+    return sample
+
+
+def _state(sample):
+    """Time, and position, quaternion and twist of each body, in a row."""
+    return np.concatenate([[sample.time], np.concatenate(
+        [sample.pose[:, 9:], sample.orientation, sample.twist], axis=1).ravel()])
+
+
+def describe(sweep):
+    """A sweep as JSON types; `described` makes it again."""
+    return {"format": FORMAT, "scene": sweep.name, "text": sweep.text,
+            "vary": [str(entry) for entry in sweep.ranges], "samples": sweep.samples,
+            "seed": sweep.seed, "steps": sweep.steps, "every": sweep.every, "keep": sweep.keep,
+            "assemble": sweep.assemble, "settings": dict(sweep.settings),
+            "sources": sweep.sources}
+
+
+def described(entries):
+    """Sweep of what `describe` made of it. Raises KeyError, ValueError."""
+    scene = scene_as_written(entries["text"], entries["scene"])
+    return Sweep(entries["text"], entries["scene"],
+                 tuple(range_of(scene, text) for text in entries["vary"]), entries["samples"],
+                 entries["seed"], entries["steps"], entries["every"], entries["keep"],
+                 entries["assemble"], tuple(sorted(entries["settings"].items())),
+                 entries["sources"])

@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One setting of one scene: how wrong it is, and what it costs.
+
+The run is judged at those samples of the horizon that are whole steps. Its cost is the CPU time of
+its thread over native loops, so that what else the machine does counts little; the fastest of
+several runs, for anything else only adds.
+"""
+import logging
+import math
+import threading
+import time
+from contextlib import contextmanager
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from liegroup_core.compiling.kernels import source_digest
+from liegroup_core.model.symmetry import conserved_momentum
+from liegroup_core.errors import SimulationError
+from liegroup_core.reference import Trajectory, distance
+from liegroup_core.scene.load import scene_from_text
+from liegroup_core.simulation import Simulation
+from liegroup_core.study.machine import cpu_name
+from .configurations import as_time, sample_times
+from liegroup_core.study.tasks import TasksError
+from .reference_solution import Truth, momentum_drift, scaled
+
+LONG = 0.2                  # CPU s: a run of so much is timed once
+SHORTEST, LEAST_RUNS = 0.02, 3      # CPU s of a timing, and how many of them there are at least
+MOST_STEPS_AT_ONCE = 100_000
+
+
+class Study(NamedTuple):
+    """A scene and what its runs are judged by: all that a worker must know."""
+
+    text: str               # of the scene file
+    truth: Truth
+    sources: str            # digest of the sources, which a worker must have too
+
+
+def measure(work):
+    """What came of a (Study, Setting): a cell, JSON types.
+
+    returns dict of the setting's method, step, group, stabilisation, options, and
+        stopped     why there is no result, one line; else None, and then there are
+        error       the larger of position error / length and attitude error in rad, the largest of
+                    all bodies and samples
+        position, attitude, angular, linear     the same each for itself: m, rad, rad/s, m/s
+        energy      largest error of the energy in parts of the largest kinetic energy
+        momentum    largest change of a kept component in parts of its size; None: none is kept
+        joints      largest joint residual, m or rad
+        flagged     what the engine itself said against the run, one line, or None
+        samples     number of times at which it was judged
+        cost_us     CPU time of a simulated second, us
+        timings     number of runs of which that is the fastest
+        cpu         name of the processor
+    raises TasksError where the sources here are others than those of the study
+    """
+    study, setting = work
+    if study.sources != source_digest():
+        raise TasksError("a worker has another version of liegroup_core: install the same on all")
+    cell = {"method": setting.method, "step": setting.step, "group": setting.group,
+            "stabilisation": setting.stabilisation, "options": dict(setting.options),
+            "cpu": cpu_name()}
+    try:
+        simulation = Simulation(_scene(study.text), **setting.arguments())
+        with listening() as said:
+            found = _judge(simulation, study, setting)
+            found["cost_us"], found["timings"] = _cost(
+                simulation, float(study.truth.horizon), found.pop("cpu"))
+    except (SimulationError, ValueError) as error:
+        return cell | {"stopped": str(error)}
+    if not all(math.isfinite(value) for value in found.values() if isinstance(value, float)):
+        return cell | {"stopped": "an error is not a finite number"}
+    flagged = simulation.doubt or next((text for text in said), None)
+    return cell | {"stopped": None, **found, "flagged": flagged}
+
+
+# What a cell always has, and what it has when its run came to its end.
+ALWAYS = {"method": str, "step": float, "group": str, "stabilisation": str, "options": dict,
+          "cpu": str, "stopped": (str, type(None))}
+FINISHED = {**dict.fromkeys(("error", "position", "attitude", "angular", "linear", "energy",
+                             "joints", "cost_us"), float),
+            "momentum": (float, type(None)), "flagged": (str, type(None)), "samples": int,
+            "timings": int}
+
+
+def is_whole(cell):
+    """Whether a dict has what `measure` gives."""
+    wanted = ALWAYS | (FINISHED if cell.get("stopped", "") is None else {})
+    return all(name in cell and isinstance(cell[name], kind) for name, kind in wanted.items())
+
+
+@lru_cache(maxsize=4)
+def _scene(text):
+    return scene_from_text(text)
+
+
+@lru_cache(maxsize=4)
+def _kept_momentum(text):
+    return conserved_momentum(_scene(text))
+
+
+def _judge(simulation, study, setting):
+    """Run once through the horizon: errors, and the CPU seconds of the integration alone."""
+    truth, step = study.truth, as_time(setting.step)
+    times = sample_times(truth.horizon)
+    rows = [row for row, at in enumerate(times) if at % step == 0]
+    true = Trajectory(*(part[rows] for part in truth.motion))
+    samples = []
+    cpu = 0.0
+    for row in rows:
+        start = time.thread_time()
+        simulation.advance(round(times[row] / step) - simulation.steps)
+        cpu += time.thread_time() - start
+        samples.append(simulation.sample())
+    poses = np.array([sample.pose for sample in samples])
+    k, n = poses.shape[:2]
+    motion = Trajectory(true.times, poses[..., :9].reshape(k, n, 3, 3), poses[..., 9:],
+                        np.array([sample.twist for sample in samples]))
+    off = distance(motion, true)
+    energy = np.array([sample.energy for sample in samples])
+    return {"error": scaled(off.position, off.angle, truth.length),
+            "position": float(off.position.max()), "attitude": float(off.angle.max()),
+            "angular": float(off.angular.max()), "linear": float(off.linear.max()),
+            "energy": float(np.abs(energy - truth.energy[rows]).max()
+                            / (truth.kinetic or 1.0)),
+            "momentum": momentum_drift(simulation.scene, _kept_momentum(study.text), truth,
+                                       motion),
+            "joints": max(sample.constraint_residual for sample in samples),
+            "samples": k - 1, "cpu": cpu}
+
+
+def _cost(simulation, horizon, cpu):
+    """(CPU us per simulated second, number of timings); cpu : of the run that was judged."""
+    times = [cpu]
+    steps = simulation.steps
+    while cpu < LONG and (len(times) < LEAST_RUNS or sum(times) < SHORTEST):
+        simulation.reset()
+        start = time.thread_time()
+        for done in range(0, steps, MOST_STEPS_AT_ONCE):
+            simulation.advance(min(MOST_STEPS_AT_ONCE, steps - done))
+        times.append(time.thread_time() - start)
+    return min(times) / horizon * 1e6, len(times)
+
+
+@contextmanager
+def listening():
+    """List of what the engine warns of in this thread, which nobody else hears."""
+    said, here = [], threading.get_ident()
+    logger = logging.getLogger("liegroup_core")
+
+    def hear(record):
+        if record.thread != here or record.levelno < logging.WARNING:
+            return True
+        said.append(record.getMessage())
+        return False
+
+    logger.addFilter(hear)
+    try:
+        yield said
+    finally:
+        logger.removeFilter(hear)

@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The true motion of a scene at the samples of a horizon, as well as it can be known.
+
+By the closed form where the scene has one, else by the independent integration of
+liegroup_core.reference, whose uncertainty is its distance to one ten times looser. That one is
+made in either case, and what the two differ by is kept.
+"""
+import io
+import json
+import time
+from fractions import Fraction
+from typing import NamedTuple
+
+import numpy as np
+
+from liegroup_core.model.symmetry import momentum_values
+from liegroup_core.errors import SimulationError
+from liegroup_core.observables.along import Along
+from liegroup_core.model.build import initial_state
+from liegroup_core.monitor.joint_watch import mechanism_size
+from liegroup_core.reference import Distance, Reference, Trajectory, distance
+from liegroup_core.reference.exact import exact_solution
+from .configurations import sample_times
+
+# If no horizon is asked for: the longest of these, s, at the end of which the reference still
+# knows the motion to KNOWN (of lengths in parts of the scene's, and in rad), and that takes it no
+# more than STEPS steps. So it is some hundred motions of fast scenes, and of chaotic ones as long
+# as 1e-9 can be promised at all.
+HORIZONS = tuple(digit * Fraction(10) ** power for power in range(-5, 1) for digit in (1, 2, 5)
+                 ) + (Fraction(10),)
+KNOWN, STEPS = 1e-10, 10_000
+
+
+class Truth(NamedTuple):
+    """A motion at k times, and what it is judged by."""
+
+    horizon: Fraction       # s
+    kind: str               # "integration", or the name of the closed form
+    length: float           # m, of the scene: what positions are compared with
+    motion: Trajectory      # of n bodies
+    uncertainty: tuple      # position m, angle rad, angular rad/s, linear m/s: the largest ones
+    energy: np.ndarray      # (k,) J
+    kinetic: float          # J, the largest
+    agrees: float | None    # error, see `scaled`, of the integration against the closed form
+    seconds: float          # that it took
+
+    @property
+    def known(self):
+        """How well the motion is known: uncertainty as an error, see `scaled`."""
+        return scaled(*self.uncertainty[:2], self.length)
+
+
+def scaled(position, angle, length):
+    """The error in one number: the larger of position error / length and attitude error in rad."""
+    return float(max(np.max(position) / length, np.max(angle)))
+
+
+def find_truth(layout, horizon=None, tell=lambda text: None):
+    """Truth of a scene (simulation.Layout) over a horizon, s, or over that which suits it.
+
+    raises SimulationError where the reference cannot be had
+    """
+    began = time.perf_counter()
+    length = mechanism_size(layout.model) or 1.0
+    pose, twist = initial_state(layout.centred)
+    if horizon is None:
+        horizon, motion, apart = _as_far_as_known(layout, pose, twist, length, tell)
+    else:
+        tell(f"the true motion over {float(horizon):g} s")
+        times = np.array([float(at) for at in sample_times(horizon)])
+        motion, apart = Reference(layout.scene, pose, twist, end=times[-1]).at(times)
+    kind, agrees = "integration", None
+    exact = exact_solution(layout, pose, twist)
+    if exact is not None:
+        tell(f"the closed form: {exact.name}")
+        found = exact.at(motion.times)
+        off = distance(motion, found)
+        kind, agrees = exact.name, scaled(off.position, off.angle, length)
+        motion, apart = found, exact.uncertainty(found)
+    k, n = motion.position.shape[:2]
+    poses = np.concatenate([motion.rotation.reshape(k, n, 9), motion.position], axis=2)
+    energy, kinetic, *_ = Along(layout).follow(poses, motion.twist)
+    return Truth(horizon, kind, length, motion, tuple(float(part.max()) for part in (
+        apart.position, apart.angle, apart.angular, apart.linear)), energy,
+        float(kinetic.max()), agrees, time.perf_counter() - began)
+
+
+def _as_far_as_known(layout, pose, twist, length, tell):
+    """(horizon, Trajectory, Distance) of the longest of HORIZONS."""
+    reference = Reference(layout.scene, pose, twist, end=float(HORIZONS[-1]))
+    # Whichever it will be, its samples are among these.
+    wanted = sorted({at for horizon in HORIZONS for at in sample_times(horizon)})
+    kept, best, failure = {}, None, None
+    for horizon in HORIZONS:
+        tell(f"the true motion: {float(horizon):g} s, {reference.steps} steps")
+        times = [at for at in wanted if at <= horizon and at not in kept]
+        try:
+            motion, apart = reference.at(np.array([float(at) for at in times]))
+        except SimulationError as error:
+            failure = error
+            break
+        kept |= {at: (*(part[i] for part in motion[1:]), *(part[i] for part in apart))
+                 for i, at in enumerate(times)}
+        last = [part[-1] for part in apart]
+        if best is not None and (scaled(last[0], last[2], length) > KNOWN
+                                 or reference.steps > STEPS):
+            break
+        best = horizon
+    if best is None:
+        raise SimulationError(f"{failure}; the scene moves too fast for a horizon to be found: "
+                              "give one")
+    times = sample_times(best)
+    columns = [np.array(column) for column in zip(*(kept[at] for at in times))]
+    return (best, Trajectory(np.array([float(at) for at in times]), *columns[:3]),
+            Distance(*columns[3:]))
+
+
+def as_bytes(truth):
+    """A Truth as the bytes of a NumPy file *.npz; `truth_from` is the way back."""
+    stream = io.BytesIO()
+    facts = {"horizon": str(truth.horizon), "kind": truth.kind, "length": truth.length,
+             "uncertainty": truth.uncertainty, "kinetic": truth.kinetic, "agrees": truth.agrees,
+             "seconds": truth.seconds}
+    np.savez(stream, facts=np.array(json.dumps(facts)), energy=truth.energy,
+             **truth.motion._asdict())
+    return stream.getvalue()
+
+
+def truth_from(path):
+    """The Truth in a file. Raises OSError, ValueError, KeyError, BadZipFile."""
+    with np.load(path, allow_pickle=False) as found:
+        facts = json.loads(str(found["facts"]))
+        return Truth(Fraction(facts.pop("horizon")), motion=Trajectory(
+            *(found[name] for name in Trajectory._fields)), energy=found["energy"],
+            uncertainty=tuple(facts.pop("uncertainty")), **facts)
+
+
+def momentum_drift(scene, kept, truth, motion):
+    """The largest change of a kept momentum component in parts of its size, along a motion.
+
+    kept : of `conserved_momentum`. None: nothing is kept
+    """
+    true = truth.motion
+    mass = np.array([body.mass for body in scene.bodies])
+    inertia = np.array([body.inertia_matrix for body in scene.bodies])
+    linear = mass * np.linalg.norm(true.twist[..., 3:], axis=2)
+    arm = np.linalg.norm(true.position, axis=2)
+    spin = np.linalg.norm(np.einsum("nij,knj->kni", inertia, true.twist[..., :3]), axis=2)
+    # What also a component that is zero compares with: the sum over the bodies.
+    size = {"N m s": float((arm * linear + spin).sum(axis=1).max()),
+            "N s": float(linear.sum(axis=1).max())}
+    worst = None
+    for group in kept:
+        values = momentum_values(scene, group, motion.rotation, motion.position, motion.twist)
+        change = np.abs(values - values[0]).max(axis=0)
+        for off, unit in zip(change.tolist(), group.units):
+            if size[unit] > 0.0:
+                worst = max(worst or 0.0, off / size[unit])
+    return worst

@@ -1,0 +1,246 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The trade of a scene: true error against cost of its settings, measured on this machine.
+
+    trade = Trade(load_scene("heavy_top"))
+    for cell, _ in trade.measure():
+        print(cell["method"], cell["step"], cell["error"], cell["cost_us"])
+    print(trade.cheapest(1e-6))
+
+Each ladder is climbed from its coarsest step to finer ones, until its error is that of rounding or
+of the reference, or the next step would take too long. How it is measured: docs/trade.md.
+"""
+from liegroup_core.compiling.kernels import source_digest
+from liegroup_core.integrators import fitting_methods
+from liegroup_core.integrators.methods import METHODS, is_positive
+from liegroup_core.simulation import Simulation, make_layout
+from .measure import Study, measure
+from .configurations import LEAST_SAMPLES, SAMPLES, Setting, as_time, ladders, rungs, sample_spacing
+from .cache import Store
+from liegroup_core.study.tasks import run
+from .reference_solution import find_truth
+
+ACCURACIES = (1e-3, 1e-6, 1e-9)
+# Of an accuracy that is promised, the measured error may be this part: between the samples of the
+# measurement, and at times that are no samples of it, the error may be a little larger.
+MARGIN = 3.0
+BUDGET = 1.0                # CPU s of a run, at most
+ENOUGH = 1e-11              # error that need not be smaller: 1e-9 with its margin, and some more
+# Errors that two further steps do not bring down by as much are those of rounding; above the
+# second number they are those of steps that are too large altogether.
+BETTER, ROUGH = 0.5, 1e-2
+DEARER = 1.5                # as far as these steps have cost so many times more
+SETTLING = 2                # finer rungs that must not be worse
+MOST_STEPS = 1_000_000      # in a horizon, of a ladder of which no run has come to its end
+
+
+class Trade:
+    """What was measured of a scene over a horizon, and what can be measured.
+
+    scene   : Scene
+    horizon : s, over which runs are judged; None: what suits the scene, see truth.HORIZONS
+    store   : Store; None: that of the user
+    tell    : function that is told what is done now
+    raises SceneError, SimulationError where there is no reference, ValueError for a horizon
+    """
+
+    def __init__(self, scene, horizon=None, store=None, tell=lambda text: None):
+        self.scene, self.layout = scene, make_layout(scene)
+        self._store = store or Store(scene)
+        suits = horizon is None
+        horizon = self._store.horizon() if suits else _checked(horizon)
+        self.truth = horizon and self._store.truth(horizon)
+        if self.truth is None:
+            self.truth = find_truth(self.layout, horizon, tell)
+            self._store.keep_truth(self.truth, suits)
+        self._cells = {_key(cell): cell for cell in self._store.cells(self.truth.horizon)}
+
+    @property
+    def horizon(self):
+        """s, over which runs are judged."""
+        return float(self.truth.horizon)
+
+    @property
+    def cells(self):
+        """All that was measured, see measure.measure, by ladders and from coarse to fine."""
+        return sorted(self._cells.values(), key=lambda cell: (_ladder(cell), _coarseness(cell)))
+
+    def measure(self, methods=None, groups=None, stabilisations=None, steps=None, budget=BUDGET,
+                scheduler=None, workers=None, tell=lambda text: None):
+        """Measure what is not known; yields (cell, (ladders done, ladders)) as results come.
+
+        methods, groups, stabilisations : names; None: all that fit the scene, all, and none and
+                                          projection
+        steps              : s, of which the horizon is a multiple, in place of ladders of them
+        budget             : s, CPU time that a run may take
+        scheduler, workers : as of tasks.run
+        tell               : function that is told what is done before the first result
+        raises ValueError for steps that do not fit, or if nothing does, TasksError
+        """
+        if steps is not None:
+            steps = [_fitting(step, self.truth.horizon) for step in sorted(steps, reverse=True)]
+        chosen = ladders(self.layout, methods, groups, stabilisations)
+        if not chosen:
+            raise ValueError(f"{self.scene.name}: none of the methods that were asked for fits; "
+                             f"these do: {', '.join(fitting_methods(self.layout))}")
+        climbs = [_Climb(ladder, self.truth, budget, steps) for ladder in chosen]
+        owners = [climb for climb in climbs if climb.next(self._cells) is not None]
+        if not owners:
+            return
+        tell("starting")
+        self._compile(owners)
+        study = Study(self.scene.text, self.truth, source_digest())
+        done = [len(climbs) - len(owners)]
+
+        def follow(k, cell):
+            climb = owners[k]
+            self._cells[_key(cell)] = cell
+            self._store.keep_cell(self.truth.horizon, cell)
+            climb.add(cell)
+            setting = climb.next(self._cells)
+            if setting is None:
+                done[0] += 1
+                return []
+            owners.append(climb)
+            return [(study, setting)]
+
+        for _, cell in run(measure, [(study, climb.setting) for climb in owners], scheduler,
+                           workers, follow):
+            yield cell, (done[0], len(climbs))
+
+    def keep_only(self, methods=None, groups=None, stabilisations=None, steps=None):
+        """Leave out what was measured and is not of these, as of `measure`; it stays in the store,
+        so that the same question has the same answer whatever else was asked before."""
+        chosen = set(ladders(self.layout, methods, groups, stabilisations))
+        self._cells = {key: cell for key, cell in self._cells.items() if _ladder(cell) in chosen
+                       and (steps is None or cell["step"] in steps)}
+
+    def _compile(self, climbs):
+        """Compile here what the workers would compile all at once."""
+        families = {METHODS[climb.ladder.method].family: climb.setting for climb in climbs}
+        for setting in families.values():
+            try:
+                Simulation(self.scene, **setting.arguments())
+            except ValueError:              # the run will say why
+                pass
+
+    def settled(self):
+        """[(cell, error)]: of finished runs, each with the largest error of it, of the next finer
+        ones of its ladder, and of the reference. What is right by chance alone does not count."""
+        found = []
+        by_ladder = {}
+        for cell in self.cells:
+            by_ladder.setdefault(_ladder(cell), []).append(cell)
+        for cells in by_ladder.values():
+            for i, cell in enumerate(cells):
+                near = cells[i:i + 1 + SETTLING]
+                if not any(other["stopped"] for other in near):
+                    found.append((cell, max(self.truth.known,
+                                            *(other["error"] for other in near))))
+        return found
+
+    def front(self):
+        """Cells that no other beats in both error and cost, from cheap to accurate."""
+        front, best = [], float("inf")
+        for cell, error in sorted(self.settled(), key=lambda pair: (pair[0]["cost_us"], pair[1])):
+            if error < best:
+                front.append(cell)
+                best = error
+        return front
+
+    def cheapest(self, accuracy, usable=lambda cell: True):
+        """The cheapest cell that keeps an accuracy with its margin, or None."""
+        kept = [cell for cell, error in self.settled()
+                if MARGIN * error <= accuracy and usable(cell)]
+        return min(kept, key=lambda cell: cell["cost_us"], default=None)
+
+    def best(self, usable=lambda cell: True):
+        """(cell, accuracy that it keeps with its margin) of the most accurate one, or None."""
+        found = [(cell, MARGIN * error) for cell, error in self.settled() if usable(cell)]
+        return min(found, key=lambda pair: (pair[1], pair[0]["cost_us"]), default=None)
+
+
+class _Climb:
+    """One ladder on its way from coarse to fine; `setting` is the one that is due."""
+
+    def __init__(self, ladder, truth, budget, steps=None):
+        self.ladder, self.setting = ladder, None
+        self._rungs = rungs(ladder, truth.horizon) if steps is None else (
+            Setting(*ladder[:1], step, *ladder[1:]) for step in steps)
+        self._all = steps is not None
+        self._known, self._horizon, self._budget = truth.known, float(truth.horizon), budget
+        self._cells = []
+
+    def add(self, cell):
+        """Take up the cell of the setting that was due."""
+        self._cells.append(cell)
+        self.setting = None
+
+    def next(self, cells):
+        """The next setting that is not among `cells` {key: cell}, or None at the end."""
+        for setting in self._rungs:
+            if self._is_over(setting):
+                return None
+            cell = cells.get(_key_of(setting))
+            if cell is None:
+                self.setting = setting
+                return setting
+            self._cells.append(cell)
+        return None
+
+    def _is_over(self, following):
+        if self._all:
+            return False
+        good = [cell for cell in self._cells if not cell["stopped"]]
+        if not good:
+            return self._horizon / following.step > MOST_STEPS
+        errors = [cell["error"] for cell in good]
+        if errors[-1] <= max(ENOUGH, self._known):
+            return True
+        last = good[-1]
+        # A tolerance that costs nothing is not yet what sets the error.
+        if (len(good) > 2 and min(errors) < ROUGH and min(errors[-2:]) > BETTER * min(errors[:-2])
+                and last["cost_us"] > DEARER * good[-3]["cost_us"]):
+            return True
+        growth = last["step"] / following.step
+        if len(good) > 1 and growth == 1.0:
+            growth = last["cost_us"] / good[-2]["cost_us"]
+        return last["cost_us"] * 1e-6 * self._horizon * growth > self._budget
+
+
+def _fitting(step, horizon):
+    """A step as float. Raises ValueError where the samples of a horizon cannot be met."""
+    if not is_positive(step) or horizon % as_time(step) or (
+            horizon / sample_spacing(as_time(step), horizon) < LEAST_SAMPLES):
+        raise ValueError(f"a step of {step:g} s does not fit a horizon of {float(horizon):g} s: "
+                         f"{LEAST_SAMPLES} or more of its {SAMPLES} samples must be whole steps")
+    return float(step)
+
+
+def _ladder(cell):
+    return cell["method"], cell["group"], cell["stabilisation"]
+
+
+def _coarseness(cell):
+    return -cell["step"], -cell["options"].get("rtol", 0.0)
+
+
+def _key(cell):
+    return (*_ladder(cell), cell["step"], tuple(sorted(cell["options"].items())))
+
+
+def _key_of(setting):
+    return (setting.method, setting.group, setting.stabilisation, setting.step,
+            tuple(sorted(setting.options)))
+
+
+def _checked(horizon):
+    """A horizon as Fraction. Raises ValueError."""
+    if not (isinstance(horizon, (int, float)) and 1e-9 <= horizon <= 1e6):
+        raise ValueError(f"the horizon must be a number of seconds from 1e-9 to 1e6, "
+                         f"got {horizon!r}")
+    found = as_time(horizon)
+    # Its samples and the steps between them are to be decimal numbers of a few digits.
+    if as_time(float(f"{horizon:.3g}")) != found:
+        raise ValueError(f"the horizon must have at most three digits, got {horizon!r}; take "
+                         f"{float(f'{horizon:.3g}'):g}")
+    return found
