@@ -55,8 +55,8 @@ setup(
     },
     entry_points={
         "console_scripts": [
-            "liegroup_sim = liegroup_sim_ros.main:main",
-            "sim_node = liegroup_sim_ros.sim_node:main",
+            "liegroup_sim = liegroup_sim_ros.commands.main:main",
+            "sim_node = liegroup_sim_ros.node.entry:main",
         ],
     },
 )

@@ -27,10 +27,10 @@ from geometry_msgs.msg import TwistStamped, WrenchStamped  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 
 from liegroup_core.scene.library import chain  # noqa: E402
-from liegroup_sim_ros.recording import read_recording  # noqa: E402
+from liegroup_sim_ros.recording.reader import read_recording  # noqa: E402
 
 BARE = Path(__file__).parent / "node_side" / "bare.py"
-NODE = "import sys; from liegroup_sim_ros.sim_node import main; sys.exit(main())"
+NODE = "import sys; from liegroup_sim_ros.node.entry import main; sys.exit(main())"
 STARTING = 240.0                            # s; the first start on a machine compiles
 HELD = 0.999                                # real-time factor that counts as held
 PUCK = "name: table\ngravity: [0, 0, 0]\nbodies:\n  - {name: puck, mass: 1, inertia: [1, 1, 1]}\n"

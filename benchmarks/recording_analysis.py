@@ -18,7 +18,7 @@ from pathlib import Path
 
 STEP = 1e-3
 PARTS = {
-    "imports": "import liegroup_sim_ros.analyze_logs",
+    "imports": "import liegroup_sim_ros.commands.analyze",
     "read_recording": "read()",
     "samples, piece by piece": "print(sum(len(piece.stamp_ns) for piece in read().samples()),"
                                " file=sys.stderr)",
@@ -29,8 +29,8 @@ PARTS = {
 CHILD = """
 import json, sys, time
 start = time.perf_counter()
-from liegroup_sim_ros.analyze import analyse
-from liegroup_sim_ros.recording import read_recording
+from liegroup_sim_ros.analysis.analyse import analyse
+from liegroup_sim_ros.recording.reader import read_recording
 read = lambda: read_recording(sys.argv[1])
 started = time.perf_counter(), time.process_time()
 {code}
@@ -43,10 +43,10 @@ print(json.dumps([wall, cpu, peak / 1024]))
 def make(path, seconds):
     """Record a run; returns the number of messages."""
     from liegroup_core import Simulation, load_scene
-    from liegroup_sim_ros import attachments
-    from liegroup_sim_ros.messages import (ClockCodec, LogCodec, PoseStampedCodec,
-                                           TwistStampedCodec, WrenchStampedCodec)
-    from liegroup_sim_ros.recorder import Recorder
+    from liegroup_sim_ros.recording import attachments
+    from liegroup_sim_ros.messages.codecs import (ClockCodec, LogCodec, PoseStampedCodec,
+                                                  TwistStampedCodec, WrenchStampedCodec)
+    from liegroup_sim_ros.recording.recorder import Recorder
     simulation = Simulation(load_scene("heavy_top"), "rkmk4", STEP)
     topics = {"pose": {"top": "/sim_node/top/pose"}, "twist": {"top": "/sim_node/top/twist"},
               "applied_wrench": "/sim_node/applied_wrench", "events": "/sim_node/events",
@@ -94,7 +94,7 @@ def main():
         if not path.exists():
             make(path, args.seconds)
             print(f"recorded in {time.perf_counter() - start:.0f} s")
-        from liegroup_sim_ros.recording import read_recording
+        from liegroup_sim_ros.recording.reader import read_recording
         million = sum(read_recording(path).topics.values()) / 1e6
         print(f"{million:.3f} million messages, {path.stat().st_size / 2**20:.0f} MiB\n")
         print(f"{'':26}{'wall s':>9}{'cpu s':>9}{'peak MB':>9}{'s / 1e6':>9}{'MB / 1e6':>10}")

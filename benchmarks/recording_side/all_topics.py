@@ -22,7 +22,7 @@ RATES = ["odometry", "velocity", "pose_array", "joint_state", "marker", "state"]
 if importlib.util.find_spec("tf2_msgs"):
     RATES.append("tf")
 node = subprocess.Popen(
-    [sys.executable, "-c", "import sys; from liegroup_sim_ros.sim_node import main; "
+    [sys.executable, "-c", "import sys; from liegroup_sim_ros.node.entry import main; "
      "sys.exit(main())", "--ros-args", "-p", "scene:=four_bar", "-p", f"record:={sys.argv[1]}",
      *(part for rate in RATES for part in ("-p", f"{rate}_rate:=50.0"))], start_new_session=True)
 rclpy.init()

@@ -18,7 +18,7 @@ import rclpy  # noqa: E402  (reads the domain from the environment)
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 
 node = subprocess.Popen(
-    [sys.executable, "-c", "import sys; from liegroup_sim_ros.sim_node import main; "
+    [sys.executable, "-c", "import sys; from liegroup_sim_ros.node.entry import main; "
      "sys.exit(main())", "--ros-args", "-p", "scene:=heavy_top", "-p", f"record:={sys.argv[1]}",
      "-p", "publish_rate:=1000.0", "-p", "real_time_factor:=5.0"],
     stderr=subprocess.PIPE, text=True, start_new_session=True)

@@ -5,7 +5,7 @@ import math
 from liegroup_core.monitor.joint_watch import OPEN
 from liegroup_core.pacing import SLOW
 
-from .promise import told
+from liegroup_sim_ros.analysis.promise import told
 
 UNSURE = 0.1            # part of an error beyond which its uncertainty is told with it
 MOST_JOINTS = 8         # in the table; the others are in the JSON

@@ -5,7 +5,7 @@ from rich.text import Text
 from liegroup_core.study.trade.accuracy import SHARE
 from liegroup_core.study.trade.trade import ACCURACIES, MARGIN
 
-from liegroup_sim_ros.attachments import versions
+from liegroup_sim_ros.recording.attachments import versions
 from .summary import GROUPS, shown
 from .terminal import plain_table
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from liegroup_core.simulation import make_layout
 
-from liegroup_sim_ros.markers import CUBE, CYLINDER, THINNEST, solid
+from liegroup_sim_ros.messages.markers import CUBE, CYLINDER, THINNEST, solid
 from .plots import BASE, label
 
 # Poses of all bodies together, and of one body: more would make the page large, fewer would jump.

@@ -12,7 +12,7 @@ from liegroup_core.model.build import initial_state
 from liegroup_core.describe import describe, solve_structure
 from liegroup_core.model.sparsity import block_layout, operations
 from liegroup_core.simulation import make_layout
-from liegroup_sim_ros.chapter_runs import four_bar
+from liegroup_sim_ros.chapter.joint_runs import four_bar
 
 
 def test_heavy_top():

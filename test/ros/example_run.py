@@ -13,9 +13,9 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import Log
 from rclpy.serialization import serialize_message
 
-from liegroup_sim_ros.messages import (ClockCodec, PoseStampedCodec, TwistStampedCodec,
-                                       WrenchStampedCodec)
-from liegroup_sim_ros.recorder import Recorder
+from liegroup_sim_ros.messages.codecs import (ClockCodec, PoseStampedCodec, TwistStampedCodec,
+                                              WrenchStampedCodec)
+from liegroup_sim_ros.recording.recorder import Recorder
 
 BODIES = ("top", "arm_2")
 TOPICS = {"pose": {body: f"/sim_node/{body}/pose" for body in BODIES},

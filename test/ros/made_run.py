@@ -3,9 +3,9 @@
 from example_run import diagnostics_message, log_message
 
 from liegroup_core import Simulation
-from liegroup_sim_ros import attachments
-from liegroup_sim_ros.messages import PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec
-from liegroup_sim_ros.recorder import Recorder
+from liegroup_sim_ros.recording import attachments
+from liegroup_sim_ros.messages.codecs import PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec
+from liegroup_sim_ros.recording.recorder import Recorder
 
 PACING = {"ticks": 100, "overruns": 2, "reanchored": 0, "real_time_factor": 1.0,
           "lateness_us": {"p50": 0.1, "p99": 40.0, "max": 900.0}, "wall_seconds": 1.0,

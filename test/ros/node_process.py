@@ -31,8 +31,8 @@ COMPILING = 180.0           # s; the first start on a machine compiles
 DOMAIN = 1 + os.getpid() % 100
 ENVIRONMENT = {**os.environ, "ROS_DOMAIN_ID": str(DOMAIN),
                "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "PYTHONUNBUFFERED": "1"}
-NODE = "import sys; from liegroup_sim_ros.sim_node import main; sys.exit(main())"
-PUSH = "import sys; from liegroup_sim_ros.main import main; sys.exit(main())"
+NODE = "import sys; from liegroup_sim_ros.node.entry import main; sys.exit(main())"
+PUSH = "import sys; from liegroup_sim_ros.commands.main import main; sys.exit(main())"
 
 
 def python(code, *arguments, env=None, under=()):

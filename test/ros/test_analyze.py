@@ -12,9 +12,9 @@ from made_run import PAIR, record
 
 from liegroup_core import load_scene
 from liegroup_core.scene.load import scene_from_text
-from liegroup_sim_ros.analyze import analyse
-from liegroup_sim_ros.main import main
-from liegroup_sim_ros.recording import read_recording
+from liegroup_sim_ros.analysis.analyse import analyse
+from liegroup_sim_ros.commands.main import main
+from liegroup_sim_ros.recording.reader import read_recording
 
 
 def figures_of(path, **options):

@@ -18,13 +18,13 @@ from made_run import PAIR, record
 from liegroup_core import Simulation, load_scene
 from liegroup_core.scene.load import scene_from_text
 from liegroup_core.simulation import make_layout
-from liegroup_sim_ros.analyze import analyse
-from liegroup_sim_ros.analyze_logs import find_exceeded
-from liegroup_sim_ros.main import main
-from liegroup_sim_ros.recording import RecordingError, read_recording
+from liegroup_sim_ros.analysis.analyse import analyse
+from liegroup_sim_ros.commands.analyze import find_exceeded
+from liegroup_sim_ros.commands.main import main
+from liegroup_sim_ros.recording.reader import RecordingError, read_recording
 from liegroup_sim_ros.report import summary
-from liegroup_sim_ros.report.comparison import compare
-from liegroup_sim_ros.report.drift import Drift, thinned
+from liegroup_sim_ros.analysis.comparison import compare
+from liegroup_sim_ros.analysis.drift import Drift, thinned
 
 SCHEMA = Path(__file__).resolve().parents[2] / "config" / "analysis.schema.json"
 FREE = """
@@ -49,7 +49,7 @@ joints:
 
 def run(path, scene, method="rkmk4", step=2e-3, duration=1.0, every=10, **options):
     """Record a run of the engine without a clock."""
-    from liegroup_sim_ros.offline_files import LogFile
+    from liegroup_sim_ros.recording.run_files import LogFile
     simulation = Simulation(scene, method, step, **options)
     with LogFile(path, simulation, every, 0) as file:
         file.sample(simulation.sample())
@@ -70,8 +70,8 @@ def test_error_against_the_exact_solution(tmp_path, text, name):
         (50, (recording.bodies[0], (0, 0, 1.0, 0, 0, 0)))]))
     assert analyse(pushed).figures["reference"]["kind"] == "integration"
     # By the same figures of a part that asks for the integration.
-    from liegroup_sim_ros.report.motion import Motion
-    from liegroup_sim_ros.report.reference import ReferenceError
+    from liegroup_sim_ros.recording.motion import Motion
+    from liegroup_sim_ros.analysis.reference import ReferenceError
     motion = Motion(recording)
     part = ReferenceError(make_layout(scene_from_text(text)), recording, motion.expected)
     for block in motion.blocks():
@@ -344,7 +344,7 @@ import sys
 for name in ("rclpy", "rosgraph_msgs", "geometry_msgs", "rcl_interfaces", "diagnostic_msgs",
              "builtin_interfaces", "std_msgs", "sensor_msgs"):
     sys.modules[name] = None
-from liegroup_sim_ros.recording import read_recording
+from liegroup_sim_ros.recording.reader import read_recording
 recording = read_recording(sys.argv[1])
 pose, wrench = recording.pose["left"], recording.wrench["left"]
 frame = recording.to_pandas()
@@ -376,8 +376,9 @@ def test_the_page_about_analysis_runs(tmp_path, monkeypatch, capsys):
 
 def test_joint_states_are_read(tmp_path):
     """Coordinates and rates of every joint that has one, as the node writes them."""
-    from liegroup_sim_ros import attachments, sample_messages
-    from liegroup_sim_ros.recorder import Recorder
+    from liegroup_sim_ros.recording import attachments
+    from liegroup_sim_ros.messages import samples as sample_messages
+    from liegroup_sim_ros.recording.recorder import Recorder
     simulation = Simulation(load_scene("double_pendulum"), "rkmk4", 1e-3)
     bodies = simulation.layout.body_names
     topics = {"pose": {b: f"/{b}/pose" for b in bodies}, "events": "/e", "diagnostics": "/d",

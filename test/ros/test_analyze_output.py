@@ -15,12 +15,12 @@ from rich.console import Console
 
 from liegroup_core import Simulation
 from liegroup_core.scene.load import scene_from_text
-from liegroup_sim_ros import attachments
-from liegroup_sim_ros.analyze import analyse
-from liegroup_sim_ros.analyze_logs import document
-from liegroup_sim_ros.main import main
-from liegroup_sim_ros.recorder import Recorder
-from liegroup_sim_ros.recording import read_recording
+from liegroup_sim_ros.recording import attachments
+from liegroup_sim_ros.analysis.analyse import analyse
+from liegroup_sim_ros.commands.analyze import document
+from liegroup_sim_ros.commands.main import main
+from liegroup_sim_ros.recording.recorder import Recorder
+from liegroup_sim_ros.recording.reader import read_recording
 from liegroup_sim_ros.report import plots, view
 from liegroup_sim_ros.report.summary import find_problems
 from liegroup_sim_ros.report.terminal import print_table
@@ -177,7 +177,7 @@ def test_works_without_ros(tmp_path):
             "for name in ('rclpy', 'geometry_msgs', 'rcl_interfaces', 'diagnostic_msgs',"
             " 'builtin_interfaces', 'std_msgs'):\n"
             "    sys.modules[name] = None\n"
-            "from liegroup_sim_ros.main import main\n"
+            "from liegroup_sim_ros.commands.main import main\n"
             "sys.exit(main(['analyze', sys.argv[1], '--no-reference']))")
     done = subprocess.run([sys.executable, "-c", code, str(log)], capture_output=True,
                           text=True)

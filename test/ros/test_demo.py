@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from liegroup_sim_ros.main import main
+from liegroup_sim_ros.commands.main import main
 
 COMPILING = 300.0           # s; the first start on a machine compiles, on a loaded one slowly
-DEMO = "import sys; from liegroup_sim_ros.main import main; sys.exit(main(sys.argv[1:]))"
+DEMO = "import sys; from liegroup_sim_ros.commands.main import main; sys.exit(main(sys.argv[1:]))"
 
 
 def start(*arguments):

@@ -7,7 +7,7 @@ import pytest
 
 from liegroup_core.study.extremes import extremes
 from liegroup_core.study.trade import cache as store
-from liegroup_sim_ros.main import main
+from liegroup_sim_ros.commands.main import main
 
 
 def test_table_picture_and_json(tmp_path, capsys):

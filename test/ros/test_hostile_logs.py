@@ -15,12 +15,12 @@ from made_run import PAIR, record
 
 from liegroup_core import SceneError
 from liegroup_core.scene.load import scene_from_text
-from liegroup_sim_ros.analyze import analyse
-from liegroup_sim_ros.main import main
-from liegroup_sim_ros.mcap_stream import McapStream
-from liegroup_sim_ros.recording import RecordingError, read_recording
-from liegroup_sim_ros.report.replay import ReplayError
-from liegroup_sim_ros.resimulate import resimulate
+from liegroup_sim_ros.analysis.analyse import analyse
+from liegroup_sim_ros.commands.main import main
+from liegroup_sim_ros.recording.mcap_stream import McapStream
+from liegroup_sim_ros.recording.reader import RecordingError, read_recording
+from liegroup_sim_ros.playback.repeat import ReplayError
+from liegroup_sim_ros.playback.resimulate import resimulate
 
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK, ATTACHMENT = 6, 9

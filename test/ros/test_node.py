@@ -15,7 +15,7 @@ from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 
-from liegroup_sim_ros.parameters import TABLE, check, table_text
+from liegroup_sim_ros.node.parameters import TABLE, check, table_text
 
 STEP_NS = 1_000_000
 PERIOD_NS = 10 * STEP_NS

@@ -19,8 +19,8 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import Marker, MarkerArray
 
-from liegroup_sim_ros.recording import read_recording
-from liegroup_sim_ros.resimulate import resimulate
+from liegroup_sim_ros.recording.reader import read_recording
+from liegroup_sim_ros.playback.resimulate import resimulate
 
 STEP_NS = 1_000_000
 NODE, PREFIX = "/shown", "robot1/"

@@ -10,10 +10,10 @@ from rcl_interfaces.msg import Log
 from rclpy.serialization import deserialize_message, serialize_message
 
 from liegroup_core import Simulation, load_scene
-from liegroup_sim_ros.analyze import analyse
-from liegroup_sim_ros.main import main
-from liegroup_sim_ros.messages import LogCodec
-from liegroup_sim_ros.recording import read_recording
+from liegroup_sim_ros.analysis.analyse import analyse
+from liegroup_sim_ros.commands.main import main
+from liegroup_sim_ros.messages.codecs import LogCodec
+from liegroup_sim_ros.recording.reader import read_recording
 
 
 def test_arrays_are_those_of_the_simulation(tmp_path, capsys):
@@ -107,7 +107,7 @@ def test_a_recording_needs_interface_packages_but_not_rclpy(tmp_path):
     def run(prelude, name):
         return subprocess.run(
             [sys.executable, "-P", "-c", "import sys\n" + prelude + "\n"
-             "from liegroup_sim_ros.main import main\n"
+             "from liegroup_sim_ros.commands.main import main\n"
              f"code = main(['run', 'heavy_top', '--duration', '0.01', '--out', {str(name)!r}])\n"
              "assert 'rclpy' not in sys.modules\nsys.exit(code)"],
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)

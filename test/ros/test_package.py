@@ -16,7 +16,7 @@ from ament_index_python.packages import get_package_prefix, get_package_share_di
 
 import liegroup_core
 import liegroup_sim_ros
-from liegroup_sim_ros.parameters import TABLE
+from liegroup_sim_ros.node.parameters import TABLE
 
 NAME = "liegroup_sim_ros"
 SOURCE = Path(__file__).resolve().parents[2]
@@ -96,7 +96,7 @@ def test_launch_file_is_python_and_its_preset_is_there():
     assert used == set(arguments) - set(parameters) and set(parameters) < set(arguments)
     assert set(parameters) <= {entry.name for entry in TABLE if type(entry.default) is str}
     node, = re.findall(r'package=PACKAGE, executable="(\w+)", name="(\w+)"', text)
-    assert node == ("sim_node", "sim_node") and (SOURCE / "liegroup_sim_ros/sim_node.py").exists()
+    assert node == ("sim_node", "sim_node") and (SOURCE / "liegroup_sim_ros/node/entry.py").exists()
     remapped = re.findall(r'\("/(\w+)", LaunchConfiguration', text)
     assert remapped == ["clock", "tf"]
 

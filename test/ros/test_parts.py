@@ -13,11 +13,11 @@ from rosbags.highlevel import AnyReader
 
 from liegroup_core import Simulation
 from liegroup_core.scene.load import scene_from_text
-from liegroup_sim_ros import attachments
-from liegroup_sim_ros.messages import (ClockCodec, PoseStampedCodec, TwistStampedCodec,
-                                       WrenchStampedCodec)
-from liegroup_sim_ros.recorder import Recorder, RecorderError
-from liegroup_sim_ros.survey import survey
+from liegroup_sim_ros.recording import attachments
+from liegroup_sim_ros.messages.codecs import (ClockCodec, PoseStampedCodec, TwistStampedCodec,
+                                              WrenchStampedCodec)
+from liegroup_sim_ros.recording.recorder import Recorder, RecorderError
+from liegroup_sim_ros.recording.survey import survey
 
 # Turns are counted, a motor depends on time, and a method keeps the size of its substep.
 SCENE = """

@@ -11,9 +11,9 @@ import pytest
 from example_run import SCENE, python
 from mcap.reader import make_reader
 
-from liegroup_sim_ros.messages import ClockCodec, PoseStampedCodec
-from liegroup_sim_ros.recorder import Recorder, RecorderError
-from liegroup_sim_ros.recording import RecordingError, read_recording
+from liegroup_sim_ros.messages.codecs import ClockCodec, PoseStampedCodec
+from liegroup_sim_ros.recording.recorder import Recorder, RecorderError
+from liegroup_sim_ros.recording.reader import RecordingError, read_recording
 
 
 def test_a_killed_process_loses_at_most_the_flush_interval(tmp_path):
@@ -201,7 +201,7 @@ def test_an_unknown_type_is_one_clear_line(tmp_path):
 def test_reading_and_recording_import_no_ros():
     child = python("""
         import sys
-        import liegroup_sim_ros.messages, liegroup_sim_ros.recorder, liegroup_sim_ros.recording
+        import liegroup_sim_ros.messages.codecs, liegroup_sim_ros.recording.recorder, liegroup_sim_ros.recording.reader
         print([name for name in sys.modules if name.split(".")[0] in
                ("rclpy", "geometry_msgs", "std_msgs", "rosidl_parser", "ament_index_python")])
         """)

@@ -12,9 +12,9 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
-from liegroup_sim_ros.messages import PoseStampedCodec, TwistStampedCodec
-from liegroup_sim_ros.recorder import Recorder
-from liegroup_sim_ros.recording import RecordingError, read_recording
+from liegroup_sim_ros.messages.codecs import PoseStampedCodec, TwistStampedCodec
+from liegroup_sim_ros.recording.recorder import Recorder
+from liegroup_sim_ros.recording.reader import RecordingError, read_recording
 
 
 @pytest.fixture(scope="module")

@@ -15,14 +15,14 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from rosbags.highlevel import AnyReader
 
-from liegroup_sim_ros import recorder
-from liegroup_sim_ros.info import as_json
-from liegroup_sim_ros.main import main
-from liegroup_sim_ros.mcap_records import LARGEST
-from liegroup_sim_ros.recorder import Recorder
-from liegroup_sim_ros.recording import RecordingError
-from liegroup_sim_ros.recover import write_recovered
-from liegroup_sim_ros.survey import survey
+from liegroup_sim_ros.recording import recorder
+from liegroup_sim_ros.commands.info import as_json
+from liegroup_sim_ros.commands.main import main
+from liegroup_sim_ros.recording.mcap_records import LARGEST
+from liegroup_sim_ros.recording.recorder import Recorder
+from liegroup_sim_ros.recording.reader import RecordingError
+from liegroup_sim_ros.commands.recover import write_recovered
+from liegroup_sim_ros.recording.survey import survey
 
 COUNT = 60                                  # messages of the small file
 
@@ -202,7 +202,7 @@ def test_nobody_reads_what_is_said(small):
     for many in (1, 300):                   # less, and more, than Python keeps before it writes
         child = python("""
             import sys
-            from liegroup_sim_ros.main import main
+            from liegroup_sim_ros.commands.main import main
             sys.stdin.read()
             sys.exit(main(["info", "--json", *sys.argv[1:]]))
             """, *[small[0]] * many)
@@ -281,7 +281,7 @@ def test_hostile_files_take_little_memory_and_time_and_one_line(tmp_path):
     child = python("""
         import contextlib, io, json, re, resource, sys, time
         from pathlib import Path
-        from liegroup_sim_ros.main import main
+        from liegroup_sim_ros.commands.main import main
 
         def peak():         # MB; not ru_maxrss, which counts what there was before exec()
             status = Path("/proc/self/status").read_text()

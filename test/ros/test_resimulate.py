@@ -16,12 +16,12 @@ from node_process import ENVIRONMENT
 from liegroup_core import Simulation, load_scene
 from liegroup_core.integrators.methods import METHODS
 from liegroup_core.scene.load import scene_from_text
-from liegroup_sim_ros.main import main
-from liegroup_sim_ros.parameters import TABLE
-from liegroup_sim_ros.recording import read_recording
-from liegroup_sim_ros.resimulate import resimulate, told
-from liegroup_sim_ros.scene_run import SceneRun
-from liegroup_sim_ros.wrench_input import Push
+from liegroup_sim_ros.commands.main import main
+from liegroup_sim_ros.node.parameters import TABLE
+from liegroup_sim_ros.recording.reader import read_recording
+from liegroup_sim_ros.playback.resimulate import resimulate, told
+from liegroup_sim_ros.node.scene_run import SceneRun
+from liegroup_sim_ros.node.wrench_input import Push
 
 STEP = 1e-3
 # What all methods can simulate: a top on a ball joint, with a centre of mass off its frame's

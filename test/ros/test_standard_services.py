@@ -12,8 +12,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from liegroup_core import Simulation
 from liegroup_core.scene.load import scene_from_text
-from liegroup_sim_ros.server import CommandError, SimulationServer
-from liegroup_sim_ros.standard_services import StandardServices
+from liegroup_sim_ros.node.simulation_thread import CommandError, SimulationServer
+from liegroup_sim_ros.node.standard_services import StandardServices
 
 # Of simulation_interfaces, versions 1.0 to 1.4, without comments.
 DEFINITIONS = {

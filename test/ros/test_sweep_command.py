@@ -10,7 +10,7 @@ import pytest
 from liegroup_core.study.trade import accuracy
 from liegroup_core.study.sweep import sweep as sweeps
 from liegroup_core.study.sweep.file import SweepFile
-from liegroup_sim_ros.main import main
+from liegroup_sim_ros.commands.main import main
 
 # A free body that falls: z = -g/2 t^2 + v t, whatever its mass.
 FALL = """
@@ -118,7 +118,7 @@ def test_a_setting_for_an_accuracy_stays_that_of_the_sweep(fall, tmp_path, monke
     assert "accuracy 1e-06 over 0.5 s: rkmk4" in capsys.readouterr().err
     settings = SweepFile("a.parquet").description["settings"]
     # What would be chosen now is not looked for.
-    monkeypatch.setattr("liegroup_sim_ros.offline.choose", None)
+    monkeypatch.setattr("liegroup_sim_ros.commands.run.choose", None)
     assert main(fall) == 0
     assert SweepFile("a.parquet").description["settings"] == settings
 

@@ -16,9 +16,9 @@ from liegroup_core import load_scene
 from liegroup_core.integrators.methods import METHODS
 from liegroup_core.study.trade import accuracy
 from liegroup_core.study.trade.trade import Trade
-from liegroup_sim_ros.analyze import analyse
-from liegroup_sim_ros.main import main
-from liegroup_sim_ros.recording import read_recording
+from liegroup_sim_ros.analysis.analyse import analyse
+from liegroup_sim_ros.commands.main import main
+from liegroup_sim_ros.recording.reader import read_recording
 from liegroup_sim_ros.report.trade_page import make_plot
 
 SCHEMA = Path(__file__).resolve().parents[2] / "config" / "trade.schema.json"
@@ -188,7 +188,7 @@ import os, sys
 from liegroup_core.study import accuracy
 os.environ["LIEGROUP_CACHE_DIR"] = sys.argv[1]
 accuracy.SHORTLIST = ("rkmk4",)
-from liegroup_sim_ros.sim_node import main
+from liegroup_sim_ros.node.entry import main
 sys.exit(main(["sim_node", "--ros-args", *sys.argv[2:]]))
 """
 

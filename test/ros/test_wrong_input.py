@@ -7,13 +7,13 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from node_process import COMPILING, python
 
-from liegroup_sim_ros.parameters import TABLE
+from liegroup_sim_ros.node.parameters import TABLE
 
 # Runs the node's entry point for every argument list on stdin, with the file descriptor of stderr
 # caught, for ROS's libraries write there, too.
 BATCH = """
 import json, os, sys, tempfile
-from liegroup_sim_ros.sim_node import main
+from liegroup_sim_ros.node.entry import main
 answers, stderr = [], os.dup(2)
 for arguments in json.load(open(sys.argv[1])):
     with tempfile.TemporaryFile() as caught:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from liegroup_core import Simulation
-from liegroup_sim_ros.chapter_runs import CRANK_RATE, four_bar, joint_errors
+from liegroup_sim_ros.chapter.joint_runs import CRANK_RATE, four_bar, joint_errors
 from planar_four_bar import PlanarFourBar
 
 ANGLE_1 = -0.765225378176                   # rad, modulo a turn: crank after 1 s

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rotation methods on the chapter's free body and Lagrangian top, Figs. 6.6 to 6.9.
 
-Numbers of independent implementations: liegroup_sim_ros/rotation_tables.py. With forces and in
+Numbers of independent implementations: liegroup_sim_ros/chapter/rotation_tables.py. With forces and in
 other scenes: test_rotation_forces.py.
 """
 import re
@@ -16,12 +16,13 @@ from liegroup_core.integrators.methods import METHODS
 from liegroup_core.status import NO_RATTLE_STEP, NOT_CONVERGED
 from liegroup_core.lie.groups import SO3
 from liegroup_core.scene.description import Body
-from liegroup_sim_ros.rotation_figures import (PANELS, count_runs, end_attitude, errors,
-                                               make_rotation_figures, order_and_constant,
-                                               top_integrals)
-from liegroup_sim_ros.rotation_tables import (FREE_ATTITUDE, FREE_CONSTANTS, FREE_R_10, FREE_STEPS,
-                                              MOMENTUM, MOMENTUM_STEPS, TOP_ATTITUDE,
-                                              TOP_CONSTANTS, TOP_INTEGRALS, TOP_R_1, TOP_RATES)
+from liegroup_sim_ros.chapter.rotation_figures import (PANELS, count_runs, end_attitude, errors,
+                                                       make_rotation_figures, order_and_constant,
+                                                       top_integrals)
+from liegroup_sim_ros.chapter.rotation_tables import (FREE_ATTITUDE, FREE_CONSTANTS, FREE_R_10,
+                                                      FREE_STEPS, MOMENTUM, MOMENTUM_STEPS,
+                                                      TOP_ATTITUDE, TOP_CONSTANTS, TOP_INTEGRALS,
+                                                      TOP_R_1, TOP_RATES)
 
 ROTATION = [name for name, method in METHODS.items() if method.family == "rotation"]
 KEEP_MOMENTUM = [name for name in ROTATION if name != "lie_newmark"]
@@ -332,8 +333,8 @@ def test_figures_use_exact_end_states_and_say_what_elsewhere_was_found(monkeypat
     assert np.abs(end_attitude("lagrangian_top", 1) - TOP_R_1).max() <= 2e-13
     short = [replace(panel, steps=panel.steps[2:5], elsewhere={
         method: values[2:5] for method, values in panel.elsewhere.items()}) for panel in PANELS]
-    monkeypatch.setattr("liegroup_sim_ros.rotation_figures.PANELS", short)
-    monkeypatch.setattr("liegroup_sim_ros.rotation_figures.TOP_INTEGRALS",
+    monkeypatch.setattr("liegroup_sim_ros.chapter.rotation_figures.PANELS", short)
+    monkeypatch.setattr("liegroup_sim_ros.chapter.rotation_figures.TOP_INTEGRALS",
                         {("rattle", 1e-3): TOP_INTEGRALS["rattle", 1e-3]})
     said = []
     paths, tables = make_rotation_figures(tmp_path, said.append)

@@ -1,0 +1,281 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How wrong is a recorded run? Figures and curves of one recording.
+
+Everything is computed from the file alone: from the recorded poses and twists, the scene and the
+initial state it carries, and the wrenches that were applied. No ROS is needed. The samples are
+gone through once, piece by piece, so memory does not grow with the length of the run.
+"""
+import math
+from dataclasses import dataclass
+
+from liegroup_core import SimulationError
+from liegroup_core.integrators.methods import GROUPS
+from liegroup_core.observables.along import Along
+from liegroup_core.monitor.joint_watch import mechanism_size
+from liegroup_core.reference.exact import exact_solution
+from liegroup_core.scene.load import scene_from_text
+from liegroup_core.simulation import make_layout
+
+from liegroup_sim_ros.recording.reader import RecordingError
+from .invariants import Energy, Joints, Momentum
+from .local_error import local_error
+from liegroup_sim_ros.recording.motion import Motion
+from .promise import Promise, is_promise
+from .reference import ReferenceError, exact_error
+from liegroup_sim_ros.playback.repeat import (Repeat, ReplayError, Starts, initial_state,
+                                              make_simulation)
+from liegroup_sim_ros.report.summary import find_problems, verdict
+
+# Simulated time that the independent integration covers if no other is asked for, s.
+REFERENCE_SECONDS = 60.0
+MOST_PUSHES = 1000          # of which the figures tell the times
+
+
+class AnalysisError(Exception):
+    """The analysis cannot be written; one line of text, exit code 2."""
+
+
+@dataclass(frozen=True, eq=False)
+class Analysis:
+    """What was found.
+
+    figures : numbers and texts, JSON types only, but a number may be NaN or infinite
+    curves  : arrays for plots, see report/page.py
+    """
+
+    figures: dict
+    curves: dict
+    scene: object
+    recording: object
+    motion: object
+
+
+def analyse(recording, reference=True, tell=lambda text: None,
+            reference_seconds=REFERENCE_SECONDS):
+    """Analysis of a Recording.
+
+    reference         : False leaves out the comparison with an independent integration
+    tell              : function that is told what is done now
+    reference_seconds : simulated time that this integration covers; an exact solution, where the
+                        scene has one, takes its place and covers all
+    raises RecordingError, SceneError
+    """
+    scene = scene_from_text(recording.scene_text, source=f"{recording.path}: scene.yaml")
+    check_settings(recording, scene)
+    layout = make_layout(scene)
+    motion = Motion(recording)
+    parts = _Parts(scene, recording, layout, motion, reference, reference_seconds)
+    done = 0
+    for block in motion.blocks(parts.angles):
+        parts.add(block)
+        done += len(block.steps)
+        tell(f"{done} of {motion.expected} samples"
+             + (" (the first time on a machine also compiles)" if not done else ""))
+    figures = _run_figures(recording, motion)
+    curves = {}
+    if motion.stretches:
+        tell("energy, momentum, joints and errors")
+        parts.finish(figures, curves)
+    figures["problems"] = find_problems(figures)
+    figures["verdict"] = verdict(figures)
+    return Analysis(figures, curves, scene, recording, motion)
+
+
+class _Parts:
+    """All that looks at the samples on their way."""
+
+    def __init__(self, scene, recording, layout, motion, reference, seconds):
+        self._scene, self._recording, self._layout = scene, recording, layout
+        self._motion = motion
+        expected = motion.expected
+        self._along, self._stretch = Along(layout), None
+        self._starts = Starts(recording, layout)
+        angles = self._starts.of(motion.first)[2]
+        if angles is not None and len(angles) != len(layout.model.forces.torsional_spring_damper):
+            raise RecordingError(f"{recording.path}: its initial state has {len(angles)} angles, "
+                                 "not those of its torsional springs")
+        self._energy, self._joints = Energy(layout, expected), Joints(layout, expected)
+        self._momentum = Momentum(scene, expected)
+        self._guarded = {"repeat": _Guarded(lambda: Repeat(
+            recording, make_simulation(scene, recording.settings)))}
+        self._exact, self._promise = None, Promise(
+            recording.settings.get("promise") if reference else None)
+        if reference:
+            if not (recording.initial_state.get("steps")
+                    or any(len(track.stamp_ns) for track in recording.wrench.values())):
+                self._exact = exact_solution(layout, *initial_state(recording)[:2])
+            if self._exact is None:
+                self._guarded["reference"] = _Guarded(lambda: ReferenceError(
+                    layout, recording, expected, seconds, self._promise))
+
+    def angles(self, block):
+        """Angles of the torsional springs; called before `add` with the same Block."""
+        if block.stretch is not self._stretch:
+            self._stretch = block.stretch
+            self._along.restart(self._starts.of(block.stretch)[2])
+        self._found = self._along.follow(block.pose, block.twist)
+        return self._found[3]
+
+    def add(self, block):
+        energies, kinetic, residual, _ = self._found
+        self._energy.add(block, energies, kinetic)
+        self._momentum.add(block)
+        self._joints.add(block, residual)
+        for part in self._guarded.values():
+            part.add(block)
+
+    def finish(self, figures, curves):
+        figures["energy"], curves["energy"] = self._energy.figures(self._motion)
+        figures["momentum"], curves["momentum"] = self._momentum.figures(self._motion)
+        figures["joints"], figures["joint_samples"], curves["joints"] = self._joints.figures()
+        figures["mechanism_size"] = mechanism_size(self._layout.model)
+        figures["repeat"] = self._guarded["repeat"].figures()
+        if self._exact is not None:
+            figures["reference"], curves["reference"] = exact_error(
+                self._exact, self._motion, self._promise)
+        elif "reference" in self._guarded:
+            found = self._guarded["reference"].figures()
+            figures["reference"], curves["reference"] = (
+                found if isinstance(found, tuple) else (found, None))
+        figures["promise"] = self._promise.figures()
+        try:
+            figures["local"] = local_error(self._scene, self._recording, self._motion,
+                                           self._layout)
+        except _NO_RESULT as error:
+            figures["local"] = _failed(error)
+
+
+# A method or a joint that is not known here, options of another version, a singular pose.
+_NO_RESULT = (SimulationError, ReplayError, ValueError, TypeError)
+
+
+def _failed(error):
+    return {"failed": " ".join(str(error).split())}
+
+
+class _Guarded:
+    """A part that may find that there is no result; then the reason is the result."""
+
+    def __init__(self, make):
+        self._failure = None
+        self._part = self._try(make)
+
+    def _try(self, function, *arguments):
+        if self._failure is None:
+            try:
+                return function(*arguments)
+            except _NO_RESULT as error:
+                self._failure = _failed(error)
+        return None
+
+    def add(self, block):
+        self._try(lambda: self._part.add(block))
+
+    def figures(self):
+        found = self._try(lambda: self._part.figures())
+        return self._failure or found
+
+
+def check_settings(recording, scene):
+    """Raise RecordingError where parts of a recording do not belong together."""
+    settings, path = recording.settings, recording.path
+    lacking = [key for key in ("scene", "method", "group", "step", "steps_per_sample",
+                               "world_frame") if key not in settings]
+    if lacking:
+        raise RecordingError(f"{path}: its settings lack {', '.join(lacking)}")
+
+    def is_count(value):
+        return isinstance(value, int) and not isinstance(value, bool) and 0 < value < 2**53
+
+    checks = {
+        "scene": isinstance(settings["scene"], str),
+        "method": isinstance(settings["method"], str),
+        "group": settings["group"] in tuple(GROUPS),
+        "step": isinstance(settings["step"], (int, float))
+        and not isinstance(settings["step"], bool) and 1e-9 <= settings["step"] <= 1e6,
+        "steps_per_sample": is_count(settings["steps_per_sample"]),
+        "world_frame": isinstance(settings["world_frame"], str),
+        "options": isinstance(settings.get("options") or {}, dict),
+        "versions": isinstance(settings.get("versions") or {}, dict),
+        "stabilisation": isinstance(settings.get("stabilisation") or "none", str),
+        "promise": settings.get("promise") is None or is_promise(settings["promise"])}
+    for name, good in checks.items():
+        if not good:
+            raise RecordingError(f"{path}: its setting {name} makes no sense: "
+                                 f"{settings.get(name)!r:.60}")
+    if recording.bodies != tuple(body.name for body in scene.bodies):
+        raise RecordingError(f"{path}: its initial state is for other bodies than its scene has")
+    pacing = recording.pacing
+    if pacing is not None and not isinstance(pacing.get("lateness_us"), dict):
+        raise RecordingError(f"{path}: its pacing has no lateness_us")
+
+
+def _run_figures(recording, motion):
+    """What was run, how it kept to the wall clock, and what is in the file."""
+    settings = recording.settings
+    last = recording.diagnostics[-1][1] if recording.diagnostics else {}
+    said = recording.pacing or _timing_so_far(last)
+    timing = {key: _number(said.get(key)) for key in (
+        "ticks", "overruns", "reanchored", "real_time_factor", "wall_seconds", "sim_seconds")}
+    timing["lateness_us"] = {key: _number(said["lateness_us"].get(key))
+                             for key in ("p50", "p99", "max")}
+    timing["factor_wanted"] = _number(last.get("real_time_factor_wanted",
+                                               said.get("real_time_factor_wanted")))
+    factors = [_number(entry.get("real_time_factor")) for _, entry in recording.diagnostics
+               if entry.get("state") == "running"]
+    factors = [factor for factor in factors if factor]
+    timing["real_time_factor_least"] = min(factors, default=None)
+    timing["real_time_factor_most"] = max(factors, default=None)
+    timing |= {"gaps": motion.gaps, "largest_gap_s": motion.largest_gap_s,
+               "largest_gap_at_s": motion.largest_gap_at_s}
+    intervals = [(stretch, push) for stretch in motion.stretches for push in stretch.pushed]
+    pushes = [{"body": body, "from_s": stretch.base_ns * 1e-9 + first * stretch.step,
+               "to_s": stretch.base_ns * 1e-9 + end * stretch.step if math.isfinite(end) else None}
+              for stretch, (first, end, body) in intervals[:MOST_PUSHES]]
+    events = {}
+    for event in recording.events:
+        events[event.name] = events.get(event.name, 0) + 1
+    return {
+        "log": str(recording.path), "scene": settings["scene"], "bodies": list(recording.bodies),
+        "method": settings["method"], "group": settings["group"], "step": settings["step"],
+        "stabilisation": settings.get("stabilisation") or "none",
+        "options": settings.get("options") or {}, "wall_start": settings.get("wall_start"),
+        "versions": settings.get("versions") or {},
+        "sim_seconds": sum(stretch.seconds for stretch in motion.stretches),
+        "samples": motion.samples, "missing_samples": motion.missing,
+        "not_finite_samples": motion.not_finite, "first_not_finite_s": motion.first_not_finite,
+        "resets": sum(event.name == "reset" for event in recording.events),
+        "faults": [event.text for event in recording.events if event.name == "fault"],
+        "events": events, "pushes": pushes, "push_count": len(intervals),
+        "wrench_changes": sum(len(track.stamp_ns) for track in recording.wrench.values()),
+        "wrenches_refused": _number(last.get("wrenches_refused")),
+        "recorder_lost": _number(last.get("recorder_lost")),
+        "messages": recording.topics, "lost_messages": recording.lost,
+        "complete": recording.complete, "file_problem": recording.problem, "timing": timing,
+    }
+
+
+def _timing_so_far(last):
+    """What the last diagnostics say, for a run that did not come to its end."""
+    return {"ticks": _number(last.get("ticks")), "overruns": _number(last.get("overruns")),
+            "reanchored": _number(last.get("reanchored")),
+            "real_time_factor": _number(last.get("real_time_factor")),
+            "lateness_us": {key: _number(last.get(f"lateness_{key}_us"))
+                            for key in ("p50", "p99", "max")}}
+
+
+def _number(text):
+    """A number out of the diagnostics, or None."""
+    try:
+        return float(text)
+    except (TypeError, ValueError):
+        return None
+
+
+def plain(value):
+    """Figures for JSON; NaN and infinity become texts, so that nobody takes them for fine."""
+    if isinstance(value, dict):
+        return {str(key): plain(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(entry) for entry in value]
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Global error of a recorded run: its distance to the exact solution, or to a tight integration.
+
+Neither knows anything of the engine (liegroup_core.reference); both start at the recorded initial
+state, as every stretch did.
+"""
+import numpy as np
+
+from liegroup_core.reference import Reference, Trajectory, WrenchChange, distance
+
+from .drift import MOST_POINTS, extremes
+from liegroup_sim_ros.playback.repeat import Starts
+
+# (name in Distance, unit)
+QUANTITIES = (("position", "m"), ("attitude", "1"), ("angle", "rad"), ("angular", "rad/s"),
+              ("linear", "m/s"))
+EXACT_SAMPLES = 200         # each takes some 10 ms
+
+
+class Errors:
+    """Largest and last errors, and curves of them, of pieces of trajectories.
+
+    promise : report.promise.Promise that takes them up, too, or None
+    """
+
+    def __init__(self, expected, promise=None):
+        self._promise = promise
+        self._every = -(-expected // MOST_POINTS)
+        self._max = dict.fromkeys((name for name, _ in QUANTITIES), 0.0)
+        self._final, self._known = {}, dict(self._max)
+        self._curves, self.seconds = {}, 0.0
+
+    def add(self, stretch, times, log_times, error, uncertainty):
+        """Take up two Distances at k times of a Stretch."""
+        if self._promise is not None:
+            self._promise.add(stretch, times, error, uncertainty)
+        for name, _ in QUANTITIES:
+            values, known = getattr(error, name), getattr(uncertainty, name)
+            self._max[name] = float(np.maximum(self._max[name], values.max()))
+            self._known[name] = float(np.maximum(self._known[name], known.max()))
+            self._final[name] = float(values[-1].max())
+        worst = error.position.max(axis=1), error.angle.max(axis=1)
+        rows = np.union1d(*(extremes(part, self._every) for part in worst))
+        self._curves.setdefault(id(stretch), []).append(tuple(part[rows] for part in (
+            log_times, *worst, uncertainty.position.max(axis=1), uncertainty.angle.max(axis=1))))
+
+    def figures(self, **more):
+        """(figures, [(times, position error, angle error, uncertainty of the two)])."""
+        found = {name: {"unit": unit, "max": self._max[name], "final": self._final.get(name, 0.0),
+                        "uncertainty": self._known[name]} for name, unit in QUANTITIES}
+        curves = [tuple(np.concatenate(part) for part in zip(*parts))
+                  for parts in self._curves.values()]
+        return found | more, curves
+
+
+class ReferenceError:
+    """Distance to an independent tight integration, whose uncertainty is its distance to a looser.
+
+    seconds : of simulated time to look at, of all stretches together
+    promise : as of Errors
+    """
+
+    def __init__(self, layout, recording, expected, seconds=np.inf, promise=None):
+        self._scene, self._starts = layout.scene, Starts(recording, layout)
+        self._left, self._judged = seconds, 0.0
+        self._errors = Errors(expected, promise)
+        self._stretch = None
+
+    def add(self, block):
+        """Take up a Block."""
+        stretch = block.stretch
+        if stretch is not self._stretch:
+            self._stretch, self._start = stretch, stretch.start * stretch.step
+            self._end = self._start + self._left
+            self._reference = None
+        times = block.times
+        k = int(np.searchsorted(times, self._end, "right"))
+        if k == 0:
+            return
+        if self._reference is None:
+            # Changes beyond the end would only take memory.
+            when = stretch.change_steps * stretch.step
+            upto = int(np.searchsorted(when, self._end, "right"))
+            changes = [WrenchChange(time, stretch.bodies[body], tuple(wrench)) for
+                       time, body, wrench in zip(when[:upto].tolist(),
+                                                 stretch.change_bodies[:upto].tolist(),
+                                                 stretch.change_wrenches[:upto].tolist())]
+            pose, twist, angles = self._starts.of(stretch)
+            self._reference = Reference(self._scene, pose, twist, changes, self._start,
+                                        angles=angles)
+        exact, uncertainty = self._reference.at(times[:k])
+        reached = float(times[k - 1])
+        self._left, self._judged = self._end - reached, self._judged + reached - self._start
+        self._start = reached
+        error = distance(Trajectory(times[:k], block.rotation[:k], block.position[:k],
+                                    block.twist[:k]), exact)
+        self._errors.add(stretch, times[:k], block.log_times[:k], error, uncertainty)
+
+    def figures(self):
+        """(figures, curves), see Errors."""
+        return self._errors.figures(kind="integration", seconds=self._judged)
+
+
+def exact_error(exact, motion, promise=None):
+    """(figures, curves) against an exact solution, see liegroup_core.reference.exact; of all."""
+    errors = Errors(EXACT_SAMPLES, promise)
+    for stretch in motion.stretches:
+        k = len(stretch.steps)
+        rows = np.unique(np.linspace(0, k - 1, min(k, EXACT_SAMPLES)).astype(int))
+        found = exact.at(stretch.times[rows])
+        error = distance(Trajectory(None, stretch.rotation[rows], stretch.position[rows],
+                                    stretch.twist[rows]), found)
+        errors.add(stretch, stretch.times[rows], stretch.log_times[rows], error,
+                   exact.uncertainty(found))
+    return errors.figures(kind=exact.name, seconds=sum(s.seconds for s in motion.stretches))

@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`liegroup_sim run`: simulate without a clock and without ROS, into arrays or into a recording.
+
+Exit code 1 when the integration had to stop, 130 after Ctrl-C; what was computed is written then
+too. Wrong input is refused before a file is opened.
+"""
+import math
+import sys
+import time
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from liegroup_core import Simulation, SimulationError, load_scene
+from liegroup_core.integrators.methods import GROUPS, METHODS
+from liegroup_core.simulation import METHOD, STABILISATIONS, STEP
+from liegroup_core.study.trade.accuracy import choose
+
+from liegroup_sim_ros.recording.run_files import ArrayFile, LogFile
+
+EXIT_STOPPED = 1
+AT_ONCE = 10_000                            # steps between two looks at the clock, at most
+REDRAW = 0.1                                # s
+# Handed on to Simulation if given.
+SETTINGS = ("method", "step", "group", "stabilisation", "baumgarte_time",
+            "dexpinv", "space", "rtol", "atol", "rho_inf")
+
+
+class RunError(Exception):
+    """The run cannot be made; one line of text, exit code 2."""
+
+
+def add_parser(subparsers):
+    """Add `run` to the subcommands of a command line."""
+    parser = subparsers.add_parser(
+        "run", help="simulate as fast as it goes, into a file, without ROS",
+        description="Simulate a scene as fast as it goes and write the motion to a file: arrays "
+        "(*.npz) or a recording (*.mcap) that `liegroup_sim analyze` and other tools read.")
+    parser.add_argument("scene", metavar="SCENE",
+                        help="scene file, or name of one that comes along")
+    parser.add_argument("--duration", type=float, required=True, metavar="S",
+                        help="simulated time in s, a whole number of steps")
+    parser.add_argument("--out", required=True, metavar="FILE",
+                        help="*.npz or *.mcap, must not exist")
+    parser.add_argument("--every", type=int, default=10, metavar="STEPS",
+                        help="steps from one sample to the next; the last state is always one "
+                        "(default: %(default)s)")
+    add_settings(parser)
+    parser.set_defaults(run=run)
+
+
+def add_settings(parser):
+    """Add the options that say how to simulate."""
+    parser.add_argument("--accuracy", type=float, metavar="X",
+                        help="in place of method, step, group and stabilisation: the cheapest "
+                        "that keeps this error, positions in parts of the scene's length and "
+                        "attitudes in rad; measured once for a scene on a machine "
+                        "(docs/trade.md)")
+    parser.add_argument("--horizon", type=float, metavar="S", help="simulated time over which the "
+                        "accuracy is promised (default: what suits the scene, at most 10)")
+    parser.add_argument("--method", metavar="NAME",
+                        help=f"{', '.join(METHODS)} (default: {METHOD})")
+    parser.add_argument("--step", type=float, metavar="S",
+                        help=f"step size in s (default: {STEP:g})")
+    parser.add_argument("--group", metavar="NAME",
+                        help=f"{' or '.join(GROUPS)}; auto: se3, but so3xr3 for methods that have "
+                        "no other (default: auto)")
+    parser.add_argument("--stabilisation", metavar="KIND",
+                        help=f"{', '.join(STABILISATIONS)} (default: none)")
+    parser.add_argument("--baumgarte-time", type=float, metavar="S",
+                        help="time in which joint errors die out (default: ten steps)")
+    parser.add_argument("--dexpinv", metavar="KIND", help="exact or truncated (default: exact)")
+    parser.add_argument("--space", metavar="KIND", help="auto, or space: integrate in space what "
+                        "could be in a plane (default: auto)")
+    for name in ("rtol", "atol"):
+        parser.add_argument(f"--{name}", type=float, metavar="X",
+                            help="tolerance of a method with error control")
+    parser.add_argument("--rho-inf", type=float, metavar="X", help="damping of generalized_alpha")
+
+
+def given_settings(args):
+    """Arguments of Simulation among those of a command line. Raises RunError."""
+    if args.horizon is not None and args.accuracy is None:
+        raise RunError("--horizon goes with --accuracy")
+    settings = {name: getattr(args, name) for name in SETTINGS
+                if getattr(args, name) is not None}
+    if settings and args.accuracy is not None:
+        name = next(iter(settings)).replace("_", "-")
+        raise RunError(f"--accuracy takes the place of --{name}: leave one of the two away")
+    return settings
+
+
+def run(args):
+    """Run the subcommand; returns the exit code. Raises SceneError, RunError, OutputError."""
+    settings = given_settings(args)
+    kind = {".npz": ArrayFile, ".mcap": LogFile}.get(Path(args.out).suffix)
+    if kind is None:
+        raise RunError(f"{args.out}: the name must end in .npz or .mcap")
+    if args.every < 1:
+        raise RunError(f"--every must be at least 1, got {args.every}")
+    scene = load_scene(args.scene)
+    console = Console(stderr=True)
+    try:
+        with console.status("starting (the first time on a machine compiles for some 20 s)"):
+            simulation = (Simulation(scene, **settings) if args.accuracy is None
+                          else chosen(scene, args).simulation())
+    except ValueError as error:             # SceneError, too, is one
+        raise RunError(str(error)) from None
+    steps = whole_steps(args.duration, simulation.step)
+    samples = 1 + -(-steps // args.every)
+    started = time.monotonic()
+    stopped, code = None, 0
+    with kind(args.out, simulation, args.every, samples) as file:
+        file.sample(simulation.sample())
+        try:
+            _simulate(simulation, steps, args.every, file, console)
+        except SimulationError as error:
+            stopped, code = str(error), EXIT_STOPPED
+        except KeyboardInterrupt:
+            stopped, code = f"interrupted at t = {simulation.time:.9g} s", 130
+        if stopped and simulation.steps > file.last_step:
+            file.sample(simulation.sample())
+        wall = time.monotonic() - started
+        file.finish(simulation, stopped, code == EXIT_STOPPED, wall)
+    if stopped:
+        print(f"liegroup_sim: {stopped}; what was computed is in {args.out}", file=sys.stderr)
+    else:
+        print(f"{args.out}: {simulation.time:.9g} s in {steps} steps, {file.count} samples, "
+              f"{wall:.3g} s of wall time")
+    return code
+
+
+def chosen(scene, args, every=None):
+    """Choice that keeps the accuracy asked for, with a step that goes into the duration.
+
+    every : s, which it goes into as well, or None
+    raises RunError, AccuracyError, SceneError
+    """
+    def usable(step):
+        try:
+            return all(whole_steps(time, step) for time in (args.duration, every) if time)
+        except RunError:
+            return False
+
+    whole_steps(args.duration, args.duration)       # a duration that is none is refused as such
+    choice = choose(scene, args.accuracy, args.horizon, usable,
+                    tell=lambda text: print(f"liegroup_sim: {text}", file=sys.stderr))
+    print(f"liegroup_sim: {choice}", file=sys.stderr)
+    if args.duration > choice.promise["horizon"]:
+        print(f"liegroup_sim: the accuracy is promised for the first "
+              f"{choice.promise['horizon']:g} s; give --horizon for more", file=sys.stderr)
+    return choice
+
+
+def _simulate(simulation, steps, every, file, console):
+    """Take all steps and hand every sample that is due to the file."""
+    with Progress(TextColumn("simulating"), BarColumn(), TextColumn("{task.fields[said]}"),
+                  TimeRemainingColumn(), console=console) as progress:
+        task = progress.add_task("", total=steps, said="")
+        drawn = 0.0
+        while simulation.steps < steps:
+            due = min(steps, (simulation.steps // every + 1) * every)
+            simulation.advance(min(due - simulation.steps, AT_ONCE))
+            if simulation.steps == due:
+                file.sample(simulation.sample())
+            if time.monotonic() > drawn + REDRAW:
+                drawn = time.monotonic()
+                progress.update(task, completed=simulation.steps, said=f"{simulation.time:.3f} s")
+        progress.update(task, completed=steps, said=f"{simulation.time:.3f} s")
+
+
+def whole_steps(duration, step, name="--duration"):
+    """Number of steps of a duration. Raises RunError."""
+    if not (math.isfinite(duration) and duration > 0.0):
+        raise RunError(f"{name} must be a positive number of seconds, got {duration:g}")
+    steps = round(duration / step)
+    # Far above rounding, far below what anyone would not see.
+    if steps < 1 or abs(duration / step - steps) > 1e-6 * steps:
+        nearest = max(1, steps) * step
+        raise RunError(f"{name} {duration:g} s is {duration / step:.6g} steps of {step:g} s, "
+                       f"must be a whole number of them, such as {nearest:.9g}")
+    return steps

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`liegroup_sim sweep`: many runs of a scene with drawn parameters, into Parquet. No ROS.
+
+Every finished piece of the work is kept at once, so that a sweep that was ended goes on where it
+was.
+"""
+import sys
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from liegroup_core import load_scene
+from liegroup_core.scene.load import scene_as_written
+from liegroup_core.simulation import STEP
+from liegroup_core.study.sweep.parameters import ParameterError, parameters
+from liegroup_core.study.trade.cache import PACKAGES
+from liegroup_core.study.sweep.sweep import OK, Sweep, describe
+from liegroup_core.study.sweep.file import SweepFile, SweepFileError
+
+from liegroup_sim_ros import __version__
+from liegroup_sim_ros.recording.attachments import versions
+from .run import RunError, add_settings, chosen, given_settings, whole_steps
+from liegroup_sim_ros.report.sweep_tables import print_sweep
+
+EXIT_ALL_FAILED, EXIT_INTERRUPTED = 1, 130
+# Of what check_consistency says of a start that joints do not allow.
+CLOSING = "velocities violate the joint", "does not close at the initial poses"
+
+
+def add_parser(subparsers):
+    """Add `sweep` to the subcommands of a command line."""
+    parser = subparsers.add_parser(
+        "sweep", help="many runs of a scene with drawn parameters, into Parquet",
+        description="Draw parameters and initial states of a scene from ranges, by a Latin "
+        "hypercube; make all runs, in parallel; write what came of each to Parquet, and show how "
+        "the results spread and what they depend on.",
+        epilog="What is finished is kept at once: after Ctrl-C the same call goes on.")
+    parser.add_argument("scene", metavar="SCENE",
+                        help="scene file, or name of one that comes along")
+    parser.add_argument("--vary", nargs="+", action="extend", default=[], metavar="NAME=RANGE",
+                        help="a number of the scene, such as bodies.top.mass, or the end of its "
+                        "name if no other has it; LOW:HIGH, LOW:HIGH:log, MEAN~DEVIATION or A,B,C")
+    parser.add_argument("--list", action="store_true",
+                        help="only show what can vary, with the numbers of the scene")
+    parser.add_argument("--samples", type=int, metavar="N", help="number of runs")
+    parser.add_argument("--seed", type=int, default=0, metavar="N",
+                        help="of the drawing (default: %(default)s)")
+    parser.add_argument("--duration", type=float, metavar="S",
+                        help="simulated time of each run in s, a whole number of steps")
+    parser.add_argument("--out", metavar="FOLDER", help="*.parquet, a folder of Parquet files")
+    parser.add_argument("--keep", type=float, metavar="S",
+                        help="keep the states at these times too, and look at energy and joints "
+                        "there (default: look at a tenth of the run, keep the last state)")
+    parser.add_argument("--assemble", action="store_true",
+                        help="let the joints close the poses and velocities that were drawn")
+    parser.add_argument("--workers", type=int, metavar="N",
+                        help="processes (default: one for each core)")
+    parser.add_argument("--scheduler", metavar="ADDRESS",
+                        help="scheduler of a dask cluster to work on, such as tcp://host:8786")
+    parser.add_argument("--show", nargs="+", metavar="COLUMN",
+                        help="what the tables at the end are of (default: the states of up to two "
+                        "bodies, the energy and the joints)")
+    add_settings(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args):
+    """Run the subcommand; returns the exit code.
+
+    Raises SceneError, ParameterError, RunError, SweepFileError, TasksError.
+    """
+    scene = load_scene(args.scene)
+    if args.list:
+        for name, value in parameters(scene_as_written(scene.text)).items():
+            print(name if value is None else f"{name} {value!r}")
+        return 0
+    for name in ("samples", "duration", "out"):
+        if getattr(args, name) is None:
+            raise RunError(f"--{name} is missing")
+    if args.workers is not None and args.workers < 1:
+        raise RunError(f"--workers must be at least 1, got {args.workers}")
+    console = Console(stderr=True)
+    with console.status("starting (the first time on a machine compiles for some 20 s)"):
+        sweep, description = _asked_for(scene, args)
+    unknown = [name for name in args.show or () if sweep.columns.get(name) != "float"]
+    if unknown:
+        raise RunError(f"--show: there is no column of numbers {unknown[0]}; there are: "
+                       + ", ".join(name for name, kind in sweep.columns.items()
+                                   if kind == "float"))
+    with SweepFile(args.out, description).writing() as file:
+        interrupted = _make(sweep, file, args, console)
+        if interrupted:
+            print(f"liegroup_sim: interrupted; {sweep.samples - len(file.missing)} of "
+                  f"{sweep.samples} runs are in {args.out}, the same call makes the others",
+                  file=sys.stderr)
+            return EXIT_INTERRUPTED
+        statuses = print_sweep(file, args.show, Console(file=sys.stdout))
+    if not args.assemble and any(hint in status for status in statuses for hint in CLOSING):
+        print("liegroup_sim: where joints hold the bodies that start otherwise, --assemble lets "
+              "them close", file=sys.stderr)
+    return 0 if OK in statuses else EXIT_ALL_FAILED
+
+
+def _asked_for(scene, args):
+    """(Sweep, its description for the file)."""
+    settings, accuracy = given_settings(args), None
+    if args.accuracy is not None:
+        accuracy = {"accuracy": args.accuracy, "horizon": args.horizon}
+        settings = _begun(args.out, accuracy) or chosen(scene, args, args.keep).settings
+    step = settings.get("step", STEP)
+    try:
+        if not step > 0.0:
+            raise ValueError(f"the step must be a positive number of seconds, got {step:g}")
+        every = None if args.keep is None else whole_steps(args.keep, step, "--keep")
+        sweep = Sweep.of(scene, args.vary, args.samples, whole_steps(args.duration, step),
+                         args.seed, every, args.assemble, settings)
+    except ParameterError:
+        raise
+    except ValueError as error:             # SceneError, too, is one
+        raise RunError(str(error)) from None
+    found = versions()
+    return sweep, describe(sweep) | {
+        "accuracy": accuracy, "version": __version__,
+        "versions": {name: found.get(name) for name in ("python", *PACKAGES[:3])}}
+
+
+def _begun(path, accuracy):
+    """Settings of a sweep that was begun for the same accuracy, or None.
+
+    What is cheapest may have been measured anew in between; the runs of a sweep are alike.
+    """
+    try:
+        description = SweepFile(path).description
+    except SweepFileError:
+        return None
+    return description["settings"] if description.get("accuracy") == accuracy else None
+
+
+def _make(sweep, file, args, console):
+    """Make the missing runs; returns whether that was interrupted."""
+    missing = file.missing
+    if not len(missing):
+        return False
+    done, failed = sweep.samples - len(missing), 0
+    if done:
+        print(f"liegroup_sim: {done} of {sweep.samples} runs are in {args.out} already",
+              file=sys.stderr)
+    with Progress(TextColumn("{task.description}"), BarColumn(),
+                  TextColumn("{task.completed:.0f}/{task.total:.0f} runs"), TimeElapsedColumn(),
+                  TimeRemainingColumn(), TextColumn("{task.fields[said]}"),
+                  console=console) as progress:
+        task = progress.add_task(sweep.name, total=sweep.samples, completed=done, said="")
+        try:
+            for columns in sweep.run(missing, args.scheduler, args.workers):
+                file.add(columns)
+                failed += sum(status != "ok" for status in columns["status"])
+                progress.update(task, advance=len(columns["run"]),
+                                said=f"{failed} failed" if failed else "")
+        except KeyboardInterrupt:
+            return True
+    return False

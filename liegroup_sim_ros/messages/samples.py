@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages about all bodies or joints at one instant, made from a Sample. No ROS is imported here.
+
+Each function but the first takes a scene's Layout, the world's frame id and what those of bodies
+begin with. It returns [(topic, type, encode)], one entry for a topic, and `encode(stamp_ns,
+sample)` gives the serialized message. Poses are in the world frame, twists are
+body twists: components in body axes, of the body frame's origin.
+"""
+from .cdr import Template, stamp
+from .codecs import PoseStampedCodec, TwistStampedCodec, pack_stamp
+
+_POSE, _BODY = 7 * 8, 13 * 8                # bytes of a pose, and of a body, in Sample.rows
+
+
+def poses_and_twists(body_names, world_frame, frame_prefix=""):
+    """Function (stamp_ns, sample) -> [(PoseStamped, TwistStamped)] of all bodies, serialized."""
+    encode_pose = PoseStampedCodec(world_frame).encode_packed
+    encoders = [TwistStampedCodec(frame_prefix + body).encode_packed for body in body_names]
+    places = [(k * _BODY, k * _BODY + _POSE, (k + 1) * _BODY) for k in range(len(body_names))]
+
+    def encode(stamp_ns, sample):
+        # Bytes of all bodies at once: numbers one by one cost several times more.
+        time, rows = pack_stamp(stamp_ns), sample.rows.tobytes()
+        return [(encode_pose(time, rows[first:middle]), encode_twist(time, rows[middle:end]))
+                for encode_twist, (first, middle, end) in zip(encoders, places)]
+
+    return encode
+
+
+def odometry(layout, world_frame, frame_prefix=""):
+    """nav_msgs/Odometry of every body: pose and body twist in one; covariances are zero."""
+    def of_body(body):
+        template = Template()
+        template.header(world_frame)
+        template.string(frame_prefix + body)
+        for numbers in ("7d", "6d"):
+            template.slot(numbers)
+            template.put("36d", *(0.0,) * 36)
+        return lambda stamp_ns, sample: template.pack(
+            stamp(stamp_ns), _pose(sample, body), _twist(sample, body))
+
+    return [(f"~/{body}/odometry", "nav_msgs/msg/Odometry", of_body(body))
+            for body in layout.body_names]
+
+
+def velocities(layout, world_frame, frame_prefix=""):
+    """geometry_msgs/VelocityStamped of every body: its body twist, relative to the world."""
+    def of_body(body):
+        template = Template()
+        template.header(frame_prefix + body)
+        template.string(frame_prefix + body)
+        template.string(world_frame)
+        template.slot("6d")
+        return lambda stamp_ns, sample: template.pack(stamp(stamp_ns), _twist(sample, body))
+
+    return [(f"~/{body}/velocity", "geometry_msgs/msg/VelocityStamped", of_body(body))
+            for body in layout.body_names]
+
+
+def pose_array(layout, world_frame, frame_prefix=""):
+    """geometry_msgs/PoseArray of all bodies, in the order of the scene."""
+    bodies = layout.body_names
+    template = Template()
+    template.header(world_frame)
+    template.put("I", len(bodies))
+    template.slot(f"{7 * len(bodies)}d")
+    return [("~/poses", "geometry_msgs/msg/PoseArray", lambda stamp_ns, sample: template.pack(
+        stamp(stamp_ns), [number for body in bodies for number in _pose(sample, body)]))]
+
+
+def joint_states(layout, world_frame, frame_prefix=""):
+    """sensor_msgs/JointState of the revolute and prismatic joints; no efforts."""
+    names = layout.coordinates.names
+    template = Template()
+    template.header("")
+    template.put("I", len(names))
+    for name in names:
+        template.string(name)
+    for _ in ("position", "velocity"):
+        template.put("I", len(names))
+        template.slot(f"{len(names)}d")
+    template.put("I", 0)
+
+    def encode(stamp_ns, sample):
+        coordinates = sample.joint_coordinates
+        return template.pack(stamp(stamp_ns), [coordinates[name][0] for name in names],
+                             [coordinates[name][1] for name in names])
+
+    return [("~/joint_states", "sensor_msgs/msg/JointState", encode)]
+
+
+def transforms(layout, world_frame, frame_prefix=""):
+    """tf2_msgs/TFMessage: world frame to every body frame."""
+    bodies = layout.body_names
+    template = Template()
+    template.put("I", len(bodies))
+    for body in bodies:
+        template.header(world_frame)
+        template.string(frame_prefix + body)
+        template.slot("7d")
+
+    def encode(stamp_ns, sample):
+        time = stamp(stamp_ns)
+        return template.pack(*(slot for body in bodies for slot in (time, _pose(sample, body))))
+
+    return [("/tf", "tf2_msgs/msg/TFMessage", encode)]
+
+
+def _pose(sample, body):
+    """[x, y, z, qx, qy, qz, qw]"""
+    return [*sample.positions[body].tolist(), *sample.quaternions[body].tolist()]
+
+
+def _twist(sample, body):
+    """[vx, vy, vz, wx, wy, wz]: linear first, as in the messages."""
+    twist = sample.twists[body].tolist()
+    return twist[3:] + twist[:3]

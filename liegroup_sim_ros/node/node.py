@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The simulation node and its services.
+
+Topics, services and parameters: docs/node.md. The simulation has a thread of its own
+(server.py); the main thread runs the callbacks and ends everything in order.
+"""
+import concurrent.futures
+import contextlib
+import logging
+import os
+import sys
+import traceback
+
+import rclpy
+from rclpy.exceptions import NameValidationException, ParameterException
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
+from std_srvs.srv import Trigger
+
+from liegroup_core import SceneError
+
+from . import standard_services
+from .parameters import ParameterError, read_parameters, watch_parameters
+from liegroup_sim_ros.recording.recorder import RecorderError
+from .scene_run import ATTENTION, Interrupted, SceneRun, make_simulation
+from .simulation_thread import CommandError
+
+try:
+    # A callback costs a fifth of what it does in rclpy's own executor (docs/node.md).
+    from rclpy.experimental import EventsExecutor as Executor
+except ImportError:
+    Executor = SingleThreadedExecutor
+
+# What a user can mend.
+WRONG_INPUT = (ParameterError, SceneError, RecorderError, ParameterException,
+               NameValidationException)
+
+# A thread that wants the interpreter waits at most so long for one that computes, s. Python's own
+# 5 ms would make a tick late whenever a callback is at work.
+SWITCH = 1e-4
+EXIT_OK, EXIT_DEFECT, EXIT_WRONG_INPUT = 0, 1, 2
+
+
+class LogHandler(logging.Handler):
+    """Passes records of Python's logging to the node's logger, and so to /rosout."""
+
+    def __init__(self, logger):
+        super().__init__()
+        self._logger = logger
+
+    def emit(self, record):
+        """Log one record."""
+        text = record.getMessage()
+        # One call for each severity: rclpy's logger refuses one call with several of them.
+        if record.levelno >= logging.ERROR:
+            self._logger.error(text)
+        elif record.levelno >= logging.WARNING:
+            self._logger.warning(text)
+        else:
+            self._logger.info(text)
+
+
+class SimNode(Node):
+    """The node: parameters, services, and the scene that runs. Raises WRONG_INPUT."""
+
+    def __init__(self, signals):
+        # This node makes the simulated time: use_sim_time would make it its own listener.
+        try:
+            super().__init__("sim_node", automatically_declare_parameters_from_overrides=True,
+                             parameter_overrides=[Parameter("use_sim_time", value=False)])
+        except ValueError as error:         # such as `step: []` in a file
+            empty = [name for name, parameter in getattr(self, "_parameter_overrides", {}).items()
+                     if parameter.value is None]
+            raise ParameterError(f"parameter {empty[0]}: has no value" if empty else str(error)
+                                 ) from None
+        self._signals = signals
+        for name in ("liegroup_core", __package__):
+            logging.getLogger(name).addHandler(LogHandler(self.get_logger()))
+        self._values = values = read_parameters(self)
+        simulation = make_simulation(values, signals)
+        with _refused_by_rcl():
+            self.scene_run = SceneRun(self, values, simulation, paused=values.start_paused)
+        for name in ("pause", "resume", "reset", "step"):
+            self.create_service(Trigger, f"~/{name}", self._command(name))
+        self.create_service(Trigger, "~/reload", self._serve_reload)
+        standard_services.offer(self, signals, values.world_frame)
+        watch_parameters(self, self._set_parameter)
+        self.scene_run.start()
+
+    def _command(self, name):
+        def serve(_, response):
+            arguments = (self._values.step_count,) if name == "step" else ()
+            response.success, response.message = self.ask(name, *arguments)
+            return response
+        return serve
+
+    def ask(self, name, *arguments):
+        """(True, result) of a command to the server once it is done, or (False, text)."""
+        server = self.scene_run.server
+        future = server.call(name, *arguments)
+        while not concurrent.futures.wait([future], ATTENTION).done:
+            if self._signals.received or not server.is_alive():
+                return False, "the node is ending"
+        try:
+            return True, future.result()
+        except CommandError as error:
+            return False, str(error)
+        except concurrent.futures.CancelledError:
+            return False, "the node is ending"
+
+    def _serve_reload(self, _, response):
+        before = self.scene_run
+        try:
+            simulation = make_simulation(self._values, self._signals)
+            held, was_running = self.ask("hold")
+            if not held:
+                raise Interrupted
+            try:
+                after = SceneRun(self, self._values, simulation, before, not was_running)
+            except WRONG_INPUT:
+                if was_running:
+                    self.ask("resume")
+                raise
+        except Interrupted:
+            response.message = "the node is ending"
+        except WRONG_INPUT as error:
+            response.message = f"the scene before goes on: {' '.join(str(error).split())}"
+        else:
+            before.close()
+            self.scene_run = after
+            after.start()
+            response.success = True
+            server = after.server
+            response.message = (f"{simulation.scene.name} at {server.stamp_ns * 1e-9:.9g} s, "
+                                f"{server.state}")
+        return response
+
+    def _set_parameter(self, name, value):
+        setattr(self._values, name, value)
+        if name == "real_time_factor":
+            self.ask("speed", value)
+        elif name == "arrow_scale":
+            self.scene_run.outputs.set_arrow_scale(value)
+
+
+@contextlib.contextmanager
+def _refused_by_rcl():
+    """Make a ParameterError of what ROS itself does not accept in the arguments."""
+    try:
+        yield
+    except RuntimeError as error:           # its class is private to rclpy
+        text = str(error).partition(", at /")[0]
+        if type(error).__name__ == "UnknownROSArgsError":       # its text is a list and no more
+            text = f"unknown ROS arguments: {text}"
+        raise ParameterError(text) from None
+
+
+def run(args, signals):
+    """Run the node; `args` as sys.argv. Returns the exit code."""
+    try:
+        with _refused_by_rcl():
+            left = remove_ros_args(args)[1:]
+            rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        if left:
+            raise ParameterError(f"unknown argument {left[0]!r}; parameters are given as "
+                                 "--ros-args -p NAME:=VALUE")
+        sys.setswitchinterval(SWITCH)
+        node = SimNode(signals)
+        try:
+            return _spin(node, signals)
+        finally:
+            node.scene_run.close()
+    except Interrupted:
+        rclpy.try_shutdown()
+        os._exit(EXIT_OK)                   # without waiting for the compiler's thread
+    except WRONG_INPUT as error:
+        print(f"sim_node: {' '.join(str(error).split())}", file=sys.stderr)
+        return EXIT_WRONG_INPUT
+    finally:
+        rclpy.try_shutdown()
+
+
+def _spin(node, signals):
+    """Run the callbacks until a signal comes or the simulation thread ends; the exit code."""
+    executor = Executor()
+    executor.add_node(node)
+    while not signals.received and node.scene_run.server.is_alive():
+        executor.spin_once(timeout_sec=ATTENTION)
+    failure = node.scene_run.server.failure
+    if failure is not None:
+        defect = "".join(traceback.format_exception(failure))
+        node.get_logger().fatal(f"the simulation thread was ended by a defect:\n{defect}")
+        return EXIT_DEFECT
+    return EXIT_OK

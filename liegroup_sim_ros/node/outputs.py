@@ -1,0 +1,225 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Output of a simulation to ROS topics and to a recording: one message, encoded once, to both.
+
+Topics, types and frames are in docs/node.md. Stamps are simulated time in ns. A topic whose rate
+is 0 is not there, and nothing is computed for it.
+"""
+import importlib
+
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+from liegroup_sim_ros.messages import diagnostics, samples as sample_messages
+from liegroup_sim_ros.messages.markers import Markers, markers
+from liegroup_sim_ros.messages.codecs import (ClockCodec, LogCodec, PoseStampedCodec,
+                                              TwistStampedCodec, WrenchStampedCodec)
+from .parameters import ParameterError
+
+# Parameter with the rate -> function that gives the topics.
+OPTIONAL = {
+    "odometry_rate": sample_messages.odometry,
+    "velocity_rate": sample_messages.velocities,
+    "pose_array_rate": sample_messages.pose_array,
+    "joint_state_rate": sample_messages.joint_states,
+    "tf_rate": sample_messages.transforms,
+}
+
+
+class Stream:
+    """One topic: its publisher and, when recording, its channel.
+
+    overrides    : QosOverrides
+    message_type : such as "geometry_msgs/msg/PoseStamped"
+    qos          : as in schemas.qos_profile
+    """
+
+    def __init__(self, node, overrides, topic, message_type, qos="reliable", depth=10):
+        profile = QoSProfile(depth=depth)
+        if qos == "transient_local":
+            profile.durability = DurabilityPolicy.TRANSIENT_LOCAL
+        package, _, name = message_type.split("/")
+        message_class = getattr(importlib.import_module(f"{package}.msg"), name)
+        self._node = node
+        self._publisher = node.create_publisher(
+            message_class, topic, profile,
+            qos_overriding_options=overrides.options(node, topic, "publisher"))
+        # Publisher.publish enters this context for every message, which takes as long as sending.
+        self._handle = self._publisher.handle
+        self._handle.__enter__()
+        self._publish = self._handle.publish_raw
+        best_effort = profile.reliability == ReliabilityPolicy.BEST_EFFORT
+        self._type, self._qos = message_type, "best_effort" if best_effort else qos
+        self._depth = profile.depth
+        self._write = self._channel = None
+
+    @property
+    def topic(self):
+        """The topic's resolved name."""
+        return self._publisher.topic_name
+
+    def record_to(self, recorder):
+        """From now on, record what is published."""
+        self._channel = recorder.add_channel(self.topic, self._type, self._qos, self._depth)
+        self._write = recorder.write
+
+    def send(self, stamp_ns, data):
+        """Publish and record a serialized message."""
+        self._publish(data)
+        if self._write is not None:
+            self._write(self._channel, stamp_ns, data)
+
+    def publish(self, data):
+        """Publish a serialized message, without recording it."""
+        self._publish(data)
+
+    def record(self, stamp_ns, data):
+        """Record a serialized message, without publishing it."""
+        if self._write is not None:
+            self._write(self._channel, stamp_ns, data)
+
+    def close(self):
+        """Take the topic away."""
+        self._handle.__exit__(None, None, None)
+        self._node.destroy_publisher(self._publisher)
+
+
+class Outputs:
+    """All topics of a simulation; the methods are what SimulationServer calls.
+
+    node      : rclpy Node
+    layout    : Layout of the scene
+    values    : parameters
+    figures   : function that returns {name: number or text}, added to the diagnostics
+    overrides : QosOverrides
+    raises ParameterError for a topic whose message type is not installed
+
+    timed                    : [(steps from one message to the next, send(stamp_ns, sample))]
+    clock_steps, state_steps : steps between two messages of /clock and ~/state, 0: none
+    acting                   : {body: total wrench on it}, of those that are not zero
+    """
+
+    def __init__(self, node, layout, values, figures, overrides):
+        self._node, self._figures, self._overrides = node, figures, overrides
+        self._name = f"{node.get_fully_qualified_name()}: simulation"
+        self._streams = []
+        self.timed, self.acting = [], {}
+        self.clock_steps = values.steps["clock_rate"]
+        self.state_steps = values.steps["state_rate"]
+        bodies, world_frame = layout.body_names, values.world_frame
+        self._frames = {body: values.frame_prefix + body for body in bodies}
+        self._topics = {"pose": {}, "twist": {}}
+        if values.steps["publish_rate"]:
+            self._add_samples(bodies, world_frame, values.frame_prefix,
+                              values.steps["publish_rate"])
+        # Many bodies may be pushed at one step.
+        self._applied = self._stream("~/applied_wrench", WrenchStampedCodec.TYPE, depth=100)
+        self._encode_wrench = {body: WrenchStampedCodec(frame).encode
+                               for body, frame in self._frames.items()}
+        self._events = self._stream("~/events", LogCodec.TYPE, qos="transient_local")
+        self._diagnostics = self._stream("/diagnostics", diagnostics.TYPE)
+        self._clock = self._state = self._marked = None
+        if self.clock_steps:
+            self._clock = self._stream("/clock", ClockCodec.TYPE, depth=1)
+        if self.state_steps:
+            self._state = self._stream("~/state", diagnostics.TYPE)
+        self._markers = Markers(layout, world_frame, values.arrow_scale, self.acting)
+        for name, topics in {**OPTIONAL, "marker_rate": lambda *_: markers(self._markers)}.items():
+            if values.steps[name]:
+                self._add_optional(name, topics(layout, world_frame, values.frame_prefix),
+                                   values.steps[name])
+
+    def _stream(self, *arguments, **options):
+        self._streams.append(Stream(self._node, self._overrides, *arguments, **options))
+        return self._streams[-1]
+
+    def _add_samples(self, bodies, world_frame, frame_prefix, steps):
+        encode = sample_messages.poses_and_twists(bodies, world_frame, frame_prefix)
+        table = []
+        for body in bodies:
+            pose = self._stream(f"~/{body}/pose", PoseStampedCodec.TYPE)
+            twist = self._stream(f"~/{body}/twist", TwistStampedCodec.TYPE)
+            self._topics["pose"][body], self._topics["twist"][body] = pose.topic, twist.topic
+            table.append((pose.send, twist.send))
+
+        def send(stamp_ns, sample):
+            for (send_pose, send_twist), (pose, twist) in zip(table, encode(stamp_ns, sample)):
+                send_pose(stamp_ns, pose)
+                send_twist(stamp_ns, twist)
+
+        self.timed.append((steps, send))
+
+    def _add_optional(self, parameter, topics, steps):
+        for topic, message_type, encode in topics:
+            # A viewer that comes while the time stands still shall see the scene, too.
+            qos = "transient_local" if parameter == "marker_rate" else "reliable"
+            try:
+                stream = self._stream(topic, message_type, qos=qos)
+            except ImportError:
+                package = message_type.partition("/")[0]
+                raise ParameterError(
+                    f"parameter {parameter}: {package} is not installed here; set the rate to 0, "
+                    f"or install it (apt: ros-jazzy-{package.replace('_', '-')})") from None
+            self.timed.append((steps, lambda stamp_ns, sample, stream=stream, encode=encode:
+                               stream.send(stamp_ns, encode(stamp_ns, sample))))
+            if parameter == "marker_rate":
+                self._marked = stream
+
+    def topics(self):
+        """Resolved names, as in a recording's settings."""
+        return {**self._topics, "applied_wrench": self._applied.topic,
+                "events": self._events.topic,
+                "clock": self._clock.topic if self._clock else None,
+                "diagnostics": self._diagnostics.topic}
+
+    def set_arrow_scale(self, value):
+        """Length of the arrows in ~/markers, m per N and per N m."""
+        self._markers.arrow_scale = value
+
+    def record_to(self, recorder):
+        """From now on, record all topics."""
+        for stream in self._streams:
+            stream.record_to(recorder)
+
+    def close(self, stamp_ns=None):
+        """Take all topics away; with the last stamp, also the markers from those who saw them."""
+        if self._marked is not None and stamp_ns is not None:
+            self._marked.publish(self._markers.encode_end(stamp_ns))
+        for stream in self._streams:
+            stream.close()
+
+    def clock(self, stamp_ns):
+        """/clock."""
+        self._clock.send(stamp_ns, ClockCodec.encode(stamp_ns))
+
+    def applied_wrench(self, stamp_ns, body, wrench):
+        """The total wrench (torque, force) on a body from this stamp on."""
+        if any(wrench):
+            self.acting[body] = wrench
+        else:
+            self.acting.pop(body, None)
+        self._applied.send(stamp_ns, self._encode_wrench[body](stamp_ns, wrench))
+
+    def record_acting(self, stamp_ns):
+        """Say anew, in the recording only, which wrenches act: a part of it begins."""
+        for body, wrench in self.acting.items():
+            self._applied.record(stamp_ns, self._encode_wrench[body](stamp_ns, wrench))
+
+    def event(self, stamp_ns, name, text, failed=False):
+        """Something that happened to the run; what ends it is logged, too."""
+        if failed:
+            self._node.get_logger().error(text)
+        self._events.send(stamp_ns, LogCodec.encode(
+            stamp_ns, LogCodec.ERROR if failed else LogCodec.INFO, name, text))
+
+    def state(self, stamp_ns, figures):
+        """~/state: the figures of the diagnostics, in simulated time."""
+        self._state.send(stamp_ns, self._encoded(stamp_ns, figures))
+
+    def diagnostics(self, stamp_ns, figures):
+        """/diagnostics: the server's figures and those of the node."""
+        self._diagnostics.send(stamp_ns, self._encoded(stamp_ns, figures))
+        if figures["state"] != "running" and self._clock is not None:
+            # For listeners that come while the time stands still; recordings have it already.
+            self._clock.publish(ClockCodec.encode(stamp_ns))
+
+    def _encoded(self, stamp_ns, figures):
+        return diagnostics.encode(stamp_ns, self._name, {**figures, **self._figures()})

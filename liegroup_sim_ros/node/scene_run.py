@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One scene on its way: simulation thread, topics and recording. ~/reload replaces it."""
+import threading
+from concurrent.futures import Future, wait
+
+from liegroup_core import SceneError, Simulation, load_scene
+from liegroup_core.study.trade.accuracy import choose
+
+from liegroup_sim_ros.recording import attachments
+from .outputs import Outputs
+from .parameters import ParameterError, set_step, step_fits
+from .qos import QosOverrides
+from liegroup_sim_ros.recording.recorder import Recorder
+from .simulation_thread import SimulationServer
+from .wrench_topics import WrenchTopics
+
+# How long the main thread may not notice that it shall end, s.
+ATTENTION = 0.1
+
+
+class Interrupted(Exception):
+    """A signal to end that came before the simulation was ready."""
+
+
+class SceneRun:
+    """A simulation, what it says, takes and records. Raises ParameterError, RecorderError.
+
+    node       : rclpy Node
+    values     : parameters
+    simulation : liegroup_core.Simulation at step 0
+    before     : SceneRun that this one takes over from, which must stand still; its stamps and its
+                 recording are continued, the latter in a file of its own. None: the first one
+    paused     : start paused
+    """
+
+    def __init__(self, node, values, simulation, before=None, paused=False):
+        self._node = node
+        self.simulation = simulation
+        self.recorder = None
+        layout = simulation.layout
+        self._values, self._more = values, {}
+        self._sample_steps = values.steps["publish_rate"]
+        base_ns, origin, path, part, bag = 0, "", values.record, 1, values.record_metadata or None
+        if before is not None:
+            base_ns = before.server.stamp_ns + max(1, round(simulation.step * 1e9))
+            origin = ", loaded by ~/reload"
+            if before.recorder is not None:
+                origin += f"; the recording before is {before.recorder.path.name}"
+                part, bag = before.recorder.part + 1, before.recorder.bag
+                path = before.recorder.part_path(part)
+                self._more = {"part": part, "previous": before.recorder.path.name}
+        frames = [values.frame_prefix + body for body in layout.body_names]
+        if not values.world_frame or f"{values.world_frame}/".startswith(
+                tuple(f"{frame}/" for frame in frames)):
+            raise ParameterError(f"parameter world_frame: must be a name that no body has, "
+                                 f"got {values.world_frame!r}")
+        if values.frame_prefix.startswith("/"):
+            raise ParameterError("parameter frame_prefix: must not begin with a slash, as no "
+                                 f"frame of tf2 does, got {values.frame_prefix!r}")
+        qos = QosOverrides(values.qos)
+        self.outputs = Outputs(node, layout, values, self._figures, qos)
+        if path and (values.record_split_size or values.record_split_duration):
+            # Before the samples: the first one of a part is its initial state.
+            self.outputs.timed.insert(0, (self._sample_steps, self._divide_if_due))
+        self.server = SimulationServer(simulation, self.outputs, values.real_time_factor, paused,
+                                       base_ns, origin)
+        self.wrenches = WrenchTopics(node, layout.body_names, values, simulation.step,
+                                     self.server, qos)
+        if before is None:                  # later on, the bodies that were meant may be gone
+            qos.check()
+        # Last of what can fail: nothing else leaves a trace on the disk.
+        if path:
+            try:
+                self.recorder = Recorder(
+                    path, self._attachments(base_ns, "paused" if paused else "running"),
+                    flush_interval=values.record_flush_interval,
+                    max_size=values.record_split_size,
+                    max_duration=round(values.record_split_duration * 1e9), part=part, bag=bag)
+                self.outputs.record_to(self.recorder)
+            except Exception:
+                self._close_topics()
+                raise
+
+    def start(self):
+        """Start the simulation thread, and say so."""
+        self.server.start()
+        simulation = self.simulation
+        count = len(simulation.layout.body_names)
+        self._node.get_logger().info(
+            f"{simulation.scene.name}: {count} {'body' if count == 1 else 'bodies'}, "
+            f"{simulation.method}, step {simulation.step:g} s"
+            + (f" for an accuracy of {simulation.promise['accuracy']:g} over "
+               f"{simulation.promise['horizon']:g} s" if simulation.promise else "")
+            + f", {self.server.state}"
+            + (f", recording to {self.recorder.path}" if self.recorder else ""))
+
+    def _attachments(self, stamp_ns, state):
+        """What makes a file complete in itself, at the present state."""
+        values = self._values
+        return attachments.at_start(
+            self.simulation, self._node.get_fully_qualified_name(), values.world_frame,
+            self._sample_steps, self.outputs.topics(), stamp_ns, state=state,
+            parameters={name: value for name, value in vars(values).items()
+                        if name not in ("steps", "qos")},
+            frame_prefix=values.frame_prefix, **self._more)
+
+    def _divide_if_due(self, stamp_ns, _):
+        """Begin a new part of the recording, in the simulation thread."""
+        recorder = self.recorder
+        if recorder is not None and recorder.is_part_due(stamp_ns):
+            self._attach_pacing()
+            self._more = {"part": recorder.part + 1, "previous": recorder.path.name,
+                          "sequences": recorder.sequences}
+            recorder.divide(self._attachments(stamp_ns, self.server.state))
+            self.outputs.record_acting(stamp_ns)
+
+    def _attach_pacing(self):
+        self.recorder.add_attachment("pacing.json", *attachments.as_json(
+            self.server.pacer.report()))
+
+    def _figures(self):
+        """What the diagnostics say beside the server's figures."""
+        recorder = self.recorder
+        return {
+            **self.wrenches.figures(),
+            "recorder_queued": recorder.queued if recorder else 0,
+            "recorder_written": recorder.written if recorder else 0,
+            "recorder_lost": recorder.lost if recorder else 0,
+            "recorder_failure": (recorder.failure or "") if recorder else "",
+        }
+
+    def close(self):
+        """End the simulation, then the recording, then the topics."""
+        self.server.stop()
+        if self.recorder is not None:
+            self._attach_pacing()
+            self.recorder.close()
+            if self.recorder.failure is None:
+                self._node.get_logger().info(f"recorded {self.recorder.written} messages in "
+                                             f"{self.recorder.path}")
+        self._close_topics(self.server.stamp_ns)
+
+    def _close_topics(self, stamp_ns=None):
+        self.wrenches.close()
+        self.outputs.close(stamp_ns)
+
+
+def make_simulation(values, signals):
+    """Simulation of the scene that the parameters name.
+
+    signals : has `received`; raises Interrupted when it becomes true. Compiling may take half a
+              minute, in a thread of its own because an exception out of a signal handler may be
+              lost in it: the compiler has callbacks that no exception passes
+    raises SceneError, ParameterError
+    """
+    if not values.scene:
+        raise ParameterError("parameter scene: is empty; give a scene file, such as "
+                             "--ros-args -p scene:=heavy_top; a parameter file has it below "
+                             "/**, or below the node's name, and ros__parameters")
+    future = Future()
+
+    def work():
+        try:
+            future.set_result(_make(values))
+        except Exception as error:
+            future.set_exception(error)
+
+    threading.Thread(target=work, daemon=True).start()
+    while not wait([future], ATTENTION).done:
+        if signals.received:
+            raise Interrupted
+    return future.result()
+
+
+def _make(values):
+    scene = load_scene(values.scene)
+    try:
+        if values.accuracy:
+            return _chosen(scene, values)
+        return Simulation(scene, values.method, values.step, values.group, values.stabilisation)
+    except SceneError:
+        raise
+    except ValueError as error:
+        name = "accuracy" if values.accuracy else "method, step or group"
+        raise ParameterError(f"parameter {name}: {error}") from None
+
+
+def _chosen(scene, values):
+    """Simulation that keeps the accuracy asked for, in the real time asked for."""
+    choice = choose(scene, values.accuracy, values.accuracy_horizon or None,
+                    lambda step: step_fits(values, step), values.real_time_factor)
+    set_step(values, choice.settings["step"])
+    return choice.simulation()

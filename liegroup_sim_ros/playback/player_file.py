@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A recording to publish again: its topics, and its messages from any time on."""
+import re
+from typing import NamedTuple
+
+import numpy as np
+import yaml
+
+from liegroup_sim_ros.recording.mcap_records import AttachmentPiece
+from liegroup_sim_ros.recording.mcap_stream import McapStream
+from liegroup_sim_ros.recording.recording_file import TellPath
+
+_TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
+LONGEST_QOS = 65536             # bytes of YAML
+
+
+class PlayError(Exception):
+    """The recording cannot be published; one line of text, exit code 2."""
+
+
+class Topic(NamedTuple):
+    name: str
+    type: str                   # such as geometry_msgs/msg/PoseStamped
+    reliable: bool
+    latched: bool
+    depth: int
+
+
+class PlayFile:
+    """Topics and messages of a Recording.
+
+    topics : {channel id: Topic}, without messages that are no plain ROS 2 ones
+    first_ns, last_ns, seconds : of its messages
+    """
+
+    def __init__(self, recording):
+        self.path, self._recording = recording.path, recording
+        self._source = recording._source
+        self.topics = {number: Topic(channel.topic, channel.type, *_qos(channel))
+                       for number, channel in recording.channels.items()
+                       if channel.encoding == "cdr" and _TYPE.fullmatch(channel.type)}
+        self._chunks = self._index()
+        edges = [edge for _, *pair in self._chunks for edge in pair]
+        if not self.topics or not edges:
+            raise PlayError(f"{self.path}: holds no message to publish")
+        self.first_ns, self.last_ns = min(edges), max(edges)
+        self.seconds = (self.last_ns - self.first_ns) * 1e-9
+        self.has_clock = any(topic.name == "/clock" and recording.topics.get("/clock")
+                             for topic in self.topics.values())
+
+    def _index(self):
+        """(offset, first, last stamp) of all chunks that can be read."""
+        found = []
+        for messages, _ in self._source.messages(self._recording.channels):
+            offset = self._source.stream.offset
+            found.append((offset, int(messages.log_time.min()), int(messages.log_time.max())))
+        return found
+
+    def messages(self, since_ns):
+        """(stamp ns, [(Topic, payload)]) of all messages from a stamp on, in the order of stamps.
+
+        What has the same stamp comes together. Messages that lie after later ones in the file,
+        such as wrenches that were told at the end of a publishing period, come with those.
+        Raises RecordingError
+        """
+        wanted = {offset for offset, _, last in self._chunks if last >= since_ns}
+        reached = since_ns
+        with TellPath(self.path), open(self._source.path, "rb") as file:
+            stream = McapStream(file, self._source.size, lambda at, *_: at in wanted)
+            stream.channels.update(self._recording.channels)
+            for item in stream:
+                if isinstance(item, AttachmentPiece):
+                    continue
+                stamps = item.log_time
+                order = np.argsort(stamps, kind="stable")
+                order = order[stamps[order] >= since_ns]
+                edges = np.flatnonzero(np.diff(stamps[order])) + 1
+                for part in np.split(order, edges) if len(order) else ():
+                    group = [(self.topics[number], item.payload(k)) for k, number in
+                             zip(part.tolist(), item.channel[part].tolist())
+                             if number in self.topics]
+                    reached = max(reached, int(stamps[part[0]]))
+                    yield reached, group
+
+
+def _qos(channel):
+    """(reliable, latched, depth) of what the publisher offered."""
+    text = channel.metadata.get("offered_qos_profiles", "")
+    try:
+        offered = yaml.safe_load(text) if len(text) <= LONGEST_QOS else None
+        first = offered[0] if isinstance(offered, list) and offered else {}
+        depth = first.get("depth") if isinstance(first, dict) else None
+        return (str(first.get("reliability")) not in ("best_effort", "2"),
+                str(first.get("durability")) in ("transient_local", "1"),
+                depth if isinstance(depth, int) and 0 < depth <= 10_000 else 10)
+    except (yaml.YAMLError, AttributeError, RecursionError, ValueError):
+        return True, False, 10

@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The run once more from its own initial state and wrenches: bit for bit, or as an experiment."""
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from liegroup_core import Simulation, SimulationError
+from liegroup_core.observables.along import quaternions
+from liegroup_core.model.build import initial_state as state_of_scene
+from liegroup_core.reference import Trajectory, distance
+
+from liegroup_sim_ros.recording.attachments import restore
+from liegroup_sim_ros.recording.reader import RecordingError
+
+# A simulation takes a microsecond a step or more: what a damaged file may ask for is bounded.
+MOST_STEPS = 10**9
+# Samples between two are a whole number of steps of an experiment up to this part of one.
+ROUNDING = 1e-6
+
+
+class ReplayError(Exception):
+    """The run cannot be repeated like this; one line of text, exit code 2."""
+
+
+def make_simulation(scene, settings, **other):
+    """Simulation with the settings of a recording; other : settings to replace.
+
+    Raises ValueError, one line, for settings that this version cannot simulate.
+    """
+    chosen = {"method": settings["method"], "step": settings["step"], "group": settings["group"],
+              "stabilisation": settings.get("stabilisation") or "none",
+              "baumgarte_time": settings.get("baumgarte_time"),
+              **(settings.get("options") or {})}
+    if other.get("method", settings["method"]) != settings["method"]:
+        for name in settings.get("options") or {}:      # they were of the recorded method
+            del chosen[name]
+    return Simulation(scene, **(chosen | other))
+
+
+class Repeat:
+    """Simulates along with the recording, and compares every number of every sample.
+
+    simulation : at the recorded settings; or with others, then the difference is the result
+    """
+
+    def __init__(self, recording, simulation):
+        self._simulation = simulation
+        self._starts = Starts(recording, simulation.layout)
+        self._recorded = recording.initial_state
+        self._same_method = all(recording.settings.get(key) == getattr(simulation, key)
+                                for key in ("method", "group", "step"))
+        self._ratio = recording.settings["step"] / simulation.step
+        self._stretch = None
+        self._steps = self._samples = self._identical = 0
+        self._first, self._stopped = None, None
+        self._largest = np.zeros(4)             # m, rad, rad/s, m/s
+
+    def add(self, block):
+        """Take up a Block."""
+        if block.stretch is not self._stretch:
+            self._begin(block.stretch)
+        self._samples += len(block.steps)
+        if self._broken:
+            return
+        pose, twist = self._states(block)
+        k = len(pose)
+        offsets = self._simulation.layout.offsets
+        if not offsets.none:                    # one by one, as it was when they were recorded
+            for row in range(k):
+                pose[row], twist[row] = offsets.to_bodies(pose[row], twist[row])
+        turned = quaternions(pose)
+        same = (_same(turned, block.quaternion[:k]) & _same(pose[..., 9:], block.position[:k])
+                & _same(twist, block.twist[:k]))
+        good = same.all(axis=1)
+        self._identical += int(good.sum())
+        if good.all():
+            return
+        if self._first is None:
+            row = int(np.argmin(good))
+            self._first = {"at_s": float(block.log_times[row]),
+                           "body": block.stretch.bodies[int(np.argmin(same[row]))]}
+        rotation = Rotation.from_quat(turned.reshape(-1, 4)).as_matrix()
+        apart = distance(
+            Trajectory(None, rotation.reshape(k, -1, 3, 3), pose[..., 9:], twist),
+            Trajectory(None, block.rotation[:k], block.position[:k], block.twist[:k]))
+        self._largest = np.maximum(self._largest, [
+            part.max() for part in (apart.position, apart.angle, apart.angular, apart.linear)])
+
+    def _begin(self, stretch):
+        self._stretch, self._broken, self._next = stretch, False, 0
+        # Seldom more than rounding; of an experiment, wrenches begin with its next step.
+        self._changes = np.ceil(stretch.change_steps * self._ratio - ROUNDING).astype(np.int64)
+        start = stretch.start * self._ratio
+        if start != round(start):
+            raise ReplayError("the start of the recording is no whole number of steps of "
+                              f"{self._simulation.step:g} s")
+        try:
+            if stretch.is_first and "memory" in self._recorded and self._same_method:
+                restore(self._simulation, self._recorded)
+            else:
+                pose, twist, angles = self._starts.of(stretch)
+                self._simulation.set_state(pose, twist, round(start), angles)
+        except (ValueError, KeyError, TypeError, OverflowError) as error:
+            raise ReplayError(f"the start of the recording does not fit: {error}") from None
+
+    def _states(self, block):
+        """States of the simulation at the samples of a block, (k, n, 12) and (k, n, 6)."""
+        simulation, stretch = self._simulation, block.stretch
+        wanted = block.steps * self._ratio
+        steps = np.rint(wanted).astype(np.int64)
+        if np.abs(wanted - steps).max() > ROUNDING * max(1.0, self._ratio):
+            raise ReplayError(f"the samples do not lie on steps of {simulation.step:g} s: the "
+                              "time between two must be a whole number of steps")
+        n = len(stretch.bodies)
+        pose, twist = np.empty((len(steps), n, 12)), np.empty((len(steps), n, 6))
+        done = 0
+        try:
+            for step in steps.tolist():
+                self._steps += step - simulation.steps
+                if self._steps > MOST_STEPS:
+                    raise SimulationError(f"would take more than {MOST_STEPS} steps")
+                while self._next < len(self._changes) and self._changes[self._next] <= step:
+                    self._advance_to(int(self._changes[self._next]))
+                    simulation.apply_wrench(
+                        stretch.bodies[stretch.change_bodies[self._next]],
+                        stretch.change_wrenches[self._next])
+                    self._next += 1
+                self._advance_to(step)
+                pose[done], twist[done] = simulation.state()
+                done += 1
+        except SimulationError as error:
+            self._stopped = self._stopped or str(error)
+            self._broken = True
+        return pose[:done], twist[:done]
+
+    def _advance_to(self, step):
+        # Not by no step: that would start a method anew that minds which wrenches act.
+        if step > self._simulation.steps:
+            self._simulation.advance(step - self._simulation.steps)
+
+    def figures(self):
+        """How many samples have the same bits in every number, and how far the others are off."""
+        return {"samples": self._samples, "identical": self._identical,
+                "first_difference": self._first, "stopped": self._stopped,
+                "largest_difference": dict(zip(
+                    ("position_m", "angle_rad", "angular_rad_s", "linear_m_s"),
+                    map(float, self._largest)))}
+
+
+def _same(one, other):
+    """(k, n) whether all numbers of a body are the same bits."""
+    return (np.ascontiguousarray(one).view(np.int64)
+            == np.ascontiguousarray(other).view(np.int64)).all(axis=2)
+
+
+class Starts:
+    """The states with which stretches begin: that of the file, or after a reset that of the scene.
+
+    `of(stretch)` is pose (n, 12), twist (n, 6) of the frames at the centres of mass, and angles
+    (t,) of the torsional springs or None.
+    """
+
+    def __init__(self, recording, layout):
+        self._first = self._later = initial_state(recording)
+        if recording.initial_state.get("steps"):
+            self._later = *state_of_scene(layout.centred), None
+
+    def of(self, stretch):
+        return self._first if stretch.is_first else self._later
+
+
+def initial_state(recording):
+    """Pose (n, 12), twist (n, 6) and angles of torsional springs (or None) at the start.
+
+    Raises RecordingError.
+    """
+    state, n = recording.initial_state, len(recording.bodies)
+    try:
+        pose = np.array(state["pose"], dtype=float).reshape(n, 12)
+        twist = np.array(state["twist"], dtype=float).reshape(n, 6)
+        angles = state.get("angles")
+        if angles is not None:
+            angles = np.array(angles, dtype=float).reshape(-1)
+        if not all(np.isfinite(part).all() for part in (pose, twist, angles) if part is not None):
+            raise ValueError
+    except (KeyError, TypeError, ValueError, OverflowError):
+        raise RecordingError(f"{recording.path}: its initial state is not 12 and 6 numbers for "
+                             f"each of {n} bodies") from None
+    return pose, twist, angles

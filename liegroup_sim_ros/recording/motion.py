@@ -1,0 +1,259 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The motion in a recording: stretches between resets, piece by piece, in bounded memory."""
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from .reader import RecordingError
+
+# Samples that are kept for plots and for a closer look, of all bodies together and at least.
+KEPT, LEAST_KEPT = 40_000, 2000
+LATEST = 2**62                  # ns; stamps beyond are no times
+
+
+@dataclass(eq=False)
+class Stretch:
+    """The run from its start, or from a reset, to the next reset; n bodies.
+
+    steps, rotation, position, twist and angles are of k samples, evenly taken from all of them.
+    """
+
+    base_ns: int            # stamp of step 0
+    end_ns: float           # stamp of the reset that ends it, or infinity
+    step: float             # s
+    bodies: tuple           # names
+    is_first: bool          # it begins with the file, the others with a reset
+    start: int              # number of its first step
+    change_steps: np.ndarray    # (m,) steps from which on the total wrench on a body is another
+    change_bodies: np.ndarray   # (m,) index of the body
+    change_wrenches: np.ndarray     # (m, 6) body axes
+    samples: int = 0        # all there are
+    first_step: int = 0     # of a sample
+    last_step: int = 0
+    kept: list = field(default_factory=list, repr=False)
+
+    def __getattr__(self, name):
+        if name not in _KEPT:
+            raise AttributeError(name)
+        parts = [getattr(part, name) for part in self.kept]
+        self.__dict__.update({name: np.concatenate(parts)})
+        return self.__dict__[name]
+
+    @property
+    def times(self):
+        """(k,) s since step 0."""
+        return self.steps * self.step
+
+    @property
+    def log_times(self):
+        """(k,) s of the recording."""
+        return self.base_ns * 1e-9 + self.times
+
+    @property
+    def seconds(self):
+        """From the first sample to the last one."""
+        return (self.last_step - self.first_step) * self.step
+
+    def pushes_on(self, body):
+        """(p, 2) first step and end of the intervals with a wrench; the last may be infinite."""
+        mine = self.change_bodies == self.bodies.index(body)
+        steps = self.change_steps[mine]
+        acts = self.change_wrenches[mine].any(axis=1)
+        switches = np.flatnonzero(np.diff(acts, prepend=False))
+        edges = steps[switches].astype(float)
+        if len(edges) % 2:
+            edges = np.append(edges, np.inf)
+        pairs = edges.reshape(-1, 2)
+        return pairs[pairs[:, 1] > pairs[:, 0]]
+
+    @property
+    def pushed(self):
+        """((first step, end step, body), ...) intervals with a wrench, in the order of time."""
+        return tuple(sorted((*pair, body) for body in self.bodies
+                            for pair in self.pushes_on(body).tolist()))
+
+    def free(self, bodies):
+        """(m, 2) first and last step of intervals in which no wrench acts on any of the bodies.
+
+        The state at the step where a wrench begins is still untouched by it, the state at the step
+        where it ends is the first of the next interval.
+        """
+        pushes = np.concatenate([self.pushes_on(body) for body in bodies])
+        pushes = pushes[np.argsort(pushes[:, 0], kind="stable")]
+        since = np.maximum.accumulate(np.concatenate([[-1.0], pushes[:, 1]]))
+        intervals = np.column_stack([since, np.append(pushes[:, 0], np.inf)])
+        return intervals[intervals[:, 1] > intervals[:, 0]]
+
+    def free_seconds(self, bodies):
+        """Time between the samples in which no wrench acts on any of the bodies."""
+        inside = np.clip(self.free(bodies), self.first_step, self.last_step)
+        return float((inside[:, 1] - inside[:, 0]).sum() * self.step)
+
+
+class Block(NamedTuple):
+    """k successive samples of one stretch, all with finite numbers; n bodies."""
+
+    stretch: Stretch
+    steps: np.ndarray       # (k,) step number of each sample
+    rotation: np.ndarray    # (k, n, 3, 3) body -> world
+    position: np.ndarray    # (k, n, 3) m, world
+    quaternion: np.ndarray  # (k, n, 4) as recorded
+    twist: np.ndarray       # (k, n, 6) rad/s, m/s; body axes
+
+    @property
+    def times(self):
+        """(k,) s since step 0."""
+        return self.steps * self.stretch.step
+
+    @property
+    def log_times(self):
+        """(k,) s of the recording."""
+        return self.stretch.base_ns * 1e-9 + self.times
+
+    @property
+    def pose(self):
+        """(k, n, 12) as the core has it."""
+        k, n = self.position.shape[:2]
+        return np.concatenate([self.rotation.reshape(k, n, 9), self.position], axis=2)
+
+
+class _Kept(NamedTuple):
+    steps: np.ndarray
+    rotation: np.ndarray
+    position: np.ndarray
+    twist: np.ndarray
+    angles: np.ndarray      # (k, t) rad, of the torsional springs
+
+
+_KEPT = _Kept._fields
+
+
+class Motion:
+    """All stretches of a recording, and what is missing in it; `blocks` goes through it once.
+
+    stretches        : those with samples, as far as they are read
+    samples          : complete ones: pose and twist of all bodies
+    missing          : samples that should lie between the first and the last one
+    gaps, largest_gap_s, largest_gap_at_s : places where some are missing
+    not_finite, first_not_finite : samples with NaN, infinity or a quaternion of no length, which
+                       are left out; s of the recording
+    """
+
+    def __init__(self, recording):
+        self._recording = recording
+        self.stretches = []
+        self.samples = self.missing = self.gaps = self.not_finite = 0
+        self.first_not_finite = None
+        self.largest_gap_s, self.largest_gap_at_s = 0.0, None
+        settings, state = recording.settings, recording.initial_state
+        step = settings.get("step")
+        topic = settings["topics"]["pose"][recording.bodies[0]] if recording.bodies else None
+        self.expected = recording.topics.get(topic, 0)
+        n = max(1, len(recording.bodies))
+        self.every = max(1, -(-self.expected // max(LEAST_KEPT, KEPT // n)))
+        start = state.get("steps", 0)
+        stamp = state.get("stamp_ns", 0)
+        if not all(isinstance(value, int) and abs(value) < LATEST for value in (start, stamp)):
+            raise RecordingError(f"{recording.path}: its initial state has no step and no stamp")
+        bases = [stamp - round(start * step * 1e9)]         # of a part, it went on before
+        bases += [event.stamp_ns for event in recording.events if event.name == "reset"]
+        if any(b <= a for a, b in zip(bases, bases[1:])):
+            raise RecordingError(f"{recording.path}: the stamps of its resets do not increase")
+        self._all = [self._stretch(base, end, step, k == 0, start if k == 0 else 0)
+                     for k, (base, end) in enumerate(zip(bases, [*bases[1:], np.inf]))]
+        self.first = self._all[0]
+        self._bases = np.array(bases, dtype=np.int64)
+
+    def _stretch(self, base, end, step, is_first, start):
+        tracks = self._recording.wrench
+        stamps = [track.stamp_ns for track in tracks.values()] or [np.empty(0, dtype=np.int64)]
+        inside = [(s >= base) & (s < end) for s in stamps]
+        when = np.concatenate([s[mask] for s, mask in zip(stamps, inside)])
+        which = np.repeat(np.arange(len(stamps)), [int(mask.sum()) for mask in inside])
+        wrench = np.concatenate([np.empty((0, 6))] + [
+            track.wrench[mask] for track, mask in zip(tracks.values(), inside)])
+        order = np.argsort(when, kind="stable")
+        steps = np.rint((when - base) / (step * 1e9)).astype(np.int64)
+        return Stretch(base, end, step, self._recording.bodies, is_first, start, steps[order],
+                       which[order], wrench[order])
+
+    def blocks(self, angles=None):
+        """Block after block. Raises RecordingError for settings that contradict the messages.
+
+        angles : function of a Block that returns (k, t) numbers that are kept with the samples
+        """
+        since = None                # of the samples, the number of the next one that is kept
+        for found in self._recording.samples():
+            if abs(int(found.stamp_ns[0])) > LATEST or abs(int(found.stamp_ns[-1])) > LATEST:
+                raise RecordingError(f"{self._recording.path}: its stamps are no times")
+            number = np.searchsorted(self._bases, found.stamp_ns, "right") - 1
+            edges = [0, *(np.flatnonzero(np.diff(number)) + 1).tolist(), len(number)]
+            for a, b in zip(edges, edges[1:]):
+                if number[a] < 0:
+                    continue
+                block = self._block(self._all[number[a]], found, slice(a, b))
+                if block is None:
+                    continue
+                since = since or 0
+                values = angles(block) if angles else np.empty((len(block.steps), 0))
+                pick = slice(since % self.every, None, self.every)
+                since = (since - len(block.steps)) % self.every
+                if len(block.steps[pick]):
+                    block.stretch.kept.append(_Kept(*(part[pick].copy() for part in (
+                        block.steps, block.rotation, block.position, block.twist, values))))
+                yield block
+        if not self.samples:
+            raise RecordingError(f"{self._recording.path}: holds no complete sample: the run "
+                                 "ended before one was written")
+        self.stretches = [stretch for stretch in self.stretches if stretch.kept]
+
+    def _block(self, stretch, found, part):
+        """Block of the usable samples of a part, or None; counts what is wrong with it."""
+        stamps = found.stamp_ns[part]
+        unit = stretch.step * 1e9
+        steps = np.rint((stamps - stretch.base_ns) / unit).astype(np.int64)
+        # Stamps are rounded to ns from the step count.
+        if np.abs(stretch.base_ns + np.rint(steps * unit) - stamps).max() > 1.0:
+            raise RecordingError(f"{self._recording.path}: its stamps do not lie on steps of "
+                                 f"{stretch.step:g} s")
+        self._count(stretch, steps)
+        position, quaternion, twist = (values[part] for values in found[1:])
+        norm = np.linalg.norm(quaternion, axis=2)
+        good = (np.isfinite(position).all(axis=(1, 2)) & np.isfinite(twist).all(axis=(1, 2))
+                & (np.isfinite(norm) & (norm > 0.0)).all(axis=1))
+        if not good.all():
+            self.not_finite += int((~good).sum())
+            if self.first_not_finite is None:
+                self.first_not_finite = float(stamps[~good][0] * 1e-9)
+            if not good.any():
+                return None
+            steps, position = steps[good], position[good]
+            quaternion, twist = quaternion[good], twist[good]
+        if not stretch.samples:
+            self.stretches.append(stretch)
+            stretch.first_step = int(steps[0])
+        stretch.samples += len(steps)
+        stretch.last_step = int(steps[-1])
+        turn = Rotation.from_quat(quaternion.reshape(-1, 4)).as_matrix()
+        return Block(stretch, steps, turn.reshape(*position.shape[:2], 3, 3), position,
+                     quaternion, twist)
+
+    def _count(self, stretch, steps):
+        """Samples that are there, and those on the grid between them that are not."""
+        self.samples += len(steps)
+        per_sample = self._recording.settings["steps_per_sample"]
+        before = getattr(self, "_last", None)
+        if before is not None and before[0] is stretch:
+            steps = np.concatenate([before[1:], steps])
+        self._last = (stretch, steps[-1])
+        absent = np.diff(steps // per_sample) - 1
+        if (absent > 0).any():
+            self.missing += int(absent[absent > 0].sum())
+            self.gaps += int((absent > 0).sum())
+            widths = np.where(absent > 0, np.diff(steps), 0) * stretch.step
+            if widths.max() > self.largest_gap_s:
+                self.largest_gap_s = float(widths.max())
+                at = steps[widths.argmax()]
+                self.largest_gap_at_s = float(stretch.base_ns * 1e-9 + at * stretch.step)

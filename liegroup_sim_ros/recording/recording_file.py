@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The file of a recording: its attachments, its messages, what is rare in it, what is missing."""
+import json
+from pathlib import Path
+
+import numpy as np
+
+from liegroup_sim_ros.messages import diagnostics
+from .addresses import AddressError, fetch, is_remote
+from .mcap_records import AttachmentPiece, Damaged
+from .mcap_stream import McapStream
+from liegroup_sim_ros.messages.codecs import LogCodec, MessageError, WrenchStampedCodec, decode_rows
+from .tracks import Event, RecordingError, WrenchTrack
+
+MOST_EVENTS = 10**6             # of events and of diagnostics; a run has some, once a second
+
+
+class TellPath:
+    """Makes one RecordingError that begins with the path of all that reading may raise."""
+
+    def __init__(self, path):
+        self._path = path
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, kind, error, _):
+        if isinstance(error, AddressError):
+            raise RecordingError(str(error)) from None
+        if isinstance(error, (RecordingError, Damaged)):
+            text = str(error)
+            raise RecordingError(text if text.startswith(f"{self._path}: ")
+                                 else f"{self._path}: {text}") from None
+        if isinstance(error, MessageError):
+            raise RecordingError(f"{self._path}: damaged message: {error}") from None
+        if isinstance(error, OSError):
+            raise RecordingError(f"{self._path}: {error.strerror or error}") from None
+        if isinstance(error, (KeyError, AttributeError, TypeError, UnicodeDecodeError)):
+            raise RecordingError(f"{self._path}: its settings or initial state lack an entry: "
+                                 f"{error!r:.120}") from None
+
+
+class Attachments:
+    """Attachments by name."""
+
+    def __init__(self, found, stream):
+        self._found, self._stream = found, stream
+
+    def __getitem__(self, name):
+        if name not in self._found:
+            stream = self._stream
+            raise RecordingError(
+                f"damaged: {stream.remarks[0]}" if stream.remarks else
+                "ends before anything was written to it" if not (self._found or stream.finished)
+                else f'no attachment "{name}": not a recording of this simulator')
+        return self._found[name]
+
+    def json(self, name):
+        try:
+            data = json.loads(self[name])
+        except (ValueError, RecursionError) as error:
+            raise RecordingError(f'its attachment "{name}" is damaged: {error}') from None
+        if not isinstance(data, dict):
+            raise RecordingError(f'its attachment "{name}" is damaged: it is no JSON object')
+        return data
+
+
+class Source:
+    """The bytes of a recording, which may be gone through several times."""
+
+    def __init__(self, path):
+        self._copy = fetch(path) if is_remote(path) else None
+        self.path = Path(self._copy.name) if self._copy else path
+        with open(self.path, "rb") as file:
+            self.size = file.seek(0, 2)     # one that is being written may grow meanwhile
+
+    def attachments(self):
+        """({name: bytes}, McapStream); no chunk is unpacked for them."""
+        found = {}
+        with open(self.path, "rb") as file:
+            stream = McapStream(file, self.size, wanted=lambda *_: False)
+            for item in stream:
+                if isinstance(item, AttachmentPiece):
+                    found.setdefault(item.name, item.data)
+        return found, stream
+
+    def messages(self, channels=None):
+        """(Messages, [(Channel, indices of its messages)]) of every chunk; `stream` is the reader.
+
+        channels : those that are known, if any
+        """
+        with open(self.path, "rb") as file:
+            self.stream = stream = McapStream(file, self.size)
+            stream.channels.update(channels or {})
+            for item in stream:
+                if isinstance(item, AttachmentPiece) or not len(item.channel):
+                    continue
+                order = np.argsort(item.channel, kind="stable")
+                numbers, first = np.unique(item.channel[order], return_index=True)
+                parts = np.split(order, first[1:])
+                yield item, [(stream.channels[number], part) for number, part
+                             in zip(numbers.tolist(), parts) if number in stream.channels]
+
+
+class Scan:
+    """One pass over a file: what is rare, and what can be counted."""
+
+    def __init__(self, source, settings, bodies):
+        topics, before = settings["topics"], settings.get("sequences")
+        before = before if isinstance(before, dict) else {}     # of the part before this one
+        self.events, self.diagnostics = [], []
+        self._tallies = {}                  # channel id -> _Tally
+        self._wrenches = {body: ([], []) for body in bodies}
+        self._prefix = settings.get("frame_prefix", "")
+        events, told, applied = (topics[key] for key in
+                                 ("events", "diagnostics", "applied_wrench"))
+        for messages, channels in source.messages():
+            for channel, index in channels:
+                if channel.id not in self._tallies:
+                    self._tallies[channel.id] = _Tally(channel.topic, before.get(channel.topic))
+                self._tallies[channel.id].add(messages.sequence[index])
+                if channel.topic == events:
+                    self.events += [Event(stamp, name, text) for stamp, _, name, text in
+                                    (LogCodec.decode_one(messages.payload(k)) for k in index)]
+                elif channel.topic == told:
+                    self.diagnostics += [diagnostics.decode(messages.payload(k)) for k in index]
+                elif channel.topic == applied:
+                    self._add_wrenches(messages, index)
+            if max(len(self.events), len(self.diagnostics)) > MOST_EVENTS:
+                raise RecordingError(f"holds more than {MOST_EVENTS} events or diagnostics")
+        self.channels = source.stream.channels
+        for channel in self.channels.values():
+            self._tallies.setdefault(channel.id, _Tally(channel.topic))
+        if source.stream.statistics and source.stream.finished:
+            for number, tally in self._tallies.items():
+                tally.written = source.stream.statistics.get(number, 0)
+
+    def _add_wrenches(self, messages, index):
+        for stamps, names, which, values in decode(WrenchStampedCodec, messages, index):
+            for k, frame in enumerate(names):
+                body = frame.removeprefix(self._prefix)
+                if body not in self._wrenches or self._prefix + body != frame:
+                    raise RecordingError(f"a wrench is on {frame!r:.60}, which is none of its "
+                                         "bodies")
+                self._wrenches[body][0].append(stamps[which == k])
+                self._wrenches[body][1].append(values[which == k])
+
+    def wrenches(self):
+        return {body: WrenchTrack(np.concatenate(stamps), np.concatenate(values)) if stamps else
+                WrenchTrack(np.empty(0, dtype=np.int64), np.empty((0, 6)))
+                for body, (stamps, values) in self._wrenches.items()}
+
+    def counts(self):
+        found = {}
+        for tally in self._tallies.values():
+            found[tally.topic] = found.get(tally.topic, 0) + tally.count
+        return found
+
+    def lost(self):
+        return {tally.topic: tally.lost for tally in self._tallies.values()}
+
+    def problem(self, source, attachments):
+        """None, or what is wrong with the file."""
+        stream, said = source.stream, []
+        if stream.damaged:
+            said.append(f"{stream.damaged} damaged part(s) skipped: {', '.join(stream.remarks)}")
+        if not stream.finished:
+            said.append("not finished: it is still being recorded, the run was ended hard or the "
+                        "disk was full; everything up to the last flush is read")
+        elif stream.statistics is None:
+            said.append("it has no summary")
+        elif any(tally.count != tally.written for tally in self._tallies.values()):
+            said.append("its messages are not as many as its summary says")
+        elif len(attachments) < stream.attachments_indexed:
+            said.append("an attachment is missing")
+        return "; ".join(said) or None
+
+
+class _Tally:
+    """Counts the messages of a channel, and by their numbers what is missing."""
+
+    def __init__(self, topic, before=None):
+        self.topic, self.count, self.written = topic, 0, 0
+        before = before if isinstance(before, int) and 0 <= before < 2**32 else 0
+        self._largest = self._different = before
+
+    def add(self, sequence):
+        self.count += len(sequence)
+        reached = np.maximum.accumulate(np.concatenate([[self._largest], sequence]))
+        self._different += int((sequence > reached[:-1]).sum())
+        self._largest = int(reached[-1])
+
+    @property
+    def lost(self):
+        """Messages missing; sequences count from 1, or on from the part before, or are all 0."""
+        return max(self._largest - self._different, self.written - self.count, 0)
+
+
+def decode(codec, messages, index):
+    """What decode_rows returns, for messages of one size at a time, in file order."""
+    sizes = messages.size[index]
+    edges = np.flatnonzero(np.diff(sizes)) + 1
+    for part in np.split(index, edges):
+        yield decode_rows(codec, messages.rows(part))

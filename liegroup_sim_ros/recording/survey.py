@@ -1,0 +1,273 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is in an MCAP file and what is missing: counts, gaps in the sequence numbers, problems.
+
+Read from front to back in bounded memory (mcap_scan.py). For `info` and `recover`.
+"""
+import json
+import os
+import string
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from mcap.records import Channel, Header, Metadata, Schema
+
+from .mcap_records import AttachmentPiece, Block, Damaged
+from .mcap_scan import Damage, End, pieces, summary_of
+from .reader import RecordingError
+
+MOST_DEFINITIONS = 8 * 2**20    # bytes of all names and schemas
+MOST_EXTRAS = 10_000            # attachments and metadata records
+MOST_PROBLEMS = 20              # different ones that are listed
+NO_END = ("its end is missing: it is still being recorded, the run was ended hard, the disk was "
+          "full or the file was cut")
+_KEPT = ("settings.json", "initial_state.json")     # attachments whose content is looked at
+_PLAIN = frozenset(string.printable) - frozenset("\t\n\r\x0b\x0c")
+
+
+@dataclass
+class ChannelFigures:
+    """One channel of the file."""
+
+    topic: str
+    type: str                   # of its messages; empty without a schema
+    count: int = 0
+    lost: int = 0               # missing before the last one there is, by sequence number
+    expected: int | None = None         # that of the next one; None: not known, or not numbered
+    first_ns: int | None = None
+    last_ns: int | None = None
+
+    def expect(self, before):
+        """Say which numbers the channels had before this file; None: not known."""
+        if before is not None and self.count == 0:
+            self.expected = (before.get(self.topic, 0) + 1) % 2**32
+
+    def add(self, sequence, stamp_ns):
+        """Count one message."""
+        expected = self.expected
+        if expected is not None and sequence != expected:
+            # Numbers have 32 bits and go round; one from before is no gap.
+            ahead = (sequence - expected) % 2**32
+            self.lost += ahead if ahead < 2**31 else 0
+        # All zero: whoever wrote the file does not number messages.
+        self.expected = (sequence + 1) % 2**32 if sequence or expected else None
+        self.count += 1
+        if self.first_ns is None:
+            self.first_ns = self.last_ns = stamp_ns
+        elif stamp_ns > self.last_ns:
+            self.last_ns = stamp_ns
+        elif stamp_ns < self.first_ns:
+            self.first_ns = stamp_ns
+
+    @property
+    def rate(self):
+        """Messages per second of their stamps, or None."""
+        span = self.last_ns - self.first_ns if self.count > 1 else 0
+        return (self.count - 1) / (span * 1e-9) if span > 0 else None
+
+
+@dataclass
+class Survey:
+    """What was found in a file."""
+
+    path: Path
+    size: int                                       # bytes
+    profile: str = ""
+    library: str = ""
+    schemas: dict = field(default_factory=dict)     # id -> Schema
+    channels: dict = field(default_factory=dict)    # id -> Channel
+    figures: dict = field(default_factory=dict)     # id -> ChannelFigures
+    attachments: list = field(default_factory=list)     # (name, media type, bytes)
+    metadata: dict = field(default_factory=dict)    # name -> {key: text}
+    contents: dict = field(default_factory=dict)    # name -> parsed JSON of _KEPT
+    before: dict | None = None  # topic -> sequence number before the first one; None: not known
+    problems: dict = field(default_factory=dict)    # text -> how often
+    chunks: int = 0
+    unfinished: int = 0         # messages out of a chunk that the file ends in
+    stray: int = 0              # messages of channels that the file does not describe
+    finished: bool = False      # it has its end: summary, index and statistics
+
+    @property
+    def complete(self):
+        """Whether it was finished, and nothing in it is damaged."""
+        return self.finished and not self.problems
+
+    @property
+    def count(self):
+        """Messages in all."""
+        return sum(each.count for each in self.figures.values())
+
+    @property
+    def lost(self):
+        """{topic: messages missing by sequence number}."""
+        return {each.topic: each.lost for each in self.figures.values() if each.lost}
+
+    @property
+    def stamps(self):
+        """(least, largest) stamp in ns, zeros without messages."""
+        known = [each for each in self.figures.values() if each.count]
+        return (min(each.first_ns for each in known), max(each.last_ns for each in known)
+                ) if known else (0, 0)
+
+    def problem(self, text):
+        """Note a problem."""
+        text = clean(text)
+        if text in self.problems or len(self.problems) < MOST_PROBLEMS:
+            self.problems[text] = self.problems.get(text, 0) + 1
+
+
+def open_file(path):
+    """(stream, size) of a file. Raises RecordingError."""
+    try:
+        stream = open(path, "rb")
+    except (OSError, ValueError) as error:      # ValueError: a zero byte in the name
+        raise RecordingError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
+    if not stream.seekable():
+        stream.close()
+        raise RecordingError(f"{path}: is no file that can be read from any place")
+    return stream, stream.seek(0, os.SEEK_END)
+
+
+def survey(path):
+    """Survey of an MCAP file. Raises RecordingError if it is none, or cannot be read."""
+    path = Path(path)
+    stream, size = open_file(path)
+    with stream:
+        found = Survey(path, size)
+        try:
+            walk(stream, found)
+        except Damaged as error:
+            raise RecordingError(f"{path}: {clean(str(error))}") from None
+        except OSError as error:
+            raise RecordingError(f"{path}: {error.strerror or error}") from None
+    if not found.count and not found.attachments:
+        reasons = [text for text in found.problems if text != NO_END]
+        raise RecordingError(f"{path}: " + (
+            "an MCAP file without any content" if found.complete
+            else f"nothing in it can be read: {reasons[0]}" if reasons
+            else "ends before anything was written to it"))
+    return found
+
+
+def walk(stream, found, on_block=None, on_attachment=None, on_metadata=None):
+    """Go through a file and fill in a Survey; what else is to be done is done by functions.
+
+    raises Damaged when it is no MCAP file
+    """
+    definitions, extras = _Definitions(found), 0
+    try:                                # definitions in front may be damaged
+        for each in summary_of(stream, found.size).definitions:
+            definitions.add(each)
+    except Damaged:
+        pass
+    for piece in pieces(stream, found.size):
+        if isinstance(piece, Block):
+            found.chunks += 1
+            for each in piece.definitions:
+                definitions.add(each)
+            _count(found, piece, on_block)
+        elif isinstance(piece, (AttachmentPiece, Metadata)):
+            extras += 1
+            if extras > MOST_EXTRAS:
+                found.problem(f"more than {MOST_EXTRAS} attachments; the rest is left out")
+            elif isinstance(piece, AttachmentPiece):
+                _attachment(found, piece)
+                if on_attachment:
+                    on_attachment(piece)
+            else:
+                found.metadata[piece.name] = piece.metadata
+                if on_metadata:
+                    on_metadata(piece)
+        elif isinstance(piece, Damage):
+            found.problem(piece.text)
+        elif isinstance(piece, Header):
+            found.profile, found.library = piece.profile, piece.library
+        elif isinstance(piece, End):
+            _end(found, piece)
+    if found.stray:
+        found.problem("messages of a channel that is not described")
+    if not found.finished:
+        found.problem(NO_END)
+
+
+def _count(found, block, on_block):
+    figures, stray = found.figures, 0
+    for channel, sequence, stamp_ns, _, _, _ in block.messages():
+        try:
+            figures[channel].add(sequence, stamp_ns)
+        except KeyError:
+            stray += 1
+    found.stray += stray
+    if not block.is_whole:
+        found.unfinished += len(block.starts) - stray
+    if on_block:
+        on_block(block)
+
+
+def _attachment(found, piece):
+    found.attachments.append((piece.name, piece.media_type, len(piece.data)))
+    if piece.name in _KEPT and piece.name not in found.contents:
+        try:
+            content = json.loads(piece.data)
+            json.dumps(content, allow_nan=False)
+        except (ValueError, RecursionError):
+            return                      # of other software, then
+        if isinstance(content, dict) and _is_flat(content):
+            found.contents[piece.name] = content
+            if piece.name == "settings.json":
+                _first_numbers(found, content)
+
+
+def _is_flat(value, levels=20):
+    """Whether a JSON value has at most so many levels."""
+    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return levels > 0 and all(_is_flat(each, levels - 1) for each in inner)
+
+
+def _first_numbers(found, settings):
+    """Our own recordings say with which numbers their parts begin; the first one is 1."""
+    if settings.get("format") != 1:
+        return
+    before = settings.get("sequences")
+    found.before = {} if not isinstance(before, dict) else {
+        topic: number for topic, number in before.items() if isinstance(number, int)}
+    for figures in found.figures.values():
+        figures.expect(found.before)
+
+
+def _end(found, end):
+    told = end.statistics
+    if told is not None and (told.message_count != found.count or any(
+            told.channel_message_counts.get(each, 0) != figures.count
+            for each, figures in found.figures.items())):
+        found.problem("its statistics do not agree with its messages")
+    found.finished = True
+
+
+class _Definitions:
+    """Schemas and channels into a Survey."""
+
+    def __init__(self, found):
+        self._found, self._size = found, 0
+
+    def add(self, each):
+        found = self._found
+        kept = found.schemas if isinstance(each, Schema) else found.channels
+        if each.id in kept:
+            if kept[each.id] != each:
+                found.problem("two definitions of one channel or schema contradict each other")
+            return
+        self._size += len(str(each))
+        if self._size > MOST_DEFINITIONS:
+            raise Damaged(f"its names and schemas have more than {MOST_DEFINITIONS} bytes")
+        kept[each.id] = each
+        if isinstance(each, Channel):
+            schema = found.schemas.get(each.schema_id)
+            figures = ChannelFigures(each.topic, schema.name if schema else "")
+            figures.expect(found.before)
+            found.figures[each.id] = figures
+
+
+def clean(text, longest=200):
+    """Text that may be shown in a terminal: names in a file may hold anything."""
+    text = "".join(c if c in _PLAIN or c.isprintable() else "\ufffd" for c in text)
+    return text if len(text) <= longest else text[:longest - 3] + "..."
