@@ -14,12 +14,11 @@ import tracemalloc
 # Before Numba comes in: counting what its code allocates is off by default.
 os.environ["NUMBA_NRT_STATS"] = "1"
 
-from numba.core.runtime import rtsys                                        # noqa: E402
-from rich.console import Console                                            # noqa: E402
-from rich.table import Table                                                # noqa: E402
-
-from side_by_side import load_peers, ours, problems                         # noqa: E402
-from side_by_side.measure import seconds_per_step                           # noqa: E402
+from numba.core.runtime import rtsys  # noqa: E402
+from rich.console import Console  # noqa: E402
+from rich.table import Table  # noqa: E402
+from side_by_side import load_peers, ours, problems  # noqa: E402
+from side_by_side.measure import seconds_per_step  # noqa: E402
 
 LINKS = (1, 10, 100, 1000)
 # s. Exudyn's implicit method is made for larger steps, and solves more often in them.

@@ -18,10 +18,9 @@ import logging
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from timing import seconds_of_step
 
 from liegroup_core import Simulation, SimulationError, load_scene
-
-from timing import seconds_of_step
 
 SCENES = {"double_pendulum": 1e-3, "four_bar": 1e-3}    # step of constrained_rattle, s
 METHODS = (("constrained_rattle", {}), ("constrained_rattle4", {}), ("constrained_rattle8", {}),

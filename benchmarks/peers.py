@@ -17,7 +17,6 @@ from importlib.metadata import version
 
 import numpy as np
 from rich.console import Console
-
 from side_by_side import load_peers, ours, problems
 from side_by_side.measure import TARGETS, climb, cost_at, time_ladders
 from side_by_side.report import as_data, costs_table, shortfalls

@@ -24,11 +24,11 @@ import numpy as np
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
+from liegroup_sim_ros.commands.recover import write_recovered
 from liegroup_sim_ros.messages import schemas
 from liegroup_sim_ros.messages.codecs import PoseStampedCodec
-from liegroup_sim_ros.recording.recorder import Recorder
 from liegroup_sim_ros.recording.reader import RecordingError
-from liegroup_sim_ros.commands.recover import write_recovered
+from liegroup_sim_ros.recording.recorder import Recorder
 from liegroup_sim_ros.recording.survey import survey
 
 SIDE = Path(__file__).parent / "recording_side"

@@ -43,9 +43,14 @@ print(json.dumps([wall, cpu, peak / 1024]))
 def make(path, seconds):
     """Record a run; returns the number of messages."""
     from liegroup_core import Simulation, load_scene
+    from liegroup_sim_ros.messages.codecs import (
+        ClockCodec,
+        LogCodec,
+        PoseStampedCodec,
+        TwistStampedCodec,
+        WrenchStampedCodec,
+    )
     from liegroup_sim_ros.recording import attachments
-    from liegroup_sim_ros.messages.codecs import (ClockCodec, LogCodec, PoseStampedCodec,
-                                                  TwistStampedCodec, WrenchStampedCodec)
     from liegroup_sim_ros.recording.recorder import Recorder
     simulation = Simulation(load_scene("heavy_top"), "rkmk4", STEP)
     topics = {"pose": {"top": "/sim_node/top/pose"}, "twist": {"top": "/sim_node/top/twist"},

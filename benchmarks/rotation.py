@@ -14,11 +14,10 @@ import argparse
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from timing import seconds_of_step
 
 from liegroup_core import Simulation, SimulationError, load_scene
 from liegroup_core.integrators.methods import METHODS
-
-from timing import seconds_of_step
 
 SCENES = {"free_body": 0.05, "lagrangian_top": 1e-4}        # and the step of the long run, s
 SAMPLES = 60                                                # of a long run, evenly in log steps

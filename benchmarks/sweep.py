@@ -14,11 +14,11 @@ import time
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
+from timing import speed_kept
 
 from liegroup_core import load_scene
 from liegroup_core.study.sweep.sweep import Sweep, simulate
 from liegroup_core.study.tasks import run
-from timing import speed_kept
 
 # What varies leaves the joints closed: gravity.
 SCENES = "free_body", "heavy_top", "double_pendulum", "four_bar"

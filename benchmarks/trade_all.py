@@ -18,16 +18,16 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
+from side_by_side import trade_page
 
 from liegroup_core import load_scene
 from liegroup_core.model.build import initial_state
 from liegroup_core.reference import Reference, Trajectory, distance
 from liegroup_core.study.trade import accuracy
 from liegroup_core.study.trade.accuracy import AccuracyError, choose
-from liegroup_core.study.trade.trade import ACCURACIES, BUDGET, Trade
 from liegroup_core.study.trade.reference_solution import scaled
+from liegroup_core.study.trade.trade import ACCURACIES, BUDGET, Trade
 from liegroup_sim_ros.report.trade_figures import document_part
-from side_by_side import trade_page
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA, PAGE = ROOT / "docs" / "which_method.json", ROOT / "docs" / "which_method.md"

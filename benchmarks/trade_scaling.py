@@ -13,10 +13,11 @@ import time
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from timing import speed_kept
+
 from liegroup_core import load_scene
 from liegroup_core.study.trade.cache import Store
 from liegroup_core.study.trade.trade import Trade
-from timing import speed_kept
 
 SCENE, HORIZON = "heavy_top", 5.0
 STEPS = [1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5]

@@ -24,16 +24,16 @@ import numpy as np
 import pinocchio
 import scipy
 from scipy.integrate import solve_ivp
-
-from liegroup_core import Simulation, load_scene
-from liegroup_core.reference import Trajectory, distance
-from liegroup_core.simulation import make_layout
-from liegroup_core.study.trade.measure import listening
-from liegroup_core.study.trade.configurations import as_time, sample_times
-from liegroup_core.study.trade.reference_solution import find_truth, scaled
 from side_by_side import problems
 from side_by_side.mujoco_code import model_of
 from side_by_side.problems import BALL, GROUND, HINGE, Body, Joint, Problem
+
+from liegroup_core import Simulation, load_scene
+from liegroup_core.layout import make_layout
+from liegroup_core.reference import Trajectory, distance
+from liegroup_core.study.trade.configurations import as_time, sample_times
+from liegroup_core.study.trade.measure import listening
+from liegroup_core.study.trade.reference_solution import find_truth, scaled
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA, KEPT = ROOT / "docs" / "which_method.json", ROOT / "test" / "verification" / "peers.json"

@@ -4,13 +4,14 @@
 ros2 launch liegroup_sim_ros sim.launch.py scene:=heavy_top record:=/tmp/run.mcap
 ros2 launch liegroup_sim_ros sim.launch.py preset:=show rviz:=true
 """
-from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
+
+from launch import LaunchDescription
 
 PACKAGE = "liegroup_sim_ros"
 

@@ -7,10 +7,11 @@
     simulation.advance(1000)
     print(simulation.sample().poses["top"])
 """
-from .errors import SceneError, SimulationError
 from liegroup_core.observables.sample import Sample
 from liegroup_core.scene.description import Scene
 from liegroup_core.scene.load import load_scene
+
+from .errors import SceneError, SimulationError
 from .simulation import Simulation
 
 __all__ = ["Sample", "Scene", "SceneError", "Simulation", "SimulationError", "load_scene"]

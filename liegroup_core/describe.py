@@ -3,17 +3,17 @@
 
 Facts as JSON types, found without taking a step; nothing here depends on the machine.
 """
-from liegroup_core.model.symmetry import body_groups, conserved_momentum
-from .integrators import fitting_methods
-from liegroup_core.joints.elements import PAIR
-from liegroup_core.model.arrays import WORLD
+from liegroup_core.joints.elements import PAIR, WORLD
 from liegroup_core.model.sparsity import operations
+from liegroup_core.model.symmetry import body_groups, conserved_momentum
+
+from .integrators.families import fitting_methods
 
 
 def describe(layout):
     """Facts about a mechanism.
 
-    layout : simulation.Layout, from `make_layout(scene)` or `Simulation.layout`
+    layout : layout.Layout, from `make_layout(scene)` or `Simulation.layout`
     returns dict of
         scene, description, gravity  of the scene; gravity in m/s^2
         bodies              [{name, mass}], kg

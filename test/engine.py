@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the engine's kernels compute, as dense arrays that tests can compare."""
+import naive
 import numpy as np
 
-import naive
 from liegroup_core.formulations.absolute.constraints import assemble, position_residuals
 
 

@@ -2,17 +2,23 @@
 """Scenes made for tests: random mechanisms of every kind of joint, consistent by construction."""
 import functools
 
+import naive
 import numpy as np
 from scipy.linalg import null_space
 
-import naive
 from liegroup_core import Scene
 from liegroup_core.integrators.methods import METHODS
 from liegroup_core.joints import LOWER_PAIRS, forbidden_rows
 from liegroup_core.lie.groups import SE3, SO3
 from liegroup_core.scene.consistency import resolve_elements, resolve_frames
-from liegroup_core.scene.description import (Body, DistanceJoint, Frame, Joint, ScrewJoint,
-                                             SpringDamper)
+from liegroup_core.scene.description import (
+    Body,
+    DistanceJoint,
+    Frame,
+    Joint,
+    ScrewJoint,
+    SpringDamper,
+)
 
 GRAVITY = (0.3, -0.2, -9.81)
 PITCH = 0.3

@@ -4,9 +4,9 @@ import logging
 import math
 
 from liegroup_core import Scene, Simulation, SimulationError, load_scene
+from liegroup_core.engine import STABILISATIONS
 from liegroup_core.integrators.methods import GROUPS, METHODS
 from liegroup_core.scene.description import Body, Frame, Joint
-from liegroup_core.simulation import STABILISATIONS
 
 from .measure import Entry, geometric
 from .problems import BALL, GROUND, HINGE

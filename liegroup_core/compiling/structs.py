@@ -63,8 +63,16 @@ if compiled():
     from numba.core.datamodel import models
     from numba.core.errors import TypingError
     from numba.core.typing.templates import AttributeTemplate
-    from numba.extending import (NativeValue, infer_getattr, intrinsic, lower_builtin,
-                                 lower_getattr_generic, register_model, typeof_impl, unbox)
+    from numba.extending import (
+        NativeValue,
+        infer_getattr,
+        intrinsic,
+        lower_builtin,
+        lower_getattr_generic,
+        register_model,
+        typeof_impl,
+        unbox,
+    )
     from numba.np import arrayobj
     from numba.np.numpy_support import from_dtype
 

@@ -15,8 +15,16 @@ import numpy as np
 
 from liegroup_core.compiling.kernels import kernel, subroutine
 from liegroup_core.compiling.structs import Struct, borrowed
-from . import (applied_wrench, drag, linear_motor, linear_spring_damper, motor, spring_damper,
-               torsional_spring_damper)
+
+from . import (
+    applied_wrench,
+    drag,
+    linear_motor,
+    linear_spring_damper,
+    motor,
+    spring_damper,
+    torsional_spring_damper,
+)
 
 KINDS = {
     "spring_damper": spring_damper,

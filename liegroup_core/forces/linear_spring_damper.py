@@ -3,6 +3,7 @@
 import numpy as np
 
 from liegroup_core.compiling.kernels import kernel
+
 from . import slide
 
 ROW = np.dtype(slide.FIELDS + [

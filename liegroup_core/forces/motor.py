@@ -9,6 +9,7 @@ order.
 import numpy as np
 
 from liegroup_core.compiling.kernels import kernel
+
 from . import turn
 
 ROW = np.dtype(turn.FIELDS + [

@@ -12,6 +12,7 @@ import numpy as np
 
 from liegroup_core.compiling.kernels import kernel
 from liegroup_core.lie.vec3 import dot3, scale3, sub3, vector3
+
 from .points import apply_force, point, point_velocity
 
 ROW = np.dtype([

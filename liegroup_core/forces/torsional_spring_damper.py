@@ -10,6 +10,7 @@ import math
 import numpy as np
 
 from liegroup_core.compiling.kernels import kernel
+
 from . import turn
 
 ROW = np.dtype(turn.FIELDS + [

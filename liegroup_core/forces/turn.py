@@ -15,9 +15,19 @@ step.
 import math
 
 from liegroup_core.compiling.kernels import kernel
-from liegroup_core.lie.vec3 import (add3, dot3, load3, load9, matmul3, matrix3, scale3, sub3,
-                                    tmatmul3)
-from liegroup_core.model.arrays import WORLD
+from liegroup_core.joints.elements import WORLD
+from liegroup_core.lie.vec3 import (
+    add3,
+    dot3,
+    load3,
+    load9,
+    matmul3,
+    matrix3,
+    scale3,
+    sub3,
+    tmatmul3,
+)
+
 from .points import apply_torque, world_axes
 
 FIELDS = [

@@ -17,6 +17,7 @@ from .distance import distance_residual, distance_row
 from .pairs import LOWER_PAIRS, pair_coordinates
 from .perpendicular import perpendicular_residual, perpendicular_row
 
+WORLD = -1                                  # body index that stands for the world
 PAIR, PERPENDICULAR, DISTANCE = 0, 1, 2
 
 # Types of scene joints that have a name and two frames, and no parameter.

@@ -9,8 +9,9 @@ from functools import cached_property
 import numpy as np
 import scipy.linalg
 
-from .elements import forbidden_rows, position_residual
 from liegroup_core.lie.groups import SE3
+
+from .elements import forbidden_rows, position_residual
 
 # Singular values of unit rows: a useful one is rarely below 1e-3. Where a linkage is stretched, a
 # gap of CLOSED leaves sqrt(CLOSED) = 1e-6 in place of zero.

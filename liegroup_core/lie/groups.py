@@ -13,7 +13,7 @@ the kernels from a kernel.
 """
 import numpy as np
 
-from .se3 import se3_ad, se3_Ad, se3_dexp, se3_dexpinv, se3_exp, se3_inverse, se3_log
+from .se3 import se3_Ad, se3_ad, se3_dexp, se3_dexpinv, se3_exp, se3_inverse, se3_log
 from .so3 import so3_dexp, so3_dexpinv, so3_exp, so3_from_quaternion, so3_log, so3_to_quaternion
 from .vec3 import cross3, transpose3
 

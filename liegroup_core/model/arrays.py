@@ -17,7 +17,6 @@ import numpy as np
 
 from liegroup_core.compiling.structs import Struct
 
-WORLD = -1                                  # index of the world where a body is meant
 # Work.report[3], an input of a call: WAIT ends it, with fewer steps than asked, before a step in
 # which a spring may turn over (forces/kinds.py); then it is MET.
 WAIT, MET = 1.0, 2.0

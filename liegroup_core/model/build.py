@@ -3,10 +3,11 @@
 import numpy as np
 
 from liegroup_core.forces.kinds import make_forces
-from liegroup_core.joints.elements import DISTANCE, PAIR, PERPENDICULAR
+from liegroup_core.joints.elements import DISTANCE, PAIR, PERPENDICULAR, WORLD
 from liegroup_core.lie.groups import SE3
 from liegroup_core.scene.consistency import resolve_elements, resolve_frames
-from .arrays import BODY, ELEMENT, WORLD, Model
+
+from .arrays import BODY, ELEMENT, Model
 from .redundancy import kept_rows, loop_joints
 from .sparsity import cheapest_structure
 
@@ -32,7 +33,7 @@ def initial_state(scene):
 
 
 def build_model(scene):
-    """Model of a scene and the names behind it, as in simulation.Layout.
+    """Model of a scene and the names behind it, as in layout.Layout.
 
     scene : consistent, its body frames at the centres of mass (scene.centres)
     returns (model, frames, owners, row_names, kept): the frames of every joint, then for each

@@ -22,8 +22,8 @@ from functools import lru_cache
 import numpy as np
 
 from liegroup_core.errors import SceneError
-from liegroup_core.lie.groups import SE3
 from liegroup_core.joints.linkage import RANK_TOLERANCE, Linkage, freedoms
+from liegroup_core.lie.groups import SE3
 
 TURN = 0.3                                  # rad (or characteristic lengths) between these poses
 MOST_POSES, LEAST_POSES = 40, 3             # 40 turns of 0.3 rad lead a crank twice around

@@ -22,7 +22,9 @@ import heapq
 import numpy as np
 import scipy.linalg
 
-from .arrays import JOINT, VERTEX, WORLD
+from liegroup_core.joints.elements import WORLD
+
+from .arrays import JOINT, VERTEX
 
 
 def elimination_order(sizes, neighbours, bodies, bodies_first=False):

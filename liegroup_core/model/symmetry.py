@@ -34,11 +34,12 @@ import scipy.linalg
 from liegroup_core.forces import gravity, kinds
 from liegroup_core.joints.elements import PAIR
 from liegroup_core.lie.groups import SE3
-from .build import build_model
 from liegroup_core.scene.assembly import ready
 from liegroup_core.scene.centres import Offsets
 from liegroup_core.scene.consistency import resolve_elements, resolve_frames
 from liegroup_core.scene.description import WORLD
+
+from .build import build_model
 
 # More poses than unknowns; each is generic with probability one, and the draw is always the same.
 POSES = 12

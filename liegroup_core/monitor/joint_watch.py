@@ -8,9 +8,9 @@ sudden growth that counts, besides the size.
 """
 import numpy as np
 
-from liegroup_core.formulations.absolute.constraints import position_residuals
 from liegroup_core.forces.schedule import NEVER
-from liegroup_core.model.arrays import WORLD
+from liegroup_core.formulations.absolute.constraints import position_residuals
+from liegroup_core.joints.elements import WORLD
 
 EVERY = 500             # steps from one look at the joints to the next: some 20 us each
 # Of the mechanism's size: joints open by more are no joints any more.

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from liegroup_core.model.arrays import WORLD
+from liegroup_core.joints.elements import WORLD
 
 # A body is next to the axis where what turns across it is below this part of its turning; it has
 # left it where this has grown by so much, as it only does next to an unstable one.

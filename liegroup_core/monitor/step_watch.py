@@ -24,12 +24,13 @@ import math
 import numpy as np
 
 from liegroup_core.compiling.kernels import SameTypes
-from liegroup_core.formulations.absolute.invariants import energy
-from .joint_watch import mechanism_size
 from liegroup_core.forces.schedule import NEVER
+from liegroup_core.formulations.absolute.invariants import energy
 from liegroup_core.integrators.methods import METHODS
-from .middle_axis import MiddleAxis
 from liegroup_core.status import OK
+
+from .joint_watch import mechanism_size
+from .middle_axis import MiddleAxis
 
 # The sum is a doubt beyond this part of the motion: of how far bodies have gone, which counts as
 # one radian at the most and, in the first steps, at the least.

@@ -4,10 +4,11 @@ from functools import cached_property
 
 import numpy as np
 
-from liegroup_core.formulations.absolute import invariants
-from liegroup_core.formulations.absolute.constraints import position_residuals
 from liegroup_core.forces import kinds
 from liegroup_core.forces.timetable import ROUNDING, acting_at
+from liegroup_core.formulations.absolute import invariants
+from liegroup_core.formulations.absolute.constraints import position_residuals
+
 from .along import quaternions, rows
 
 

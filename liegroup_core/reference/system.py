@@ -4,7 +4,8 @@ import numpy as np
 
 from liegroup_core.errors import SimulationError
 from liegroup_core.scene.consistency import resolve_frames
-from .equations import DISTANCE, GROUND, JOINTS, X, Equations
+
+from .equations import DISTANCE, GROUND, JOINTS, Equations, X
 from .loads import Loads
 from .rigid_body_dae import System
 

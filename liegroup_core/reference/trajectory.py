@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from liegroup_core.errors import SimulationError
 from liegroup_core.scene.assembly import assembled
 from liegroup_core.scene.centres import Offsets, at_centres_of_mass
+
 from .equations import STATE
 from .rigid_body_dae import rate, scaled_equations
 from .system import build_system

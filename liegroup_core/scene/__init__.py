@@ -3,8 +3,15 @@
 
 from .consistency import check_consistency, resolve_elements, resolve_frames
 from .description import WORLD, Body, DistanceJoint, Frame, Joint, Scene, ScrewJoint
-from .forces import (ConstantWrench, Drag, LinearMotor, LinearSpringDamper, Motor, SpringDamper,
-                     TorsionalSpringDamper)
+from .forces import (
+                     ConstantWrench,
+                     Drag,
+                     LinearMotor,
+                     LinearSpringDamper,
+                     Motor,
+                     SpringDamper,
+                     TorsionalSpringDamper,
+)
 from .load import find_scene, load_scene, scene_from_text
 
 __all__ = ["WORLD", "Body", "ConstantWrench", "DistanceJoint", "Drag", "Frame", "Joint",

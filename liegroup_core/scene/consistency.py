@@ -16,6 +16,7 @@ import numpy as np
 from liegroup_core.errors import SceneError
 from liegroup_core.joints.elements import elements_of, forbidden_rows, position_residual
 from liegroup_core.lie.groups import SE3
+
 from .description import WORLD
 
 # A scene may be typed with round numbers or come from double precision arithmetic: its numbers

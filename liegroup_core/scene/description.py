@@ -18,12 +18,34 @@ from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
 
 from liegroup_core.errors import SceneError
 from liegroup_core.joints.elements import PLAIN_JOINTS
-from .forces import (ConstantWrench, Drag, LinearMotor, LinearSpringDamper, Motor, SpringDamper,
-                     TorsionalSpringDamper)
+
+from .forces import (
+    ConstantWrench,
+    Drag,
+    LinearMotor,
+    LinearSpringDamper,
+    Motor,
+    SpringDamper,
+    TorsionalSpringDamper,
+)
 from .frames import ROTATIONS, Frame, Placed
 from .shapes import SHAPES
-from .values import (Described, Flag, Inertia, Name, Number, Positive, Quaternion, RotationVector,
-                     Text, Vector3, inertia_matrix, listed, one_of, suggestion)
+from .values import (
+    Described,
+    Flag,
+    Inertia,
+    Name,
+    Number,
+    Positive,
+    Quaternion,
+    RotationVector,
+    Text,
+    Vector3,
+    inertia_matrix,
+    listed,
+    one_of,
+    suggestion,
+)
 
 WORLD = "world"
 # Joints whose motion has one rate: which coordinate of the relative twist it is, the turn about z

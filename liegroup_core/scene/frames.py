@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 from liegroup_core.errors import SceneError
 from liegroup_core.joints.pairs import rotation_z_to
 from liegroup_core.lie.groups import SO3
+
 from .values import Described, Direction, Quaternion, RotationVector, Vector3
 
 # The keys that give a rotation, one of which a thing may have.

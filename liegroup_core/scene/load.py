@@ -15,6 +15,7 @@ from pathlib import Path
 import yaml
 
 from liegroup_core.errors import SceneError
+
 from .assembly import assembled
 from .consistency import check_consistency
 from .description import Scene

@@ -15,9 +15,18 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from liegroup_core.errors import SceneError
+
 from .frames import Placed
-from .values import (LARGEST_NUMBER, Direction, Positive, Quaternion, RotationVector, Sizes,
-                     Vector3, real_inertia)
+from .values import (
+    LARGEST_NUMBER,
+    Direction,
+    Positive,
+    Quaternion,
+    RotationVector,
+    Sizes,
+    Vector3,
+    real_inertia,
+)
 
 # Radius of a rod in lengths of it, if none is given: its inertia along is 6e-6 of that across.
 THIN = 1e-3

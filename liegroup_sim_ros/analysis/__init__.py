@@ -3,3 +3,7 @@
 
 In: a recording. Out: numbers, curves and a verdict. Knows no display.
 """
+
+from .analyse import analyse
+
+__all__ = ["analyse"]

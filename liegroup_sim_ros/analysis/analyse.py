@@ -9,22 +9,27 @@ import math
 from dataclasses import dataclass
 
 from liegroup_core import SimulationError
-from liegroup_core.integrators.methods import GROUPS
-from liegroup_core.observables.along import Along
+from liegroup_core.layout import make_layout
 from liegroup_core.monitor.joint_watch import mechanism_size
+from liegroup_core.observables.along import Along
 from liegroup_core.reference.exact import exact_solution
 from liegroup_core.scene.load import scene_from_text
-from liegroup_core.simulation import make_layout
-
+from liegroup_sim_ros.playback.repeat import (
+    Repeat,
+    ReplayError,
+    Starts,
+    initial_state,
+    make_simulation,
+)
+from liegroup_sim_ros.recording.check import check_settings
+from liegroup_sim_ros.recording.motion import Motion
 from liegroup_sim_ros.recording.reader import RecordingError
+
 from .invariants import Energy, Joints, Momentum
 from .local_error import local_error
-from liegroup_sim_ros.recording.motion import Motion
-from .promise import Promise, is_promise
+from .promise import Promise
 from .reference import ReferenceError, exact_error
-from liegroup_sim_ros.playback.repeat import (Repeat, ReplayError, Starts, initial_state,
-                                              make_simulation)
-from liegroup_sim_ros.report.summary import find_problems, verdict
+from .verdict import find_problems, verdict
 
 # Simulated time that the independent integration covers if no other is asked for, s.
 REFERENCE_SECONDS = 60.0
@@ -174,40 +179,6 @@ class _Guarded:
     def figures(self):
         found = self._try(lambda: self._part.figures())
         return self._failure or found
-
-
-def check_settings(recording, scene):
-    """Raise RecordingError where parts of a recording do not belong together."""
-    settings, path = recording.settings, recording.path
-    lacking = [key for key in ("scene", "method", "group", "step", "steps_per_sample",
-                               "world_frame") if key not in settings]
-    if lacking:
-        raise RecordingError(f"{path}: its settings lack {', '.join(lacking)}")
-
-    def is_count(value):
-        return isinstance(value, int) and not isinstance(value, bool) and 0 < value < 2**53
-
-    checks = {
-        "scene": isinstance(settings["scene"], str),
-        "method": isinstance(settings["method"], str),
-        "group": settings["group"] in tuple(GROUPS),
-        "step": isinstance(settings["step"], (int, float))
-        and not isinstance(settings["step"], bool) and 1e-9 <= settings["step"] <= 1e6,
-        "steps_per_sample": is_count(settings["steps_per_sample"]),
-        "world_frame": isinstance(settings["world_frame"], str),
-        "options": isinstance(settings.get("options") or {}, dict),
-        "versions": isinstance(settings.get("versions") or {}, dict),
-        "stabilisation": isinstance(settings.get("stabilisation") or "none", str),
-        "promise": settings.get("promise") is None or is_promise(settings["promise"])}
-    for name, good in checks.items():
-        if not good:
-            raise RecordingError(f"{path}: its setting {name} makes no sense: "
-                                 f"{settings.get(name)!r:.60}")
-    if recording.bodies != tuple(body.name for body in scene.bodies):
-        raise RecordingError(f"{path}: its initial state is for other bodies than its scene has")
-    pacing = recording.pacing
-    if pacing is not None and not isinstance(pacing.get("lateness_us"), dict):
-        raise RecordingError(f"{path}: its pacing has no lateness_us")
 
 
 def _run_figures(recording, motion):

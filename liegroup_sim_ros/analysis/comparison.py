@@ -4,8 +4,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from liegroup_core.reference import Trajectory, distance
-
 from liegroup_sim_ros.recording.reader import RecordingError
+
 from .drift import MOST_POINTS, thinned
 
 # Settings that are compared; where and when a run was made does not matter.

@@ -9,10 +9,9 @@ Source: Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, I
 import numpy as np
 
 from liegroup_core import SimulationError
+from liegroup_core.engine import BAUMGARTE_STEPS
 from liegroup_core.integrators.methods import METHODS
 from liegroup_core.monitor.joint_watch import mechanism_size
-from liegroup_core.simulation import BAUMGARTE_STEPS
-
 from liegroup_sim_ros.playback.repeat import make_simulation
 
 WINDOWS = 8                 # states of the recording that are looked at

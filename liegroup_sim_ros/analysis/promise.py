@@ -14,13 +14,6 @@ from liegroup_core.study.trade.reference_solution import scaled
 ROUNDING = 1e-9
 
 
-def is_promise(entry):
-    """Whether an entry of a recording's settings can be judged."""
-    return isinstance(entry, dict) and all(
-        isinstance(entry.get(key), (int, float)) and math.isfinite(entry[key]) and entry[key] > 0.0
-        for key in ("accuracy", "horizon", "length"))
-
-
 class Promise:
     """Takes up errors on their way, and says what became of a promise (None: none was made)."""
 

@@ -7,9 +7,9 @@ state, as every stretch did.
 import numpy as np
 
 from liegroup_core.reference import Reference, Trajectory, WrenchChange, distance
+from liegroup_sim_ros.playback.repeat import Starts
 
 from .drift import MOST_POINTS, extremes
-from liegroup_sim_ros.playback.repeat import Starts
 
 # (name in Distance, unit)
 QUANTITIES = (("position", "m"), ("attitude", "1"), ("angle", "rad"), ("angular", "rad/s"),

@@ -17,8 +17,17 @@ from rich.table import Table
 from liegroup_core import Simulation, SimulationError, load_scene
 from liegroup_core.integrators.methods import METHODS
 
-from .rotation_tables import (FREE_ATTITUDE, FREE_CONSTANTS, FREE_STEPS, MOMENTUM, MOMENTUM_STEPS,
-                              TOP_ATTITUDE, TOP_CONSTANTS, TOP_INTEGRALS, TOP_RATES)
+from .rotation_tables import (
+    FREE_ATTITUDE,
+    FREE_CONSTANTS,
+    FREE_STEPS,
+    MOMENTUM,
+    MOMENTUM_STEPS,
+    TOP_ATTITUDE,
+    TOP_CONSTANTS,
+    TOP_INTEGRALS,
+    TOP_RATES,
+)
 
 # Of each method its name in the pictures, its colour and its marker.
 STYLES = {

@@ -15,11 +15,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.study import tasks
-
-from liegroup_sim_ros.recording.addresses import AddressError, expand
 from liegroup_sim_ros.analysis.analyse import REFERENCE_SECONDS, analyse, plain
-from liegroup_sim_ros.recording.reader import RecordingError, read_recording
 from liegroup_sim_ros.analysis.comparison import differences
+from liegroup_sim_ros.recording.addresses import AddressError, expand
+from liegroup_sim_ros.recording.reader import RecordingError, read_recording
 from liegroup_sim_ros.report.terminal import print_comparison, print_overview, print_table
 
 FORMAT = 1                  # of the JSON document, config/analysis.schema.json
@@ -94,7 +93,7 @@ def run(args):
         if args.png:
             _draw(analysis, args.png, comparison)
         if args.html:
-            from liegroup_sim_ros.report.page import page_part          # plotly takes a second to import
+            from liegroup_sim_ros.report.page import page_part  # plotly takes a second to import
             parts = [page_part(analysis)]
     else:
         found, parts = analyse_many(logs, options, args.scheduler, bool(args.html))

@@ -13,7 +13,7 @@ from rich.text import Text
 
 from liegroup_core import Simulation, SimulationError, load_scene
 from liegroup_core.describe import describe
-from liegroup_core.simulation import make_layout
+from liegroup_core.layout import make_layout
 
 METHODS = ("rkmk4", "rkmk8")
 MEASURING, LEAST_RUNS = 0.2, 3              # s per method, and runs of which the fastest counts

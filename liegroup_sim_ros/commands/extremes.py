@@ -16,7 +16,6 @@ from rich.text import Text
 from liegroup_core import load_scene
 from liegroup_core.integrators.methods import METHODS
 from liegroup_core.study.extremes.extremes import VERDICTS, Kept, axes_of, counts, silent, survey
-
 from liegroup_sim_ros.report.extremes_page import SIGNS, shown, write_page
 
 EXIT_SILENT, EXIT_INTERRUPTED = 1, 130

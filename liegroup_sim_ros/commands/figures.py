@@ -14,10 +14,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from liegroup_core.integrators.methods import GROUPS
-
 from liegroup_sim_ros.chapter.joint_runs import STEPS, four_bar_runs, heavy_top_runs
-from liegroup_sim_ros.report.summary import GROUPS as GROUP_NAMES
 from liegroup_sim_ros.chapter.rotation_figures import count_runs, make_rotation_figures
+from liegroup_sim_ros.numbers import GROUPS as GROUP_NAMES
 
 # Largest errors of an independent implementation, m: of the top's ball joint over 6 s, and of the
 # four-bar's joints 1 to 4 over 1 s, or 0.15 s at the largest step.

@@ -12,20 +12,21 @@ import sys
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from liegroup_core.errors import LieGroupSimError
-
 from liegroup_sim_ros import __version__
-from . import (analyze as analyze_logs, demo, describe, extremes, figures, info, run as offline,
-               push, recover, replay, sweep, trade)
+from liegroup_sim_ros.playback.player_file import PlayError
+from liegroup_sim_ros.playback.repeat import ReplayError
+from liegroup_sim_ros.recording.reader import RecordingError
+from liegroup_sim_ros.recording.run_files import OutputError
+
+from . import analyze as analyze_logs
+from . import demo, describe, extremes, figures, info, push, recover, replay, sweep, trade
+from . import run as offline
 from .analyze import AnalysisError
 from .demo import DemoError
 from .extremes import ExtremesError
 from .figures import FiguresError
-from .run import RunError
-from liegroup_sim_ros.recording.run_files import OutputError
-from liegroup_sim_ros.playback.player_file import PlayError
 from .push import PushError
-from liegroup_sim_ros.recording.reader import RecordingError
-from liegroup_sim_ros.playback.repeat import ReplayError
+from .run import RunError
 from .trade import TradeError
 
 WRONG_INPUT = (LieGroupSimError, RecordingError, AnalysisError, DemoError, ExtremesError,

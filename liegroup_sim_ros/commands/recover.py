@@ -13,12 +13,13 @@ import yaml
 from rich.console import Console
 
 from liegroup_sim_ros.recording import bag_metadata
-from .info import topics_table
-from liegroup_sim_ros.recording.mcap_writer import Chunk, McapFile
 from liegroup_sim_ros.recording.mcap_records import Damaged
-from liegroup_sim_ros.recording.recorder import CHUNK_SIZE, LIBRARY
+from liegroup_sim_ros.recording.mcap_writer import Chunk, McapFile
 from liegroup_sim_ros.recording.reader import RecordingError
+from liegroup_sim_ros.recording.recorder import CHUNK_SIZE, LIBRARY
 from liegroup_sim_ros.recording.survey import Survey, clean, open_file, survey, walk
+
+from .info import topics_table
 
 NOTE = "recovered"              # metadata record of a file that was made here
 

@@ -6,9 +6,9 @@ import sys
 from rich.console import Console
 
 from liegroup_sim_ros.playback.player_file import PlayError, PlayFile
-from liegroup_sim_ros.recording.reader import read_recording
 from liegroup_sim_ros.playback.repeat import ReplayError
 from liegroup_sim_ros.playback.resimulate import resimulate, told
+from liegroup_sim_ros.recording.reader import read_recording
 
 EXIT_DIFFERENT = 1
 

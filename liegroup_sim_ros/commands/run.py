@@ -13,10 +13,9 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from liegroup_core import Simulation, SimulationError, load_scene
+from liegroup_core.engine import METHOD, STABILISATIONS, STEP
 from liegroup_core.integrators.methods import GROUPS, METHODS
-from liegroup_core.simulation import METHOD, STABILISATIONS, STEP
 from liegroup_core.study.trade.accuracy import choose
-
 from liegroup_sim_ros.recording.run_files import ArrayFile, LogFile
 
 EXIT_STOPPED = 1

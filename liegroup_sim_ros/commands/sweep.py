@@ -10,17 +10,17 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from liegroup_core import load_scene
+from liegroup_core.engine import STEP
 from liegroup_core.scene.load import scene_as_written
-from liegroup_core.simulation import STEP
-from liegroup_core.study.sweep.parameters import ParameterError, parameters
-from liegroup_core.study.trade.cache import PACKAGES
-from liegroup_core.study.sweep.sweep import OK, Sweep, describe
 from liegroup_core.study.sweep.file import SweepFile, SweepFileError
-
+from liegroup_core.study.sweep.parameters import ParameterError, parameters
+from liegroup_core.study.sweep.sweep import OK, Sweep, describe
+from liegroup_core.study.trade.cache import PACKAGES
 from liegroup_sim_ros import __version__
 from liegroup_sim_ros.recording.attachments import versions
-from .run import RunError, add_settings, chosen, given_settings, whole_steps
 from liegroup_sim_ros.report.sweep_tables import print_sweep
+
+from .run import RunError, add_settings, chosen, given_settings, whole_steps
 
 EXIT_ALL_FAILED, EXIT_INTERRUPTED = 1, 130
 # Of what check_consistency says of a start that joints do not allow.

@@ -12,10 +12,9 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from liegroup_core import SimulationError, load_scene
+from liegroup_core.engine import STABILISATIONS
 from liegroup_core.integrators.methods import GROUPS, METHODS
-from liegroup_core.simulation import STABILISATIONS
 from liegroup_core.study.trade.trade import BUDGET, Trade
-
 from liegroup_sim_ros.report.trade_figures import document_part, print_trade
 
 FORMAT = 1                  # of the JSON document, config/trade.schema.json
@@ -70,7 +69,7 @@ def run(args):
     if args.json:
         _write(args.json, document(parts))
     if args.html:
-        from liegroup_sim_ros.report.trade_page import make_page        # plotly takes a second to import
+        from liegroup_sim_ros.report.trade_page import make_page  # plotly takes a second to import
         _write(args.html, make_page(parts))
     if args.png:
         from liegroup_sim_ros.report.trade_page import write_picture

@@ -21,10 +21,10 @@ from rclpy.utilities import remove_ros_args
 from std_srvs.srv import Trigger
 
 from liegroup_core import SceneError
+from liegroup_sim_ros.recording.recorder import RecorderError
 
 from . import standard_services
 from .parameters import ParameterError, read_parameters, watch_parameters
-from liegroup_sim_ros.recording.recorder import RecorderError
 from .scene_run import ATTENTION, Interrupted, SceneRun, make_simulation
 from .simulation_thread import CommandError
 
@@ -77,7 +77,7 @@ class SimNode(Node):
             raise ParameterError(f"parameter {empty[0]}: has no value" if empty else str(error)
                                  ) from None
         self._signals = signals
-        for name in ("liegroup_core", __package__):
+        for name in ("liegroup_core", "liegroup_sim_ros"):
             logging.getLogger(name).addHandler(LogHandler(self.get_logger()))
         self._values = values = read_parameters(self)
         simulation = make_simulation(values, signals)

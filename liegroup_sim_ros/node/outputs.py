@@ -8,10 +8,17 @@ import importlib
 
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-from liegroup_sim_ros.messages import diagnostics, samples as sample_messages
+from liegroup_sim_ros.messages import diagnostics
+from liegroup_sim_ros.messages import samples as sample_messages
+from liegroup_sim_ros.messages.codecs import (
+    ClockCodec,
+    LogCodec,
+    PoseStampedCodec,
+    TwistStampedCodec,
+    WrenchStampedCodec,
+)
 from liegroup_sim_ros.messages.markers import Markers, markers
-from liegroup_sim_ros.messages.codecs import (ClockCodec, LogCodec, PoseStampedCodec,
-                                              TwistStampedCodec, WrenchStampedCodec)
+
 from .parameters import ParameterError
 
 # Parameter with the rate -> function that gives the topics.

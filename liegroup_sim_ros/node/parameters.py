@@ -10,12 +10,16 @@ import math
 from types import SimpleNamespace
 from typing import NamedTuple
 
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
-from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
 from rclpy.parameter import Parameter
 
+from liegroup_core.engine import METHOD, STABILISATIONS, STEP
 from liegroup_core.integrators.methods import GROUPS, METHODS
-from liegroup_core.simulation import METHOD, STABILISATIONS, STEP
 
 QOS_PREFIX = "qos_overrides."
 RELIABILITIES = ("reliable", "best_effort")

@@ -23,8 +23,8 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from liegroup_core.pacing import Pacer
-
 from liegroup_sim_ros.messages.codecs import ClockCodec
+
 from .player_file import PlayError
 
 try:

@@ -4,10 +4,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from liegroup_core import Simulation, SimulationError
-from liegroup_core.observables.along import quaternions
 from liegroup_core.model.build import initial_state as state_of_scene
+from liegroup_core.observables.along import quaternions
 from liegroup_core.reference import Trajectory, distance
-
 from liegroup_sim_ros.recording.attachments import restore
 from liegroup_sim_ros.recording.reader import RecordingError
 

@@ -6,12 +6,12 @@ machine with the same versions every bit must be the same; elsewhere, or with ot
 difference is the result, and may be held against a bound. No ROS is needed.
 """
 from liegroup_core.scene.load import scene_from_text
-
-from liegroup_sim_ros.analysis.analyse import check_settings
+from liegroup_sim_ros.numbers import shown
 from liegroup_sim_ros.recording.attachments import machine, versions
+from liegroup_sim_ros.recording.check import check_settings
 from liegroup_sim_ros.recording.motion import Motion
+
 from .repeat import Repeat, ReplayError, make_simulation
-from liegroup_sim_ros.report.summary import shown
 
 # What may change the bits, as far as a recording says it: older ones say less.
 _VERSIONS = ("liegroup_sim_ros", "numpy", "scipy", "numba", "llvmlite")

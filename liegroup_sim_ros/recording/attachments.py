@@ -15,7 +15,6 @@ from importlib.metadata import PackageNotFoundError, version
 import numpy as np
 
 from liegroup_core.study.machine import cpu_name
-
 from liegroup_sim_ros import __version__
 
 # Packages whose versions may matter to the numbers or to the file.

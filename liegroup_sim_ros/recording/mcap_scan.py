@@ -16,8 +16,22 @@ from mcap.opcode import Opcode
 from mcap.records import Footer, Statistics
 from mcap.writer import MCAP0_MAGIC
 
-from .mcap_records import (CHUNK, GROWS, KINDS, LARGEST, LARGEST_RATIO, RECORD, Block, Damaged,
-                           attachment_of, beginning, block_of, chunk_data, chunk_head, parsed)
+from .mcap_records import (
+    CHUNK,
+    GROWS,
+    KINDS,
+    LARGEST,
+    LARGEST_RATIO,
+    RECORD,
+    Block,
+    Damaged,
+    attachment_of,
+    beginning,
+    block_of,
+    chunk_data,
+    chunk_head,
+    parsed,
+)
 
 _TRIES = 16                   # times the size of the file may be read in search of a chunk
 

@@ -21,8 +21,18 @@ from mcap.writer import MCAP0_MAGIC
 
 from liegroup_core.compiling.kernels import subroutine
 
-from .mcap_records import (GROWS, LARGEST, LARGEST_RATIO, RECORD, Damaged, attachment_of,
-                           check_claim, chunk_data, chunk_head, parsed)
+from .mcap_records import (
+    GROWS,
+    LARGEST,
+    LARGEST_RATIO,
+    RECORD,
+    Damaged,
+    attachment_of,
+    check_claim,
+    chunk_data,
+    chunk_head,
+    parsed,
+)
 
 # Messages outside of chunks are put together to pieces of this size.
 PIECE = 2**20                   # bytes

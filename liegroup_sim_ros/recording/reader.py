@@ -17,12 +17,25 @@ from pathlib import Path
 
 import numpy as np
 
+from liegroup_sim_ros.messages.codecs import (
+    Fields,
+    MessageError,
+    PoseStampedCodec,
+    TwistStampedCodec,
+)
+
 from .addresses import is_remote
-from liegroup_sim_ros.messages.codecs import (Fields, MessageError, PoseStampedCodec,
-                                              TwistStampedCodec)
 from .recording_file import Attachments, Scan, Source, TellPath, decode
-from .tracks import (AppliedWrench, Event, JointTrack, PoseTrack, RecordingError, Samples,
-                     TwistTrack, WrenchTrack)
+from .tracks import (
+    AppliedWrench,
+    Event,
+    JointTrack,
+    PoseTrack,
+    RecordingError,
+    Samples,
+    TwistTrack,
+    WrenchTrack,
+)
 
 __all__ = ["AppliedWrench", "Event", "JointTrack", "PoseTrack", "Recording", "RecordingError",
            "Samples", "TwistTrack", "WrenchTrack", "read_recording"]

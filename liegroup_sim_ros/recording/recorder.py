@@ -26,6 +26,7 @@ from pathlib import Path
 
 from liegroup_sim_ros import __version__
 from liegroup_sim_ros.messages import schemas
+
 from .bag_metadata import FILE_NAME, Bag, as_yaml, record_of_file, topic_info
 from .mcap_writer import Chunk, McapFile
 

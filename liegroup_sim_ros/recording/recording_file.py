@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 
 from liegroup_sim_ros.messages import diagnostics
+from liegroup_sim_ros.messages.codecs import LogCodec, MessageError, WrenchStampedCodec, decode_rows
+
 from .addresses import AddressError, fetch, is_remote
 from .mcap_records import AttachmentPiece, Damaged
 from .mcap_stream import McapStream
-from liegroup_sim_ros.messages.codecs import LogCodec, MessageError, WrenchStampedCodec, decode_rows
 from .tracks import Event, RecordingError, WrenchTrack
 
 MOST_EVENTS = 10**6             # of events and of diagnostics; a run has some, once a second

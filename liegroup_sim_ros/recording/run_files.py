@@ -10,12 +10,17 @@ from pathlib import Path
 
 import numpy as np
 
-from . import attachments
 from liegroup_sim_ros.messages import schemas
-from liegroup_sim_ros.messages.codecs import (LogCodec, PoseStampedCodec, TwistStampedCodec,
-                                              WrenchStampedCodec)
-from .recorder import Recorder, RecorderError
+from liegroup_sim_ros.messages.codecs import (
+    LogCodec,
+    PoseStampedCodec,
+    TwistStampedCodec,
+    WrenchStampedCodec,
+)
 from liegroup_sim_ros.messages.samples import poses_and_twists
+
+from . import attachments
+from .recorder import Recorder, RecorderError
 
 NODE = "/sim_node"                          # names the topics, as a run of the node would
 WORLD_FRAME = "world"

@@ -13,8 +13,10 @@ from importlib.resources import files
 
 from plotly.offline import get_plotlyjs
 
+from liegroup_sim_ros.numbers import NO_NUMBER
+
 from .plots import difference_plot, make_plots
-from .summary import NO_NUMBER, OVERVIEW, comparison_rows, headline, overview, sections, short_names
+from .summary import OVERVIEW, comparison_rows, headline, overview, sections, short_names
 from .view import make_view, speeds
 
 MOST_PARTS = 20         # logs with plots on one page; of the others it has the tables

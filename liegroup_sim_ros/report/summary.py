@@ -1,145 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The figures of an analysis in words: verdict, problems, and the rows of its tables."""
-import math
 
-from liegroup_core.monitor.joint_watch import OPEN
-from liegroup_core.pacing import SLOW
+from liegroup_sim_ros.numbers import GROUPS, counted, error_text, shown
 
-from liegroup_sim_ros.analysis.promise import told
-
-UNSURE = 0.1            # part of an error beyond which its uncertainty is told with it
 MOST_JOINTS = 8         # in the table; the others are in the JSON
-NO_NUMBER = ("not a number", "infinite")
 OVERVIEW = ("position", "attitude", "energy", "joints", "same bits", "lost")
-GROUPS = {"se3": "SE(3)", "so3xr3": "SO(3) x R^3"}
-
-
-def shown(value, unit=""):
-    """A number for people: three digits; what is no number says so."""
-    if value is None:
-        return "-"
-    if not math.isfinite(value):
-        return NO_NUMBER[0] if math.isnan(value) else NO_NUMBER[1]
-    number = f"{value:.3g}" if value else "0"
-    return f"{number} {unit.replace(', ', ' or ')}".strip() if unit != "1" else number
-
-
-def _count(number, noun):
-    return f"{number:.0f} {noun}{'' if number == 1 else 's'}"
-
-
-def find_problems(figures):
-    """What is wrong with the run or its recording, one sentence each; empty if nothing is."""
-    problems = []
-    if figures["file_problem"]:
-        problems.append("the file is incomplete: "
-                        + figures["file_problem"].removeprefix(f"{figures['log']}: "))
-    if figures["lost_messages"]:
-        problems.append("messages are missing: " + ", ".join(
-            f"{count} of {topic}" for topic, count in figures["lost_messages"].items()))
-    if figures["missing_samples"]:
-        problems.append("missing from the recording: "
-                        + _count(figures["missing_samples"], "sample"))
-    if figures["recorder_lost"]:
-        problems.append(f"the recorder lost {_count(figures['recorder_lost'], 'message')}")
-    if figures["not_finite_samples"]:
-        problems.append(
-            f"NaN or infinity in {_count(figures['not_finite_samples'], 'sample')}, from "
-            f"{shown(figures['first_not_finite_s'], 's')} on: left out of all figures")
-    problems += [f"the run stopped with an error: {text}" for text in figures["faults"]]
-    problems += _open_joints(figures)
-    problems += _replay_problems(figures)
-    promise = figures.get("promise")
-    if promise and promise["kept"] is False:
-        problems.append(told(promise))
-    timing = figures["timing"]
-    factor, wanted = timing.get("real_time_factor"), timing["factor_wanted"]
-    if wanted and factor is not None and not factor >= SLOW * wanted:
-        problems.append(f"too slow: real-time factor {shown(factor)} of {shown(wanted)}")
-    if timing.get("reanchored"):
-        problems.append("more than 0.1 s behind the wall clock, "
-                        f"{_count(timing['reanchored'], 'time')}: it went on from there, without "
-                        "catching up")
-    wrong = [name for name, value in _numbers(figures) if not math.isfinite(value)]
-    if wrong:
-        problems.append("not a number: " + ", ".join(wrong[:5]))
-    return problems
-
-
-def _open_joints(figures):
-    """Joints so far open that the motion is not the scene's any more: the worst one."""
-    if not figures.get("joints"):
-        return []
-    name, worst = max(figures["joints"].items(), key=lambda item: item[1]["largest"])
-    if not worst["largest"] > OPEN * figures["mechanism_size"]:
-        return []
-    return [f"joint {name} is open by {shown(worst['largest'], worst['unit'])}, at "
-            f"{shown(worst['at_s'], 's')}: that is not the motion of this mechanism; use "
-            "stabilisation projection or a smaller step"]
-
-
-def _replay_problems(figures):
-    repeat, reference = figures.get("repeat", {}), figures.get("reference", {})
-    problems = []
-    if "failed" in repeat:
-        problems.append(f"it cannot be simulated again: {repeat['failed']}")
-    elif repeat and repeat["identical"] < repeat["samples"]:
-        at = repeat["first_difference"]
-        where = (f"{at['body']} differs from {shown(at['at_s'], 's')} on" if at
-                 else f"it {repeat['stopped']}")
-        problems.append(f"simulated again it is not the same: {where} (another processor or "
-                        "another version of the software may round differently)")
-    if "failed" in reference:
-        problems.append(f"no independent integration: {reference['failed']}")
-    return problems
-
-
-def _numbers(figures, name=""):
-    """(name, value) of every float in the figures."""
-    entries = (figures.items() if isinstance(figures, dict) else enumerate(figures)
-               if isinstance(figures, (list, tuple)) else ())
-    for key, value in entries:
-        path = f"{name}.{key}" if name else str(key)
-        if isinstance(value, float):
-            yield path, value
-        else:
-            yield from _numbers(value, path)
-
-
-def verdict(figures):
-    """One sentence on how wrong the run is; what is wrong beyond that follows as problems."""
-    head = (f"{figures['scene']}, {shown(figures['sim_seconds'], 's')} with {figures['method']} "
-            f"at {shown(figures['step'] * 1e3, 'ms')}")
-    said = []
-    reference = figures.get("reference")
-    if reference and "failed" not in reference:
-        part = ("" if reference["seconds"] >= figures["sim_seconds"] * (1.0 - 1e-9) else
-                f" in the first {shown(reference['seconds'], 's')}")
-        said.append(f"off by at most {_error(reference['position'])} and "
-                    f"{_error(reference['angle'])}{part}")
-    if figures.get("promise"):
-        said.append(told(figures["promise"]))
-    if figures.get("joints"):
-        worst = max(figures["joints"].values(), key=lambda joint: joint["largest"])
-        said.append(f"joints closed to {shown(worst['largest'], worst['unit'])}")
-    if figures.get("energy") and figures["energy"]["relative_drift"] is not None:
-        said.append(f"energy kept to {shown(figures['energy']['relative_drift'])} of the largest "
-                    "kinetic energy")
-    repeat = figures.get("repeat", {})
-    if repeat and repeat.get("identical") == repeat.get("samples"):
-        said.append("simulated again it is the same bit for bit")
-    if figures["timing"].get("real_time_factor"):
-        said.append(f"real-time factor {figures['timing']['real_time_factor']:.3f}")
-    return f"{head}: {'; '.join(said) or 'nothing could be judged'}."
-
-
-def _error(entry):
-    """Size of an error; where the reference is not sure of as much, what it is sure of."""
-    size, uncertainty = entry["max"], entry["uncertainty"]
-    if 0.0 < uncertainty >= size:
-        return f"{shown(uncertainty, entry['unit'])} (all the reference can tell)"
-    return shown(size, entry["unit"]) + (
-        f" (± {shown(uncertainty, entry['unit'])})" if uncertainty > UNSURE * size else "")
 
 
 def headline(figures):
@@ -209,7 +74,7 @@ def _run_rows(figures):
          f"on {GROUPS.get(figures['group'], figures['group'])}"),
         ("simulated time", shown(figures["sim_seconds"], "s"),
          f"{figures['samples']} samples"
-         + (f", {_count(figures['resets'], 'reset')}" if figures["resets"] else "")),
+         + (f", {counted(figures['resets'], 'reset')}" if figures["resets"] else "")),
         ("pushes", str(count), shown_pushes + more
          + (f"; {refused:.0f} wrench messages refused" if refused else "")),
     ]
@@ -313,7 +178,7 @@ def overview(figures):
         return ["-"] * len(OVERVIEW)
     reference = figures.get("reference") or {"failed": ""}
     errors = ["-", "-"] if "failed" in reference else [
-        _error(reference[name]).partition(" (")[0] for name in ("position", "angle")]
+        error_text(reference[name]).partition(" (")[0] for name in ("position", "angle")]
     joints = [joint["largest"] for joint in figures.get("joints", {}).values()]
     repeat = figures.get("repeat", {})
     lost = sum(figures["lost_messages"].values()) + figures["missing_samples"]

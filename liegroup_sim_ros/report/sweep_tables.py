@@ -7,8 +7,8 @@ from rich.text import Text
 from scipy.stats import spearmanr
 
 from liegroup_core.study.sweep.sweep import OK
+from liegroup_sim_ros.numbers import shown
 
-from .summary import shown
 from .terminal import plain_table
 
 WIDTH = 130                 # characters; a narrower terminal folds the lines

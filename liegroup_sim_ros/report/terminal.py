@@ -3,7 +3,9 @@
 from rich.table import Table
 from rich.text import Text
 
-from .summary import NO_NUMBER, OVERVIEW, comparison_rows, overview, sections, short_names, shown
+from liegroup_sim_ros.numbers import NO_NUMBER, shown
+
+from .summary import OVERVIEW, comparison_rows, overview, sections, short_names
 
 
 def print_table(figures, console):

@@ -4,9 +4,9 @@ from rich.text import Text
 
 from liegroup_core.study.trade.accuracy import SHARE
 from liegroup_core.study.trade.trade import ACCURACIES, MARGIN
-
+from liegroup_sim_ros.numbers import GROUPS, shown
 from liegroup_sim_ros.recording.attachments import versions
-from .summary import GROUPS, shown
+
 from .terminal import plain_table
 
 WIDTH = 130                 # characters; a narrower terminal folds the lines

@@ -4,8 +4,16 @@ from html import escape
 
 from .page import frame, plot_card, unbroken
 from .plots import BASE, COLOURS, label
-from .trade_figures import (CHEAPEST_HEAD, FRONT_HEAD, FRONT_TITLE, cheapest_rows, front_rows,
-                            headline, reference_text, setting)
+from .trade_figures import (
+    CHEAPEST_HEAD,
+    FRONT_HEAD,
+    FRONT_TITLE,
+    cheapest_rows,
+    front_rows,
+    headline,
+    reference_text,
+    setting,
+)
 
 DASHES = ("solid", "dash", "dot", "longdashdot")    # times 6 colours: more than there are methods
 SYMBOLS = ("circle", "square", "triangle-up", "diamond", "triangle-down", "cross")

@@ -6,9 +6,9 @@ import math
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from liegroup_core.simulation import make_layout
-
+from liegroup_core.layout import make_layout
 from liegroup_sim_ros.messages.markers import CUBE, CYLINDER, THINNEST, solid
+
 from .plots import BASE, label
 
 # Poses of all bodies together, and of one body: more would make the page large, fewer would jump.

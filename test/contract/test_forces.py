@@ -5,19 +5,26 @@ import subprocess
 import sys
 from pathlib import Path
 
+import mechanisms
 import numpy as np
 import pytest
+from naive import displaced
 
-import mechanisms
 from liegroup_core import Simulation
 from liegroup_core.forces import gravity, kinds
+from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.groups import SE3
-from liegroup_core.model.arrays import WORLD
 from liegroup_core.model.build import build_model
-from liegroup_core.scene import (ConstantWrench, Drag, LinearMotor, LinearSpringDamper, Motor,
-                                 SpringDamper, TorsionalSpringDamper)
+from liegroup_core.scene import (
+    ConstantWrench,
+    Drag,
+    LinearMotor,
+    LinearSpringDamper,
+    Motor,
+    SpringDamper,
+    TorsionalSpringDamper,
+)
 from liegroup_core.scene.description import FORCES
-from naive import displaced
 
 BODIES = ("a", "b", "c")
 INDEX = {"a": 0, "b": 1, "c": 2, "world": WORLD}

@@ -9,18 +9,25 @@ import subprocess
 import sys
 from itertools import combinations_with_replacement
 
+import mechanisms
 import numpy as np
 import pytest
 from scipy.integrate import RK45
 
-import mechanisms
 from liegroup_core import Simulation, SimulationError, load_scene
-from liegroup_core.integrators import FAMILIES, NOT_ON_SE3, check_options
-from liegroup_core.integrators.rkmk import spatial
+from liegroup_core.integrators.families import FAMILIES, NOT_ON_SE3, check_options
 from liegroup_core.integrators.methods import METHODS
-from liegroup_core.status import (DEPENDENT_ROWS, DIVERGED, NO_RATTLE_STEP, NOT_CONVERGED,
-                                  NOT_FINITE, ROTATION_TOO_LARGE, SUBSTEP_TOO_SMALL,
-                                  TOO_MANY_SUBSTEPS)
+from liegroup_core.integrators.rkmk import spatial
+from liegroup_core.status import (
+    DEPENDENT_ROWS,
+    DIVERGED,
+    NO_RATTLE_STEP,
+    NOT_CONVERGED,
+    NOT_FINITE,
+    ROTATION_TOO_LARGE,
+    SUBSTEP_TOO_SMALL,
+    TOO_MANY_SUBSTEPS,
+)
 
 TABLEAUS = {name: method for name, method in METHODS.items() if method.coefficients}
 ANYWHERE = [name for name, method in METHODS.items() if method.family != "rotation"]

@@ -2,22 +2,30 @@
 """Assembly: loops close, velocities follow, and what cannot be is named with its size."""
 import re
 
+import mechanisms
 import numpy as np
 import pytest
+from other_frames import described_elsewhere
 from scipy.linalg import block_diag, null_space
 
-import mechanisms
 from liegroup_core import Simulation, load_scene
+from liegroup_core.describe import describe
 from liegroup_core.errors import SceneError
 from liegroup_core.joints import LOWER_PAIRS
 from liegroup_core.lie.groups import SO3
-from liegroup_core.describe import describe
-from liegroup_core.scene import (Body, Frame, Joint, Scene, check_consistency, resolve_elements,
-                                 resolve_frames, scene_from_text)
+from liegroup_core.scene import (
+    Body,
+    Frame,
+    Joint,
+    Scene,
+    check_consistency,
+    resolve_elements,
+    resolve_frames,
+    scene_from_text,
+)
 from liegroup_core.scene.assembly import assembled
 from liegroup_core.scene.description import RATES
 from liegroup_core.study.extremes import problems as problems
-from other_frames import described_elsewhere
 
 CLOSED = {name for name, (_, loops) in mechanisms.MECHANISMS.items() if loops}
 

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Centres of mass away from the body frames: the same mechanism, described otherwise."""
+import mechanisms
 import numpy as np
 import pytest
+from other_frames import described_elsewhere
 from scipy.integrate import solve_ivp
 
-import mechanisms
 from liegroup_core import Simulation
 from liegroup_core.model.symmetry import conserved_momentum, momentum_values
 from liegroup_core.observables.sample import Sample
@@ -12,7 +13,6 @@ from liegroup_core.reference import WrenchChange, integrate
 from liegroup_core.scene import Body, Frame, Joint, Scene, scene_from_text
 from liegroup_core.scene.centres import PLACES, Offsets, at_centres_of_mass
 from liegroup_core.scene.description import FORCES, JOINTS
-from other_frames import described_elsewhere
 
 # What a Sample says of frames; all else is of the mechanism, wherever its frames are.
 OF_FRAMES = {"pose", "twist", "rows", "poses", "twists", "positions", "pose_matrices"}

@@ -7,14 +7,24 @@ distances), not from the adjoints the code uses.
 
 import re
 
+import mechanisms
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-import mechanisms
 from liegroup_core.errors import SceneError
-from liegroup_core.scene import (Body, DistanceJoint, Frame, Joint, Scene, check_consistency,
-                                 load_scene, resolve_elements, resolve_frames, scene_from_text)
+from liegroup_core.scene import (
+    Body,
+    DistanceJoint,
+    Frame,
+    Joint,
+    Scene,
+    check_consistency,
+    load_scene,
+    resolve_elements,
+    resolve_frames,
+    scene_from_text,
+)
 
 EPS = np.finfo(float).eps
 

@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Facts about a scene: counted by hand, or against the dense matrix."""
+import mechanisms
 import numpy as np
 import pytest
 
-import mechanisms
 from liegroup_core import load_scene
+from liegroup_core.describe import describe, solve_structure
 from liegroup_core.formulations.absolute.constraints import assemble
 from liegroup_core.integrators.methods import METHODS
+from liegroup_core.layout import make_layout
 from liegroup_core.model.arrays import VERTEX, make_work
 from liegroup_core.model.build import initial_state
-from liegroup_core.describe import describe, solve_structure
 from liegroup_core.model.sparsity import block_layout, operations
-from liegroup_core.simulation import make_layout
 from liegroup_sim_ros.chapter.joint_runs import four_bar
 
 

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The index-1 solve against a dense one, and its structure."""
-import numpy as np
-import pytest
-
 import engine
 import mechanisms
 import naive
+import numpy as np
+import pytest
+
 from liegroup_core import Scene, Simulation
 from liegroup_core.formulations.absolute.newton_euler import accelerations, wrenches
 from liegroup_core.model import build

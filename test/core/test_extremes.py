@@ -7,11 +7,21 @@ import pytest
 
 from liegroup_core import Simulation, load_scene
 from liegroup_core.scene.description import Frame
-from liegroup_core.study.extremes import extremes, cell as extremes_cell, problems as problems
-from liegroup_core.study.extremes.extremes import axes_of, column, counts, silent, survey
+from liegroup_core.study.extremes import cell as extremes_cell
+from liegroup_core.study.extremes import extremes
+from liegroup_core.study.extremes import problems as problems
 from liegroup_core.study.extremes.axes import AXES
-from liegroup_core.study.extremes.cell import (ACCURATE, FLAGGED, REFUSED, SILENT, STOPPED,
-                                               UNJUDGED, judge_alike, run_cell)
+from liegroup_core.study.extremes.cell import (
+    ACCURATE,
+    FLAGGED,
+    REFUSED,
+    SILENT,
+    STOPPED,
+    UNJUDGED,
+    judge_alike,
+    run_cell,
+)
+from liegroup_core.study.extremes.extremes import axes_of, column, counts, silent, survey
 
 METHODS = ("rkmk2", "rkmk4", "rkmk54", "rkmk8", "generalized_alpha", "stoermer_verlet", "rattle",
            "constrained_rattle")

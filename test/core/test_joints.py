@@ -7,16 +7,21 @@ machines (the thread of a screw, Hooke's joint, the conical pendulum), without t
 import math
 from types import SimpleNamespace
 
+import engine
+import mechanisms
+import naive
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
-import engine
-import mechanisms
-import naive
 from liegroup_core import Simulation
-from liegroup_core.joints import (LOWER_PAIRS, elements_of, forbidden_rows, position_residual,
-                                  rotation_z_to)
+from liegroup_core.joints import (
+    LOWER_PAIRS,
+    elements_of,
+    forbidden_rows,
+    position_residual,
+    rotation_z_to,
+)
 from liegroup_core.scene.consistency import resolve_elements
 from liegroup_core.scene.description import Body, DistanceJoint, Frame, Scene
 

@@ -4,16 +4,23 @@
 In space the same equations are solved with six scalars a body, by code that shares neither the
 joints' rows nor the Lie group with the planar one.
 """
+import mechanisms
 import numpy as np
 import pytest
 
-import mechanisms
 from liegroup_core import Scene, Simulation, load_scene
-from liegroup_core.lie.groups import SO3
 from liegroup_core.describe import describe
-from liegroup_core.scene.description import (Body, Drag, Frame, Joint, ScrewJoint, SpringDamper,
-                                             TorsionalSpringDamper)
-from liegroup_core.simulation import make_layout
+from liegroup_core.layout import make_layout
+from liegroup_core.lie.groups import SO3
+from liegroup_core.scene.description import (
+    Body,
+    Drag,
+    Frame,
+    Joint,
+    ScrewJoint,
+    SpringDamper,
+    TorsionalSpringDamper,
+)
 
 NORMALS = {"x": 0, "y": 1, "z": 2}
 GROUPS = ("se3", "so3xr3")

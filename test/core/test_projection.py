@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stabilisation: projection is least squares and no more, Baumgarte's errors die out."""
-import numpy as np
-import pytest
-
 import engine
 import mechanisms
 import naive
+import numpy as np
+import pytest
+
 from liegroup_core import Simulation, SimulationError
 from liegroup_core.formulations.absolute.projection import project
-from liegroup_core.status import DEPENDENT_ROWS, NOT_PROJECTED, OK
 from liegroup_core.lie.groups import SE3
+from liegroup_core.status import DEPENDENT_ROWS, NOT_PROJECTED, OK
+
 
 def disturbed(simulation, rng, size):
     """The state of a simulation, bodies displaced and pushed at random by some size."""

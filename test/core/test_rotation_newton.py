@@ -3,8 +3,13 @@
 import numpy as np
 import pytest
 
-from liegroup_core.integrators.rotation.newton import (GYROSCOPIC, INCREMENT, RATTLE, _equation,
-                                                       newton)
+from liegroup_core.integrators.rotation.newton import (
+    GYROSCOPIC,
+    INCREMENT,
+    RATTLE,
+    _equation,
+    newton,
+)
 from liegroup_core.lie.groups import SO3
 
 KINDS = (GYROSCOPIC, RATTLE, INCREMENT)

@@ -8,21 +8,31 @@ import shutil
 import time
 from pathlib import Path
 
+import mechanisms
 import numpy as np
 import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scene_files import ROOT, SCENES, each_scene
 
-import mechanisms
 from liegroup_core.errors import SceneError
-from liegroup_core.scene import (Body, DistanceJoint, Frame, Joint, Scene, ScrewJoint,
-                                 SpringDamper, find_scene, load_scene, scene_from_text)
+from liegroup_core.scene import (
+    Body,
+    DistanceJoint,
+    Frame,
+    Joint,
+    Scene,
+    ScrewJoint,
+    SpringDamper,
+    find_scene,
+    load_scene,
+    scene_from_text,
+)
 from liegroup_core.scene import load as load_module
 from liegroup_core.scene.description import FORCES, JOINTS
 from liegroup_core.scene.shapes import SHAPES
 from liegroup_core.scene.values import Described
-from scene_files import ROOT, SCENES, each_scene
 
 GOOD = (Path(__file__).parent / "rig.yaml").read_text(encoding="utf-8")
 PARSERS = sorted({yaml.SafeLoader, getattr(yaml, "CSafeLoader", yaml.SafeLoader)},

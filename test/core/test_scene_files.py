@@ -2,11 +2,11 @@
 """Every scene file that comes along builds, starts closed and keeps what it should."""
 import numpy as np
 import pytest
+from scene_files import each_scene
 
 from liegroup_core import Simulation, load_scene
 from liegroup_core.scene import check_consistency
 from liegroup_core.scene.library import chain, four_bar_windows
-from scene_files import each_scene
 
 # Steps for which the error of order 4 of each scene is small, s; the rest take 1 ms.
 STEPS = {"four_bar": 1e-4, "lagrangian_top": 2e-4, "andrews_squeezer": 2e-6,

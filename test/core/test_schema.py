@@ -4,6 +4,7 @@ import json
 
 import jsonschema
 import pytest
+from scene_files import ROOT, each_scene
 
 from liegroup_core.errors import SceneError
 from liegroup_core.scene import scene_from_text
@@ -11,7 +12,6 @@ from liegroup_core.scene.description import FORCES, JOINTS
 from liegroup_core.scene.load import _read
 from liegroup_core.scene.schema import scene_schema, scene_schema_text
 from liegroup_core.scene.shapes import SHAPES
-from scene_files import ROOT, each_scene
 
 GOOD = (ROOT / "test" / "core" / "rig.yaml").read_text(encoding="utf-8")
 VALIDATOR = jsonschema.Draft202012Validator(scene_schema())

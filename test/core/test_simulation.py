@@ -4,10 +4,10 @@ import os
 import subprocess
 import sys
 
+import mechanisms
 import numpy as np
 import pytest
 
-import mechanisms
 from liegroup_core import SceneError, Simulation, SimulationError, load_scene
 from liegroup_core.status import NOT_FINITE, ROTATION_TOO_LARGE
 

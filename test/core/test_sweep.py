@@ -13,17 +13,22 @@ import pytest
 from scipy.special import ndtr
 
 from liegroup_core import load_scene
+from liegroup_core.formulations.planar import build as planar_build
+from liegroup_core.layout import make_layout
 from liegroup_core.model import redundancy
 from liegroup_core.model.redundancy import generic_poses
-from liegroup_core.formulations.planar import build as planar_build
 from liegroup_core.scene.frames import ROTATIONS
 from liegroup_core.scene.load import scene_as_written, scene_from_text
-from liegroup_core.simulation import make_layout
 from liegroup_core.study.sweep import sweep as sweeps
-from liegroup_core.study.sweep.parameters import (ParameterError, changed, parameters, path_of,
-                                                  range_of)
-from liegroup_core.study.sweep.sweep import Sweep, describe, described
 from liegroup_core.study.sweep.file import SweepFile, SweepFileError
+from liegroup_core.study.sweep.parameters import (
+    ParameterError,
+    changed,
+    parameters,
+    path_of,
+    range_of,
+)
+from liegroup_core.study.sweep.sweep import Sweep, describe, described
 
 SCENES = sorted((Path(__file__).resolve().parents[2] / "config" / "scenes").glob("*.yaml"))
 # A point on a spring of length 0 about the origin: x(t) = x0 cos(w t) + v0 / w sin(w t) in each

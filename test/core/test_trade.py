@@ -11,11 +11,13 @@ from liegroup_core.integrators.methods import METHODS
 from liegroup_core.model.build import initial_state
 from liegroup_core.reference import Trajectory, distance, integrate
 from liegroup_core.scene.load import scene_from_text
-from liegroup_core.study.trade import (accuracy, configurations as settings, cache as store,
-                                       reference_solution as truth)
+from liegroup_core.study.trade import accuracy
+from liegroup_core.study.trade import cache as store
+from liegroup_core.study.trade import configurations as settings
+from liegroup_core.study.trade import reference_solution as truth
 from liegroup_core.study.trade.accuracy import AccuracyError, choose
-from liegroup_core.study.trade.trade import MARGIN, Trade
 from liegroup_core.study.trade.reference_solution import scaled
+from liegroup_core.study.trade.trade import MARGIN, Trade
 
 HORIZON = 0.5
 MEASURED = ["rkmk2", "rkmk4", "constrained_rattle"]

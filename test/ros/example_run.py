@@ -13,8 +13,12 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import Log
 from rclpy.serialization import serialize_message
 
-from liegroup_sim_ros.messages.codecs import (ClockCodec, PoseStampedCodec, TwistStampedCodec,
-                                              WrenchStampedCodec)
+from liegroup_sim_ros.messages.codecs import (
+    ClockCodec,
+    PoseStampedCodec,
+    TwistStampedCodec,
+    WrenchStampedCodec,
+)
 from liegroup_sim_ros.recording.recorder import Recorder
 
 BODIES = ("top", "arm_2")

@@ -3,8 +3,8 @@
 from example_run import diagnostics_message, log_message
 
 from liegroup_core import Simulation
-from liegroup_sim_ros.recording import attachments
 from liegroup_sim_ros.messages.codecs import PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec
+from liegroup_sim_ros.recording import attachments
 from liegroup_sim_ros.recording.recorder import Recorder
 
 PACING = {"ticks": 100, "overruns": 2, "reanchored": 0, "real_time_factor": 1.0,

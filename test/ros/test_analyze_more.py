@@ -16,15 +16,15 @@ import pytest
 from made_run import PAIR, record
 
 from liegroup_core import Simulation, load_scene
+from liegroup_core.layout import make_layout
 from liegroup_core.scene.load import scene_from_text
-from liegroup_core.simulation import make_layout
 from liegroup_sim_ros.analysis.analyse import analyse
+from liegroup_sim_ros.analysis.comparison import compare
+from liegroup_sim_ros.analysis.drift import Drift, thinned
 from liegroup_sim_ros.commands.analyze import find_exceeded
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.recording.reader import RecordingError, read_recording
 from liegroup_sim_ros.report import summary
-from liegroup_sim_ros.analysis.comparison import compare
-from liegroup_sim_ros.analysis.drift import Drift, thinned
 
 SCHEMA = Path(__file__).resolve().parents[2] / "config" / "analysis.schema.json"
 FREE = """
@@ -70,8 +70,8 @@ def test_error_against_the_exact_solution(tmp_path, text, name):
         (50, (recording.bodies[0], (0, 0, 1.0, 0, 0, 0)))]))
     assert analyse(pushed).figures["reference"]["kind"] == "integration"
     # By the same figures of a part that asks for the integration.
-    from liegroup_sim_ros.recording.motion import Motion
     from liegroup_sim_ros.analysis.reference import ReferenceError
+    from liegroup_sim_ros.recording.motion import Motion
     motion = Motion(recording)
     part = ReferenceError(make_layout(scene_from_text(text)), recording, motion.expected)
     for block in motion.blocks():
@@ -376,8 +376,8 @@ def test_the_page_about_analysis_runs(tmp_path, monkeypatch, capsys):
 
 def test_joint_states_are_read(tmp_path):
     """Coordinates and rates of every joint that has one, as the node writes them."""
-    from liegroup_sim_ros.recording import attachments
     from liegroup_sim_ros.messages import samples as sample_messages
+    from liegroup_sim_ros.recording import attachments
     from liegroup_sim_ros.recording.recorder import Recorder
     simulation = Simulation(load_scene("double_pendulum"), "rkmk4", 1e-3)
     bodies = simulation.layout.body_names

@@ -17,10 +17,10 @@ from liegroup_core import SceneError
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.analysis.analyse import analyse
 from liegroup_sim_ros.commands.main import main
-from liegroup_sim_ros.recording.mcap_stream import McapStream
-from liegroup_sim_ros.recording.reader import RecordingError, read_recording
 from liegroup_sim_ros.playback.repeat import ReplayError
 from liegroup_sim_ros.playback.resimulate import resimulate
+from liegroup_sim_ros.recording.mcap_stream import McapStream
+from liegroup_sim_ros.recording.reader import RecordingError, read_recording
 
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK, ATTACHMENT = 6, 9

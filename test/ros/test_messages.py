@@ -17,8 +17,13 @@ from rosbags.typesys import Stores, get_typestore
 from rosgraph_msgs.msg import Clock
 
 from liegroup_sim_ros.messages import schemas
-from liegroup_sim_ros.messages.codecs import (ClockCodec, MessageError, PoseStampedCodec,
-                                              TwistStampedCodec, WrenchStampedCodec)
+from liegroup_sim_ros.messages.codecs import (
+    ClockCodec,
+    MessageError,
+    PoseStampedCodec,
+    TwistStampedCodec,
+    WrenchStampedCodec,
+)
 
 STAMPS = st.integers(0, (2**31 - 1) * 1_000_000_000 + 999_999_999)
 FRAMES = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=40)

@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray, PoseStamped, TwistStamped, VelocityStamped, WrenchStamped
-from node_process import COMPILING, PUSH, NodeProcess, python, stamp_ns, values
 from mcap.reader import make_reader
 from nav_msgs.msg import Odometry
+from node_process import COMPILING, PUSH, NodeProcess, python, stamp_ns, values
 from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import Marker, MarkerArray
 
-from liegroup_sim_ros.recording.reader import read_recording
 from liegroup_sim_ros.playback.resimulate import resimulate
+from liegroup_sim_ros.recording.reader import read_recording
 
 STEP_NS = 1_000_000
 NODE, PREFIX = "/shown", "robot1/"

@@ -13,9 +13,13 @@ from rosbags.highlevel import AnyReader
 
 from liegroup_core import Simulation
 from liegroup_core.scene.load import scene_from_text
+from liegroup_sim_ros.messages.codecs import (
+    ClockCodec,
+    PoseStampedCodec,
+    TwistStampedCodec,
+    WrenchStampedCodec,
+)
 from liegroup_sim_ros.recording import attachments
-from liegroup_sim_ros.messages.codecs import (ClockCodec, PoseStampedCodec, TwistStampedCodec,
-                                              WrenchStampedCodec)
 from liegroup_sim_ros.recording.recorder import Recorder, RecorderError
 from liegroup_sim_ros.recording.survey import survey
 

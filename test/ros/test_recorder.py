@@ -12,8 +12,8 @@ from example_run import SCENE, python
 from mcap.reader import make_reader
 
 from liegroup_sim_ros.messages.codecs import ClockCodec, PoseStampedCodec
-from liegroup_sim_ros.recording.recorder import Recorder, RecorderError
 from liegroup_sim_ros.recording.reader import RecordingError, read_recording
+from liegroup_sim_ros.recording.recorder import Recorder, RecorderError
 
 
 def test_a_killed_process_loses_at_most_the_flush_interval(tmp_path):

@@ -6,15 +6,25 @@ import json
 import numpy as np
 import pytest
 import yaml
-from example_run import (BODIES, END_NS, INITIAL, PACING, SCENE, SETTINGS, START_NS, TOPICS,
-                         attachments, record_run)
+from example_run import (
+    BODIES,
+    END_NS,
+    INITIAL,
+    PACING,
+    SCENE,
+    SETTINGS,
+    START_NS,
+    TOPICS,
+    attachments,
+    record_run,
+)
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 from liegroup_sim_ros.messages.codecs import PoseStampedCodec, TwistStampedCodec
-from liegroup_sim_ros.recording.recorder import Recorder
 from liegroup_sim_ros.recording.reader import RecordingError, read_recording
+from liegroup_sim_ros.recording.recorder import Recorder
 
 
 @pytest.fixture(scope="module")

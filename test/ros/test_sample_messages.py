@@ -21,12 +21,14 @@ from sensor_msgs.msg import JointState
 from visualization_msgs.msg import Marker, MarkerArray
 
 from liegroup_core import load_scene
+from liegroup_core.layout import make_layout
 from liegroup_core.scene.load import scene_from_text
-from liegroup_core.simulation import Simulation, make_layout
-from liegroup_sim_ros.messages import diagnostics, samples as sample_messages
+from liegroup_core.simulation import Simulation
+from liegroup_sim_ros.messages import diagnostics
+from liegroup_sim_ros.messages import samples as sample_messages
 from liegroup_sim_ros.messages.cdr import Template
-from liegroup_sim_ros.messages.markers import Markers
 from liegroup_sim_ros.messages.codecs import LogCodec
+from liegroup_sim_ros.messages.markers import Markers
 
 SIZES = {"boolean": 1, "octet": 1, "uint8": 1, "int8": 1, "uint16": 2, "int32": 4, "uint32": 4,
          "float": 4, "double": 8, "int64": 8, "uint64": 8}

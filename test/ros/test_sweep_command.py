@@ -7,9 +7,9 @@ import numpy as np
 import pandas
 import pytest
 
-from liegroup_core.study.trade import accuracy
 from liegroup_core.study.sweep import sweep as sweeps
 from liegroup_core.study.sweep.file import SweepFile
+from liegroup_core.study.trade import accuracy
 from liegroup_sim_ros.commands.main import main
 
 # A free body that falls: z = -g/2 t^2 + v t, whatever its mass.

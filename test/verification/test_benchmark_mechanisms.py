@@ -11,8 +11,8 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from liegroup_core import Scene, Simulation, load_scene
-from liegroup_core.lie.groups import SO3
 from liegroup_core.joints.linkage import inverse
+from liegroup_core.lie.groups import SO3
 from liegroup_core.scene import Body, Frame, Joint
 from liegroup_core.scene.library import four_bar_windows
 from liegroup_core.scene.shapes import Rod

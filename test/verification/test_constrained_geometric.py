@@ -3,17 +3,17 @@
 
 Orders without forces of velocity are in test_orders.py.
 """
+import engine
+import mechanisms
 import numpy as np
 import pytest
 
-import engine
-import mechanisms
 from liegroup_core import Scene, Simulation, SimulationError, load_scene
-from liegroup_core.integrators.rattle.rattle import SUBSTEPS
 from liegroup_core.integrators.methods import METHODS
-from liegroup_core.status import NOT_CONVERGED, ROTATION_TOO_LARGE
+from liegroup_core.integrators.rattle.rattle import SUBSTEPS
 from liegroup_core.reference import integrate
 from liegroup_core.scene.description import Drag, Motor, TorsionalSpringDamper
+from liegroup_core.status import NOT_CONVERGED, ROTATION_TOO_LARGE
 
 CONSTRAINED = [name for name, method in METHODS.items() if method.family == "constrained"]
 UNIT = 2.0 ** -53

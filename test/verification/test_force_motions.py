@@ -8,11 +8,21 @@ import pytest
 from liegroup_core import Scene, Simulation, SimulationError
 from liegroup_core.forces import kinds
 from liegroup_core.forces.timetable import Timetable
-from liegroup_core.status import ROTATION_TOO_LARGE, TURNS_NOT_COUNTED
 from liegroup_core.joints.pairs import LOWER_PAIRS
-from liegroup_core.scene import (Body, ConstantWrench, Drag, Frame, Joint, LinearMotor,
-                                 LinearSpringDamper, Motor, SpringDamper, TorsionalSpringDamper)
+from liegroup_core.scene import (
+    Body,
+    ConstantWrench,
+    Drag,
+    Frame,
+    Joint,
+    LinearMotor,
+    LinearSpringDamper,
+    Motor,
+    SpringDamper,
+    TorsionalSpringDamper,
+)
 from liegroup_core.scene.forces import SLIDING
+from liegroup_core.status import ROTATION_TOO_LARGE, TURNS_NOT_COUNTED
 
 EPS = 2.0 ** -52
 BOTH = pytest.mark.parametrize("group", ["se3", "so3xr3"])

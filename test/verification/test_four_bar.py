@@ -7,10 +7,10 @@ are those of an independent implementation of the same method with another form 
 """
 import numpy as np
 import pytest
+from planar_four_bar import PlanarFourBar
 
 from liegroup_core import Simulation
 from liegroup_sim_ros.chapter.joint_runs import CRANK_RATE, four_bar, joint_errors
-from planar_four_bar import PlanarFourBar
 
 ANGLE_1 = -0.765225378176                   # rad, modulo a turn: crank after 1 s
 TURNS_1 = 5.628211                          # turns it has made by then

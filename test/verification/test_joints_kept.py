@@ -7,11 +7,11 @@ the direct product's wherever turning moves the centre of mass or along the axis
 sleeve and screw open, at the method's order, while slider, plate and weld stay closed. Between
 two moving bodies, and for joints that are no subgroups, joints open at the method's order on both.
 """
+import engine
+import mechanisms
 import numpy as np
 import pytest
 
-import engine
-import mechanisms
 from liegroup_core import Simulation, SimulationError
 from liegroup_core.integrators.methods import METHODS
 from liegroup_core.joints import LOWER_PAIRS

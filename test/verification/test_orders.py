@@ -13,16 +13,22 @@ floor of the problem: rounding and the reference's own error. What they leave ou
         larger one, slope 5.9
     rkmk8 on the heavy top on SE(3): slopes 8.1 to 8.5 down to the floor, the same reason
 """
+import mechanisms
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-import mechanisms
 from liegroup_core import Scene, Simulation, SimulationError, load_scene
-from liegroup_core.integrators import NOT_ON_SE3
+from liegroup_core.integrators.families import NOT_ON_SE3
 from liegroup_core.integrators.methods import METHODS
-from liegroup_core.scene.description import (Body, ConstantWrench, Frame, Joint, SpringDamper,
-                                             TorsionalSpringDamper)
+from liegroup_core.scene.description import (
+    Body,
+    ConstantWrench,
+    Frame,
+    Joint,
+    SpringDamper,
+    TorsionalSpringDamper,
+)
 
 GROUPS = ("se3", "so3xr3")
 

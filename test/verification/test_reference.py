@@ -8,12 +8,13 @@ them by 1.6e-14 and 2.5e-13 (free body, 1 s and 10 s), 1.3e-11 (Lagrangian top, 
 """
 import math
 
+import mechanisms
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-import mechanisms
 from liegroup_core.errors import SimulationError
+from liegroup_core.layout import make_layout
 from liegroup_core.model.build import initial_state
 from liegroup_core.reference import Reference, Trajectory, WrenchChange, distance, integrate
 from liegroup_core.reference.equations import joint_equations
@@ -21,7 +22,6 @@ from liegroup_core.reference.system import build_system
 from liegroup_core.reference.trajectory import _to_state
 from liegroup_core.scene.description import Body, Frame, Joint, Scene, SpringDamper
 from liegroup_core.scene.load import load_scene
-from liegroup_core.simulation import make_layout
 
 FREE_R_1 = [[0.67948695072138193, 0.15978651402103335, 0.71607663956895312],
             [0.18508239274714739, 0.90710109646680989, -0.37803717897014038],

@@ -4,15 +4,25 @@
 Two programs that share no formula agree to what each says of its own error. For the engine that is
 the difference of its runs at h and h / 2, which the better one's error is far below.
 """
+import mechanisms
 import numpy as np
 import pytest
 
-import mechanisms
 from liegroup_core import Scene, Simulation, SimulationError, load_scene
 from liegroup_core.model.build import initial_state
 from liegroup_core.reference import Trajectory, distance, integrate
-from liegroup_core.scene import (Body, ConstantWrench, Drag, Frame, Joint, LinearMotor,
-                                 LinearSpringDamper, Motor, SpringDamper, TorsionalSpringDamper)
+from liegroup_core.scene import (
+    Body,
+    ConstantWrench,
+    Drag,
+    Frame,
+    Joint,
+    LinearMotor,
+    LinearSpringDamper,
+    Motor,
+    SpringDamper,
+    TorsionalSpringDamper,
+)
 from liegroup_core.scene.assembly import assembled
 from liegroup_core.scene.centres import at_centres_of_mass
 from liegroup_core.scene.description import FORCES, ScrewJoint

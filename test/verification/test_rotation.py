@@ -13,16 +13,31 @@ from scipy.optimize import fsolve
 
 from liegroup_core import Scene, Simulation, SimulationError, load_scene
 from liegroup_core.integrators.methods import METHODS
-from liegroup_core.status import NO_RATTLE_STEP, NOT_CONVERGED
 from liegroup_core.lie.groups import SO3
 from liegroup_core.scene.description import Body
-from liegroup_sim_ros.chapter.rotation_figures import (PANELS, count_runs, end_attitude, errors,
-                                                       make_rotation_figures, order_and_constant,
-                                                       top_integrals)
-from liegroup_sim_ros.chapter.rotation_tables import (FREE_ATTITUDE, FREE_CONSTANTS, FREE_R_10,
-                                                      FREE_STEPS, MOMENTUM, MOMENTUM_STEPS,
-                                                      TOP_ATTITUDE, TOP_CONSTANTS, TOP_INTEGRALS,
-                                                      TOP_R_1, TOP_RATES)
+from liegroup_core.status import NO_RATTLE_STEP, NOT_CONVERGED
+from liegroup_sim_ros.chapter.rotation_figures import (
+    PANELS,
+    count_runs,
+    end_attitude,
+    errors,
+    make_rotation_figures,
+    order_and_constant,
+    top_integrals,
+)
+from liegroup_sim_ros.chapter.rotation_tables import (
+    FREE_ATTITUDE,
+    FREE_CONSTANTS,
+    FREE_R_10,
+    FREE_STEPS,
+    MOMENTUM,
+    MOMENTUM_STEPS,
+    TOP_ATTITUDE,
+    TOP_CONSTANTS,
+    TOP_INTEGRALS,
+    TOP_R_1,
+    TOP_RATES,
+)
 
 ROTATION = [name for name, method in METHODS.items() if method.family == "rotation"]
 KEEP_MOMENTUM = [name for name in ROTATION if name != "lie_newmark"]

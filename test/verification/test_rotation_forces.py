@@ -9,17 +9,17 @@ import re
 import subprocess
 import sys
 
+import mechanisms
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-import mechanisms
 from liegroup_core import Scene, Simulation, SimulationError, load_scene
-from liegroup_core.integrators import fitting_methods
+from liegroup_core.integrators.families import fitting_methods
 from liegroup_core.integrators.methods import METHODS
+from liegroup_core.layout import make_layout
 from liegroup_core.reference import integrate
 from liegroup_core.scene.description import Body, ConstantWrench, Drag, Frame, Joint, SpringDamper
-from liegroup_core.simulation import make_layout
 
 ROTATION = [name for name, method in METHODS.items() if method.family == "rotation"]
 INERTIA = np.array([[0.9, 0.1, -0.05], [0.1, 1.1, 0.08], [-0.05, 0.08, 1.6]])

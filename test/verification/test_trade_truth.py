@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from liegroup_core import Simulation, load_scene
+from liegroup_core.layout import make_layout
 from liegroup_core.reference import Trajectory, distance
-from liegroup_core.simulation import make_layout
 from liegroup_core.study.trade import reference_solution as truth
 from liegroup_core.study.trade.configurations import as_time
 from liegroup_core.study.trade.reference_solution import find_truth, scaled

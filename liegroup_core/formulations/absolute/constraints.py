@@ -21,14 +21,31 @@ the bias gets -2 a J V - a^2 g.
 from liegroup_core.compiling.kernels import kernel, subroutine
 from liegroup_core.compiling.structs import borrowed
 from liegroup_core.joints.distance import distance_rate, distance_residual, distance_row
-from liegroup_core.joints.elements import DISTANCE, PAIR, PERPENDICULAR
+from liegroup_core.joints.elements import DISTANCE, PAIR, PERPENDICULAR, WORLD
 from liegroup_core.joints.pairs import pair_coordinates
-from liegroup_core.joints.perpendicular import (perpendicular_rate, perpendicular_residual,
-                                                perpendicular_row)
-from liegroup_core.lie.se3 import se3_ad, se3_Ad, se3_inverse
-from liegroup_core.lie.vec3 import (ZERO3, add3, axpy3, cross3, dot3, load3, load9, matmul3,
-                                    matrix3, matvec3, store3, sub3, tmatmul3, tmatvec3, vector3)
-from liegroup_core.model.arrays import WORLD
+from liegroup_core.joints.perpendicular import (
+    perpendicular_rate,
+    perpendicular_residual,
+    perpendicular_row,
+)
+from liegroup_core.lie.se3 import se3_Ad, se3_ad, se3_inverse
+from liegroup_core.lie.vec3 import (
+    ZERO3,
+    add3,
+    axpy3,
+    cross3,
+    dot3,
+    load3,
+    load9,
+    matmul3,
+    matrix3,
+    matvec3,
+    store3,
+    sub3,
+    tmatmul3,
+    tmatvec3,
+    vector3,
+)
 
 
 @kernel

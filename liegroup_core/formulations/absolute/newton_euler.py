@@ -10,6 +10,7 @@ from liegroup_core.compiling.kernels import kernel
 from liegroup_core.forces import gravity
 from liegroup_core.forces.kinds import add_wrenches
 from liegroup_core.lie.vec3 import cross3, load3, matrix3, matvec3
+
 from .constraints import add_baumgarte, assemble
 from .saddle_point import REGULARISATION, solve
 

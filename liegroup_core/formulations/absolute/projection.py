@@ -15,10 +15,11 @@ Source: Terze, Mueller and Zlatar, ref. [34] of the chapter, with the mass matri
 """
 from liegroup_core.compiling.kernels import kernel, shared
 from liegroup_core.compiling.structs import borrowed
-from liegroup_core.status import DEPENDENT_ROWS, NOT_PROJECTED, OK
+from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.se3 import se3_compose, se3_exp
 from liegroup_core.lie.vec3 import dot3, load3, load9, store3, store9, tmatvec3
-from liegroup_core.model.arrays import WORLD
+from liegroup_core.status import DEPENDENT_ROWS, NOT_PROJECTED, OK
+
 from .constraints import assemble, position_residuals
 from .saddle_point import solve
 

@@ -18,9 +18,17 @@ constants: the compiler then unrolls the loops over a block, which was measured 
 to a third of the time.
 """
 from liegroup_core.compiling.kernels import kernel, shared
-from liegroup_core.model.arrays import WORLD
-from .blocks import (invert_diagonal, over_mass, pull_block, push_block, subtract_product,
-                     subtract_square, times_inverse)
+from liegroup_core.joints.elements import WORLD
+
+from .blocks import (
+    invert_diagonal,
+    over_mass,
+    pull_block,
+    push_block,
+    subtract_product,
+    subtract_square,
+    times_inverse,
+)
 
 # Scalars of a body, and of the joints that are most frequent. Where these are constants LLVM
 # unrolls the loops over a block: they take a third less time.

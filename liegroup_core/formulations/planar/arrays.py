@@ -10,8 +10,8 @@ force_2). The rows of a joint are rows for (omega, v_1, v_2).
 import numpy as np
 
 from liegroup_core.compiling.structs import Struct
-
 from liegroup_core.model.arrays import Model, Work
+
 from .tree import COLUMNS
 
 PLANAR_BODY = np.dtype([

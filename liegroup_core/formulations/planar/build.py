@@ -15,14 +15,14 @@ from functools import lru_cache
 import numpy as np
 import scipy.linalg
 
-from liegroup_core.joints.elements import PAIR
-from liegroup_core.lie.groups import SE3
-from liegroup_core.model.arrays import WORLD
-from liegroup_core.model.build import LARGE_RATIO, SMALLEST_PIVOT, are_unlike, initial_state
+from liegroup_core.joints.elements import PAIR, WORLD
 from liegroup_core.joints.linkage import Linkage
+from liegroup_core.lie.groups import SE3
+from liegroup_core.model.build import LARGE_RATIO, SMALLEST_PIVOT, are_unlike, initial_state
 from liegroup_core.model.redundancy import REMEMBERED, generic_poses, independent_rows, loop_joints
 from liegroup_core.model.sparsity import cheapest_structure
 from liegroup_core.scene.consistency import resolve_elements, resolve_frames
+
 from .arrays import PLANAR_BODY, PlanarModel
 from .state import IN_PLANE
 from .tree import tree_links

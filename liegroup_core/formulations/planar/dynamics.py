@@ -11,8 +11,9 @@ e is the velocity error of the joint, as in dynamics.constraints.
 from liegroup_core.compiling.kernels import kernel
 from liegroup_core.formulations.absolute.newton_euler import REFINEMENTS_WHEN_SINGULAR
 from liegroup_core.formulations.absolute.saddle_point import REGULARISATION, solve_in_plane
+from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.vec3 import load3
-from liegroup_core.model.arrays import WORLD
+
 from .state import add_forces
 from .tree import solve_tree
 

@@ -6,9 +6,20 @@ exact, and a state goes to the plane and back without a change.
 """
 from liegroup_core.compiling.kernels import kernel
 from liegroup_core.forces.kinds import add_wrenches
+from liegroup_core.lie.vec3 import (
+    dot3,
+    load3,
+    load9,
+    matmul3,
+    matrix3,
+    matvec3,
+    store3,
+    store9,
+    tmatmul3,
+    tmatvec3,
+    transpose3,
+)
 from liegroup_core.status import OFF_PLANE, OK
-from liegroup_core.lie.vec3 import (dot3, load3, load9, matmul3, matrix3, matvec3, store3, store9,
-                                    tmatmul3, tmatvec3, transpose3)
 
 # A direction, or a part of a twist, this small is what rounding has made of zero.
 IN_PLANE = 1e-13

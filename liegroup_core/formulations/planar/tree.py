@@ -15,7 +15,7 @@ Source: Featherstone, Rigid Body Dynamics Algorithms, section 7.3.
 import numpy as np
 
 from liegroup_core.compiling.kernels import kernel
-from liegroup_core.model.arrays import WORLD
+from liegroup_core.joints.elements import WORLD
 
 LINK = np.dtype([                   # a joint of a tree, from the leaves to the ground
     ("parent", "i8"), ("child", "i8"),

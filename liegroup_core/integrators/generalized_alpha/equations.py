@@ -9,13 +9,27 @@ import numpy as np
 
 from liegroup_core.compiling.kernels import kernel, subroutine
 from liegroup_core.compiling.structs import Struct, borrowed
-from liegroup_core.formulations.absolute.constraints import (assemble, position_residuals,
-                                                             subtract_joint_forces)
+from liegroup_core.formulations.absolute.constraints import (
+    assemble,
+    position_residuals,
+    subtract_joint_forces,
+)
 from liegroup_core.formulations.absolute.newton_euler import wrenches
-from liegroup_core.lie.vec3 import (axpy3, cross3, dot3, load3, matrix3, matvec3, scale3, store3,
-                                    store9, sub3, tmatvec3)
 from liegroup_core.integrators.methods import SE3
 from liegroup_core.integrators.motion import displace, turn_status
+from liegroup_core.lie.vec3 import (
+    axpy3,
+    cross3,
+    dot3,
+    load3,
+    matrix3,
+    matvec3,
+    scale3,
+    store3,
+    store9,
+    sub3,
+    tmatvec3,
+)
 from liegroup_core.status import OK
 
 

@@ -30,15 +30,16 @@ import numpy as np
 
 from liegroup_core.compiling.kernels import SameTypes, kernel, stepper
 from liegroup_core.compiling.structs import borrowed
-from liegroup_core.formulations.absolute.newton_euler import accelerations
 from liegroup_core.forces.kinds import count_turns, too_fast, turns_over
-from liegroup_core.lie.vec3 import dot3, load3, load9, store9, vector3
-from liegroup_core.model.arrays import MET, WAIT, make_work
-from .equations import Coefficients, Memory, move, residual, sigma
-from .dense_lu import lu_factorise, lu_solve
+from liegroup_core.formulations.absolute.newton_euler import accelerations
 from liegroup_core.integrators.methods import GROUPS, SE3, refuse_stabilisation
 from liegroup_core.integrators.motion import copy_state, group_velocity, is_finite, orthonormal
+from liegroup_core.lie.vec3 import dot3, load3, load9, store9, vector3
+from liegroup_core.model.arrays import MET, WAIT, make_work
 from liegroup_core.status import DEPENDENT_ROWS, NOT_CONVERGED, NOT_FINITE, OK, TURNS_NOT_COUNTED
+
+from .dense_lu import lu_factorise, lu_solve
+from .equations import Coefficients, Memory, move, residual, sigma
 
 # Newton's method ends when a correction of the poses, rad and m, is this part of the largest
 # coordinate or of 1: some ten roundings. What is left of it in a pose is 2 / h times that in the

@@ -27,23 +27,37 @@ Source: Andersen, J. Comput. Phys. 52 (1983) 24-34; Marsden and West, Acta Numer
 Bou-Rabee and Marsden, Found. Comput. Math. 9 (2009) 197-219 for the turn.
 """
 import math
+
 import numpy as np
 
 from liegroup_core.compiling.kernels import SameTypes, kernel, stepper
 from liegroup_core.compiling.structs import Struct, borrowed
+from liegroup_core.forces.kinds import count_turns, too_fast, turns_over
 from liegroup_core.formulations.absolute.constraints import position_residuals
 from liegroup_core.formulations.absolute.projection import is_closed
-from liegroup_core.forces.kinds import count_turns, too_fast, turns_over
-from liegroup_core.lie.vec3 import (ZERO3, axpy3, dot3, load3, load9, matmul3, matrix3, matvec3,
-                                    scale3, store3, store9, tmatvec3)
-from liegroup_core.model.arrays import MET, WAIT, make_work
 from liegroup_core.integrators.broyden import broyden
-from .solve import loads, respond
 from liegroup_core.integrators.methods import refuse_stabilisation
 from liegroup_core.integrators.motion import copy_state, is_finite, orthonormal, turn_status
 from liegroup_core.integrators.rotation.maps import turn, velocity
 from liegroup_core.integrators.rotation.newton import EXPONENTIAL, newton
+from liegroup_core.lie.vec3 import (
+    ZERO3,
+    axpy3,
+    dot3,
+    load3,
+    load9,
+    matmul3,
+    matrix3,
+    matvec3,
+    scale3,
+    store3,
+    store9,
+    tmatvec3,
+)
+from liegroup_core.model.arrays import MET, WAIT, make_work
 from liegroup_core.status import NOT_CONVERGED, NOT_FINITE, OK, TURNS_NOT_COUNTED
+
+from .solve import loads, respond
 
 
 def _mirrored(*half):

@@ -2,11 +2,11 @@
 """What a step of constrained.py asks of forces and joints, each compiled once."""
 from liegroup_core.compiling.kernels import subroutine
 from liegroup_core.compiling.structs import borrowed
+from liegroup_core.forces.gravity import add_wrench as add_gravity
+from liegroup_core.forces.kinds import add_wrenches
 from liegroup_core.formulations.absolute.constraints import assemble
 from liegroup_core.formulations.absolute.newton_euler import REFINEMENTS_WHEN_SINGULAR
 from liegroup_core.formulations.absolute.saddle_point import REGULARISATION, solve
-from liegroup_core.forces.gravity import add_wrench as add_gravity
-from liegroup_core.forces.kinds import add_wrenches
 from liegroup_core.status import DEPENDENT_ROWS, OK
 
 

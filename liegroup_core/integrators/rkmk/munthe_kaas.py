@@ -19,16 +19,18 @@ so its error is held absolutely. The largest body counts and not a mean, which w
 fast body hide among many slow ones.
 """
 import math
+
 import numpy as np
 
 from liegroup_core.compiling.kernels import SameTypes, kernel, stepper, warm_up
 from liegroup_core.compiling.structs import Struct, borrowed
-from liegroup_core.model.arrays import MET, WAIT, make_work
 from liegroup_core.formulations.planar.arrays import make_planar_work
-from . import spaces
 from liegroup_core.integrators.methods import EXACT, GROUPS, is_positive
 from liegroup_core.integrators.motion import copy_state
+from liegroup_core.model.arrays import MET, WAIT, make_work
 from liegroup_core.status import DEPENDENT_ROWS, OFF_PLANE, OK, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS
+
+from . import spaces
 
 # Bounds of one change of the substep, and how far below the tolerance the next error is aimed.
 LARGEST_GROWTH, LARGEST_CUT, SAFETY = 5.0, 0.2, 0.9

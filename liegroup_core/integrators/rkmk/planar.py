@@ -8,16 +8,24 @@ commutative, exp is a turn and a shift, and dexp the identity.
 import math
 
 from liegroup_core.compiling.kernels import kernel
-from liegroup_core.formulations.absolute.projection import close_joints
 from liegroup_core.forces import kinds
-from liegroup_core.integrators.methods import EXACT, SE3
-from liegroup_core.integrators.motion import copy_state, is_finite
-from liegroup_core.status import (LARGEST_ROTATION, NOT_FINITE, OK, ROTATION_TOO_LARGE,
-                                  TURNS_NOT_COUNTED)
-from liegroup_core.lie.coefficients import (dexpinv_coefficients, exp_coefficients,
-                                            truncated_dexpinv_coefficients)
+from liegroup_core.formulations.absolute.projection import close_joints
 from liegroup_core.formulations.planar.dynamics import clear_ground_slip
 from liegroup_core.formulations.planar.state import to_plane, to_space, wrench_to_plane
+from liegroup_core.integrators.methods import EXACT, SE3
+from liegroup_core.integrators.motion import copy_state, is_finite
+from liegroup_core.lie.coefficients import (
+    dexpinv_coefficients,
+    exp_coefficients,
+    truncated_dexpinv_coefficients,
+)
+from liegroup_core.status import (
+    LARGEST_ROTATION,
+    NOT_FINITE,
+    OK,
+    ROTATION_TOO_LARGE,
+    TURNS_NOT_COUNTED,
+)
 
 
 @kernel

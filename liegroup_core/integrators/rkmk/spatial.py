@@ -7,20 +7,42 @@ plane. Their model is a Model, their work a Work.
 import math
 
 from liegroup_core.compiling.kernels import kernel
+from liegroup_core.forces import kinds
 from liegroup_core.formulations.absolute.constraints import clear_ground_slip
 from liegroup_core.formulations.absolute.newton_euler import accelerations
 from liegroup_core.formulations.absolute.projection import close_joints
-from liegroup_core.forces import kinds
+from liegroup_core.integrators.methods import EXACT, SE3
+from liegroup_core.integrators.motion import (
+    copy_state,
+    displace,
+    group_velocity,
+    is_finite,
+    orthonormal,
+)
 from liegroup_core.lie.coefficients import dexpinv_coefficients, truncated_dexpinv_coefficients
 from liegroup_core.lie.se3 import se3_dexpinv_of
 from liegroup_core.lie.so3 import so3_dexpinv_of
-from liegroup_core.lie.vec3 import (ZERO3, add3, axpy3, cross3, dot3, load3, load9, matvec3,
-                                    scale3, store3, store9, tmatvec3)
-from liegroup_core.integrators.methods import EXACT, SE3
-from liegroup_core.integrators.motion import (copy_state, displace, group_velocity, is_finite,
-                                              orthonormal)
-from liegroup_core.status import (LARGEST_ROTATION, NOT_FINITE, OK, ROTATION_TOO_LARGE,
-                                  TURNS_NOT_COUNTED)
+from liegroup_core.lie.vec3 import (
+    ZERO3,
+    add3,
+    axpy3,
+    cross3,
+    dot3,
+    load3,
+    load9,
+    matvec3,
+    scale3,
+    store3,
+    store9,
+    tmatvec3,
+)
+from liegroup_core.status import (
+    LARGEST_ROTATION,
+    NOT_FINITE,
+    OK,
+    ROTATION_TOO_LARGE,
+    TURNS_NOT_COUNTED,
+)
 
 
 @kernel

@@ -8,10 +8,21 @@ mass is where R puts it, r = pivot + R d, v = w x d: the joint is closed to roun
 import numpy as np
 
 from liegroup_core.compiling.kernels import kernel
-from liegroup_core.joints.elements import PAIR
-from liegroup_core.lie.vec3 import (ZERO3, add3, cross3, load3, load9, matvec3, scale3, store3,
-                                    store9, sub3, tmatvec3, vector3)
-from liegroup_core.model.arrays import WORLD
+from liegroup_core.joints.elements import PAIR, WORLD
+from liegroup_core.lie.vec3 import (
+    ZERO3,
+    add3,
+    cross3,
+    load3,
+    load9,
+    matvec3,
+    scale3,
+    store3,
+    store9,
+    sub3,
+    tmatvec3,
+    vector3,
+)
 
 SPINNER = np.dtype([
     ("held", "i8"),                                             # 1: by a ball joint
@@ -57,7 +68,7 @@ def linear_momentum(spinner, pose, twist, i):
 
 
 def misfit(layout):
-    """Why a scene (simulation.Layout) has other bodies, in words, or ""."""
+    """Why a scene (layout.Layout) has other bodies, in words, or ""."""
     held = set()
     for element, owner in zip(layout.model.elements, layout.owners):
         joint = layout.scene.joints[owner]

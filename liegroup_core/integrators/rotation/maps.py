@@ -22,9 +22,21 @@ ITERATED, with a torque that depends on the step itself and is found by repeatin
 """
 from liegroup_core.compiling.kernels import kernel, subroutine
 from liegroup_core.lie.so3 import so3_exp
-from liegroup_core.lie.vec3 import (ZERO3, add3, axpy3, cross3, dot3, matmul3, matvec3, scale3,
-                                    sub3, tmatvec3)
-from .newton import GYROSCOPIC, RATTLE as RATTLE_EQUATION, follow, newton
+from liegroup_core.lie.vec3 import (
+    ZERO3,
+    add3,
+    axpy3,
+    cross3,
+    dot3,
+    matmul3,
+    matvec3,
+    scale3,
+    sub3,
+    tmatvec3,
+)
+
+from .newton import GYROSCOPIC, follow, newton
+from .newton import RATTLE as RATTLE_EQUATION
 
 RUNGE_KUTTA, STOERMER_VERLET, LIE_NEWMARK, RATTLE, AUSTIN = 0, 1, 2, 3, 4
 LIE_MIDPOINT, SIMO_WONG, BOTTASSO_BORRI = 5, 6, 7

@@ -13,8 +13,18 @@ import math
 from liegroup_core.compiling.kernels import kernel, subroutine
 from liegroup_core.lie.coefficients import dexp_slopes, dexpinv_coefficients, exp_coefficients
 from liegroup_core.lie.so3 import so3_dexp, so3_exp
-from liegroup_core.lie.vec3 import (IDENTITY3, axpy3, cross3, dot3, matmul3, matvec3, scale3,
-                                    solve3, sub3, tmatvec3)
+from liegroup_core.lie.vec3 import (
+    IDENTITY3,
+    axpy3,
+    cross3,
+    dot3,
+    matmul3,
+    matvec3,
+    scale3,
+    solve3,
+    sub3,
+    tmatvec3,
+)
 
 GYROSCOPIC, RATTLE, INCREMENT, EXPONENTIAL = 0, 1, 2, 3
 

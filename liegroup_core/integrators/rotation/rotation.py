@@ -31,20 +31,55 @@ from liegroup_core.compiling.kernels import SameTypes, kernel, stepper
 from liegroup_core.compiling.structs import borrowed
 from liegroup_core.forces.gravity import add_wrench as add_gravity
 from liegroup_core.forces.kinds import add_wrenches, turns_over
-from liegroup_core.lie.so3 import so3_dexpinv
-from liegroup_core.lie.vec3 import (ZERO3, add3, axpy3, dot3, load3, load9, matmul3, matrix3,
-                                    matvec3, scale3, store3, store9, tmatvec3)
-from liegroup_core.model.arrays import MET, WAIT, make_work
 from liegroup_core.integrators.broyden import broyden
 from liegroup_core.integrators.methods import METHODS, refuse_stabilisation
 from liegroup_core.integrators.motion import copy_state, is_finite
+from liegroup_core.lie.so3 import so3_dexpinv
+from liegroup_core.lie.vec3 import (
+    ZERO3,
+    add3,
+    axpy3,
+    dot3,
+    load3,
+    load9,
+    matmul3,
+    matrix3,
+    matvec3,
+    scale3,
+    store3,
+    store9,
+    tmatvec3,
+)
+from liegroup_core.model.arrays import MET, WAIT, make_work
+from liegroup_core.status import (
+    DIVERGED,
+    HOPELESS_ROTATION,
+    NO_RATTLE_STEP,
+    NOT_CONVERGED,
+    NOT_FINITE,
+    OK,
+)
+
 from .bodies import linear_momentum, load, make_spinners, place
-from .maps import (AUSTIN, BOTTASSO_BORRI, FIRST_ITERATED, LIE_MIDPOINT, LIE_NEWMARK, RATTLE,
-                   RUNGE_KUTTA, SIMO_WONG, STOERMER_VERLET, iterated_end, iterated_step, kept,
-                   kicked_end, kicked_turn, turn, velocity)
+from .maps import (
+    AUSTIN,
+    BOTTASSO_BORRI,
+    FIRST_ITERATED,
+    LIE_MIDPOINT,
+    LIE_NEWMARK,
+    RATTLE,
+    RUNGE_KUTTA,
+    SIMO_WONG,
+    STOERMER_VERLET,
+    iterated_end,
+    iterated_step,
+    kept,
+    kicked_end,
+    kicked_turn,
+    turn,
+    velocity,
+)
 from .stability import stability_limit
-from liegroup_core.status import (DIVERGED, HOPELESS_ROTATION, NO_RATTLE_STEP, NOT_CONVERGED,
-                                  NOT_FINITE, OK)
 
 RULES = {
     "stoermer_verlet": STOERMER_VERLET, "lie_newmark": LIE_NEWMARK, "rattle": RATTLE,

@@ -22,8 +22,8 @@ from typing import Any
 
 import numpy as np
 
+from liegroup_core.engine import Engine
 from liegroup_core.errors import SceneError, SimulationError
-from liegroup_core.simulation import Simulation
 
 ACCURATE, FLAGGED, REFUSED, STOPPED, UNJUDGED, SILENT = VERDICTS = (
     "accurate", "flagged", "refused", "stopped", "unjudged", "silent")
@@ -61,7 +61,7 @@ class Problem:
                          .round().astype(int))
 
 
-def run_cell(problem, truth, method, make=Simulation):
+def run_cell(problem, truth, method, make=Engine):
     """Run a method; returns a dict of what JSON holds: verdict, error and what the run said.
 
     truth    : Truth at the samples of the problem

@@ -11,15 +11,16 @@ from functools import partial
 from pathlib import Path
 
 from liegroup_core.errors import SceneError, SimulationError
-from liegroup_core.integrators import misfit
+from liegroup_core.integrators.families import misfit
 from liegroup_core.integrators.methods import METHODS
+from liegroup_core.layout import make_layout
 from liegroup_core.scene.load import load_scene
-from liegroup_core.simulation import make_layout
+from liegroup_core.study.tasks import run
+from liegroup_core.study.trade.cache import Folder, key_of
+
 from . import problems as problems
 from .axes import _STEPS, AXES, Axis, _powers
 from .cell import REFUSED, SILENT, UNJUDGED, VERDICTS, judge_alike, run_cell
-from liegroup_core.study.trade.cache import Folder, key_of
-from liegroup_core.study.tasks import run
 
 # Of the problems and of how they are judged: the key of what is kept does not see these sources.
 FORMAT = 2

@@ -8,6 +8,7 @@ from liegroup_core.scene.description import Body, Frame, Joint, Scene, SpringDam
 from liegroup_core.scene.library import GRAVITY
 from liegroup_core.scene.load import load_scene
 from liegroup_core.scene.shapes import Box, Rod
+
 from . import motions as motions
 from .cell import Problem
 
@@ -313,8 +314,8 @@ def of_scene_speed(name, horizon, factor, step=1e-3):
 
 
 def _of_scene(scene, step, steps):
+    from liegroup_core.layout import make_layout
     from liegroup_core.monitor.joint_watch import mechanism_size
-    from liegroup_core.simulation import make_layout
 
     length = mechanism_size(make_layout(scene).model) or 1.0
     return Problem(scene, step, steps, motions.integrated(scene, length), length)

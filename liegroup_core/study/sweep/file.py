@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from liegroup_core.errors import LieGroupSimError
+
 from . import sweep as sweeps
 
 KEY = b"liegroup_sim.sweep"

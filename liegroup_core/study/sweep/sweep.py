@@ -18,14 +18,15 @@ import numpy as np
 from scipy.stats.qmc import LatinHypercube
 
 from liegroup_core.compiling.kernels import source_digest
+from liegroup_core.engine import Engine
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.scene.assembly import assembled
 from liegroup_core.scene.load import scene_as_written
-from liegroup_core.simulation import Simulation
-from liegroup_core.study.trade.measure import listening
-from .parameters import ParameterError, changed, parameters, range_of
 from liegroup_core.study.tasks import TasksError
 from liegroup_core.study.tasks import run as run_tasks
+from liegroup_core.study.trade.measure import listening
+
+from .parameters import ParameterError, changed, parameters, range_of
 
 FORMAT = 1                  # of the description and of the columns
 POSE, TWIST = ("x", "y", "z", "qx", "qy", "qz", "qw"), ("wx", "wy", "wz", "vx", "vy", "vz")
@@ -94,7 +95,7 @@ class Sweep:
         if samples * len(ranges) > MOST_DRAWS:
             raise ParameterError(f"{samples} samples of {len(ranges)} parameters are more numbers "
                                  f"than {MOST_DRAWS:.0e}: make several sweeps, with other seeds")
-        simulation = Simulation(scene, **(settings or {}))      # compiles, and refuses settings
+        simulation = Engine(scene, **(settings or {}))      # compiles, and refuses settings
         settings = {"method": simulation.method, "step": simulation.step, **(settings or {})}
         return cls(scene.text, scene.name, ranges, samples, seed, steps,
                    every or max(1, math.ceil(steps / CHECKS)), bool(every), assemble,
@@ -134,7 +135,7 @@ class Sweep:
 
     def simulation(self, k):
         """Simulation of run k, at its start. Raises as Simulation does."""
-        return Simulation(self.scene(k), **dict(self.settings))
+        return Engine(self.scene(k), **dict(self.settings))
 
     @property
     def columns(self):
@@ -247,7 +248,7 @@ def _run(sweep, values):
         try:
             scene = sweep._scene_at(values)
             said += filter(None, [sweep._unlike(values, scene)])
-            simulation = Simulation(scene, **dict(sweep.settings))
+            simulation = Engine(scene, **dict(sweep.settings))
             looks.append(_look(simulation))
             while simulation.steps < sweep.steps:
                 simulation.advance(min(sweep.every, sweep.steps - simulation.steps))

@@ -10,9 +10,10 @@ means. What is not known yet is measured first, in this process, and kept.
 import logging
 from dataclasses import dataclass
 
+from liegroup_core.engine import Engine
 from liegroup_core.errors import LieGroupSimError, SimulationError
 from liegroup_core.integrators.methods import is_positive
-from liegroup_core.simulation import Simulation
+
 from .configurations import SHORTLIST
 from .trade import BUDGET, Trade
 
@@ -41,7 +42,7 @@ class Choice:
 
     def simulation(self):
         """Simulation with these settings; its `promise` is this one."""
-        simulation = Simulation(self.scene, **self.settings)
+        simulation = Engine(self.scene, **self.settings)
         simulation.promise = self.promise
         return simulation
 

@@ -23,8 +23,9 @@ from zipfile import BadZipFile
 from liegroup_core.compiling.kernels import cache_root, source_digest
 from liegroup_core.integrators.methods import is_positive
 from liegroup_core.study.machine import cpu_name
-from .measure import is_whole
+
 from .configurations import as_time
+from .measure import is_whole
 from .reference_solution import as_bytes, truth_from
 
 log = logging.getLogger("liegroup_core")

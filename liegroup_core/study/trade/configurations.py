@@ -8,7 +8,7 @@ import math
 from fractions import Fraction
 from typing import NamedTuple
 
-from liegroup_core.integrators import NOT_ON_SE3, fitting_methods
+from liegroup_core.integrators.families import NOT_ON_SE3, fitting_methods
 from liegroup_core.integrators.methods import GROUPS, METHODS
 
 STABILISATIONS = ("none", "projection")
@@ -58,7 +58,7 @@ class Setting(NamedTuple):
 
 
 def ladders(layout, methods=None, groups=None, stabilisations=None):
-    """The ladders of a scene (simulation.Layout), those left out that would repeat another.
+    """The ladders of a scene (layout.Layout), those left out that would repeat another.
 
     Without joints there is nothing to stabilise. Methods with a group of their own have that one,
     and those that close the joints by themselves no stabilisation.

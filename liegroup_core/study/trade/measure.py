@@ -16,14 +16,15 @@ from typing import NamedTuple
 import numpy as np
 
 from liegroup_core.compiling.kernels import source_digest
-from liegroup_core.model.symmetry import conserved_momentum
+from liegroup_core.engine import Engine
 from liegroup_core.errors import SimulationError
+from liegroup_core.model.symmetry import conserved_momentum
 from liegroup_core.reference import Trajectory, distance
 from liegroup_core.scene.load import scene_from_text
-from liegroup_core.simulation import Simulation
 from liegroup_core.study.machine import cpu_name
-from .configurations import as_time, sample_times
 from liegroup_core.study.tasks import TasksError
+
+from .configurations import as_time, sample_times
 from .reference_solution import Truth, momentum_drift, scaled
 
 LONG = 0.2                  # CPU s: a run of so much is timed once
@@ -64,7 +65,7 @@ def measure(work):
             "stabilisation": setting.stabilisation, "options": dict(setting.options),
             "cpu": cpu_name()}
     try:
-        simulation = Simulation(_scene(study.text), **setting.arguments())
+        simulation = Engine(_scene(study.text), **setting.arguments())
         with listening() as said:
             found = _judge(simulation, study, setting)
             found["cost_us"], found["timings"] = _cost(

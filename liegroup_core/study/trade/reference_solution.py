@@ -13,13 +13,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from liegroup_core.model.symmetry import momentum_values
 from liegroup_core.errors import SimulationError
-from liegroup_core.observables.along import Along
 from liegroup_core.model.build import initial_state
+from liegroup_core.model.symmetry import momentum_values
 from liegroup_core.monitor.joint_watch import mechanism_size
+from liegroup_core.observables.along import Along
 from liegroup_core.reference import Distance, Reference, Trajectory, distance
 from liegroup_core.reference.exact import exact_solution
+
 from .configurations import sample_times
 
 # If no horizon is asked for: the longest of these, s, at the end of which the reference still
@@ -56,7 +57,7 @@ def scaled(position, angle, length):
 
 
 def find_truth(layout, horizon=None, tell=lambda text: None):
-    """Truth of a scene (simulation.Layout) over a horizon, s, or over that which suits it.
+    """Truth of a scene (layout.Layout) over a horizon, s, or over that which suits it.
 
     raises SimulationError where the reference cannot be had
     """

@@ -10,13 +10,15 @@ Each ladder is climbed from its coarsest step to finer ones, until its error is 
 of the reference, or the next step would take too long. How it is measured: docs/trade.md.
 """
 from liegroup_core.compiling.kernels import source_digest
-from liegroup_core.integrators import fitting_methods
+from liegroup_core.engine import Engine
+from liegroup_core.integrators.families import fitting_methods
 from liegroup_core.integrators.methods import METHODS, is_positive
-from liegroup_core.simulation import Simulation, make_layout
-from .measure import Study, measure
-from .configurations import LEAST_SAMPLES, SAMPLES, Setting, as_time, ladders, rungs, sample_spacing
-from .cache import Store
+from liegroup_core.layout import make_layout
 from liegroup_core.study.tasks import run
+
+from .cache import Store
+from .configurations import LEAST_SAMPLES, SAMPLES, Setting, as_time, ladders, rungs, sample_spacing
+from .measure import Study, measure
 from .reference_solution import find_truth
 
 ACCURACIES = (1e-3, 1e-6, 1e-9)
@@ -119,7 +121,7 @@ class Trade:
         families = {METHODS[climb.ladder.method].family: climb.setting for climb in climbs}
         for setting in families.values():
             try:
-                Simulation(self.scene, **setting.arguments())
+                Engine(self.scene, **setting.arguments())
             except ValueError:              # the run will say why
                 pass
 

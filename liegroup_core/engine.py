@@ -1,0 +1,407 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Engine: one scene integrated by one method with one step; advance, sample, apply wrenches."""
+import copy
+import logging
+import math
+from dataclasses import replace
+from numbers import Integral, Real
+
+import numpy as np
+
+from liegroup_core.compiling.kernels import warm_up
+from liegroup_core.forces.schedule import NEVER, AppliedWrench, WrenchSchedule
+from liegroup_core.forces.timetable import Timetable
+from liegroup_core.integrators.methods import METHODS, is_positive
+from liegroup_core.integrators.smaller_step import step_that_works
+from liegroup_core.model.arrays import MET, WAIT
+from liegroup_core.model.build import initial_state
+from liegroup_core.monitor.joint_watch import JointWatch
+from liegroup_core.monitor.step_watch import StepWatch
+from liegroup_core.observables.sample import Sample
+from liegroup_core.scene.description import Scene
+
+from .errors import SimulationError
+from .integrators.families import check_group, check_options, make_integrator
+from .layout import make_layout
+from .status import (
+    DEPENDENT_ROWS,
+    LARGE_ROTATION,
+    MESSAGES,
+    NO_RATTLE_STEP,
+    NOT_CONVERGED,
+    OK,
+    TURNS_NOT_COUNTED,
+)
+
+log = logging.getLogger("liegroup_core")
+
+
+STABILISATIONS = ("none", "projection", "baumgarte")
+# Baumgarte's time in steps if none is given. Explicit methods are stable down to half a step.
+BAUMGARTE_STEPS = 10
+# Largest entry of R R^T - 1 of a state that is continued from.
+NO_ROTATION = 1e-6
+METHOD, STEP = "rkmk4", 1e-3                # if none is given; s
+
+
+def _stabilised(model, kind, time, step):
+    """The model with a stabilisation switched on; ValueError for a wrong setting."""
+    if kind not in STABILISATIONS:
+        raise ValueError(f"unknown stabilisation {kind!r}; there are: {', '.join(STABILISATIONS)}")
+    if time is None:
+        time = BAUMGARTE_STEPS * step
+    elif kind != "baumgarte":
+        raise ValueError(f"baumgarte_time goes with stabilisation 'baumgarte', not with {kind!r}")
+    if not (isinstance(time, (int, float)) and math.isfinite(time) and time >= step):
+        raise ValueError("baumgarte_time must be a number of seconds, at least the step of "
+                         f"{step:g} s, got {time!r}")
+    return model.replace(projects=kind == "projection",
+                          baumgarte_rate=1.0 / time if kind == "baumgarte" else 0.0)
+
+
+class Engine:
+    """A mechanism that is integrated step by step on its Lie group.
+
+    scene  : Scene, from `load_scene` or built in code
+    method : name of METHODS, "rkmk4"
+    step   : step size h, s, 1e-3; a method with error control takes substeps within it
+    group  : "se3" for SE(3)^n, or "so3xr3" for (SO(3) x R^3)^n; "auto" is "se3" but for methods
+             that have only the latter
+    stabilisation : what is done about joints that open by the errors of integration: "none";
+                    "projection", which closes them again after every step; or "baumgarte", which
+                    lets their errors die out within some baumgarte_time
+    baumgarte_time : s, at least the step; ten steps if left out
+    options: further settings that the method has, see its family in `integrators`:
+             dexpinv="exact" or "truncated"  for all of Runge-Kutta type
+             rtol=1e-6, atol=1e-6            tolerances of rkmk54
+             rho_inf=0.8                     damping of generalized_alpha
+    watch    : False: steps are not looked at on the way (monitor/step_watch.py). For many short
+               runs whose step is known to be small enough: a look takes longer than a step
+    raises SceneError for a scene that cannot be simulated, ValueError for a wrong setting or a
+    method that does not fit the scene
+
+    `doubt` is None, or a line of text since joints opened so far or so suddenly that the motion is
+    hardly that of the scene (monitor/joint_watch.py), or since the errors of the steps may have added
+    up to some part of the motion (monitor/step_watch.py); it is also logged as a warning.
+
+    Orders: test/verification/test_orders.py; constraint residuals: test_heavy_top.py.
+    """
+
+    promise = None
+
+    def __init__(self, scene, method=None, step=None, group="auto", stabilisation="none",
+                 baumgarte_time=None, watch=True, **options):
+        if not isinstance(scene, Scene):
+            raise ValueError(f"expected a Scene, got {scene!r}: load_scene reads one from a file")
+        method = METHOD if method is None else method
+        step = STEP if step is None else step
+        if not isinstance(method, str) or method not in METHODS:
+            raise ValueError(f"unknown method {method!r}; there are: {', '.join(METHODS)}")
+        if not is_positive(step):
+            raise ValueError(f"the step must be a positive number of seconds, got {step!r}")
+        self.scene, self.method, self.step = scene, method, float(step)
+        self.group = check_group(method, group)
+        self.options = check_options(method, options)
+        self.stabilisation, self.baumgarte_time = stabilisation, baumgarte_time
+        layout = make_layout(scene)
+        self.layout = replace(layout, model=_stabilised(
+            layout.model, stabilisation, baumgarte_time, self.step))
+        self._integrator = make_integrator(method, self.layout, self.group, self.step, self.options)
+        self._work, self._acting = self._integrator.work, None
+        self._body = {name: i for i, name in enumerate(self.layout.body_names)}
+        self._timetable = Timetable(self.layout.model.forces.applied_wrench, self.step)
+        self._warned = self._warned_singular = False
+        self._start = initial_state(self.layout.centred)
+        self._watch = JointWatch(self.layout)
+        self._step_watch = StepWatch(self.layout, method, self.step, self._integrator, watch)
+        warm_up(self._touch, self._integrator.kernels)
+
+    def __copy__(self):
+        return copy.deepcopy(self)          # two that share a state would be one
+
+    def _touch(self):
+        """Call every kernel once, so that none is compiled later, in the middle of a run."""
+        self.reset()
+        self._advance(0)
+        sample = self.sample()
+        return (sample.energy, sample.power, sample.spatial_momentum, sample.quaternions,
+                sample.rows, sample.constraint_residual)
+
+    def reset(self):
+        """Back to the initial state of the scene, at step 0, without wrenches."""
+        self.set_state(*self._start)
+
+    def set_state(self, pose, twist, steps=0, angles=None, memory=None):
+        """Continue from a state: pose (n, 12), twist (n, 6), at a step count.
+
+        The state is the integrator's own, as `state()` gives it: frames at the centres of mass.
+        angles : (k,) rad, `Sample.angles` of the state: how often torsional springs are wound,
+                 which a pose does not tell. None: less than half a turn, as at the start of a scene
+        memory : bytes that `memory()` gave at this state; then the run goes on to the bit. None:
+                 a method that keeps something between steps starts anew
+        Ends what `apply_wrench` does. The wrenches of the scene follow the step count.
+        raises ValueError for what is no such state
+        """
+        n = len(self._body)
+        pose, twist = (np.array(given, dtype=float, order="C") for given in (pose, twist))
+        if pose.shape != (n, 12) or twist.shape != (n, 6):
+            raise ValueError(f"expected a pose ({n}, 12) and a twist ({n}, 6), "
+                             f"got {pose.shape} and {twist.shape}")
+        if not (np.isfinite(pose).all() and np.isfinite(twist).all()):
+            raise ValueError("the state has a number that is not finite")
+        turned = pose[:, :9].reshape(n, 3, 3)
+        off = np.abs(turned @ turned.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+        for i in np.flatnonzero((off > NO_ROTATION) | (np.linalg.det(turned) < 0.0)):
+            raise ValueError(f"the first nine numbers of the pose of {self.layout.body_names[i]} "
+                             "are no rotation matrix")
+        k = len(self._work.angle)
+        if angles is not None and (np.shape(angles) != (k,) or not np.isfinite(angles).all()):
+            raise ValueError(f"expected {k} finite angles of torsional springs, got {angles!r}")
+        self._work.angle[:] = self.layout.angles(pose, angles)
+        self._pose, self._twist, self.steps = pose, twist, int(steps)
+        self._schedule = WrenchSchedule(n)
+        self._external = np.zeros((n, 6))   # the same about the centres of mass
+        self._applied = []
+        self.doubt = None
+        self._watch.restart()
+        self._step_watch.restart(self.steps, pose)
+        self._integrator.restart()
+        if memory is not None:
+            self._remember(memory)
+
+    def _remember(self, memory):
+        arrays = self._integrator.memory
+        if len(memory) != (size := sum(array.nbytes for array in arrays)):
+            raise ValueError(f"expected {size} bytes of memory of the method, got {len(memory)}: "
+                             "they are of another method or of another version")
+        at = 0
+        for array in arrays:
+            array[...] = np.frombuffer(memory, array.dtype, array.size, at).reshape(array.shape)
+            at += array.nbytes
+
+    def state(self):
+        """Copies of pose (n, 12) and twist (n, 6): what the integrator goes on from, to the bit.
+
+        They are of frames with the axes of the body frames and their origins at the centres of
+        mass: not those of `sample()` where a body of the scene has a `com` or an offset shape.
+        """
+        return self._pose.copy(), self._twist.copy()
+
+    def memory(self):
+        """Bytes that the method keeps between steps beside the state, for `set_state`.
+
+        Empty for most methods: those with error control keep the size of the substep, implicit
+        ones accelerations and first guesses.
+        """
+        return b"".join(array.tobytes() for array in self._integrator.memory)
+
+    @property
+    def time(self):
+        """Simulated time since the start or the last reset, s."""
+        return self.steps * self.step
+
+    @property
+    def time_ns(self):
+        """The same as an integer of nanoseconds, rounded from the step count."""
+        return round(self.steps * self.step * 1e9)
+
+    @property
+    def singular_solves(self):
+        """How often the accelerations were solved at a singular pose, since the simulation was made.
+
+        There rows depend on each other that do not elsewhere (a parallelogram folded flat); the
+        solve is regularised and refined, and where the joints leave it open the masses decide.
+        """
+        return int(self._work.report[2])
+
+    @property
+    def substeps(self):
+        """Numbers of good substeps and of attempts since the state was set; else (0, 0)."""
+        return self._integrator.substeps
+
+    def apply_wrench(self, body, wrench, start=None, duration=None, source="api", axes="body"):
+        """Apply a wrench to a body over whole steps.
+
+        body     : name of the body
+        wrench   : (6,) torque N m, force N; about the body frame's origin. Zero ends it.
+        start    : simulated time, s, rounded up to a step; None or a time past: the next step
+        duration : s, rounded to whole steps, at least one; None: until it is replaced
+        source   : each source holds one wrench on a body, sources add
+        axes     : of the components: "body", or "world"; these are turned into body axes at the
+                   start of every step, and stand still in the body during the step
+        raises ValueError for an unknown body, a wrong shape, or a number that is not finite
+        """
+        if axes not in ("body", "world"):
+            raise ValueError(f"axes must be 'body' or 'world', got {axes!r}")
+        if body not in self._body:
+            raise ValueError(f"unknown body {body!r}; there are: {', '.join(self._body)}")
+        given = wrench
+        try:
+            wrench = np.asarray(given, dtype=float)
+        except (TypeError, ValueError):
+            wrench = np.zeros(0)
+        if wrench.shape != (6,) or not np.isfinite(wrench).all():
+            raise ValueError(f"a wrench is six finite numbers (torque, force), got {given!r}")
+        for name, value in (("start", start), ("duration", duration)):
+            if value is not None and not (isinstance(value, Real) and math.isfinite(value)):
+                raise ValueError(f"{name} must be finite, or None, got {value!r}")
+        first = self.steps
+        if start is not None:
+            # A start that is a step up to rounding is that step, not the next one.
+            first = max(first, math.ceil(start / self.step - 1e-6))
+        end = NEVER
+        if duration is not None:
+            if not duration > 0.0:
+                raise ValueError(f"a duration must be positive, got {duration!r}")
+            end = first + max(1, round(duration / self.step))
+        self._schedule.command(source, self._body[body], wrench, first, end, axes == "world")
+
+    @property
+    def wrench_count(self):
+        """Number of wrenches of `apply_wrench` that act or wait for their start."""
+        return len(self._schedule)
+
+    @property
+    def wrench_sources(self):
+        """Names of their sources."""
+        return self._schedule.sources
+
+    def clear_wrenches(self, source="api"):
+        """End what a source applies or has scheduled."""
+        self._schedule.clear(source)
+
+    def drain_applied(self):
+        """The changes of the total wrench on each body since the last call: [AppliedWrench].
+
+        Applied again at the same steps by `apply_wrench(body, wrench)`, they repeat the run bit
+        for bit (test/core/test_simulation.py).
+        """
+        applied, self._applied = self._applied, []
+        return applied
+
+    def advance(self, steps=1):
+        """Take `steps` steps, a whole number from 0 on.
+
+        raises ValueError for any other number; SimulationError, one line, when the integration
+        cannot go on: NaN or overflow, a turn of nearly 2 pi in a step, joints that cannot be
+        closed, an implicit step without a solution, a tolerance out of reach. State and `steps`
+        are then those of the last good step.
+        """
+        if isinstance(steps, bool) or not isinstance(steps, Integral) or steps < 0:
+            raise ValueError(f"steps must be a whole number, 0 or more, got {steps!r}")
+        self._advance(int(steps))
+
+    def _advance(self, steps):
+        end = self.steps + steps
+        while True:
+            for body in self._schedule.update(self.steps, self._pose):
+                self._external[body] = self.layout.offsets.wrench_at_centre(
+                    body, self._schedule.total[body])
+                self._applied.append(AppliedWrench(
+                    self.steps, self.layout.body_names[body],
+                    tuple(self._schedule.total[body].tolist())))
+                self._watch.pushed()
+                self._step_watch.pushed()
+            compares = (self.steps < end and len(self._timetable.parts(self.steps)) == 1
+                        and self._step_watch.begins(self.steps, self._pose, self._twist))
+            wanted = min(self.steps + 1 if compares else end, self._watch.next_look(self.steps),
+                         self._step_watch.next_look(self.steps),
+                         self._schedule.next_change(self.steps),
+                         self._timetable.next_change(self.steps)) - self.steps
+            self._work.report[3] = WAIT if self._step_watch.waits(self.steps) else 0.0
+            done, status = self._take(wanted)
+            self.steps += done
+            met = self._work.report[3] == MET
+            if getattr(self._integrator, "doubt", None):        # one line is enough
+                self._say(self._integrator.doubt)
+                self._integrator.doubt, compares = None, False
+                self._step_watch.rest()
+            if done:
+                self._say(self._watch.look(self._pose, self.steps, self.time, status != OK,
+                                           compares))
+            if done and compares:
+                self._say(self._step_watch.ends(self.steps, self._pose, self._twist,
+                                                self._external))
+            elif done:
+                self._step_watch.glance(self.steps, self._pose, self._twist)
+            if met:
+                self._step_watch.met(self.steps)
+            if status != OK:
+                raise SimulationError(self._explain(status), status & 0xff)
+            if self.steps >= end:
+                break
+        if self._work.report[2] and not self._warned_singular:
+            self._warned_singular = True
+            log.warning("a singular pose was met before t = %g s, where rows of joints depend on "
+                        "each other: what they leave open the masses decide. Where a mechanism only "
+                        "passes such a pose, stabilisation projection keeps its joints closed; "
+                        "where it always has one, take a redundant joint away", self.time)
+        if not self._warned and self._work.report[0] > LARGE_ROTATION ** 2:
+            self._warned = True
+            turned = math.sqrt(self._work.report[0])
+            log.warning("%s, step %g s: a body turned by more than pi within one step (%.3g rad "
+                        "before t = %g s): the result is hardly accurate; that limit is at a step "
+                        "of %.2g s, take a smaller one", self.method, self.step, turned,
+                        self.time, LARGE_ROTATION / turned * self.step)
+
+    def _say(self, doubt):
+        """Keep a doubt behind those before it, and log it; None is none."""
+        if doubt:
+            self.doubt = f"{self.doubt}; {doubt}" if self.doubt else doubt
+            log.warning(doubt)
+
+    def _take(self, steps):
+        """Take steps over which no wrench changes, or only the next one, in parts, if one does in it.
+
+        returns (steps done, status)
+        """
+        parts = self._timetable.parts(self.steps)
+        if len(parts) == 1 or steps == 0:
+            return self._integrate(*parts[0], steps)
+        good = self._pose.copy(), self._twist.copy(), self._work.angle.copy()
+        for duration, acting in parts:
+            _, status = self._integrate(duration, acting, 1)
+            if status != OK:
+                self._pose[:], self._twist[:], self._work.angle[:] = good
+                self._integrator.restart()
+                return 0, status
+        return 1, OK
+
+    def _integrate(self, h, acting, steps):
+        """Take steps of size h while the wrenches `acting` of the scene act: see `integrators`."""
+        if acting is not self._acting:
+            self._work.acting[:] = self._acting = acting
+        return self._integrator.advance(h, steps, self._pose, self._twist, self._external)
+
+    def _joint_name(self, element):
+        """Name of the scene's joint behind an element of the model."""
+        return self.scene.joints[self.layout.owners[element]].name
+
+    def _explain(self, status):
+        joint = force = body = hint = ""
+        # Of RATTLE the turn that was asked for, with the torque's part in it.
+        angle = math.sqrt(self._work.report[1])
+        if status & 0xff == NO_RATTLE_STEP:
+            body = self.layout.body_names[status >> 8]
+        # Where a wrench of the scene changes within the step, no smaller one is that of a run.
+        if (status & 0xff in (NO_RATTLE_STEP, NOT_CONVERGED)
+                and len(self._timetable.parts(self.steps)) == 1):
+            works = step_that_works(self._integrator, self.step, *self.state(), self._external)
+            hint = f": from here {works:g} s works" if works else ""
+        if status & 0xff == DEPENDENT_ROWS:
+            joint = self._joint_name(status >> 8)
+        if status & 0xff == TURNS_NOT_COUNTED:
+            springs = [f for f in self.scene.forces if f.type == "torsional_spring_damper"]
+            force = springs[status >> 8].name
+        return (f"stopped at t = {self.time:.9g} s (step {self.steps}, h = {self.step:g} s): "
+                + MESSAGES[status & 0xff].format(
+                    joint=joint, force=force, body=body, angle=angle, hint=hint))
+
+    def sample(self):
+        """The present state as a Sample."""
+        return Sample(self.layout, self.time, self.time_ns, self.steps, *self.state(),
+                      self._work.angle.copy())
+
+    def energy(self):
+        """Kinetic energy plus potential energy of gravity and springs at the present state, J."""
+        return self.sample().energy

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Layout: the names and frames behind the arrays of a model."""
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from .errors import SceneError
+from .forces import kinds
+from .forces.torsional_spring_damper import UNKNOWN_TURN
+from .formulations.planar.build import planar_model
+from .model.arrays import Model
+from .model.build import build_model
+from .observables.joint_coordinates import JointCoordinates
+from .observables.sample import Sample
+from .scene.assembly import ready
+from .scene.centres import Offsets
+from .scene.description import Scene
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The names behind a model's indices, and the frames behind its numbers.
+
+    The model's frames, and those of a state, sit at the centres of mass; those of a Sample and of
+    an applied wrench are the body frames of the scene.
+    """
+
+    scene: Scene                            # as its author wrote it, but assembled
+    centred: Scene                          # the same with its frames at the centres of mass
+    offsets: Offsets                        # between the two
+    model: Model
+    joint_frames: tuple                     # (parent frame, child frame) of the joints of `centred`
+    owners: tuple                           # scene joint of each element of the model
+    row_names: tuple                        # names of the rows of each element
+    kept_rows: tuple                        # numbers of the rows of each element that are solved for
+
+    @cached_property
+    def plane(self):
+        """PlanarModel, when the joints hold all bodies in a plane; else None. Without baumgarte."""
+        if self.model.baumgarte_rate > 0.0:
+            return None
+        return planar_model(self.centred, self.model)
+
+    @cached_property
+    def joint_of_row(self):
+        """(all rows,) index of the scene's joint that a position residual belongs to."""
+        return np.repeat(np.array(self.owners, dtype=np.int64), self.model.elements["rows"])
+
+    @property
+    def body_names(self):
+        """Names of the bodies in the order of all arrays."""
+        return tuple(body.name for body in self.scene.bodies)
+
+    @property
+    def dropped_rows(self):
+        """[(joint, row)] left out because they depend on others; rows are named wx..vz."""
+        return [(self.scene.joints[self.owners[e]].name, name)
+                for e, (names, kept) in enumerate(zip(self.row_names, self.kept_rows))
+                for r, name in enumerate(names) if r not in kept]
+
+    @cached_property
+    def coordinates(self):
+        """Coordinates of the joints with one freedom: see JointCoordinates."""
+        return JointCoordinates(self.centred, self.joint_frames)
+
+    def sample(self, pose, twist, time=0.0, time_ns=0, steps=0, near=None):
+        """Sample of body frames as in a Sample or a recording: pose (n, 12), twist (n, 6).
+
+        near : (k,) rad, angles of the torsional springs a little before, `Sample.angles`; a pose
+               does not tell whole turns. None: no joint has turned more than half a turn
+        """
+        near = None if near is None else np.array(near)
+        pose, twist = self.offsets.to_centres(
+            np.array(pose, dtype=float, order="C"), np.array(twist, dtype=float, order="C"))
+        return Sample(self, time, time_ns, steps, pose, twist, near)
+
+    def angles(self, pose, near=None):
+        """Angles (k,) of the torsional springs at a pose (n, 12), rad; near: as in `sample`."""
+        forces = self.model.forces
+        angles = np.full(len(forces.torsional_spring_damper), UNKNOWN_TURN)
+        if near is not None:
+            angles[:] = near
+        kinds.count_turns(forces, pose, angles)
+        return angles
+
+
+def make_layout(scene):
+    """Build the model of a scene. Raises SceneError."""
+    try:
+        described, centred = ready(scene)
+        return Layout(described, centred, Offsets(described), *build_model(centred))
+    except SceneError as error:
+        raise scene.located(error) from None

@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers and names as text for people: tables, verdicts and pages use the same."""
+import math
+
+UNSURE = 0.1            # part of an error beyond which its uncertainty is told with it
+NO_NUMBER = ("not a number", "infinite")
+GROUPS = {"se3": "SE(3)", "so3xr3": "SO(3) x R^3"}
+
+
+def shown(value, unit=""):
+    """A number for people: three digits; what is no number says so."""
+    if value is None:
+        return "-"
+    if not math.isfinite(value):
+        return NO_NUMBER[0] if math.isnan(value) else NO_NUMBER[1]
+    number = f"{value:.3g}" if value else "0"
+    return f"{number} {unit.replace(', ', ' or ')}".strip() if unit != "1" else number
+
+
+def counted(number, noun):
+    return f"{number:.0f} {noun}{'' if number == 1 else 's'}"
+
+
+def error_text(entry):
+    """Size of an error; where the reference is not sure of as much, what it is sure of."""
+    size, uncertainty = entry["max"], entry["uncertainty"]
+    if 0.0 < uncertainty >= size:
+        return f"{shown(uncertainty, entry['unit'])} (all the reference can tell)"
+    return shown(size, entry["unit"]) + (
+        f" (± {shown(uncertainty, entry['unit'])})" if uncertainty > UNSURE * size else "")
