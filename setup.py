@@ -20,8 +20,10 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        (f"share/{NAME}/config", [path for kind in ("yaml", "rviz", "json")
-                                  for path in glob(f"config/*.{kind}")]),
+        (
+            f"share/{NAME}/config",
+            [path for kind in ("yaml", "rviz", "json") for path in glob(f"config/*.{kind}")],
+        ),
         (f"share/{NAME}/config/scenes", glob("config/scenes/*.yaml")),
         (f"share/{NAME}/launch", glob("launch/*.launch.*")),
         (f"lib/{NAME}", ["resource/sim_node"]),
@@ -48,8 +50,20 @@ setup(
         "many": ["dask", "distributed", "pyarrow"],
         "pandas": ["pandas"],
         "remote": ["aiohttp", "fsspec"],
-        "test": ["aiohttp", "dask", "distributed", "fsspec", "hypothesis", "jsonschema",
-                 "matplotlib", "mpmath", "pandas", "pyarrow", "pytest", "rosbags"],
+        "test": [
+            "aiohttp",
+            "dask",
+            "distributed",
+            "fsspec",
+            "hypothesis",
+            "jsonschema",
+            "matplotlib",
+            "mpmath",
+            "pandas",
+            "pyarrow",
+            "pytest",
+            "rosbags",
+        ],
         # What benchmarks/ compares with; Eigen's headers, for the loop around Pinocchio.
         "bench": ["cmeel-eigen", "exudyn", "mujoco", "pin"],
     },
@@ -57,6 +71,6 @@ setup(
         "console_scripts": [
             "liegroup_sim = liegroup_sim_ros.commands.main:main",
             "sim_node = liegroup_sim_ros.node.entry:main",
-        ],
+        ]
     },
 )

@@ -6,6 +6,7 @@ setup.bash puts there, the ament index must name the new prefix, and <prefix>/li
 sim_node, which is what `ros2 run` and launch files start, must be seen over DDS by this process
 and end with exit code 0 at one SIGINT.
 """
+
 import os
 import random
 import signal
@@ -26,18 +27,35 @@ STOP_S = 15.0
 
 def build(workspace):
     """Build the repository with colcon; return the prefix of the package."""
-    subprocess.run([*COLCON, "--log-base", workspace / "log", "build",
-                    "--base-paths", REPOSITORY, "--build-base", workspace / "build",
-                    "--install-base", workspace / "install"],
-                   cwd=workspace, check=True, timeout=300)
+    subprocess.run(
+        [
+            *COLCON,
+            "--log-base",
+            workspace / "log",
+            "build",
+            "--base-paths",
+            REPOSITORY,
+            "--build-base",
+            workspace / "build",
+            "--install-base",
+            workspace / "install",
+        ],
+        cwd=workspace,
+        check=True,
+        timeout=300,
+    )
     return workspace / "install" / NAME
 
 
 def sourced_environment(workspace):
     """The environment a clean shell has after sourcing the workspace."""
     printed = subprocess.run(
-        ["bash", "-c", 'source install/setup.bash && exec env -0'], cwd=workspace, check=True,
-        env={"HOME": os.environ["HOME"], "PATH": "/usr/bin:/bin"}, stdout=subprocess.PIPE)
+        ["bash", "-c", "source install/setup.bash && exec env -0"],
+        cwd=workspace,
+        check=True,
+        env={"HOME": os.environ["HOME"], "PATH": "/usr/bin:/bin"},
+        stdout=subprocess.PIPE,
+    )
     return dict(entry.split("=", 1) for entry in printed.stdout.decode().split("\0") if entry)
 
 
@@ -65,21 +83,31 @@ def prove(workspace):
 
     # In this process, too: the ament index and DDS read the environment when they are asked.
     os.environ["AMENT_PREFIX_PATH"] = environment["AMENT_PREFIX_PATH"]
-    domain = {"ROS_DOMAIN_ID": str(random.randint(1, 100)),
-              "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    domain = {
+        "ROS_DOMAIN_ID": str(random.randint(1, 100)),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+    }
     os.environ.update(domain)
     environment.update(domain)
 
     from ament_index_python.packages import get_package_prefix
+
     assert get_package_prefix(NAME) == str(prefix), get_package_prefix(NAME)
 
-    code = subprocess.run([sys.executable, "-P", "-c", f"import {NAME}; print({NAME}.__file__)"],
-                          env=environment, check=True, stdout=subprocess.PIPE, text=True).stdout
+    code = subprocess.run(
+        [sys.executable, "-P", "-c", f"import {NAME}; print({NAME}.__file__)"],
+        env=environment,
+        check=True,
+        stdout=subprocess.PIPE,
+        text=True,
+    ).stdout
     assert code.startswith(str(prefix)), f"the code would come from {code}"
 
     node = subprocess.Popen(
         [prefix / "lib" / NAME / "sim_node", "--ros-args", "-p", "scene:=heavy_top"],
-        env=environment, start_new_session=True)
+        env=environment,
+        start_new_session=True,
+    )
     try:
         seconds = wait_for_pose(node)
         os.killpg(node.pid, signal.SIGINT)
@@ -89,8 +117,10 @@ def prove(workspace):
         if node.poll() is None:
             os.killpg(node.pid, signal.SIGKILL)
             node.wait()
-    print(f"colcon: {prefix / 'lib' / NAME / 'sim_node'} built, found, "
-          f"first pose after {seconds:.1f} s, exit code 0 at SIGINT")
+    print(
+        f"colcon: {prefix / 'lib' / NAME / 'sim_node'} built, found, "
+        f"first pose after {seconds:.1f} s, exit code 0 at SIGINT"
+    )
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@
 CPU us per step, in native loops, of chains of ball and of hinge joints that fall from rest: RK4 of
 every code, and Exudyn's implicit method. Peers that are not installed are left out, and said so.
 """
+
 import argparse
 import json
 import os
@@ -25,8 +26,12 @@ LINKS = (1, 10, 100, 1000)
 STEP, IMPLICIT_STEP = 1e-4, 1e-3
 # Largest chains. Beyond, the memory is gone (pinocchio: 200 balls take 8 GB, 300 take 27) or the
 # time (mujoco: 1000 balls take 5 s per step). Exudyn's stepper knows balls only.
-LARGEST = {("pinocchio", "ball"): 100, ("pinocchio", "hinge"): 100, ("mujoco", "ball"): 100,
-           ("exudyn", "hinge"): 0}
+LARGEST = {
+    ("pinocchio", "ball"): 100,
+    ("pinocchio", "hinge"): 100,
+    ("mujoco", "ball"): 100,
+    ("exudyn", "hinge"): 0,
+}
 
 
 def microseconds(code, problem, shortest, rounds):
@@ -66,18 +71,26 @@ def main():
     for code in codes:
         for kind in (problems.BALL, problems.HINGE):
             largest = LARGEST.get((code.CODE, kind), LINKS[-1])
-            figures = {links: microseconds(code, problems.chain(links, kind), shortest, rounds)
-                       for links in LINKS if links <= largest}
+            figures = {
+                links: microseconds(code, problems.chain(links, kind), shortest, rounds)
+                for links in LINKS
+                if links <= largest
+            }
             if figures:
                 data["chains"][f"{code.CODE} {kind}"] = figures
-                table.add_row(code.CODE, kind, *(f"{figures[links]:.3g}" if links in figures
-                                                 else "-" for links in LINKS))
+                table.add_row(
+                    code.CODE,
+                    kind,
+                    *(f"{figures[links]:.3g}" if links in figures else "-" for links in LINKS),
+                )
     console.print(table)
 
     row = problems.windows(40)
     data["40 windows"] = microseconds(ours, row, shortest, rounds)
-    console.print(f"{ours.CODE}, 40 four-bar windows in a row, {len(row.bodies)} bodies, "
-                  f"{len(row.tree + row.loops)} hinges: {data['40 windows']:.4g} us per step")
+    console.print(
+        f"{ours.CODE}, 40 four-bar windows in a row, {len(row.bodies)} bodies, "
+        f"{len(row.tree + row.loops)} hinges: {data['40 windows']:.4g} us per step"
+    )
 
     data["allocations"] = {}
     for problem in (problems.chain(100, problems.BALL), problems.four_bar()):
@@ -85,8 +98,10 @@ def main():
         for steps in (100, 5_000):
             counted, kept = allocations(take_steps, steps)
             data["allocations"][f"{problem.title}, {steps} steps"] = (counted, kept)
-            console.print(f"{problem.title}: {steps} steps in one call make {counted} allocations "
-                          f"and keep {kept} bytes")
+            console.print(
+                f"{problem.title}: {steps} steps in one call make {counted} allocations "
+                f"and keep {kept} bytes"
+            )
     if options.json:
         with open(options.json, "w", encoding="utf-8") as file:
             json.dump(data, file, indent=1)

@@ -12,6 +12,7 @@ same simulated time: its step follows from its cost of a step. Prints
     gap      largest position residual of a joint at the samples, m or rad
 A drift within twice its error is none that can be seen.
 """
+
 import argparse
 import logging
 
@@ -22,10 +23,17 @@ from timing import seconds_of_step
 
 from liegroup_core import Simulation, SimulationError, load_scene
 
-SCENES = {"double_pendulum": 1e-3, "four_bar": 1e-3}    # step of constrained_rattle, s
-METHODS = (("constrained_rattle", {}), ("constrained_rattle4", {}), ("constrained_rattle8", {}),
-           ("rkmk4", {}), ("rkmk4", {"stabilisation": "projection"}),
-           ("rkmk4", {"space": "space"}), ("rkmk8", {}), ("rkmk8", {"space": "space"}))
+SCENES = {"double_pendulum": 1e-3, "four_bar": 1e-3}  # step of constrained_rattle, s
+METHODS = (
+    ("constrained_rattle", {}),
+    ("constrained_rattle4", {}),
+    ("constrained_rattle8", {}),
+    ("rkmk4", {}),
+    ("rkmk4", {"stabilisation": "projection"}),
+    ("rkmk4", {"space": "space"}),
+    ("rkmk8", {}),
+    ("rkmk8", {"space": "space"}),
+)
 SAMPLES, BLOCKS = 2000, 10
 
 
@@ -38,8 +46,7 @@ def microseconds(scene, step, method, settings, steps=2000, repeat=40):
 def kinetic_energy(simulation):
     """J, of the present state."""
     twist, bodies = simulation.state()[1], simulation.layout.model.bodies
-    spin = np.einsum("ni,nij,nj->", twist[:, :3], bodies["inertia"].reshape(-1, 3, 3),
-                     twist[:, :3])
+    spin = np.einsum("ni,nij,nj->", twist[:, :3], bodies["inertia"].reshape(-1, 3, 3), twist[:, :3])
     return 0.5 * (spin + bodies["mass"] @ (twist[:, 3:] ** 2).sum(axis=1))
 
 
@@ -75,7 +82,7 @@ def main():
     parser.add_argument("--steps", type=int, default=1_000_000)
     parser.add_argument("--scene", nargs="+", choices=SCENES, default=list(SCENES))
     options = parser.parse_args()
-    logging.getLogger("liegroup_core").setLevel(logging.ERROR)      # the gaps are in the table
+    logging.getLogger("liegroup_core").setLevel(logging.ERROR)  # the gaps are in the table
     console = Console(width=110)
     for name in options.scene:
         scene, first_step = load_scene(name), SCENES[name]
@@ -98,8 +105,14 @@ def main():
                 table.add_row(label, f"{step:.3g}", f"{cost:.2f}", f"{when} s")
                 continue
             scatter, drift, error = trend(energy)
-            table.add_row(label, f"{step:.3g}", f"{cost:.2f}", f"{scatter:.1e}",
-                          f"{drift:+.1e} ± {error:.0e}", f"{gap:.0e}")
+            table.add_row(
+                label,
+                f"{step:.3g}",
+                f"{cost:.2f}",
+                f"{scatter:.1e}",
+                f"{drift:+.1e} ± {error:.0e}",
+                f"{gap:.0e}",
+            )
         console.print(table)
 
 

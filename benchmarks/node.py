@@ -6,6 +6,7 @@
 
 Real-time figures of a machine that does other things at the same time are worth their ratios only.
 """
+
 import argparse
 import json
 import os
@@ -18,8 +19,9 @@ import tempfile
 import time
 from pathlib import Path
 
-os.environ.update(ROS_DOMAIN_ID=str(random.randint(1, 100)),
-                  ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
+os.environ.update(
+    ROS_DOMAIN_ID=str(random.randint(1, 100)), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST"
+)
 
 import rclpy  # noqa: E402  (reads the domain from the environment)
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
@@ -31,20 +33,26 @@ from liegroup_sim_ros.recording.reader import read_recording  # noqa: E402
 
 BARE = Path(__file__).parent / "node_side" / "bare.py"
 NODE = "import sys; from liegroup_sim_ros.node.entry import main; sys.exit(main())"
-STARTING = 240.0                            # s; the first start on a machine compiles
-HELD = 0.999                                # real-time factor that counts as held
+STARTING = 240.0  # s; the first start on a machine compiles
+HELD = 0.999  # real-time factor that counts as held
 PUCK = "name: table\ngravity: [0, 0, 0]\nbodies:\n  - {name: puck, mass: 1, inertia: [1, 1, 1]}\n"
 MANY = "name: many\ngravity: [0, 0, -9.81]\nbodies:\n" + "".join(
     f"  - {{name: b{i}, mass: 1, inertia: [1, 2, 3], position: [{i}, 0, 0], "
-    "angular_velocity: [1, 2, 3]}\n" for i in range(20))
+    "angular_velocity: [1, 2, 3]}\n"
+    for i in range(20)
+)
 
 
 class Process:
     """A process whose CPU time and memory can be asked for; `with` ends it."""
 
     def __init__(self, *command):
-        self._process = subprocess.Popen([sys.executable, *map(str, command)], text=True,
-                                         stdout=subprocess.PIPE, start_new_session=True)
+        self._process = subprocess.Popen(
+            [sys.executable, *map(str, command)],
+            text=True,
+            stdout=subprocess.PIPE,
+            start_new_session=True,
+        )
 
     def __enter__(self):
         return self
@@ -78,8 +86,12 @@ class Process:
 
 
 def simulation(**parameters):
-    return Process("-c", NODE, "--ros-args", *(
-        part for name, value in parameters.items() for part in ("-p", f"{name}:={value}")))
+    return Process(
+        "-c",
+        NODE,
+        "--ros-args",
+        *(part for name, value in parameters.items() for part in ("-p", f"{name}:={value}")),
+    )
 
 
 class Listener:
@@ -91,8 +103,9 @@ class Listener:
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
         self.diagnostics = []
-        self.node.create_subscription(DiagnosticArray, "/diagnostics", lambda message:
-                                      self.diagnostics.append(message), 10)
+        self.node.create_subscription(
+            DiagnosticArray, "/diagnostics", lambda message: self.diagnostics.append(message), 10
+        )
 
     def until(self, condition, seconds=STARTING):
         end = time.monotonic() + seconds
@@ -133,13 +146,17 @@ def paced(listener, folder, seconds, name, scene, rate):
 
 def line(name, pacing, rate, cpu):
     late = pacing["lateness_us"]
-    print(f"{name:<24} {rate:9.2f} {late['p50']:8.1f} {late['p99']:8.1f} {late['max']:9.0f} "
-          f"{100 * cpu:7.1f} {pacing['real_time_factor']:9.5f}")
+    print(
+        f"{name:<24} {rate:9.2f} {late['p50']:8.1f} {late['p99']:8.1f} {late['max']:9.0f} "
+        f"{100 * cpu:7.1f} {pacing['real_time_factor']:9.5f}"
+    )
 
 
 def real_time(listener, folder, seconds):
-    print("\nin real time                 rate/s  late p50      p99       max   CPU %   rt factor"
-          "   (lateness in us)")
+    print(
+        "\nin real time                 rate/s  late p50      p99       max   CPU %   rt factor"
+        "   (lateness in us)"
+    )
     paced(listener, folder, seconds, "heavy top", "heavy_top", 1000.0)
     many = folder / "many.yaml"
     many.write_text(MANY)
@@ -155,7 +172,7 @@ def holds(listener, folder, seconds, kind, links):
     # Long links fall slowly: a free end that whips about is no motion for steps of 1 ms.
     scene.write_text(chain(links, kind, length=10.0).text)
     with simulation(scene=scene, record=path, body_wrenches=False) as node:
-        listener.figures()                  # of this node: the one before has ended
+        listener.figures()  # of this node: the one before has ended
         cpu = node.cpu()
         listener.spin(seconds)
         cpu = node.cpu() - cpu
@@ -166,22 +183,28 @@ def holds(listener, folder, seconds, kind, links):
         raise SystemExit(f"node.py: {links} links: the run was not good to its end")
     pacing = recording.pacing
     factor = pacing["real_time_factor"]
-    print(f"{kind:<12} {links:8d} {factor:15.5f} {pacing['lateness_us']['p99']:9.0f} "
-          f"{100 * cpu / seconds:7.1f}", flush=True)
+    print(
+        f"{kind:<12} {links:8d} {factor:15.5f} {pacing['lateness_us']['p99']:9.0f} "
+        f"{100 * cpu / seconds:7.1f}",
+        flush=True,
+    )
     return factor >= HELD
 
 
 def largest(listener, folder, seconds):
-    print("\nlargest chain at 100 Hz, every body's pose and twist published and recorded\n"
-          "joints          links       rt factor  late p99   CPU %   (steps of 1 ms)")
+    print(
+        "\nlargest chain at 100 Hz, every body's pose and twist published and recorded\n"
+        "joints          links       rt factor  late p99   CPU %   (steps of 1 ms)"
+    )
     for kind in ("spherical", "revolute"):
+
         def good_enough(links, kind=kind):  # twice: something else may have disturbed it
             return any(holds(listener, folder, seconds, kind, links) for _ in range(2))
 
         good, links = 0, 50
         while good_enough(links):
             good, links = links, 2 * links
-        while links - good > 0.1 * links:   # between one that holds and one that does not
+        while links - good > 0.1 * links:  # between one that holds and one that does not
             middle = (good + links) // 2
             if good_enough(middle):
                 good = middle
@@ -194,10 +217,15 @@ def trips(listener, target, count):
     """Microseconds from a wrench that is sent to the twist that shows it."""
     seen = []
     subscription = listener.node.create_subscription(
-        TwistStamped, f"{target}/puck/twist", lambda m: seen.append(m.twist.linear.x), 10)
+        TwistStamped, f"{target}/puck/twist", lambda m: seen.append(m.twist.linear.x), 10
+    )
     publisher = listener.node.create_publisher(WrenchStamped, f"{target}/wrench", 10)
-    listener.until(lambda: publisher.get_subscription_count()
-                   and listener.node.count_publishers(f"{target}/puck/twist"))
+    listener.until(
+        lambda: (
+            publisher.get_subscription_count()
+            and listener.node.count_publishers(f"{target}/puck/twist")
+        )
+    )
     message = WrenchStamped()
     message.header.frame_id = "puck"
     times, sign = [], 1.0
@@ -227,8 +255,9 @@ def round_trip(listener, folder, count):
 
     # A step of 1 ms: up to one to wait for the next tick. Of 0.1 ms: mostly transport.
     for name, step, rate in (("node, 1 kHz", 1e-3, 1e3), ("node, 5 kHz", 2e-4, 5e3)):
-        with simulation(scene=scene, step=step, publish_rate=rate, wrench_hold="timeout",
-                        wrench_timeout=1e-3):
+        with simulation(
+            scene=scene, step=step, publish_rate=rate, wrench_hold="timeout", wrench_timeout=1e-3
+        ):
             listener.figures()
             report(name, trips(listener, "/sim_node", count))
     with Process(BARE, "echo"):
@@ -237,8 +266,14 @@ def round_trip(listener, folder, count):
 
 def cost_of(listener, path, seconds, scene, bodies):
     """CPU us of the whole process, steps and recording included, for each message published."""
-    with simulation(scene=scene, publish_rate=1000.0, clock_rate=1000.0, state_rate=0.0,
-                    real_time_factor=0.0, record=path) as node:
+    with simulation(
+        scene=scene,
+        publish_rate=1000.0,
+        clock_rate=1000.0,
+        state_rate=0.0,
+        real_time_factor=0.0,
+        record=path,
+    ) as node:
         first, cpu = listener.figures(), node.cpu()
         listener.spin(seconds)
         last = listener.figures()
@@ -250,15 +285,20 @@ def cost_of(listener, path, seconds, scene, bodies):
 def cost(listener, folder, seconds):
     many = folder / "many.yaml"
     many.write_text(MANY)
-    costs = {"node, heavy top": cost_of(listener, folder / "c1.mcap", seconds, "heavy_top", 1),
-             "node, 20 bodies": cost_of(listener, folder / "c20.mcap", seconds, many, 20)}
+    costs = {
+        "node, heavy top": cost_of(listener, folder / "c1.mcap", seconds, "heavy_top", 1),
+        "node, 20 bodies": cost_of(listener, folder / "c20.mcap", seconds, many, 20),
+    }
     bare = {}
     for name in ("objects", "bytes"):
         with Process(BARE, name, seconds) as process:
             bare[name] = process.answer()["cpu_us_per_message"]
     print("\nCPU per message, flat out        us   of objects    of bytes")
-    for name, cpu in (*costs.items(), ("bare: objects built", bare["objects"]),
-                      ("bare: ready bytes", bare["bytes"])):
+    for name, cpu in (
+        *costs.items(),
+        ("bare: objects built", bare["objects"]),
+        ("bare: ready bytes", bare["bytes"]),
+    ):
         print(f"{name:<26} {cpu:8.2f} {cpu / bare['objects']:12.2f} {cpu / bare['bytes']:11.2f}")
 
 
@@ -267,35 +307,51 @@ def storm(listener, folder, seconds):
     with simulation(scene="heavy_top", publish_rate=1000.0, record=folder / "storm.mcap") as node:
         before, memory = listener.figures(), node.memory()
         factors = []
-        with (Process(BARE, "storm", 10_000 / 3, seconds) as a,
-              Process(BARE, "storm", 10_000 / 3, seconds) as b,
-              Process(BARE, "storm", 10_000 / 3, seconds) as c):
+        with (
+            Process(BARE, "storm", 10_000 / 3, seconds) as a,
+            Process(BARE, "storm", 10_000 / 3, seconds) as b,
+            Process(BARE, "storm", 10_000 / 3, seconds) as c,
+        ):
             end = time.monotonic() + 2.0 + seconds
             while time.monotonic() < end:
                 factors.append(float(listener.figures()["real_time_factor"]))
             answers = [process.answer() for process in (a, b, c)]
         last, grown = listener.figures(), node.memory() - memory
         code = node.end()
-    taken = {key: int(last[key]) - int(before[key]) for key in
-             ("wrenches_accepted", "wrenches_refused")}
+    taken = {
+        key: int(last[key]) - int(before[key]) for key in ("wrenches_accepted", "wrenches_refused")
+    }
     sent = {key: sum(answer[key] for answer in answers) for key in ("sent", "wrong")}
-    print(f"sent {sent['sent']}, {sent['wrong']} of them wrong; accepted "
-          f"{taken['wrenches_accepted']}, refused {taken['wrenches_refused']}; not delivered "
-          f"{sent['sent'] - sum(taken.values())}")
-    print(f"real-time factor {min(factors):.4f} to {max(factors):.4f}, lateness p99 "
-          f"{float(last['lateness_p99_us']):.0f} us, memory {memory:.0f} MB and {grown:+.1f} MB, "
-          f"recorder lost {last['recorder_lost']}, exit code {code}")
+    print(
+        f"sent {sent['sent']}, {sent['wrong']} of them wrong; accepted "
+        f"{taken['wrenches_accepted']}, refused {taken['wrenches_refused']}; not delivered "
+        f"{sent['sent'] - sum(taken.values())}"
+    )
+    print(
+        f"real-time factor {min(factors):.4f} to {max(factors):.4f}, lateness p99 "
+        f"{float(last['lateness_p99_us']):.0f} us, memory {memory:.0f} MB and {grown:+.1f} MB, "
+        f"recorder lost {last['recorder_lost']}, exit code {code}"
+    )
 
 
 def main():
     """Run all parts, or those that are named."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("parts", nargs="*", metavar="PART",
-                        help="real_time, largest, round_trip, cost or storm; all if left out")
+    parser.add_argument(
+        "parts",
+        nargs="*",
+        metavar="PART",
+        help="real_time, largest, round_trip, cost or storm; all if left out",
+    )
     parser.add_argument("--long", action="store_true", help="60 and 30 s in place of 5 and 5 s")
     args = parser.parse_args()
-    lengths = {real_time: (60.0, 5.0), largest: (10.0, 4.0), round_trip: (2000, 200),
-               cost: (30.0, 4.0), storm: (30.0, 5.0)}
+    lengths = {
+        real_time: (60.0, 5.0),
+        largest: (10.0, 4.0),
+        round_trip: (2000, 200),
+        cost: (30.0, 4.0),
+        storm: (30.0, 5.0),
+    }
     parts = {part.__name__: part for part in lengths}
     if unknown := set(args.parts) - set(parts):
         parser.error(f"unknown part {min(unknown)}; there are {', '.join(parts)}")

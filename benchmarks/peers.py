@@ -7,6 +7,7 @@ Four problems with exact ends (side_by_side/problems.py, references.py); every c
 loop, on one core, in one process. Pinocchio's loop is compiled here if there is a C++ compiler.
 Whatever is not installed is left out, and said so: pip install '.[bench]'.
 """
+
 import argparse
 import json
 import os
@@ -24,10 +25,18 @@ from side_by_side.report import as_data, costs_table, shortfalls
 
 def cases():
     """{name: variants of a problem with the same exact end}."""
-    return {"P1": [problems.heavy_top()], "P2": [problems.free_body()],
-            "P3": [problems.four_bar()],
-            **{f"P4 N={links}": [problems.chain(links, problems.HINGE),
-                                 problems.chain(links, problems.BALL)] for links in (10, 100)}}
+    return {
+        "P1": [problems.heavy_top()],
+        "P2": [problems.free_body()],
+        "P3": [problems.four_bar()],
+        **{
+            f"P4 N={links}": [
+                problems.chain(links, problems.HINGE),
+                problems.chain(links, problems.BALL),
+            ]
+            for links in (10, 100)
+        },
+    }
 
 
 def measure(variants, codes, ratio, budget, rounds):
@@ -41,15 +50,18 @@ def measure(variants, codes, ratio, budget, rounds):
                 entries.append(entry)
                 ladders.append(climb(entry, problem, exact, budget))
     time_ladders(ladders, variants[0].duration, rounds)
-    return [(entry, rungs, {target: cost_at(rungs, target) for target in TARGETS})
-            for entry, rungs in zip(entries, ladders)], known
+    return [
+        (entry, rungs, {target: cost_at(rungs, target) for target in TARGETS})
+        for entry, rungs in zip(entries, ladders)
+    ], known
 
 
 def main():
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true",
-                        help="coarser ladders, fewer rounds, no run above a second")
+    parser.add_argument(
+        "--quick", action="store_true", help="coarser ladders, fewer rounds, no run above a second"
+    )
     parser.add_argument("--only", nargs="+", metavar="P", help="begin of a problem's name: P1..P4")
     parser.add_argument("--json", metavar="FILE", help="write all that was measured")
     options = parser.parse_args()
@@ -58,11 +70,17 @@ def main():
     console = Console(width=None if sys.stdout.isatty() else 130, highlight=False)
     peers = load_peers(console)
     versions = {name: version(name) for name in ("numba", "numpy")} | {
-        peer.CODE: peer.version() for peer in peers}
-    machine = {"processor": platform.processor() or platform.machine(), "cores": os.cpu_count(),
-               "load": os.getloadavg()[0], "python": platform.python_version()}
-    console.print(", ".join(f"{key} {value}" for key, value in (versions | machine).items()),
-                  soft_wrap=True)
+        peer.CODE: peer.version() for peer in peers
+    }
+    machine = {
+        "processor": platform.processor() or platform.machine(),
+        "cores": os.cpu_count(),
+        "load": os.getloadavg()[0],
+        "python": platform.python_version(),
+    }
+    console.print(
+        ", ".join(f"{key} {value}" for key, value in (versions | machine).items()), soft_wrap=True
+    )
 
     ours.prepare()
     data, missed, start = {}, [], time.perf_counter()
@@ -72,8 +90,9 @@ def main():
         results, known = measure(variants, [ours, *peers], ratio, budget, rounds)
         problem = variants[0]
         console.print(costs_table(name, problem.title, problem.duration, results))
-        console.print(f"exact end known to {known:.0e}; "
-                      f"{time.perf_counter() - start:.0f} s so far\n")
+        console.print(
+            f"exact end known to {known:.0e}; {time.perf_counter() - start:.0f} s so far\n"
+        )
         missed += shortfalls(name, results)
         data[name] = as_data(results) | {"exact_known_to": float(known)}
     console.print("[bold]Where we fall short[/bold]" if missed else "Every target is met.")

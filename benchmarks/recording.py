@@ -7,6 +7,7 @@
 
 Each part ends the program with a line if something is not as it should be.
 """
+
 import argparse
 import json
 import os
@@ -32,8 +33,8 @@ from liegroup_sim_ros.recording.recorder import Recorder
 from liegroup_sim_ros.recording.survey import survey
 
 SIDE = Path(__file__).parent / "recording_side"
-FLUSH = 0.2                                 # s, of the processes that are killed
-RATE = 10_000                               # messages per second
+FLUSH = 0.2  # s, of the processes that are killed
+RATE = 10_000  # messages per second
 
 
 def fail(text):
@@ -66,8 +67,9 @@ def bare(path, messages):
     with open(path, "wb") as stream:
         writer = Writer(stream, chunk_size=128 * 1024, compression=CompressionType.ZSTD)
         writer.start("ros2")
-        schema = writer.register_schema(PoseStampedCodec.TYPE, "ros2msg",
-                                        schemas.definition(PoseStampedCodec.TYPE).encode())
+        schema = writer.register_schema(
+            PoseStampedCodec.TYPE, "ros2msg", schemas.definition(PoseStampedCodec.TYPE).encode()
+        )
         channel = writer.register_channel("/pose", "cdr", schema)
         for k, data in enumerate(messages):
             writer.add_message(channel, k * 10**6, data, k * 10**6, k + 1)
@@ -82,18 +84,23 @@ def speed(folder, count):
         for write in found:
             wall, cpu = time.perf_counter(), time.process_time()
             write(path, messages)
-            found[write].append((time.perf_counter() - wall, time.process_time() - cpu,
-                                 path.stat().st_size))
+            found[write].append(
+                (time.perf_counter() - wall, time.process_time() - cpu, path.stat().st_size)
+            )
             path.unlink()
     print(f"\nwriting {count} poses            messages/s      of CPU   CPU us each   MB/million")
     best = {}
     for write, name in ((ours, "recorder, its thread"), (bare, "bare mcap.Writer")):
         wall, cpu = (min(row[k] for row in found[write]) for k in (0, 1))
         best[write] = wall, cpu
-        print(f"{name:<28} {count / wall:12.0f} {count / cpu:11.0f} {1e6 * cpu / count:13.2f} "
-              f"{found[write][0][2] / count:12.2f}")
-    print(f"the recorder is faster by {best[bare][0] / best[ours][0]:.2f} by the clock, "
-          f"{best[bare][1] / best[ours][1]:.2f} in CPU time")
+        print(
+            f"{name:<28} {count / wall:12.0f} {count / cpu:11.0f} {1e6 * cpu / count:13.2f} "
+            f"{found[write][0][2] / count:12.2f}"
+        )
+    print(
+        f"the recorder is faster by {best[bare][0] / best[ours][0]:.2f} by the clock, "
+        f"{best[bare][1] / best[ours][1]:.2f} in CPU time"
+    )
 
 
 def killed(folder, count):
@@ -102,8 +109,11 @@ def killed(folder, count):
     path, out = folder / "killed.mcap", folder / "out.mcap"
     random.seed(5)
     while done < count:
-        child = subprocess.Popen([sys.executable, SIDE / "writes.py", path, str(FLUSH),
-                                  str(RATE)], stdout=subprocess.PIPE, text=True)
+        child = subprocess.Popen(
+            [sys.executable, SIDE / "writes.py", path, str(FLUSH), str(RATE)],
+            stdout=subprocess.PIPE,
+            text=True,
+        )
         check(child.stdout.readline() == "running\n", "a process did not start")
         started = time.monotonic_ns()
         time.sleep(random.uniform(0.1, 1.5))
@@ -122,17 +132,22 @@ def killed(folder, count):
         with open(out, "rb") as stream:
             reader = make_reader(stream, validate_crcs=True)
             rows = [message.log_time for _, _, message in reader.iter_messages()]
-        check(len(rows) == found.count == reader.get_summary().statistics.message_count
-              and rows == sorted(rows), "the recovered file is not what was surveyed")
+        check(
+            len(rows) == found.count == reader.get_summary().statistics.message_count
+            and rows == sorted(rows),
+            "the recovered file is not what was surveyed",
+        )
         lags.append((at - rows[-1]) * 1e-9 if rows else (at - started) * 1e-9)
         salvaged += found.unfinished
         sizes.append(len(rows))
         path.unlink()
         out.unlink()
-    print(f"\n{done} processes killed at random instants, {RATE} messages/s, flushed every "
-          f"{FLUSH} s:\nnot on the disk at most {max(lags):.3f} s, median "
-          f"{statistics.median(lags):.3f} s; {sum(sizes)} messages recovered, no gap, {salvaged} "
-          "of them out of unfinished chunks; every file opens")
+    print(
+        f"\n{done} processes killed at random instants, {RATE} messages/s, flushed every "
+        f"{FLUSH} s:\nnot on the disk at most {max(lags):.3f} s, median "
+        f"{statistics.median(lags):.3f} s; {sum(sizes)} messages recovered, no gap, {salvaged} "
+        "of them out of unfinished chunks; every file opens"
+    )
     # The recorder's thread looks every 5 ms; other work on the machine delays it.
     check(max(lags) < FLUSH + 0.25, "something older than the flush interval is lost")
 
@@ -145,7 +160,7 @@ def cut(folder, _):
         channel = recorder.add_channel("/pose", PoseStampedCodec.TYPE)
         for k, data in enumerate(messages):
             recorder.write(channel, k, data)
-            if k % 15 == 14:                # a chunk of its own for every fifteen
+            if k % 15 == 14:  # a chunk of its own for every fifteen
                 recorder.add_attachment(f"mark{k}", "text/plain", b"x")
     whole, refused, counts = path.read_bytes(), 0, set()
     for size in range(len(whole)):
@@ -158,29 +173,37 @@ def cut(folder, _):
             refused += 1
             continue
         with open(out, "rb") as stream:
-            rows = [(m.log_time, m.data) for _, _, m in
-                    make_reader(stream, validate_crcs=True).iter_messages()]
-        check(rows == list(enumerate(messages[:len(rows)])), f"cut at {size}: wrong messages")
-        check(found.count == len(rows) and not found.lost and not found.complete,
-              f"cut at {size}: wrong figures")
+            rows = [
+                (m.log_time, m.data)
+                for _, _, m in make_reader(stream, validate_crcs=True).iter_messages()
+            ]
+        check(rows == list(enumerate(messages[: len(rows)])), f"cut at {size}: wrong messages")
+        check(
+            found.count == len(rows) and not found.lost and not found.complete,
+            f"cut at {size}: wrong figures",
+        )
         counts.add(len(rows))
         out.unlink()
-    print(f"\na recording of {len(whole)} bytes cut at every byte: {len(whole) - refused} gave a "
-          f"file with exactly its beginning ({len(counts)} lengths), {refused} one line, as "
-          "nothing was in them yet")
+    print(
+        f"\na recording of {len(whole)} bytes cut at every byte: {len(whole) - refused} gave a "
+        f"file with exactly its beginning ({len(counts)} lengths), {refused} one line, as "
+        "nothing was in them yet"
+    )
 
 
 def disk(folder, _):
     """The simulation node records to a disk of 1 MB."""
     place = folder / "small_disk"
     place.mkdir()
-    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "none", place],
-                      capture_output=True).returncode:
+    if subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=1m", "none", place], capture_output=True
+    ).returncode:
         print("\ndisk full: left out, a disk of 1 MB cannot be mounted here")
         return
     try:
-        answer = subprocess.run([sys.executable, SIDE / "full.py", place / "run.mcap"],
-                                capture_output=True, text=True)
+        answer = subprocess.run(
+            [sys.executable, SIDE / "full.py", place / "run.mcap"], capture_output=True, text=True
+        )
         check(answer.returncode == 0, answer.stderr[-2000:])
         steps_at_failure, steps, written, lost, failure, logged = json.loads(answer.stdout)
         found = survey(place / "run.mcap")
@@ -188,9 +211,11 @@ def disk(folder, _):
         with open(folder / "out.mcap", "rb") as stream:
             rows = sum(1 for _ in make_reader(stream, validate_crcs=True).iter_messages())
         check(rows >= written and not found.lost, "what counts as written is not there")
-        print(f"\ndisk of 1 MB: failed at step {steps_at_failure}, the simulation went on to step "
-              f"{steps};\n{written} written, {lost} lost and counted, {rows} recovered, no gap\n"
-              f"said: {failure}\nlogged as an error: {logged}")
+        print(
+            f"\ndisk of 1 MB: failed at step {steps_at_failure}, the simulation went on to step "
+            f"{steps};\n{written} written, {lost} lost and counted, {rows} recovered, no gap\n"
+            f"said: {failure}\nlogged as an error: {logged}"
+        )
     finally:
         subprocess.run(["umount", place], check=True)
 
@@ -205,9 +230,14 @@ def readers(folder, _):
     check(all(counts.values()), "a topic has no message")
     print(f"\na log of the node with all its {len(counts)} topics, {found.count} messages")
     for name in ("mcap_ros2", "rosbags"):
-        answer = json.loads(subprocess.run(
-            [sys.executable, SIDE / "decode.py", name, path], check=True, capture_output=True,
-            text=True).stdout)
+        answer = json.loads(
+            subprocess.run(
+                [sys.executable, SIDE / "decode.py", name, path],
+                check=True,
+                capture_output=True,
+                text=True,
+            ).stdout
+        )
         check(answer == counts, f"{name} found {answer}")
         print(f"{name:<12} decoded every message")
     if not shutil.which("npm"):
@@ -217,29 +247,45 @@ def readers(folder, _):
     place.mkdir()
     for name in ("package.json", "decode.mjs"):
         shutil.copy(SIDE / name, place)
-    made = subprocess.run(["npm", "install", "--no-audit", "--no-fund", "--loglevel=error"],
-                          cwd=place, capture_output=True, text=True)
+    made = subprocess.run(
+        ["npm", "install", "--no-audit", "--no-fund", "--loglevel=error"],
+        cwd=place,
+        capture_output=True,
+        text=True,
+    )
     if made.returncode:
         print(f"@mcap/core   left out, npm cannot install it here: {made.stderr[:200].strip()}")
         return
     done = subprocess.run(["node", "decode.mjs", path], cwd=place, capture_output=True, text=True)
     check(done.returncode == 0, f"@mcap/core: {done.stderr[-1000:]}")
     check(json.loads(done.stdout) == counts, f"@mcap/core found {done.stdout}")
-    versions = subprocess.run(["npm", "ls", "--depth=0"], cwd=place, capture_output=True,
-                              text=True).stdout.split("\n")[1:]
-    print("@mcap/core   decoded every message:", ", ".join(
-        line.split()[-1] for line in versions if line.strip()))
+    versions = subprocess.run(
+        ["npm", "ls", "--depth=0"], cwd=place, capture_output=True, text=True
+    ).stdout.split("\n")[1:]
+    print(
+        "@mcap/core   decoded every message:",
+        ", ".join(line.split()[-1] for line in versions if line.strip()),
+    )
 
 
 def main():
     """Run all parts, or those that are named."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("parts", nargs="*", metavar="PART",
-                        help="speed, killed, cut, disk or readers; all if left out")
+    parser.add_argument(
+        "parts",
+        nargs="*",
+        metavar="PART",
+        help="speed, killed, cut, disk or readers; all if left out",
+    )
     parser.add_argument("--long", action="store_true", help="a million messages, 200 kills")
     args = parser.parse_args()
-    sizes = {speed: (1_000_000, 100_000), killed: (200, 10), cut: (0, 0), disk: (0, 0),
-             readers: (0, 0)}
+    sizes = {
+        speed: (1_000_000, 100_000),
+        killed: (200, 10),
+        cut: (0, 0),
+        disk: (0, 0),
+        readers: (0, 0),
+    }
     parts = {part.__name__: part for part in sizes}
     if unknown := set(args.parts) - set(parts):
         parser.error(f"unknown part {min(unknown)}; there are {', '.join(parts)}")

@@ -8,6 +8,7 @@ ten minutes. Then each part is a process of its own, so that its peak memory (Vm
 ru_maxrss knows nothing of its parent) is its own; that of the imports is subtracted in the last
 column.
 """
+
 import argparse
 import json
 import subprocess
@@ -21,7 +22,7 @@ PARTS = {
     "imports": "import liegroup_sim_ros.commands.analyze",
     "read_recording": "read()",
     "samples, piece by piece": "print(sum(len(piece.stamp_ns) for piece in read().samples()),"
-                               " file=sys.stderr)",
+    " file=sys.stderr)",
     "all tracks as arrays": "r = read(); r.pose, r.twist",
     "analyze --no-reference": "analyse(read(), reference=False)",
     "analyze": "found = analyse(read()); print(found.figures['verdict'], file=sys.stderr)",
@@ -52,18 +53,29 @@ def make(path, seconds):
     )
     from liegroup_sim_ros.recording import attachments
     from liegroup_sim_ros.recording.recorder import Recorder
+
     simulation = Simulation(load_scene("heavy_top"), "rkmk4", STEP)
-    topics = {"pose": {"top": "/sim_node/top/pose"}, "twist": {"top": "/sim_node/top/twist"},
-              "applied_wrench": "/sim_node/applied_wrench", "events": "/sim_node/events",
-              "clock": "/clock", "diagnostics": "/diagnostics"}
-    with Recorder(path, attachments.at_start(simulation, "/sim_node", "world", 1,
-                                             topics)) as recorder:
+    topics = {
+        "pose": {"top": "/sim_node/top/pose"},
+        "twist": {"top": "/sim_node/top/twist"},
+        "applied_wrench": "/sim_node/applied_wrench",
+        "events": "/sim_node/events",
+        "clock": "/clock",
+        "diagnostics": "/diagnostics",
+    }
+    with Recorder(
+        path, attachments.at_start(simulation, "/sim_node", "world", 1, topics)
+    ) as recorder:
         pose, twist, wrench, events, clock = (
-            recorder.add_channel(topic, codec.TYPE) for topic, codec in (
+            recorder.add_channel(topic, codec.TYPE)
+            for topic, codec in (
                 (topics["pose"]["top"], PoseStampedCodec),
                 (topics["twist"]["top"], TwistStampedCodec),
-                (topics["applied_wrench"], WrenchStampedCodec), (topics["events"], LogCodec),
-                ("/clock", ClockCodec)))
+                (topics["applied_wrench"], WrenchStampedCodec),
+                (topics["events"], LogCodec),
+                ("/clock", ClockCodec),
+            )
+        )
         encode_pose = PoseStampedCodec("world").encode
         encode_twist = TwistStampedCodec("top").encode
         recorder.write(events, 0, LogCodec.encode(0, LogCodec.INFO, "start", "benchmark"))
@@ -74,13 +86,19 @@ def make(path, seconds):
                 simulation.advance()
             for change in simulation.drain_applied():
                 stamp = round(change.step * STEP * 1e9)
-                recorder.write(wrench, stamp,
-                               WrenchStampedCodec("top").encode(stamp, change.wrench))
+                recorder.write(
+                    wrench, stamp, WrenchStampedCodec("top").encode(stamp, change.wrench)
+                )
             sample = simulation.sample()
             stamp = sample.time_ns
             recorder.write(clock, stamp, ClockCodec.encode(stamp))
-            recorder.write(pose, stamp, encode_pose(stamp, sample.positions["top"].tolist(),
-                                                    sample.quaternions["top"].tolist()))
+            recorder.write(
+                pose,
+                stamp,
+                encode_pose(
+                    stamp, sample.positions["top"].tolist(), sample.quaternions["top"].tolist()
+                ),
+            )
             recorder.write(twist, stamp, encode_twist(stamp, sample.twists["top"].tolist()))
         recorder.write(events, stamp, LogCodec.encode(stamp, LogCodec.INFO, "stop", "done"))
     if recorder.failure:
@@ -100,19 +118,26 @@ def main():
             make(path, args.seconds)
             print(f"recorded in {time.perf_counter() - start:.0f} s")
         from liegroup_sim_ros.recording.reader import read_recording
+
         million = sum(read_recording(path).topics.values()) / 1e6
         print(f"{million:.3f} million messages, {path.stat().st_size / 2**20:.0f} MiB\n")
         print(f"{'':26}{'wall s':>9}{'cpu s':>9}{'peak MB':>9}{'s / 1e6':>9}{'MB / 1e6':>10}")
         base = None
         for name, code in PARTS.items():
-            done = subprocess.run([sys.executable, "-c", CHILD.format(code=code), str(path)],
-                                  stdout=subprocess.PIPE, text=True)
+            done = subprocess.run(
+                [sys.executable, "-c", CHILD.format(code=code), str(path)],
+                stdout=subprocess.PIPE,
+                text=True,
+            )
             if done.returncode:
                 sys.exit(f"{name} failed")
             wall, cpu, peak = json.loads(done.stdout.splitlines()[-1])
             base = peak if base is None else base
-            print(f"{name:26}{wall:9.1f}{cpu:9.1f}{peak:9.0f}{wall / million:9.2f}"
-                  f"{(peak - base) / million:10.1f}", flush=True)
+            print(
+                f"{name:26}{wall:9.1f}{cpu:9.1f}{peak:9.0f}{wall / million:9.2f}"
+                f"{(peak - base) / million:10.1f}",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

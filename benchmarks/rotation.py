@@ -9,6 +9,7 @@ Prints for the free body and the Lagrangian top of the chapter
     momentum (of the top: about the vertical) there, and the exponent with which its error grows
     with the steps: 1/2 is a random walk of roundings, 1 the same rounding again and again
 """
+
 import argparse
 
 import numpy as np
@@ -19,8 +20,8 @@ from timing import seconds_of_step
 from liegroup_core import Simulation, SimulationError, load_scene
 from liegroup_core.integrators.methods import METHODS
 
-SCENES = {"free_body": 0.05, "lagrangian_top": 1e-4}        # and the step of the long run, s
-SAMPLES = 60                                                # of a long run, evenly in log steps
+SCENES = {"free_body": 0.05, "lagrangian_top": 1e-4}  # and the step of the long run, s
+SAMPLES = 60  # of a long run, evenly in log steps
 
 
 def nanoseconds(scene, step, method, steps=100_000, repeat=7):
@@ -41,8 +42,9 @@ def long_run(scene, step, method, steps):
         simulation.advance(int(count) - simulation.steps)
         sample = simulation.sample()
         energy.append(sample.energy / start.energy - 1.0)
-        momentum.append(np.linalg.norm((sample.spatial_momentum - start.spatial_momentum)[parts])
-                        / size)
+        momentum.append(
+            np.linalg.norm((sample.spatial_momentum - start.spatial_momentum)[parts]) / size
+        )
     return counts, np.array(energy), np.array(momentum)
 
 
@@ -56,15 +58,30 @@ def main():
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--steps", type=int, default=10_000_000)
-    parser.add_argument("--method", nargs="*", metavar="NAME", default=[
-        name for name, method in METHODS.items() if method.family == "rotation"] + ["rkmk4"])
+    parser.add_argument(
+        "--method",
+        nargs="*",
+        metavar="NAME",
+        default=[name for name, method in METHODS.items() if method.family == "rotation"]
+        + ["rkmk4"],
+    )
     options = parser.parse_args()
     console = Console(width=130)
     for scene, step in SCENES.items():
-        table = Table(title=f"{scene}, h = {step:g} s, {options.steps} steps", box=None,
-                      title_justify="left")
-        for column in ("method", "ns a step", "energy, 1/100", "1/10", "the end",
-                       "momentum, 1/100", "1/10", "the end", "exponent"):
+        table = Table(
+            title=f"{scene}, h = {step:g} s, {options.steps} steps", box=None, title_justify="left"
+        )
+        for column in (
+            "method",
+            "ns a step",
+            "energy, 1/100",
+            "1/10",
+            "the end",
+            "momentum, 1/100",
+            "1/10",
+            "the end",
+            "exponent",
+        ):
             table.add_column(column, justify="left" if column == "method" else "right")
         for method in options.method:
             try:
@@ -74,9 +91,13 @@ def main():
                 table.add_row(method, str(error))
                 continue
             at = [np.argmin(abs(counts - options.steps / part)) for part in (100, 10, 1)]
-            table.add_row(method, f"{cost:.0f}", *(f"{energy[k]:.1e}" for k in at),
-                          *(f"{momentum[k]:.1e}" for k in at),
-                          f"{exponent(counts, momentum):.2f}")
+            table.add_row(
+                method,
+                f"{cost:.0f}",
+                *(f"{energy[k]:.1e}" for k in at),
+                *(f"{momentum[k]:.1e}" for k in at),
+                f"{exponent(counts, momentum):.2f}",
+            )
         console.print(table)
 
 

@@ -6,6 +6,7 @@
 Prints medians with the fastest and slowest run. Nothing is asserted here: figures depend on the
 machine and on what else it does.
 """
+
 import argparse
 import os
 import statistics
@@ -22,10 +23,13 @@ from liegroup_core import Simulation, load_scene
 
 STEPS = 20_000
 # Simulations that together use all kernels there are.
-FAMILIES = {"bodies in space": ("heavy_top", "rkmk4"), "bodies in a plane": ("four_bar", "rkmk4"),
-            "generalized_alpha": ("four_bar", "generalized_alpha"),
-            "constrained_rattle": ("four_bar", "constrained_rattle"),
-            "rotation methods": ("lagrangian_top", "rattle")}
+FAMILIES = {
+    "bodies in space": ("heavy_top", "rkmk4"),
+    "bodies in a plane": ("four_bar", "rkmk4"),
+    "generalized_alpha": ("four_bar", "generalized_alpha"),
+    "constrained_rattle": ("four_bar", "constrained_rattle"),
+    "rotation methods": ("lagrangian_top", "rattle"),
+}
 START = """
 import sys, time
 start = time.process_time()
@@ -53,16 +57,21 @@ def start_up_seconds(cache, *names):
     """CPU seconds from `import` to ready simulations in a new process with this cache folder."""
     run = subprocess.run(
         [sys.executable, "-c", START, *(" ".join(FAMILIES[name]) for name in names)],
-        capture_output=True, text=True, check=True,
-        env={**os.environ, "LIEGROUP_CACHE_DIR": cache})
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, "LIEGROUP_CACHE_DIR": cache},
+    )
     return float(run.stdout)
 
 
 def start_up(*names):
     """CPU seconds of a first start and of a later one, median of 5."""
     with tempfile.TemporaryDirectory() as cache:
-        return (start_up_seconds(cache, *names),
-                statistics.median(start_up_seconds(cache, *names) for _ in range(5)))
+        return (
+            start_up_seconds(cache, *names),
+            statistics.median(start_up_seconds(cache, *names) for _ in range(5)),
+        )
 
 
 def bytes_allocated(steps):
@@ -88,8 +97,13 @@ def main():
     for scene in ("heavy_top", "free_body", "double_pendulum"):
         for group in ("se3", "so3xr3"):
             times = microseconds_per_step(scene, group, options.repeat)
-            table.add_row(scene, group, f"{statistics.median(times):.3f}", f"{min(times):.3f}",
-                          f"{max(times):.3f}")
+            table.add_row(
+                scene,
+                group,
+                f"{statistics.median(times):.3f}",
+                f"{min(times):.3f}",
+                f"{max(times):.3f}",
+            )
     console = Console()
     console.print(table)
     table = Table(title="Start, CPU s from import to a ready simulation")
@@ -99,8 +113,10 @@ def main():
         cold, warm = start_up(*names)
         table.add_row(title, f"{cold:.1f}", f"{warm:.2f}")
     console.print(table)
-    console.print(f"bytes allocated by 1000 steps {bytes_allocated(1000)}, "
-                  f"by 100000 steps {bytes_allocated(100_000)}")
+    console.print(
+        f"bytes allocated by 1000 steps {bytes_allocated(1000)}, "
+        f"by 100000 steps {bytes_allocated(100_000)}"
+    )
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@
 Rates are of wall time, so on a machine that does nothing else; CPU times, of all processes
 together, hold on a busy one too. What docs/sweep.md says of sizing a cluster is made of these.
 """
+
 import argparse
 import os
 import resource
@@ -57,7 +58,8 @@ def tasks(count):
 
 def sweeping(runs, workers):
     """(wall s, wall s from the second result on, runs in that time, CPU s of the runs, CPU s of
-    all, result) of a sweep."""
+    all, result) of a sweep.
+    """
     sweep = Sweep.of(load_scene("heavy_top"), [VARY], runs, STEPS, settings={"step": 1e-3})
     start, used, first, pieces = time.perf_counter(), cpu(), None, []
     for columns in sweep.run(range(runs), workers=workers):
@@ -67,9 +69,14 @@ def sweeping(runs, workers):
             first = time.perf_counter()
     end, count = time.perf_counter(), runs - sum(len(piece["run"]) for piece in pieces[:2])
     pieces.sort(key=lambda piece: piece["run"][0])
-    return (end - start, end - first, count,
-            sum(piece["cpu_s"].sum() for piece in pieces), cpu() - used,
-            np.concatenate([piece["top.x"] for piece in pieces]))
+    return (
+        end - start,
+        end - first,
+        count,
+        sum(piece["cpu_s"].sum() for piece in pieces),
+        cpu() - used,
+        np.concatenate([piece["top.x"] for piece in pieces]),
+    )
 
 
 def main():
@@ -80,23 +87,31 @@ def main():
     print(f"CPU time of a run of {STEPS} steps, rkmk4, with 10 looks at energy and joints")
     for name in SCENES:
         least, all_ = costs(name)
-        print(f"  {name:16s} {all_ * 1e3:7.2f} ms, "
-              f"of which {least * 1e3:6.2f} ms without the steps")
+        print(
+            f"  {name:16s} {all_ * 1e3:7.2f} ms, of which {least * 1e3:6.2f} ms without the steps"
+        )
     few = tasks(2)
     task = (tasks(TASKS) - few) / (TASKS - 2)
-    print(f"two workers start and end in {few[0]:.1f} s, {few[1]:.1f} s of CPU time; a task takes "
-          f"{task[0] * 1e3:.2f} ms, {task[1] * 1e3:.2f} ms of CPU time, more than its work")
+    print(
+        f"two workers start and end in {few[0]:.1f} s, {few[1]:.1f} s of CPU time; a task takes "
+        f"{task[0] * 1e3:.2f} ms, {task[1] * 1e3:.2f} ms of CPU time, more than its work"
+    )
     found = {workers: sweeping(runs, workers) for workers in (1, 2)}
     same = np.array_equal(found[1][-1], found[2][-1])
-    print(f"{runs} runs of heavy_top, {os.cpu_count()} cores; "
-          f"{'the same bits' if same else 'DIFFER'}")
+    print(
+        f"{runs} runs of heavy_top, {os.cpu_count()} cores; {'the same bits' if same else 'DIFFER'}"
+    )
     print("workers   wall s   runs/s   runs/s without the start   CPU s of runs   of all")
     for workers, (wall, rest, count, own, used, _) in found.items():
-        print(f"{workers:7d} {wall:8.1f} {runs / wall:8.0f} {count / rest:26.0f} {own:15.1f} "
-              f"{used:8.1f}")
+        print(
+            f"{workers:7d} {wall:8.1f} {runs / wall:8.0f} {count / rest:26.0f} {own:15.1f} "
+            f"{used:8.1f}"
+        )
     rates = {workers: entry[2] / entry[1] for workers, entry in found.items()}
-    print(f"efficiency of two: {found[1][0] / found[2][0] / 2:.2f}, without the start "
-          f"{rates[2] / rates[1] / 2:.2f}")
+    print(
+        f"efficiency of two: {found[1][0] / found[2][0] / 2:.2f}, without the start "
+        f"{rates[2] / rates[1] / 2:.2f}"
+    )
     print(f"two processes that share nothing keep {speed_kept():.2f} of their speed here")
 
 

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """How long a step of a simulation takes, and what two processes at once can have."""
+
 import statistics
 import subprocess
 import sys
@@ -33,14 +34,22 @@ def speed_kept(rounds=3):
 
     Cores share a clock and a memory, virtual ones more: two workers cannot have more than this.
     """
+
     def seconds(count):
-        processes = [subprocess.Popen([sys.executable, "-c", STEPPING], text=True,
-                                      stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-                     for _ in range(count)]
+        processes = [
+            subprocess.Popen(
+                [sys.executable, "-c", STEPPING],
+                text=True,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+            )
+            for _ in range(count)
+        ]
         for process in processes:
-            process.stdout.readline()           # it is ready
+            process.stdout.readline()  # it is ready
         for process in processes:
             process.stdin.write("\n")
             process.stdin.flush()
         return statistics.mean(float(process.communicate()[0]) for process in processes)
+
     return statistics.median(seconds(1) / seconds(2) for _ in range(rounds))

@@ -6,6 +6,7 @@
 Prints ||R - Rref||_F at 1 s and the time taken: the least of several runs, as other load on the
 machine only adds to it. Methods with error control run over one step of 1 s.
 """
+
 import argparse
 import time
 
@@ -17,10 +18,13 @@ from liegroup_core import Simulation, SimulationError, load_scene
 from liegroup_core.integrators.methods import METHODS
 
 # Taylor series in 45 digits.
-R_1 = np.array([
-    [0.22929964080360759, 0.17334396409838604, 0.95779619170155087],
-    [-0.76534074220468094, 0.64008859207056878, 0.067380580456872719],
-    [-0.60139439891715374, -0.74849079113358131, 0.27943928238402867]])
+R_1 = np.array(
+    [
+        [0.22929964080360759, 0.17334396409838604, 0.95779619170155087],
+        [-0.76534074220468094, 0.64008859207056878, 0.067380580456872719],
+        [-0.60139439891715374, -0.74849079113358131, 0.27943928238402867],
+    ]
+)
 STEPS = (1e-2, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4)
 TOLERANCES = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 
@@ -52,14 +56,20 @@ def main():
         method = METHODS[name]
         controlled = method.coefficients is not None and method.tableau.e is not None
         for value in TOLERANCES if controlled else STEPS:
-            settings = ({"step": 1.0, "rtol": value, "atol": value} if controlled
-                        else {"step": value})
+            settings = (
+                {"step": 1.0, "rtol": value, "atol": value} if controlled else {"step": value}
+            )
             try:
                 error, seconds, steps = measure(options.repeat, method=name, **settings)
             except SimulationError:
-                continue            # a step too large for this method: that is said in its message
-            table.add_row(name, f"{value:g}", f"{error:.1e}", f"{1e3 * seconds:.3f}",
-                          f"{1e6 * seconds / steps:.2f}")
+                continue  # a step too large for this method: that is said in its message
+            table.add_row(
+                name,
+                f"{value:g}",
+                f"{error:.1e}",
+                f"{1e3 * seconds:.3f}",
+                f"{1e6 * seconds / steps:.2f}",
+            )
     Console().print(table)
 
 

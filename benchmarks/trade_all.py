@@ -9,6 +9,7 @@ ended goes on; to measure costs anew, remove the folder `trades` in the cache fo
 (~/.cache/liegroup_core, or LIEGROUP_CACHE_DIR). Then, for each scene and accuracy, the setting
 that `accuracy` chooses is run and held against the truth at other instants than the trade's.
 """
+
 import argparse
 import json
 import os
@@ -31,7 +32,7 @@ from liegroup_sim_ros.report.trade_figures import document_part
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA, PAGE = ROOT / "docs" / "which_method.json", ROOT / "docs" / "which_method.md"
-INSTANTS = 1000             # at most, of a horizon, at which a promise is looked at
+INSTANTS = 1000  # at most, of a horizon, at which a promise is looked at
 
 
 def measure(scene, methods, workers, budget):
@@ -74,27 +75,46 @@ def promises(scene, trade):
         rows = np.searchsorted(times, [row[0] for row in motion])
         poses = np.array([row[1] for row in motion])
         k, n = poses.shape[:2]
-        off = distance(Trajectory(times[rows], poses[..., :9].reshape(k, n, 3, 3), poses[..., 9:],
-                                  np.array([row[2] for row in motion])),
-                       Trajectory(*(part[rows] for part in true)))
-        entry |= {"measured": scaled(off.position, off.angle, trade.truth.length),
-                  "known": known, "instants": k}
+        off = distance(
+            Trajectory(
+                times[rows],
+                poses[..., :9].reshape(k, n, 3, 3),
+                poses[..., 9:],
+                np.array([row[2] for row in motion]),
+            ),
+            Trajectory(*(part[rows] for part in true)),
+        )
+        entry |= {
+            "measured": scaled(off.position, off.angle, trade.truth.length),
+            "known": known,
+            "instants": k,
+        }
     return found
 
 
 def condensed(part):
     """A part with those cells alone that stand in one of its lists."""
-    wanted = sorted({*part["front"], *(entry["cell"] for entry in part["cheapest"]
-                                       if entry["cell"] is not None)})
+    wanted = sorted(
+        {
+            *part["front"],
+            *(entry["cell"] for entry in part["cheapest"] if entry["cell"] is not None),
+        }
+    )
     place = {k: i for i, k in enumerate(wanted)}
     stopped = sum(bool(cell["stopped"]) for cell in part["cells"])
     flagged = sum(bool(cell.get("flagged")) for cell in part["cells"])
     return part | {
-        "settings": len(part["cells"]), "stopped": stopped, "flagged": flagged,
-        "methods": trade_page.by_method(part), "cells": [part["cells"][k] for k in wanted],
+        "settings": len(part["cells"]),
+        "stopped": stopped,
+        "flagged": flagged,
+        "methods": trade_page.by_method(part),
+        "cells": [part["cells"][k] for k in wanted],
         "front": [place[k] for k in part["front"]],
-        "cheapest": [entry | {"cell": None if entry["cell"] is None else place[entry["cell"]]}
-                     for entry in part["cheapest"]]}
+        "cheapest": [
+            entry | {"cell": None if entry["cell"] is None else place[entry["cell"]]}
+            for entry in part["cheapest"]
+        ],
+    }
 
 
 def main():
@@ -103,13 +123,20 @@ def main():
     parser.add_argument("--write", action="store_true", help="only write the page again")
     parser.add_argument("--workers", type=int, help="processes (default: one for each core)")
     parser.add_argument("--methods", nargs="+", help="default: all that fit")
-    parser.add_argument("--budget", type=float, default=BUDGET,
-                        help="CPU seconds of a run at most (default: %(default)g)")
+    parser.add_argument(
+        "--budget",
+        type=float,
+        default=BUDGET,
+        help="CPU seconds of a run at most (default: %(default)g)",
+    )
     parser.add_argument("scenes", nargs="*", help="these alone; the others stay as they are")
     args = parser.parse_args()
-    accuracy.BUDGET = args.budget           # a choice measures no more than that
-    known = {part["scene"]: part for part in json.loads(DATA.read_text())["scenes"]} \
-        if DATA.exists() else {}
+    accuracy.BUDGET = args.budget  # a choice measures no more than that
+    known = (
+        {part["scene"]: part for part in json.loads(DATA.read_text())["scenes"]}
+        if DATA.exists()
+        else {}
+    )
     names = args.scenes or sorted(path.stem for path in (ROOT / "config/scenes").glob("*.yaml"))
     for name in () if args.write else names:
         print(name, flush=True)
@@ -117,8 +144,9 @@ def main():
         trade, part = measure(scene, args.methods, args.workers, args.budget)
         known[name] = condensed(part) | {"promises": promises(scene, trade)}
         parts = [known[key] for key in sorted(known)]
-        DATA.write_text(json.dumps({"format": 1, "scenes": parts}, indent=1, allow_nan=False)
-                        + "\n")
+        DATA.write_text(
+            json.dumps({"format": 1, "scenes": parts}, indent=1, allow_nan=False) + "\n"
+        )
     PAGE.write_text(trade_page.text(json.loads(DATA.read_text())["scenes"]))
     print(f"wrote {PAGE}")
 

@@ -14,6 +14,7 @@ Prints for a chain of three ball joints that swings chaotically
              start, both as parts of the energy that is at play, the largest kinetic one
 Each is compiled anew, in a cache of its own: some minutes.
 """
+
 import argparse
 import os
 import subprocess
@@ -23,8 +24,8 @@ import tempfile
 import numpy as np
 
 TURNS = ("variational", "Lie midpoint", "Moser-Veselov")
-STEP = 4e-3                                 # s
-SHORT = (4e-3, 2e-3, 1e-3)                  # s, steps for the error
+STEP = 4e-3  # s
+SHORT = (4e-3, 2e-3, 1e-3)  # s, steps for the error
 SAMPLES = 2000
 
 
@@ -55,14 +56,30 @@ def chain():
 
     names = ("a", "b", "c")
     return Scene(
-        name="chain", gravity=(0.0, 0.0, -9.81),
-        bodies=[Body(name=name, mass=1.0, inertia=(0.02, 0.05, 0.06), position=(k + 0.5, 0.1, 0.0),
-                     angular_velocity=(8.0 if name == "c" else 0.0, 0.0, 0.0))
-                for k, name in enumerate(names)],
-        joints=[Joint(name=f"ball_{name}", type="spherical", parent=before, child=name,
-                      parent_frame=Frame(position=(0.0, 0.1, 0.0) if k == 0 else (0.5, 0.0, 0.0)),
-                      child_frame=Frame(position=(-0.5, 0.0, 0.0)))
-                for k, (before, name) in enumerate(zip(("world", *names), names))])
+        name="chain",
+        gravity=(0.0, 0.0, -9.81),
+        bodies=[
+            Body(
+                name=name,
+                mass=1.0,
+                inertia=(0.02, 0.05, 0.06),
+                position=(k + 0.5, 0.1, 0.0),
+                angular_velocity=(8.0 if name == "c" else 0.0, 0.0, 0.0),
+            )
+            for k, name in enumerate(names)
+        ],
+        joints=[
+            Joint(
+                name=f"ball_{name}",
+                type="spherical",
+                parent=before,
+                child=name,
+                parent_frame=Frame(position=(0.0, 0.1, 0.0) if k == 0 else (0.5, 0.0, 0.0)),
+                child_frame=Frame(position=(-0.5, 0.0, 0.0)),
+            )
+            for k, (before, name) in enumerate(zip(("world", *names), names))
+        ],
+    )
 
 
 def measure(steps):
@@ -78,19 +95,24 @@ def measure(steps):
         simulation = Simulation(scene, method="constrained_rattle", step=step)
         simulation.advance(round(1.0 / step))
         pose = simulation.state()[0]
-        errors.append(max(np.abs(pose[:, :9] - reference.rotation[0].reshape(-1, 9)).max(),
-                          np.abs(pose[:, 9:] - reference.position[0]).max()))
+        errors.append(
+            max(
+                np.abs(pose[:, :9] - reference.rotation[0].reshape(-1, 9)).max(),
+                np.abs(pose[:, 9:] - reference.position[0]).max(),
+            )
+        )
     simulation = Simulation(scene, method="constrained_rattle", step=STEP)
     first, energy, kinetic = simulation.energy(), [], []
     for k in range(SAMPLES):
         simulation.advance(steps // SAMPLES)
         sample = simulation.sample()
         energy.append(sample.energy - first)
-        kinetic.append(sample.energy - 9.81 * sample.pose[:, 11].sum())    # of 1 kg each
+        kinetic.append(sample.energy - 9.81 * sample.pose[:, 11].sum())  # of 1 kg each
     size = max(kinetic)
     energy = np.array(energy) / size
-    print(*(f"{error:.2e}" for error in errors), f"{energy.std():.2e}",
-          f"{np.abs(energy).max():.2e}")
+    print(
+        *(f"{error:.2e}" for error in errors), f"{energy.std():.2e}", f"{np.abs(energy).max():.2e}"
+    )
 
 
 def main():
@@ -103,14 +125,20 @@ def main():
         put(options.turn)
         measure(options.steps)
         return
-    print("turn             error at", *(f"{step:g} s" for step in SHORT),
-          f"scatter and largest deviation at {STEP:g} s, {options.steps} steps")
+    print(
+        "turn             error at",
+        *(f"{step:g} s" for step in SHORT),
+        f"scatter and largest deviation at {STEP:g} s, {options.steps} steps",
+    )
     for turn in TURNS:
         with tempfile.TemporaryDirectory() as folder:
             found = subprocess.run(
                 [sys.executable, __file__, "--turn", turn, "--steps", str(options.steps)],
-                env={**os.environ, "LIEGROUP_CACHE_DIR": folder}, check=True, text=True,
-                stdout=subprocess.PIPE).stdout
+                env={**os.environ, "LIEGROUP_CACHE_DIR": folder},
+                check=True,
+                text=True,
+                stdout=subprocess.PIPE,
+            ).stdout
         print(f"{turn:16} {found.strip()}", flush=True)
 
 

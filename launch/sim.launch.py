@@ -4,6 +4,7 @@
 ros2 launch liegroup_sim_ros sim.launch.py scene:=heavy_top record:=/tmp/run.mcap
 ros2 launch liegroup_sim_ros sim.launch.py preset:=show rviz:=true
 """
+
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
@@ -18,8 +19,10 @@ PACKAGE = "liegroup_sim_ros"
 ARGUMENTS = {
     "scene": ("", "scene file, or name of a scene that comes along; empty: that of the preset"),
     "record": ("", "file to record to, *.mcap, or an existing folder; empty: as in the preset"),
-    "frame_prefix": ("", "what the frames of the bodies begin with, as robot1/; empty: as in the "
-                     "preset"),
+    "frame_prefix": (
+        "",
+        "what the frames of the bodies begin with, as robot1/; empty: as in the preset",
+    ),
     "preset": ("default", "which file of config/ has the other parameters, such as show"),
     "namespace": ("", "namespace of the node"),
     "clock_topic": ("/clock", "where /clock goes: a second simulation needs another name"),
@@ -34,15 +37,27 @@ PARAMETERS = ("scene", "record", "frame_prefix")
 def _simulation(context):
     """The simulation node."""
     # Texts, also where they look like numbers.
-    given = {name: ParameterValue(text, value_type=str) for name in PARAMETERS
-             if (text := LaunchConfiguration(name).perform(context))}
-    return [Node(
-        package=PACKAGE, executable="sim_node", name="sim_node", output="screen",
-        namespace=LaunchConfiguration("namespace"),
-        remappings=[("/clock", LaunchConfiguration("clock_topic")),
-                    ("/tf", LaunchConfiguration("tf_topic"))],
-        parameters=[LaunchConfiguration("params_file"), given] if given else
-                   [LaunchConfiguration("params_file")])]
+    given = {
+        name: ParameterValue(text, value_type=str)
+        for name in PARAMETERS
+        if (text := LaunchConfiguration(name).perform(context))
+    }
+    return [
+        Node(
+            package=PACKAGE,
+            executable="sim_node",
+            name="sim_node",
+            output="screen",
+            namespace=LaunchConfiguration("namespace"),
+            remappings=[
+                ("/clock", LaunchConfiguration("clock_topic")),
+                ("/tf", LaunchConfiguration("tf_topic")),
+            ],
+            parameters=[LaunchConfiguration("params_file"), given]
+            if given
+            else [LaunchConfiguration("params_file")],
+        )
+    ]
 
 
 def generate_launch_description():
@@ -51,16 +66,29 @@ def generate_launch_description():
     config = [FindPackageShare(PACKAGE), "/config/"]
     preset = [*config, LaunchConfiguration("preset"), ".yaml"]
     markers = [LaunchConfiguration("namespace"), "/sim_node/markers"]
-    return LaunchDescription([
-        *(DeclareLaunchArgument(name, default_value=default, description=text)
-          for name, (default, text) in ARGUMENTS.items()),
-        DeclareLaunchArgument("params_file", default_value=preset,
-                              description="file with all other parameters, in place of preset"),
-        OpaqueFunction(function=_simulation),
-        Node(package="rviz2", executable="rviz2",
-             condition=IfCondition(LaunchConfiguration("rviz")),
-             arguments=["-d", [*config, "scene.rviz"]],
-             remappings=[("/sim_node/markers", markers)]),
-        Node(package="foxglove_bridge", executable="foxglove_bridge",
-             condition=IfCondition(LaunchConfiguration("foxglove"))),
-    ])
+    return LaunchDescription(
+        [
+            *(
+                DeclareLaunchArgument(name, default_value=default, description=text)
+                for name, (default, text) in ARGUMENTS.items()
+            ),
+            DeclareLaunchArgument(
+                "params_file",
+                default_value=preset,
+                description="file with all other parameters, in place of preset",
+            ),
+            OpaqueFunction(function=_simulation),
+            Node(
+                package="rviz2",
+                executable="rviz2",
+                condition=IfCondition(LaunchConfiguration("rviz")),
+                arguments=["-d", [*config, "scene.rviz"]],
+                remappings=[("/sim_node/markers", markers)],
+            ),
+            Node(
+                package="foxglove_bridge",
+                executable="foxglove_bridge",
+                condition=IfCondition(LaunchConfiguration("foxglove")),
+            ),
+        ]
+    )

@@ -3,6 +3,7 @@
 
 Facts as JSON types, found without taking a step; nothing here depends on the machine.
 """
+
 from liegroup_core.joints.elements import PAIR, WORLD
 from liegroup_core.model.sparsity import operations
 from liegroup_core.model.symmetry import body_groups, conserved_momentum
@@ -41,24 +42,42 @@ def describe(layout):
         rows[scene.joints[owner].name] += names
     only_pairs = bool((model.elements["kind"] == PAIR).all())
     return {
-        "scene": scene.name, "description": scene.description, "gravity": list(scene.gravity),
-        "bodies": [{"name": body.name, "mass": float(mass)}
-                   for body, mass in zip(scene.bodies, model.bodies["mass"])],
-        "joints": [{"name": joint.name, "type": joint.type, "parent": joint.parent,
-                    "child": joint.child, "rows": rows[joint.name],
-                    "dropped": [row for name, row in dropped if name == joint.name]}
-                   for joint in scene.joints],
-        "forces": [{"name": force.name, "type": force.type, "on": _acts_on(force)}
-                   for force in scene.forces],
+        "scene": scene.name,
+        "description": scene.description,
+        "gravity": list(scene.gravity),
+        "bodies": [
+            {"name": body.name, "mass": float(mass)}
+            for body, mass in zip(scene.bodies, model.bodies["mass"])
+        ],
+        "joints": [
+            {
+                "name": joint.name,
+                "type": joint.type,
+                "parent": joint.parent,
+                "child": joint.child,
+                "rows": rows[joint.name],
+                "dropped": [row for name, row in dropped if name == joint.name],
+            }
+            for joint in scene.joints
+        ],
+        "forces": [
+            {"name": force.name, "type": force.type, "on": _acts_on(force)}
+            for force in scene.forces
+        ],
         "degrees_of_freedom": 6 * len(model.bodies) - len(model.row_residual),
-        "rows": int(model.elements["rows"].sum()), "solved_rows": len(model.row_residual),
+        "rows": int(model.elements["rows"].sum()),
+        "solved_rows": len(model.row_residual),
         "dropped_rows": [list(entry) for entry in dropped],
         "plane": None if layout.plane is None else "xyz"[int(layout.plane.world[0, 6:].argmax())],
         "solve": solve_structure(model if layout.plane is None else layout.plane),
         "methods": fitting_methods(layout),
         "groups": [[scene.bodies[i].name for i in group] for group in body_groups(scene)],
-        "kept_momentum": [{"bodies": list(kept.bodies), "components": list(kept.labels)}
-                          for kept in conserved_momentum(scene)] if only_pairs else None,
+        "kept_momentum": [
+            {"bodies": list(kept.bodies), "components": list(kept.labels)}
+            for kept in conserved_momentum(scene)
+        ]
+        if only_pairs
+        else None,
     }
 
 
@@ -82,12 +101,17 @@ def solve_structure(model):
     factor, substitution = operations(model.vertices, model.columns, model.updates)
     numbers = len(model.constant)
     return {
-        "unknowns": unknowns, "vertices": len(model.vertices), "blocks": len(model.columns),
-        "fill": len(model.columns) - edges, "numbers": numbers,
-        "dense_share": numbers / unknowns ** 2,
+        "unknowns": unknowns,
+        "vertices": len(model.vertices),
+        "blocks": len(model.columns),
+        "fill": len(model.columns) - edges,
+        "numbers": numbers,
+        "dense_share": numbers / unknowns**2,
         "factor_flops": round(factor),
         "solve_flops": round(substitution * (1 + model.refinements)),
-        "constant": model.fresh == 0, "refinements": int(model.refinements)}
+        "constant": model.fresh == 0,
+        "refinements": int(model.refinements),
+    }
 
 
 def _acts_on(force):

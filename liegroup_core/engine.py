@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Engine: one scene integrated by one method with one step; advance, sample, apply wrenches."""
+
 import copy
 import logging
 import math
@@ -41,7 +42,7 @@ STABILISATIONS = ("none", "projection", "baumgarte")
 BAUMGARTE_STEPS = 10
 # Largest entry of R R^T - 1 of a state that is continued from.
 NO_ROTATION = 1e-6
-METHOD, STEP = "rkmk4", 1e-3                # if none is given; s
+METHOD, STEP = "rkmk4", 1e-3  # if none is given; s
 
 
 def _stabilised(model, kind, time, step):
@@ -53,10 +54,13 @@ def _stabilised(model, kind, time, step):
     elif kind != "baumgarte":
         raise ValueError(f"baumgarte_time goes with stabilisation 'baumgarte', not with {kind!r}")
     if not (isinstance(time, (int, float)) and math.isfinite(time) and time >= step):
-        raise ValueError("baumgarte_time must be a number of seconds, at least the step of "
-                         f"{step:g} s, got {time!r}")
-    return model.replace(projects=kind == "projection",
-                          baumgarte_rate=1.0 / time if kind == "baumgarte" else 0.0)
+        raise ValueError(
+            "baumgarte_time must be a number of seconds, at least the step of "
+            f"{step:g} s, got {time!r}"
+        )
+    return model.replace(
+        projects=kind == "projection", baumgarte_rate=1.0 / time if kind == "baumgarte" else 0.0
+    )
 
 
 class Engine:
@@ -89,8 +93,17 @@ class Engine:
 
     promise = None
 
-    def __init__(self, scene, method=None, step=None, group="auto", stabilisation="none",
-                 baumgarte_time=None, watch=True, **options):
+    def __init__(
+        self,
+        scene,
+        method=None,
+        step=None,
+        group="auto",
+        stabilisation="none",
+        baumgarte_time=None,
+        watch=True,
+        **options,
+    ):
         if not isinstance(scene, Scene):
             raise ValueError(f"expected a Scene, got {scene!r}: load_scene reads one from a file")
         method = METHOD if method is None else method
@@ -104,8 +117,9 @@ class Engine:
         self.options = check_options(method, options)
         self.stabilisation, self.baumgarte_time = stabilisation, baumgarte_time
         layout = make_layout(scene)
-        self.layout = replace(layout, model=_stabilised(
-            layout.model, stabilisation, baumgarte_time, self.step))
+        self.layout = replace(
+            layout, model=_stabilised(layout.model, stabilisation, baumgarte_time, self.step)
+        )
         self._integrator = make_integrator(method, self.layout, self.group, self.step, self.options)
         self._work, self._acting = self._integrator.work, None
         self._body = {name: i for i, name in enumerate(self.layout.body_names)}
@@ -117,15 +131,21 @@ class Engine:
         warm_up(self._touch, self._integrator.kernels)
 
     def __copy__(self):
-        return copy.deepcopy(self)          # two that share a state would be one
+        return copy.deepcopy(self)  # two that share a state would be one
 
     def _touch(self):
         """Call every kernel once, so that none is compiled later, in the middle of a run."""
         self.reset()
         self._advance(0)
         sample = self.sample()
-        return (sample.energy, sample.power, sample.spatial_momentum, sample.quaternions,
-                sample.rows, sample.constraint_residual)
+        return (
+            sample.energy,
+            sample.power,
+            sample.spatial_momentum,
+            sample.quaternions,
+            sample.rows,
+            sample.constraint_residual,
+        )
 
     def reset(self):
         """Back to the initial state of the scene, at step 0, without wrenches."""
@@ -145,22 +165,26 @@ class Engine:
         n = len(self._body)
         pose, twist = (np.array(given, dtype=float, order="C") for given in (pose, twist))
         if pose.shape != (n, 12) or twist.shape != (n, 6):
-            raise ValueError(f"expected a pose ({n}, 12) and a twist ({n}, 6), "
-                             f"got {pose.shape} and {twist.shape}")
+            raise ValueError(
+                f"expected a pose ({n}, 12) and a twist ({n}, 6), "
+                f"got {pose.shape} and {twist.shape}"
+            )
         if not (np.isfinite(pose).all() and np.isfinite(twist).all()):
             raise ValueError("the state has a number that is not finite")
         turned = pose[:, :9].reshape(n, 3, 3)
         off = np.abs(turned @ turned.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
         for i in np.flatnonzero((off > NO_ROTATION) | (np.linalg.det(turned) < 0.0)):
-            raise ValueError(f"the first nine numbers of the pose of {self.layout.body_names[i]} "
-                             "are no rotation matrix")
+            raise ValueError(
+                f"the first nine numbers of the pose of {self.layout.body_names[i]} "
+                "are no rotation matrix"
+            )
         k = len(self._work.angle)
         if angles is not None and (np.shape(angles) != (k,) or not np.isfinite(angles).all()):
             raise ValueError(f"expected {k} finite angles of torsional springs, got {angles!r}")
         self._work.angle[:] = self.layout.angles(pose, angles)
         self._pose, self._twist, self.steps = pose, twist, int(steps)
         self._schedule = WrenchSchedule(n)
-        self._external = np.zeros((n, 6))   # the same about the centres of mass
+        self._external = np.zeros((n, 6))  # the same about the centres of mass
         self._applied = []
         self.doubt = None
         self._watch.restart()
@@ -172,8 +196,10 @@ class Engine:
     def _remember(self, memory):
         arrays = self._integrator.memory
         if len(memory) != (size := sum(array.nbytes for array in arrays)):
-            raise ValueError(f"expected {size} bytes of memory of the method, got {len(memory)}: "
-                             "they are of another method or of another version")
+            raise ValueError(
+                f"expected {size} bytes of memory of the method, got {len(memory)}: "
+                "they are of another method or of another version"
+            )
         at = 0
         for array in arrays:
             array[...] = np.frombuffer(memory, array.dtype, array.size, at).reshape(array.shape)
@@ -296,53 +322,78 @@ class Engine:
         while True:
             for body in self._schedule.update(self.steps, self._pose):
                 self._external[body] = self.layout.offsets.wrench_at_centre(
-                    body, self._schedule.total[body])
-                self._applied.append(AppliedWrench(
-                    self.steps, self.layout.body_names[body],
-                    tuple(self._schedule.total[body].tolist())))
+                    body, self._schedule.total[body]
+                )
+                self._applied.append(
+                    AppliedWrench(
+                        self.steps,
+                        self.layout.body_names[body],
+                        tuple(self._schedule.total[body].tolist()),
+                    )
+                )
                 self._watch.pushed()
                 self._step_watch.pushed()
-            compares = (self.steps < end and len(self._timetable.parts(self.steps)) == 1
-                        and self._step_watch.begins(self.steps, self._pose, self._twist))
-            wanted = min(self.steps + 1 if compares else end, self._watch.next_look(self.steps),
-                         self._step_watch.next_look(self.steps),
-                         self._schedule.next_change(self.steps),
-                         self._timetable.next_change(self.steps)) - self.steps
+            compares = (
+                self.steps < end
+                and len(self._timetable.parts(self.steps)) == 1
+                and self._step_watch.begins(self.steps, self._pose, self._twist)
+            )
+            wanted = (
+                min(
+                    self.steps + 1 if compares else end,
+                    self._watch.next_look(self.steps),
+                    self._step_watch.next_look(self.steps),
+                    self._schedule.next_change(self.steps),
+                    self._timetable.next_change(self.steps),
+                )
+                - self.steps
+            )
             self._work.report[3] = WAIT if self._step_watch.waits(self.steps) else 0.0
             done, status = self._take(wanted)
             self.steps += done
             met = self._work.report[3] == MET
-            if getattr(self._integrator, "doubt", None):        # one line is enough
+            if getattr(self._integrator, "doubt", None):  # one line is enough
                 self._say(self._integrator.doubt)
                 self._integrator.doubt, compares = None, False
                 self._step_watch.rest()
             if done:
-                self._say(self._watch.look(self._pose, self.steps, self.time, status != OK,
-                                           compares))
+                self._say(
+                    self._watch.look(self._pose, self.steps, self.time, status != OK, compares)
+                )
             if done and compares:
-                self._say(self._step_watch.ends(self.steps, self._pose, self._twist,
-                                                self._external))
+                self._say(
+                    self._step_watch.ends(self.steps, self._pose, self._twist, self._external)
+                )
             elif done:
                 self._step_watch.glance(self.steps, self._pose, self._twist)
             if met:
                 self._step_watch.met(self.steps)
             if status != OK:
-                raise SimulationError(self._explain(status), status & 0xff)
+                raise SimulationError(self._explain(status), status & 0xFF)
             if self.steps >= end:
                 break
         if self._work.report[2] and not self._warned_singular:
             self._warned_singular = True
-            log.warning("a singular pose was met before t = %g s, where rows of joints depend on "
-                        "each other: what they leave open the masses decide. Where a mechanism only "
-                        "passes such a pose, stabilisation projection keeps its joints closed; "
-                        "where it always has one, take a redundant joint away", self.time)
-        if not self._warned and self._work.report[0] > LARGE_ROTATION ** 2:
+            log.warning(
+                "a singular pose was met before t = %g s, where rows of joints depend on "
+                "each other: what they leave open the masses decide. Where a mechanism only "
+                "passes such a pose, stabilisation projection keeps its joints closed; "
+                "where it always has one, take a redundant joint away",
+                self.time,
+            )
+        if not self._warned and self._work.report[0] > LARGE_ROTATION**2:
             self._warned = True
             turned = math.sqrt(self._work.report[0])
-            log.warning("%s, step %g s: a body turned by more than pi within one step (%.3g rad "
-                        "before t = %g s): the result is hardly accurate; that limit is at a step "
-                        "of %.2g s, take a smaller one", self.method, self.step, turned,
-                        self.time, LARGE_ROTATION / turned * self.step)
+            log.warning(
+                "%s, step %g s: a body turned by more than pi within one step (%.3g rad "
+                "before t = %g s): the result is hardly accurate; that limit is at a step "
+                "of %.2g s, take a smaller one",
+                self.method,
+                self.step,
+                turned,
+                self.time,
+                LARGE_ROTATION / turned * self.step,
+            )
 
     def _say(self, doubt):
         """Keep a doubt behind those before it, and log it; None is none."""
@@ -381,26 +432,32 @@ class Engine:
         joint = force = body = hint = ""
         # Of RATTLE the turn that was asked for, with the torque's part in it.
         angle = math.sqrt(self._work.report[1])
-        if status & 0xff == NO_RATTLE_STEP:
+        if status & 0xFF == NO_RATTLE_STEP:
             body = self.layout.body_names[status >> 8]
         # Where a wrench of the scene changes within the step, no smaller one is that of a run.
-        if (status & 0xff in (NO_RATTLE_STEP, NOT_CONVERGED)
-                and len(self._timetable.parts(self.steps)) == 1):
+        if (
+            status & 0xFF in (NO_RATTLE_STEP, NOT_CONVERGED)
+            and len(self._timetable.parts(self.steps)) == 1
+        ):
             works = step_that_works(self._integrator, self.step, *self.state(), self._external)
             hint = f": from here {works:g} s works" if works else ""
-        if status & 0xff == DEPENDENT_ROWS:
+        if status & 0xFF == DEPENDENT_ROWS:
             joint = self._joint_name(status >> 8)
-        if status & 0xff == TURNS_NOT_COUNTED:
+        if status & 0xFF == TURNS_NOT_COUNTED:
             springs = [f for f in self.scene.forces if f.type == "torsional_spring_damper"]
             force = springs[status >> 8].name
-        return (f"stopped at t = {self.time:.9g} s (step {self.steps}, h = {self.step:g} s): "
-                + MESSAGES[status & 0xff].format(
-                    joint=joint, force=force, body=body, angle=angle, hint=hint))
+        return (
+            f"stopped at t = {self.time:.9g} s (step {self.steps}, h = {self.step:g} s): "
+            + MESSAGES[status & 0xFF].format(
+                joint=joint, force=force, body=body, angle=angle, hint=hint
+            )
+        )
 
     def sample(self):
         """The present state as a Sample."""
-        return Sample(self.layout, self.time, self.time_ns, self.steps, *self.state(),
-                      self._work.angle.copy())
+        return Sample(
+            self.layout, self.time, self.time_ns, self.steps, *self.state(), self._work.angle.copy()
+        )
 
     def energy(self):
         """Kinetic energy plus potential energy of gravity and springs at the present state, J."""

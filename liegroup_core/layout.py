@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Layout: the names and frames behind the arrays of a model."""
+
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -26,14 +27,14 @@ class Layout:
     an applied wrench are the body frames of the scene.
     """
 
-    scene: Scene                            # as its author wrote it, but assembled
-    centred: Scene                          # the same with its frames at the centres of mass
-    offsets: Offsets                        # between the two
+    scene: Scene  # as its author wrote it, but assembled
+    centred: Scene  # the same with its frames at the centres of mass
+    offsets: Offsets  # between the two
     model: Model
-    joint_frames: tuple                     # (parent frame, child frame) of the joints of `centred`
-    owners: tuple                           # scene joint of each element of the model
-    row_names: tuple                        # names of the rows of each element
-    kept_rows: tuple                        # numbers of the rows of each element that are solved for
+    joint_frames: tuple  # (parent frame, child frame) of the joints of `centred`
+    owners: tuple  # scene joint of each element of the model
+    row_names: tuple  # names of the rows of each element
+    kept_rows: tuple  # numbers of the rows of each element that are solved for
 
     @cached_property
     def plane(self):
@@ -55,9 +56,12 @@ class Layout:
     @property
     def dropped_rows(self):
         """[(joint, row)] left out because they depend on others; rows are named wx..vz."""
-        return [(self.scene.joints[self.owners[e]].name, name)
-                for e, (names, kept) in enumerate(zip(self.row_names, self.kept_rows))
-                for r, name in enumerate(names) if r not in kept]
+        return [
+            (self.scene.joints[self.owners[e]].name, name)
+            for e, (names, kept) in enumerate(zip(self.row_names, self.kept_rows))
+            for r, name in enumerate(names)
+            if r not in kept
+        ]
 
     @cached_property
     def coordinates(self):
@@ -72,7 +76,8 @@ class Layout:
         """
         near = None if near is None else np.array(near)
         pose, twist = self.offsets.to_centres(
-            np.array(pose, dtype=float, order="C"), np.array(twist, dtype=float, order="C"))
+            np.array(pose, dtype=float, order="C"), np.array(twist, dtype=float, order="C")
+        )
         return Sample(self, time, time_ns, steps, pose, twist, near)
 
     def angles(self, pose, near=None):

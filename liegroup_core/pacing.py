@@ -8,6 +8,7 @@ caught up with; who is behind by more than CATCH_UP is anchored anew, and that i
 
 All times are in seconds, wall times from a monotonic clock. Lateness is reported in microseconds.
 """
+
 import math
 import time
 
@@ -32,20 +33,21 @@ class LatenessHistogram:
     """
 
     PER_DECADE = 32
-    LOWEST = 1e-7                           # s
+    LOWEST = 1e-7  # s
     DECADES = 9
 
     def __init__(self):
         self._counts = [0] * (self.PER_DECADE * self.DECADES)
         self.count = 0
-        self.largest = 0.0                  # s
+        self.largest = 0.0  # s
 
     def add(self, lateness):
         """Count one lateness in s."""
         bins = 0
         if lateness > self.LOWEST:
-            bins = min(int(math.log10(lateness / self.LOWEST) * self.PER_DECADE),
-                       len(self._counts) - 1)
+            bins = min(
+                int(math.log10(lateness / self.LOWEST) * self.PER_DECADE), len(self._counts) - 1
+            )
         self._counts[bins] += 1
         self.count += 1
         self.largest = max(self.largest, lateness)
@@ -63,8 +65,11 @@ class LatenessHistogram:
 
     def microseconds(self):
         """{"p50", "p99", "max"} in us."""
-        return {"p50": 1e6 * self.quantile(0.5), "p99": 1e6 * self.quantile(0.99),
-                "max": 1e6 * self.largest}
+        return {
+            "p50": 1e6 * self.quantile(0.5),
+            "p99": 1e6 * self.quantile(0.99),
+            "max": 1e6 * self.largest,
+        }
 
 
 class Pacer:
@@ -87,7 +92,7 @@ class Pacer:
         self.ticks = self.overruns = self.reanchored = 0
         self.lateness = LatenessHistogram()
         self._anchor = self._start = self._last = self._mark = (0.0, 0.0)
-        self._spans = (0.0, 0.0)            # simulated and wall seconds of the finished stretches
+        self._spans = (0.0, 0.0)  # simulated and wall seconds of the finished stretches
         self._factor_seen = 0.0
 
     def start(self, sim_time):
@@ -112,8 +117,10 @@ class Pacer:
             deadline = w0 + (sim_time - t0) / self.factor
             if deadline > now:
                 if deadline - now > WATCH:
-                    if (self._sleep(min(deadline - now - WATCH, longest))
-                            or deadline - self._clock() > WATCH):
+                    if (
+                        self._sleep(min(deadline - now - WATCH, longest))
+                        or deadline - self._clock() > WATCH
+                    ):
                         return False
                 while (now := self._clock()) < deadline:
                     pass
@@ -129,8 +136,9 @@ class Pacer:
 
     def _totals(self):
         """Simulated and wall seconds of all stretches, up to the last tick."""
-        return tuple(span + last - start
-                     for span, last, start in zip(self._spans, self._last, self._start))
+        return tuple(
+            span + last - start for span, last, start in zip(self._spans, self._last, self._start)
+        )
 
     def recent_factor(self):
         """Achieved real-time factor between the last ticks before this call and the one before."""
@@ -143,7 +151,12 @@ class Pacer:
     def report(self):
         """Account of all stretches, JSON types only; pauses count nowhere."""
         sim, wall = self._totals()
-        return {"ticks": self.ticks, "overruns": self.overruns, "reanchored": self.reanchored,
-                "lateness_us": self.lateness.microseconds(),
-                "real_time_factor": sim / wall if wall > 0.0 else 0.0,
-                "wall_seconds": wall, "sim_seconds": sim}
+        return {
+            "ticks": self.ticks,
+            "overruns": self.overruns,
+            "reanchored": self.reanchored,
+            "lateness_us": self.lateness.microseconds(),
+            "real_time_factor": sim / wall if wall > 0.0 else 0.0,
+            "wall_seconds": wall,
+            "sim_seconds": sim,
+        }

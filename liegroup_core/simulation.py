@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulation: a mechanism integrated with a given method and step, or to a given accuracy."""
+
 from liegroup_core.study.trade.accuracy import choose
 
 from .engine import Engine
@@ -20,20 +21,40 @@ class Simulation(Engine):
     method that does not fit the scene.
     """
 
-    def __init__(self, scene, method=None, step=None, group="auto", stabilisation="none",
-                 baumgarte_time=None, accuracy=None, horizon=None, watch=True, **options):
+    def __init__(
+        self,
+        scene,
+        method=None,
+        step=None,
+        group="auto",
+        stabilisation="none",
+        baumgarte_time=None,
+        accuracy=None,
+        horizon=None,
+        watch=True,
+        **options,
+    ):
         if accuracy is None:
             if horizon is not None:
                 raise ValueError("horizon goes with accuracy")
-            super().__init__(scene, method, step, group, stabilisation, baumgarte_time, watch,
-                             **options)
+            super().__init__(
+                scene, method, step, group, stabilisation, baumgarte_time, watch, **options
+            )
             return
         if not isinstance(scene, Scene):
             raise ValueError(f"expected a Scene, got {scene!r}: load_scene reads one from a file")
         if (method, step, group, stabilisation, baumgarte_time, options) != (
-                None, None, "auto", "none", None, {}):
-            raise ValueError("accuracy takes the place of method, step, group, stabilisation "
-                             "and their options: leave them away")
+            None,
+            None,
+            "auto",
+            "none",
+            None,
+            {},
+        ):
+            raise ValueError(
+                "accuracy takes the place of method, step, group, stabilisation "
+                "and their options: leave them away"
+            )
         choice = choose(scene, accuracy, horizon)
         super().__init__(scene, watch=watch, **choice.settings)
         self.promise = choice.promise

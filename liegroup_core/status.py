@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """How a run of steps ended: the codes that kernels return and what they mean to a user."""
+
 import math
 
 OK = 0
@@ -11,7 +12,7 @@ SUBSTEP_TOO_SMALL = 5
 TOO_MANY_SUBSTEPS = 6
 NOT_CONVERGED = 7
 NOT_PROJECTED = 8
-OFF_PLANE = 9               # not for a user: the same steps are taken in space
+OFF_PLANE = 9  # not for a user: the same steps are taken in space
 NO_RATTLE_STEP = 10
 DIVERGED = 11
 
@@ -25,24 +26,24 @@ HOPELESS_ROTATION = 1e3
 
 MESSAGES = {
     NOT_FINITE: "the state is no longer finite: the step is too large for this motion, or a force "
-                "is; take a smaller step",
+    "is; take a smaller step",
     ROTATION_TOO_LARGE: "a body would turn by nearly a full turn within one step, where the method "
-                        "has no solution; take a smaller step, or, where joints are next to a "
-                        "singular pose, stabilisation projection",
+    "has no solution; take a smaller step, or, where joints are next to a "
+    "singular pose, stabilisation projection",
     DEPENDENT_ROWS: "the rows of joint {joint} depend on those of other joints at this pose "
-                    "(a singular pose or a redundant joint)",
+    "(a singular pose or a redundant joint)",
     TURNS_NOT_COUNTED: "the joint of {force} turns by half a turn or more within one step, where "
-                       "its turns cannot be counted; take a smaller step",
+    "its turns cannot be counted; take a smaller step",
     SUBSTEP_TOO_SMALL: "the tolerance cannot be met by any substep: a force jumps, or the "
-                       "tolerance is below rounding; raise atol and rtol",
+    "tolerance is below rounding; raise atol and rtol",
     TOO_MANY_SUBSTEPS: "the tolerance asks for too many substeps within one step: take a smaller "
-                       "step or larger tolerances; for a stiff scene another method",
+    "step or larger tolerances; for a stiff scene another method",
     NOT_CONVERGED: "Newton's method does not solve the equations of an implicit step: it is too "
-                   "large for this motion, or the pose is singular; take a smaller step{hint}",
+    "large for this motion, or the pose is singular; take a smaller step{hint}",
     NOT_PROJECTED: "the joints cannot be closed again by small displacements: the step is too "
-                   "large for this motion; take a smaller step",
+    "large for this motion; take a smaller step",
     DIVERGED: "a body turns by more than a thousand rad within one step: the motion grows without "
-              "bound, the step is too large for its forces; take a smaller step",
+    "bound, the step is too large for its forces; take a smaller step",
     NO_RATTLE_STEP: "RATTLE has no solution for body {body}, which turns by {angle:.3g} rad in a "
-                    "step: that must stay below 1 rad; take a smaller step{hint}",
+    "step: that must stay below 1 rad; take a smaller step{hint}",
 }

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Numbers and names as text for people: tables, verdicts and pages use the same."""
+
 import math
 
-UNSURE = 0.1            # part of an error beyond which its uncertainty is told with it
+UNSURE = 0.1  # part of an error beyond which its uncertainty is told with it
 NO_NUMBER = ("not a number", "infinite")
 GROUPS = {"se3": "SE(3)", "so3xr3": "SO(3) x R^3"}
 
@@ -27,4 +28,5 @@ def error_text(entry):
     if 0.0 < uncertainty >= size:
         return f"{shown(uncertainty, entry['unit'])} (all the reference can tell)"
     return shown(size, entry["unit"]) + (
-        f" (± {shown(uncertainty, entry['unit'])})" if uncertainty > UNSURE * size else "")
+        f" (± {shown(uncertainty, entry['unit'])})" if uncertainty > UNSURE * size else ""
+    )

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the engine's kernels compute, as dense arrays that tests can compare."""
+
 import naive
 import numpy as np
 
@@ -26,14 +27,14 @@ def rows(simulation, pose=None, twist=None):
     J, bias = np.zeros((count, 6 * len(pose))), np.zeros(count)
     for j, joint in enumerate(model.joints):
         k, body = joint["rows"], 6 * joint["child"]
-        where = model.row_residual[joint["first"]:joint["first"] + k]
-        bias[where] = work.solution[joint["start"]:joint["start"] + k]
-        J[where, body:body + 6] = work.child_jacobian[joint["first"]:joint["first"] + k]
+        where = model.row_residual[joint["first"] : joint["first"] + k]
+        bias[where] = work.solution[joint["start"] : joint["start"] + k]
+        J[where, body : body + 6] = work.child_jacobian[joint["first"] : joint["first"] + k]
         if joint["parent"] >= 0:
             body = 6 * joint["parent"]
-            block = work.matrix[joint["parent_place"]:joint["parent_place"] + 6 * k]
+            block = work.matrix[joint["parent_place"] : joint["parent_place"] + 6 * k]
             block = block.reshape(6, k).T if joint["parent_turned"] else block.reshape(k, 6)
-            J[where, body:body + 6] = block
+            J[where, body : body + 6] = block
     return J, bias
 
 
@@ -41,6 +42,6 @@ def masses(scene):
     """Mass matrix (6 n, 6 n) of all bodies in their body frames."""
     M = np.zeros((6 * len(scene.bodies), 6 * len(scene.bodies)))
     for i, body in enumerate(scene.bodies):
-        M[6 * i:6 * i + 3, 6 * i:6 * i + 3] = body.inertia_matrix
-        M[6 * i + 3:6 * i + 6, 6 * i + 3:6 * i + 6] = body.mass * np.eye(3)
+        M[6 * i : 6 * i + 3, 6 * i : 6 * i + 3] = body.inertia_matrix
+        M[6 * i + 3 : 6 * i + 6, 6 * i + 3 : 6 * i + 6] = body.mass * np.eye(3)
     return M

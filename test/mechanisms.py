@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scenes made for tests: random mechanisms of every kind of joint, consistent by construction."""
+
 import functools
 
 import naive
@@ -36,9 +37,13 @@ def random_body(rng, name, pose):
     """A body with a full inertia matrix that keeps the triangle inequality."""
     points = rng.normal(size=(4, 3)) * 0.3
     inertia = sum(0.5 * ((p @ p) * np.eye(3) - np.outer(p, p)) for p in points)
-    return Body(name=name, mass=float(rng.uniform(0.5, 3.0)),
-                inertia=[*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2]],
-                position=pose[:3, 3], rotation_vector=SO3.log(pose[:3, :3]))
+    return Body(
+        name=name,
+        mass=float(rng.uniform(0.5, 3.0)),
+        inertia=[*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2]],
+        position=pose[:3, 3],
+        rotation_vector=SO3.log(pose[:3, :3]),
+    )
 
 
 def allowed_motion(rng, kind):
@@ -87,14 +92,31 @@ def mechanism(rng, links, springs=2, loops=()):
             poses[child] = random_pose(rng)
             continue
         at_parent, at_child = random_pose(rng, 0.4), random_pose(rng, 0.4)
-        poses[child] = (poses[parent] @ at_parent @ allowed_motion(rng, kind)
-                        @ np.linalg.inv(at_child))
-        joints.append(joint(kind, name=f"j{len(joints)}", parent=parent, child=child,
-                            parent_frame=frame(at_parent), child_frame=frame(at_child)))
+        poses[child] = (
+            poses[parent] @ at_parent @ allowed_motion(rng, kind) @ np.linalg.inv(at_child)
+        )
+        joints.append(
+            joint(
+                kind,
+                name=f"j{len(joints)}",
+                parent=parent,
+                child=child,
+                parent_frame=frame(at_parent),
+                child_frame=frame(at_child),
+            )
+        )
     for parent, child, kind in loops:
         keys = {"child_frame": frame(random_pose(rng, 0.5))} if kind == "distance" else {}
-        joints.append(joint(kind, name=f"j{len(joints)}", parent=parent, child=child,
-                            parent_frame=frame(random_pose(rng, 0.5)), **keys))
+        joints.append(
+            joint(
+                kind,
+                name=f"j{len(joints)}",
+                parent=parent,
+                child=child,
+                parent_frame=frame(random_pose(rng, 0.5)),
+                **keys,
+            )
+        )
     del poses["world"]
     bodies = [random_body(rng, name, pose) for name, pose in poses.items()]
     names = [*poses, "world"]
@@ -102,10 +124,18 @@ def mechanism(rng, links, springs=2, loops=()):
     for i in range(springs):
         parent, child = rng.choice(len(names)), rng.choice(len(bodies))
         if parent != child:
-            forces.append(SpringDamper(
-                name=f"s{i}", parent=names[parent], child=names[child],
-                parent_point=rng.normal(size=3), child_point=rng.normal(size=3),
-                stiffness=50.0, damping=float(i), rest_length=0.4 * i))
+            forces.append(
+                SpringDamper(
+                    name=f"s{i}",
+                    parent=names[parent],
+                    child=names[child],
+                    parent_point=rng.normal(size=3),
+                    child_point=rng.normal(size=3),
+                    stiffness=50.0,
+                    damping=float(i),
+                    rest_length=0.4 * i,
+                )
+            )
     scene = Scene(name="made", gravity=GRAVITY, bodies=bodies, joints=joints, forces=forces)
     return moving(rng, scene)
 
@@ -119,11 +149,19 @@ def moving(rng, scene):
     # The differences leave 1e-10: exact rows take the rest away.
     rows = exact_jacobian(scene)
     twists = twists.ravel() - np.linalg.pinv(rows) @ (rows @ twists.ravel())
-    bodies = [body.model_copy(update={"angular_velocity": tuple(twist[:3]),
-                                      "linear_velocity": tuple(twist[3:])})
-              for body, twist in zip(scene.bodies, twists.reshape(-1, 6))]
-    return Scene(name=scene.name, gravity=scene.gravity, bodies=bodies, joints=scene.joints,
-                 forces=scene.forces)
+    bodies = [
+        body.model_copy(
+            update={"angular_velocity": tuple(twist[:3]), "linear_velocity": tuple(twist[3:])}
+        )
+        for body, twist in zip(scene.bodies, twists.reshape(-1, 6))
+    ]
+    return Scene(
+        name=scene.name,
+        gravity=scene.gravity,
+        bodies=bodies,
+        joints=scene.joints,
+        forces=scene.forces,
+    )
 
 
 def exact_jacobian(scene):
@@ -131,76 +169,145 @@ def exact_jacobian(scene):
     index = {body.name: i for i, body in enumerate(scene.bodies)}
     poses = {body.name: body.pose for body in scene.bodies} | {"world": np.eye(4)}
     rows = [np.zeros((0, 6 * len(index)))]
-    for link, (at_parent, at_child), elements in zip(scene.joints, resolve_frames(scene),
-                                                     resolve_elements(scene)):
+    for link, (at_parent, at_child), elements in zip(
+        scene.joints, resolve_frames(scene), resolve_elements(scene)
+    ):
         relative = np.linalg.inv(poses[link.parent] @ at_parent) @ poses[link.child] @ at_child
         block = np.zeros((6, 6 * len(index)))
         if link.child in index:
             at = 6 * index[link.child]
-            block[:, at:at + 6] = SE3.Ad(np.linalg.inv(at_child))
+            block[:, at : at + 6] = SE3.Ad(np.linalg.inv(at_child))
         if link.parent in index:
             at = 6 * index[link.parent]
-            block[:, at:at + 6] = -SE3.Ad(np.linalg.inv(relative) @ np.linalg.inv(at_parent))
+            block[:, at : at + 6] = -SE3.Ad(np.linalg.inv(relative) @ np.linalg.inv(at_parent))
         rows.append(forbidden_rows(elements, relative) @ block)
     return np.concatenate(rows)
 
 
 def chain(n, kind="spherical", length=0.1, mass=0.1):
     """n equal rods along x, pinned to the world and to each other; hinges turn about y."""
-    inertia = (mass * length ** 2 / 600, mass * length ** 2 / 12, mass * length ** 2 / 12)
-    bodies = [Body(name=f"rod{i}", mass=mass, inertia=inertia,
-                   position=((i + 0.5) * length, 0, 0)) for i in range(n)]
+    inertia = (mass * length**2 / 600, mass * length**2 / 12, mass * length**2 / 12)
+    bodies = [
+        Body(name=f"rod{i}", mass=mass, inertia=inertia, position=((i + 0.5) * length, 0, 0))
+        for i in range(n)
+    ]
     names = ["world"] + [body.name for body in bodies]
-    joints = [Joint(name=f"pin{i}", type=kind, parent=names[i], child=names[i + 1],
-                    child_frame=Frame(position=(-length / 2, 0, 0), axis=(0, 1, 0)))
-              for i in range(n)]
+    joints = [
+        Joint(
+            name=f"pin{i}",
+            type=kind,
+            parent=names[i],
+            child=names[i + 1],
+            child_frame=Frame(position=(-length / 2, 0, 0), axis=(0, 1, 0)),
+        )
+        for i in range(n)
+    ]
     return Scene(name="chain", gravity=(0, 0, -9.81), bodies=bodies, joints=joints)
 
 
 def two_links(second_length):
     """Links of 1 m and `second_length` m on ball joints between ground points 2 m apart."""
-    angle = np.arccos((1 + 4 - second_length ** 2) / 4)
+    angle = np.arccos((1 + 4 - second_length**2) / 4)
     corner = np.array([np.cos(angle), np.sin(angle), 0.0])
     pin = np.array([2.0, 0.0, 0.0])
     other = np.arctan2(*(corner - pin)[[1, 0]])
     inertia = (0.05, 0.1, 0.1)
-    return Scene(name="links", gravity=(0, 0, -9.81), bodies=[
-        Body(name="first", mass=1.0, inertia=inertia, position=corner / 2,
-             rotation_vector=(0, 0, angle)),
-        Body(name="second", mass=1.0, inertia=inertia, position=(corner + pin) / 2,
-             rotation_vector=(0, 0, other))],
+    return Scene(
+        name="links",
+        gravity=(0, 0, -9.81),
+        bodies=[
+            Body(
+                name="first",
+                mass=1.0,
+                inertia=inertia,
+                position=corner / 2,
+                rotation_vector=(0, 0, angle),
+            ),
+            Body(
+                name="second",
+                mass=1.0,
+                inertia=inertia,
+                position=(corner + pin) / 2,
+                rotation_vector=(0, 0, other),
+            ),
+        ],
         joints=[
-            Joint(name="left", type="spherical", parent="world", child="first",
-                  child_frame=Frame(position=(-0.5, 0, 0))),
-            Joint(name="right", type="spherical", parent="world", child="second",
-                  child_frame=Frame(position=(-second_length / 2, 0, 0))),
-            Joint(name="middle", type="spherical", parent="first", child="second",
-                  parent_frame=Frame(position=(0.5, 0, 0)))])
+            Joint(
+                name="left",
+                type="spherical",
+                parent="world",
+                child="first",
+                child_frame=Frame(position=(-0.5, 0, 0)),
+            ),
+            Joint(
+                name="right",
+                type="spherical",
+                parent="world",
+                child="second",
+                child_frame=Frame(position=(-second_length / 2, 0, 0)),
+            ),
+            Joint(
+                name="middle",
+                type="spherical",
+                parent="first",
+                child="second",
+                parent_frame=Frame(position=(0.5, 0, 0)),
+            ),
+        ],
+    )
 
 
-TREE = [("world", "a", "revolute"), ("a", "b", "spherical"), ("a", "c", "revolute"),
-        ("c", "d", "revolute"), ("world", "e", "spherical")]
+TREE = [
+    ("world", "a", "revolute"),
+    ("a", "b", "spherical"),
+    ("a", "c", "revolute"),
+    ("c", "d", "revolute"),
+    ("world", "e", "spherical"),
+]
 MECHANISMS = {
     "ball": ([("world", "a", "spherical")], []),
     "pendulum": ([("world", "a", "revolute")], []),
-    "chain of balls": ([("world", "a", "spherical"), ("a", "b", "spherical"),
-                        ("b", "c", "spherical")], []),
-    "chain of hinges": ([("world", "a", "revolute"), ("a", "b", "revolute"),
-                         ("b", "c", "revolute")], []),
+    "chain of balls": (
+        [("world", "a", "spherical"), ("a", "b", "spherical"), ("b", "c", "spherical")],
+        [],
+    ),
+    "chain of hinges": (
+        [("world", "a", "revolute"), ("a", "b", "revolute"), ("b", "c", "revolute")],
+        [],
+    ),
     "tree": (TREE, []),
-    "loop of hinges and balls": ([("world", "a", "revolute"), ("a", "b", "spherical"),
-                                  ("b", "c", "spherical")], [("world", "c", "revolute")]),
+    "loop of hinges and balls": (
+        [("world", "a", "revolute"), ("a", "b", "spherical"), ("b", "c", "spherical")],
+        [("world", "c", "revolute")],
+    ),
     "net": (TREE, [("b", "e", "spherical"), ("world", "d", "spherical")]),
     **{f"{kind} to ground": ([("world", "a", kind)], []) for kind in KINDS},
-    **{f"{kind} between bodies": ([("world", "a", "spherical"), ("a", "b", kind)], [])
-       for kind in KINDS},
-    "every kind": ([("world", "a", "cylindrical"), ("a", "b", "universal"), ("b", "c", "screw"),
-                    ("a", "d", "planar"), ("d", "e", "prismatic"), ("e", "f", "fixed"),
-                    ("f", "g", "distance"), ("g", "h", "revolute")],
-                   [("c", "g", "distance"), ("world", "h", "universal")]),
-    "floating": ([("world", "a", None), ("a", "b", "universal"), ("b", "c", "prismatic"),
-                  ("b", "d", "spherical")],
-                 [("c", "d", "distance")]),
+    **{
+        f"{kind} between bodies": ([("world", "a", "spherical"), ("a", "b", kind)], [])
+        for kind in KINDS
+    },
+    "every kind": (
+        [
+            ("world", "a", "cylindrical"),
+            ("a", "b", "universal"),
+            ("b", "c", "screw"),
+            ("a", "d", "planar"),
+            ("d", "e", "prismatic"),
+            ("e", "f", "fixed"),
+            ("f", "g", "distance"),
+            ("g", "h", "revolute"),
+        ],
+        [("c", "g", "distance"), ("world", "h", "universal")],
+    ),
+    "floating": (
+        [
+            ("world", "a", None),
+            ("a", "b", "universal"),
+            ("b", "c", "prismatic"),
+            ("b", "d", "spherical"),
+        ],
+        [("c", "d", "distance")],
+    ),
 }
 
 
@@ -214,8 +321,11 @@ def named(name, seed=0):
 @functools.lru_cache(maxsize=None)
 def rotors():
     """Bodies that are free or on a ball joint, coupled by springs and dampers."""
-    return mechanism(np.random.default_rng(7), [
-        ("world", "a", "spherical"), ("world", "b", None), ("world", "c", "spherical")], springs=6)
+    return mechanism(
+        np.random.default_rng(7),
+        [("world", "a", "spherical"), ("world", "b", None), ("world", "c", "spherical")],
+        springs=6,
+    )
 
 
 def fitting(method, name="net"):

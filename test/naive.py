@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Slow, obvious twins of kernels: dense matrices, differences, nothing shared with the engine."""
+
 import numpy as np
 from scipy.linalg import expm
 
@@ -43,16 +44,18 @@ def joint_residual(joint, parent, child, length):
         turn = np.arctan2(y @ u - x @ v, x @ u + y @ v)
         turns = np.round((z @ d / joint.pitch - turn) / (2 * np.pi))
         return np.array([*aligned, x @ d, y @ d, z @ d - joint.pitch * (turn + 2 * np.pi * turns)])
-    return np.array({
-        "spherical": together,
-        "revolute": together + aligned,
-        "prismatic": [*aligned, x @ v, x @ d, y @ d],
-        "cylindrical": [*aligned, x @ d, y @ d],
-        "planar": [*aligned, z @ d],
-        "fixed": [*together, *aligned, x @ v],
-        "universal": [*together, x @ v],
-        "distance": [np.sqrt(d @ d) - length],
-    }[joint.type])
+    return np.array(
+        {
+            "spherical": together,
+            "revolute": together + aligned,
+            "prismatic": [*aligned, x @ v, x @ d, y @ d],
+            "cylindrical": [*aligned, x @ d, y @ d],
+            "planar": [*aligned, z @ d],
+            "fixed": [*together, *aligned, x @ v],
+            "universal": [*together, x @ v],
+            "distance": [np.sqrt(d @ d) - length],
+        }[joint.type]
+    )
 
 
 def residual(scene, frames, matrices):
@@ -63,9 +66,13 @@ def residual(scene, frames, matrices):
     for joint, (parent, child) in zip(scene.joints, frames):
         # a distance that the scene leaves out is the one at the start
         length = getattr(joint, "length", None) or np.linalg.norm(
-            (starts[joint.parent] @ parent)[:3, 3] - (starts[joint.child] @ child)[:3, 3])
-        parts.append(joint_residual(joint, matrices[joint.parent] @ parent,
-                                    matrices[joint.child] @ child, length))
+            (starts[joint.parent] @ parent)[:3, 3] - (starts[joint.child] @ child)[:3, 3]
+        )
+        parts.append(
+            joint_residual(
+                joint, matrices[joint.parent] @ parent, matrices[joint.child] @ child, length
+            )
+        )
     return np.concatenate(parts)
 
 
@@ -87,20 +94,30 @@ def applied_wrenches(scene, matrices, twists):
     for body in scene.bodies:
         R = matrices[body.name][:3, :3]
         wrenches[body.name] = np.concatenate(
-            [np.zeros(3), body.mass * R.T @ np.array(scene.gravity)])
+            [np.zeros(3), body.mass * R.T @ np.array(scene.gravity)]
+        )
     for spring in scene.forces:
         ends = []
-        for name, point in ((spring.parent, spring.parent_point),
-                            (spring.child, spring.child_point)):
+        for name, point in (
+            (spring.parent, spring.parent_point),
+            (spring.child, spring.child_point),
+        ):
             matrix = matrices.get(name, np.eye(4))
             twist = twists.get(name, np.zeros(6))
             point = np.array(point)
-            ends.append((name, point, matrix[:3, :3] @ point + matrix[:3, 3],
-                         matrix[:3, :3] @ (twist[3:] + np.cross(twist[:3], point))))
+            ends.append(
+                (
+                    name,
+                    point,
+                    matrix[:3, :3] @ point + matrix[:3, 3],
+                    matrix[:3, :3] @ (twist[3:] + np.cross(twist[:3], point)),
+                )
+            )
         d, ddot = ends[1][2] - ends[0][2], ends[1][3] - ends[0][3]
         length = np.linalg.norm(d)
-        tension = (spring.stiffness * (length - spring.rest_length)
-                   + spring.damping * (d @ ddot) / length)
+        tension = (
+            spring.stiffness * (length - spring.rest_length) + spring.damping * (d @ ddot) / length
+        )
         for sign, (name, point, _, _) in zip((1.0, -1.0), ends):
             if name in wrenches:
                 force = sign * tension * matrices[name][:3, :3].T @ d / length
@@ -127,4 +144,4 @@ def accelerations(scene, frames, matrices, twists, jacobian_rate):
     J = jacobian(scene, frames, matrices)
     system = np.block([[mass, J.T], [J, np.zeros((len(J), len(J)))]])
     solution = np.linalg.solve(system, np.concatenate([right, -jacobian_rate]))
-    return {name: solution[6 * i:6 * i + 6] for i, name in enumerate(names)}
+    return {name: solution[6 * i : 6 * i + 6] for i, name in enumerate(names)}

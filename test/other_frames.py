@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scenes whose body frames sit away from the centres of mass."""
+
 import numpy as np
 
 
@@ -26,8 +27,15 @@ def described_elsewhere(scene, com):
     bodies = []
     for body in scene.bodies:
         c = com[body.name]
-        bodies.append(body.remade(
-            com=c, position=body.position - body.rotation @ c,
-            linear_velocity=body.linear_velocity - np.cross(body.angular_velocity, c)))
-    return scene.remade(bodies=bodies, joints=[moved(joint) for joint in scene.joints],
-                        forces=[moved(force) for force in scene.forces])
+        bodies.append(
+            body.remade(
+                com=c,
+                position=body.position - body.rotation @ c,
+                linear_velocity=body.linear_velocity - np.cross(body.angular_velocity, c),
+            )
+        )
+    return scene.remade(
+        bodies=bodies,
+        joints=[moved(joint) for joint in scene.joints],
+        forces=[moved(force) for force in scene.forces],
+    )

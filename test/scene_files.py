@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The scene files that come along, for tests."""
+
 from pathlib import Path
 
 import pytest

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lets a node record with all its topics switched on, a push and a pause in it.
 
-    all_topics.py FILE
+all_topics.py FILE
 """
+
 import importlib.util
 import os
 import random
@@ -11,8 +12,9 @@ import subprocess
 import sys
 import time
 
-os.environ.update(ROS_DOMAIN_ID=str(random.randint(1, 100)),
-                  ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
+os.environ.update(
+    ROS_DOMAIN_ID=str(random.randint(1, 100)), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST"
+)
 
 import rclpy  # noqa: E402  (reads the domain from the environment)
 from geometry_msgs.msg import WrenchStamped  # noqa: E402
@@ -22,9 +24,19 @@ RATES = ["odometry", "velocity", "pose_array", "joint_state", "marker", "state"]
 if importlib.util.find_spec("tf2_msgs"):
     RATES.append("tf")
 node = subprocess.Popen(
-    [sys.executable, "-c", "import sys; from liegroup_sim_ros.node.entry import main; "
-     "sys.exit(main())", "--ros-args", "-p", "scene:=four_bar", "-p", f"record:={sys.argv[1]}",
-     *(part for rate in RATES for part in ("-p", f"{rate}_rate:=50.0"))], start_new_session=True)
+    [
+        sys.executable,
+        "-c",
+        "import sys; from liegroup_sim_ros.node.entry import main; sys.exit(main())",
+        "--ros-args",
+        "-p",
+        "scene:=four_bar",
+        "-p",
+        f"record:={sys.argv[1]}",
+        *(part for rate in RATES for part in ("-p", f"{rate}_rate:=50.0")),
+    ],
+    start_new_session=True,
+)
 rclpy.init()
 client = rclpy.create_node("client")
 applied = []
@@ -43,16 +55,24 @@ def until(condition):
         rclpy.spin_once(client, timeout_sec=0.05)
 
 
-until(lambda: pause.service_is_ready() and publisher.get_subscription_count()
-      and client.count_publishers("/sim_node/applied_wrench"))
+until(
+    lambda: (
+        pause.service_is_ready()
+        and publisher.get_subscription_count()
+        and client.count_publishers("/sim_node/applied_wrench")
+    )
+)
 prefix, suffix = "/sim_node/", "/pose"
-message.header.frame_id = next(name[len(prefix):-len(suffix)] for name, _ in
-                               client.get_topic_names_and_types() if name.endswith(suffix))
+message.header.frame_id = next(
+    name[len(prefix) : -len(suffix)]
+    for name, _ in client.get_topic_names_and_types()
+    if name.endswith(suffix)
+)
 message.wrench.force.x = 1.0
 publisher.publish(message)
 until(lambda: len(applied) >= 2)
 future = pause.call_async(Trigger.Request())
 until(future.done)
-until(lambda wait=time.monotonic() + 1.5: time.monotonic() > wait)      # for /diagnostics
+until(lambda wait=time.monotonic() + 1.5: time.monotonic() > wait)  # for /diagnostics
 node.send_signal(signal.SIGINT)
 sys.exit(node.wait(30.0))

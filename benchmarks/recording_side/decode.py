@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Decodes every message of a recording by another author's reader; JSON of counts by topic.
 
-    decode.py mcap_ros2|rosbags FILE
+decode.py mcap_ros2|rosbags FILE
 """
+
 import json
 import sys
 from collections import Counter
@@ -12,6 +13,7 @@ counts = Counter()
 if sys.argv[1] == "mcap_ros2":
     from mcap.reader import make_reader
     from mcap_ros2.decoder import DecoderFactory
+
     with open(sys.argv[2], "rb") as stream:
         reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
         counts.update({channel.topic: 0 for channel in reader.get_summary().channels.values()})
@@ -20,6 +22,7 @@ if sys.argv[1] == "mcap_ros2":
             counts[channel.topic] += 1
 else:
     from rosbags.highlevel import AnyReader
+
     with AnyReader([Path(sys.argv[2])]) as reader:
         counts.update({connection.topic: 0 for connection in reader.connections})
         for connection, _, data in reader.messages():

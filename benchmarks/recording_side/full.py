@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A running node whose recording fills its disk; prints JSON about what happened then.
 
-    full.py FILE
+full.py FILE
 """
+
 import json
 import os
 import random
@@ -11,21 +12,40 @@ import subprocess
 import sys
 import time
 
-os.environ.update(ROS_DOMAIN_ID=str(random.randint(1, 100)),
-                  ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
+os.environ.update(
+    ROS_DOMAIN_ID=str(random.randint(1, 100)), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST"
+)
 
 import rclpy  # noqa: E402  (reads the domain from the environment)
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 
 node = subprocess.Popen(
-    [sys.executable, "-c", "import sys; from liegroup_sim_ros.node.entry import main; "
-     "sys.exit(main())", "--ros-args", "-p", "scene:=heavy_top", "-p", f"record:={sys.argv[1]}",
-     "-p", "publish_rate:=1000.0", "-p", "real_time_factor:=5.0"],
-    stderr=subprocess.PIPE, text=True, start_new_session=True)
+    [
+        sys.executable,
+        "-c",
+        "import sys; from liegroup_sim_ros.node.entry import main; sys.exit(main())",
+        "--ros-args",
+        "-p",
+        "scene:=heavy_top",
+        "-p",
+        f"record:={sys.argv[1]}",
+        "-p",
+        "publish_rate:=1000.0",
+        "-p",
+        "real_time_factor:=5.0",
+    ],
+    stderr=subprocess.PIPE,
+    text=True,
+    start_new_session=True,
+)
 rclpy.init()
 listener, figures = rclpy.create_node("listener"), []
-listener.create_subscription(DiagnosticArray, "/diagnostics", lambda message: figures.append(
-    {pair.key: pair.value for pair in message.status[0].values}), 10)
+listener.create_subscription(
+    DiagnosticArray,
+    "/diagnostics",
+    lambda message: figures.append({pair.key: pair.value for pair in message.status[0].values}),
+    10,
+)
 end = time.monotonic() + 300.0
 
 
@@ -45,6 +65,15 @@ errors = node.communicate()[1]
 if node.returncode:
     raise SystemExit(f"exit code {node.returncode}: {errors}")
 last = figures[-1]
-print(json.dumps([int(first["steps"]), int(last["steps"]), int(last["recorder_written"]),
-                  int(last["recorder_lost"]), last["recorder_failure"],
-                  "[ERROR]" in errors and last["recorder_failure"] in errors]))
+print(
+    json.dumps(
+        [
+            int(first["steps"]),
+            int(last["steps"]),
+            int(last["recorder_written"]),
+            int(last["recorder_lost"]),
+            last["recorder_failure"],
+            "[ERROR]" in errors and last["recorder_failure"] in errors,
+        ]
+    )
+)

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Records poses whose stamps are the machine's monotonic clock, until it is killed.
 
-    writes.py FILE FLUSH_INTERVAL MESSAGES_PER_SECOND
+writes.py FILE FLUSH_INTERVAL MESSAGES_PER_SECOND
 """
+
 import sys
 import time
 
@@ -10,8 +11,9 @@ from liegroup_sim_ros.messages.codecs import PoseStampedCodec
 from liegroup_sim_ros.recording.recorder import Recorder
 
 path, flush_interval, rate = sys.argv[1], float(sys.argv[2]), float(sys.argv[3])
-recorder = Recorder(path, {"settings.json": ("application/json", b'{"format": 1}')},
-                    flush_interval=flush_interval)
+recorder = Recorder(
+    path, {"settings.json": ("application/json", b'{"format": 1}')}, flush_interval=flush_interval
+)
 channel = recorder.add_channel("/sim_node/top/pose", PoseStampedCodec.TYPE)
 encode = PoseStampedCodec("world").encode
 print("running", flush=True)

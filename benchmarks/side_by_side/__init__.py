@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The same problems in this package and in others: exact ends, native loops, one measure."""
+
 import importlib
 
 PEERS = ("mujoco", "pinocchio", "exudyn")

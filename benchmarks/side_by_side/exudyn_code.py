@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Exudyn, its fast module, with whichever of its solvers suits the problem.
 
-    one body  Lie group node and explicit Runge-Kutta methods. They ignore joints, so a body about
-              a fixed point is a body there, with its inertia about it and its weight off it.
-    chain     ObjectKinematicTree, minimal coordinates of hinges, explicit
-    loop      planar bodies with joints at velocity level (index 2), implicit trapezoidal rule
+one body  Lie group node and explicit Runge-Kutta methods. They ignore joints, so a body about
+          a fixed point is a body there, with its inertia about it and its weight off it.
+chain     ObjectKinematicTree, minimal coordinates of hinges, explicit
+loop      planar bodies with joints at velocity level (index 2), implicit trapezoidal rule
 """
+
 import contextlib
 import io
 import sys
@@ -36,35 +37,56 @@ def _one_body(mbs, problem):
     arm = body.position - at
     inertia = body.inertia + body.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
     speed = [0.0, 0.0, 0.0] if problem.tree else [*body.velocity]
-    node = mbs.AddNode(items.NodeRigidBodyRotVecLG(
-        referenceCoordinates=[*at, 0.0, 0.0, 0.0], initialVelocities=[*speed, *body.omega]))
-    made = mbs.AddObject(items.ObjectRigidBody(
-        nodeNumber=node, physicsMass=body.mass,
-        physicsInertia=inertia[[0, 1, 2, 1, 0, 0], [0, 1, 2, 2, 2, 1]]))
+    node = mbs.AddNode(
+        items.NodeRigidBodyRotVecLG(
+            referenceCoordinates=[*at, 0.0, 0.0, 0.0], initialVelocities=[*speed, *body.omega]
+        )
+    )
+    made = mbs.AddObject(
+        items.ObjectRigidBody(
+            nodeNumber=node,
+            physicsMass=body.mass,
+            physicsInertia=inertia[[0, 1, 2, 1, 0, 0], [0, 1, 2, 2, 2, 1]],
+        )
+    )
     if problem.gravity.any():
         marker = mbs.AddMarker(items.MarkerBodyPosition(bodyNumber=made, localPosition=[*arm]))
         mbs.AddLoad(items.Force(markerNumber=marker, loadVector=[*body.mass * problem.gravity]))
     return lambda: (
-        [mbs.GetNodeOutput(node, exu.OutputVariableType.RotationMatrix).reshape(3, 3)], 0.0)
+        [mbs.GetNodeOutput(node, exu.OutputVariableType.RotationMatrix).reshape(3, 3)],
+        0.0,
+    )
 
 
 def _tree_of_hinges(mbs, problem):
     """Minimal coordinates; hinges about y."""
     count = len(problem.bodies)
-    node = mbs.AddNode(items.NodeGenericODE2(
-        referenceCoordinates=[0.0] * count, initialCoordinates=[0.0] * count,
-        initialCoordinates_t=[0.0] * count, numberOfODE2Coordinates=count))
+    node = mbs.AddNode(
+        items.NodeGenericODE2(
+            referenceCoordinates=[0.0] * count,
+            initialCoordinates=[0.0] * count,
+            initialCoordinates_t=[0.0] * count,
+            numberOfODE2Coordinates=count,
+        )
+    )
     origins = {GROUND: np.zeros(3)} | {joint.child: joint.point for joint in problem.tree}
-    mbs.AddObject(items.ObjectKinematicTree(
-        nodeNumber=node, gravity=problem.gravity, jointTypes=[exu.JointType.RevoluteY] * count,
-        linkParents=[joint.parent for joint in problem.tree],
-        jointTransformations=exu.Matrix3DList([np.eye(3)] * count),
-        jointOffsets=exu.Vector3DList([joint.point - origins[joint.parent]
-                                       for joint in problem.tree]),
-        linkInertiasCOM=exu.Matrix3DList([body.inertia for body in problem.bodies]),
-        linkCOMs=exu.Vector3DList([body.position - origins[i]
-                                   for i, body in enumerate(problem.bodies)]),
-        linkMasses=[body.mass for body in problem.bodies]))
+    mbs.AddObject(
+        items.ObjectKinematicTree(
+            nodeNumber=node,
+            gravity=problem.gravity,
+            jointTypes=[exu.JointType.RevoluteY] * count,
+            linkParents=[joint.parent for joint in problem.tree],
+            jointTransformations=exu.Matrix3DList([np.eye(3)] * count),
+            jointOffsets=exu.Vector3DList(
+                [joint.point - origins[joint.parent] for joint in problem.tree]
+            ),
+            linkInertiasCOM=exu.Matrix3DList([body.inertia for body in problem.bodies]),
+            linkCOMs=exu.Vector3DList(
+                [body.position - origins[i] for i, body in enumerate(problem.bodies)]
+            ),
+            linkMasses=[body.mass for body in problem.bodies],
+        )
+    )
 
     def state():
         turns = mbs.GetNodeOutput(node, exu.OutputVariableType.Coordinates)
@@ -74,6 +96,7 @@ def _tree_of_hinges(mbs, problem):
         c, s, zero = np.cos(angle), np.sin(angle), np.zeros(count)
         rotations = np.array([[c, zero, s], [zero, zero + 1, zero], [-s, zero, c]])
         return rotations.transpose(2, 0, 1), 0.0
+
     return state
 
 
@@ -82,29 +105,47 @@ def _planar_bodies(mbs, problem):
     ground = mbs.AddObject(items.ObjectGround())
     nodes, made = [], {GROUND: (ground, np.zeros(3))}
     for i, body in enumerate(problem.bodies):
-        nodes.append(mbs.AddNode(items.NodeRigidBody2D(
-            referenceCoordinates=[*body.position[:2], 0.0],
-            initialVelocities=[*body.velocity[:2], body.omega[2]])))
-        made[i] = (mbs.AddObject(items.ObjectRigidBody2D(
-            nodeNumber=nodes[i], physicsMass=body.mass,
-            physicsInertia=body.inertia[2, 2])), body.position)
+        nodes.append(
+            mbs.AddNode(
+                items.NodeRigidBody2D(
+                    referenceCoordinates=[*body.position[:2], 0.0],
+                    initialVelocities=[*body.velocity[:2], body.omega[2]],
+                )
+            )
+        )
+        made[i] = (
+            mbs.AddObject(
+                items.ObjectRigidBody2D(
+                    nodeNumber=nodes[i], physicsMass=body.mass, physicsInertia=body.inertia[2, 2]
+                )
+            ),
+            body.position,
+        )
         marker = mbs.AddMarker(items.MarkerNodePosition(nodeNumber=nodes[i]))
         mbs.AddLoad(items.Force(markerNumber=marker, loadVector=[*body.mass * problem.gravity]))
     markers = []
     for joint in problem.tree + problem.loops:
-        ends = [mbs.AddMarker(items.MarkerBodyPosition(
-            bodyNumber=made[end][0], localPosition=[*joint.point - made[end][1]]))
-            for end in (joint.parent, joint.child)]
+        ends = [
+            mbs.AddMarker(
+                items.MarkerBodyPosition(
+                    bodyNumber=made[end][0], localPosition=[*joint.point - made[end][1]]
+                )
+            )
+            for end in (joint.parent, joint.child)
+        ]
         mbs.AddObject(items.RevoluteJoint2D(markerNumbers=ends))
         markers += ends
 
     def state():
         angles = [mbs.GetNodeOutput(node, exu.OutputVariableType.Coordinates)[2] for node in nodes]
-        positions = np.array([mbs.GetMarkerOutput(marker, exu.OutputVariableType.Position)
-                              for marker in markers]).reshape(-1, 2, 3)
+        positions = np.array(
+            [mbs.GetMarkerOutput(marker, exu.OutputVariableType.Position) for marker in markers]
+        ).reshape(-1, 2, 3)
         gap = np.linalg.norm(positions[:, 0] - positions[:, 1], axis=1).max()
-        return [[[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]]
-                for a in angles], gap
+        return [
+            [[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]] for a in angles
+        ], gap
+
     return state
 
 
@@ -112,18 +153,33 @@ def _spatial_bodies(mbs, problem):
     """Six coordinates a body, ball joints as constraints."""
     made = {GROUND: (mbs.AddObject(items.ObjectGround()), np.zeros(3))}
     for i, body in enumerate(problem.bodies):
-        node = mbs.AddNode(items.NodeRigidBodyRotVecLG(
-            referenceCoordinates=[*body.position, 0.0, 0.0, 0.0],
-            initialVelocities=[*body.velocity, *body.omega]))
-        made[i] = (mbs.AddObject(items.ObjectRigidBody(
-            nodeNumber=node, physicsMass=body.mass,
-            physicsInertia=body.inertia[[0, 1, 2, 1, 0, 0], [0, 1, 2, 2, 2, 1]])), body.position)
+        node = mbs.AddNode(
+            items.NodeRigidBodyRotVecLG(
+                referenceCoordinates=[*body.position, 0.0, 0.0, 0.0],
+                initialVelocities=[*body.velocity, *body.omega],
+            )
+        )
+        made[i] = (
+            mbs.AddObject(
+                items.ObjectRigidBody(
+                    nodeNumber=node,
+                    physicsMass=body.mass,
+                    physicsInertia=body.inertia[[0, 1, 2, 1, 0, 0], [0, 1, 2, 2, 2, 1]],
+                )
+            ),
+            body.position,
+        )
         marker = mbs.AddMarker(items.MarkerNodePosition(nodeNumber=node))
         mbs.AddLoad(items.Force(markerNumber=marker, loadVector=[*body.mass * problem.gravity]))
     for joint in problem.tree:
-        ends = [mbs.AddMarker(items.MarkerBodyRigid(
-            bodyNumber=made[end][0], localPosition=[*joint.point - made[end][1]]))
-            for end in (joint.parent, joint.child)]
+        ends = [
+            mbs.AddMarker(
+                items.MarkerBodyRigid(
+                    bodyNumber=made[end][0], localPosition=[*joint.point - made[end][1]]
+                )
+            )
+            for end in (joint.parent, joint.child)
+        ]
         mbs.AddObject(items.SphericalJoint(markerNumbers=ends))
 
 
@@ -180,11 +236,16 @@ def entries(problem, ratio):
     else:
         return
     for setting, build, solver in chosen:
-        yield Entry(CODE, setting, geometric(problem.coarsest, ratio),
-                    lambda steps, b=build, s=solver: _Run(problem, b, s, steps))
+        yield Entry(
+            CODE,
+            setting,
+            geometric(problem.coarsest, ratio),
+            lambda steps, b=build, s=solver: _Run(problem, b, s, steps),
+        )
 
 
 def stepper(problem, step):
     """Function that takes so many implicit steps of a size from the start; balls only, sparse."""
-    return _Run(problem, _spatial_bodies, "TrapezoidalIndex2", round(problem.duration / step),
-                sparse=True).take
+    return _Run(
+        problem, _spatial_bodies, "TrapezoidalIndex2", round(problem.duration / step), sparse=True
+    ).take

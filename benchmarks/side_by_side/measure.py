@@ -5,6 +5,7 @@ A ladder of ever finer settings is run once to its end for the errors. Then only
 a target are timed, all codes in turn, round by round, so that a slow moment of the machine meets
 them alike. Time is the CPU time of this process over native loops; several threads all count.
 """
+
 import math
 import statistics
 import time
@@ -86,8 +87,10 @@ class Cost:
 
 def geometric(first, ratio, last=10_000_000):
     """Whole numbers from first to last, each about `ratio` times the one before."""
-    return [round(first * ratio ** k)
-            for k in range(math.floor(math.log(last / first) / math.log(ratio)) + 1)]
+    return [
+        round(first * ratio**k)
+        for k in range(math.floor(math.log(last / first) / math.log(ratio)) + 1)
+    ]
 
 
 def _finite(value):
@@ -111,8 +114,9 @@ def climb(entry, problem, exact, budget):
             steps = run.steps_per_duration()
         except ArithmeticError:
             took = time.process_time() - start
-        rungs.append(Rung(level, error, _finite(gap), steps / problem.duration,
-                          took / problem.duration, run))
+        rungs.append(
+            Rung(level, error, _finite(gap), steps / problem.duration, took / problem.duration, run)
+        )
         if len(rungs) > 1 and max(rung.error for rung in rungs[-2:]) <= TARGETS[-1]:
             break
         if took * max(1.0, took / before if before > SHORTEST else 1.0) > budget:
@@ -147,8 +151,11 @@ def cost_at(rungs, target):
         errors = _settled_errors(rungs)[list(found)]
         part = math.log(errors[0] / target) / math.log(errors[0] / max(errors[1], 1e-16))
         coarse = rungs[coarse]
-    return Cost(coarse.cost ** (1 - part) * fine.cost ** part,
-                coarse.steps ** (1 - part) * fine.steps ** part, fine.gap)
+    return Cost(
+        coarse.cost ** (1 - part) * fine.cost**part,
+        coarse.steps ** (1 - part) * fine.steps**part,
+        fine.gap,
+    )
 
 
 def time_run(run, duration, estimate):

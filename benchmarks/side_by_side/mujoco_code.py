@@ -4,6 +4,7 @@
 Contacts, limits and friction are switched off. Its loops are springs: a `connect` has to be as
 stiff as the step allows, or it converges to another motion than that of the mechanism.
 """
+
 import mujoco
 import numpy as np
 
@@ -13,8 +14,12 @@ from .problems import BALL, GROUND, HINGE
 CODE = "mujoco"
 # Time constant of a loop's spring in steps, and its impedance: the largest that MuJoCo accepts.
 LOOP_STEPS, LOOP_IMPEDANCE = 2.0, 0.9999
-OFF = (mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
-       | mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS | mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+OFF = (
+    mujoco.mjtDisableBit.mjDSBL_CONTACT
+    | mujoco.mjtDisableBit.mjDSBL_LIMIT
+    | mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS
+    | mujoco.mjtDisableBit.mjDSBL_AUTORESET
+)
 
 mujoco.set_mju_user_warning(lambda message: None)
 
@@ -35,9 +40,13 @@ def model_of(problem, step):
         parent = joint.parent if joint else GROUND
         origins[i] = joint.point if joint else body.position
         made[i] = made[parent].add_body(
-            name=f"b{i}", pos=origins[i] - origins[parent], mass=body.mass,
-            ipos=body.position - origins[i], explicitinertial=True,
-            fullinertia=body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
+            name=f"b{i}",
+            pos=origins[i] - origins[parent],
+            mass=body.mass,
+            ipos=body.position - origins[i],
+            explicitinertial=True,
+            fullinertia=body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]],
+        )
         if joint is None:
             made[i].add_freejoint()
         elif joint.kind == BALL:
@@ -48,9 +57,14 @@ def model_of(problem, step):
         anchor = np.zeros(mujoco.mjNEQDATA)
         anchor[:3] = loop.point - origins[loop.parent]
         spec.add_equality(
-            type=mujoco.mjtEq.mjEQ_CONNECT, objtype=mujoco.mjtObj.mjOBJ_BODY, data=anchor,
-            name1=f"b{loop.parent}", name2=f"b{loop.child}", solref=[LOOP_STEPS * step, 1.0],
-            solimp=[LOOP_IMPEDANCE, LOOP_IMPEDANCE, 1.0, 0.5, 2.0])
+            type=mujoco.mjtEq.mjEQ_CONNECT,
+            objtype=mujoco.mjtObj.mjOBJ_BODY,
+            data=anchor,
+            name1=f"b{loop.parent}",
+            name2=f"b{loop.child}",
+            solref=[LOOP_STEPS * step, 1.0],
+            solimp=[LOOP_IMPEDANCE, LOOP_IMPEDANCE, 1.0, 0.5, 2.0],
+        )
     return spec.compile()
 
 
@@ -76,7 +90,7 @@ class _Run:
             if joint.kind == HINGE:
                 speed[first] = relative @ joint.axis
             else:
-                speed[first:first + 3] = relative
+                speed[first : first + 3] = relative
 
     def advance(self, times):
         mujoco.mj_step(self.model, self.data, nstep=times * self.steps)
@@ -92,8 +106,12 @@ class _Run:
 
 def entries(problem, ratio):
     """RK4; the joints are coordinates, loops are springs."""
-    yield Entry(CODE, f"RK4 {problem.joints}".strip(), geometric(problem.coarsest, ratio),
-                lambda steps: _Run(problem, steps))
+    yield Entry(
+        CODE,
+        f"RK4 {problem.joints}".strip(),
+        geometric(problem.coarsest, ratio),
+        lambda steps: _Run(problem, steps),
+    )
 
 
 def stepper(problem, step):

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """This package on the problems: each method of order 4 or more, on each group."""
+
 import logging
 import math
 
@@ -26,18 +27,33 @@ def prepare():
 
 def scene_of(problem):
     """The problem as a scene: joint frames at the joints' points, hinges turning about their z."""
+
     def name(body):
         return "world" if body == GROUND else f"body{body}"
 
-    bodies = [Body(name=name(i), mass=body.mass, position=body.position,
-                   inertia=body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]],
-                   angular_velocity=body.omega, linear_velocity=body.velocity)
-              for i, body in enumerate(problem.bodies)]
-    joints = [Joint(name=f"joint{i}", type=JOINT_TYPES[joint.kind], parent=name(joint.parent),
-                    child=name(joint.child),
-                    child_frame=Frame(position=joint.point - problem.bodies[joint.child].position,
-                                      axis=joint.axis))
-              for i, joint in enumerate(problem.tree + problem.loops)]
+    bodies = [
+        Body(
+            name=name(i),
+            mass=body.mass,
+            position=body.position,
+            inertia=body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]],
+            angular_velocity=body.omega,
+            linear_velocity=body.velocity,
+        )
+        for i, body in enumerate(problem.bodies)
+    ]
+    joints = [
+        Joint(
+            name=f"joint{i}",
+            type=JOINT_TYPES[joint.kind],
+            parent=name(joint.parent),
+            child=name(joint.child),
+            child_frame=Frame(
+                position=joint.point - problem.bodies[joint.child].position, axis=joint.axis
+            ),
+        )
+        for i, joint in enumerate(problem.tree + problem.loops)
+    ]
     return Scene(name="problem", gravity=problem.gravity, bodies=bodies, joints=joints)
 
 
@@ -54,8 +70,9 @@ class _Run:
         if self.controlled:
             options = options | {"rtol": level, "atol": level}
         # Without looks at its steps: the others do not check theirs either.
-        self.simulation = Simulation(scene, method=method, step=problem.duration / self.steps,
-                                     watch=False, **options)
+        self.simulation = Simulation(
+            scene, method=method, step=problem.duration / self.steps, watch=False, **options
+        )
         self.start = self.simulation.state()
         # Substeps follow the motion: where it changes, they are paid for as it is at first. And with
         # loops, coarse steps end up with open joints, which cost more than the problem does.
@@ -102,8 +119,12 @@ def entries(problem, ratio):
                     continue
                 options = {"group": group, "stabilisation": stabilisation}
                 words = [method, group, problem.joints, stabilisation.replace("none", "")]
-                yield Entry(CODE, " ".join(filter(None, words)), _levels(problem, method, ratio),
-                            lambda level, m=method, o=options: _Run(problem, scene, m, level, **o))
+                yield Entry(
+                    CODE,
+                    " ".join(filter(None, words)),
+                    _levels(problem, method, ratio),
+                    lambda level, m=method, o=options: _Run(problem, scene, m, level, **o),
+                )
 
 
 def stepper(problem, step):
@@ -113,4 +134,5 @@ def stepper(problem, step):
     def take_steps(count):
         simulation.reset()
         simulation.advance(count)
+
     return take_steps

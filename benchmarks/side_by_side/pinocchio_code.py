@@ -5,6 +5,7 @@ Pinocchio gives the accelerations; the steps are ours. Everything is instantiate
 for this machine's processor, as a user who cares for speed would do. Loops are closed by
 constraintDynamics with gains tuned by hand.
 """
+
 import ctypes
 import hashlib
 import os
@@ -24,9 +25,19 @@ CODE = "pinocchio"
 SOURCE = Path(__file__).with_name("pinocchio_loop.cpp")
 BUILD = Path(sys.prefix, "benchmarks")
 PREFIX = Path(pinocchio.__file__).parents[4]
-FLAGS = ["-std=c++17", "-O3", "-march=native", "-DNDEBUG", "-w", "-shared", "-fPIC",
-         "-DBOOST_MPL_LIMIT_LIST_SIZE=30", "-DBOOST_MPL_CFG_NO_PREPROCESSED_HEADERS",
-         f"-I{PREFIX / 'include'}", f"-I{PREFIX / 'include' / 'eigen3'}"]
+FLAGS = [
+    "-std=c++17",
+    "-O3",
+    "-march=native",
+    "-DNDEBUG",
+    "-w",
+    "-shared",
+    "-fPIC",
+    "-DBOOST_MPL_LIMIT_LIST_SIZE=30",
+    "-DBOOST_MPL_CFG_NO_PREPROCESSED_HEADERS",
+    f"-I{PREFIX / 'include'}",
+    f"-I{PREFIX / 'include' / 'eigen3'}",
+]
 KINDS = {FREE: 0, BALL: 1, HINGE: 2}
 # Regularisation of a loop's redundant row, the value its documentation recommends.
 MU = 1e-12
@@ -34,8 +45,7 @@ MU = 1e-12
 RATE = 100.0
 
 # The classical method, its weights below it.
-RK4 = [[0, 0, 0, 0], [1 / 2, 0, 0, 0], [0, 1 / 2, 0, 0], [0, 0, 1, 0],
-       [1 / 6, 1 / 3, 1 / 3, 1 / 6]]
+RK4 = [[0, 0, 0, 0], [1 / 2, 0, 0, 0], [0, 1 / 2, 0, 0], [0, 0, 1, 0], [1 / 6, 1 / 3, 1 / 3, 1 / 6]]
 
 
 def version():
@@ -56,8 +66,9 @@ def _library():
         print("Compiling the loop around Pinocchio (once; one or two minutes)", flush=True)
         BUILD.mkdir(parents=True, exist_ok=True)
         made = path.with_suffix(f".{os.getpid()}")
-        run = subprocess.run([compiler, *FLAGS, str(SOURCE), "-o", str(made)],
-                             capture_output=True, text=True)
+        run = subprocess.run(
+            [compiler, *FLAGS, str(SOURCE), "-o", str(made)], capture_output=True, text=True
+        )
         if run.returncode:
             error = next((line for line in run.stderr.splitlines() if "error" in line), "")
             raise ImportError(f"its loop does not compile: {error[:300]}")
@@ -95,20 +106,37 @@ class _Run:
         speeds = []
         for i, (kind, parent, axis) in enumerate(zip(kinds, parents, axes)):
             relative = omega[i] - omega[parent]
-            speeds += {KINDS[FREE]: [*bodies[i].velocity, *relative], KINDS[BALL]: [*relative],
-                       KINDS[HINGE]: [relative @ axis]}[kind]
-        anchors = [[*(loop.point - origin[loop.parent]), *(loop.point - origin[loop.child])]
-                   for loop in problem.loops]
-        self.loop = ctypes.c_void_p(LIBRARY.make(
-            self.count, _integers(kinds), _integers(parents),
-            _doubles([points[i] - origin[parents[i]] for i in range(self.count)]), _doubles(axes),
-            _doubles([body.mass for body in bodies]),
-            _doubles([body.position - points[i] for i, body in enumerate(bodies)]),
-            _doubles([body.inertia for body in bodies]), _doubles(problem.gravity),
-            _doubles(speeds), len(anchors),
-            _integers([[loop.parent, loop.child] for loop in problem.loops]), _doubles(anchors),
-            len(tableau) - 1, _doubles(tableau), highest, ctypes.c_double(MU),
-            ctypes.c_double(RATE)))
+            speeds += {
+                KINDS[FREE]: [*bodies[i].velocity, *relative],
+                KINDS[BALL]: [*relative],
+                KINDS[HINGE]: [relative @ axis],
+            }[kind]
+        anchors = [
+            [*(loop.point - origin[loop.parent]), *(loop.point - origin[loop.child])]
+            for loop in problem.loops
+        ]
+        self.loop = ctypes.c_void_p(
+            LIBRARY.make(
+                self.count,
+                _integers(kinds),
+                _integers(parents),
+                _doubles([points[i] - origin[parents[i]] for i in range(self.count)]),
+                _doubles(axes),
+                _doubles([body.mass for body in bodies]),
+                _doubles([body.position - points[i] for i, body in enumerate(bodies)]),
+                _doubles([body.inertia for body in bodies]),
+                _doubles(problem.gravity),
+                _doubles(speeds),
+                len(anchors),
+                _integers([[loop.parent, loop.child] for loop in problem.loops]),
+                _doubles(anchors),
+                len(tableau) - 1,
+                _doubles(tableau),
+                highest,
+                ctypes.c_double(MU),
+                ctypes.c_double(RATE),
+            )
+        )
 
     def __del__(self):
         LIBRARY.destroy(self.loop)
@@ -134,11 +162,17 @@ class _Run:
 def entries(problem, ratio):
     """Order 4, and, not counted, our own order 8 around its accelerations."""
     levels = geometric(problem.coarsest, ratio)
-    yield Entry(CODE, f"RK4 {problem.joints}".strip(), levels,
-                lambda steps: _Run(problem, RK4, 2, steps))
+    yield Entry(
+        CODE, f"RK4 {problem.joints}".strip(), levels, lambda steps: _Run(problem, RK4, 2, steps)
+    )
     tableau = np.vstack([DOP853.A, DOP853.B])
-    yield Entry(CODE, f"our RK8 {problem.joints}".strip(), levels,
-                lambda steps: _Run(problem, tableau, 6, steps), counted=False)
+    yield Entry(
+        CODE,
+        f"our RK8 {problem.joints}".strip(),
+        levels,
+        lambda steps: _Run(problem, tableau, 6, steps),
+        counted=False,
+    )
 
 
 def stepper(problem, step):

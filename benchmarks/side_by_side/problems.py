@@ -5,6 +5,7 @@ All body frames are aligned with the world at the start, R_i(0) = I, and sit at 
 mass; inertias (3, 3) are about it. So a joint is a point and an axis in the world at the start,
 and no code gets a head start from its own choice of frames. SI units, rad/s.
 """
+
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import acos, atan2, cos, hypot, pi, sin, sqrt
@@ -76,25 +77,43 @@ def heavy_top():
     gravity = np.array([0.0, 0.0, -GRAVITY])
     about_pivot = np.diag(inertia) + mass * np.array([1.0, 0.0, 1.0])
     return Problem(
-        "P1", "heavy top", (Body(mass, inertia, arm, omega, np.cross(omega, arm)),),
-        (Joint(BALL, GROUND, 0, np.zeros(3)),), (), gravity, 1.0, 40, False,
-        lambda fineness: references.spinning_body(about_pivot, omega, mass * arm, gravity, 1.0,
-                                                  fineness))
+        "P1",
+        "heavy top",
+        (Body(mass, inertia, arm, omega, np.cross(omega, arm)),),
+        (Joint(BALL, GROUND, 0, np.zeros(3)),),
+        (),
+        gravity,
+        1.0,
+        40,
+        False,
+        lambda fineness: references.spinning_body(
+            about_pivot, omega, mass * arm, gravity, 1.0, fineness
+        ),
+    )
 
 
 def free_body():
     """P2: three different principal moments, no force."""
     moments, omega = np.array([0.9144, 1.098, 1.66]), np.array([0.45549, 0.82623, 0.03476])
     return Problem(
-        "P2", "free body", (Body(1.0, np.diag(moments), np.zeros(3), omega),), (), (), np.zeros(3),
-        10.0, 2, False,
-        lambda fineness: references.spinning_body(moments, omega, np.zeros(3), np.zeros(3), 10.0,
-                                                  fineness))
+        "P2",
+        "free body",
+        (Body(1.0, np.diag(moments), np.zeros(3), omega),),
+        (),
+        (),
+        np.zeros(3),
+        10.0,
+        2,
+        False,
+        lambda fineness: references.spinning_body(
+            moments, omega, np.zeros(3), np.zeros(3), 10.0, fineness
+        ),
+    )
 
 
 def _rod_inertia(mass, length, width, angle):
     """Inertia of a square rod in the xy plane, `angle` from x."""
-    along, across = mass * width ** 2 / 6, mass * (length ** 2 + width ** 2) / 12
+    along, across = mass * width**2 / 6, mass * (length**2 + width**2) / 12
     turn = np.array([[cos(angle), -sin(angle), 0], [sin(angle), cos(angle), 0], [0, 0, 1]])
     return turn @ np.diag([along, across, across]) @ turn.T
 
@@ -110,9 +129,16 @@ class _Planar:
         """A rod on a hinge at its start: (index of the body, end, velocity of the end)."""
         arm = length / 2 * np.array([cos(angle), sin(angle), 0.0])
         omega = np.array([0.0, 0.0, rate])
-        mass = self.density * self.width ** 2 * length
-        self.bodies.append(Body(mass, _rod_inertia(mass, length, self.width, angle), start + arm,
-                                omega, start_velocity + np.cross(omega, arm)))
+        mass = self.density * self.width**2 * length
+        self.bodies.append(
+            Body(
+                mass,
+                _rod_inertia(mass, length, self.width, angle),
+                start + arm,
+                omega,
+                start_velocity + np.cross(omega, arm),
+            )
+        )
         last = len(self.bodies) - 1
         self.tree.append(Joint(HINGE, parent, last, start))
         return last, start + 2 * arm, start_velocity + np.cross(omega, 2 * arm)
@@ -129,18 +155,29 @@ def four_bar(density=1000.0):
     line, turn = atan2(-crank, base), acos(half / rod)
     coupler_angle, rocker_angle = line + turn, line + pi - turn
     # Coupler and rocker move the elbow alike: along the rocker, and along the coupler.
-    coupler_rate = (-rate * crank * sin(rocker_angle - pi / 2)
-                    / (rod * sin(rocker_angle - coupler_angle)))
-    rocker_rate = (rate * crank * sin(coupler_angle - pi / 2)
-                   / (rod * sin(coupler_angle - rocker_angle)))
+    coupler_rate = (
+        -rate * crank * sin(rocker_angle - pi / 2) / (rod * sin(rocker_angle - coupler_angle))
+    )
+    rocker_rate = (
+        rate * crank * sin(coupler_angle - pi / 2) / (rod * sin(coupler_angle - rocker_angle))
+    )
     rods, still = _Planar(0.05, density), np.zeros(3)
     first, tip, velocity = rods.add(np.zeros(3), crank, pi / 2, rate, GROUND, still)
     rods.add(tip, rod, coupler_angle, coupler_rate, first, velocity)
     foot = np.array([base, 0.0, 0.0])
     _, elbow, _ = rods.add(foot, rod, rocker_angle, rocker_rate, GROUND, still)
-    return Problem("P3", "planar four-bar", tuple(rods.bodies), tuple(rods.tree),
-                   (Joint(HINGE, 1, 2, elbow),), np.array([0.0, -GRAVITY, 0.0]), 1.0, 80, False,
-                   references.four_bar)
+    return Problem(
+        "P3",
+        "planar four-bar",
+        tuple(rods.bodies),
+        tuple(rods.tree),
+        (Joint(HINGE, 1, 2, elbow),),
+        np.array([0.0, -GRAVITY, 0.0]),
+        1.0,
+        80,
+        False,
+        references.four_bar,
+    )
 
 
 def windows(count):
@@ -153,19 +190,43 @@ def windows(count):
         foot = np.array([window + 1.0, 0.0, 0.0])
         last, tip, velocity = rods.add(foot, 1.0, pi / 2, -1.0, GROUND, still)
         loops.append(Joint(HINGE, coupler, last, tip))
-    return Problem(f"{count} windows", "four-bars in a row", tuple(rods.bodies), tuple(rods.tree),
-                   tuple(loops), np.array([0.0, -GRAVITY, 0.0]), 0.1, 100, True)
+    return Problem(
+        f"{count} windows",
+        "four-bars in a row",
+        tuple(rods.bodies),
+        tuple(rods.tree),
+        tuple(loops),
+        np.array([0.0, -GRAVITY, 0.0]),
+        0.1,
+        100,
+        True,
+    )
 
 
 def chain(links, kind):
     """P4: rods of 0.1 m and 0.1 kg hang on each other; horizontal along x and at rest."""
     mass, length, width = 0.1, 0.1, 0.01
-    bodies = tuple(Body(mass, _rod_inertia(mass, length, 0.0, 0.0)
-                        + np.diag([mass * width ** 2 / 6, 0.0, 0.0]),
-                        np.array([(i + 0.5) * length, 0.0, 0.0])) for i in range(links))
-    tree = tuple(Joint(kind, i - 1, i, np.array([i * length, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
-                 for i in range(links))
-    return Problem(f"P4 N={links}", f"chain of {links}", bodies, tree, (),
-                   np.array([0.0, 0.0, -GRAVITY]), 0.5, 12, True,
-                   lambda fineness: references.planar_chain(links, mass, length, GRAVITY, 0.5,
-                                                            fineness))
+    bodies = tuple(
+        Body(
+            mass,
+            _rod_inertia(mass, length, 0.0, 0.0) + np.diag([mass * width**2 / 6, 0.0, 0.0]),
+            np.array([(i + 0.5) * length, 0.0, 0.0]),
+        )
+        for i in range(links)
+    )
+    tree = tuple(
+        Joint(kind, i - 1, i, np.array([i * length, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
+        for i in range(links)
+    )
+    return Problem(
+        f"P4 N={links}",
+        f"chain of {links}",
+        bodies,
+        tree,
+        (),
+        np.array([0.0, 0.0, -GRAVITY]),
+        0.5,
+        12,
+        True,
+        lambda fineness: references.planar_chain(links, mass, length, GRAVITY, 0.5, fineness),
+    )

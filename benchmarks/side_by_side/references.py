@@ -6,6 +6,7 @@ degree of freedom, so the time to an angle is an integral of the energy equation
 equations in the rods' absolute angles, DOP853. Each takes a fineness, 0 or 1: the difference of
 the two says how well the end is known.
 """
+
 from math import ceil, pi
 
 import numpy as np
@@ -32,10 +33,13 @@ def spinning_body(moments, omega, mass_arm, gravity, duration, fineness):
     for _ in range(steps):
         for k in range(order):
             back = w[k::-1]
-            w[k + 1] = (_cross(w[:k + 1] * moments, back).sum(axis=0)
-                        + _cross(mass_arm, gamma[k])) / moments / (k + 1)
-            gamma[k + 1] = _cross(gamma[:k + 1], back).sum(axis=0) / (k + 1)
-            scalar, vector = q[:k + 1, :1], q[:k + 1, 1:]
+            w[k + 1] = (
+                (_cross(w[: k + 1] * moments, back).sum(axis=0) + _cross(mass_arm, gamma[k]))
+                / moments
+                / (k + 1)
+            )
+            gamma[k + 1] = _cross(gamma[: k + 1], back).sum(axis=0) / (k + 1)
+            scalar, vector = q[: k + 1, :1], q[: k + 1, 1:]
             q[k + 1, 0] = -(vector * back).sum() / (2 * (k + 1))
             q[k + 1, 1:] = (scalar * back + _cross(vector, back)).sum(axis=0) / (2 * (k + 1))
         w[0], gamma[0], q[0] = powers @ w, powers @ gamma, powers @ q
@@ -48,9 +52,14 @@ def spinning_body(moments, omega, mass_arm, gravity, duration, fineness):
 
 def _cross(a, b):
     """Cross products along the last axis."""
-    return np.stack([a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
-                     a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2],
-                     a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]], axis=-1)
+    return np.stack(
+        [
+            a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
+            a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2],
+            a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0],
+        ],
+        axis=-1,
+    )
 
 
 def four_bar(fineness):
@@ -61,10 +70,11 @@ def four_bar(fineness):
     a smooth integrand: Gauss-Legendre panels, and Newton's iteration for t(p) = 1.
     """
     crank, rod, base, width, density, g = 0.5, 1.0, 1.0, 0.05, 1000.0, 9.81
-    m_crank, m_rod = density * width ** 2 * crank, density * width ** 2 * rod
-    about_end = [m * (length ** 2 / 3 + width ** 2 / 12)
-                 for m, length in ((m_crank, crank), (m_rod, rod))]
-    about_middle = m_rod * (rod ** 2 + width ** 2) / 12
+    m_crank, m_rod = density * width**2 * crank, density * width**2 * rod
+    about_end = [
+        m * (length**2 / 3 + width**2 / 12) for m, length in ((m_crank, crank), (m_rod, rod))
+    ]
+    about_middle = m_rod * (rod**2 + width**2) / 12
 
     def angles(p):
         """Angles of coupler and rocker, the elbow above the line from the crank's tip."""
@@ -77,17 +87,22 @@ def four_bar(fineness):
         # d(angle)/dp: the elbow moves across the rocker as much as the coupler lets it.
         d_coupler = -crank * np.sin(rocker - p) / (rod * np.sin(rocker - coupler))
         d_rocker = crank * np.sin(coupler - p) / (rod * np.sin(coupler - rocker))
-        middle = (crank ** 2 + (rod / 2 * d_coupler) ** 2
-                  + crank * rod * d_coupler * np.cos(p - coupler))
-        inertia = (about_end[0] + m_rod * middle + about_middle * d_coupler ** 2
-                   + about_end[1] * d_rocker ** 2)
-        height = (m_crank * crank / 2 * np.sin(p) + m_rod * rod / 2 * np.sin(rocker)
-                  + m_rod * (crank * np.sin(p) + rod / 2 * np.sin(coupler)))
+        middle = (
+            crank**2 + (rod / 2 * d_coupler) ** 2 + crank * rod * d_coupler * np.cos(p - coupler)
+        )
+        inertia = (
+            about_end[0] + m_rod * middle + about_middle * d_coupler**2 + about_end[1] * d_rocker**2
+        )
+        height = (
+            m_crank * crank / 2 * np.sin(p)
+            + m_rod * rod / 2 * np.sin(rocker)
+            + m_rod * (crank * np.sin(p) + rod / 2 * np.sin(coupler))
+        )
         return inertia, height
 
     start, rate, duration = pi / 2, 10 * pi, 1.0
     inertia, height = inertia_and_height(start)
-    energy = inertia * rate ** 2 / 2 + g * height
+    energy = inertia * rate**2 / 2 + g * height
 
     def slowness(p):
         inertia, height = inertia_and_height(p)
@@ -104,10 +119,10 @@ def four_bar(fineness):
         end += correction
         if abs(correction) < 1e-14:
             break
-    turned = [end - start] + [after - before
-                              for after, before in zip(angles(end), angles(start))]
-    return np.array([[[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]]
-                     for a in turned])
+    turned = [end - start] + [after - before for after, before in zip(angles(end), angles(start))]
+    return np.array(
+        [[[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]] for a in turned]
+    )
 
 
 def planar_chain(links, mass, length, g, duration, fineness):
@@ -121,7 +136,7 @@ def planar_chain(links, mass, length, g, duration, fineness):
     """
     arm = length * (np.tril(np.ones((links, links)), -1) + np.eye(links) / 2)
     coupling = mass * arm.T @ arm
-    own = mass * length ** 2 / 12 * np.eye(links)
+    own = mass * length**2 / 12 * np.eye(links)
     weight = g * mass * arm.sum(axis=0)
 
     def slope(_, state):
@@ -133,7 +148,8 @@ def planar_chain(links, mass, length, g, duration, fineness):
         return np.concatenate([rate, cho_solve(factor, right, check_finite=False)])
 
     tolerance = (1e-12, 1e-13)[fineness]
-    angle = solve_ivp(slope, (0.0, duration), np.zeros(2 * links), method="DOP853", rtol=tolerance,
-                      atol=tolerance).y[:links, -1]
+    angle = solve_ivp(
+        slope, (0.0, duration), np.zeros(2 * links), method="DOP853", rtol=tolerance, atol=tolerance
+    ).y[:links, -1]
     c, s, zero = np.cos(angle), np.sin(angle), np.zeros(links)
     return np.array([[c, zero, s], [zero, zero + 1, zero], [-s, zero, c]]).transpose(2, 0, 1)

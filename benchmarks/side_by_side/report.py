@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The figures of `peers.py` as tables, as sentences about what falls short, and as plain data."""
+
 import math
 
 from rich.table import Table
@@ -14,8 +15,11 @@ WORDS = tuple(f"{target:.0e}".replace("e-0", "e-") for target in TARGETS)
 
 def best(results, target, ours):
     """(entry, Cost) of the cheapest counted result of ours or of the others; None: not met."""
-    met = [(entry, costs[target]) for entry, _, costs in results
-           if entry.counted and (entry.code == OURS) == ours and costs[target] is not None]
+    met = [
+        (entry, costs[target])
+        for entry, _, costs in results
+        if entry.counted and (entry.code == OURS) == ours and costs[target] is not None
+    ]
     return min(met, key=lambda pair: pair[1].cost, default=None)
 
 
@@ -46,16 +50,23 @@ def _step(cost):
 
 def costs_table(name, title, duration, results):
     """One problem: a line for each setting of the others, and for those of ours that are best."""
-    table = Table(title=f"{name}, {title}, {duration:g} s: CPU ms per simulated s until "
-                  "||R - R_exact|| and gaps stay below", title_justify="left")
+    table = Table(
+        title=f"{name}, {title}, {duration:g} s: CPU ms per simulated s until "
+        "||R - R_exact|| and gaps stay below",
+        title_justify="left",
+    )
     table.add_column("code")
     table.add_column("setting")
     for word in WORDS:
         table.add_column(word, justify="right")
     table.add_column("us/step", justify="right")
     table.add_column("gap at " + WORDS[0], justify="right")
-    winners = {id(best(results, target, ours)[0]) for target in TARGETS for ours in (True, False)
-               if best(results, target, ours)}
+    winners = {
+        id(best(results, target, ours)[0])
+        for target in TARGETS
+        for ours in (True, False)
+        if best(results, target, ours)
+    }
     for entry, rungs, costs in results:
         if entry.code == OURS and id(entry) not in winners:
             continue
@@ -66,13 +77,20 @@ def costs_table(name, title, duration, results):
             cells.append(f"[bold]{_cell(costs[target])}[/bold]" if mark else _cell(costs[target]))
         finest = next((costs[t] for t in reversed(TARGETS) if costs[t] is not None), None)
         first = next((costs[t] for t in TARGETS if costs[t] is not None), None)
-        table.add_row(entry.code, entry.setting + ("" if entry.counted else " (not counted)"),
-                      *cells, "-" if finest is None else _step(finest),
-                      "-" if first is None else f"{first.gap:.0e}",
-                      style=None if entry.counted else "dim")
+        table.add_row(
+            entry.code,
+            entry.setting + ("" if entry.counted else " (not counted)"),
+            *cells,
+            "-" if finest is None else _step(finest),
+            "-" if first is None else f"{first.gap:.0e}",
+            style=None if entry.counted else "dim",
+        )
     table.add_section()
-    table.add_row("", "best of the others / ours", *[
-        _verdict(ratio(results, target), wanted) for target, wanted in zip(TARGETS, WANTED)])
+    table.add_row(
+        "",
+        "best of the others / ours",
+        *[_verdict(ratio(results, target), wanted) for target, wanted in zip(TARGETS, WANTED)],
+    )
     return table
 
 
@@ -91,33 +109,50 @@ def shortfalls(name, results):
         if value is None or value >= wanted:
             continue
         mine, theirs = best(results, target, True), best(results, target, False)
-        head = (f"{name} to {word}: {value:.2f} times as fast as {theirs[0].code} "
-                f"({theirs[0].setting}); wanted {wanted:g}")
+        head = (
+            f"{name} to {word}: {value:.2f} times as fast as {theirs[0].code} "
+            f"({theirs[0].setting}); wanted {wanted:g}"
+        )
         if mine is None:
             yield f"{head}: no setting of ours reaches it"
             continue
         (my_entry, my), (_, their) = mine, theirs
         affordable = theirs[1].cost / wanted / my.steps
-        yield (f"{head}: {my_entry.setting} takes {my.steps:.0f} steps per s of {_step(my)} us, "
-               f"the other {their.steps:.0f} of {_step(their)}; at so many, ours may take "
-               f"{_number(1e6 * affordable)} us")
+        yield (
+            f"{head}: {my_entry.setting} takes {my.steps:.0f} steps per s of {_step(my)} us, "
+            f"the other {their.steps:.0f} of {_step(their)}; at so many, ours may take "
+            f"{_number(1e6 * affordable)} us"
+        )
 
 
 def as_data(results):
     """Everything that was measured on a problem, for a JSON file."""
+
     def rung_data(rung):
         failed = rung.error == math.inf
-        return {"level": rung.level, "steps": rung.steps, "cost": rung.cost, "times": rung.times,
-                "attitude_error": None if failed else rung.attitude_error,
-                "gap": None if failed else rung.gap}
+        return {
+            "level": rung.level,
+            "steps": rung.steps,
+            "cost": rung.cost,
+            "times": rung.times,
+            "attitude_error": None if failed else rung.attitude_error,
+            "gap": None if failed else rung.gap,
+        }
 
     def entry_data(entry, rungs, costs):
-        return {"code": entry.code, "setting": entry.setting, "counted": entry.counted,
-                "rungs": [rung_data(rung) for rung in rungs],
-                "to_target": {word: cost and {"cost": cost.cost, "steps": cost.steps,
-                                              "gap": cost.gap}
-                              for word, cost in zip(WORDS, costs.values())}}
+        return {
+            "code": entry.code,
+            "setting": entry.setting,
+            "counted": entry.counted,
+            "rungs": [rung_data(rung) for rung in rungs],
+            "to_target": {
+                word: cost and {"cost": cost.cost, "steps": cost.steps, "gap": cost.gap}
+                for word, cost in zip(WORDS, costs.values())
+            },
+        }
 
-    return {"entries": [entry_data(*result) for result in results],
-            "ratio": {word: ratio(results, target) for word, target in zip(WORDS, TARGETS)},
-            "wanted": dict(zip(WORDS, WANTED))}
+    return {
+        "entries": [entry_data(*result) for result in results],
+        "ratio": {word: ratio(results, target) for word, target in zip(WORDS, TARGETS)},
+        "wanted": dict(zip(WORDS, WANTED)),
+    }

@@ -13,6 +13,7 @@ own, which they find under a name.
 Of Numba's inner parts this replaces three steps of a code library, one compiler pass, the type of a
 function, and what is done when the cache on the disk is damaged.
 """
+
 import hashlib
 import logging
 from contextlib import contextmanager
@@ -40,7 +41,7 @@ OPTIONS = {"nogil": True, "error_model": "numpy"}
 
 X86 = binding.get_process_triple().split("-")[0] in ("x86_64", "i686", "i386")
 WORD32 = ir.IntType(32)
-FLUSH_TO_ZERO_AND_DENORMALS_ARE_ZERO = ir.Constant(WORD32, 0x8040)      # bits of MXCSR
+FLUSH_TO_ZERO_AND_DENORMALS_ARE_ZERO = ir.Constant(WORD32, 0x8040)  # bits of MXCSR
 
 
 class _Library(JITCodeLibrary):
@@ -91,8 +92,11 @@ class _Lower(Lower):
 
     def setup_function(self, fndesc):
         super().setup_function(fndesc)
-        sizes = {f"arg.{name}": kind.size for name, kind in zip(fndesc.args, fndesc.argtypes)
-                 if isinstance(kind, StructType)}
+        sizes = {
+            f"arg.{name}": kind.size
+            for name, kind in zip(fndesc.args, fndesc.argtypes)
+            if isinstance(kind, StructType)
+        }
         for argument in self.function.args:
             if argument.name in sizes:
                 argument.attributes.dereferenceable = sizes[argument.name]
@@ -110,8 +114,12 @@ class _FlushingLower(_Lower):
         if X86:
             self._given = self._control("stmxcsr", cgutils.alloca_once(self.builder, WORD32))
             flushing = cgutils.alloca_once(self.builder, WORD32)
-            self.builder.store(self.builder.or_(self.builder.load(self._given),
-                                                FLUSH_TO_ZERO_AND_DENORMALS_ARE_ZERO), flushing)
+            self.builder.store(
+                self.builder.or_(
+                    self.builder.load(self._given), FLUSH_TO_ZERO_AND_DENORMALS_ARE_ZERO
+                ),
+                flushing,
+            )
             self._control("ldmxcsr", flushing)
 
     def lower_inst(self, inst):
@@ -123,7 +131,8 @@ class _FlushingLower(_Lower):
         """Store or load the control word of the floating-point unit."""
         byte = ir.IntType(8).as_pointer()
         function = cgutils.get_or_insert_function(
-            self.module, ir.FunctionType(ir.VoidType(), [byte]), f"llvm.x86.sse.{instruction}")
+            self.module, ir.FunctionType(ir.VoidType(), [byte]), f"llvm.x86.sse.{instruction}"
+        )
         self.builder.call(function, [self.builder.bitcast(place, byte)])
         return place
 
@@ -138,7 +147,7 @@ class _InnerLowering(NativeLowering):
         state.flags.no_compile = True
         super().run_pass(state)
         lowered = state["cr"]
-        entry = [].append       # there is none; a key of its own, of the type that Numba expects
+        entry = [].append  # there is none; a key of its own, of the type that Numba expects
         state.targetctx.insert_user_function(entry, lowered.fndesc, [state.library])
         state["cr"] = lowered._replace(cfunc=entry)
         return True
@@ -167,8 +176,10 @@ class _Inner(Compiler):
     def define_pipelines(self):
         managers = super().define_pipelines()
         for manager in managers:
-            manager.passes = [(self.lowering if each is NativeLowering else each, text)
-                              for each, text in manager.passes]
+            manager.passes = [
+                (self.lowering if each is NativeLowering else each, text)
+                for each, text in manager.passes
+            ]
             manager.finalize()
         return managers
 
@@ -183,20 +194,26 @@ class _Flushing(_Inner):
 
 def inner(function, always):
     """Dispatcher of a function for compiled callers; always: it is inlined into them."""
-    return njit(**OPTIONS, forceinline=always, pipeline_class=_Inner, no_cpython_wrapper=True,
-                no_cfunc_wrapper=True)(function)
+    return njit(
+        **OPTIONS,
+        forceinline=always,
+        pipeline_class=_Inner,
+        no_cpython_wrapper=True,
+        no_cfunc_wrapper=True,
+    )(function)
 
 
 class _Cache(FunctionCache):
     """Machine code on the disk; what cannot be read is made anew, what cannot be written is not
-    kept."""
+    kept.
+    """
 
     told = False
 
     def load_overload(self, *arguments):
         try:
             return super().load_overload(*arguments)
-        except Exception:       # whatever a file that was cut or garbled leads to
+        except Exception:  # whatever a file that was cut or garbled leads to
             with self._forgiving():
                 self.flush()
             return None
@@ -212,8 +229,12 @@ class _Cache(FunctionCache):
         except OSError as error:
             if not _Cache.told:
                 _Cache.told = True
-                log.warning("compiled kernels cannot be kept, so that every start compiles them "
-                            "again: %s: %s", self.cache_path, error.strerror)
+                log.warning(
+                    "compiled kernels cannot be kept, so that every start compiles them "
+                    "again: %s: %s",
+                    self.cache_path,
+                    error.strerror,
+                )
 
 
 def outer(function, cache, flushes):
@@ -232,7 +253,7 @@ class _Symbol:
     kernel out of the cache that calls it.
     """
 
-    function: object            # a kernel, with the dispatcher of the function for Python
+    function: object  # a kernel, with the dispatcher of the function for Python
     arguments: tuple
 
     @property
@@ -246,8 +267,9 @@ class _Symbol:
         found = dispatcher.overloads[self.arguments]
         if found.signature.return_type != types.int64:
             raise TypeError(f"{dispatcher.__qualname__} must return an integer")
-        binding.add_symbol(self.name, found.library.get_pointer_to_function(
-            found.fndesc.llvm_cfunc_wrapper_name))
+        binding.add_symbol(
+            self.name, found.library.get_pointer_to_function(found.fndesc.llvm_cfunc_wrapper_name)
+        )
 
 
 def shared_inner(outer_kernel):
@@ -255,19 +277,27 @@ def shared_inner(outer_kernel):
 
     outer_kernel : picklable, with a dispatcher; it returns an int64
     """
+
     @intrinsic
     def call(typing_context, given):
         symbol = _Symbol(outer_kernel, tuple(map(types.unliteral, given)))
         symbol()
 
         def codegen(context, builder, signature, values):
-            numbers = [context.cast(builder, value, kind, wanted) for value, kind, wanted in zip(
-                cgutils.unpack_tuple(builder, values[0]), given, symbol.arguments)]
+            numbers = [
+                context.cast(builder, value, kind, wanted)
+                for value, kind, wanted in zip(
+                    cgutils.unpack_tuple(builder, values[0]), given, symbol.arguments
+                )
+            ]
             function = cgutils.get_or_insert_function(
-                builder.module, ir.FunctionType(ir.IntType(64), [each.type for each in numbers]),
-                symbol.name)
+                builder.module,
+                ir.FunctionType(ir.IntType(64), [each.type for each in numbers]),
+                symbol.name,
+            )
             context.active_code_library._reload_init.add(symbol)
             return builder.call(function, numbers)
+
         return types.int64(given), codegen
 
     def stub(*given):

@@ -8,6 +8,7 @@ edit, in any file, starts a new folder.
 Without Numba the same functions run as plain Python: the same results, slowly, but for numbers that
 are next to zero (`stepper`).
 """
+
 import functools
 import hashlib
 import logging
@@ -29,7 +30,7 @@ log = logging.getLogger("liegroup_core")
 
 # How many caches of other versions stay: a developer switches between a few.
 KEPT_CACHES = 6
-COMPILED = re.compile("[0-9a-f]{16}(-[0-9]+)?")     # names of the folders of compiled code
+COMPILED = re.compile("[0-9a-f]{16}(-[0-9]+)?")  # names of the folders of compiled code
 
 
 @functools.lru_cache(maxsize=None)
@@ -47,8 +48,10 @@ def source_digest():
 
 def _source_hash():
     """Hash of all that the compiler keeps apart: sources and their place, versions."""
-    kept_apart = (f"{Path(__file__).parents[1]} {sys.version} {numba.__version__} "
-                  f"{numba.config.BOUNDSCHECK} {source_digest()}")
+    kept_apart = (
+        f"{Path(__file__).parents[1]} {sys.version} {numba.__version__} "
+        f"{numba.config.BOUNDSCHECK} {source_digest()}"
+    )
     return hashlib.sha256(kept_apart.encode()).hexdigest()[:16]
 
 
@@ -59,7 +62,7 @@ def cache_root():
     roots = [wanted]
     try:
         roots.append(Path(tempfile.gettempdir()) / f"liegroup_core-{os.getuid()}")
-    except FileNotFoundError:               # it tries to write: all disks are full
+    except FileNotFoundError:  # it tries to write: all disks are full
         pass
     for root in roots:
         try:
@@ -80,15 +83,21 @@ def _cache_folder():
         return None
     folder = root / _source_hash()
     if folder.exists() and not os.access(folder, os.W_OK):
-        folder = root / f"{folder.name}-{os.getuid()}"      # that is another user's
+        folder = root / f"{folder.name}-{os.getuid()}"  # that is another user's
     if not folder.exists():
         try:
             folder.mkdir(exist_ok=True)
-        except OSError:                     # the disk is full
+        except OSError:  # the disk is full
             return None
-        others = sorted((p for p in root.iterdir()
-                         if p.is_dir() and p != folder and COMPILED.fullmatch(p.name)),
-                        key=lambda p: p.stat().st_mtime, reverse=True)
+        others = sorted(
+            (
+                p
+                for p in root.iterdir()
+                if p.is_dir() and p != folder and COMPILED.fullmatch(p.name)
+            ),
+            key=lambda p: p.stat().st_mtime,
+            reverse=True,
+        )
         for old in others[KEPT_CACHES:]:
             shutil.rmtree(old, ignore_errors=True)
     return folder
@@ -120,7 +129,7 @@ class Kernel:
         return self.dispatcher(*arguments)
 
     def __reduce__(self):
-        return self.__qualname__            # where to find it: compiled code is not copied
+        return self.__qualname__  # where to find it: compiled code is not copied
 
     def entry(self, *arguments):
         """Its machine code for arguments of the types of these, to be called with no others."""
@@ -162,14 +171,16 @@ class Choice:
 
 
 if compiled():
+
     @numba.extending.typeof_impl.register(Kernel)
     def _type_of_kernel(kernel, context):
         return _inlined.InnerFunction(kernel.inner)
 
     @numba.extending.typeof_impl.register(Choice)
     def _type_of_choice(choice, context):
-        return _inlined.Chosen(choice.name, {cls: kernel.inner
-                                             for cls, kernel in choice.table.items()})
+        return _inlined.Chosen(
+            choice.name, {cls: kernel.inner for cls, kernel in choice.table.items()}
+        )
 
 
 def kernel(function):
@@ -216,11 +227,15 @@ def warm_up(call, name):
     """
     done = CACHE_FOLDER / f"complete-{name}" if CACHE_FOLDER is not None else None
     if not compiled():
-        log.warning("numba is not installed or is disabled: the simulation runs as plain Python, "
-                    "some hundred times slower (pip install numba)")
+        log.warning(
+            "numba is not installed or is disabled: the simulation runs as plain Python, "
+            "some hundred times slower (pip install numba)"
+        )
     elif done is None or not done.exists():
-        log.warning("compiling the kernels for their first use on this machine "
-                    "(some twenty seconds, kept for the next start)")
+        log.warning(
+            "compiling the kernels for their first use on this machine "
+            "(some twenty seconds, kept for the next start)"
+        )
     start = time.perf_counter()
     call()
     if done is not None and compiled():

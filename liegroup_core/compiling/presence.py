@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Numba, or None where it is not installed."""
+
 try:
     import numba
     import numba.extending

@@ -4,6 +4,7 @@
 A tuple of arrays would be taken apart at every call from Python, and copied into every kernel that
 it is handed to. Of a Struct a kernel gets the address, and loads from there what it uses.
 """
+
 import dataclasses
 import functools
 import hashlib
@@ -33,7 +34,7 @@ class Struct:
         return dataclasses.replace(self, **changes)
 
     def __reduce__(self):
-        return type(self), self.values()    # a copy has addresses of its own
+        return type(self), self.values()  # a copy has addresses of its own
 
     def values(self):
         """Its fields in their order."""
@@ -53,8 +54,11 @@ class Struct:
             words += found
         memory = np.array(words, dtype=np.uint64)
         # Frozen for others; the words must live as long as the Struct.
-        self.__dict__.update(numba_type=StructType(type(self), tuple(fields)), _memory=memory,
-                             address=memory.ctypes.data)
+        self.__dict__.update(
+            numba_type=StructType(type(self), tuple(fields)),
+            _memory=memory,
+            address=memory.ctypes.data,
+        )
 
 
 if compiled():
@@ -97,16 +101,25 @@ if compiled():
     def _borrowed_array(dtype, ndim):
         return BorrowedArray(from_dtype(dtype), ndim)
 
-    DATA, SHAPE, STRIDES = 4, 5, 6          # members of an array below
+    DATA, SHAPE, STRIDES = 4, 5, 6  # members of an array below
 
     @register_model(BorrowedArray)
     class _BorrowedArrayModel(models.StructModel):
         def __init__(self, manager, kind):
             shape = types.UniTuple(types.intp, kind.ndim)
-            super().__init__(manager, kind, [
-                ("meminfo", types.voidptr), ("parent", types.voidptr), ("nitems", types.intp),
-                ("itemsize", types.intp), ("data", types.CPointer(kind.dtype)),
-                ("shape", shape), ("strides", shape)])
+            super().__init__(
+                manager,
+                kind,
+                [
+                    ("meminfo", types.voidptr),
+                    ("parent", types.voidptr),
+                    ("nitems", types.intp),
+                    ("itemsize", types.intp),
+                    ("data", types.CPointer(kind.dtype)),
+                    ("shape", shape),
+                    ("strides", shape),
+                ],
+            )
 
     def _element(context, builder, kind, array, index_type, index):
         """Address of an element; None for an index that stands for several.
@@ -134,9 +147,11 @@ if compiled():
         kind, index_type = signature.args
         address = _element(context, builder, kind, arguments[0], index_type, arguments[1])
         if address is None:
-            return arrayobj.getitem_array_tuple(context, builder, signature, arguments) if (
-                isinstance(index_type, types.BaseTuple)) else (
-                arrayobj.getitem_arraynd_intp(context, builder, signature, arguments))
+            return (
+                arrayobj.getitem_array_tuple(context, builder, signature, arguments)
+                if (isinstance(index_type, types.BaseTuple))
+                else (arrayobj.getitem_arraynd_intp(context, builder, signature, arguments))
+            )
         return arrayobj.load_item(context, builder, kind, address)
 
     @lower_builtin(operator.setitem, BorrowedArray, types.Any, types.Any)
@@ -180,8 +195,10 @@ if compiled():
         if isinstance(value, np.ndarray):
             if not (value.flags.c_contiguous and value.flags.writeable):
                 raise ValueError(f"{name} must be a C-contiguous array that can be written")
-            return (_borrowed_array(value.dtype, value.ndim),
-                    [value.__array_interface__["data"][0], *value.shape])
+            return (
+                _borrowed_array(value.dtype, value.ndim),
+                [value.__array_interface__["data"][0], *value.shape],
+            )
         if isinstance(value, Struct):
             return value.numba_type, [value.address]
         if isinstance(value, (bool, np.bool_)):
@@ -222,8 +239,9 @@ if compiled():
             return value
 
         if isinstance(kind, BorrowedArray):
-            return _array(context, builder, kind, word(0),
-                          [word(1 + axis) for axis in range(kind.ndim)])
+            return _array(
+                context, builder, kind, word(0), [word(1 + axis) for axis in range(kind.ndim)]
+            )
         if isinstance(kind, StructType):
             inner = word(0, pointer.type)
             for name, number in (("dereferenceable", kind.size), ("align", 8)):
@@ -268,10 +286,17 @@ if compiled():
 
         def codegen(context, builder, signature, arguments):
             given = context.make_array(array)(context, builder, arguments[0])
-            return _array(context, builder, kind, builder.ptrtoint(given.data, WORD),
-                          cgutils.unpack_tuple(builder, given.shape))
+            return _array(
+                context,
+                builder,
+                kind,
+                builder.ptrtoint(given.data, WORD),
+                cgutils.unpack_tuple(builder, given.shape),
+            )
+
         return kind(array), codegen
 else:
+
     def borrowed(array):
         """The same array; plain Python counts references by itself."""
         return array

@@ -4,6 +4,7 @@
 Whether a row acts does not change within a step: the step is split where one starts or ends
 (timetable.py).
 """
+
 import math
 
 import numpy as np
@@ -11,18 +12,31 @@ import numpy as np
 from liegroup_core.compiling.kernels import kernel
 from liegroup_core.lie.vec3 import add3, cross3, dot3, load3, load9, tmatvec3, vector3
 
-ROW = np.dtype([
-    ("body", "i8"), ("world_axes", "i8"),                         # world_axes: 1, body axes: 0
-    ("torque", "f8", (3,)), ("force", "f8", (3,)),                # N m, N
-    ("point", "f8", (3,)),                                        # m, in the frame of the body
-    ("start", "f8"), ("end", "f8"),                               # s; end may be infinite
-], align=True)
+ROW = np.dtype(
+    [
+        ("body", "i8"),
+        ("world_axes", "i8"),  # world_axes: 1, body axes: 0
+        ("torque", "f8", (3,)),
+        ("force", "f8", (3,)),  # N m, N
+        ("point", "f8", (3,)),  # m, in the frame of the body
+        ("start", "f8"),
+        ("end", "f8"),  # s; end may be infinite
+    ],
+    align=True,
+)
 
 
 def make_row(wrench, index, ends):
     """Row of a ConstantWrench of a scene; see kinds.make_forces."""
-    return (index[wrench.body], wrench.axes == "world", wrench.torque, wrench.force, wrench.point,
-            wrench.start, math.inf if wrench.end is None else wrench.end)
+    return (
+        index[wrench.body],
+        wrench.axes == "world",
+        wrench.torque,
+        wrench.force,
+        wrench.point,
+        wrench.start,
+        math.inf if wrench.end is None else wrench.end,
+    )
 
 
 @kernel

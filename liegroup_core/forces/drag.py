@@ -4,6 +4,7 @@
     force  -(c1 + c2 |v|) v        torque  -(d1 + d2 |omega|) omega
 The same in body and world axes. The quadratic part has a kink in its second derivative at rest.
 """
+
 import math
 
 import numpy as np
@@ -11,11 +12,16 @@ import numpy as np
 from liegroup_core.compiling.kernels import kernel
 from liegroup_core.lie.vec3 import dot3, load3
 
-ROW = np.dtype([
-    ("body", "i8"),
-    ("linear", "f8"), ("quadratic", "f8"),                        # N s/m, N s^2/m^2
-    ("angular", "f8"), ("angular_quadratic", "f8"),               # N m s/rad, N m s^2/rad^2
-], align=True)
+ROW = np.dtype(
+    [
+        ("body", "i8"),
+        ("linear", "f8"),
+        ("quadratic", "f8"),  # N s/m, N s^2/m^2
+        ("angular", "f8"),
+        ("angular_quadratic", "f8"),  # N m s/rad, N m s^2/rad^2
+    ],
+    align=True,
+)
 
 
 def make_row(drag, index, ends):
@@ -26,8 +32,10 @@ def make_row(drag, index, ends):
 @kernel
 def _factors(row, w, v):
     """What to multiply angular and linear velocity by: N m s/rad and N s/m."""
-    return (row["angular"] + row["angular_quadratic"] * math.sqrt(dot3(w, w)),
-            row["linear"] + row["quadratic"] * math.sqrt(dot3(v, v)))
+    return (
+        row["angular"] + row["angular_quadratic"] * math.sqrt(dot3(w, w)),
+        row["linear"] + row["quadratic"] * math.sqrt(dot3(v, v)),
+    )
 
 
 @kernel

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Uniform gravity."""
+
 from liegroup_core.compiling.kernels import kernel
 from liegroup_core.lie.vec3 import dot3, load3, load9, scale3, tmatvec3
 
@@ -7,8 +8,7 @@ from liegroup_core.lie.vec3 import dot3, load3, load9, scale3, tmatvec3
 @kernel
 def force(model, pose, i):
     """m R^T g of a body, in body axes; it has no torque about the centre of mass."""
-    return scale3(model.bodies[i]["mass"],
-                  tmatvec3(load9(pose, i, 0), load3(model.gravity, 0, 0)))
+    return scale3(model.bodies[i]["mass"], tmatvec3(load9(pose, i, 0), load3(model.gravity, 0, 0)))
 
 
 @kernel

@@ -11,6 +11,7 @@ and its lines below; the class of the scene is in scene/description.py. Every ki
 maybe with no rows, so that all scenes share one compiled code. test/contract/test_forces.py holds
 for every kind. Gravity acts on all bodies and stands apart (gravity.py).
 """
+
 import numpy as np
 
 from liegroup_core.compiling.kernels import kernel, subroutine
@@ -56,10 +57,15 @@ def make_forces(described, index, ends):
     index     : {body name: body index, "world": WORLD}
     ends      : {joint name: (parent's index, child's index, parent frame, child frame)}
     """
-    return Forces(**{kind: np.array([module.make_row(force, index, ends)
-                                     for force in described if force.type == kind],
-                                    dtype=module.ROW)
-                     for kind, module in KINDS.items()})
+    return Forces(
+        **{
+            kind: np.array(
+                [module.make_row(force, index, ends) for force in described if force.type == kind],
+                dtype=module.ROW,
+            )
+            for kind, module in KINDS.items()
+        }
+    )
 
 
 @kernel
@@ -71,8 +77,9 @@ def add_wrenches(forces, angle, acting, pose, twist, wrench_out):
     pose (n, 12), twist (n, 6)
     """
     spring_damper.add_wrench(forces.spring_damper, pose, twist, wrench_out)
-    torsional_spring_damper.add_wrench(forces.torsional_spring_damper, angle, pose, twist,
-                                       wrench_out)
+    torsional_spring_damper.add_wrench(
+        forces.torsional_spring_damper, angle, pose, twist, wrench_out
+    )
     linear_spring_damper.add_wrench(forces.linear_spring_damper, pose, twist, wrench_out)
     motor.add_wrench(forces.motor, pose, twist, wrench_out)
     linear_motor.add_wrench(forces.linear_motor, pose, twist, wrench_out)
@@ -83,21 +90,25 @@ def add_wrenches(forces, angle, acting, pose, twist, wrench_out):
 @kernel
 def energy(forces, angle, pose):
     """Potential energy of all forces, J."""
-    return (spring_damper.energy(forces.spring_damper, pose)
-            + torsional_spring_damper.energy(forces.torsional_spring_damper, angle, pose)
-            + linear_spring_damper.energy(forces.linear_spring_damper, pose))
+    return (
+        spring_damper.energy(forces.spring_damper, pose)
+        + torsional_spring_damper.energy(forces.torsional_spring_damper, angle, pose)
+        + linear_spring_damper.energy(forces.linear_spring_damper, pose)
+    )
 
 
 @kernel
 def power(forces, acting, pose, twist):
     """Power of all forces without their potential part, W: the rate of the mechanical energy."""
-    return (spring_damper.power(forces.spring_damper, pose, twist)
-            + torsional_spring_damper.power(forces.torsional_spring_damper, pose, twist)
-            + linear_spring_damper.power(forces.linear_spring_damper, pose, twist)
-            + motor.power(forces.motor, pose, twist)
-            + linear_motor.power(forces.linear_motor, pose, twist)
-            + drag.power(forces.drag, twist)
-            + applied_wrench.power(forces.applied_wrench, acting, pose, twist))
+    return (
+        spring_damper.power(forces.spring_damper, pose, twist)
+        + torsional_spring_damper.power(forces.torsional_spring_damper, pose, twist)
+        + linear_spring_damper.power(forces.linear_spring_damper, pose, twist)
+        + motor.power(forces.motor, pose, twist)
+        + linear_motor.power(forces.linear_motor, pose, twist)
+        + drag.power(forces.drag, twist)
+        + applied_wrench.power(forces.applied_wrench, acting, pose, twist)
+    )
 
 
 @kernel

@@ -3,15 +3,21 @@
 
 The line of motor.py, with force and speed in place of torque and rate.
 """
+
 import numpy as np
 
 from liegroup_core.compiling.kernels import kernel
 
 from . import slide
 
-ROW = np.dtype(slide.FIELDS + [
-    ("force", "f8"), ("slope", "f8"),                             # N at rest, N s/m
-], align=True)
+ROW = np.dtype(
+    slide.FIELDS
+    + [
+        ("force", "f8"),
+        ("slope", "f8"),  # N at rest, N s/m
+    ],
+    align=True,
+)
 
 
 def make_row(motor, index, ends):

@@ -1,20 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
 """Spring with damper along the z axis of a joint that slides: force -(k (s - s0) + c sdot)."""
+
 import numpy as np
 
 from liegroup_core.compiling.kernels import kernel
 
 from . import slide
 
-ROW = np.dtype(slide.FIELDS + [
-    ("stiffness", "f8"), ("damping", "f8"), ("rest_position", "f8"),    # N/m, N s/m, m
-], align=True)
+ROW = np.dtype(
+    slide.FIELDS
+    + [
+        ("stiffness", "f8"),
+        ("damping", "f8"),
+        ("rest_position", "f8"),  # N/m, N s/m, m
+    ],
+    align=True,
+)
 
 
 def make_row(spring, index, ends):
     """Row of a LinearSpringDamper of a scene; see kinds.make_forces."""
-    return (*slide.fields(*ends[spring.joint]),
-            spring.stiffness, spring.damping, spring.rest_position)
+    return (
+        *slide.fields(*ends[spring.joint]),
+        spring.stiffness,
+        spring.damping,
+        spring.rest_position,
+    )
 
 
 @kernel

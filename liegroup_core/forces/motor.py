@@ -6,15 +6,21 @@ direction of tau. It holds at every rate: a joint turned faster than the limit i
 turned backwards is opposed by more than tau. So the torque is smooth and methods keep their
 order.
 """
+
 import numpy as np
 
 from liegroup_core.compiling.kernels import kernel
 
 from . import turn
 
-ROW = np.dtype(turn.FIELDS + [
-    ("torque", "f8"), ("slope", "f8"),                            # N m at rest, N m s/rad
-], align=True)
+ROW = np.dtype(
+    turn.FIELDS
+    + [
+        ("torque", "f8"),
+        ("slope", "f8"),  # N m at rest, N m s/rad
+    ],
+    align=True,
+)
 
 
 def make_row(motor, index, ends):

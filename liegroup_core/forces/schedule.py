@@ -6,12 +6,13 @@ turn comes, a zero one ends it. Sources add. Everything happens at step boundari
 constant over whole steps and all their stages, and a list of the changes repeats a run exactly.
 One that is given in world axes is turned into body axes at the start of every step.
 """
+
 import bisect
 from typing import NamedTuple
 
 import numpy as np
 
-NEVER = 1 << 62                             # a step that is never reached
+NEVER = 1 << 62  # a step that is never reached
 
 
 class AppliedWrench(NamedTuple):
@@ -30,11 +31,11 @@ class AppliedWrench(NamedTuple):
 class _Command(NamedTuple):
     start: int
     end: int
-    number: int                             # order of arrival: of two at the same step the later wins
+    number: int  # order of arrival: of two at the same step the later wins
     source: str
     body: int
     wrench: tuple
-    in_world: bool                          # axes of the world, not of the body
+    in_world: bool  # axes of the world, not of the body
 
 
 class WrenchSchedule:
@@ -59,8 +60,11 @@ class WrenchSchedule:
         """Let `source` apply `wrench` (6,) to body number `body` over the steps start <= k < end."""
         self._arrived += 1
         wrench = tuple(float(x) for x in wrench)
-        bisect.insort(self._waiting, _Command(start, end, self._arrived, source, body, wrench,
-                                              in_world), key=lambda c: (c.start, c.number))
+        bisect.insort(
+            self._waiting,
+            _Command(start, end, self._arrived, source, body, wrench, in_world),
+            key=lambda c: (c.start, c.number),
+        )
 
     def clear(self, source):
         """End all that this source does or means to do. It takes effect with the next update."""
@@ -87,8 +91,11 @@ class WrenchSchedule:
         changed = []
         for body in sorted(touched):
             # Summed in the order of the sources' names: the same wrenches give the same bits.
-            acting = [_in_body_axes(self._acting[key], pose[body])
-                      for key in sorted(self._acting) if key[1] == body]
+            acting = [
+                _in_body_axes(self._acting[key], pose[body])
+                for key in sorted(self._acting)
+                if key[1] == body
+            ]
             total = np.sum(acting, axis=0) if acting else np.zeros(6)
             if not np.array_equal(total, self.total[body]):
                 self.total[body] = total

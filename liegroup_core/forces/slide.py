@@ -8,15 +8,18 @@ A force f z acts on the child at o_b and -f z on the parent at the same point: t
 every point, and their work is f ds exactly, also where a method lets the joint drift by a little
 (test/contract/test_forces.py).
 """
+
 from liegroup_core.compiling.kernels import kernel
 from liegroup_core.lie.vec3 import dot3, scale3, sub3, vector3
 
 from .points import apply_force, place_of, point, point_velocity, world_axes
 
 FIELDS = [
-    ("parent", "i8"), ("child", "i8"),                            # body index or WORLD
-    ("axis", "f8", (3,)),                                         # z in the axes of the parent
-    ("parent_origin", "f8", (3,)), ("child_origin", "f8", (3,)),  # m, in the frame of each
+    ("parent", "i8"),
+    ("child", "i8"),  # body index or WORLD
+    ("axis", "f8", (3,)),  # z in the axes of the parent
+    ("parent_origin", "f8", (3,)),
+    ("child_origin", "f8", (3,)),  # m, in the frame of each
 ]
 
 
@@ -29,8 +32,13 @@ def fields(parent, child, parent_frame, child_frame):
 def coordinate(row, pose):
     """s, m."""
     z = world_axes(pose, row["parent"], vector3(row["axis"]))
-    return dot3(z, sub3(point(pose, row["child"], vector3(row["child_origin"])),
-                        point(pose, row["parent"], vector3(row["parent_origin"]))))
+    return dot3(
+        z,
+        sub3(
+            point(pose, row["child"], vector3(row["child_origin"])),
+            point(pose, row["parent"], vector3(row["parent_origin"])),
+        ),
+    )
 
 
 @kernel
@@ -39,8 +47,13 @@ def rate(row, pose, twist):
     z = world_axes(pose, row["parent"], vector3(row["axis"]))
     place = vector3(row["child_origin"])
     at_parent = place_of(pose, row["parent"], point(pose, row["child"], place))
-    return dot3(z, sub3(point_velocity(pose, twist, row["child"], place),
-                        point_velocity(pose, twist, row["parent"], at_parent)))
+    return dot3(
+        z,
+        sub3(
+            point_velocity(pose, twist, row["child"], place),
+            point_velocity(pose, twist, row["parent"], at_parent),
+        ),
+    )
 
 
 @kernel

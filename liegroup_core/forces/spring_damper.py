@@ -6,6 +6,7 @@ With d the vector from the parent's point to the child's point and l = |d| the f
 and the parent gets -f. A spring of zero rest length has f = -k d, without a division. Where a
 direction is missing (l = 0), the rest length and the damper contribute nothing.
 """
+
 import math
 
 import numpy as np
@@ -15,31 +16,49 @@ from liegroup_core.lie.vec3 import dot3, scale3, sub3, vector3
 
 from .points import apply_force, point, point_velocity
 
-ROW = np.dtype([
-    ("parent", "i8"), ("child", "i8"),                            # body index or WORLD
-    ("parent_point", "f8", (3,)), ("child_point", "f8", (3,)),    # m, in the frame of each
-    ("stiffness", "f8"), ("damping", "f8"), ("rest_length", "f8"),    # N/m, N s/m, m
-], align=True)
+ROW = np.dtype(
+    [
+        ("parent", "i8"),
+        ("child", "i8"),  # body index or WORLD
+        ("parent_point", "f8", (3,)),
+        ("child_point", "f8", (3,)),  # m, in the frame of each
+        ("stiffness", "f8"),
+        ("damping", "f8"),
+        ("rest_length", "f8"),  # N/m, N s/m, m
+    ],
+    align=True,
+)
 
 
 def make_row(spring, index, ends):
     """Row of a SpringDamper of a scene; see kinds.make_forces."""
-    return (index[spring.parent], index[spring.child], spring.parent_point, spring.child_point,
-            spring.stiffness, spring.damping, spring.rest_length)
+    return (
+        index[spring.parent],
+        index[spring.child],
+        spring.parent_point,
+        spring.child_point,
+        spring.stiffness,
+        spring.damping,
+        spring.rest_length,
+    )
 
 
 @kernel
 def _line(row, pose):
     """The vector from the parent's point to the child's point, world axes."""
-    return sub3(point(pose, row["child"], vector3(row["child_point"])),
-                point(pose, row["parent"], vector3(row["parent_point"])))
+    return sub3(
+        point(pose, row["child"], vector3(row["child_point"])),
+        point(pose, row["parent"], vector3(row["parent_point"])),
+    )
 
 
 @kernel
 def _line_rate(row, pose, twist):
     """Rate of that vector."""
-    return sub3(point_velocity(pose, twist, row["child"], vector3(row["child_point"])),
-                point_velocity(pose, twist, row["parent"], vector3(row["parent_point"])))
+    return sub3(
+        point_velocity(pose, twist, row["child"], vector3(row["child_point"])),
+        point_velocity(pose, twist, row["parent"], vector3(row["parent_point"])),
+    )
 
 
 @kernel
@@ -57,8 +76,9 @@ def add_wrench(rows, pose, twist, wrench_out):
                 factor += row["damping"] * (dot3(d, ddot) / length) / length
         force = scale3(-factor, d)
         apply_force(pose, row["child"], vector3(row["child_point"]), force, wrench_out)
-        apply_force(pose, row["parent"], vector3(row["parent_point"]), scale3(-1.0, force),
-                    wrench_out)
+        apply_force(
+            pose, row["parent"], vector3(row["parent_point"]), scale3(-1.0, force), wrench_out
+        )
 
 
 @kernel

@@ -5,6 +5,7 @@ A time that falls inside a step splits it: the integration stops there and goes 
 wrenches, so the impulse is exact and a method keeps its order. Steps and samples stay where they
 are. A time that is a step up to rounding is that step.
 """
+
 from bisect import bisect_right
 
 import numpy as np
@@ -26,7 +27,7 @@ class Timetable:
     def __init__(self, rows, step):
         self._rows, self._step = rows, step
         self._no_change = [(step, np.zeros(0, dtype=bool))]
-        self._inside = {}                   # step number -> times inside that step
+        self._inside = {}  # step number -> times inside that step
         changes = set()
         for time in np.unique([rows["start"], rows["end"]]):
             if not np.isfinite(time):
@@ -53,5 +54,7 @@ class Timetable:
         ends = [steps * self._step, *inside, (steps + 1) * self._step]
         durations = np.diff(ends).tolist() if inside else [self._step]
         # In the middle of a part no rounding decides what acts.
-        return [(duration, acting_at(self._rows, start + 0.5 * duration))
-                for duration, start in zip(durations, ends)]
+        return [
+            (duration, acting_at(self._rows, start + 0.5 * duration))
+            for duration, start in zip(durations, ends)
+        ]

@@ -5,6 +5,7 @@
 The angle theta goes on over many turns (turn.py). Its value at the last finished step is part of
 the state, one number a row: `angle`.
 """
+
 import math
 
 import numpy as np
@@ -13,9 +14,15 @@ from liegroup_core.compiling.kernels import kernel
 
 from . import turn
 
-ROW = np.dtype(turn.FIELDS + [
-    ("stiffness", "f8"), ("damping", "f8"), ("rest_angle", "f8"),   # N m/rad, N m s/rad, rad
-], align=True)
+ROW = np.dtype(
+    turn.FIELDS
+    + [
+        ("stiffness", "f8"),
+        ("damping", "f8"),
+        ("rest_angle", "f8"),  # N m/rad, N m s/rad, rad
+    ],
+    align=True,
+)
 
 # An angle whose turns are not known yet is taken nearest to this: in (-pi, pi], and a joint that
 # is set up at half a turn counts as pi, not -pi, whichever round-off makes it.
@@ -24,8 +31,7 @@ UNKNOWN_TURN = 1e-9
 
 def make_row(spring, index, ends):
     """Row of a TorsionalSpringDamper of a scene; see kinds.make_forces."""
-    return (*turn.fields(*ends[spring.joint]),
-            spring.stiffness, spring.damping, spring.rest_angle)
+    return (*turn.fields(*ends[spring.joint]), spring.stiffness, spring.damping, spring.rest_angle)
 
 
 @kernel

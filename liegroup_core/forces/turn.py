@@ -12,6 +12,7 @@ A rotation tells the angle but for whole turns. These are counted: the angle is 
 nearest to that of the last step, which is exact while the joint turns by less than half a turn a
 step.
 """
+
 import math
 
 from liegroup_core.compiling.kernels import kernel
@@ -31,8 +32,10 @@ from liegroup_core.lie.vec3 import (
 from .points import apply_torque, world_axes
 
 FIELDS = [
-    ("parent", "i8"), ("child", "i8"),                            # body index or WORLD
-    ("parent_axes", "f8", (9,)), ("child_axes", "f8", (9,)),      # joint frame -> axes of each
+    ("parent", "i8"),
+    ("child", "i8"),  # body index or WORLD
+    ("parent_axes", "f8", (9,)),
+    ("child_axes", "f8", (9,)),  # joint frame -> axes of each
 ]
 
 
@@ -52,8 +55,10 @@ def _frame_axes(pose, body, axes):
 @kernel
 def angle(row, pose, near):
     """Angle of the child's joint frame about z, rad: of all that fit the one nearest to `near`."""
-    relative = tmatmul3(_frame_axes(pose, row["parent"], matrix3(row["parent_axes"])),
-                        _frame_axes(pose, row["child"], matrix3(row["child_axes"])))
+    relative = tmatmul3(
+        _frame_axes(pose, row["parent"], matrix3(row["parent_axes"])),
+        _frame_axes(pose, row["child"], matrix3(row["child_axes"])),
+    )
     within_a_turn = math.atan2(relative[3] - relative[1], relative[0] + relative[4])
     turns = math.floor((near - within_a_turn) / (2.0 * math.pi) + 0.5)
     return within_a_turn + 2.0 * math.pi * turns

@@ -3,6 +3,7 @@
 
 Source: Kelley, Iterative Methods for Linear and Nonlinear Equations, 1995, 7.3.
 """
+
 from liegroup_core.compiling.kernels import kernel
 
 

@@ -11,6 +11,7 @@ An integrator is made by `family(method, layout, group, step, options)` and has
                      constant over these steps; pose and twist stay the last good ones
     substeps         (good ones, attempts) since the restart, (0, 0) where there are none
 """
+
 from liegroup_core.integrators.generalized_alpha.generalized_alpha import GeneralizedAlpha
 from liegroup_core.integrators.rattle.rattle import Constrained
 from liegroup_core.integrators.rkmk.munthe_kaas import MuntheKaas
@@ -19,9 +20,13 @@ from liegroup_core.integrators.rotation.rotation import Rotation
 
 from .methods import GROUPS, METHODS
 
-FAMILIES = {"rkmk": MuntheKaas, "generalized_alpha": GeneralizedAlpha, "rotation": Rotation,
-            "constrained": Constrained}
-NOT_ON_SE3 = ("rotation", "constrained")        # families with a group of their own
+FAMILIES = {
+    "rkmk": MuntheKaas,
+    "generalized_alpha": GeneralizedAlpha,
+    "rotation": Rotation,
+    "constrained": Constrained,
+}
+NOT_ON_SE3 = ("rotation", "constrained")  # families with a group of their own
 
 
 def check_options(method, options):
@@ -45,8 +50,10 @@ def check_group(method, group):
     if group == "auto":
         return "so3xr3" if alone else "se3"
     if alone and group != "so3xr3":
-        raise ValueError(f"method {method} moves poses on SO(3) x R^3 alone: group must be "
-                         f"'so3xr3' or 'auto', got {group!r}")
+        raise ValueError(
+            f"method {method} moves poses on SO(3) x R^3 alone: group must be "
+            f"'so3xr3' or 'auto', got {group!r}"
+        )
     return group
 
 
@@ -68,6 +75,8 @@ def make_integrator(method, layout, group, step, options):
     entry = METHODS[method]
     why = misfit(method, layout)
     if why:
-        raise ValueError(f"method {method} does not fit this scene: {why}; "
-                         f"these do: {', '.join(fitting_methods(layout))}")
+        raise ValueError(
+            f"method {method} does not fit this scene: {why}; "
+            f"these do: {', '.join(fitting_methods(layout))}"
+        )
     return FAMILIES[entry.family](entry, layout, group, step, options)

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What all integrators do with a state: its velocity on the group, displacing it, copying it."""
+
 import math
 
 from liegroup_core.compiling.kernels import kernel
@@ -40,9 +41,17 @@ def orthonormal(rot):
     """
     x, y, z = (rot[0], rot[3], rot[6]), (rot[1], rot[4], rot[7]), (rot[2], rot[5], rot[8])
     xy, xz, yz = -0.5 * dot3(x, y), -0.5 * dot3(x, z), -0.5 * dot3(y, z)
-    defect = (1.5 - 0.5 * dot3(x, x), xy, xz,
-              xy, 1.5 - 0.5 * dot3(y, y), yz,
-              xz, yz, 1.5 - 0.5 * dot3(z, z))
+    defect = (
+        1.5 - 0.5 * dot3(x, x),
+        xy,
+        xz,
+        xy,
+        1.5 - 0.5 * dot3(y, y),
+        yz,
+        xz,
+        yz,
+        1.5 - 0.5 * dot3(z, z),
+    )
     return matmul3(rot, defect)
 
 

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A step that works where an implicit method has failed: found by trying."""
+
 import math
 
 from liegroup_core.status import OK

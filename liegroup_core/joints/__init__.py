@@ -4,5 +4,11 @@
 from .elements import elements_of, forbidden_rows, position_residual
 from .pairs import LOWER_PAIRS, LowerPair, rotation_z_to
 
-__all__ = ["LOWER_PAIRS", "LowerPair", "elements_of", "forbidden_rows", "position_residual",
-           "rotation_z_to"]
+__all__ = [
+    "LOWER_PAIRS",
+    "LowerPair",
+    "elements_of",
+    "forbidden_rows",
+    "position_residual",
+    "rotation_z_to",
+]

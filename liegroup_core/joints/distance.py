@@ -10,6 +10,7 @@ the parent's point moves with qdot = -(v + w x q), (w, v) = V_b - W the relative
 
 Where the points coincide there is no direction: the row is then zero, which the solve reports.
 """
+
 import math
 
 from liegroup_core.compiling.kernels import kernel

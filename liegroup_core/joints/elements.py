@@ -8,6 +8,7 @@
 A universal joint is a spherical PAIR and a PERPENDICULAR. The rows of the last two kinds depend
 on the pose: they are no subgroups, and so not kept exactly, even to ground on SE(3).
 """
+
 import math
 from dataclasses import dataclass
 
@@ -17,7 +18,7 @@ from .distance import distance_residual, distance_row
 from .pairs import LOWER_PAIRS, pair_coordinates
 from .perpendicular import perpendicular_residual, perpendicular_row
 
-WORLD = -1                                  # body index that stands for the world
+WORLD = -1  # body index that stands for the world
 PAIR, PERPENDICULAR, DISTANCE = 0, 1, 2
 
 # Types of scene joints that have a name and two frames, and no parameter.

@@ -4,6 +4,7 @@
 For what is done once per scene: finding redundant rows, and assembly. Lengths are in units of the
 linkage's size, so that turns and shifts compare. Poses are {body: (4, 4)}, the world included.
 """
+
 from functools import cached_property
 
 import numpy as np
@@ -19,7 +20,7 @@ RANK_TOLERANCE = 3e-5
 CLOSED = 1e-12
 ROUND_OFF = 4e-16
 MOST_ROUNDS = 50
-LARGEST_TURN = 1.0                          # rad in a round: a full step from afar leads anywhere
+LARGEST_TURN = 1.0  # rad in a round: a full step from afar leads anywhere
 MOST_HALVINGS = 8
 
 
@@ -39,7 +40,7 @@ def _are_angular(rows):
 def freedoms(matrix):
     """Directions (f, columns) that a matrix of unit rows leaves free."""
     _, sizes, directions = np.linalg.svd(matrix)
-    return directions[int((sizes > RANK_TOLERANCE).sum()):]
+    return directions[int((sizes > RANK_TOLERANCE).sum()) :]
 
 
 class Linkage:
@@ -59,8 +60,9 @@ class Linkage:
         self.counts = [sum(len(part.forbidden) for part in elements) for elements in self.parts]
         names = {name for joint in self.joints for name in (joint.parent, joint.child)}
         self.start = {body.name: body.pose for body in scene.bodies} | {"world": np.eye(4)}
-        self.bodies = [body.name for body in scene.bodies
-                       if body.name in names and body.name not in held]
+        self.bodies = [
+            body.name for body in scene.bodies if body.name in names and body.name not in held
+        ]
         self.place = {name: 6 * i for i, name in enumerate(self.bodies)}
         offsets = [np.sum(frame[:3, 3] ** 2) for pair in self.frames for frame in pair]
         self.length = np.sqrt(np.mean(offsets or [0.0])) or 1.0
@@ -69,11 +71,17 @@ class Linkage:
     def _key(self):
         """All that it is made of, to the bit."""
         ends = {name for joint in self.joints for name in (joint.parent, joint.child)}
-        return (tuple((joint.type, joint.parent, joint.child) for joint in self.joints),
-                tuple(self.bodies), np.array(self.frames).tobytes(),
-                tuple((part.kind, part.forbidden.tobytes(), part.pitch, part.length)
-                      for parts in self.parts for part in parts),
-                tuple((name, pose.tobytes()) for name, pose in self.start.items() if name in ends))
+        return (
+            tuple((joint.type, joint.parent, joint.child) for joint in self.joints),
+            tuple(self.bodies),
+            np.array(self.frames).tobytes(),
+            tuple(
+                (part.kind, part.forbidden.tobytes(), part.pitch, part.length)
+                for parts in self.parts
+                for part in parts
+            ),
+            tuple((name, pose.tobytes()) for name, pose in self.start.items() if name in ends),
+        )
 
     def __eq__(self, other):
         return isinstance(other, Linkage) and self._key == other._key
@@ -89,7 +97,8 @@ class Linkage:
     def joint_rows(self, j, poses):
         """Rows (k, 6) of the j-th of the joints for the relative twist in the child's body frame."""
         return forbidden_rows(self.parts[j], self.relative(j, poses)) @ SE3.Ad(
-            inverse(self.frames[j][1]))
+            inverse(self.frames[j][1])
+        )
 
     def velocity_rows(self, poses, rows=None):
         """Rows (rows, 6 bodies) for twists (omega, v) of the bodies.
@@ -102,15 +111,15 @@ class Linkage:
         matrix = np.zeros((sum(len(part) for part in rows), 6 * len(self.bodies)))
         first = 0
         for joint, part in zip(self.joints, rows):
-            block = matrix[first:first + len(part)]
+            block = matrix[first : first + len(part)]
             first += len(part)
             if joint.child in self.place:
                 at = self.place[joint.child]
-                block[:, at:at + 6] = part
+                block[:, at : at + 6] = part
             if joint.parent in self.place:
                 at = self.place[joint.parent]
                 between = inverse(poses[joint.child]) @ poses[joint.parent]
-                block[:, at:at + 6] = -part @ SE3.Ad(between)
+                block[:, at : at + 6] = -part @ SE3.Ad(between)
         return matrix
 
     def jacobian(self, poses):
@@ -123,14 +132,28 @@ class Linkage:
     @cached_property
     def _units(self):
         """Unit of each row of the joints: 1 rad, or the length."""
-        return np.concatenate([np.zeros(0), *(
-            np.where(_are_angular(forbidden_rows(part, self.relative(j, self.start))),
-                     1.0, self.length) for j, part in enumerate(self.parts))])
+        return np.concatenate(
+            [
+                np.zeros(0),
+                *(
+                    np.where(
+                        _are_angular(forbidden_rows(part, self.relative(j, self.start))),
+                        1.0,
+                        self.length,
+                    )
+                    for j, part in enumerate(self.parts)
+                ),
+            ]
+        )
 
     def _gaps(self, poses):
         """Position residuals of all joints, rad and in units of the length."""
-        return np.concatenate([np.zeros(0), *(
-            self.joint_residual(j, poses) for j in range(len(self.joints)))]) / self._units
+        return (
+            np.concatenate(
+                [np.zeros(0), *(self.joint_residual(j, poses) for j in range(len(self.joints)))]
+            )
+            / self._units
+        )
 
     def joint_residual(self, j, poses):
         """Position residual (k,) of the j-th of the joints; closed, its slope is that of its rows."""
@@ -145,8 +168,9 @@ class Linkage:
     def moved(self, poses, step):
         """Poses moved along body twists; step (6 bodies,) as (omega length, v)."""
         step = step.reshape(-1, 6) / np.array([self.length] * 3 + [1.0] * 3)
-        return poses | {name: poses[name] @ SE3.exp(twist)
-                        for name, twist in zip(self.bodies, step)}
+        return poses | {
+            name: poses[name] @ SE3.exp(twist) for name, twist in zip(self.bodies, step)
+        }
 
     def closed(self, poses):
         """The nearest closed poses, or None."""
@@ -209,9 +233,12 @@ class Linkage:
             for name in {joint.parent, joint.child} & self.place.keys():
                 for c in range(6):
                     nudge = step * np.eye(6)[c] * (1.0 if c < 3 else self.length)
-                    ahead, behind = (self.joint_residual(j, poses | {
-                        name: poses[name] @ SE3.exp(sign * nudge)}) for sign in (1.0, -1.0))
-                    matrix[first:first + count, self.place[name] + c] = (
-                        (ahead - behind) / (2.0 * np.abs(nudge).max()))
+                    ahead, behind = (
+                        self.joint_residual(j, poses | {name: poses[name] @ SE3.exp(sign * nudge)})
+                        for sign in (1.0, -1.0)
+                    )
+                    matrix[first : first + count, self.place[name] + c] = (ahead - behind) / (
+                        2.0 * np.abs(nudge).max()
+                    )
             first += count
         return matrix

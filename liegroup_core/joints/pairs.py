@@ -56,26 +56,31 @@ class LowerPair:
 LOWER_PAIRS = {
     "spherical": LowerPair(
         ("vx", "vy", "vz"),
-        "ball joint: the frames share their origin, the child turns freely about it"),
+        "ball joint: the frames share their origin, the child turns freely about it",
+    ),
     "revolute": LowerPair(
         ("wx", "wy", "vx", "vy", "vz"),
-        "hinge: the frames share origin and z axis, the child turns about z"),
+        "hinge: the frames share origin and z axis, the child turns about z",
+    ),
     "prismatic": LowerPair(
         ("wx", "wy", "wz", "vx", "vy"),
-        "slider: the frames share their axes, the child slides along z"),
+        "slider: the frames share their axes, the child slides along z",
+    ),
     "cylindrical": LowerPair(
         ("wx", "wy", "vx", "vy"),
-        "shaft in a sleeve: the frames share the z axis, the child turns about it and slides"),
+        "shaft in a sleeve: the frames share the z axis, the child turns about it and slides",
+    ),
     "planar": LowerPair(
         ("wx", "wy", "vz"),
-        "plate on a plate: the frames share the x-y plane, the child slides and turns in it"),
+        "plate on a plate: the frames share the x-y plane, the child slides and turns in it",
+    ),
     "screw": LowerPair(
         ("wx", "wy", "vx", "vy", "vz"),
         "nut on a bolt: the frames share the z axis, the child turns about z and moves along it "
-        "by pitch for every radian", has_pitch=True),
-    "fixed": LowerPair(
-        ("wx", "wy", "wz", "vx", "vy", "vz"),
-        "weld: the frames stay together"),
+        "by pitch for every radian",
+        has_pitch=True,
+    ),
+    "fixed": LowerPair(("wx", "wy", "wz", "vx", "vy", "vz"), "weld: the frames stay together"),
 }
 
 
@@ -93,11 +98,13 @@ def rotation_z_to(axis):
     horizontal = math.hypot(x, y)
     u_x, u_y = (x / horizontal, y / horizontal) if horizontal > 0.0 else (1.0, 0.0)
     bend = 1.0 - z
-    return np.array([
-        [1.0 - bend * u_x * u_x, -bend * u_x * u_y, x],
-        [-bend * u_x * u_y, 1.0 - bend * u_y * u_y, y],
-        [-x, -y, z],
-    ])
+    return np.array(
+        [
+            [1.0 - bend * u_x * u_x, -bend * u_x * u_y, x],
+            [-bend * u_x * u_y, 1.0 - bend * u_y * u_y, y],
+            [-x, -y, z],
+        ]
+    )
 
 
 @kernel
@@ -120,7 +127,7 @@ def pair_coordinates(rot, p, turns_freely, pitch):
     # The third row of R is the parent's z axis seen from the child, z x (tilt axis) times sine.
     sine = math.hypot(rot[6], rot[7])
     angle = math.atan2(sine, rot[8])
-    tilt_x, tilt_y = angle, 0.0             # upside down, every horizontal axis would do
+    tilt_x, tilt_y = angle, 0.0  # upside down, every horizontal axis would do
     if sine > 0.0:
         tilt_x, tilt_y = angle * (rot[7] / sine), -angle * (rot[6] / sine)
     turn = math.atan2(rot[3] - rot[1], rot[0] + rot[4])

@@ -7,6 +7,7 @@ body axes, where y is constant and xdot = -w x x with the relative twist (w, v) 
     g = x . y      gdot = (y x x) . w      so  J_b = (y x x, 0),
     Jdot_b V_rel = (y x xdot) . w = (x . w)(y . w) - (w . w)(x . y)
 """
+
 import math
 
 from liegroup_core.compiling.kernels import kernel

@@ -11,6 +11,7 @@ finite and a matrix that is not in the group raise ValueError. Accuracy: see the
 test/contract/test_lie_groups.py. A call costs microseconds an item: in loops over steps, call
 the kernels from a kernel.
 """
+
 import numpy as np
 
 from .se3 import se3_Ad, se3_ad, se3_dexp, se3_dexpinv, se3_exp, se3_inverse, se3_log
@@ -33,7 +34,7 @@ def _checked(value, shape, what):
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
         raise ValueError(f"{what} must be numbers of shape {wanted}") from None
-    if array.shape[-len(shape):] != shape:
+    if array.shape[-len(shape) :] != shape:
         raise ValueError(f"{what} must have shape {wanted}, got {array.shape}")
     if not np.isfinite(array).all():
         raise ValueError(f"{what} must be finite, got NaN or infinity")

@@ -8,6 +8,7 @@ Xdot = dexpinv_{-X} V. All 6x6 operators are applied by cross products and never
 
 Arguments that are not finite raise nothing; exp, dexp and dexpinv of them are not finite.
 """
+
 from liegroup_core.compiling.kernels import kernel
 
 from .coefficients import dexp_slopes, dexpinv_coefficients, exp_coefficients
@@ -88,12 +89,14 @@ def se3_dexp(xi, eta, w, v):
     aa = cross3(xi, a)
     g = add3(cross3(eta, w), cross3(xi, v))
     gg = add3(cross3(eta, a), cross3(xi, g))
-    return ((w[0] + c * a[0] + d * aa[0],
-             w[1] + c * a[1] + d * aa[1],
-             w[2] + c * a[2] + d * aa[2]),
-            (v[0] + c * g[0] + d * gg[0] + p * a[0] + q * aa[0],
-             v[1] + c * g[1] + d * gg[1] + p * a[1] + q * aa[1],
-             v[2] + c * g[2] + d * gg[2] + p * a[2] + q * aa[2]))
+    return (
+        (w[0] + c * a[0] + d * aa[0], w[1] + c * a[1] + d * aa[1], w[2] + c * a[2] + d * aa[2]),
+        (
+            v[0] + c * g[0] + d * gg[0] + p * a[0] + q * aa[0],
+            v[1] + c * g[1] + d * gg[1] + p * a[1] + q * aa[1],
+            v[2] + c * g[2] + d * gg[2] + p * a[2] + q * aa[2],
+        ),
+    )
 
 
 @kernel
@@ -121,9 +124,15 @@ def se3_dexpinv_of(first, b, u, xi, eta, w, v):
     aa = cross3(xi, a)
     g = add3(cross3(eta, w), cross3(xi, v))
     gg = add3(cross3(eta, a), cross3(xi, g))
-    return ((w[0] - first * a[0] + b * aa[0],
-             w[1] - first * a[1] + b * aa[1],
-             w[2] - first * a[2] + b * aa[2]),
-            (v[0] - first * g[0] + b * gg[0] + q * aa[0],
-             v[1] - first * g[1] + b * gg[1] + q * aa[1],
-             v[2] - first * g[2] + b * gg[2] + q * aa[2]))
+    return (
+        (
+            w[0] - first * a[0] + b * aa[0],
+            w[1] - first * a[1] + b * aa[1],
+            w[2] - first * a[2] + b * aa[2],
+        ),
+        (
+            v[0] - first * g[0] + b * gg[0] + q * aa[0],
+            v[1] - first * g[1] + b * gg[1] + q * aa[1],
+            v[2] - first * g[2] + b * gg[2] + q * aa[2],
+        ),
+    )

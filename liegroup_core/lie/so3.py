@@ -7,6 +7,7 @@ velocity is omega = dexp_{-xi} xidot, and xidot = dexpinv_{-xi} omega.
 
 Arguments that are not finite raise nothing; exp, dexp and dexpinv of them are not finite.
 """
+
 import math
 
 from liegroup_core.compiling.kernels import kernel
@@ -24,9 +25,17 @@ def so3_exp(xi):
     """
     s, c, _ = exp_coefficients(dot3(xi, xi))
     x, y, z = xi
-    return (1.0 - c * (y * y + z * z), c * x * y - s * z, c * x * z + s * y,
-            c * x * y + s * z, 1.0 - c * (x * x + z * z), c * y * z - s * x,
-            c * x * z - s * y, c * y * z + s * x, 1.0 - c * (x * x + y * y))
+    return (
+        1.0 - c * (y * y + z * z),
+        c * x * y - s * z,
+        c * x * z + s * y,
+        c * x * y + s * z,
+        1.0 - c * (x * x + z * z),
+        c * y * z - s * x,
+        c * x * z - s * y,
+        c * y * z + s * x,
+        1.0 - c * (x * x + y * y),
+    )
 
 
 @kernel
@@ -64,9 +73,17 @@ def so3_from_quaternion(q):
     x, y, z, w = q
     n = x * x + y * y + z * z + w * w
     s = 2.0 / n if n > 0.0 else math.nan
-    return (1.0 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y),
-            s * (x * y + w * z), 1.0 - s * (x * x + z * z), s * (y * z - w * x),
-            s * (x * z - w * y), s * (y * z + w * x), 1.0 - s * (x * x + y * y))
+    return (
+        1.0 - s * (y * y + z * z),
+        s * (x * y - w * z),
+        s * (x * z + w * y),
+        s * (x * y + w * z),
+        1.0 - s * (x * x + z * z),
+        s * (y * z - w * x),
+        s * (x * z - w * y),
+        s * (y * z + w * x),
+        1.0 - s * (x * x + y * y),
+    )
 
 
 @kernel
@@ -95,9 +112,7 @@ def so3_dexp(xi, w):
     _, c, d = exp_coefficients(dot3(xi, xi))
     a = cross3(xi, w)
     aa = cross3(xi, a)
-    return (w[0] + c * a[0] + d * aa[0],
-            w[1] + c * a[1] + d * aa[1],
-            w[2] + c * a[2] + d * aa[2])
+    return (w[0] + c * a[0] + d * aa[0], w[1] + c * a[1] + d * aa[1], w[2] + c * a[2] + d * aa[2])
 
 
 @kernel
@@ -116,6 +131,8 @@ def so3_dexpinv_of(first, b, xi, w):
     """w - first xi x w + b xi x (xi x w), see `dexpinv_coefficients`."""
     a = cross3(xi, w)
     aa = cross3(xi, a)
-    return (w[0] - first * a[0] + b * aa[0],
-            w[1] - first * a[1] + b * aa[1],
-            w[2] - first * a[2] + b * aa[2])
+    return (
+        w[0] - first * a[0] + b * aa[0],
+        w[1] - first * a[1] + b * aa[1],
+        w[2] - first * a[2] + b * aa[2],
+    )

@@ -5,6 +5,7 @@ A vector is (x, y, z), a matrix its nine entries row by row. Tuples live in regi
 product of tuples costs about 1 ns, of arrays 15 ns and an allocation. Arrays are read by row and
 column, never through a slice: a slice costs two atomic operations on a reference count.
 """
+
 import math
 
 from liegroup_core.compiling.kernels import kernel
@@ -30,9 +31,17 @@ def store3(vector, array_out, row, start):
 @kernel
 def load9(array, row, start):
     """Nine entries of a row of a two-dimensional array: a matrix, row by row."""
-    return (array[row, start], array[row, start + 1], array[row, start + 2],
-            array[row, start + 3], array[row, start + 4], array[row, start + 5],
-            array[row, start + 6], array[row, start + 7], array[row, start + 8])
+    return (
+        array[row, start],
+        array[row, start + 1],
+        array[row, start + 2],
+        array[row, start + 3],
+        array[row, start + 4],
+        array[row, start + 5],
+        array[row, start + 6],
+        array[row, start + 7],
+        array[row, start + 8],
+    )
 
 
 @kernel
@@ -51,8 +60,17 @@ def vector3(field):
 @kernel
 def matrix3(field):
     """A nine-component field of a record as a matrix."""
-    return (field[0], field[1], field[2], field[3], field[4], field[5], field[6], field[7],
-            field[8])
+    return (
+        field[0],
+        field[1],
+        field[2],
+        field[3],
+        field[4],
+        field[5],
+        field[6],
+        field[7],
+        field[8],
+    )
 
 
 @kernel
@@ -88,39 +106,43 @@ def dot3(a, b):
 @kernel
 def cross3(a, b):
     """a x b"""
-    return (a[1] * b[2] - a[2] * b[1],
-            a[2] * b[0] - a[0] * b[2],
-            a[0] * b[1] - a[1] * b[0])
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
 @kernel
 def matvec3(m, a):
     """m a"""
-    return (m[0] * a[0] + m[1] * a[1] + m[2] * a[2],
-            m[3] * a[0] + m[4] * a[1] + m[5] * a[2],
-            m[6] * a[0] + m[7] * a[1] + m[8] * a[2])
+    return (
+        m[0] * a[0] + m[1] * a[1] + m[2] * a[2],
+        m[3] * a[0] + m[4] * a[1] + m[5] * a[2],
+        m[6] * a[0] + m[7] * a[1] + m[8] * a[2],
+    )
 
 
 @kernel
 def tmatvec3(m, a):
     """m^T a"""
-    return (m[0] * a[0] + m[3] * a[1] + m[6] * a[2],
-            m[1] * a[0] + m[4] * a[1] + m[7] * a[2],
-            m[2] * a[0] + m[5] * a[1] + m[8] * a[2])
+    return (
+        m[0] * a[0] + m[3] * a[1] + m[6] * a[2],
+        m[1] * a[0] + m[4] * a[1] + m[7] * a[2],
+        m[2] * a[0] + m[5] * a[1] + m[8] * a[2],
+    )
 
 
 @kernel
 def matmul3(m, n):
     """m n"""
-    return (m[0] * n[0] + m[1] * n[3] + m[2] * n[6],
-            m[0] * n[1] + m[1] * n[4] + m[2] * n[7],
-            m[0] * n[2] + m[1] * n[5] + m[2] * n[8],
-            m[3] * n[0] + m[4] * n[3] + m[5] * n[6],
-            m[3] * n[1] + m[4] * n[4] + m[5] * n[7],
-            m[3] * n[2] + m[4] * n[5] + m[5] * n[8],
-            m[6] * n[0] + m[7] * n[3] + m[8] * n[6],
-            m[6] * n[1] + m[7] * n[4] + m[8] * n[7],
-            m[6] * n[2] + m[7] * n[5] + m[8] * n[8])
+    return (
+        m[0] * n[0] + m[1] * n[3] + m[2] * n[6],
+        m[0] * n[1] + m[1] * n[4] + m[2] * n[7],
+        m[0] * n[2] + m[1] * n[5] + m[2] * n[8],
+        m[3] * n[0] + m[4] * n[3] + m[5] * n[6],
+        m[3] * n[1] + m[4] * n[4] + m[5] * n[7],
+        m[3] * n[2] + m[4] * n[5] + m[5] * n[8],
+        m[6] * n[0] + m[7] * n[3] + m[8] * n[6],
+        m[6] * n[1] + m[7] * n[4] + m[8] * n[7],
+        m[6] * n[2] + m[7] * n[5] + m[8] * n[8],
+    )
 
 
 @kernel

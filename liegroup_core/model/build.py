@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scene -> Model: names become indices, frames become Jacobian rows, the solve gets its structure."""
+
 import numpy as np
 
 from liegroup_core.forces.kinds import make_forces
@@ -26,8 +27,9 @@ SLENDER, ALIGNED = (1e2, 1e6, 1e8), 1e-4
 
 def initial_state(scene):
     """Pose (n, 12) and twist (n, 6) of all bodies at the start of a scene."""
-    pose = np.array([np.concatenate([body.rotation.ravel(), body.position])
-                     for body in scene.bodies]).reshape(-1, 12)
+    pose = np.array(
+        [np.concatenate([body.rotation.ravel(), body.position]) for body in scene.bodies]
+    ).reshape(-1, 12)
     twist = np.array([body.twist for body in scene.bodies], dtype=float).reshape(-1, 6)
     return pose, twist
 
@@ -46,8 +48,10 @@ def build_model(scene):
     parts = resolve_elements(scene)
     elements, owners = _elements(scene, index, frames, parts)
     keep = np.concatenate([np.zeros(0, dtype=bool), *kept_rows(scene, frames, parts)])
-    kept = [tuple(np.flatnonzero(keep[first:first + rows]).tolist())
-            for first, rows in zip(elements["row_start"], elements["rows"])]
+    kept = [
+        tuple(np.flatnonzero(keep[first : first + rows]).tolist())
+        for first, rows in zip(elements["row_start"], elements["rows"])
+    ]
     solved = [e for e, rows in enumerate(kept) if rows]
     ends = [(int(elements[e]["parent"]), int(elements[e]["child"])) for e in solved]
     n = len(scene.bodies)
@@ -55,25 +59,44 @@ def build_model(scene):
     jacobians = [_constant_rows(elements[e])[list(kept[e])] for e in solved]
 
     loops = set(loop_joints([(joint.parent, joint.child) for joint in scene.joints]))
-    bodies = np.array([(body.mass, 1.0 / body.mass, body.inertia_matrix.ravel(),
-                        np.linalg.inv(body.inertia_matrix).ravel())
-                       for body in scene.bodies], dtype=BODY)
+    bodies = np.array(
+        [
+            (
+                body.mass,
+                1.0 / body.mass,
+                body.inertia_matrix.ravel(),
+                np.linalg.inv(body.inertia_matrix).ravel(),
+            )
+            for body in scene.bodies
+        ],
+        dtype=BODY,
+    )
     few = refinements(bodies, ends, elements)
     structure = cheapest_structure(6, n, rows, ends, elements["kind"][solved] != PAIR, few == 0)
     joints = structure.joints()
     joints["element"] = solved
     joints["kind"] = elements["kind"][solved]
     model = Model(
-        gravity=np.array([scene.gravity], dtype=float), bodies=bodies,
-        forces=_forces(scene, index, frames), elements=elements, joints=joints,
-        row_residual=np.array([elements[e]["row_start"] + r for e in solved for r in kept[e]],
-                              dtype=np.int64),
+        gravity=np.array([scene.gravity], dtype=float),
+        bodies=bodies,
+        forces=_forces(scene, index, frames),
+        elements=elements,
+        joints=joints,
+        row_residual=np.array(
+            [elements[e]["row_start"] + r for e in solved for r in kept[e]], dtype=np.int64
+        ),
         child_jacobian=np.concatenate([np.zeros((0, 6)), *jacobians]),
         ground_projector=_ground_projector(bodies, joints, jacobians),
-        pivot_floor=_pivot_floor(bodies, joints, jacobians, structure.unknowns,
-                                 [j for j, e in enumerate(solved) if owners[e] in loops]),
+        pivot_floor=_pivot_floor(
+            bodies,
+            joints,
+            jacobians,
+            structure.unknowns,
+            [j for j, e in enumerate(solved) if owners[e] in loops],
+        ),
         refinements=few,
-        **structure.arrays([_mass_matrix(body) for body in scene.bodies], jacobians))
+        **structure.arrays([_mass_matrix(body) for body in scene.bodies], jacobians),
+    )
     names = tuple(part.names for elements in parts for part in elements)
     return model, tuple(frames), owners, names, tuple(kept)
 
@@ -86,11 +109,24 @@ def _elements(scene, index, frames, parts):
         for part in elements:
             rows = len(part.forbidden)
             forbidden = np.zeros(36)
-            forbidden[:6 * rows] = part.forbidden.ravel()
-            records.append((
-                part.kind, index[joint.parent], index[joint.child], rows, first,
-                F_a[:3, :3].ravel(), F_a[:3, 3], F_b[:3, :3].ravel(), F_b[:3, 3],
-                forbidden, part.turns_freely, part.pitch, part.length))
+            forbidden[: 6 * rows] = part.forbidden.ravel()
+            records.append(
+                (
+                    part.kind,
+                    index[joint.parent],
+                    index[joint.child],
+                    rows,
+                    first,
+                    F_a[:3, :3].ravel(),
+                    F_a[:3, 3],
+                    F_b[:3, :3].ravel(),
+                    F_b[:3, 3],
+                    forbidden,
+                    part.turns_freely,
+                    part.pitch,
+                    part.length,
+                )
+            )
             owners.append(i)
             first += rows
     return np.array(records, dtype=ELEMENT), tuple(owners)
@@ -101,7 +137,7 @@ def _constant_rows(element):
     frame = np.eye(4)
     frame[:3, :3] = element["child_rotation"].reshape(3, 3)
     frame[:3, 3] = element["child_point"]
-    return element["forbidden"][:6 * element["rows"]].reshape(-1, 6) @ SE3.Ad(SE3.inverse(frame))
+    return element["forbidden"][: 6 * element["rows"]].reshape(-1, 6) @ SE3.Ad(SE3.inverse(frame))
 
 
 def _mass_matrix(body):
@@ -114,8 +150,12 @@ def _mass_matrix(body):
 
 def _mobility(body, jacobian):
     """Rows J M^-1 (k, 6) of a body."""
-    return np.hstack([jacobian[:, :3] @ body["inverse_inertia"].reshape(3, 3),
-                      jacobian[:, 3:] * body["inverse_mass"]])
+    return np.hstack(
+        [
+            jacobian[:, :3] @ body["inverse_inertia"].reshape(3, 3),
+            jacobian[:, 3:] * body["inverse_mass"],
+        ]
+    )
 
 
 def _ground_projector(bodies, joints, jacobians):
@@ -146,15 +186,18 @@ def _pivot_floor(bodies, joints, jacobians, count, in_loops):
         elif joint["kind"] == DISTANCE:
             jacobian = np.eye(6)[3:]
         size = (jacobian * _mobility(body, jacobian)).sum(axis=1)
-        floor[joint["start"]:joint["start"] + joint["rows"]] = SMALLEST_PIVOT * (
-            size if joint["kind"] == PAIR else size.min())
+        floor[joint["start"] : joint["start"] + joint["rows"]] = SMALLEST_PIVOT * (
+            size if joint["kind"] == PAIR else size.min()
+        )
     return floor
 
 
 def _forces(scene, index, frames):
     """The scene's forces as rows of every kind."""
-    ends = {joint.name: (index[joint.parent], index[joint.child], *pair)
-            for joint, pair in zip(scene.joints, frames)}
+    ends = {
+        joint.name: (index[joint.parent], index[joint.child], *pair)
+        for joint, pair in zip(scene.joints, frames)
+    }
     return make_forces(scene.forces, index, ends)
 
 
@@ -168,8 +211,10 @@ def refinements(bodies, ends, elements):
     for end in ("parent", "child"):
         held = elements[elements[end] != WORLD]
         lever = np.cross(np.eye(3), held[f"{end}_point"][:, None, :])
-        turned.extend(bodies["mass"][held[end]] * np.einsum("eri,eij,erj->e", lever,
-                                                            inverse[held[end]], lever))
+        turned.extend(
+            bodies["mass"][held[end]]
+            * np.einsum("eri,eij,erj->e", lever, inverse[held[end]], lever)
+        )
     unlike = are_unlike(bodies["mass"], bodies["inertia"][:, [0, 4, 8]].sum(axis=1), ends, turned)
     mixed = _mixed_turns(inverse, elements, _outer_ends(len(bodies), ends, elements))
     return max(int(unlike), int(np.searchsorted(SLENDER, mixed)))
@@ -187,8 +232,12 @@ def _mixed_turns(inverse, elements, outer):
         return 1.0
     moments, axes = np.linalg.eigh(inverse[outer[turns]])
     ratio = moments[:, :, None] / moments[:, None, :]
-    rows = np.einsum("erf,ebf,ebp->erp", forbidden[turns],
-                     elements["child_rotation"][turns].reshape(-1, 3, 3), axes)
+    rows = np.einsum(
+        "erf,ebf,ebp->erp",
+        forbidden[turns],
+        elements["child_rotation"][turns].reshape(-1, 3, 3),
+        axes,
+    )
     mix = np.abs(rows[:, :, :, None] * rows[:, :, None, :]).max(axis=1)
     # Seen from a parent rows turn with the joint, as those that depend on the pose do.
     mix[(outer != elements["child"])[turns] | (elements["kind"] != PAIR)[turns]] = 1.0
@@ -197,7 +246,7 @@ def _mixed_turns(inverse, elements, outer):
 
 def _outer_ends(n, ends, elements):
     """Of every element the end that is more joints away from the world."""
-    near = [set() for _ in range(n + 1)]            # the last one, WORLD, is the world
+    near = [set() for _ in range(n + 1)]  # the last one, WORLD, is the world
     for a, b in ends:
         near[a].add(b)
         near[b].add(a)
@@ -207,8 +256,9 @@ def _outer_ends(n, ends, elements):
         reached = sorted({b for a in front for b in near[a] if depth[b] > n})
         depth[reached] = depth[front[0]] + 1
         front = reached
-    return np.where(depth[elements["parent"]] > depth[elements["child"]], elements["parent"],
-                    elements["child"])
+    return np.where(
+        depth[elements["parent"]] > depth[elements["child"]], elements["parent"], elements["child"]
+    )
 
 
 def are_unlike(masses, inertias, ends, turned):
@@ -218,7 +268,10 @@ def are_unlike(masses, inertias, ends, turned):
     turned : for every end of an element m p^2 / I, p the lever: by so much more than by the body's
              shift a force there moves the point by its turn
     """
-    ratios = [1.0] + [sizes[a] / sizes[b] for sizes in (masses, inertias)
-                      for a, b in ends if a != WORLD]
-    return max(max(ratio, 1.0 / ratio) for ratio in ratios) > LARGE_RATIO or max(
-        turned, default=0.0) > LARGE_RATIO
+    ratios = [1.0] + [
+        sizes[a] / sizes[b] for sizes in (masses, inertias) for a, b in ends if a != WORLD
+    ]
+    return (
+        max(max(ratio, 1.0 / ratio) for ratio in ratios) > LARGE_RATIO
+        or max(turned, default=0.0) > LARGE_RATIO
+    )

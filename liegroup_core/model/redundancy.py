@@ -17,6 +17,7 @@ Dropping is not the same as solving with a pseudo-inverse: its cut-off, met once
 the dependent row into a constraint with a wrong right-hand side and destroys the solution while
 every residual looks perfect.
 """
+
 from functools import lru_cache
 
 import numpy as np
@@ -25,9 +26,9 @@ from liegroup_core.errors import SceneError
 from liegroup_core.joints.linkage import RANK_TOLERANCE, Linkage, freedoms
 from liegroup_core.lie.groups import SE3
 
-TURN = 0.3                                  # rad (or characteristic lengths) between these poses
-MOST_POSES, LEAST_POSES = 40, 3             # 40 turns of 0.3 rad lead a crank twice around
-POSES_WORK = 2e8                            # bound on poses times rows cubed: about a second
+TURN = 0.3  # rad (or characteristic lengths) between these poses
+MOST_POSES, LEAST_POSES = 40, 3  # 40 turns of 0.3 rad lead a crank twice around
+POSES_WORK = 2e8  # bound on poses times rows cubed: about a second
 # The first rows found to depend are left out unless others are this many times as good.
 MUCH_BETTER = 2.0
 # Linkages of which the answers are kept: an ensemble has many runs of one, with other masses.
@@ -64,8 +65,9 @@ def kept_rows(scene, frames, parts):
     parts  : tuple of joints.elements.Element of every joint
     raises SceneError for a linkage at a pose that it cannot leave
     """
-    keep = [np.ones(sum(len(part.forbidden) for part in elements), dtype=bool)
-            for elements in parts]
+    keep = [
+        np.ones(sum(len(part.forbidden) for part in elements), dtype=bool) for elements in parts
+    ]
     loops = loop_joints([(joint.parent, joint.child) for joint in scene.joints])
     # Joints to ground first: on SE(3) these are kept exactly, so rows are left out elsewhere.
     loops.sort(key=lambda j: scene.joints[j].parent != "world")
@@ -81,10 +83,11 @@ def kept_rows(scene, frames, parts):
             f'joints[{joint}] "{scene.joints[joint].name}": the loop it closes is stretched or '
             "folded to a pose that it cannot leave, or its axes are nearly but not quite parallel; "
             "start from another pose, change a length, or make the axes equal to the last digit",
-            ("joints", joint))
+            ("joints", joint),
+        )
     at = 0
     for j in loops:
-        keep[j][:] = chosen[at:at + len(keep[j])]
+        keep[j][:] = chosen[at : at + len(keep[j])]
         at += len(keep[j])
     return keep
 
@@ -94,9 +97,14 @@ def _chosen(linkage):
     """(which rows to keep, whether they leave it as free as it is) of a linkage."""
     places = generic_poses(linkage)
     matrices = [linkage.jacobian(poses) for poses in places]
-    chosen, best = independent_rows(matrices, [
-        joint.parent == "world" for joint, count in zip(linkage.joints, linkage.counts)
-        for _ in range(count)])
+    chosen, best = independent_rows(
+        matrices,
+        [
+            joint.parent == "world"
+            for joint, count in zip(linkage.joints, linkage.counts)
+            for _ in range(count)
+        ],
+    )
     chosen.flags.writeable = False
     return chosen, bool(chosen.all()) or _moves_freely(linkage, places[best], matrices[best])
 
@@ -112,14 +120,18 @@ def independent_rows(matrices, grounded):
     rank = max(ranks)
     if rank == len(grounded):
         return np.ones(rank, dtype=bool), int(np.argmax(ranks))
-    vanishing = [np.linalg.svd(matrix)[0][:, rank:]
-                 for matrix, found in zip(matrices, ranks) if found == rank]
+    vanishing = [
+        np.linalg.svd(matrix)[0][:, rank:]
+        for matrix, found in zip(matrices, ranks)
+        if found == rank
+    ]
     first = np.flatnonzero(~_independent(matrices[int(np.argmax(ranks))]))
     weight = np.where(grounded, 1.0 / MUCH_BETTER, 1.0)
     best = _spared(vanishing, weight)
     # Next to the tolerance both counts of dependent rows may differ: then only `best` has enough.
-    better = (len(first) != len(best)
-              or _quality(best, vanishing) > MUCH_BETTER * _quality(first, vanishing))
+    better = len(first) != len(best) or _quality(best, vanishing) > MUCH_BETTER * _quality(
+        first, vanishing
+    )
     mask = np.ones(len(grounded), dtype=bool)
     mask[best if better else first] = False
     return mask, int(np.argmax(ranks))
@@ -168,12 +180,12 @@ def generic_poses(linkage):
         if len(free) == 0:
             break
         move = rng.normal(size=len(free)) @ free
-        if last is not None:                    # on along the way, and a little aside
+        if last is not None:  # on along the way, and a little aside
             move *= 0.5 * np.linalg.norm(last) / np.linalg.norm(move)
             move += free.T @ (free @ last)
         move *= TURN * linkage.length / np.abs(move).max()
         for halving in range(6):
-            closed = linkage.closed(linkage.moved(places[-1], move / 2 ** halving))
+            closed = linkage.closed(linkage.moved(places[-1], move / 2**halving))
             if closed is not None:
                 places.append(closed)
                 matrix, last = linkage.jacobian(closed), move
@@ -193,8 +205,13 @@ def _moves_freely(linkage, poses, matrix):
         closed = linkage.closed(moved)
         if closed is None:
             return False
-        back = np.concatenate([SE3.log(np.linalg.inv(moved[name]) @ closed[name])
-                               * ([linkage.length] * 3 + [1.0] * 3) for name in linkage.bodies])
+        back = np.concatenate(
+            [
+                SE3.log(np.linalg.inv(moved[name]) @ closed[name])
+                * ([linkage.length] * 3 + [1.0] * 3)
+                for name in linkage.bodies
+            ]
+        )
         if np.linalg.norm(back) > 0.3 * step:
             return False
     return True

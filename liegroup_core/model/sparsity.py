@@ -17,6 +17,7 @@ may not move freely where the joint is: there K is reduced to S, by minimum degr
 
 What no pose changes is eliminated here, once.
 """
+
 import heapq
 
 import numpy as np
@@ -38,7 +39,7 @@ def elimination_order(sizes, neighbours, bodies, bodies_first=False):
     order, of the blocks below the diagonal of column p, fill included
     """
     graph = [set(near) for near in neighbours]
-    waiting = [len(near) for near in neighbours]          # of a joint: its bodies not yet gone
+    waiting = [len(near) for near in neighbours]  # of a joint: its bodies not yet gone
     ready = [v < bodies for v in range(len(graph))]
     left = set(range(len(graph)))
     order, near_when_eliminated = [], []
@@ -91,8 +92,12 @@ def block_layout(sizes, below, changing):
     for j, coupled in enumerate(below):
         if (j, j) in changing:
             changing.update((i, j) for i in coupled)
-        changing.update((i, k) for a, i in enumerate(coupled) for k in coupled[:a + 1]
-                        if (i, j) in changing or (k, j) in changing)
+        changing.update(
+            (i, k)
+            for a, i in enumerate(coupled)
+            for k in coupled[: a + 1]
+            if (i, j) in changing or (k, j) in changing
+        )
     blocks = [(i, j) for j, coupled in enumerate(below) for i in [j, *coupled]]
     blocks.sort(key=lambda block: (block not in changing, block in written))
     place, size, summed, fresh = {}, 0, 0, 0
@@ -117,16 +122,29 @@ def block_layout(sizes, below, changing):
                 columns.append((i, place[i, j], scratch[i]))
         end = max(end, free)
         for a, i in enumerate(coupled):
-            for k in coupled[:a + 1]:
+            for k in coupled[: a + 1]:
                 if k in scratch:
                     updates.append((place[i, k], place[i, j], scratch[k], i, k))
                 elif i in scratch:
                     updates.append((place[i, k], scratch[i], place[k, j], i, k))
-        ranges.append(((j, j) not in changing, place[j, j], column_start,
-                       column_start + len(constant), len(columns), update_start, len(updates)))
-    return (place, (summed, fresh, size, end), ranges,
-            np.array(columns, dtype=np.int64).reshape(-1, 3),
-            np.array(updates, dtype=np.int64).reshape(-1, 5))
+        ranges.append(
+            (
+                (j, j) not in changing,
+                place[j, j],
+                column_start,
+                column_start + len(constant),
+                len(columns),
+                update_start,
+                len(updates),
+            )
+        )
+    return (
+        place,
+        (summed, fresh, size, end),
+        ranges,
+        np.array(columns, dtype=np.int64).reshape(-1, 3),
+        np.array(updates, dtype=np.int64).reshape(-1, 5),
+    )
 
 
 def operations(vertices, columns, updates):
@@ -149,7 +167,7 @@ def operations(vertices, columns, updates):
             row = 2 * (k // 2) * (k // 2 - 1) + k
         factor += float(size[columns[fresh:end, 0]].sum()) * row
         solve += 2.0 * row + 4.0 * float((size[columns[first:end, 0]] * k).sum())
-        ends = updates[vertex["update_start"]:vertex["update_end"], 3:]
+        ends = updates[vertex["update_start"] : vertex["update_end"], 3:]
         full = 2.0 * k * size[ends].prod(axis=1)
         square = ends[:, 0] == ends[:, 1]
         factor += float(full.sum() - full[square].sum() / 2.0)
@@ -162,8 +180,10 @@ def cheapest_structure(body, n, rows, ends, changing, alike):
     alike : True when neighbouring masses differ so little that either way through trees will do
     others : of Structure
     """
-    ways = [Structure(body, n, rows, ends, changing, bodies_first)
-            for bodies_first in ((False, True) if alike else (False,))]
+    ways = [
+        Structure(body, n, rows, ends, changing, bodies_first)
+        for bodies_first in ((False, True) if alike else (False,))
+    ]
     return min(ways, key=lambda structure: structure.operations)
 
 
@@ -173,7 +193,7 @@ def _keep_joint(block):
     K, L, pivots = -block, np.eye(k), np.zeros(k)
     for r in range(k):
         pivots[r] = K[r, r] - L[r, :r] ** 2 @ pivots[:r]
-        L[r + 1:, r] = (K[r + 1:, r] - L[r + 1:, :r] @ (pivots[:r] * L[r, :r])) / pivots[r]
+        L[r + 1 :, r] = (K[r + 1 :, r] - L[r + 1 :, :r] @ (pivots[:r] * L[r, :r])) / pivots[r]
     W = scipy.linalg.solve_triangular(L, np.eye(k), lower=True, unit_diagonal=True)
     block[:] = np.tril(W, -1) + np.diag(1.0 / pivots)
     return W.T, np.diag(-1.0 / pivots)
@@ -188,7 +208,7 @@ def _keep_body(block):
     turns = len(block) // 2
     inverse = np.linalg.inv(block)
     block[:] = 0.0
-    block.flat[:turns * turns + 1] = [*inverse[:turns, :turns].ravel(), inverse[-1, -1]]
+    block.flat[: turns * turns + 1] = [*inverse[:turns, :turns].ravel(), inverse[-1, -1]]
     return np.eye(len(block)), inverse
 
 
@@ -208,7 +228,7 @@ class Structure:
 
     def __init__(self, body, n, rows, ends, changing, bodies_first):
         self._body, self._n, self._rows, self._ends = body, n, rows, ends
-        sizes = [body] * n + list(rows)         # bodies 0..n-1, then joints
+        sizes = [body] * n + list(rows)  # bodies 0..n-1, then joints
         neighbours = [set() for _ in sizes]
         for j, pair in enumerate(ends):
             for end in pair:
@@ -222,12 +242,14 @@ class Structure:
         blocks = [self._pair(j, pair[1]) for j, pair in enumerate(ends) if changing[j]]
         blocks += [self._pair(j, pair[0]) for j, pair in enumerate(ends) if pair[0] != WORLD]
         self._place, self._ends_of_parts, ranges, self._columns, self._updates = block_layout(
-            sizes, self._below, blocks)
+            sizes, self._below, blocks
+        )
         # In Work.solution: bodies, then joints, each in their own order.
         self._starts = np.cumsum([0, *([body] * n), *rows])
         self._vertices = np.array(
-            [(max(v - n, -1), sizes[p], self._starts[v], *ranges[p])
-             for p, v in enumerate(order)], dtype=VERTEX)
+            [(max(v - n, -1), sizes[p], self._starts[v], *ranges[p]) for p, v in enumerate(order)],
+            dtype=VERTEX,
+        )
         self.operations = sum(operations(self._vertices, self._columns, self._updates))
 
     def joints(self):
@@ -262,9 +284,15 @@ class Structure:
         """
         summed, fresh, _, _ = self._ends_of_parts
         constant = self._constant_part(masses, jacobians)
-        return {"vertices": self._vertices, "columns": self._columns, "updates": self._updates,
-                "constant": constant, "matrix": self._eliminated(constant), "summed": summed,
-                "fresh": fresh}
+        return {
+            "vertices": self._vertices,
+            "columns": self._columns,
+            "updates": self._updates,
+            "constant": constant,
+            "matrix": self._eliminated(constant),
+            "summed": summed,
+            "fresh": fresh,
+        }
 
     def _constant_part(self, masses, jacobians):
         """The flat array of K with M and the children's rows, the rest zero."""
@@ -272,10 +300,10 @@ class Structure:
         constant = np.zeros(size)
         for i, matrix in enumerate(masses):
             at = self._place[self._position[i], self._position[i]]
-            constant[at:at + matrix.size] = matrix.ravel()
+            constant[at : at + matrix.size] = matrix.ravel()
         for j, jacobian in enumerate(jacobians):
             at, turned = self._block(j, self._ends[j][1])
-            constant[at:at + jacobian.size] = (jacobian.T if turned else jacobian).ravel()
+            constant[at : at + jacobian.size] = (jacobian.T if turned else jacobian).ravel()
         return constant
 
     def _eliminated(self, constant):
@@ -293,7 +321,7 @@ class Structure:
             for i, product in products.items():
                 self._view(matrix, i, j)[:] = product @ D
             for a, i in enumerate(constant_below):
-                for k in constant_below[:a + 1]:
+                for k in constant_below[: a + 1]:
                     self._view(matrix, i, k)[:] -= self._view(matrix, i, j) @ products[k].T
         return matrix
 
@@ -301,4 +329,4 @@ class Structure:
         """Block (i, j) of a flat array, two-dimensional."""
         rows, columns = self._sizes[i], self._sizes[j]
         at = self._place[i, j]
-        return flat[at:at + rows * columns].reshape(rows, columns)
+        return flat[at : at + rows * columns].reshape(rows, columns)

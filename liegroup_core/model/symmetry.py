@@ -26,6 +26,7 @@ A pose of a closed loop is taken without the closing joint: no component is name
 kept. A component kept only by particular motions (a plane pendulum) is not found, nor is any of a
 scene with a joint that is no lower pair.
 """
+
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,18 +53,20 @@ CUTOFF = 1e-11
 class KeptMomentum:
     """The momentum components that one group of bodies keeps while no wrench is applied to it."""
 
-    bodies: tuple           # names
-    point: np.ndarray | None    # (3,) m, world: angular momentum is about it; None: about the
+    bodies: tuple  # names
+    point: np.ndarray | None  # (3,) m, world: angular momentum is about it; None: about the
     #                             group's own centre of mass
-    angular: np.ndarray     # (k, 3) unit directions, world axes
-    linear: np.ndarray      # (l, 3) unit directions, world axes
+    angular: np.ndarray  # (k, 3) unit directions, world axes
+    linear: np.ndarray  # (l, 3) unit directions, world axes
 
     @property
     def labels(self):
         """One text per component, in the order of `values`."""
         about = "the centre of mass" if self.point is None else _written(self.point)
-        return (*(f"angular momentum about {about} along {_written(d)}" for d in self.angular),
-                *(f"linear momentum along {_written(d)}" for d in self.linear))
+        return (
+            *(f"angular momentum about {about} along {_written(d)}" for d in self.angular),
+            *(f"linear momentum along {_written(d)}" for d in self.linear),
+        )
 
     @property
     def units(self):
@@ -94,8 +97,11 @@ def conserved_momentum(scene):
         centre = np.array([mass @ pose[group, 9:] for pose in drawn]) / mass.sum()
         reactions = _reactions(scene, frames, forbidden, group)
         names = tuple(scene.bodies[i].name for i in group)
-        kept += [KeptMomentum(names, *found) for found in _kept(acting, reactions, centre, size)
-                 if len(found[1]) + len(found[2]) > 0]
+        kept += [
+            KeptMomentum(names, *found)
+            for found in _kept(acting, reactions, centre, size)
+            if len(found[1]) + len(found[2]) > 0
+        ]
     return tuple(kept)
 
 
@@ -115,8 +121,9 @@ def momentum_values(scene, kept, rotation, position, twist):
     turn, place = rotation[:, index], position[:, index]
     linear = mass[:, None] * np.einsum("knij,knj->kni", turn, twist[:, index, 3:])
     spin = np.einsum("knij,njl,knl->kni", turn, inertia, twist[:, index, :3])
-    about = (np.einsum("n,kni->ki", mass, place) / mass.sum() if kept.point is None
-             else kept.point[None])
+    about = (
+        np.einsum("n,kni->ki", mass, place) / mass.sum() if kept.point is None else kept.point[None]
+    )
     angular = (spin + np.cross(place - about[:, None], linear)).sum(axis=1)
     return np.concatenate((angular @ kept.angular.T, linear.sum(axis=1) @ kept.linear.T), axis=1)
 
@@ -132,7 +139,7 @@ def _kept(acting, reactions, centre, size):
     if not len(reactions) and np.all(np.abs(spin) <= CUTOFF * size * np.abs(force).max()):
         found.append((None, np.eye(3), _tidy(_null_space(force))))
         if np.all(np.abs(force - force[0]) <= CUTOFF * np.abs(force).max()):
-            return found        # uniform: its other components follow from these
+            return found  # uniform: its other components follow from these
     # Lengths in units of the mechanism's size, so that torques and forces compare.
     scale = np.array([1.0, 1.0, 1.0, size, size, size])
     screws = _null_space(np.vstack([acting, reactions]) * scale) * scale
@@ -153,11 +160,12 @@ def _split(screws, start, size):
     moments = (np.linalg.lstsq(screws[:, :3].T, axes.T, rcond=None)[0].T @ screws)[:, 3:]
     across = np.eye(3) - linear.T @ linear
     system = np.vstack([-across @ _hat(axis) for axis in axes])
-    wanted = np.concatenate([across @ (eta - np.cross(start, axis))
-                             for eta, axis in zip(moments, axes)])
+    wanted = np.concatenate(
+        [across @ (eta - np.cross(start, axis)) for eta, axis in zip(moments, axes)]
+    )
     shift = np.linalg.lstsq(system, wanted, rcond=CUTOFF)[0]
     if np.abs(system @ shift - wanted).max() > 1e3 * CUTOFF * size:
-        return np.zeros(3), np.zeros((0, 3)), linear    # helical: no angular momentum on its own
+        return np.zeros(3), np.zeros((0, 3)), linear  # helical: no angular momentum on its own
     return _clean(start + shift, size), axes, linear
 
 
@@ -176,9 +184,14 @@ def _outer_wrenches(model, pose, rng):
     wrench = np.zeros((len(pose), 6))
     gravity.add_wrench(model, pose, wrench)
     forces = model.forces
-    kinds.add_wrenches(forces, rng.normal(size=len(forces.torsional_spring_damper)),
-                       np.ones(len(forces.applied_wrench), dtype=bool), pose,
-                       rng.normal(size=(len(pose), 6)), wrench)
+    kinds.add_wrenches(
+        forces,
+        rng.normal(size=len(forces.torsional_spring_damper)),
+        np.ones(len(forces.applied_wrench), dtype=bool),
+        pose,
+        rng.normal(size=(len(pose), 6)),
+        wrench,
+    )
     turn, place = pose[:, :9].reshape(-1, 3, 3), pose[:, 9:]
     force = np.einsum("nij,nj->ni", turn, wrench[:, 3:])
     torque = np.einsum("nij,nj->ni", turn, wrench[:, :3]) + np.cross(place, force)
@@ -228,10 +241,9 @@ def _generic_pose(scene, frames, forbidden, size, rng):
             else:
                 placed[joint.parent] = placed[joint.child] @ SE3.inverse(moved)
             break
-        else:       # nothing hangs on what is placed: a body that is free so far
+        else:  # nothing hangs on what is placed: a body that is free so far
             name = next(name for name in waiting if name not in placed)
-            placed[name] = SE3.exp(np.concatenate([rng.normal(size=3),
-                                                   size * rng.normal(size=3)]))
+            placed[name] = SE3.exp(np.concatenate([rng.normal(size=3), size * rng.normal(size=3)]))
         waiting = [name for name in waiting if name not in placed]
     poses = np.array([placed[body.name] for body in scene.bodies])
     return np.concatenate([poses[:, :3, :3].reshape(-1, 9), poses[:, :3, 3]], axis=1)
@@ -256,8 +268,12 @@ def _size(scene, frames):
     """A length of the mechanism, m: its largest coordinate, or 1 if all are zero."""
     points = [body.position for body in scene.bodies]
     points += [frame[:3, 3] for pair in frames for frame in pair]
-    points += [getattr(force, name) for force in scene.forces
-               for name in ("parent_point", "child_point", "point") if hasattr(force, name)]
+    points += [
+        getattr(force, name)
+        for force in scene.forces
+        for name in ("parent_point", "child_point", "point")
+        if hasattr(force, name)
+    ]
     return float(np.abs(np.array(points)).max()) or 1.0
 
 
@@ -275,7 +291,7 @@ def _tidy(rows):
     _, values, span = np.linalg.svd(np.reshape(rows, (-1, 3)), full_matrices=False)
     span = span[values > 1e-8 * max(values.max(initial=0.0), 1e-300)]
     basis, _, order = scipy.linalg.qr(span.T @ span, pivoting=True)
-    basis = basis[:, np.argsort(order[:len(span)])].T
+    basis = basis[:, np.argsort(order[: len(span)])].T
     signs = [np.sign(row[np.argmax(np.abs(row))]) for row in basis]
     return _clean(basis * np.reshape(signs, (-1, 1)), 1.0)
 

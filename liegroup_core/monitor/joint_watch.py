@@ -6,13 +6,14 @@ where rows are nearly dependent, what they are open by grows a thousand times wi
 and the motion may go on along another branch with residuals that still look small. So it is the
 sudden growth that counts, besides the size.
 """
+
 import numpy as np
 
 from liegroup_core.forces.schedule import NEVER
 from liegroup_core.formulations.absolute.constraints import position_residuals
 from liegroup_core.joints.elements import WORLD
 
-EVERY = 500             # steps from one look at the joints to the next: some 20 us each
+EVERY = 500  # steps from one look at the joints to the next: some 20 us each
 # Of the mechanism's size: joints open by more are no joints any more.
 OPEN = 1e-3
 # Growth between two looks that integration errors do not have, and what is too small to matter.
@@ -23,8 +24,10 @@ def mechanism_size(model):
     """Length that gaps of joints are compared with, m: from joints and rims to centres of mass."""
     bodies, elements = model.bodies, model.elements
     gyration = np.sqrt(bodies["inertia"][:, [0, 4, 8]].sum(axis=1) / bodies["mass"])
-    arms = [np.linalg.norm(elements[f"{end}_point"][elements[end] != WORLD], axis=1).max(initial=0.0)
-            for end in ("parent", "child")]
+    arms = [
+        np.linalg.norm(elements[f"{end}_point"][elements[end] != WORLD], axis=1).max(initial=0.0)
+        for end in ("parent", "child")
+    ]
     return float(max(gyration.max(), *arms))
 
 
@@ -33,11 +36,16 @@ class JointWatch:
 
     def __init__(self, layout):
         self._layout = layout
-        self._scale = None                  # no joints, or joints that are closed every step
+        self._scale = None  # no joints, or joints that are closed every step
         if len(layout.model.elements) and not layout.model.projects:
             size = mechanism_size(layout.model)
-            self._scale = np.array([1.0 if name.startswith("w") else 1.0 / size
-                                    for names in layout.row_names for name in names])
+            self._scale = np.array(
+                [
+                    1.0 if name.startswith("w") else 1.0 / size
+                    for names in layout.row_names
+                    for name in names
+                ]
+            )
             self._residual = np.zeros(len(self._scale))
         self.restart()
 
@@ -63,7 +71,7 @@ class JointWatch:
         if self._scale is None or steps % EVERY and not (at_once or between):
             return None
         pose = pose.view()
-        pose.flags.writeable = False        # as in a Sample: one compiled function serves both
+        pose.flags.writeable = False  # as in a Sample: one compiled function serves both
         position_residuals(self._layout.model, pose, self._residual)
         gaps = np.abs(self._residual) * self._scale
         worst = int(gaps.argmax())
@@ -75,14 +83,18 @@ class JointWatch:
         joint = self._layout.scene.joints[self._layout.joint_of_row[worst]].name
         if gap > OPEN and "open" not in self._said:
             self._said.add("open")
-            return (f"joint {joint} is open by {gap:.3g} of the mechanism's size at t = "
-                    f"{time:.6g} s: this is its motion no more; use stabilisation projection or a "
-                    "smaller step")
+            return (
+                f"joint {joint} is open by {gap:.3g} of the mechanism's size at t = "
+                f"{time:.6g} s: this is its motion no more; use stabilisation projection or a "
+                "smaller step"
+            )
         sudden = before is not None and gap > max(SUDDEN * before, TOO_SMALL)
         if sudden and "sudden" not in self._said:
             self._said.add("sudden")
-            return (f"joint {joint} opened suddenly, from {before:.3g} to {gap:.3g} of the "
-                    f"mechanism's size shortly before t = {time:.6g} s, as at a singular pose or "
-                    "in a motion too fast for the step: from there on the motion may be another "
-                    "one; use stabilisation projection or a smaller step")
+            return (
+                f"joint {joint} opened suddenly, from {before:.3g} to {gap:.3g} of the "
+                f"mechanism's size shortly before t = {time:.6g} s, as at a singular pose or "
+                "in a motion too fast for the step: from there on the motion may be another "
+                "one; use stabilisation projection or a smaller step"
+            )
         return None

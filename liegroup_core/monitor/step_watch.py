@@ -19,6 +19,7 @@ where the sum is not far from a doubt or would not be if errors grew on as they 
 step in which a spring may turn over, and where a glance finds that the energy has leapt; it changes
 nothing in the run, to the bit. What it says and what it does not: docs/extremes.md.
 """
+
 import math
 
 import numpy as np
@@ -56,12 +57,18 @@ GLANCE = 500
 
 MUCH = "take a much smaller step"
 # Advice where one step, or what it does to an invariant, decides what comes after.
-PASSED = ("the ends of a spring passed each other, where its line turns faster than the step can "
-          "follow; take rkmk54, which takes steps as small as that needs, or a much smaller step")
-LEAPT = ("the energy has leapt, as where a step passes a singular pose of the joints and goes on with "
-         "other velocities; take a smaller step, or a method with stabilisation projection")
-BACK = ("a body came back to its middle axis of inertia, where the least error decides how it "
-        "turns on; take a smaller step, or a method of higher order")
+PASSED = (
+    "the ends of a spring passed each other, where its line turns faster than the step can "
+    "follow; take rkmk54, which takes steps as small as that needs, or a much smaller step"
+)
+LEAPT = (
+    "the energy has leapt, as where a step passes a singular pose of the joints and goes on with "
+    "other velocities; take a smaller step, or a method with stabilisation projection"
+)
+BACK = (
+    "a body came back to its middle axis of inertia, where the least error decides how it "
+    "turns on; take a smaller step, or a method of higher order"
+)
 
 
 class StepWatch:
@@ -74,8 +81,9 @@ class StepWatch:
         self._integrator, self._method, self._step = integrator, method, step
         self._model = layout.model
         self._has_loops = bool(layout.model.pivot_floor.any())
-        self._conservative = all(getattr(force, "damping", 1.0) == 0.0
-                                 for force in layout.scene.forces)
+        self._conservative = all(
+            getattr(force, "damping", 1.0) == 0.0 for force in layout.scene.forces
+        )
         self._size = mechanism_size(layout.model) or 1.0
         self._share = 1.0 - 0.5 ** METHODS[method].order
         self._controlled = getattr(integrator, "controlled", False)
@@ -83,9 +91,14 @@ class StepWatch:
         self._energy_at = SameTypes(energy)
         # With error control the step becomes as small as it has to be.
         self._on = on
-        self._waits = on and not self._controlled and any(
-            force.type == "spring_damper" and (force.damping > 0.0 or force.rest_length > 0.0)
-            for force in layout.scene.forces)
+        self._waits = (
+            on
+            and not self._controlled
+            and any(
+                force.type == "spring_damper" and (force.damping > 0.0 or force.rest_length > 0.0)
+                for force in layout.scene.forces
+            )
+        )
         self.restart(0, None)
 
     def restart(self, steps, pose):
@@ -135,8 +148,12 @@ class StepWatch:
         if steps < self._next:
             return False
         integrator = self._integrator
-        self._kept = (pose.copy(), twist.copy(), integrator.work.angle.copy(),
-                      [array.copy() for array in integrator.memory])
+        self._kept = (
+            pose.copy(),
+            twist.copy(),
+            integrator.work.angle.copy(),
+            [array.copy() for array in integrator.memory],
+        )
         return True
 
     def glance(self, steps, pose, twist):
@@ -144,8 +161,13 @@ class StepWatch:
 
         So it does where a step passes a singular pose and goes on with other velocities.
         """
-        if (self._has_loops and steps % GLANCE == 0 and self._next < NEVER
-                and self._energy is not None and self._energy_error(pose, twist) > PART):
+        if (
+            self._has_loops
+            and steps % GLANCE == 0
+            and self._next < NEVER
+            and self._energy is not None
+            and self._energy_error(pose, twist) > PART
+        ):
             self._next = self._leapt = steps
 
     def ends(self, steps, pose, twist, external):
@@ -177,8 +199,15 @@ class StepWatch:
             self._tiny = self._tiny + 1 if self._falls(error, external) else 0
         if not self._sum <= limit and (not small or self._tiny >= LOOKS):
             self._next = NEVER
-            advice = (PASSED if self._met == steps - 1 else LEAPT if self._leapt == steps - 1 else
-                      BACK if back == self._sum else self._advice(external, limit, done))
+            advice = (
+                PASSED
+                if self._met == steps - 1
+                else LEAPT
+                if self._leapt == steps - 1
+                else BACK
+                if back == self._sum
+                else self._advice(external, limit, done)
+            )
             return self._text(limit, advice)
         left = AHEAD * float(limit - self._sum) / error if error > 0.0 else math.inf
         if error > before > 0.0 and limit > self._sum:
@@ -199,10 +228,12 @@ class StepWatch:
         self._turning = max(self._turning, float(np.abs(twist[:, :3]).max()))
         self._fastest = max(self._fastest, float(np.abs(twist[:, 3:]).max()))
         self._speed = max(self._turning, self._fastest / self._size)
-        self._change = max(self._change, change[:, :3].max() / self._step,
-                           change[:, 3:].max() / (self._size * self._step))
-        self._rate = max(self._turning,
-                         self._change / self._speed if self._speed > 0.0 else 0.0)
+        self._change = max(
+            self._change,
+            change[:, :3].max() / self._step,
+            change[:, 3:].max() / (self._size * self._step),
+        )
+        self._rate = max(self._turning, self._change / self._speed if self._speed > 0.0 else 0.0)
         turned, way = _apart(self._start, pose)
         self._way = max(way, self._size)
         self._extent = min(1.0, max(self._extent, turned, way / self._size))
@@ -215,7 +246,7 @@ class StepWatch:
             fine = self._take(h, 1, external)
             self._integrator.tighten(1.0)
             if fine is None:
-                return 0.0                  # tolerances next to rounding: nothing is smaller
+                return 0.0  # tolerances next to rounding: nothing is smaller
         else:
             fine = self._take(0.5 * h, 2, external)
         if end is None or fine is None:
@@ -258,14 +289,16 @@ class StepWatch:
 
     def _tilted(self, pose):
         """Errors of the angles by which spinning bodies have tilted, rad."""
-        counts = self._across & (self._relative[:, :3] > PART) & (
-            self._peak[:, :3] > NONE * self._speed)
+        counts = (
+            self._across & (self._relative[:, :3] > PART) & (self._peak[:, :3] > NONE * self._speed)
+        )
         if not counts.any():
             return 0.0
         wrong = -np.expm1(-self._relative[:, :3]) * counts
         bodies = np.arange(len(pose))
-        axes, starts = (given[:, :9].reshape(-1, 3, 3)[bodies, :, self._spins]
-                        for given in (pose, self._start))
+        axes, starts = (
+            given[:, :9].reshape(-1, 3, 3)[bodies, :, self._spins] for given in (pose, self._start)
+        )
         sine = np.linalg.norm(np.cross(axes, starts), axis=1)
         across = np.where(self._across, self._peak[:, :3], 0.0)
         share = _parts(across, np.broadcast_to(across.max(axis=1, keepdims=True), across.shape))
@@ -287,8 +320,13 @@ class StepWatch:
             return 0.0
         bodies = self._model.bodies
         momentum = np.einsum("nij,nj->ni", bodies["inertia"].reshape(-1, 3, 3), twist[:, :3])
-        self._kinetic = max(self._kinetic, 0.5 * float(
-            (momentum * twist[:, :3]).sum() + bodies["mass"] @ (twist[:, 3:] ** 2).sum(axis=1)))
+        self._kinetic = max(
+            self._kinetic,
+            0.5
+            * float(
+                (momentum * twist[:, :3]).sum() + bodies["mass"] @ (twist[:, 3:] ** 2).sum(axis=1)
+            ),
+        )
         now = self._energy_of(self._integrator.work.angle, pose, twist)
         if self._energy is None:
             start_pose, start_twist, angle, _ = self._kept
@@ -322,11 +360,15 @@ class StepWatch:
 
     def _text(self, limit, advice):
         share = self._sum if limit == PART else self._sum / self._extent
-        size = (f"{100.0 * min(share, 1.0):.2g} % of "
-                + ("a radian" if limit == PART else "the motion"))
+        size = f"{100.0 * min(share, 1.0):.2g} % of " + (
+            "a radian" if limit == PART else "the motion"
+        )
         begin = f"{self._method}, step {self._step:g} s: by t = {self._step * self._last:.6g} s "
-        wrong = (f"its errors may have added up to {size}" if self._sum < math.inf else
-                 "a step has no likeness to two of half its size")
+        wrong = (
+            f"its errors may have added up to {size}"
+            if self._sum < math.inf
+            else "a step has no likeness to two of half its size"
+        )
         return f"{begin}{wrong}: {advice}"
 
     def _advice(self, external, limit, done):
@@ -335,7 +377,7 @@ class StepWatch:
         time = max(done, LEAST_STEPS) * self._step
         h = self._step
         keeps = f"keep that to {100 * AIM * PART:.2g} % for {time:.3g} s; take those"
-        if getattr(self._integrator, "swings_in", False):       # one such step tells nothing
+        if getattr(self._integrator, "swings_in", False):  # one such step tells nothing
             h *= (AIM * limit * h / (self._error * time)) ** (1.0 / METHODS[self._method].order)
             return f"steps of {h:.2g} s would, by its order, {keeps}" if h > 0.0 else MUCH
         for _ in range(HALVINGS):

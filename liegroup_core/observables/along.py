@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Numbers of many states or bodies in one call, for long recordings and many messages."""
+
 import numpy as np
 
 from liegroup_core.compiling.kernels import SameTypes, kernel
@@ -17,8 +18,9 @@ def _along(model, angle, pose, twist, energy_out, kinetic_out, residual_out, ang
         kinds.count_turns(model.forces, pose[k], angle)
         total = energy(model, angle, pose[k], twist[k])
         energy_out[k] = total
-        kinetic_out[k] = total - (gravity_energy(model, pose[k])
-                                  + kinds.energy(model.forces, angle, pose[k]))
+        kinetic_out[k] = total - (
+            gravity_energy(model, pose[k]) + kinds.energy(model.forces, angle, pose[k])
+        )
         position_residuals(model, pose[k], residual_out[k])
         angle_out[k] = angle
 
@@ -32,7 +34,7 @@ def _quaternions(pose, out):
 
 def quaternions(pose):
     """Quaternions (..., 4) x, y, z, w >= 0 of poses (..., 12), to the bit as Sample has them."""
-    pose = np.array(pose, dtype=float, order="C")       # writable: always the same type
+    pose = np.array(pose, dtype=float, order="C")  # writable: always the same type
     out = np.empty((*pose.shape[:-1], 4))
     _quaternions(pose.reshape(-1, 12), out.reshape(-1, 4))
     return out
@@ -87,8 +89,9 @@ class Along:
         each joint's, angles (k, t) rad of the torsional springs
         """
         layout = self._layout
-        pose, twist = (np.ascontiguousarray(part) for part in
-                       layout.offsets.to_centres(pose, twist))
+        pose, twist = (
+            np.ascontiguousarray(part) for part in layout.offsets.to_centres(pose, twist)
+        )
         if self._angle is None:
             self._angle = layout.angles(pose[0], self._near)
         k = len(pose)
@@ -96,4 +99,4 @@ class Along:
         residual = np.zeros((k, len(layout.joint_of_row)))
         angles = np.empty((k, len(self._angle)))
         _along(layout.model, self._angle, pose, twist, energies, kinetic, residual, angles)
-        return energies, kinetic, np.sqrt(residual ** 2 @ self._of_joint), angles
+        return energies, kinetic, np.sqrt(residual**2 @ self._of_joint), angles

@@ -7,6 +7,7 @@ With the joint frames A on the parent and B on the child, z_A and z_B their axes
 Both are those of a closed joint; where a joint has opened by a little they are off by as much.
 Angles count whole turns where a torsional spring makes the integrator count them.
 """
+
 import math
 
 import numpy as np
@@ -23,8 +24,7 @@ class JointCoordinates:
 
     def __init__(self, scene, frames):
         place = {body.name: i for i, body in enumerate(scene.bodies)}
-        found = [(joint, pair) for joint, pair in zip(scene.joints, frames)
-                 if joint.type in KINDS]
+        found = [(joint, pair) for joint, pair in zip(scene.joints, frames) if joint.type in KINDS]
         self.names = tuple(joint.name for joint, _ in found)
         self._slides = [joint.type == "prismatic" for joint, _ in found]
         # The world stands behind the last body.
@@ -32,8 +32,7 @@ class JointCoordinates:
         self._child = [place[joint.child] for joint, _ in found]
         self._parent_frame = np.array([pair[0] for _, pair in found]).reshape(-1, 4, 4)
         self._child_frame = np.array([pair[1] for _, pair in found]).reshape(-1, 4, 4)
-        springs = [force.joint for force in scene.forces
-                   if force.type == "torsional_spring_damper"]
+        springs = [force.joint for force in scene.forces if force.type == "torsional_spring_damper"]
         self._spring = [springs.index(name) if name in springs else None for name in self.names]
 
     def at(self, pose, twist, angles):
@@ -46,7 +45,7 @@ class JointCoordinates:
             return {}
         R = np.concatenate([pose[:, :9].reshape(-1, 3, 3), np.eye(3)[None]])
         r = np.concatenate([pose[:, 9:], np.zeros((1, 3))])
-        spin, speed = np.zeros((2, len(R), 3))              # world axes
+        spin, speed = np.zeros((2, len(R), 3))  # world axes
         spin[:-1] = np.einsum("nij,nj->ni", R[:-1], twist[:, :3])
         speed[:-1] = np.einsum("nij,nj->ni", R[:-1], twist[:, 3:])
         a, b = self._parent, self._child
@@ -57,9 +56,11 @@ class JointCoordinates:
         turn = np.arctan2(R_rel[:, 1, 0] - R_rel[:, 0, 1], R_rel[:, 0, 0] + R_rel[:, 1, 1])
         way = np.einsum("ni,ni->n", R_A[:, :, 2], p_B - p_A)
         turn_rate = np.einsum("ni,ni->n", R_B[:, :, 2], spin[b] - spin[a])
-        way_rate = np.einsum("ni,ni->n", R_B[:, :, 2],
-                             speed[b] + np.cross(spin[b], p_B - r[b])
-                             - speed[a] - np.cross(spin[a], p_B - r[a]))
+        way_rate = np.einsum(
+            "ni,ni->n",
+            R_B[:, :, 2],
+            speed[b] + np.cross(spin[b], p_B - r[b]) - speed[a] - np.cross(spin[a], p_B - r[a]),
+        )
         found = {}
         for j, name in enumerate(self.names):
             if self._slides[j]:

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sample: an immutable copy of a state with names, the only thing that leaves the core."""
+
 from functools import cached_property
 
 import numpy as np
@@ -78,7 +79,8 @@ class Sample:
     @property
     def rows(self):
         """(n, 13) per body x, y, z, then qx, qy, qz, qw, then v and omega, as messages have them:
-        the numbers of `positions`, `quaternions` and `twists`, for all bodies at once."""
+        the numbers of `positions`, `quaternions` and `twists`, for all bodies at once.
+        """
         return rows(self.pose, self.twist)
 
     @cached_property
@@ -90,7 +92,8 @@ class Sample:
     def joint_coordinates(self):
         """{joint: (coordinate, rate)} of the revolute joints in rad and rad/s, of the prismatic
         ones in m and m/s. Whole turns are counted where the joint has a torsional spring; other
-        angles lie between -pi and pi."""
+        angles lie between -pi and pi.
+        """
         return self._layout.coordinates.at(*self._state, self.angles)
 
     @cached_property
@@ -101,7 +104,8 @@ class Sample:
     @cached_property
     def power(self):
         """Rate of the energy, W: what motors and the scene's applied wrenches give, and dampers
-        and drag take. Wrenches applied from outside the scene come on top."""
+        and drag take. Wrenches applied from outside the scene come on top.
+        """
         forces = self._layout.model.forces
         # A wrench that starts at this very time acts, whichever way the time was rounded.
         acting = acting_at(forces.applied_wrench, self.time * (1.0 + ROUNDING))
@@ -110,8 +114,7 @@ class Sample:
     @cached_property
     def spatial_momentum(self):
         """(6,) angular momentum about the world origin, then linear momentum; world axes."""
-        return np.concatenate(
-            invariants.spatial_momentum(self._layout.model, *self._state))
+        return np.concatenate(invariants.spatial_momentum(self._layout.model, *self._state))
 
     @cached_property
     def joint_residuals(self):
@@ -119,7 +122,7 @@ class Sample:
         model, joints = self._layout.model, self._layout.scene.joints
         residual = np.zeros(len(self._layout.joint_of_row))
         position_residuals(model, self._state[0], residual)
-        squares = np.bincount(self._layout.joint_of_row, residual ** 2, len(joints))
+        squares = np.bincount(self._layout.joint_of_row, residual**2, len(joints))
         return {joint.name: float(norm) for joint, norm in zip(joints, np.sqrt(squares))}
 
     @cached_property

@@ -4,6 +4,7 @@
 Exact rotations of a free body and of a symmetric heavy top are in elliptic.py, for which mpmath is
 needed.
 """
+
 from .trajectory import Distance, Reference, Trajectory, WrenchChange, distance, integrate
 
 __all__ = ["Distance", "Reference", "Trajectory", "WrenchChange", "distance", "integrate"]

@@ -7,10 +7,11 @@ time. mpmath does it (pip install mpmath). R turns body axes into world axes, w 
 Source: Landau and Lifshitz, Mechanics, sections 35 to 37, with the precession angles as integrals
 of the third kind. Accuracy: test/verification/test_elliptic.py, against Taylor series.
 """
+
 import mpmath as mp
 import numpy as np
 
-GUARD = 20          # digits more than asked for: next to a separatrix half of them cancel
+GUARD = 20  # digits more than asked for: next to a separatrix half of them cancel
 
 
 def free_body(inertia, rotation, omega, time, digits=30):
@@ -37,17 +38,19 @@ def free_body(inertia, rotation, omega, time, digits=30):
 def _principal(I, w, time):
     """Turn since time 0 and angular velocity, in principal axes with I[0] <= I[1] <= I[2]."""
     m = mp.matrix([i * c for i, c in zip(I, w)])
-    L2, E2 = _dot(m, m), _dot(m, w)             # squared momentum, twice the energy
+    L2, E2 = _dot(m, m), _dot(m, w)  # squared momentum, twice the energy
     # The axis c about which the momentum goes round in the body: that of the largest or of the
     # smallest moment, on either side of the separatrix L^2 = 2 E I_1.
     a, b, c = (0, 1, 2) if L2 >= E2 * I[1] else (2, 1, 0)
     even = 1 if c == 2 else -1
     rate2 = (I[c] - I[b]) * (L2 - E2 * I[a]) / (I[0] * I[1] * I[2])
     if rate2 <= 0 or sum(x == 0 for x in m) >= 2:
-        return _turn(w, time), w                # a steady rotation
-    size = [mp.sqrt((E2 * I[c] - L2) / (I[a] * (I[c] - I[a]))),
-            mp.sqrt((E2 * I[c] - L2) / (I[b] * (I[c] - I[b]))),
-            mp.sqrt((L2 - E2 * I[a]) / (I[c] * (I[c] - I[a])))]
+        return _turn(w, time), w  # a steady rotation
+    size = [
+        mp.sqrt((E2 * I[c] - L2) / (I[a] * (I[c] - I[a]))),
+        mp.sqrt((E2 * I[c] - L2) / (I[b] * (I[c] - I[b]))),
+        mp.sqrt((L2 - E2 * I[a]) / (I[c] * (I[c] - I[a]))),
+    ]
     k2 = (I[b] - I[a]) * (E2 * I[c] - L2) / ((I[c] - I[b]) * (L2 - E2 * I[a]))
     sign_c = mp.sign(w[c])
     sign_b = even * mp.sign(I[c] - I[b]) * sign_c
@@ -64,7 +67,8 @@ def _principal(I, w, time):
     n = -k2 * (I[c] * size[2]) ** 2 / D
     L = mp.sqrt(L2)
     angle = L * time / I[c] + L * (E2 - L2 / I[c]) / (D * rate) * (
-        mp.ellippi(n, end, k2) - mp.ellippi(n, start, k2))
+        mp.ellippi(n, end, k2) - mp.ellippi(n, start, k2)
+    )
     m_end = mp.matrix([i * x for i, x in zip(I, w_end)])
     axis = mp.matrix([int(i == c) for i in range(3)])
     return _node_axes(m, axis) * _about_z(angle) * _node_axes(m_end, axis).T, w_end
@@ -104,20 +108,26 @@ def heavy_top(inertia, spin_inertia, moment, axis, gravity, rotation, omega, tim
         last = _amplitude(mp.ellipf(first, k2) + rate * mp.mpf(time), k2)
         u = u1 + (u2 - u1) * mp.sin(last) ** 2
         # Integrals of (b -+ a) / (2 (1 -+ u)) over time: the two parts of phi' = (b - a u)/(1 - u^2)
-        lower = (b - a) / (2 * (1 - u1) * rate) * _third_kind(
-            (u2 - u1) / (1 - u1), first, last, k2)
-        upper = (b + a) / (2 * (1 + u1) * rate) * _third_kind(
-            -(u2 - u1) / (1 + u1), first, last, k2)
+        lower = (b - a) / (2 * (1 - u1) * rate) * _third_kind((u2 - u1) / (1 - u1), first, last, k2)
+        upper = (
+            (b + a) / (2 * (1 + u1) * rate) * _third_kind(-(u2 - u1) / (1 + u1), first, last, k2)
+        )
         spin = _dot(w, e)
         phi = mp.atan2(start[0, 2], -start[1, 2]) + lower + upper
         chi = mp.atan2(start[2, 0], start[2, 1]) + (spin - a) * mp.mpf(time) - lower + upper
         sine = mp.sqrt(1 - u * u)
-        slope = 2 * (u2 - u1) * rate * mp.sin(last) * mp.cos(last) * mp.sqrt(
-            1 - k2 * mp.sin(last) ** 2)
-        phi_rate, theta_rate = (b - a * u) / sine ** 2, -slope / sine
+        slope = (
+            2 * (u2 - u1) * rate * mp.sin(last) * mp.cos(last) * mp.sqrt(1 - k2 * mp.sin(last) ** 2)
+        )
+        phi_rate, theta_rate = (b - a * u) / sine**2, -slope / sine
         tilt = mp.matrix([[1, 0, 0], [0, u, -sine], [0, sine, u]])
-        w_end = mp.matrix([phi_rate * sine * mp.sin(chi) + theta_rate * mp.cos(chi),
-                           phi_rate * sine * mp.cos(chi) - theta_rate * mp.sin(chi), spin])
+        w_end = mp.matrix(
+            [
+                phi_rate * sine * mp.sin(chi) + theta_rate * mp.cos(chi),
+                phi_rate * sine * mp.cos(chi) - theta_rate * mp.sin(chi),
+                spin,
+            ]
+        )
         return S * _about_z(phi) * tilt * _about_z(chi) * P.T, P * w_end
 
 
@@ -138,12 +148,14 @@ def _matrix(values):
 
 def _cubic_roots(a, b, c, d):
     """The roots of a u^3 + b u^2 + c u + d, all real, a > 0, in increasing order (Viete)."""
-    with mp.extradps(mp.mp.dps):        # double roots cost half of the digits
+    with mp.extradps(mp.mp.dps):  # double roots cost half of the digits
         p = (b * b - 3 * a * c) / (9 * a * a)
-        q = (b * (2 * b * b - 9 * a * c) + 27 * a * a * d) / (54 * a ** 3)
+        q = (b * (2 * b * b - 9 * a * c) + 27 * a * a * d) / (54 * a**3)
         angle = mp.acos(min(max(q / mp.sqrt(p) ** 3, -1), 1)) if p > 0 else mp.mpf(0)
-        return sorted(-2 * mp.sqrt(max(p, 0)) * mp.cos((angle + 2 * k * mp.pi) / 3) - b / (3 * a)
-                      for k in range(3))
+        return sorted(
+            -2 * mp.sqrt(max(p, 0)) * mp.cos((angle + 2 * k * mp.pi) / 3) - b / (3 * a)
+            for k in range(3)
+        )
 
 
 def _third_kind(n, first, last, k2):
@@ -158,8 +170,9 @@ def _amplitude(tau, k2):
     quarter = mp.ellipk(k2)
     turns = mp.floor(tau / (4 * quarter) + mp.mpf(1) / 2)
     rest = tau - 4 * quarter * turns
-    return 2 * mp.pi * turns + mp.atan2(mp.ellipfun("sn", rest, m=k2),
-                                        mp.ellipfun("cn", rest, m=k2))
+    return 2 * mp.pi * turns + mp.atan2(
+        mp.ellipfun("sn", rest, m=k2), mp.ellipfun("cn", rest, m=k2)
+    )
 
 
 def _dot(a, b):
@@ -167,8 +180,9 @@ def _dot(a, b):
 
 
 def _cross(a, b):
-    return mp.matrix([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2],
-                      a[0] * b[1] - a[1] * b[0]])
+    return mp.matrix(
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    )
 
 
 def _columns(*vectors):

@@ -11,16 +11,17 @@ Kinematics and Dynamics of Mechanical Systems, 1989, chapter 9 (dot-1, dot-2, di
 theta is the angle of a screw: its rate is integrated with the motion, so it knows its turns. Each
 equation g = 0 is given with its first and second derivative in time.
 """
+
 from typing import NamedTuple
 
 import numpy as np
 
 from liegroup_core.compiling.kernels import subroutine
 
-GROUND = -1             # index of the world where a body is meant
-STATE = 13              # numbers per body: quaternion, position, velocity, angular velocity
+GROUND = -1  # index of the world where a body is meant
+STATE = 13  # numbers per body: quaternion, position, velocity, angular velocity
 ACROSS, LEVEL, DISTANCE = 0, 1, 2
-X, Y, Z = 0, 1, 2       # axes of a joint frame
+X, Y, Z = 0, 1, 2  # axes of a joint frame
 
 # The equations of each kind of joint: (ACROSS, axis of the parent's frame, axis of the child's)
 # and (LEVEL, axis of the parent's frame), between the origins of the frames.
@@ -44,13 +45,13 @@ JOINTS = {
 class Equations(NamedTuple):
     """The equations of all joints of a scene; k rows, t turning joints that keep an angle."""
 
-    kind: np.ndarray        # (k,) ACROSS, LEVEL or DISTANCE
-    body: np.ndarray        # (k, 2) parent, child; GROUND = -1
-    point: np.ndarray       # (k, 2, 3) m, in the frames of parent and child
-    axis: np.ndarray        # (k, 2, 3) e in the parent's axes, f in the child's
-    length: np.ndarray      # (k,) m, of a DISTANCE; the offset of a LEVEL
-    pitch: np.ndarray       # (k,) m/rad
-    turn: np.ndarray        # (k,) number of the angle theta, or -1
+    kind: np.ndarray  # (k,) ACROSS, LEVEL or DISTANCE
+    body: np.ndarray  # (k, 2) parent, child; GROUND = -1
+    point: np.ndarray  # (k, 2, 3) m, in the frames of parent and child
+    axis: np.ndarray  # (k, 2, 3) e in the parent's axes, f in the child's
+    length: np.ndarray  # (k,) m, of a DISTANCE; the offset of a LEVEL
+    pitch: np.ndarray  # (k,) m/rad
+    turn: np.ndarray  # (k,) number of the angle theta, or -1
 
 
 @subroutine
@@ -110,16 +111,16 @@ def turning(state, parent, child):
 def _add_translation(row, state, body, place, way):
     """Add to a row the acceleration along `way` of a point of a body."""
     if body != GROUND:
-        row[6 * body:6 * body + 3] += way
+        row[6 * body : 6 * body + 3] += way
         # way . (R (omegadot x p)) = omegadot . (p x R^T way)
-        row[6 * body + 3:6 * body + 6] += np.cross(place, rotate_back(state[body, 0:4], way))
+        row[6 * body + 3 : 6 * body + 6] += np.cross(place, rotate_back(state[body, 0:4], way))
 
 
 @subroutine
 def _add_rotation(row, state, body, about):
     """Add to a row the angular acceleration of a body about a world vector."""
     if body != GROUND:
-        row[6 * body + 3:6 * body + 6] += rotate_back(state[body, 0:4], about)
+        row[6 * body + 3 : 6 * body + 6] += rotate_back(state[body, 0:4], about)
 
 
 @subroutine
@@ -140,14 +141,12 @@ def joint_equations(equations, state, angle, rows_out, gap_out):
             f = direction(state, child, equations.axis[r, 1])
             gap_out[0, r] = np.dot(e[0], f[0])
             gap_out[1, r] = np.dot(e[1], f[0]) + np.dot(e[0], f[1])
-            gap_out[2, r] = (np.dot(e[2], f[0]) + 2.0 * np.dot(e[1], f[1])
-                             + np.dot(e[0], f[2]))
+            gap_out[2, r] = np.dot(e[2], f[0]) + 2.0 * np.dot(e[1], f[1]) + np.dot(e[0], f[2])
             about = np.cross(f[0], e[0])
             _add_rotation(row, state, child, about)
             _add_rotation(row, state, parent, -about)
             continue
-        d = (point(state, child, equations.point[r, 1])
-             - point(state, parent, equations.point[r, 0]))
+        d = point(state, child, equations.point[r, 1]) - point(state, parent, equations.point[r, 0])
         length = equations.length[r]
         if equations.kind[r] == DISTANCE:
             gap_out[0, r] = (np.dot(d[0], d[0]) / length - length) / 2.0
@@ -157,8 +156,7 @@ def joint_equations(equations, state, angle, rows_out, gap_out):
         else:
             gap_out[0, r] = np.dot(e[0], d[0]) - length
             gap_out[1, r] = np.dot(e[1], d[0]) + np.dot(e[0], d[1])
-            gap_out[2, r] = (np.dot(e[2], d[0]) + 2.0 * np.dot(e[1], d[1])
-                             + np.dot(e[0], d[2]))
+            gap_out[2, r] = np.dot(e[2], d[0]) + 2.0 * np.dot(e[1], d[1]) + np.dot(e[0], d[2])
             way = e[0]
             _add_rotation(row, state, parent, np.cross(e[0], d[0]))
         _add_translation(row, state, child, equations.point[r, 1], way)

@@ -4,11 +4,12 @@
 By Jacobi's elliptic functions (elliptic.py), for which mpmath is needed; no steps are taken, so a
 run of any length is judged at any of its times.
 """
+
 import numpy as np
 
 from .trajectory import Distance, Trajectory
 
-DIGITS = 25                 # more than float64 has, after the loss next to a separatrix
+DIGITS = 25  # more than float64 has, after the loss next to a separatrix
 # Of an inertia: what is less than round-off is no asymmetry.
 ROUND_OFF = 1e-14
 EPS = np.finfo(float).eps
@@ -21,22 +22,29 @@ def exact_solution(layout, pose, twist):
     """
     try:
         from . import elliptic
-    except ImportError:                     # no mpmath
+    except ImportError:  # no mpmath
         return None
     scene = layout.centred
     if scene.forces:
         return None
     if not scene.joints:
-        return Exact("free bodies", layout, pose, twist, [
-            _free_body(elliptic, body, state, turn, scene.gravity)
-            for body, state, turn in zip(scene.bodies, pose, twist)])
+        return Exact(
+            "free bodies",
+            layout,
+            pose,
+            twist,
+            [
+                _free_body(elliptic, body, state, turn, scene.gravity)
+                for body, state, turn in zip(scene.bodies, pose, twist)
+            ],
+        )
     top = _top_of(layout)
     if top is None:
         return None
     try:
         motion = _heavy_top(elliptic, *top, pose[0], twist[0], scene.gravity)
         motion(0.0)
-    except ValueError:                      # its axis is vertical
+    except ValueError:  # its axis is vertical
         return None
     return Exact("symmetric heavy top", layout, pose, twist, [motion])
 
@@ -62,12 +70,12 @@ class Exact:
     def uncertainty(found):
         """Distance (k, n) that the rounding of the start, the times and the result makes."""
         time = np.abs(found.times)[:, None]
-        w, v = (np.linalg.norm(part, axis=2) for part in (found.twist[..., :3],
-                                                          found.twist[..., 3:]))
+        w, v = (
+            np.linalg.norm(part, axis=2) for part in (found.twist[..., :3], found.twist[..., 3:])
+        )
         turn = 4 * EPS * (1.0 + w * time)
         reach = np.linalg.norm(found.position, axis=2) + v * time
-        return Distance(4 * EPS * reach, turn, turn, turn * (w + EPS),
-                        turn * (v + w * reach + EPS))
+        return Distance(4 * EPS * reach, turn, turn, turn * (w + EPS), turn * (v + w * reach + EPS))
 
 
 def _free_body(elliptic, body, pose, twist, gravity):
@@ -76,11 +84,16 @@ def _free_body(elliptic, body, pose, twist, gravity):
     velocity = R @ twist[3:]
 
     def motion(time):
-        rotation, omega = map(elliptic.to_floats, elliptic.free_body(
-            body.inertia_matrix, R, twist[:3], time, DIGITS))
+        rotation, omega = map(
+            elliptic.to_floats, elliptic.free_body(body.inertia_matrix, R, twist[:3], time, DIGITS)
+        )
         speed = velocity + gravity * time
-        return (rotation, position + (velocity + 0.5 * gravity * time) * time,
-                np.concatenate([omega, rotation.T @ speed]))
+        return (
+            rotation,
+            position + (velocity + 0.5 * gravity * time) * time,
+            np.concatenate([omega, rotation.T @ speed]),
+        )
+
     return motion
 
 
@@ -91,10 +104,14 @@ def _top_of(layout):
     pivot in the frame at the centre of mass, pivot in the world)
     """
     scene = layout.centred
-    if not (len(scene.bodies) == len(scene.joints) == 1 and any(scene.gravity)
-            and scene.joints[0].type == "spherical" and scene.joints[0].parent == "world"):
+    if not (
+        len(scene.bodies) == len(scene.joints) == 1
+        and any(scene.gravity)
+        and scene.joints[0].type == "spherical"
+        and scene.joints[0].parent == "world"
+    ):
         return None
-    (parent, child), = layout.joint_frames
+    ((parent, child),) = layout.joint_frames
     pivot = np.asarray(child)[:3, 3]
     length = np.linalg.norm(pivot)
     if length == 0.0:
@@ -114,9 +131,24 @@ def _heavy_top(elliptic, body, across, spin, pivot, place, pose, twist, gravity)
     length = np.linalg.norm(pivot)
 
     def motion(time):
-        rotation, omega = map(elliptic.to_floats, elliptic.heavy_top(
-            across + body.mass * length ** 2, spin, body.mass * length, -pivot / length, gravity,
-            pose[:9].reshape(3, 3), twist[:3], time, DIGITS))
-        return (rotation, place - rotation @ pivot,
-                np.concatenate([omega, np.cross(omega, -pivot)]))
+        rotation, omega = map(
+            elliptic.to_floats,
+            elliptic.heavy_top(
+                across + body.mass * length**2,
+                spin,
+                body.mass * length,
+                -pivot / length,
+                gravity,
+                pose[:9].reshape(3, 3),
+                twist[:3],
+                time,
+                DIGITS,
+            ),
+        )
+        return (
+            rotation,
+            place - rotation @ pivot,
+            np.concatenate([omega, np.cross(omega, -pivot)]),
+        )
+
     return motion

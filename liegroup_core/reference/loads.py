@@ -9,6 +9,7 @@ joint, and along that axis. In each the force is linear in coordinate and rate,
 so a spring at rest at x0 has constant = stiffness * x0, and a motor with a limit has
 damping = |its force| / limit.
 """
+
 from typing import NamedTuple
 
 import numpy as np
@@ -21,22 +22,22 @@ from .equations import GROUND, direction, point, rotate, rotate_back, turning
 class Loads(NamedTuple):
     """Gravity and forces of a scene of n bodies; a law is (constant, stiffness, damping)."""
 
-    gravity: np.ndarray     # (3,) m/s^2
-    line_body: np.ndarray   # (l, 2) parent, child; GROUND = -1
+    gravity: np.ndarray  # (3,) m/s^2
+    line_body: np.ndarray  # (l, 2) parent, child; GROUND = -1
     line_point: np.ndarray  # (l, 2, 3) m, in the frames of the two
-    line_law: np.ndarray    # (l, 3) N, N/m, N s/m; coordinate: the length
-    turn_body: np.ndarray   # (t, 2)
-    turn_axis: np.ndarray   # (t, 3) z of the joint in the parent's axes
-    turn_law: np.ndarray    # (t, 3) N m, N m/rad, N m s/rad; coordinate: the angle; screws: zero
+    line_law: np.ndarray  # (l, 3) N, N/m, N s/m; coordinate: the length
+    turn_body: np.ndarray  # (t, 2)
+    turn_axis: np.ndarray  # (t, 3) z of the joint in the parent's axes
+    turn_law: np.ndarray  # (t, 3) N m, N m/rad, N m s/rad; coordinate: the angle; screws: zero
     slide_body: np.ndarray  # (s, 2)
-    slide_point: np.ndarray     # (s, 2, 3) m, origins of the joint frames
+    slide_point: np.ndarray  # (s, 2, 3) m, origins of the joint frames
     slide_axis: np.ndarray  # (s, 3) z of the joint in the parent's axes
-    slide_law: np.ndarray   # (s, 3) N, N/m, N s/m; coordinate: of the child's origin along z
-    drag: np.ndarray        # (n, 4) linear, quadratic, angular, angular quadratic
-    push_body: np.ndarray   # (p,) of the applied wrenches
+    slide_law: np.ndarray  # (s, 3) N, N/m, N s/m; coordinate: of the child's origin along z
+    drag: np.ndarray  # (n, 4) linear, quadratic, angular, angular quadratic
+    push_body: np.ndarray  # (p,) of the applied wrenches
     push_world: np.ndarray  # (p,) True: constant in world axes, False: in the body's
     push_point: np.ndarray  # (p, 3) m
-    push_load: np.ndarray   # (p, 6) torque N m, force N
+    push_load: np.ndarray  # (p, 6) torque N m, force N
 
 
 @subroutine
@@ -91,10 +92,13 @@ def _slides(loads, state, force):
         end = point(state, child, loads.slide_point[i, 1])
         d = end - point(state, parent, loads.slide_point[i, 0])
         constant, stiffness, damping = loads.slide_law[i]
-        pull = (constant - stiffness * np.dot(axis[0], d[0])
-                - damping * (np.dot(axis[1], d[0]) + np.dot(axis[0], d[1]))) * axis[0]
+        pull = (
+            constant
+            - stiffness * np.dot(axis[0], d[0])
+            - damping * (np.dot(axis[1], d[0]) + np.dot(axis[0], d[1]))
+        ) * axis[0]
         _push(force, state, child, loads.slide_point[i, 1], pull)
-        if parent != GROUND:        # at the same place of the world, so that the two cancel
+        if parent != GROUND:  # at the same place of the world, so that the two cancel
             arm = end[0] - state[parent, 4:7]
             force[parent, 0:3] -= pull
             force[parent, 3:6] -= rotate_back(state[parent, 0:4], np.cross(arm, pull))
@@ -113,10 +117,14 @@ def add_loads(loads, mass, state, angle, wrench, acting, force, angle_rate_out):
     for i in range(len(mass)):
         q, v, omega = state[i, 0:4], state[i, 7:10], state[i, 10:13]
         linear, quadratic, angular, angular_quadratic = loads.drag[i]
-        force[i, 0:3] += (mass[i] * loads.gravity + rotate(q, wrench[i, 3:6])
-                          - (linear + quadratic * np.sqrt(np.dot(v, v))) * v)
-        force[i, 3:6] += (wrench[i, 0:3]
-                          - (angular + angular_quadratic * np.sqrt(np.dot(omega, omega))) * omega)
+        force[i, 0:3] += (
+            mass[i] * loads.gravity
+            + rotate(q, wrench[i, 3:6])
+            - (linear + quadratic * np.sqrt(np.dot(v, v))) * v
+        )
+        force[i, 3:6] += (
+            wrench[i, 0:3] - (angular + angular_quadratic * np.sqrt(np.dot(omega, omega))) * omega
+        )
     _lines(loads, state, force)
     _turns(loads, state, angle, force, angle_rate_out)
     _slides(loads, state, force)

@@ -16,6 +16,7 @@ the singular values of A, which know nothing of the masses: those that are left 
 that repeat others, as closed loops have them. Two terms -2 c gdot - c^2 g in b, zero on the exact
 motion, keep round-off from piling up in g.
 """
+
 from typing import NamedTuple
 
 import numpy as np
@@ -25,15 +26,15 @@ from liegroup_core.compiling.kernels import subroutine
 from .equations import STATE, Equations, joint_equations
 from .loads import Loads, add_loads
 
-DRIFT_DAMPING = 10.0    # 1/s; far below 1/step of a tight integration, so it costs no step size
+DRIFT_DAMPING = 10.0  # 1/s; far below 1/step of a tight integration, so it costs no step size
 
 
 class System(NamedTuple):
     """A scene of n bodies as arrays."""
 
-    mass: np.ndarray            # (n,) kg
-    inertia: np.ndarray         # (n, 3, 3) kg m^2, about the centre of mass, body axes
-    size: float                 # m, of the mechanism: makes turns and ways comparable in A
+    mass: np.ndarray  # (n,) kg
+    inertia: np.ndarray  # (n, 3, 3) kg m^2, about the centre of mass, body axes
+    size: float  # m, of the mechanism: makes turns and ways comparable in A
     equations: Equations
     loads: Loads
 
@@ -46,12 +47,13 @@ def scaled_equations(system, state, angle, missing_out):
     joint_equations(system.equations, state, angle, rows, gap)
     for r in range(k):
         for body in range(n):
-            rows[r, 6 * body + 3:6 * body + 6] /= system.size
+            rows[r, 6 * body + 3 : 6 * body + 6] /= system.size
         length = np.sqrt(np.dot(rows[r], rows[r]))
         scale = 1.0 / length if length > 0.0 else 0.0
         rows[r] *= scale
-        missing_out[r] = -scale * (gap[2, r] + 2.0 * DRIFT_DAMPING * gap[1, r]
-                                   + DRIFT_DAMPING ** 2 * gap[0, r])
+        missing_out[r] = -scale * (
+            gap[2, r] + 2.0 * DRIFT_DAMPING * gap[1, r] + DRIFT_DAMPING**2 * gap[0, r]
+        )
     return rows
 
 
@@ -68,21 +70,21 @@ def _jointed(system, rank, state, angle, force, acceleration_out):
     wanted = np.zeros(6 * n)
     wanted[:rank] = (left.T @ missing)[:rank] / singular[:rank]
     given = right.T @ wanted
-    free = np.ascontiguousarray(right[rank:])       # N^T
-    mass = np.zeros((6 * n, 6 * n))         # for (rddot, size omegadot)
+    free = np.ascontiguousarray(right[rank:])  # N^T
+    mass = np.zeros((6 * n, 6 * n))  # for (rddot, size omegadot)
     load = np.zeros(6 * n)
     for i in range(n):
         for c in range(3):
             mass[6 * i + c, 6 * i + c] = system.mass[i]
             load[6 * i + c] = force[i, c]
             load[6 * i + 3 + c] = force[i, 3 + c] / system.size
-        mass[6 * i + 3:6 * i + 6, 6 * i + 3:6 * i + 6] = system.inertia[i] / system.size ** 2
+        mass[6 * i + 3 : 6 * i + 6, 6 * i + 3 : 6 * i + 6] = system.inertia[i] / system.size**2
     if rank < 6 * n:
         reduced = free @ mass @ free.T
         given += free.T @ np.linalg.solve(reduced, free @ (load - mass @ given))
     for i in range(n):
-        acceleration_out[i, 0:3] = given[6 * i:6 * i + 3]
-        acceleration_out[i, 3:6] = given[6 * i + 3:6 * i + 6] / system.size
+        acceleration_out[i, 0:3] = given[6 * i : 6 * i + 3]
+        acceleration_out[i, 3:6] = given[6 * i + 3 : 6 * i + 6] / system.size
     return singular[rank - 1], singular[rank] if rank < len(singular) else 0.0
 
 
@@ -96,17 +98,16 @@ def rate(system, rank, flat_state, wrench, acting, flat_out):
     not; where state or forces are not finite the derivative is NaN
     """
     n = len(system.mass)
-    state, angle = flat_state[:STATE * n].reshape(n, STATE), flat_state[STATE * n:]
-    out = flat_out[:STATE * n].reshape(n, STATE)
+    state, angle = flat_state[: STATE * n].reshape(n, STATE), flat_state[STATE * n :]
+    out = flat_out[: STATE * n].reshape(n, STATE)
     force = np.zeros((n, 6))
-    add_loads(system.loads, system.mass, state, angle, wrench, acting, force,
-              flat_out[STATE * n:])
+    add_loads(system.loads, system.mass, state, angle, wrench, acting, force, flat_out[STATE * n :])
     acceleration = np.zeros((n, 6))
     for i in range(n):
         omega = state[i, 10:13]
         force[i, 3:6] -= np.cross(omega, system.inertia[i] @ omega)
     if not (np.isfinite(flat_state).all() and np.isfinite(force).all()):
-        flat_out[:] = np.nan        # LAPACK refuses such numbers
+        flat_out[:] = np.nan  # LAPACK refuses such numbers
         return 1.0, 0.0
     least, left_out = 1.0, 0.0
     if rank > 0:

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The arrays of the reference integration from a scene."""
+
 import numpy as np
 
 from liegroup_core.errors import SimulationError
@@ -28,31 +29,38 @@ def build_system(scene, pose):
         if entry.type not in known:
             raise SimulationError(f"the reference integration has no {entry.type} ({entry.name})")
     frames = {joint.name: pair for joint, pair in zip(scene.joints, resolve_frames(scene))}
-    relative = _relative(scene, frames, {
-        body.name: np.block([[place[:9].reshape(3, 3), place[9:, None]], [0.0, 0.0, 0.0, 1.0]])
-        for body, place in zip(scene.bodies, pose)})
+    relative = _relative(
+        scene,
+        frames,
+        {
+            body.name: np.block([[place[:9].reshape(3, 3), place[9:, None]], [0.0, 0.0, 0.0, 1.0]])
+            for body, place in zip(scene.bodies, pose)
+        },
+    )
     joints = {joint.name: joint for joint in scene.joints}
     turns = [(joint, (0.0, 0.0, 0.0)) for joint in scene.joints if joint.type == "screw"]
-    turns += [(joints[force.joint], _law(force)) for force in scene.forces
-              if force.type in TURNING]
-    slides = [(joints[force.joint], _law(force)) for force in scene.forces
-              if force.type in SLIDING]
+    turns += [(joints[force.joint], _law(force)) for force in scene.forces if force.type in TURNING]
+    slides = [(joints[force.joint], _law(force)) for force in scene.forces if force.type in SLIDING]
     equations = _equations(scene, index, frames, relative)
     system = System(
         mass=np.array([body.mass for body in scene.bodies], dtype=float),
         inertia=np.array([body.inertia_matrix for body in scene.bodies]),
         size=float(np.linalg.norm(equations.point, axis=2).max(initial=0.0)) or 1.0,
         equations=equations,
-        loads=_loads(scene, index, frames, turns, slides))
+        loads=_loads(scene, index, frames, turns, slides),
+    )
     return system, np.array([_angle(relative[joint.name]) for joint, _ in turns])
 
 
 def _relative(scene, frames, start):
     """Poses (4, 4) of the child's joint frame in the parent's one, by the joint's name."""
     start = start | {"world": np.eye(4)}
-    return {joint.name: np.linalg.solve(start[joint.parent] @ frames[joint.name][0],
-                                        start[joint.child] @ frames[joint.name][1])
-            for joint in scene.joints}
+    return {
+        joint.name: np.linalg.solve(
+            start[joint.parent] @ frames[joint.name][0], start[joint.child] @ frames[joint.name][1]
+        )
+        for joint in scene.joints
+    }
 
 
 def _angle(relative):
@@ -84,12 +92,23 @@ def _equations(scene, index, frames, relative):
             threaded = joint.type == "screw" and equation == JOINTS["screw"][-1]
             pitch.append(joint.pitch if threaded else 0.0)
             turn.append(screws if threaded else -1)
-            length.append(_thread(joint, C_rel) if threaded else 0.0 if equation[0] != DISTANCE
-                          else _length(joint, described[joint.name]))
+            length.append(
+                _thread(joint, C_rel)
+                if threaded
+                else 0.0
+                if equation[0] != DISTANCE
+                else _length(joint, described[joint.name])
+            )
         screws += joint.type == "screw"
-    return Equations(_table(kind, (), int), _table(body, (2,), int), _table(point, (2, 3)),
-                     _table(axis, (2, 3)), _table(length, ()), _table(pitch, ()),
-                     _table(turn, (), int))
+    return Equations(
+        _table(kind, (), int),
+        _table(body, (2,), int),
+        _table(point, (2, 3)),
+        _table(axis, (2, 3)),
+        _table(length, ()),
+        _table(pitch, ()),
+        _table(turn, (), int),
+    )
 
 
 def _length(joint, relative):
@@ -110,8 +129,11 @@ def _law(force):
     if force.type == "linear_motor":
         limit = force.speed_limit
         return force.force, 0.0, 0.0 if limit is None else abs(force.force) / limit
-    rest = {"spring_damper": "rest_length", "torsional_spring_damper": "rest_angle",
-            "linear_spring_damper": "rest_position"}[force.type]
+    rest = {
+        "spring_damper": "rest_length",
+        "torsional_spring_damper": "rest_angle",
+        "linear_spring_damper": "rest_position",
+    }[force.type]
     return force.stiffness * getattr(force, rest), force.stiffness, force.damping
 
 
@@ -121,8 +143,12 @@ def _loads(scene, index, frames, turns, slides):
     drag = np.zeros((len(scene.bodies), 4))
     for force in scene.forces:
         if force.type == "drag":
-            drag[index[force.body]] += (force.linear, force.quadratic, force.angular,
-                                        force.angular_quadratic)
+            drag[index[force.body]] += (
+                force.linear,
+                force.quadratic,
+                force.angular,
+                force.angular_quadratic,
+            )
     return Loads(
         gravity=np.array(scene.gravity, dtype=float),
         line_body=_table([_ends(s, index) for s in lines], (2,), int),
@@ -132,12 +158,12 @@ def _loads(scene, index, frames, turns, slides):
         turn_axis=_table([frames[joint.name][0][:3, 2] for joint, _ in turns], (3,)),
         turn_law=_table([law for _, law in turns], (3,)),
         slide_body=_table([_ends(joint, index) for joint, _ in slides], (2,), int),
-        slide_point=_table([[F[:3, 3] for F in frames[joint.name]] for joint, _ in slides],
-                           (2, 3)),
+        slide_point=_table([[F[:3, 3] for F in frames[joint.name]] for joint, _ in slides], (2, 3)),
         slide_axis=_table([frames[joint.name][0][:3, 2] for joint, _ in slides], (3,)),
         slide_law=_table([law for _, law in slides], (3,)),
         drag=drag,
         push_body=_table([index[p.body] for p in pushes], (), int),
         push_world=_table([p.axes == "world" for p in pushes], (), bool),
         push_point=_table([p.point for p in pushes], (3,)),
-        push_load=_table([(*p.torque, *p.force) for p in pushes], (6,)))
+        push_load=_table([(*p.torque, *p.force) for p in pushes], (6,)),
+    )

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tight integration of a scene under piecewise constant wrenches, with its own uncertainty."""
+
 from typing import NamedTuple
 
 import numpy as np
@@ -30,28 +31,28 @@ REDUNDANT, SINGULAR = 1e-8, 1e-6
 class WrenchChange(NamedTuple):
     """From `time` on this is the total wrench on the body."""
 
-    time: float             # s
+    time: float  # s
     body: str
-    wrench: tuple           # (6,) torque N m, force N; body axes, about the body frame's origin
+    wrench: tuple  # (6,) torque N m, force N; body axes, about the body frame's origin
 
 
 class Trajectory(NamedTuple):
     """Motion of the frames of n bodies at k times."""
 
-    times: np.ndarray       # (k,) s
-    rotation: np.ndarray    # (k, n, 3, 3) body -> world
-    position: np.ndarray    # (k, n, 3) m, world
-    twist: np.ndarray       # (k, n, 6) rad/s, m/s; body axes
+    times: np.ndarray  # (k,) s
+    rotation: np.ndarray  # (k, n, 3, 3) body -> world
+    position: np.ndarray  # (k, n, 3) m, world
+    twist: np.ndarray  # (k, n, 6) rad/s, m/s; body axes
 
 
 class Distance(NamedTuple):
     """How far two trajectories are apart, per time and body: each (k, n)."""
 
-    position: np.ndarray    # m
-    attitude: np.ndarray    # |R_1 - R_2|_2 = 2 sin(angle / 2), at most 2
-    angle: np.ndarray       # rad, of the rotation between them
-    angular: np.ndarray     # rad/s
-    linear: np.ndarray      # m/s
+    position: np.ndarray  # m
+    attitude: np.ndarray  # |R_1 - R_2|_2 = 2 sin(angle / 2), at most 2
+    angle: np.ndarray  # rad, of the rotation between them
+    angular: np.ndarray  # rad/s
+    linear: np.ndarray  # m/s
 
 
 def distance(one, other):
@@ -62,9 +63,13 @@ def distance(one, other):
     """
     chord = np.linalg.norm(one.rotation - other.rotation, axis=(2, 3)) / np.sqrt(2.0)
     twist = one.twist - other.twist
-    return Distance(np.linalg.norm(one.position - other.position, axis=2), chord,
-                    2.0 * np.arcsin(np.minimum(chord / 2.0, 1.0)),
-                    np.linalg.norm(twist[..., :3], axis=2), np.linalg.norm(twist[..., 3:], axis=2))
+    return Distance(
+        np.linalg.norm(one.position - other.position, axis=2),
+        chord,
+        2.0 * np.arcsin(np.minimum(chord / 2.0, 1.0)),
+        np.linalg.norm(twist[..., :3], axis=2),
+        np.linalg.norm(twist[..., 3:], axis=2),
+    )
 
 
 def integrate(scene, pose, twist, times, changes=(), start=0.0, rtol=TIGHT):
@@ -100,8 +105,9 @@ class Reference:
              a turn. The other arguments as of `integrate`
     """
 
-    def __init__(self, scene, pose, twist, changes=(), start=0.0, end=np.inf, rtol=TIGHT,
-                 angles=None):
+    def __init__(
+        self, scene, pose, twist, changes=(), start=0.0, end=np.inf, rtol=TIGHT, angles=None
+    ):
         scene = assembled(scene)
         pose, self._offsets = np.asarray(pose, dtype=float), Offsets(scene)
         system, found = build_system(at_centres_of_mass(scene), pose)
@@ -110,8 +116,10 @@ class Reference:
         pieces = _pieces(scene, self._offsets, changes, start, end)
         rank = _rank(system, state)
         self._size = STATE * len(pose)
-        self._runs = [_Run(system, rank, state, start, pieces, tolerance)
-                      for tolerance in (rtol, LOOSER * rtol)]
+        self._runs = [
+            _Run(system, rank, state, start, pieces, tolerance)
+            for tolerance in (rtol, LOOSER * rtol)
+        ]
         self._apart = None
 
     @property
@@ -122,10 +130,11 @@ class Reference:
     def at(self, times):
         """(Trajectory, its uncertainty so far) at (k,) increasing times after those before."""
         times = np.asarray(times, dtype=float)
-        tight, loose = (_at_bodies(self._offsets, _to_trajectory(
-            times, run.at(times)[:, :self._size])) for run in self._runs)
-        apart = Distance(*(np.maximum.accumulate(part, axis=0)
-                           for part in distance(tight, loose)))
+        tight, loose = (
+            _at_bodies(self._offsets, _to_trajectory(times, run.at(times)[:, : self._size]))
+            for run in self._runs
+        )
+        apart = Distance(*(np.maximum.accumulate(part, axis=0) for part in distance(tight, loose)))
         if self._apart is not None:
             apart = Distance(*map(np.maximum, apart, self._apart))
         if len(times):
@@ -141,9 +150,11 @@ def _pieces(scene, offsets, changes, start, end):
     index = {body.name: i for i, body in enumerate(scene.bodies)}
     pushes = [force for force in scene.forces if force.type == "applied_wrench"]
     # In the order of their times, those of the same time in the order given.
-    switches = sorted([(change.time, change) for change in changes]
-                      + [(time, None) for push in pushes for time in (push.start, push.end)
-                         if time is not None], key=lambda switch: switch[0])
+    switches = sorted(
+        [(change.time, change) for change in changes]
+        + [(time, None) for push in pushes for time in (push.start, push.end) if time is not None],
+        key=lambda switch: switch[0],
+    )
     wrench = np.zeros((len(scene.bodies), 6))
     pieces = []
     since = start
@@ -152,8 +163,13 @@ def _pieces(scene, offsets, changes, start, end):
             until = min(time, end)
             # In the middle no rounding decides what acts.
             middle = 0.5 * (since + until)
-            acting = np.array([push.start <= middle and (push.end is None or middle < push.end)
-                               for push in pushes], dtype=bool)
+            acting = np.array(
+                [
+                    push.start <= middle and (push.end is None or middle < push.end)
+                    for push in pushes
+                ],
+                dtype=bool,
+            )
             pieces.append((since, until, wrench.copy(), acting))
             since = until
         if change is not None:
@@ -172,8 +188,9 @@ def _rank(system, state):
     n, k = len(system.mass), len(system.equations.kind)
     if k == 0:
         return 0
-    rows = scaled_equations(system, state[:STATE * n].reshape(n, STATE), state[STATE * n:],
-                            np.zeros(k))
+    rows = scaled_equations(
+        system, state[: STATE * n].reshape(n, STATE), state[STATE * n :], np.zeros(k)
+    )
     singular = np.linalg.svd(rows, compute_uv=False)
     if singular[-1] > REDUNDANT:
         return len(singular)
@@ -202,12 +219,13 @@ class _Run:
             if upto > done:
                 if self._solver is not None and self._dense is None:
                     self._dense = self._solver.dense_output()
-                out[done:upto] = (self._state if self._dense is None
-                                  else self._dense(times[done:upto]).T)
+                out[done:upto] = (
+                    self._state if self._dense is None else self._dense(times[done:upto]).T
+                )
                 done = upto
             if done == len(times):
                 return out
-            if not self._advance():         # the last time is the end, up to rounding
+            if not self._advance():  # the last time is the end, up to rounding
                 out[done:] = self._state
                 return out
 
@@ -220,38 +238,52 @@ class _Run:
         solver = self._solver
         self.taken += 1
         if self.taken > MOST_STEPS:
-            raise SimulationError(f"the reference integration stopped at {solver.t:.6g} s: it has "
-                                  f"taken {MOST_STEPS} steps; compare a shorter time")
+            raise SimulationError(
+                f"the reference integration stopped at {solver.t:.6g} s: it has "
+                f"taken {MOST_STEPS} steps; compare a shorter time"
+            )
         message = solver.step()
         if solver.status == "failed":
-            raise SimulationError(f"the reference integration stopped at {solver.t:.6g} s: "
-                                  f"{message}")
+            raise SimulationError(
+                f"the reference integration stopped at {solver.t:.6g} s: {message}"
+            )
         self._steps.append(solver.step_size)
         # A step ends with the rate at its end; those before may be of poses far off.
         least, left_out = self._singular
         if least < SINGULAR or left_out > SINGULAR:
-            raise SimulationError(f"the reference integration stopped at {solver.t:.6g} s: "
-                                  "at a singular pose, where the joints leave the motion open")
+            raise SimulationError(
+                f"the reference integration stopped at {solver.t:.6g} s: "
+                "at a singular pose, where the joints leave the motion open"
+            )
         self._dense, self._reached, self._state = None, solver.t, solver.y
         if solver.status == "finished":
             longest = max(self._steps)
-            self._step = (longest if self._step is None or len(self._steps) > 1
-                          else max(self._step, longest))
+            self._step = (
+                longest if self._step is None or len(self._steps) > 1 else max(self._step, longest)
+            )
         return True
 
     def _begin(self, begin, end, wrench, acting):
         def function(t, y):
             slope = np.empty_like(y)
             self._singular[:] = rate(self._system, self._rank, y, wrench, acting, slope)
-            if not np.isfinite(slope).all():        # DOP853 would look for a step for ever
-                raise SimulationError(f"the reference integration stopped at {t:.6g} s: "
-                                      "the state or a wrench is not finite")
+            if not np.isfinite(slope).all():  # DOP853 would look for a step for ever
+                raise SimulationError(
+                    f"the reference integration stopped at {t:.6g} s: "
+                    "the state or a wrench is not finite"
+                )
             return slope
 
         # A piece goes on with the step of the one before, which a short piece must not shrink.
-        self._solver = DOP853(function, begin, self._state, end, rtol=self._rtol, atol=self._rtol,
-                              first_step=None if self._step is None
-                              else min(self._step, end - begin))
+        self._solver = DOP853(
+            function,
+            begin,
+            self._state,
+            end,
+            rtol=self._rtol,
+            atol=self._rtol,
+            first_step=None if self._step is None else min(self._step, end - begin),
+        )
         self._steps = []
 
 
@@ -279,5 +311,9 @@ def _to_trajectory(times, states):
     k, n = states.shape[:2]
     turn = Rotation.from_quat(states[..., [1, 2, 3, 0]].reshape(-1, 4))
     velocity = turn.apply(states[..., 7:10].reshape(-1, 3), inverse=True).reshape(k, n, 3)
-    return Trajectory(times, turn.as_matrix().reshape(k, n, 3, 3), states[..., 4:7],
-                      np.concatenate((states[..., 10:13], velocity), axis=2))
+    return Trajectory(
+        times,
+        turn.as_matrix().reshape(k, n, 3, 3),
+        states[..., 4:7],
+        np.concatenate((states[..., 10:13], velocity), axis=2),
+    )

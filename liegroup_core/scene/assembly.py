@@ -51,8 +51,14 @@ def assembled(scene, kept=()):
     if not linkage.is_closed(poses):
         raise _open(linkage, poses)
     linkage = Linkage(centred, frames, parts, joints)
-    twists = _velocities(centred, linkage, poses, rates, {b.name for b in fixed if b.has_twist},
-                         _rows_of(scene, kept))
+    twists = _velocities(
+        centred,
+        linkage,
+        poses,
+        rates,
+        {b.name for b in fixed if b.has_twist},
+        _rows_of(scene, kept),
+    )
     return _with_start(scene, centred, linkage.length, poses, twists)
 
 
@@ -78,20 +84,29 @@ def _with_bodies_placed(scene):
                 break
         else:
             i = next(i for i, name in enumerate(names) if name not in poses)
-            raise SceneError(f'bodies[{i}] "{names[i]}": has no position, no rotation and no '
-                             "joint to a body that has: give a position", ("bodies", i))
+            raise SceneError(
+                f'bodies[{i}] "{names[i]}": has no position, no rotation and no '
+                "joint to a body that has: give a position",
+                ("bodies", i),
+            )
         if joint.parent_frame is None or joint.child_frame is None:
             name = joint.child if joint.parent in poses else joint.parent
-            raise SceneError(f'joints[{j}] "{joint.name}": needs both frames: it puts "{name}", '
-                             "which has no position and no rotation, where they meet",
-                             ("joints", j))
+            raise SceneError(
+                f'joints[{j}] "{joint.name}": needs both frames: it puts "{name}", '
+                "which has no position and no rotation, where they meet",
+                ("joints", j),
+            )
         between = joint.parent_frame.pose @ SE3.inverse(joint.child_frame.pose)
         if joint.parent in poses:
             poses[joint.child] = poses[joint.parent] @ between
         else:
             poses[joint.parent] = poses[joint.child] @ SE3.inverse(between)
-    return scene.remade(bodies=[body if body.has_pose else body.remade(**_keys(poses[body.name]))
-                                for body in scene.bodies])
+    return scene.remade(
+        bodies=[
+            body if body.has_pose else body.remade(**_keys(poses[body.name]))
+            for body in scene.bodies
+        ]
+    )
 
 
 def _with_joints_written_out(scene):
@@ -99,21 +114,25 @@ def _with_joints_written_out(scene):
     poses = {body.name: body.pose for body in scene.bodies} | {WORLD: np.eye(4)}
     joints = []
     for joint, pair in zip(scene.joints, resolve_frames(scene)):
-        found = {key: Frame(**_keys(frame)) for key, frame in zip(
-            ("parent_frame", "child_frame"), pair) if getattr(joint, key) is None}
+        found = {
+            key: Frame(**_keys(frame))
+            for key, frame in zip(("parent_frame", "child_frame"), pair)
+            if getattr(joint, key) is None
+        }
         if getattr(joint, "length", 0.0) is None:
             ends = [poses[name] @ F for name, F in zip((joint.parent, joint.child), pair)]
             found["length"] = float(np.linalg.norm((ends[1] - ends[0])[:3, 3]))
         joints.append(joint.remade(("rate",), **found))
-    return scene.remade(("assemble",), joints=joints,
-                        bodies=[body.remade(("initial",)) for body in scene.bodies])
+    return scene.remade(
+        ("assemble",), joints=joints, bodies=[body.remade(("initial",)) for body in scene.bodies]
+    )
 
 
 def _rows_of(scene, kept):
     """[(body, (6,) row)] that say what a component of its twist is, of the frame at its centre."""
     rows = []
     for body in scene.bodies:
-        to_body = np.eye(6)                                 # v = v_com - w x com
+        to_body = np.eye(6)  # v = v_com - w x com
         to_body[3:, :3] = SO3.hat(body.com)
         rows += [(body.name, to_body[part]) for name, part in kept if name == body.name]
     return rows
@@ -131,29 +150,32 @@ def _velocities(scene, linkage, poses, rates, fixed, kept):
     kept = [(name, row) for name, row in kept if name in linkage.place]
     keeping = np.zeros((len(kept), 6 * len(linkage.bodies)))
     for row, (name, part) in zip(keeping, kept):
-        row[linkage.place[name]:linkage.place[name] + 6] = part
+        row[linkage.place[name] : linkage.place[name] + 6] = part
     closing = linkage.velocity_rows(poses)
     J = np.vstack([closing, linkage.velocity_rows(poses, rate_rows), keeping])
-    holders = [next(j for j, joint in enumerate(scene.joints) if name in (
-        joint.parent, joint.child)) for name, _ in kept]
+    holders = [
+        next(j for j, joint in enumerate(scene.joints) if name in (joint.parent, joint.child))
+        for name, _ in kept
+    ]
     owner = [*np.repeat(range(len(scene.joints)), linkage.counts), *rates, *holders]
-    wanted = np.concatenate([np.zeros(len(closing)), list(rates.values()),
-                             [part @ given[name] for name, part in kept]])
+    wanted = np.concatenate(
+        [np.zeros(len(closing)), list(rates.values()), [part @ given[name] for name, part in kept]]
+    )
     V = np.concatenate([given[name] for name in linkage.bodies])
 
     # With the mass matrix M = L L^T and V + L^-T x, the least x has the least kinetic energy.
     bodies = {body.name: body for body in scene.bodies}
     free = [name for name in linkage.bodies if name not in fixed]
-    inverse = np.zeros((len(V), 6 * len(free)))             # L^-T of the bodies that are free
+    inverse = np.zeros((len(V), 6 * len(free)))  # L^-T of the bodies that are free
     for i, name in enumerate(free):
         at = linkage.place[name]
         block = np.linalg.inv(np.linalg.cholesky(bodies[name].inertia_matrix))
-        inverse[at:at + 3, 6 * i:6 * i + 3] = block.T
-        inverse[at + 3:at + 6, 6 * i + 3:6 * i + 6] = np.eye(3) / np.sqrt(bodies[name].mass)
+        inverse[at : at + 3, 6 * i : 6 * i + 3] = block.T
+        inverse[at + 3 : at + 6, 6 * i + 3 : 6 * i + 6] = np.eye(3) / np.sqrt(bodies[name].mass)
     A = J @ inverse
     size = np.linalg.norm(A, axis=1)
     size[size == 0.0] = 1.0
-    for _ in range(2):                                      # once more for round-off
+    for _ in range(2):  # once more for round-off
         miss = wanted - J @ V
         V = V + inverse @ np.linalg.lstsq(A / size[:, None], miss / size, rcond=RANK_TOLERANCE)[0]
     miss = wanted - J @ V
@@ -176,8 +198,11 @@ def _with_start(scene, centred, length, poses, twists):
     bodies = []
     for i, body in enumerate(scene.bodies):
         if moved[i]:
-            body = body.remade(ROTATIONS, position=_tidy(flat[i, 9:], length), quaternion=_tidy(
-                SO3.to_quaternion(flat[i, :9].reshape(3, 3)), 1.0))
+            body = body.remade(
+                ROTATIONS,
+                position=_tidy(flat[i, 9:], length),
+                quaternion=_tidy(SO3.to_quaternion(flat[i, :9].reshape(3, 3)), 1.0),
+            )
         if hurried[i]:
             w, v = np.split(_tidy(twist[i], fastest), 2)
             body = body.remade(angular_velocity=w, linear_velocity=v)
@@ -203,16 +228,22 @@ def _open(linkage, poses):
     return SceneError(
         f'joints[{j}] "{linkage.joints[j].name}": cannot be closed: where assembly ends it has a '
         f"gap of {gap:.3g} m and a tilt of {tilt:.3g} rad; start from poses nearer to closed "
-        "ones, check the lengths, or fix fewer bodies", ("joints", j))
+        "ones, check the lengths, or fix fewer bodies",
+        ("joints", j),
+    )
 
 
 def _contradiction(scene, J, owner, miss):
     """SceneError for the joint whose velocity misses most."""
     j = int(owner[int(np.argmax(np.abs(miss)))])
     turning = ~J.reshape(len(J), -1, 6)[:, :, 3:].any(axis=(1, 2))
-    slip, turn = (max((abs(x) for x, i, t in zip(miss, owner, turning) if i == j and t == kind),
-                      default=0.0) for kind in (False, True))
+    slip, turn = (
+        max((abs(x) for x, i, t in zip(miss, owner, turning) if i == j and t == kind), default=0.0)
+        for kind in (False, True)
+    )
     return SceneError(
         f'joints[{j}] "{scene.joints[j].name}": rates of joints and velocities of fixed bodies '
         f"contradict each other: the nearest motion misses this joint by {slip:.3g} m/s and "
-        f"{turn:.3g} rad/s; give fewer of them", ("joints", j))
+        f"{turn:.3g} rad/s; give fewer of them",
+        ("joints", j),
+    )

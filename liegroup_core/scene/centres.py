@@ -16,8 +16,13 @@ import numpy as np
 
 # Which keys of joints and forces hold a place in a body's frame, and which one names that body.
 # A frame shifts with its origin. test/core/test_centres.py looks for fields that are missing.
-PLACES = {"parent_frame": "parent", "child_frame": "child",
-          "parent_point": "parent", "child_point": "child", "point": "body"}
+PLACES = {
+    "parent_frame": "parent",
+    "child_frame": "child",
+    "parent_point": "parent",
+    "child_point": "child",
+    "point": "body",
+}
 
 
 def at_centres_of_mass(scene):
@@ -33,7 +38,8 @@ def at_centres_of_mass(scene):
     return scene.remade(
         bodies=[_body_at_centre(body) for body in scene.bodies],
         joints=[_shifted(joint, com) for joint in scene.joints],
-        forces=[_shifted(force, com) for force in scene.forces])
+        forces=[_shifted(force, com) for force in scene.forces],
+    )
 
 
 def _body_at_centre(body):
@@ -41,8 +47,12 @@ def _body_at_centre(body):
     com = np.array(body.com)
     w, v = np.array(body.angular_velocity), np.array(body.linear_velocity)
     return body.remade(
-        leave_out=("com", "shape"), mass=body.mass, inertia=body.inertia,
-        position=body.position + body.rotation @ com, linear_velocity=v + np.cross(w, com))
+        leave_out=("com", "shape"),
+        mass=body.mass,
+        inertia=body.inertia,
+        position=body.position + body.rotation @ com,
+        linear_velocity=v + np.cross(w, com),
+    )
 
 
 def _shifted(link, com):
@@ -53,8 +63,11 @@ def _shifted(link, com):
         if place is None:
             continue
         offset = com[getattr(link, end)]
-        moved[key] = (place.remade(position=place.position - offset) if key.endswith("frame")
-                      else np.array(place) - offset)
+        moved[key] = (
+            place.remade(position=place.position - offset)
+            if key.endswith("frame")
+            else np.array(place) - offset
+        )
     return link.remade(**moved)
 
 

@@ -58,8 +58,10 @@ def resolve_elements(scene):
     A length the scene leaves out is the distance at the initial poses.
     """
     start = _start(scene)
-    return [elements_of(joint, _relative(start, joint, *frames))
-            for joint, frames in zip(scene.joints, resolve_frames(scene))]
+    return [
+        elements_of(joint, _relative(start, joint, *frames))
+        for joint, frames in zip(scene.joints, resolve_frames(scene))
+    ]
 
 
 def _relative(start, joint, F_a, F_b):
@@ -76,8 +78,9 @@ def check_consistency(scene):
         C_rel = _relative(start, joint, F_a, F_b)
         elements = elements_of(joint, C_rel)
         rows = forbidden_rows(elements, C_rel)
-        text = (_open(joint, elements, rows, C_rel, (C_a, C_b, F_a, F_b))
-                or _moving(joint, rows, C_rel, F_a, F_b, V_a, V_b))
+        text = _open(joint, elements, rows, C_rel, (C_a, C_b, F_a, F_b)) or _moving(
+            joint, rows, C_rel, F_a, F_b, V_a, V_b
+        )
         if text:
             problems.append((i, f'joints[{i}] "{joint.name}": {text}'))
     if problems:
@@ -98,13 +101,20 @@ def _open(joint, elements, rows, C_rel, poses):
     size = max(np.abs(pose[:3, 3]).max() for pose in poses)
     if max(gap, tilt) <= TOLERANCE * (1.0 + size):
         if joint.type == "distance" and np.linalg.norm(C_rel[:3, 3]) <= TOLERANCE * (1.0 + size):
-            return ("holds two points together that are at the same place, so that it has no "
-                    "direction; use a spherical joint, or move one of the frames")
+            return (
+                "holds two points together that are at the same place, so that it has no "
+                "direction; use a spherical joint, or move one of the frames"
+            )
         return None
-    remedy = ("leave out length to keep the distance there is" if joint.type == "distance" else
-              "leave out parent_frame or child_frame to put the joint where the other one is")
-    return (f"does not close at the initial poses: gap {gap:.3g} m, tilt {tilt:.3g} rad; "
-            f'{remedy}, or move "{joint.child}" or the frames')
+    remedy = (
+        "leave out length to keep the distance there is"
+        if joint.type == "distance"
+        else "leave out parent_frame or child_frame to put the joint where the other one is"
+    )
+    return (
+        f"does not close at the initial poses: gap {gap:.3g} m, tilt {tilt:.3g} rad; "
+        f'{remedy}, or move "{joint.child}" or the frames'
+    )
 
 
 def _moving(joint, A, C_rel, F_a, F_b, V_a, V_b):
@@ -119,9 +129,11 @@ def _moving(joint, A, C_rel, F_a, F_b, V_a, V_b):
         return None
     # The shortest change of V_rel to what the joint allows.
     V_ok = to_child @ (V_rel - np.linalg.pinv(A) @ (A @ V_rel) + from_parent @ V_a)
-    return (f"the initial velocities violate the joint by {slip:.3g} m/s and {turn:.3g} rad/s; "
-            f'"{joint.child}" would follow it with angular_velocity {_written(V_ok[:3], size)} '
-            f"and linear_velocity {_written(V_ok[3:], size)}")
+    return (
+        f"the initial velocities violate the joint by {slip:.3g} m/s and {turn:.3g} rad/s; "
+        f'"{joint.child}" would follow it with angular_velocity {_written(V_ok[:3], size)} '
+        f"and linear_velocity {_written(V_ok[3:], size)}"
+    )
 
 
 def _written(vector, size):

@@ -58,45 +58,61 @@ class Body(Placed):
 
     name: Name = Field(description="name: a letter, then letters, digits or _; unique, not world")
     mass: Positive | None = Field(
-        None, description="mass in kg, greater than 0; required without a shape")
+        None, description="mass in kg, greater than 0; required without a shape"
+    )
     inertia: Inertia | None = Field(
-        None, description="inertia about the centre of mass in kg m^2, body axes: "
+        None,
+        description="inertia about the centre of mass in kg m^2, body axes: "
         "[Ixx, Iyy, Izz], or [Ixx, Iyy, Izz, Ixy, Ixz, Iyz], the elements of the symmetric "
-        "matrix; required without a shape")
+        "matrix; required without a shape",
+    )
     com: Vector3 = Field((0.0, 0.0, 0.0), description="centre of mass in m, in the body frame")
     shape: one_of(SHAPES) | None = Field(
-        None, description="solid that gives mass, inertia and com, in place of them")
+        None, description="solid that gives mass, inertia and com, in place of them"
+    )
     position: Vector3 = Field(
-        (0.0, 0.0, 0.0), description="origin of the body frame at the start in m, world axes")
+        (0.0, 0.0, 0.0), description="origin of the body frame at the start in m, world axes"
+    )
     quaternion: Quaternion | None = Field(
-        None, description="rotation from body to world axes at the start as unit quaternion "
-        "x, y, z, w; no rotation if left out")
+        None,
+        description="rotation from body to world axes at the start as unit quaternion "
+        "x, y, z, w; no rotation if left out",
+    )
     rotation_vector: RotationVector | None = Field(
-        None, description="the same rotation as rotation vector in rad, in place of quaternion")
+        None, description="the same rotation as rotation vector in rad, in place of quaternion"
+    )
     angular_velocity: Vector3 = Field(
-        (0.0, 0.0, 0.0), description="angular velocity at the start in rad/s, body axes")
+        (0.0, 0.0, 0.0), description="angular velocity at the start in rad/s, body axes"
+    )
     linear_velocity: Vector3 = Field(
-        (0.0, 0.0, 0.0), description="velocity of the origin of the body frame at the start in "
-        "m/s, body axes")
+        (0.0, 0.0, 0.0),
+        description="velocity of the origin of the body frame at the start in m/s, body axes",
+    )
     initial: Literal["guess", "fixed"] = Field(
-        "guess", description="what assembly makes of the pose, and of the velocities, that are "
-        "given here: guess, it starts from them; fixed, it keeps them")
+        "guess",
+        description="what assembly makes of the pose, and of the velocities, that are "
+        "given here: guess, it starts from them; fixed, it keeps them",
+    )
 
     @model_validator(mode="after")
     def _check(self):
         if self.name == WORLD:
-            raise SceneError(f'name "{WORLD}" is taken by the fixed frame: choose another',
-                             place=("name",))
+            raise SceneError(
+                f'name "{WORLD}" is taken by the fixed frame: choose another', place=("name",)
+            )
         if self.shape is None:
             for key in ("mass", "inertia"):
                 if getattr(self, key) is None:
-                    raise SceneError(f"{key} is missing: give the "
-                                     f"{type(self).model_fields[key].description}", place=(key,))
+                    raise SceneError(
+                        f"{key} is missing: give the {type(self).model_fields[key].description}",
+                        place=(key,),
+                    )
             return self
         for key in ("mass", "inertia", "com"):
             if key in self.model_fields_set:
-                raise SceneError(f"{key} and shape both give the {key}: keep one of them",
-                                 place=(key,))
+                raise SceneError(
+                    f"{key} and shape both give the {key}: keep one of them", place=(key,)
+                )
         try:
             self.__dict__.update(self.shape.body)
         except SceneError as error:
@@ -132,20 +148,29 @@ class _Joint(Described):
     parent: Text = Field(description="name of a body, or world")
     child: Text = Field(description="name of a body")
     parent_frame: Frame | None = Field(
-        None, description="joint frame in the frame of the parent; if left out, it is where "
-        "child_frame is at the start")
+        None,
+        description="joint frame in the frame of the parent; if left out, it is where "
+        "child_frame is at the start",
+    )
     child_frame: Frame | None = Field(
-        None, description="joint frame in the frame of the child; if left out, it is where "
-        "parent_frame is at the start")
+        None,
+        description="joint frame in the frame of the child; if left out, it is where "
+        "parent_frame is at the start",
+    )
     rate: Number | None = Field(
-        None, description="rate at the start, for assembly: of the turn about z in rad/s, or of "
-        "the slide along z in m/s if the joint does not turn")
+        None,
+        description="rate at the start, for assembly: of the turn about z in rad/s, or of "
+        "the slide along z in m/s if the joint does not turn",
+    )
 
     @model_validator(mode="after")
     def _check(self):
         if self.rate is not None and self.type not in RATES:
-            raise SceneError(f"rate is not for a {self.type} joint, which has no single one: "
-                             f"it goes with {', '.join(RATES)}", place=("rate",))
+            raise SceneError(
+                f"rate is not for a {self.type} joint, which has no single one: "
+                f"it goes with {', '.join(RATES)}",
+                place=("rate",),
+            )
         if self.parent_frame is None and self.child_frame is None:
             raise SceneError("parent_frame or child_frame is missing: give at least one of them")
         return self
@@ -155,7 +180,8 @@ class Joint(_Joint):
     """Joint without a parameter: a lower pair, or a universal joint."""
 
     type: Literal[PLAIN_JOINTS] = Field(
-        description=f"kind of joint: {', '.join(PLAIN_JOINTS[:-1])} or {PLAIN_JOINTS[-1]}")
+        description=f"kind of joint: {', '.join(PLAIN_JOINTS[:-1])} or {PLAIN_JOINTS[-1]}"
+    )
 
 
 class ScrewJoint(_Joint):
@@ -163,7 +189,8 @@ class ScrewJoint(_Joint):
 
     type: Literal["screw"] = Field("screw", description="screw")
     pitch: Number = Field(
-        description="way along z in m for every radian, positive for a right-handed thread")
+        description="way along z in m for every radian, positive for a right-handed thread"
+    )
 
 
 class DistanceJoint(_Joint):
@@ -173,20 +200,31 @@ class DistanceJoint(_Joint):
     parent_frame: Frame = Field(description="frame in the frame of the parent; its origin counts")
     child_frame: Frame = Field(description="frame in the frame of the child; its origin counts")
     length: Positive | None = Field(
-        None, description="distance of the origins in m, greater than 0; if left out, it is the "
-        "one at the start")
+        None,
+        description="distance of the origins in m, greater than 0; if left out, it is the "
+        "one at the start",
+    )
 
 
 JOINTS = (Joint, ScrewJoint, DistanceJoint)
-FORCES = (SpringDamper, TorsionalSpringDamper, LinearSpringDamper, Motor, LinearMotor, Drag,
-          ConstantWrench)
+FORCES = (
+    SpringDamper,
+    TorsionalSpringDamper,
+    LinearSpringDamper,
+    Motor,
+    LinearMotor,
+    Drag,
+    ConstantWrench,
+)
 
 
 def _entries(classes):
     """Type of a list of entries, each made by the class that its `type` selects."""
     # a key without a value is an empty list
-    return Annotated[tuple[one_of(classes), ...],
-                     BeforeValidator(lambda value: [] if value is None else listed(value))]
+    return Annotated[
+        tuple[one_of(classes), ...],
+        BeforeValidator(lambda value: [] if value is None else listed(value)),
+    ]
 
 
 class Scene(Described):
@@ -196,16 +234,19 @@ class Scene(Described):
     description: Text = Field("", description="free text")
     gravity: Vector3 = Field(description="gravity in m/s^2, world axes, such as [0, 0, -9.81]")
     assemble: Flag = Field(
-        False, description="true: the joints close the poses and velocities that the bodies have "
-        "here; false: these are those of the start")
+        False,
+        description="true: the joints close the poses and velocities that the bodies have "
+        "here; false: these are those of the start",
+    )
     bodies: Annotated[tuple[Body, ...], BeforeValidator(listed)] = Field(
-        description="list of bodies, at least one")
+        description="list of bodies, at least one"
+    )
     joints: _entries(JOINTS) = Field((), description="list of joints")
     forces: _entries(FORCES) = Field((), description="list of forces")
 
     _text: str | None = PrivateAttr(None)
     _source: str | None = PrivateAttr(None)
-    _line_of: Any = PrivateAttr(None)       # function: place in the scene -> line of its text
+    _line_of: Any = PrivateAttr(None)  # function: place in the scene -> line of its text
 
     @property
     def text(self):
@@ -221,8 +262,7 @@ class Scene(Described):
         """A SceneError about this scene with file and line, if it was read from a text."""
         if self._line_of is None:
             return error
-        return SceneError(f"{self.source}:{self._line_of(error.place or ())}: {error}",
-                          error.place)
+        return SceneError(f"{self.source}:{self._line_of(error.place or ())}: {error}", error.place)
 
     @model_validator(mode="after")
     def _check(self):
@@ -230,8 +270,11 @@ class Scene(Described):
             raise SceneError("bodies is empty: give at least one body", place=("bodies",))
         bodies = [body.name for body in self.bodies]
         _refuse_twins([("bodies", i, name) for i, name in enumerate(bodies)])
-        links = [(key, i, link) for key in ("joints", "forces")
-                 for i, link in enumerate(getattr(self, key))]
+        links = [
+            (key, i, link)
+            for key in ("joints", "forces")
+            for i, link in enumerate(getattr(self, key))
+        ]
         _refuse_twins([(key, i, link.name) for key, i, link in links])
         kinds = {joint.name: joint.type for joint in self.joints}
         for key, i, link in links:
@@ -244,9 +287,11 @@ class Scene(Described):
         for key, name in (("bodies", "initial"), ("joints", "rate")):
             for i, entry in enumerate(getattr(self, key)):
                 if not self.assemble and name in entry.model_fields_set:
-                    raise SceneError(f'{key}[{i}] "{entry.name}": {name} is for assembly: leave '
-                                     "it out, or give the scene assemble: true",
-                                     place=(key, i, name))
+                    raise SceneError(
+                        f'{key}[{i}] "{entry.name}": {name} is for assembly: leave '
+                        "it out, or give the scene assemble: true",
+                        place=(key, i, name),
+                    )
         return self
 
 
@@ -255,8 +300,10 @@ def _refuse_twins(entries):
     first = {}
     for key, i, name in entries:
         if name in first:
-            raise SceneError(f'{key}[{i}] "{name}": name is already that of {first[name]}: '
-                             "give each its own", place=(key, i, "name"))
+            raise SceneError(
+                f'{key}[{i}] "{name}": name is already that of {first[name]}: give each its own',
+                place=(key, i, "name"),
+            )
         first[name] = f"{key}[{i}]"
 
 
@@ -265,21 +312,26 @@ def _refuse_ends(link, bodies, key, i):
     where = f'{key}[{i}] "{link.name}": '
     if link.child == WORLD:
         hint = "name a body" if link.parent == WORLD else "swap parent and child"
-        raise SceneError(f"{where}child must be a body, not {WORLD}: {hint}",
-                         place=(key, i, "child"))
+        raise SceneError(
+            f"{where}child must be a body, not {WORLD}: {hint}", place=(key, i, "child")
+        )
     _refuse_unknown("parent", link, [WORLD, *bodies], key, i)
     _refuse_unknown("child", link, bodies, key, i)
     if link.parent == link.child:
-        raise SceneError(f'{where}parent and child are both "{link.child}": '
-                         "name two different ones", place=(key, i, "child"))
+        raise SceneError(
+            f'{where}parent and child are both "{link.child}": name two different ones',
+            place=(key, i, "child"),
+        )
 
 
 def _refuse_unknown(end, link, known, key, i):
     """Refuse a joint or force whose `end` is none of the known bodies."""
     name = getattr(link, end)
     if name not in known:
-        raise SceneError(f'{key}[{i}] "{link.name}": {end} {name!r:.40} is no body; '
-                         f"{suggestion(name, known)}", place=(key, i, end))
+        raise SceneError(
+            f'{key}[{i}] "{link.name}": {end} {name!r:.40} is no body; {suggestion(name, known)}',
+            place=(key, i, end),
+        )
 
 
 def _refuse_joint(force, kinds, i):
@@ -289,8 +341,11 @@ def _refuse_joint(force, kinds, i):
         hint = suggestion(force.joint, list(kinds)) if kinds else "the scene has no joints"
         raise SceneError(f"{where}joint {force.joint!r:.40} is no joint; {hint}", place=place)
     if kinds[force.joint] not in force.joint_types:
-        raise SceneError(f'{where}joint "{force.joint}" is {kinds[force.joint]}, but {force.type} '
-                         f"needs one that is {' or '.join(force.joint_types)}", place=place)
+        raise SceneError(
+            f'{where}joint "{force.joint}" is {kinds[force.joint]}, but {force.type} '
+            f"needs one that is {' or '.join(force.joint_types)}",
+            place=place,
+        )
 
 
 class _Dumper(yaml.SafeDumper):
@@ -313,5 +368,6 @@ def _written_out(scene):
     for body, written in zip(scene.bodies, values["bodies"]):
         if written.get("shape"):
             written["shape"].setdefault("type", body.shape.type)
-    return yaml.dump(values, Dumper=_Dumper, sort_keys=False, default_flow_style=None,
-                     width=float("inf"))
+    return yaml.dump(
+        values, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=float("inf")
+    )

@@ -4,6 +4,7 @@
 A force holds to two bodies (`parent`, `child`), to a joint (`joint`) or to one body (`body`). What
 it does is in the file of its type in liegroup_core/forces/.
 """
+
 from typing import ClassVar, Literal
 
 from pydantic import Field, model_validator
@@ -28,9 +29,9 @@ class SpringDamper(Described):
     child_point: Vector3 = Field(description="attachment point in m, in the frame of the child")
     stiffness: NotNegative = Field(description="stiffness in N/m, not negative")
     damping: NotNegative = Field(
-        0.0, description="damping along the line between the points in N s/m, not negative")
-    rest_length: NotNegative = Field(
-        0.0, description="length without force in m, not negative")
+        0.0, description="damping along the line between the points in N s/m, not negative"
+    )
+    rest_length: NotNegative = Field(0.0, description="length without force in m, not negative")
 
 
 class TorsionalSpringDamper(Described):
@@ -39,12 +40,14 @@ class TorsionalSpringDamper(Described):
     joint_types: ClassVar = TURNING
     name: Name = Field(description="name, unique among joints and forces")
     type: Literal["torsional_spring_damper"] = Field(
-        "torsional_spring_damper", description="torsional_spring_damper")
+        "torsional_spring_damper", description="torsional_spring_damper"
+    )
     joint: Text = Field(description="name of a joint that turns about its z axis")
     stiffness: NotNegative = Field(description="stiffness in N m/rad, not negative")
     damping: NotNegative = Field(0.0, description="damping in N m s/rad, not negative")
     rest_angle: Number = Field(
-        0.0, description="angle without torque in rad, may be more than a turn")
+        0.0, description="angle without torque in rad, may be more than a turn"
+    )
 
 
 class LinearSpringDamper(Described):
@@ -53,7 +56,8 @@ class LinearSpringDamper(Described):
     joint_types: ClassVar = SLIDING
     name: Name = Field(description="name, unique among joints and forces")
     type: Literal["linear_spring_damper"] = Field(
-        "linear_spring_damper", description="linear_spring_damper")
+        "linear_spring_damper", description="linear_spring_damper"
+    )
     joint: Text = Field(description="name of a joint that slides along its z axis")
     stiffness: NotNegative = Field(description="stiffness in N/m, not negative")
     damping: NotNegative = Field(0.0, description="damping in N s/m, not negative")
@@ -69,8 +73,10 @@ class Motor(Described):
     joint: Text = Field(description="name of a joint that turns about its z axis")
     torque: Number = Field(description="torque on the child at rest in N m")
     rate_limit: Positive | None = Field(
-        None, description="rate in rad/s at which the torque has fallen to zero, greater than 0; "
-        "constant torque if left out")
+        None,
+        description="rate in rad/s at which the torque has fallen to zero, greater than 0; "
+        "constant torque if left out",
+    )
 
 
 class LinearMotor(Described):
@@ -82,8 +88,10 @@ class LinearMotor(Described):
     joint: Text = Field(description="name of a joint that slides along its z axis")
     force: Number = Field(description="force on the child at rest in N")
     speed_limit: Positive | None = Field(
-        None, description="speed in m/s at which the force has fallen to zero, greater than 0; "
-        "constant force if left out")
+        None,
+        description="speed in m/s at which the force has fallen to zero, greater than 0; "
+        "constant force if left out",
+    )
 
 
 class Drag(Described):
@@ -93,13 +101,17 @@ class Drag(Described):
     type: Literal["drag"] = Field("drag", description="drag")
     body: Text = Field(description="name of a body")
     linear: NotNegative = Field(
-        0.0, description="force per speed of the centre of mass in N s/m, not negative")
+        0.0, description="force per speed of the centre of mass in N s/m, not negative"
+    )
     quadratic: NotNegative = Field(
-        0.0, description="force per square of that speed in N s^2/m^2, not negative")
+        0.0, description="force per square of that speed in N s^2/m^2, not negative"
+    )
     angular: NotNegative = Field(
-        0.0, description="torque per angular speed in N m s/rad, not negative")
+        0.0, description="torque per angular speed in N m s/rad, not negative"
+    )
     angular_quadratic: NotNegative = Field(
-        0.0, description="torque per square of angular speed in N m s^2/rad^2, not negative")
+        0.0, description="torque per square of angular speed in N m s^2/rad^2, not negative"
+    )
 
 
 class ConstantWrench(Described):
@@ -111,16 +123,22 @@ class ConstantWrench(Described):
     torque: Vector3 = Field((0.0, 0.0, 0.0), description="torque in N m")
     force: Vector3 = Field((0.0, 0.0, 0.0), description="force in N")
     point: Vector3 = Field(
-        (0.0, 0.0, 0.0), description="where the force acts in m, in the frame of the body")
+        (0.0, 0.0, 0.0), description="where the force acts in m, in the frame of the body"
+    )
     axes: Literal["body", "world"] = Field(
-        "body", description="axes of torque and force, in which they are constant: body or world")
+        "body", description="axes of torque and force, in which they are constant: body or world"
+    )
     start: NotNegative = Field(0.0, description="time in s from which it acts, not negative")
     end: Positive | None = Field(
-        None, description="time in s until which it acts, after start; for ever if left out")
+        None, description="time in s until which it acts, after start; for ever if left out"
+    )
 
     @model_validator(mode="after")
     def _check(self):
         if self.end is not None and self.end <= self.start:
-            raise SceneError(f"end {self.end:g} must be later than start {self.start:g}: "
-                             "give a later end or leave it out", place=("end",))
+            raise SceneError(
+                f"end {self.end:g} must be later than start {self.start:g}: "
+                "give a later end or leave it out",
+                place=("end",),
+            )
         return self

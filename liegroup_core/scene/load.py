@@ -32,13 +32,19 @@ MOST_REPEATED = 100_000  # values that come from aliases
 _PARSER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the former is ten times faster
 _NOT_YAML = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 _NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
-_WORDS = {word: value
-          for value, words in ((None, ", ~, null, Null, NULL"), (True, "true, True, TRUE"),
-                               (False, "false, False, FALSE"),
-                               (float("nan"), ".nan, .NaN, .NAN"))
-          for word in words.split(", ")}
-_WORDS |= {sign + word: float(sign + "inf")
-           for sign in ("", "+", "-") for word in (".inf", ".Inf", ".INF")}
+_WORDS = {
+    word: value
+    for value, words in (
+        (None, ", ~, null, Null, NULL"),
+        (True, "true, True, TRUE"),
+        (False, "false, False, FALSE"),
+        (float("nan"), ".nan, .NaN, .NAN"),
+    )
+    for word in words.split(", ")
+}
+_WORDS |= {
+    sign + word: float(sign + "inf") for sign in ("", "+", "-") for word in (".inf", ".Inf", ".INF")
+}
 
 
 def load_scene(name_or_path):
@@ -48,8 +54,10 @@ def load_scene(name_or_path):
         if not os.path.isfile(path):
             raise SceneError(f"{path}: is not a file: give the path of a scene file (.yaml)")
         if os.path.getsize(path) > LARGEST_FILE:
-            raise SceneError(f"{path}: is larger than {LARGEST_FILE >> 20} MiB: "
-                             "give the path of a scene file (.yaml)")
+            raise SceneError(
+                f"{path}: is larger than {LARGEST_FILE >> 20} MiB: "
+                "give the path of a scene file (.yaml)"
+            )
         content = path.read_bytes()
     except OSError as error:
         raise SceneError(f"{path}: cannot be read: {error.strerror}") from None
@@ -57,8 +65,9 @@ def load_scene(name_or_path):
         text = content.decode("utf-8")
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
-        raise SceneError(f"{path}:{line}: is not UTF-8 text: give a scene file (.yaml), "
-                         "saved as UTF-8") from None
+        raise SceneError(
+            f"{path}:{line}: is not UTF-8 text: give a scene file (.yaml), saved as UTF-8"
+        ) from None
     return scene_from_text(text, source=str(path))
 
 
@@ -78,8 +87,10 @@ def scene_as_written(text, source="scene"):
 def _made(text, source, complete):
     root = _read(text, source)
     if not isinstance(root.value, dict):
-        raise SceneError(f"{source}:{root.line}: a scene must be a mapping with the keys "
-                         f"{', '.join(Scene.model_fields)}, got {shown(root.value)}")
+        raise SceneError(
+            f"{source}:{root.line}: a scene must be a mapping with the keys "
+            f"{', '.join(Scene.model_fields)}, got {shown(root.value)}"
+        )
     try:
         scene = Scene(**root.value)
         scene = assembled(scene) if complete else scene
@@ -97,8 +108,9 @@ def find_scene(name_or_path):
     given = Path(name_or_path)
     if os.path.isfile(given):
         return given
-    known = {path.stem: path for folder in reversed(_folders())
-             for path in sorted(folder.glob("*.yaml"))}
+    known = {
+        path.stem: path for folder in reversed(_folders()) for path in sorted(folder.glob("*.yaml"))
+    }
     name = str(given).removesuffix(".yaml")
     if name in known:
         return known[name]
@@ -111,8 +123,11 @@ def find_scene(name_or_path):
 def _folders():
     """Folders with the scenes that come along, the nearest to this file first."""
     here = Path(__file__).resolve()
-    prefixes = [*here.parents, *os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep),
-                sys.prefix]
+    prefixes = [
+        *here.parents,
+        *os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep),
+        sys.prefix,
+    ]
     folders = [here.parents[2] / "config" / "scenes"]
     folders += [Path(prefix) / SHARE for prefix in prefixes if prefix]
     return [folder for folder in folders if folder.is_dir()]
@@ -145,8 +160,11 @@ class _Entry:
             if not isinstance(part.value, str):
                 raise _Refused(part.line, f"a key must be text, got {shown(part.value)}")
             if part.value in self.parts:
-                raise _Refused(part.line, f"key {shown(part.value)} is given twice, first on line "
-                                          f"{self.parts[part.value].line}: keep one")
+                raise _Refused(
+                    part.line,
+                    f"key {shown(part.value)} is given twice, first on line "
+                    f"{self.parts[part.value].line}: keep one",
+                )
             self.key = part
         else:
             part.line = self.key.line
@@ -176,9 +194,10 @@ def _read(text, source):
     """Root entry of a YAML text, or SceneError."""
     odd = _NOT_YAML.search(text)
     if odd:
-        line = len(text[:odd.end()].splitlines())
-        raise SceneError(f"{source}:{line}: is not YAML: contains the character "
-                         f"{odd.group()!a}; remove it")
+        line = len(text[: odd.end()].splitlines())
+        raise SceneError(
+            f"{source}:{line}: is not YAML: contains the character {odd.group()!a}; remove it"
+        )
     # the parser reports an end that comes too early on the line after the last one
     last_line = max(1, len(text.splitlines()))
     try:
@@ -187,11 +206,14 @@ def _read(text, source):
         raise SceneError(f"{source}:{error.line}: {error}") from None
     except yaml.MarkedYAMLError as error:
         line = min(error.problem_mark.line + 1, last_line)
-        raise SceneError(f"{source}:{line}: is not YAML: {error.problem}; check indentation "
-                         "(blanks, no tabs), colons and brackets up to here") from None
+        raise SceneError(
+            f"{source}:{line}: is not YAML: {error.problem}; check indentation "
+            "(blanks, no tabs), colons and brackets up to here"
+        ) from None
     if root is None or root.value is None:
-        raise SceneError(f"{source}:1: is empty: a scene has the keys "
-                         f"{', '.join(Scene.model_fields)}")
+        raise SceneError(
+            f"{source}:1: is empty: a scene has the keys {', '.join(Scene.model_fields)}"
+        )
     return root
 
 
@@ -213,8 +235,11 @@ def _root(events, last_line, most):
             stack.append(_Entry(value, line, done=False))
             anchors[event.anchor] = stack[-1]
             if len(stack) > DEEPEST:
-                raise _Refused(line, f"is nested deeper than {DEEPEST} levels: "
-                                     "a scene is a flat list of bodies, joints and forces")
+                raise _Refused(
+                    line,
+                    f"is nested deeper than {DEEPEST} levels: "
+                    "a scene is a flat list of bodies, joints and forces",
+                )
             continue
         if isinstance(event, yaml.CollectionEndEvent):
             entry = stack.pop()
@@ -230,8 +255,7 @@ def _root(events, last_line, most):
             continue
         stack[-1].add(entry)
         if stack[-1].size > most:
-            raise _Refused(line, f"aliases repeat more than {MOST_REPEATED} values: "
-                                 "write them out")
+            raise _Refused(line, f"aliases repeat more than {MOST_REPEATED} values: write them out")
     return root
 
 
@@ -252,8 +276,10 @@ def _repeated(anchor, anchors, line):
     """Entry for an alias."""
     target = anchors.get(anchor)
     if target is None or not target.done:
-        raise _Refused(line, f"the alias *{anchor:.40} stands for nothing that ends before it: "
-                             "write the value out")
+        raise _Refused(
+            line,
+            f"the alias *{anchor:.40} stands for nothing that ends before it: write the value out",
+        )
     entry = _Entry(target.value, line)
     entry.parts, entry.size = target.parts, target.size
     return entry

@@ -17,15 +17,18 @@ def scene_schema():
     """The schema (draft 2020-12) as a dict of JSON types."""
     schema = _tidied(Scene.model_json_schema(mode="validation"))
     parts = schema["$defs"]
-    for kinds, needed in ((JOINTS, ("parent_frame", "child_frame")), (FORCES, ()),
-                          (SHAPES, ("mass", "density"))):
+    for kinds, needed in (
+        (JOINTS, ("parent_frame", "child_frame")),
+        (FORCES, ()),
+        (SHAPES, ("mass", "density")),
+    ):
         for kind in kinds:
             part = parts[kind.__name__]
             part["required"] = sorted({*part.get("required", ()), "type"})
             if needed:
                 part["anyOf"] = [{"required": [key]} for key in needed]
     parts["Body"]["anyOf"] = [{"required": ["shape"]}, {"required": ["mass", "inertia"]}]
-    for key in ("joints", "forces"):                # a key without a value is an empty list
+    for key in ("joints", "forces"):  # a key without a value is an empty list
         schema["properties"][key]["type"] = ["array", "null"]
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "Scene"} | schema
 
@@ -36,9 +39,12 @@ def _tidied(part):
         return [_tidied(item) for item in part]
     if not isinstance(part, dict):
         return part
-    return {key: _tidied(value) for key, value in part.items()
-            if not (key == "title" and isinstance(value, str))
-            and not (key == "default" and value is None)}
+    return {
+        key: _tidied(value)
+        for key, value in part.items()
+        if not (key == "title" and isinstance(value, str))
+        and not (key == "default" and value is None)
+    }
 
 
 def scene_schema_text():

@@ -36,26 +36,37 @@ class _Solid(Placed):
     """What all solids have: a place in the body, and how much they weigh."""
 
     position: Vector3 = Field(
-        (0.0, 0.0, 0.0), description="centre of the solid in m, in the body frame")
+        (0.0, 0.0, 0.0), description="centre of the solid in m, in the body frame"
+    )
     quaternion: Quaternion | None = Field(
-        None, description="rotation from axes of the solid to body axes as unit quaternion "
-        "x, y, z, w; no rotation if left out")
+        None,
+        description="rotation from axes of the solid to body axes as unit quaternion "
+        "x, y, z, w; no rotation if left out",
+    )
     rotation_vector: RotationVector | None = Field(
-        None, description="that rotation as rotation vector in rad, in place of quaternion")
+        None, description="that rotation as rotation vector in rad, in place of quaternion"
+    )
     axis: Direction | None = Field(
-        None, description="direction of the solid's z axis in the body, of any length, in place "
-        "of quaternion: the shortest rotation that turns z to it")
+        None,
+        description="direction of the solid's z axis in the body, of any length, in place "
+        "of quaternion: the shortest rotation that turns z to it",
+    )
     mass: Positive | None = Field(
-        None, description="mass in kg, greater than 0; it or density is given")
+        None, description="mass in kg, greater than 0; it or density is given"
+    )
     density: Positive | None = Field(
-        None, description="density in kg/m^3, greater than 0, in place of mass")
+        None, description="density in kg/m^3, greater than 0, in place of mass"
+    )
 
     @model_validator(mode="after")
     def _check(self):
         if (self.mass is None) == (self.density is None):
-            raise SceneError("mass is missing: give mass or density" if self.mass is None else
-                             "mass and density both give the mass: keep one of them",
-                             place=("mass",) if self.mass else None)
+            raise SceneError(
+                "mass is missing: give mass or density"
+                if self.mass is None
+                else "mass and density both give the mass: keep one of them",
+                place=("mass",) if self.mass else None,
+            )
         return self
 
     @property
@@ -70,8 +81,9 @@ class _Solid(Placed):
             inertia = mass * (R @ np.diag(self.moments) @ R.T)
         moments = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].tolist()
         if not 0.0 < mass <= LARGEST_NUMBER or not np.abs(moments).max() <= LARGEST_NUMBER:
-            raise SceneError(f"its mass of {mass:.3g} kg or its inertia is out of range: "
-                             "check sizes and density")
+            raise SceneError(
+                f"its mass of {mass:.3g} kg or its inertia is out of range: check sizes and density"
+            )
         try:
             real_inertia(moments)
         except ValueError as error:
@@ -105,13 +117,13 @@ class _Round(_Solid):
     @property
     def volume(self):
         """Volume in m^3."""
-        return math.pi * self.radius ** 2 * self.length
+        return math.pi * self.radius**2 * self.length
 
     @property
     def moments(self):
         """(3,) principal moments of the unit mass in m^2, axes of the solid."""
-        across = (3.0 * self.radius ** 2 + self.length ** 2) / 12.0
-        return np.array([across, across, 0.5 * self.radius ** 2])
+        across = (3.0 * self.radius**2 + self.length**2) / 12.0
+        return np.array([across, across, 0.5 * self.radius**2])
 
 
 class Cylinder(_Round):
@@ -126,14 +138,16 @@ class Rod(_Round):
 
     type: Literal["rod"] = Field("rod", description="rod")
     radius: Positive | None = Field(
-        None, description="radius in m, greater than 0; a thousandth of the length if left out")
+        None, description="radius in m, greater than 0; a thousandth of the length if left out"
+    )
 
     @model_validator(mode="after")
     def _thin(self):
         if self.radius is None:
             if self.density is not None:
-                raise SceneError("radius is missing: give it, or mass in place of density",
-                                 place=("density",))
+                raise SceneError(
+                    "radius is missing: give it, or mass in place of density", place=("density",)
+                )
             self.__dict__["radius"] = THIN * self.length
         return self
 
@@ -147,12 +161,12 @@ class Sphere(_Solid):
     @property
     def volume(self):
         """Volume in m^3."""
-        return 4.0 / 3.0 * math.pi * self.radius ** 3
+        return 4.0 / 3.0 * math.pi * self.radius**3
 
     @property
     def moments(self):
         """(3,) principal moments of the unit mass in m^2, axes of the solid."""
-        return np.full(3, 0.4 * self.radius ** 2)
+        return np.full(3, 0.4 * self.radius**2)
 
 
 SHAPES = (Box, Cylinder, Rod, Sphere)

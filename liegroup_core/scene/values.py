@@ -109,8 +109,10 @@ def _four(value):
 def _unit(quaternion):
     norm = math.hypot(*quaternion)
     if not abs(norm - 1.0) <= QUATERNION_NORM_TOLERANCE:
-        raise ValueError(f"must have norm 1 within {QUATERNION_NORM_TOLERANCE:g} (it is then "
-                         f"normalised), but the norm is {norm:.6g}")
+        raise ValueError(
+            f"must have norm 1 within {QUATERNION_NORM_TOLERANCE:g} (it is then "
+            f"normalised), but the norm is {norm:.6g}"
+        )
     return quaternion
 
 
@@ -123,8 +125,10 @@ def _sizes(vector):
 def _within_a_turn(vector):
     angle = math.hypot(*vector)
     if angle > 2.0 * math.pi:
-        raise ValueError(f"must be at most one turn (2 pi) long, but is {angle:.6g}; "
-                         "it is in radians, not in degrees")
+        raise ValueError(
+            f"must be at most one turn (2 pi) long, but is {angle:.6g}; "
+            "it is in radians, not in degrees"
+        )
     return vector
 
 
@@ -145,16 +149,22 @@ def real_inertia(moments):
     # Eigenvalues of a scaled 3x3 matrix are right to a few 1e-16, so that a zero one may come out
     # as 1e-16; a real rod of diameter d and length L has the ratio (d / L)^2, above 1e-12.
     if not small > 1e-12:
-        hint = ("a rod without thickness has none about its own axis: give it a small one, 1e-6 "
-                "of the largest" if small > -1e-12 and middle > 1e-12 else "check order and signs")
-        raise ValueError("must be positive definite, but its principal moments are "
-                         f"{principal}; {hint}")
+        hint = (
+            "a rod without thickness has none about its own axis: give it a small one, 1e-6 "
+            "of the largest"
+            if small > -1e-12 and middle > 1e-12
+            else "check order and signs"
+        )
+        raise ValueError(
+            f"must be positive definite, but its principal moments are {principal}; {hint}"
+        )
     # Three moments typed with seven digits are off by up to 5e-7 of the largest each, or of their
     # sum, 2 large: together 1e-6 large. A flat plate is allowed to sit on the bound.
     if large > small + middle + 1e-6 * large:
         raise ValueError(
             f"must be that of a real body: the largest of its principal moments {principal} "
-            "must not exceed the sum of the other two; check units, order and signs")
+            "must not exceed the sum of the other two; check units, order and signs"
+        )
     return moments
 
 
@@ -192,27 +202,34 @@ _POSITIVE = {"type": "number", "exclusiveMinimum": 0}
 
 Number = Annotated[float, BeforeValidator(_number)]
 Positive = Annotated[Number, AfterValidator(_positive), WithJsonSchema(_POSITIVE)]
-NotNegative = Annotated[Number, AfterValidator(_not_negative),
-                        WithJsonSchema(_NUMBER | {"minimum": 0})]
-Vector3 = Annotated[tuple[Number, Number, Number], BeforeValidator(_three),
-                    _array(_NUMBER, 3, 3)]
+NotNegative = Annotated[
+    Number, AfterValidator(_not_negative), WithJsonSchema(_NUMBER | {"minimum": 0})
+]
+Vector3 = Annotated[tuple[Number, Number, Number], BeforeValidator(_three), _array(_NUMBER, 3, 3)]
 Sizes = Annotated[Vector3, AfterValidator(_sizes), _array(_POSITIVE, 3, 3)]
 RotationVector = Annotated[Vector3, AfterValidator(_within_a_turn)]
 Direction = Annotated[Vector3, AfterValidator(_direction)]
-Quaternion = Annotated[tuple[Number, Number, Number, Number], BeforeValidator(_four),
-                       AfterValidator(_unit), _array(_NUMBER, 4, 4)]
-Inertia = Annotated[tuple[Number, ...], BeforeValidator(listed), AfterValidator(real_inertia),
-                    _array(_NUMBER, 3, 6)]
+Quaternion = Annotated[
+    tuple[Number, Number, Number, Number],
+    BeforeValidator(_four),
+    AfterValidator(_unit),
+    _array(_NUMBER, 4, 4),
+]
+Inertia = Annotated[
+    tuple[Number, ...], BeforeValidator(listed), AfterValidator(real_inertia), _array(_NUMBER, 3, 6)
+]
 Flag = Annotated[bool, BeforeValidator(_flag)]
 Text = Annotated[str, BeforeValidator(_text)]
-Name = Annotated[str, BeforeValidator(_name),
-                 WithJsonSchema({"type": "string", "pattern": f"^{_NAME.pattern}$"})]
+Name = Annotated[
+    str, BeforeValidator(_name), WithJsonSchema({"type": "string", "pattern": f"^{_NAME.pattern}$"})
+]
 
 
 def one_of(classes):
     """Type of a value made by the one of these models that its key `type` selects."""
-    by_type = {name: cls for cls in classes
-               for name in get_args(cls.model_fields["type"].annotation)}
+    by_type = {
+        name: cls for cls in classes for name in get_args(cls.model_fields["type"].annotation)
+    }
 
     def make(value):
         if isinstance(value, classes):
@@ -223,8 +240,11 @@ def one_of(classes):
         if "type" not in value:
             raise SceneError(f"type is missing: give {kinds}", place=("type",))
         if not isinstance(value["type"], str) or value["type"] not in by_type:
-            raise SceneError(f"type {value['type']!r:.40} is not known; "
-                             f"{suggestion(value['type'], list(by_type))}", place=("type",))
+            raise SceneError(
+                f"type {value['type']!r:.40} is not known; "
+                f"{suggestion(value['type'], list(by_type))}",
+                place=("type",),
+            )
         return by_type[value["type"]].model_validate(value)
 
     return Annotated[Union[classes], BeforeValidator(make)]
@@ -249,7 +269,7 @@ def place_text(place, values):
     except (LookupError, TypeError, AttributeError):
         name = None
     label = f' "{name}"' if isinstance(name, str) and _NAME.fullmatch(name) else ""
-    rest = text[len(head):].removeprefix(".")
+    rest = text[len(head) :].removeprefix(".")
     return f"{head}{label}: {rest}" if rest else f"{head}{label}:"
 
 
@@ -264,9 +284,15 @@ def _refusal(cls, errors, values):
         message = f"{path} {cause}".strip()
     else:
         place = first["loc"]
-        rule = str(cause) if cause else (
-            f"must be {first['ctx']['expected']}" if first["type"] == "literal_error"
-            else f"is refused: {first['msg']}")
+        rule = (
+            str(cause)
+            if cause
+            else (
+                f"must be {first['ctx']['expected']}"
+                if first["type"] == "literal_error"
+                else f"is refused: {first['msg']}"
+            )
+        )
         message = f"{path} {rule}, got {shown(first['input'])}".strip()
     if cls.__name__ != "Scene":
         name = values.get("name")

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a measured cost belongs to."""
+
 import platform
 from functools import lru_cache
 from pathlib import Path

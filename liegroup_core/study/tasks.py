@@ -4,6 +4,7 @@
 Every worker is a process with one thread. A piece whose worker dies is done again by another one,
 so that a worker killed in the middle costs time and nothing else (test/core/test_tasks.py).
 """
+
 import logging
 import os
 import signal
@@ -15,7 +16,7 @@ from multiprocessing import resource_tracker
 
 from liegroup_core.errors import LieGroupSimError
 
-CONNECTING = 10             # s
+CONNECTING = 10  # s
 # So many workers may die over the same piece before it is taken to be what kills them.
 MOST_DEATHS = 5
 
@@ -42,8 +43,7 @@ def run(function, items, scheduler=None, workers=None, follow=None):
         yield from _here(function, items, follow)
         return
     with ExitStack() as stack:
-        client = stack.enter_context(
-            _cluster(scheduler) if scheduler else _this_machine(workers))
+        client = stack.enter_context(_cluster(scheduler) if scheduler else _this_machine(workers))
         yield from _on(client, function, items, follow)
 
 
@@ -89,11 +89,14 @@ def _on(client, function, items, follow):
             future.release()
             yield k, result
     except KilledWorker:
-        raise TasksError(f"{MOST_DEATHS} workers have died over the same piece of work: is there "
-                         "enough memory? take fewer workers") from None
+        raise TasksError(
+            f"{MOST_DEATHS} workers have died over the same piece of work: is there "
+            "enough memory? take fewer workers"
+        ) from None
     except (CancelledError, CommClosedError):
-        raise TasksError("the connection to the dask scheduler is lost; what is done is kept"
-                         ) from None
+        raise TasksError(
+            "the connection to the dask scheduler is lost; what is done is kept"
+        ) from None
 
 
 @contextmanager
@@ -104,32 +107,47 @@ def _this_machine(workers):
 
     # Nobody has to read that a worker was restarted, or that one ends with the whole.
     with ExitStack() as stack:
-        stack.enter_context(dask.config.set({
-            "distributed.scheduler.allowed-failures": MOST_DEATHS,
-            "distributed.comm.timeouts.connect": f"{CONNECTING}s",
-            "distributed.admin.log-length": 0}))
+        stack.enter_context(
+            dask.config.set(
+                {
+                    "distributed.scheduler.allowed-failures": MOST_DEATHS,
+                    "distributed.comm.timeouts.connect": f"{CONNECTING}s",
+                    "distributed.admin.log-length": 0,
+                }
+            )
+        )
         try:
             with _interrupts_later():
-                cluster = stack.enter_context(LocalCluster(
-                    n_workers=workers, threads_per_worker=1, processes=True, host="127.0.0.1",
-                    protocol="tcp", memory_limit=0,
-                    dashboard_address="127.0.0.1:0",    # any port, not heard of
-                    silence_logs=logging.CRITICAL))
+                cluster = stack.enter_context(
+                    LocalCluster(
+                        n_workers=workers,
+                        threads_per_worker=1,
+                        processes=True,
+                        host="127.0.0.1",
+                        protocol="tcp",
+                        memory_limit=0,
+                        dashboard_address="127.0.0.1:0",  # any port, not heard of
+                        silence_logs=logging.CRITICAL,
+                    )
+                )
         except (OSError, RuntimeError, TimeoutError) as error:
-            raise TasksError(f"{workers} workers cannot be started, or died at once ({error}): is "
-                             "there enough memory? take fewer workers") from None
+            raise TasksError(
+                f"{workers} workers cannot be started, or died at once ({error}): is "
+                "there enough memory? take fewer workers"
+            ) from None
         yield stack.enter_context(Client(cluster))
 
 
 @contextmanager
 def _interrupts_later():
     """Ctrl-C counts at the end of the block, which it would leave half done. Processes started in
-    here do not hear it: their parent minds it for them."""
+    here do not hear it: their parent minds it for them.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     pressed = []
-    resource_tracker.ensure_running()       # its start would let the signal through again
+    resource_tracker.ensure_running()  # its start would let the signal through again
     handler = signal.signal(signal.SIGINT, lambda *_: pressed.append(True))
     # What is blocked is so, too, in threads and processes that are started from here.
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
@@ -148,12 +166,14 @@ def _cluster(address):
     try:
         from dask.distributed import Client
     except ImportError:
-        raise TasksError("a scheduler needs the package distributed: "
-                         "pip install 'liegroup_sim_ros[many]'") from None
+        raise TasksError(
+            "a scheduler needs the package distributed: pip install 'liegroup_sim_ros[many]'"
+        ) from None
     try:
         client = Client(address, timeout=CONNECTING)
     except (OSError, TimeoutError, ValueError) as error:
-        raise TasksError(f"no dask scheduler at {address}: {' '.join(str(error).split())[:200]}"
-                         ) from None
+        raise TasksError(
+            f"no dask scheduler at {address}: {' '.join(str(error).split())[:200]}"
+        ) from None
     with client:
         yield client

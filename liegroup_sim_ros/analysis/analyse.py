@@ -5,6 +5,7 @@ Everything is computed from the file alone: from the recorded poses and twists, 
 initial state it carries, and the wrenches that were applied. No ROS is needed. The samples are
 gone through once, piece by piece, so memory does not grow with the length of the run.
 """
+
 import math
 from dataclasses import dataclass
 
@@ -33,7 +34,7 @@ from .verdict import find_problems, verdict
 
 # Simulated time that the independent integration covers if no other is asked for, s.
 REFERENCE_SECONDS = 60.0
-MOST_PUSHES = 1000          # of which the figures tell the times
+MOST_PUSHES = 1000  # of which the figures tell the times
 
 
 class AnalysisError(Exception):
@@ -55,8 +56,7 @@ class Analysis:
     motion: object
 
 
-def analyse(recording, reference=True, tell=lambda text: None,
-            reference_seconds=REFERENCE_SECONDS):
+def analyse(recording, reference=True, tell=lambda text: None, reference_seconds=REFERENCE_SECONDS):
     """Analysis of a Recording.
 
     reference         : False leaves out the comparison with an independent integration
@@ -74,8 +74,10 @@ def analyse(recording, reference=True, tell=lambda text: None,
     for block in motion.blocks(parts.angles):
         parts.add(block)
         done += len(block.steps)
-        tell(f"{done} of {motion.expected} samples"
-             + (" (the first time on a machine also compiles)" if not done else ""))
+        tell(
+            f"{done} of {motion.expected} samples"
+            + (" (the first time on a machine also compiles)" if not done else "")
+        )
     figures = _run_figures(recording, motion)
     curves = {}
     if motion.stretches:
@@ -97,21 +99,31 @@ class _Parts:
         self._starts = Starts(recording, layout)
         angles = self._starts.of(motion.first)[2]
         if angles is not None and len(angles) != len(layout.model.forces.torsional_spring_damper):
-            raise RecordingError(f"{recording.path}: its initial state has {len(angles)} angles, "
-                                 "not those of its torsional springs")
+            raise RecordingError(
+                f"{recording.path}: its initial state has {len(angles)} angles, "
+                "not those of its torsional springs"
+            )
         self._energy, self._joints = Energy(layout, expected), Joints(layout, expected)
         self._momentum = Momentum(scene, expected)
-        self._guarded = {"repeat": _Guarded(lambda: Repeat(
-            recording, make_simulation(scene, recording.settings)))}
-        self._exact, self._promise = None, Promise(
-            recording.settings.get("promise") if reference else None)
+        self._guarded = {
+            "repeat": _Guarded(
+                lambda: Repeat(recording, make_simulation(scene, recording.settings))
+            )
+        }
+        self._exact, self._promise = (
+            None,
+            Promise(recording.settings.get("promise") if reference else None),
+        )
         if reference:
-            if not (recording.initial_state.get("steps")
-                    or any(len(track.stamp_ns) for track in recording.wrench.values())):
+            if not (
+                recording.initial_state.get("steps")
+                or any(len(track.stamp_ns) for track in recording.wrench.values())
+            ):
                 self._exact = exact_solution(layout, *initial_state(recording)[:2])
             if self._exact is None:
-                self._guarded["reference"] = _Guarded(lambda: ReferenceError(
-                    layout, recording, expected, seconds, self._promise))
+                self._guarded["reference"] = _Guarded(
+                    lambda: ReferenceError(layout, recording, expected, seconds, self._promise)
+                )
 
     def angles(self, block):
         """Angles of the torsional springs; called before `add` with the same Block."""
@@ -137,15 +149,16 @@ class _Parts:
         figures["repeat"] = self._guarded["repeat"].figures()
         if self._exact is not None:
             figures["reference"], curves["reference"] = exact_error(
-                self._exact, self._motion, self._promise)
+                self._exact, self._motion, self._promise
+            )
         elif "reference" in self._guarded:
             found = self._guarded["reference"].figures()
             figures["reference"], curves["reference"] = (
-                found if isinstance(found, tuple) else (found, None))
+                found if isinstance(found, tuple) else (found, None)
+            )
         figures["promise"] = self._promise.figures()
         try:
-            figures["local"] = local_error(self._scene, self._recording, self._motion,
-                                           self._layout)
+            figures["local"] = local_error(self._scene, self._recording, self._motion, self._layout)
         except _NO_RESULT as error:
             figures["local"] = _failed(error)
 
@@ -186,53 +199,91 @@ def _run_figures(recording, motion):
     settings = recording.settings
     last = recording.diagnostics[-1][1] if recording.diagnostics else {}
     said = recording.pacing or _timing_so_far(last)
-    timing = {key: _number(said.get(key)) for key in (
-        "ticks", "overruns", "reanchored", "real_time_factor", "wall_seconds", "sim_seconds")}
-    timing["lateness_us"] = {key: _number(said["lateness_us"].get(key))
-                             for key in ("p50", "p99", "max")}
-    timing["factor_wanted"] = _number(last.get("real_time_factor_wanted",
-                                               said.get("real_time_factor_wanted")))
-    factors = [_number(entry.get("real_time_factor")) for _, entry in recording.diagnostics
-               if entry.get("state") == "running"]
+    timing = {
+        key: _number(said.get(key))
+        for key in (
+            "ticks",
+            "overruns",
+            "reanchored",
+            "real_time_factor",
+            "wall_seconds",
+            "sim_seconds",
+        )
+    }
+    timing["lateness_us"] = {
+        key: _number(said["lateness_us"].get(key)) for key in ("p50", "p99", "max")
+    }
+    timing["factor_wanted"] = _number(
+        last.get("real_time_factor_wanted", said.get("real_time_factor_wanted"))
+    )
+    factors = [
+        _number(entry.get("real_time_factor"))
+        for _, entry in recording.diagnostics
+        if entry.get("state") == "running"
+    ]
     factors = [factor for factor in factors if factor]
     timing["real_time_factor_least"] = min(factors, default=None)
     timing["real_time_factor_most"] = max(factors, default=None)
-    timing |= {"gaps": motion.gaps, "largest_gap_s": motion.largest_gap_s,
-               "largest_gap_at_s": motion.largest_gap_at_s}
+    timing |= {
+        "gaps": motion.gaps,
+        "largest_gap_s": motion.largest_gap_s,
+        "largest_gap_at_s": motion.largest_gap_at_s,
+    }
     intervals = [(stretch, push) for stretch in motion.stretches for push in stretch.pushed]
-    pushes = [{"body": body, "from_s": stretch.base_ns * 1e-9 + first * stretch.step,
-               "to_s": stretch.base_ns * 1e-9 + end * stretch.step if math.isfinite(end) else None}
-              for stretch, (first, end, body) in intervals[:MOST_PUSHES]]
+    pushes = [
+        {
+            "body": body,
+            "from_s": stretch.base_ns * 1e-9 + first * stretch.step,
+            "to_s": stretch.base_ns * 1e-9 + end * stretch.step if math.isfinite(end) else None,
+        }
+        for stretch, (first, end, body) in intervals[:MOST_PUSHES]
+    ]
     events = {}
     for event in recording.events:
         events[event.name] = events.get(event.name, 0) + 1
     return {
-        "log": str(recording.path), "scene": settings["scene"], "bodies": list(recording.bodies),
-        "method": settings["method"], "group": settings["group"], "step": settings["step"],
+        "log": str(recording.path),
+        "scene": settings["scene"],
+        "bodies": list(recording.bodies),
+        "method": settings["method"],
+        "group": settings["group"],
+        "step": settings["step"],
         "stabilisation": settings.get("stabilisation") or "none",
-        "options": settings.get("options") or {}, "wall_start": settings.get("wall_start"),
+        "options": settings.get("options") or {},
+        "wall_start": settings.get("wall_start"),
         "versions": settings.get("versions") or {},
         "sim_seconds": sum(stretch.seconds for stretch in motion.stretches),
-        "samples": motion.samples, "missing_samples": motion.missing,
-        "not_finite_samples": motion.not_finite, "first_not_finite_s": motion.first_not_finite,
+        "samples": motion.samples,
+        "missing_samples": motion.missing,
+        "not_finite_samples": motion.not_finite,
+        "first_not_finite_s": motion.first_not_finite,
         "resets": sum(event.name == "reset" for event in recording.events),
         "faults": [event.text for event in recording.events if event.name == "fault"],
-        "events": events, "pushes": pushes, "push_count": len(intervals),
+        "events": events,
+        "pushes": pushes,
+        "push_count": len(intervals),
         "wrench_changes": sum(len(track.stamp_ns) for track in recording.wrench.values()),
         "wrenches_refused": _number(last.get("wrenches_refused")),
         "recorder_lost": _number(last.get("recorder_lost")),
-        "messages": recording.topics, "lost_messages": recording.lost,
-        "complete": recording.complete, "file_problem": recording.problem, "timing": timing,
+        "messages": recording.topics,
+        "lost_messages": recording.lost,
+        "complete": recording.complete,
+        "file_problem": recording.problem,
+        "timing": timing,
     }
 
 
 def _timing_so_far(last):
     """What the last diagnostics say, for a run that did not come to its end."""
-    return {"ticks": _number(last.get("ticks")), "overruns": _number(last.get("overruns")),
-            "reanchored": _number(last.get("reanchored")),
-            "real_time_factor": _number(last.get("real_time_factor")),
-            "lateness_us": {key: _number(last.get(f"lateness_{key}_us"))
-                            for key in ("p50", "p99", "max")}}
+    return {
+        "ticks": _number(last.get("ticks")),
+        "overruns": _number(last.get("overruns")),
+        "reanchored": _number(last.get("reanchored")),
+        "real_time_factor": _number(last.get("real_time_factor")),
+        "lateness_us": {
+            key: _number(last.get(f"lateness_{key}_us")) for key in ("p50", "p99", "max")
+        },
+    }
 
 
 def _number(text):

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Two recordings side by side: how far their motions are apart, and what was different."""
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -9,8 +10,17 @@ from liegroup_sim_ros.recording.reader import RecordingError
 from .drift import MOST_POINTS, thinned
 
 # Settings that are compared; where and when a run was made does not matter.
-SETTINGS = ("scene", "method", "group", "step", "stabilisation", "baumgarte_time", "options",
-            "steps_per_sample", "versions")
+SETTINGS = (
+    "scene",
+    "method",
+    "group",
+    "step",
+    "stabilisation",
+    "baumgarte_time",
+    "options",
+    "steps_per_sample",
+    "versions",
+)
 QUANTITIES = (("position", "m"), ("angle", "rad"), ("angular", "rad/s"), ("linear", "m/s"))
 
 
@@ -31,8 +41,10 @@ def differences(one, other):
         raise RecordingError(f"{one.path} and {other.path} have no body of the same name")
     tracks = [_Track(recording, bodies) for recording in (one, other)]
     largest = {name: {"unit": unit, "max": 0.0, "at_s": None} for name, unit in QUANTITIES}
-    expected = min(recording.topics.get(recording.settings["topics"]["pose"][bodies[0]], 0)
-                   for recording in (one, other))
+    expected = min(
+        recording.topics.get(recording.settings["topics"]["pose"][bodies[0]], 0)
+        for recording in (one, other)
+    )
     every = -(-expected // MOST_POINTS)
     curves = {"position": [], "angle": []}
     samples = identical = 0
@@ -42,8 +54,9 @@ def differences(one, other):
         samples += len(stamps)
         same = np.ones(len(stamps), dtype=bool)
         for a, b in zip(mine, theirs):
-            same &= (np.ascontiguousarray(a).view(np.int64)
-                     == np.ascontiguousarray(b).view(np.int64)).all(axis=(1, 2))
+            same &= (
+                np.ascontiguousarray(a).view(np.int64) == np.ascontiguousarray(b).view(np.int64)
+            ).all(axis=(1, 2))
         identical += int(same.sum())
         if not same.all() and first is None:
             first = float(stamps[np.argmin(same)] * 1e-9)
@@ -52,19 +65,29 @@ def differences(one, other):
             values = getattr(apart, name).max(axis=1)
             if name in curves:
                 curves[name].append(thinned(stamps * 1e-9, values, every))
-            at = int(values.argmax())               # of a NaN, where it is
+            at = int(values.argmax())  # of a NaN, where it is
             if not values[at] <= entry["max"]:
                 entry["max"], entry["at_s"] = float(values[at]), float(stamps[at] * 1e-9)
     if not samples:
         raise RecordingError(f"{one.path} and {other.path} have no sample at the same time")
-    figures = {"logs": [str(one.path), str(other.path)], "bodies": bodies, "samples": samples,
-            "identical": identical, "first_difference_s": first, "difference": largest,
-            "same_scene": one.scene_text == other.scene_text,
-            "same_wrenches": one.applied_wrench == other.applied_wrench,
-            "settings": {key: [one.settings.get(key), other.settings.get(key)]
-                         for key in SETTINGS if one.settings.get(key) != other.settings.get(key)}}
-    return figures, tuple(tuple(np.concatenate(part) for part in zip(*parts))
-                          for parts in curves.values())
+    figures = {
+        "logs": [str(one.path), str(other.path)],
+        "bodies": bodies,
+        "samples": samples,
+        "identical": identical,
+        "first_difference_s": first,
+        "difference": largest,
+        "same_scene": one.scene_text == other.scene_text,
+        "same_wrenches": one.applied_wrench == other.applied_wrench,
+        "settings": {
+            key: [one.settings.get(key), other.settings.get(key)]
+            for key in SETTINGS
+            if one.settings.get(key) != other.settings.get(key)
+        },
+    }
+    return figures, tuple(
+        tuple(np.concatenate(part) for part in zip(*parts)) for parts in curves.values()
+    )
 
 
 class _Track:

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Changes of kept quantities along a run, taken up piece by piece: largest, last, trend, curve."""
+
 import numpy as np
 
-MOST_POINTS = 20_000        # of a curve; the extremes of each group of neighbours are taken
-MOST_PIECES = 2000          # of a curve, where many wrenches cut it; figures have all
+MOST_POINTS = 20_000  # of a curve; the extremes of each group of neighbours are taken
+MOST_PIECES = 2000  # of a curve, where many wrenches cut it; figures have all
 
 
 def extremes(values, every):
@@ -44,7 +45,7 @@ class Drift:
         self.worst, self.final = np.zeros(count), np.zeros(count)
         self.intervals, self.seconds = 0, 0.0
         self.curves = [[] for _ in range(count)]
-        self._sums = np.zeros(1), np.zeros(count), np.zeros(count)      # xx, xy, yy
+        self._sums = np.zeros(1), np.zeros(count), np.zeros(count)  # xx, xy, yy
         self._stretch = self._open = None
 
     def add(self, block, values):
@@ -106,7 +107,7 @@ class _Interval:
         self.count = 0
         self.worst = self.final = np.zeros(len(start))
         self.parts = [[] for _ in start]
-        self._sums = np.zeros((5, len(start)))          # x, y, xx, xy, yy
+        self._sums = np.zeros((5, len(start)))  # x, y, xx, xy, yy
 
     def add(self, times, values, every):
         change, x = values - self._start, (times - self.since)[:, None]

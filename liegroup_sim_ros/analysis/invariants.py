@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a run should keep and how well it did: energy, momentum components, closed joints."""
+
 import numpy as np
 
 from liegroup_core.model.symmetry import conserved_momentum, momentum_values
@@ -20,14 +21,17 @@ class Energy:
 
     def __init__(self, layout, expected):
         self._bodies = layout.body_names
-        self._feeding = [force.name for force in layout.scene.forces
-                         if force.type not in KEEPING_ENERGY or force.damping > 0.0]
+        self._feeding = [
+            force.name
+            for force in layout.scene.forces
+            if force.type not in KEEPING_ENERGY or force.damping > 0.0
+        ]
         self._drift = Drift(1, self._bodies, expected)
         self._kinetic = 0.0
 
     def add(self, block, energies, kinetic):
         """Take up the energies (k,) J of a Block."""
-        self._kinetic = float(np.maximum(self._kinetic, kinetic.max()))     # NaN stays
+        self._kinetic = float(np.maximum(self._kinetic, kinetic.max()))  # NaN stays
         if not self._feeding:
             self._drift.add(block, energies[:, None])
 
@@ -38,14 +42,17 @@ class Energy:
         kept = drift.intervals > 0
         worst = float(drift.worst[0]) if kept else None
         return {
-            "drift_J": worst, "final_J": float(drift.final[0]) if kept else None,
+            "drift_J": worst,
+            "final_J": float(drift.final[0]) if kept else None,
             "trend_W": float(drift.trend[0]) if kept else None,
             "trend_explains": float(drift.explained[0]) if kept else None,
             "largest_kinetic_J": self._kinetic,
             "relative_drift": worst / self._kinetic if kept and self._kinetic > 0.0 else None,
-            "intervals": drift.intervals, "seconds": drift.seconds,
+            "intervals": drift.intervals,
+            "seconds": drift.seconds,
             "left_out": "forces feed or take energy: " + ", ".join(self._feeding)
-                        if self._feeding else _pushed_text(motion, self._bodies)
+            if self._feeding
+            else _pushed_text(motion, self._bodies),
         }, drift.curves[0]
 
 
@@ -54,15 +61,20 @@ class Momentum:
 
     def __init__(self, scene, expected):
         self._scene = scene
-        self._kept = [(kept, Drift(len(kept.labels), kept.bodies, expected),
-                       np.zeros(len(kept.labels)), np.zeros(2))
-                      for kept in conserved_momentum(scene)]
+        self._kept = [
+            (
+                kept,
+                Drift(len(kept.labels), kept.bodies, expected),
+                np.zeros(len(kept.labels)),
+                np.zeros(2),
+            )
+            for kept in conserved_momentum(scene)
+        ]
 
     def add(self, block):
         """Take up a Block."""
         for kept, drift, largest, scale in self._kept:
-            values = momentum_values(self._scene, kept, block.rotation, block.position,
-                                     block.twist)
+            values = momentum_values(self._scene, kept, block.rotation, block.position, block.twist)
             np.maximum(largest, np.abs(values).max(axis=0), out=largest)
             np.maximum(scale, self._scale(kept, block), out=scale)
             drift.add(block, values)
@@ -80,8 +92,11 @@ class Momentum:
                 momentum = body.mass * np.linalg.norm(twist[:, 3:], axis=1)
                 arm = np.linalg.norm(block.position[:, i] - about, axis=1)
                 linear = linear + momentum
-                angular = angular + arm * momentum + np.linalg.norm(
-                    twist[:, :3] @ body.inertia_matrix, axis=1)
+                angular = (
+                    angular
+                    + arm * momentum
+                    + np.linalg.norm(twist[:, :3] @ body.inertia_matrix, axis=1)
+                )
         return np.max(angular), np.max(linear)
 
     def figures(self, motion):
@@ -92,15 +107,23 @@ class Momentum:
             some = drift.intervals > 0
             for k, (label, unit) in enumerate(zip(kept.labels, kept.units)):
                 size = float(scale[0 if unit == "N m s" else 1])
-                figures.append({
-                    "component": label, "bodies": list(kept.bodies), "unit": unit,
-                    "drift": float(drift.worst[k]) if some else None,
-                    "relative_drift": float(drift.worst[k]) / size if some and size > 0.0
-                    else None,
-                    "trend_per_s": float(drift.trend[k]) if some else None,
-                    "trend_explains": float(drift.explained[k]) if some else None,
-                    "largest": float(largest[k]), "intervals": drift.intervals,
-                    "seconds": drift.seconds, "left_out": _pushed_text(motion, kept.bodies)})
+                figures.append(
+                    {
+                        "component": label,
+                        "bodies": list(kept.bodies),
+                        "unit": unit,
+                        "drift": float(drift.worst[k]) if some else None,
+                        "relative_drift": float(drift.worst[k]) / size
+                        if some and size > 0.0
+                        else None,
+                        "trend_per_s": float(drift.trend[k]) if some else None,
+                        "trend_explains": float(drift.explained[k]) if some else None,
+                        "largest": float(largest[k]),
+                        "intervals": drift.intervals,
+                        "seconds": drift.seconds,
+                        "left_out": _pushed_text(motion, kept.bodies),
+                    }
+                )
                 curves.append(drift.curves[k])
         return figures, curves
 
@@ -110,8 +133,11 @@ class Joints:
 
     def __init__(self, layout, expected):
         self._names = [joint.name for joint in layout.scene.joints]
-        turning = {owner for owner, rows in zip(layout.owners, layout.row_names)
-                   if any(row.startswith("w") for row in rows)}
+        turning = {
+            owner
+            for owner, rows in zip(layout.owners, layout.row_names)
+            if any(row.startswith("w") for row in rows)
+        }
         self._units = ["m, rad" if j in turning else "m" for j in range(len(self._names))]
         self._every = -(-expected // MOST_POINTS)
         self._largest = np.full(len(self._names), -1.0)
@@ -126,21 +152,29 @@ class Joints:
         times = block.log_times
         rows = residual.argmax(axis=0)
         values = residual[rows, np.arange(len(rows))]
-        worse = ~(values <= self._largest)          # NaN, too
+        worse = ~(values <= self._largest)  # NaN, too
         self._at[worse] = times[rows[worse]]
         self._largest = np.maximum(self._largest, values)
         self._final = residual[-1].copy()
         self._samples += len(times)
-        self._curves.setdefault(id(block.stretch), []).append(tuple(
-            part.copy() for part in thinned(times, residual.max(axis=1), self._every)))
+        self._curves.setdefault(id(block.stretch), []).append(
+            tuple(part.copy() for part in thinned(times, residual.max(axis=1), self._every))
+        )
 
     def figures(self):
         """({joint: figures}, samples looked at, [(times, residual of the worst joint)])."""
-        figures = {name: {"largest": float(self._largest[j]), "unit": self._units[j],
-                          "at_s": float(self._at[j]), "final": float(self._final[j])}
-                   for j, name in enumerate(self._names)}
-        curves = [tuple(np.concatenate(part) for part in zip(*parts))
-                  for parts in self._curves.values()]
+        figures = {
+            name: {
+                "largest": float(self._largest[j]),
+                "unit": self._units[j],
+                "at_s": float(self._at[j]),
+                "final": float(self._final[j]),
+            }
+            for j, name in enumerate(self._names)
+        }
+        curves = [
+            tuple(np.concatenate(part) for part in zip(*parts)) for parts in self._curves.values()
+        ]
         return figures, self._samples, curves
 
 

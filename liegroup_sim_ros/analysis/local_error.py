@@ -6,6 +6,7 @@ difference is the error of the step but for its 2^-p th part. Over LENGTH steps,
 between runs at 4 h, 2 h, h, h/2 and h/4 fall by 2^p each, as far as rounding lets them.
 Source: Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, II.4.
 """
+
 import numpy as np
 
 from liegroup_core import SimulationError
@@ -14,9 +15,9 @@ from liegroup_core.integrators.methods import METHODS
 from liegroup_core.monitor.joint_watch import mechanism_size
 from liegroup_sim_ros.playback.repeat import make_simulation
 
-WINDOWS = 8                 # states of the recording that are looked at
-LENGTH = 16                 # steps
-RUNGS = (4.0, 2.0, 1.0, 0.5, 0.25)      # of the step
+WINDOWS = 8  # states of the recording that are looked at
+LENGTH = 16  # steps
+RUNGS = (4.0, 2.0, 1.0, 0.5, 0.25)  # of the step
 # Differences of less are rounding: LENGTH / 0.25 steps, each of a few units of 2^-53.
 FLOOR = 500 * np.finfo(float).eps
 
@@ -28,8 +29,10 @@ def local_error(scene, recording, motion, layout):
     more = {}
     if settings.get("stabilisation") == "baumgarte" and settings.get("baumgarte_time") is None:
         more["baumgarte_time"] = BAUMGARTE_STEPS * settings["step"]
-    simulations = {rung: make_simulation(scene, settings, step=rung * settings["step"], **more)
-                   for rung in RUNGS}
+    simulations = {
+        rung: make_simulation(scene, settings, step=rung * settings["step"], **more)
+        for rung in RUNGS
+    }
     method = METHODS[settings["method"]]
     largest, orders, looked = np.zeros(2), [], 0
     for stretch, row in _windows(motion):
@@ -43,7 +46,7 @@ def local_error(scene, recording, motion, layout):
         order = _order(simulations, stretch, row, size)
         if order is not None:
             orders.append(order)
-    share = 1.0 - 0.5 ** method.order
+    share = 1.0 - 0.5**method.order
     remark = None
     if method.name == "rkmk54":
         remark, orders = "its error is set by tolerances, not by the step", []
@@ -51,10 +54,14 @@ def local_error(scene, recording, motion, layout):
         remark = "differences are as small as rounding, or not yet in proportion to the step"
     elif largest.max() < FLOOR:
         remark = "of the size of rounding"
-    return {"windows": looked, "position_m": float(largest[0] / share) if looked else None,
-            "angle_rad": float(largest[1] / share) if looked else None,
-            "order": float(np.median(orders)) if orders else None,
-            "order_expected": method.order, "remark": remark}
+    return {
+        "windows": looked,
+        "position_m": float(largest[0] / share) if looked else None,
+        "angle_rad": float(largest[1] / share) if looked else None,
+        "order": float(np.median(orders)) if orders else None,
+        "order_expected": method.order,
+        "remark": remark,
+    }
 
 
 def _windows(motion):
@@ -75,8 +82,11 @@ def _advance(simulation, stretch, row, length):
     n = len(stretch.bodies)
     pose = np.concatenate([stretch.rotation[row].reshape(n, 9), stretch.position[row]], axis=1)
     angles = stretch.angles[row] if stretch.angles.shape[1] else None
-    simulation.set_state(*simulation.layout.offsets.to_centres(pose, stretch.twist[row]),
-                         round(stretch.steps[row] / rung), angles)
+    simulation.set_state(
+        *simulation.layout.offsets.to_centres(pose, stretch.twist[row]),
+        round(stretch.steps[row] / rung),
+        angles,
+    )
     before = stretch.change_steps <= stretch.steps[row]
     for i, body in enumerate(stretch.bodies):
         mine = np.flatnonzero(before & (stretch.change_bodies == i))
@@ -88,11 +98,18 @@ def _advance(simulation, stretch, row, length):
 
 def _apart(one, other):
     """Largest distance of positions, m, and of attitudes, rad, of two states."""
-    turn = np.einsum("nji,njk->nik", one[0][:, :9].reshape(-1, 3, 3),
-                     other[0][:, :9].reshape(-1, 3, 3))
+    turn = np.einsum(
+        "nji,njk->nik", one[0][:, :9].reshape(-1, 3, 3), other[0][:, :9].reshape(-1, 3, 3)
+    )
     # The sine of a small angle, without the loss of digits of its cosine.
-    sine = 0.5 * np.stack([turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0],
-                           turn[:, 1, 0] - turn[:, 0, 1]], axis=1)
+    sine = 0.5 * np.stack(
+        [
+            turn[:, 2, 1] - turn[:, 1, 2],
+            turn[:, 0, 2] - turn[:, 2, 0],
+            turn[:, 1, 0] - turn[:, 0, 1],
+        ],
+        axis=1,
+    )
     cosine = 0.5 * (np.trace(turn, axis1=1, axis2=2) - 1.0)
     angle = np.arctan2(np.linalg.norm(sine, axis=1), cosine)
     return np.array([np.linalg.norm(one[0][:, 9:] - other[0][:, 9:], axis=1).max(), angle.max()])
@@ -106,8 +123,10 @@ def _order(simulations, stretch, row, size):
             states.append(_advance(simulations[rung], stretch, row, LENGTH))
         except SimulationError:
             states.append(None)
-    gaps = [None if one is None or two is None else
-            max(_apart(one, two) / (size, 1.0)) for one, two in zip(states, states[1:])]
+    gaps = [
+        None if one is None or two is None else max(_apart(one, two) / (size, 1.0))
+        for one, two in zip(states, states[1:])
+    ]
     for coarse, fine in zip(gaps[-2::-1], gaps[:0:-1]):
         if coarse is not None and fine is not None and fine > FLOOR and coarse > fine:
             return float(np.log2(coarse / fine))

@@ -4,6 +4,7 @@
 The promise is over the first `horizon` seconds from the start of the scene, until a wrench comes
 from outside; what lies beyond is told, and not held against it.
 """
+
 import math
 
 import numpy as np
@@ -33,10 +34,12 @@ class Promise:
         inside = np.asarray(times) <= min(end, first * stretch.step * (1.0 + ROUNDING))
         self._beyond |= not inside.all()
         if inside.any():
-            self._inside = max(self._inside, scaled(error.position[inside], error.angle[inside],
-                                                    length))
-            self._known = max(self._known, scaled(
-                uncertainty.position[inside], uncertainty.angle[inside], length))
+            self._inside = max(
+                self._inside, scaled(error.position[inside], error.angle[inside], length)
+            )
+            self._known = max(
+                self._known, scaled(uncertainty.position[inside], uncertainty.angle[inside], length)
+            )
             self._seconds = max(self._seconds or 0.0, float(np.asarray(times)[inside].max()))
 
     def figures(self):
@@ -50,23 +53,37 @@ class Promise:
                 kept = True
             elif self._inside - self._known > accuracy:
                 kept = False
-        return {"accuracy": accuracy, "horizon": float(self._promise["horizon"]),
-                "length": float(self._promise["length"]), "seconds": self._seconds,
-                "error": self._inside, "uncertainty": self._known, "kept": kept,
-                "beyond": self._beyond, "error_of_all": self._all}
+        return {
+            "accuracy": accuracy,
+            "horizon": float(self._promise["horizon"]),
+            "length": float(self._promise["length"]),
+            "seconds": self._seconds,
+            "error": self._inside,
+            "uncertainty": self._known,
+            "kept": kept,
+            "beyond": self._beyond,
+            "error_of_all": self._all,
+        }
 
 
 def told(found):
     """What became of a promise, in words; found : figures of one."""
     accuracy = f"the promised accuracy of {found['accuracy']:g}"
     if found["seconds"] is None:
-        return (f"{accuracy} cannot be judged: nothing was recorded between the start of the "
-                "scene and the first wrench")
-    error = (f"below {found['uncertainty']:.3g}" if found["error"] <= found["uncertainty"]
-             else f"{found['error']:.3g}")
+        return (
+            f"{accuracy} cannot be judged: nothing was recorded between the start of the "
+            "scene and the first wrench"
+        )
+    error = (
+        f"below {found['uncertainty']:.3g}"
+        if found["error"] <= found["uncertainty"]
+        else f"{found['error']:.3g}"
+    )
     said = {True: "is kept", False: "is not kept", None: "cannot be judged by this reference"}
     text = f"{accuracy} {said[found['kept']]}: {error} in the first {found['seconds']:.4g} s"
     if found["beyond"]:
-        text += (", nothing is promised beyond (a longer time, or a wrench): "
-                 f"{found['error_of_all']:.3g} in all")
+        text += (
+            ", nothing is promised beyond (a longer time, or a wrench): "
+            f"{found['error_of_all']:.3g} in all"
+        )
     return text

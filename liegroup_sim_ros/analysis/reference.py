@@ -4,6 +4,7 @@
 Neither knows anything of the engine (liegroup_core.reference); both start at the recorded initial
 state, as every stretch did.
 """
+
 import numpy as np
 
 from liegroup_core.reference import Reference, Trajectory, WrenchChange, distance
@@ -12,9 +13,14 @@ from liegroup_sim_ros.playback.repeat import Starts
 from .drift import MOST_POINTS, extremes
 
 # (name in Distance, unit)
-QUANTITIES = (("position", "m"), ("attitude", "1"), ("angle", "rad"), ("angular", "rad/s"),
-              ("linear", "m/s"))
-EXACT_SAMPLES = 200         # each takes some 10 ms
+QUANTITIES = (
+    ("position", "m"),
+    ("attitude", "1"),
+    ("angle", "rad"),
+    ("angular", "rad/s"),
+    ("linear", "m/s"),
+)
+EXACT_SAMPLES = 200  # each takes some 10 ms
 
 
 class Errors:
@@ -41,15 +47,32 @@ class Errors:
             self._final[name] = float(values[-1].max())
         worst = error.position.max(axis=1), error.angle.max(axis=1)
         rows = np.union1d(*(extremes(part, self._every) for part in worst))
-        self._curves.setdefault(id(stretch), []).append(tuple(part[rows] for part in (
-            log_times, *worst, uncertainty.position.max(axis=1), uncertainty.angle.max(axis=1))))
+        self._curves.setdefault(id(stretch), []).append(
+            tuple(
+                part[rows]
+                for part in (
+                    log_times,
+                    *worst,
+                    uncertainty.position.max(axis=1),
+                    uncertainty.angle.max(axis=1),
+                )
+            )
+        )
 
     def figures(self, **more):
         """(figures, [(times, position error, angle error, uncertainty of the two)])."""
-        found = {name: {"unit": unit, "max": self._max[name], "final": self._final.get(name, 0.0),
-                        "uncertainty": self._known[name]} for name, unit in QUANTITIES}
-        curves = [tuple(np.concatenate(part) for part in zip(*parts))
-                  for parts in self._curves.values()]
+        found = {
+            name: {
+                "unit": unit,
+                "max": self._max[name],
+                "final": self._final.get(name, 0.0),
+                "uncertainty": self._known[name],
+            }
+            for name, unit in QUANTITIES
+        }
+        curves = [
+            tuple(np.concatenate(part) for part in zip(*parts)) for parts in self._curves.values()
+        ]
         return found | more, curves
 
 
@@ -81,19 +104,25 @@ class ReferenceError:
             # Changes beyond the end would only take memory.
             when = stretch.change_steps * stretch.step
             upto = int(np.searchsorted(when, self._end, "right"))
-            changes = [WrenchChange(time, stretch.bodies[body], tuple(wrench)) for
-                       time, body, wrench in zip(when[:upto].tolist(),
-                                                 stretch.change_bodies[:upto].tolist(),
-                                                 stretch.change_wrenches[:upto].tolist())]
+            changes = [
+                WrenchChange(time, stretch.bodies[body], tuple(wrench))
+                for time, body, wrench in zip(
+                    when[:upto].tolist(),
+                    stretch.change_bodies[:upto].tolist(),
+                    stretch.change_wrenches[:upto].tolist(),
+                )
+            ]
             pose, twist, angles = self._starts.of(stretch)
-            self._reference = Reference(self._scene, pose, twist, changes, self._start,
-                                        angles=angles)
+            self._reference = Reference(
+                self._scene, pose, twist, changes, self._start, angles=angles
+            )
         exact, uncertainty = self._reference.at(times[:k])
         reached = float(times[k - 1])
         self._left, self._judged = self._end - reached, self._judged + reached - self._start
         self._start = reached
-        error = distance(Trajectory(times[:k], block.rotation[:k], block.position[:k],
-                                    block.twist[:k]), exact)
+        error = distance(
+            Trajectory(times[:k], block.rotation[:k], block.position[:k], block.twist[:k]), exact
+        )
         self._errors.add(stretch, times[:k], block.log_times[:k], error, uncertainty)
 
     def figures(self):
@@ -108,8 +137,11 @@ def exact_error(exact, motion, promise=None):
         k = len(stretch.steps)
         rows = np.unique(np.linspace(0, k - 1, min(k, EXACT_SAMPLES)).astype(int))
         found = exact.at(stretch.times[rows])
-        error = distance(Trajectory(None, stretch.rotation[rows], stretch.position[rows],
-                                    stretch.twist[rows]), found)
-        errors.add(stretch, stretch.times[rows], stretch.log_times[rows], error,
-                   exact.uncertainty(found))
+        error = distance(
+            Trajectory(None, stretch.rotation[rows], stretch.position[rows], stretch.twist[rows]),
+            found,
+        )
+        errors.add(
+            stretch, stretch.times[rows], stretch.log_times[rows], error, exact.uncertainty(found)
+        )
     return errors.figures(kind=exact.name, seconds=sum(s.seconds for s in motion.stretches))

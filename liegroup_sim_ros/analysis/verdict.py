@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The verdict on a run: one sentence, and the problems of the run or of its recording."""
+
 import math
 
 from liegroup_core.monitor.joint_watch import OPEN
@@ -13,20 +14,25 @@ def find_problems(figures):
     """What is wrong with the run or its recording, one sentence each; empty if nothing is."""
     problems = []
     if figures["file_problem"]:
-        problems.append("the file is incomplete: "
-                        + figures["file_problem"].removeprefix(f"{figures['log']}: "))
+        problems.append(
+            "the file is incomplete: " + figures["file_problem"].removeprefix(f"{figures['log']}: ")
+        )
     if figures["lost_messages"]:
-        problems.append("messages are missing: " + ", ".join(
-            f"{count} of {topic}" for topic, count in figures["lost_messages"].items()))
+        problems.append(
+            "messages are missing: "
+            + ", ".join(f"{count} of {topic}" for topic, count in figures["lost_messages"].items())
+        )
     if figures["missing_samples"]:
-        problems.append("missing from the recording: "
-                        + counted(figures["missing_samples"], "sample"))
+        problems.append(
+            "missing from the recording: " + counted(figures["missing_samples"], "sample")
+        )
     if figures["recorder_lost"]:
         problems.append(f"the recorder lost {counted(figures['recorder_lost'], 'message')}")
     if figures["not_finite_samples"]:
         problems.append(
             f"NaN or infinity in {counted(figures['not_finite_samples'], 'sample')}, from "
-            f"{shown(figures['first_not_finite_s'], 's')} on: left out of all figures")
+            f"{shown(figures['first_not_finite_s'], 's')} on: left out of all figures"
+        )
     problems += [f"the run stopped with an error: {text}" for text in figures["faults"]]
     problems += _open_joints(figures)
     problems += _replay_problems(figures)
@@ -38,9 +44,11 @@ def find_problems(figures):
     if wanted and factor is not None and not factor >= SLOW * wanted:
         problems.append(f"too slow: real-time factor {shown(factor)} of {shown(wanted)}")
     if timing.get("reanchored"):
-        problems.append("more than 0.1 s behind the wall clock, "
-                        f"{counted(timing['reanchored'], 'time')}: it went on from there, without "
-                        "catching up")
+        problems.append(
+            "more than 0.1 s behind the wall clock, "
+            f"{counted(timing['reanchored'], 'time')}: it went on from there, without "
+            "catching up"
+        )
     wrong = [name for name, value in _numbers(figures) if not math.isfinite(value)]
     if wrong:
         problems.append("not a number: " + ", ".join(wrong[:5]))
@@ -54,9 +62,11 @@ def _open_joints(figures):
     name, worst = max(figures["joints"].items(), key=lambda item: item[1]["largest"])
     if not worst["largest"] > OPEN * figures["mechanism_size"]:
         return []
-    return [f"joint {name} is open by {shown(worst['largest'], worst['unit'])}, at "
-            f"{shown(worst['at_s'], 's')}: that is not the motion of this mechanism; use "
-            "stabilisation projection or a smaller step"]
+    return [
+        f"joint {name} is open by {shown(worst['largest'], worst['unit'])}, at "
+        f"{shown(worst['at_s'], 's')}: that is not the motion of this mechanism; use "
+        "stabilisation projection or a smaller step"
+    ]
 
 
 def _replay_problems(figures):
@@ -66,10 +76,15 @@ def _replay_problems(figures):
         problems.append(f"it cannot be simulated again: {repeat['failed']}")
     elif repeat and repeat["identical"] < repeat["samples"]:
         at = repeat["first_difference"]
-        where = (f"{at['body']} differs from {shown(at['at_s'], 's')} on" if at
-                 else f"it {repeat['stopped']}")
-        problems.append(f"simulated again it is not the same: {where} (another processor or "
-                        "another version of the software may round differently)")
+        where = (
+            f"{at['body']} differs from {shown(at['at_s'], 's')} on"
+            if at
+            else f"it {repeat['stopped']}"
+        )
+        problems.append(
+            f"simulated again it is not the same: {where} (another processor or "
+            "another version of the software may round differently)"
+        )
     if "failed" in reference:
         problems.append(f"no independent integration: {reference['failed']}")
     return problems
@@ -77,8 +92,13 @@ def _replay_problems(figures):
 
 def _numbers(figures, name=""):
     """(name, value) of every float in the figures."""
-    entries = (figures.items() if isinstance(figures, dict) else enumerate(figures)
-               if isinstance(figures, (list, tuple)) else ())
+    entries = (
+        figures.items()
+        if isinstance(figures, dict)
+        else enumerate(figures)
+        if isinstance(figures, (list, tuple))
+        else ()
+    )
     for key, value in entries:
         path = f"{name}.{key}" if name else str(key)
         if isinstance(value, float):
@@ -89,23 +109,32 @@ def _numbers(figures, name=""):
 
 def verdict(figures):
     """One sentence on how wrong the run is; what is wrong beyond that follows as problems."""
-    head = (f"{figures['scene']}, {shown(figures['sim_seconds'], 's')} with {figures['method']} "
-            f"at {shown(figures['step'] * 1e3, 'ms')}")
+    head = (
+        f"{figures['scene']}, {shown(figures['sim_seconds'], 's')} with {figures['method']} "
+        f"at {shown(figures['step'] * 1e3, 'ms')}"
+    )
     said = []
     reference = figures.get("reference")
     if reference and "failed" not in reference:
-        part = ("" if reference["seconds"] >= figures["sim_seconds"] * (1.0 - 1e-9) else
-                f" in the first {shown(reference['seconds'], 's')}")
-        said.append(f"off by at most {error_text(reference['position'])} and "
-                    f"{error_text(reference['angle'])}{part}")
+        part = (
+            ""
+            if reference["seconds"] >= figures["sim_seconds"] * (1.0 - 1e-9)
+            else f" in the first {shown(reference['seconds'], 's')}"
+        )
+        said.append(
+            f"off by at most {error_text(reference['position'])} and "
+            f"{error_text(reference['angle'])}{part}"
+        )
     if figures.get("promise"):
         said.append(told(figures["promise"]))
     if figures.get("joints"):
         worst = max(figures["joints"].values(), key=lambda joint: joint["largest"])
         said.append(f"joints closed to {shown(worst['largest'], worst['unit'])}")
     if figures.get("energy") and figures["energy"]["relative_drift"] is not None:
-        said.append(f"energy kept to {shown(figures['energy']['relative_drift'])} of the largest "
-                    "kinetic energy")
+        said.append(
+            f"energy kept to {shown(figures['energy']['relative_drift'])} of the largest "
+            "kinetic energy"
+        )
     repeat = figures.get("repeat", {})
     if repeat and repeat.get("identical") == repeat.get("samples"):
         said.append("simulated again it is the same bit for bit")

@@ -4,6 +4,7 @@
 Errors are taken from poses and joint frames directly, not from the engine's residuals.
 Source: Müller and Terze, sections 6.2.6.1 and 6.2.6.2.
 """
+
 import math
 from dataclasses import dataclass
 
@@ -14,12 +15,12 @@ from liegroup_core.integrators.methods import GROUPS
 from liegroup_core.lie.groups import SO3
 from liegroup_core.scene.description import Body, Frame, Joint
 
-STEPS = (1e-2, 1e-3, 1e-4)                  # s
-TOP_HORIZON, BAR_HORIZON = 6.0, 1.0         # s
+STEPS = (1e-2, 1e-3, 1e-4)  # s
+TOP_HORIZON, BAR_HORIZON = 6.0, 1.0  # s
 # With a step of 1e-2 s the four-bar's energy is off by a fifth soon after.
-SHORT_HORIZON = 0.15                        # s
-SAMPLES = 1000                              # of a run, at most
-CRANK_RATE = 10.0 * math.pi                 # rad/s
+SHORT_HORIZON = 0.15  # s
+SAMPLES = 1000  # of a run, at most
+CRANK_RATE = 10.0 * math.pi  # rad/s
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,14 +28,14 @@ class JointErrors:
     """A run of k samples of a scene with m joints."""
 
     group: str
-    step: float             # s
-    times: np.ndarray       # (k,) s
-    joints: tuple           # (m,) names
-    gap: np.ndarray         # (k, m) m, between the origins of the two frames
-    tilt: np.ndarray        # (k, m) sine of the angle between their z axes, for joints with an
+    step: float  # s
+    times: np.ndarray  # (k,) s
+    joints: tuple  # (m,) names
+    gap: np.ndarray  # (k, m) m, between the origins of the two frames
+    tilt: np.ndarray  # (k, m) sine of the angle between their z axes, for joints with an
     #                         axis; else 0
-    poses: np.ndarray       # (k, n, 4, 4)
-    energy: np.ndarray      # (k,) J
+    poses: np.ndarray  # (k, n, 4, 4)
+    energy: np.ndarray  # (k,) J
 
 
 def joint_errors(scene, step, group, horizon, samples=SAMPLES):
@@ -57,11 +58,20 @@ def joint_errors(scene, step, group, horizon, samples=SAMPLES):
         child = poses[:, index[joint.child]] @ F_b
         gap[:, j] = np.linalg.norm(child[:, :3, 3] - parent[..., :3, 3], axis=-1)
         if joint.type == "revolute":
-            across = np.cross(np.broadcast_to(parent[..., :3, 2], child[:, :3, 2].shape),
-                              child[:, :3, 2])
+            across = np.cross(
+                np.broadcast_to(parent[..., :3, 2], child[:, :3, 2].shape), child[:, :3, 2]
+            )
             tilt[:, j] = np.linalg.norm(across, axis=-1)
-    return JointErrors(group, step, np.array(times), tuple(joint.name for joint in scene.joints),
-                       gap, tilt, poses, np.array(energy))
+    return JointErrors(
+        group,
+        step,
+        np.array(times),
+        tuple(joint.name for joint in scene.joints),
+        gap,
+        tilt,
+        poses,
+        np.array(energy),
+    )
 
 
 def heavy_top_runs(say=lambda text: None):
@@ -71,8 +81,12 @@ def heavy_top_runs(say=lambda text: None):
 
 def four_bar_runs(say=lambda text: None):
     """{(group, step): JointErrors} of Figs. 6.4 and 6.5; say: called with the name of each run."""
-    return _runs("Figs. 6.4 and 6.5", four_bar(),
-                 lambda step: SHORT_HORIZON if step == STEPS[0] else BAR_HORIZON, say)
+    return _runs(
+        "Figs. 6.4 and 6.5",
+        four_bar(),
+        lambda step: SHORT_HORIZON if step == STEPS[0] else BAR_HORIZON,
+        say,
+    )
 
 
 def _runs(name, scene, horizon, say):
@@ -95,25 +109,40 @@ def four_bar(ball="coupler_rocker"):
     # Coupler and rocker are sides of 1 m over the line from the crank's tip to the ground pin.
     base = pin - tip
     length = math.hypot(*base)
-    corner = (tip + pin) / 2.0 + math.sqrt(1.0 - length ** 2 / 4.0) * _turned(base) / length
+    corner = (tip + pin) / 2.0 + math.sqrt(1.0 - length**2 / 4.0) * _turned(base) / length
     # Both turn the corner at the same velocity: v + w2 x (corner - tip) = w3 x (corner - pin).
     tip_velocity = CRANK_RATE * _turned(tip)
     sides = np.array([_turned(corner - tip), -_turned(corner - pin)]).T
     coupler_rate, rocker_rate = np.linalg.solve(sides, -tip_velocity)
     rest = np.zeros(2)
-    kinds = dict.fromkeys(("ground_crank", "crank_coupler", "coupler_rocker", "ground_rocker"),
-                          "revolute") | {ball: "spherical"}
-    ends = {"ground_crank": ("world", "crank", -0.25), "crank_coupler": ("crank", "coupler", -0.5),
-            "coupler_rocker": ("coupler", "rocker", 0.5),
-            "ground_rocker": ("world", "rocker", -0.5)}
+    kinds = dict.fromkeys(
+        ("ground_crank", "crank_coupler", "coupler_rocker", "ground_rocker"), "revolute"
+    ) | {ball: "spherical"}
+    ends = {
+        "ground_crank": ("world", "crank", -0.25),
+        "crank_coupler": ("crank", "coupler", -0.5),
+        "coupler_rocker": ("coupler", "rocker", 0.5),
+        "ground_rocker": ("world", "rocker", -0.5),
+    }
     return Scene(
-        name="four_bar", gravity=(0.0, 0.0, 0.0),
-        bodies=[_bar("crank", 0.5, rest, tip, CRANK_RATE, rest),
-                _bar("coupler", 1.0, tip, corner, coupler_rate, tip_velocity),
-                _bar("rocker", 1.0, pin, corner, rocker_rate, rest)],
-        joints=[Joint(name=name, type=kind, parent=ends[name][0], child=ends[name][1],
-                      child_frame=Frame(position=(ends[name][2], 0.0, 0.0)))
-                for name, kind in kinds.items()])
+        name="four_bar",
+        gravity=(0.0, 0.0, 0.0),
+        bodies=[
+            _bar("crank", 0.5, rest, tip, CRANK_RATE, rest),
+            _bar("coupler", 1.0, tip, corner, coupler_rate, tip_velocity),
+            _bar("rocker", 1.0, pin, corner, rocker_rate, rest),
+        ],
+        joints=[
+            Joint(
+                name=name,
+                type=kind,
+                parent=ends[name][0],
+                child=ends[name][1],
+                child_frame=Frame(position=(ends[name][2], 0.0, 0.0)),
+            )
+            for name, kind in kinds.items()
+        ],
+    )
 
 
 def _bar(name, mass, start, end, rate, start_velocity):
@@ -121,10 +150,16 @@ def _bar(name, mass, start, end, rate, start_velocity):
     length, width = math.hypot(*along), 0.05
     turn = np.array([0.0, 0.0, math.atan2(along[1], along[0])])
     velocity = np.append(start_velocity + rate * _turned(along) / 2.0, 0.0)
-    across = mass * (length ** 2 + width ** 2) / 12.0
-    return Body(name=name, mass=mass, inertia=(mass * width ** 2 / 6.0, across, across),
-                position=(*(start + end) / 2.0, 0.0), rotation_vector=turn,
-                angular_velocity=(0.0, 0.0, rate), linear_velocity=SO3.exp(turn).T @ velocity)
+    across = mass * (length**2 + width**2) / 12.0
+    return Body(
+        name=name,
+        mass=mass,
+        inertia=(mass * width**2 / 6.0, across, across),
+        position=(*(start + end) / 2.0, 0.0),
+        rotation_vector=turn,
+        angular_velocity=(0.0, 0.0, rate),
+        linear_velocity=SO3.exp(turn).T @ velocity,
+    )
 
 
 def _turned(vector):

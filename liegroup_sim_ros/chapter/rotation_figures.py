@@ -9,6 +9,7 @@ and the largest deviations of the integrals of the top over 10 s.
 The end states come from elliptic functions (liegroup_core.reference.elliptic), not from a run with
 a small step, whose own error would be seen at the smallest ones. No ROS.
 """
+
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -50,34 +51,93 @@ STYLES = {
 class Panel:
     """One figure: what is measured, by which methods and steps, and the numbers of others."""
 
-    number: str             # of the figure
+    number: str  # of the figure
     title: str
     unit: str
     scene: str
-    time: float             # s
-    quantity: str           # "momentum" or "attitude"
+    time: float  # s
+    quantity: str  # "momentum" or "attitude"
     methods: tuple
-    steps: tuple            # s
-    elsewhere: dict         # {method: errors at the steps}
-    constants: dict = field(default_factory=dict)   # {method: (order, C)} of those
+    steps: tuple  # s
+    elsewhere: dict  # {method: errors at the steps}
+    constants: dict = field(default_factory=dict)  # {method: (order, C)} of those
 
 
 PANELS = (
-    Panel("6.6", "Free body, 16 s: momentum", "|Y - Y0|, N m s", "free_body", 16.0, "momentum",
-          ("stoermer_verlet", "lie_newmark", "rattle", "rkmk4"), MOMENTUM_STEPS, MOMENTUM),
-    Panel("6.7", "Lagrangian top, 1 s: attitude", "||R - Rref||, no unit", "lagrangian_top", 1.0,
-          "attitude", ("stoermer_verlet", "lie_newmark", "rattle", "rkmk4", "lie_midpoint",
-                       "simo_wong", "austin_krishnaprasad_wang", "coadjoint_rkmk4",
-                       "coadjoint_rkmk8"),
-          tuple(1 / rate for rate in TOP_RATES), TOP_ATTITUDE, TOP_CONSTANTS),
-    Panel("6.8", "Free body, 16 s: momentum", "|Y - Y0|, N m s", "free_body", 16.0, "momentum",
-          ("coadjoint_rkmk2", "coadjoint_rkmk4", "simo_wong", "austin_krishnaprasad_wang",
-           "lie_newmark"), MOMENTUM_STEPS, MOMENTUM),
-    Panel("6.9", "Free body, 10 s: attitude", "||R - Rref||, no unit", "free_body", 10.0,
-          "attitude", ("coadjoint_rkmk2", "coadjoint_rkmk2_heun", "coadjoint_rkmk4",
-           "austin_krishnaprasad_wang", "simo_wong", "bottasso_borri_candidate", "lie_midpoint",
-           "stoermer_verlet", "lie_newmark", "rattle", "rkmk4"), FREE_STEPS, FREE_ATTITUDE,
-          FREE_CONSTANTS),
+    Panel(
+        "6.6",
+        "Free body, 16 s: momentum",
+        "|Y - Y0|, N m s",
+        "free_body",
+        16.0,
+        "momentum",
+        ("stoermer_verlet", "lie_newmark", "rattle", "rkmk4"),
+        MOMENTUM_STEPS,
+        MOMENTUM,
+    ),
+    Panel(
+        "6.7",
+        "Lagrangian top, 1 s: attitude",
+        "||R - Rref||, no unit",
+        "lagrangian_top",
+        1.0,
+        "attitude",
+        (
+            "stoermer_verlet",
+            "lie_newmark",
+            "rattle",
+            "rkmk4",
+            "lie_midpoint",
+            "simo_wong",
+            "austin_krishnaprasad_wang",
+            "coadjoint_rkmk4",
+            "coadjoint_rkmk8",
+        ),
+        tuple(1 / rate for rate in TOP_RATES),
+        TOP_ATTITUDE,
+        TOP_CONSTANTS,
+    ),
+    Panel(
+        "6.8",
+        "Free body, 16 s: momentum",
+        "|Y - Y0|, N m s",
+        "free_body",
+        16.0,
+        "momentum",
+        (
+            "coadjoint_rkmk2",
+            "coadjoint_rkmk4",
+            "simo_wong",
+            "austin_krishnaprasad_wang",
+            "lie_newmark",
+        ),
+        MOMENTUM_STEPS,
+        MOMENTUM,
+    ),
+    Panel(
+        "6.9",
+        "Free body, 10 s: attitude",
+        "||R - Rref||, no unit",
+        "free_body",
+        10.0,
+        "attitude",
+        (
+            "coadjoint_rkmk2",
+            "coadjoint_rkmk2_heun",
+            "coadjoint_rkmk4",
+            "austin_krishnaprasad_wang",
+            "simo_wong",
+            "bottasso_borri_candidate",
+            "lie_midpoint",
+            "stoermer_verlet",
+            "lie_newmark",
+            "rattle",
+            "rkmk4",
+        ),
+        FREE_STEPS,
+        FREE_ATTITUDE,
+        FREE_CONSTANTS,
+    ),
 )
 # Errors below are not those of a method but of rounding, over 65536 steps.
 ROUNDING = 1e-11
@@ -108,13 +168,23 @@ def end_attitude(scene, time):
 
     body = load_scene(scene).bodies[0]
     if scene == "free_body":
-        return to_floats(free_body(body.inertia_matrix, body.rotation, body.angular_velocity,
-                                   time)[0])
-    arm = np.array(body.position)           # the ball joint is at the origin
+        return to_floats(
+            free_body(body.inertia_matrix, body.rotation, body.angular_velocity, time)[0]
+        )
+    arm = np.array(body.position)  # the ball joint is at the origin
     across = body.inertia_matrix[0, 0] + body.mass * (arm @ arm)
-    return to_floats(heavy_top(across, body.inertia_matrix[1, 1], body.mass * np.linalg.norm(arm),
-                               arm / np.linalg.norm(arm), load_scene(scene).gravity, body.rotation,
-                               body.angular_velocity, time)[0])
+    return to_floats(
+        heavy_top(
+            across,
+            body.inertia_matrix[1, 1],
+            body.mass * np.linalg.norm(arm),
+            arm / np.linalg.norm(arm),
+            load_scene(scene).gravity,
+            body.rotation,
+            body.angular_velocity,
+            time,
+        )[0]
+    )
 
 
 def errors(panel, say=lambda text: None):
@@ -138,7 +208,7 @@ def order_and_constant(steps, found, order):
     if len(good) < 2:
         return np.nan, np.nan
     (step, error), (last_step, last) = good[-2:]
-    return np.log(error / last) / np.log(step / last_step), last / last_step ** order
+    return np.log(error / last) / np.log(step / last_step), last / last_step**order
 
 
 def top_integrals(method, step):
@@ -149,9 +219,13 @@ def top_integrals(method, step):
     for _ in range(round(10 / step) // 10):
         simulation.advance(10)
         sample = simulation.sample()
-        found.append((sample.energy - start.energy,
-                      sample.spatial_momentum[2] - start.spatial_momentum[2],
-                      sample.twist[0, 1] - start.twist[0, 1]))
+        found.append(
+            (
+                sample.energy - start.energy,
+                sample.spatial_momentum[2] - start.spatial_momentum[2],
+                sample.twist[0, 1] - start.twist[0, 1],
+            )
+        )
     return np.abs(found).max(axis=0)
 
 
@@ -162,10 +236,16 @@ def _integrals_table(say):
         table.add_column(column, min_width=9)
     for (method, step), elsewhere in TOP_INTEGRALS.items():
         say(f"Lagrangian top, 10 s, {method}, {step:g} s")
-        table.add_row(STYLES[method][0], f"{step:g} s", "here",
-                      *map(_text, top_integrals(method, step)))
-        table.add_row("", "", "elsewhere", *("< 1e-11" if value is None else _text(value)
-                                             for value in elsewhere), style="dim")
+        table.add_row(
+            STYLES[method][0], f"{step:g} s", "here", *map(_text, top_integrals(method, step))
+        )
+        table.add_row(
+            "",
+            "",
+            "elsewhere",
+            *("< 1e-11" if value is None else _text(value) for value in elsewhere),
+            style="dim",
+        )
     return table
 
 
@@ -196,17 +276,32 @@ def make_table(panel, found):
         table.add_row("", "elsewhere", *elsewhere, style="dim")
 
     for k, step in enumerate(panel.steps):
-        add(step_text(step), [_text(found[method][k]) for method in panel.methods],
-            [_text(panel.elsewhere[method][k]) if k < len(panel.elsewhere.get(method, ())) else ""
-             for method in panel.methods])
+        add(
+            step_text(step),
+            [_text(found[method][k]) for method in panel.methods],
+            [
+                _text(panel.elsewhere[method][k])
+                if k < len(panel.elsewhere.get(method, ()))
+                else ""
+                for method in panel.methods
+            ],
+        )
     if panel.constants:
-        here = {method: order_and_constant(panel.steps, found[method], METHODS[method].order)
-                for method in panel.methods}
+        here = {
+            method: order_and_constant(panel.steps, found[method], METHODS[method].order)
+            for method in panel.methods
+        }
         given = [panel.constants.get(method) for method in panel.methods]
-        add("order", [f"{here[method][0]:.2f}" for method in panel.methods],
-            ["" if pair is None else f"{pair[0]:.2f}" for pair in given])
-        add("C, 1/s^p", [_text(here[method][1]) for method in panel.methods],
-            ["" if pair is None else _text(pair[1]) for pair in given])
+        add(
+            "order",
+            [f"{here[method][0]:.2f}" for method in panel.methods],
+            ["" if pair is None else f"{pair[0]:.2f}" for pair in given],
+        )
+        add(
+            "C, 1/s^p",
+            [_text(here[method][1]) for method in panel.methods],
+            ["" if pair is None else _text(pair[1]) for pair in given],
+        )
     return table
 
 
@@ -232,8 +327,15 @@ def _draw(path, panel, found):
     for method in panel.methods:
         label, colour, marker = STYLES[method]
         # The line is broken where there is no solution; an exact zero is not drawn.
-        axis.loglog(panel.steps, [error or np.nan for error in found[method]], color=colour,
-                    marker=marker, markersize=4, linewidth=1.0, label=label)
+        axis.loglog(
+            panel.steps,
+            [error or np.nan for error in found[method]],
+            color=colour,
+            marker=marker,
+            markersize=4,
+            linewidth=1.0,
+            label=label,
+        )
     axis.set_title(panel.title, fontsize=10)
     axis.set_xlabel("step, s")
     axis.set_ylabel(panel.unit)

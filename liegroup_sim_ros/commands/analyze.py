@@ -4,6 +4,7 @@
 One log is told in full; of many each gets a line. Many are spread over dask, where it is
 installed: over the cores of this machine, or over a cluster by the address of its scheduler.
 """
+
 import json
 import math
 import sys
@@ -21,7 +22,7 @@ from liegroup_sim_ros.recording.addresses import AddressError, expand
 from liegroup_sim_ros.recording.reader import RecordingError, read_recording
 from liegroup_sim_ros.report.terminal import print_comparison, print_overview, print_table
 
-FORMAT = 1                  # of the JSON document, config/analysis.schema.json
+FORMAT = 1  # of the JSON document, config/analysis.schema.json
 EXIT_EXCEEDED, EXIT_WRONG_INPUT = 1, 2
 
 
@@ -32,31 +33,59 @@ class AnalysisError(Exception):
 def add_parser(subparsers):
     """Add `analyze` to the subcommands of a command line."""
     parser = subparsers.add_parser(
-        "analyze", help="say how wrong recorded runs are",
+        "analyze",
+        help="say how wrong recorded runs are",
         description="Analyse recordings: error against the exact solution or an independent "
         "integration, drift of energy, momentum and joints, bit-for-bit repetition, real-time "
         "figures, lost messages.",
         epilog="Exit code: 0; 1 when a bound that was given is exceeded or cannot be judged; 2 "
-        "for a log that cannot be read.")
-    parser.add_argument("logs", metavar="LOG", nargs="+",
-                        help="recording (*.mcap), folder of them, pattern, or address such as "
-                        "s3://bucket/*.mcap")
+        "for a log that cannot be read.",
+    )
+    parser.add_argument(
+        "logs",
+        metavar="LOG",
+        nargs="+",
+        help="recording (*.mcap), folder of them, pattern, or address such as s3://bucket/*.mcap",
+    )
     parser.add_argument("--compare", metavar="LOG", help="say how far it is from this one, too")
     parser.add_argument("--html", metavar="PAGE", help="write a self-contained page")
-    parser.add_argument("--png", metavar="FILE", help="write the plots of one log as a picture: "
-                        "*.png, *.pdf or *.svg (needs matplotlib)")
+    parser.add_argument(
+        "--png",
+        metavar="FILE",
+        help="write the plots of one log as a picture: *.png, *.pdf or *.svg (needs matplotlib)",
+    )
     parser.add_argument("--json", metavar="FILE", help="write all figures")
-    parser.add_argument("--max-error", type=_bound, metavar="X", help="largest error that passes, "
-                        "of positions in m and of attitudes in rad")
-    parser.add_argument("--max-drift", type=_bound, metavar="X", help="largest drift that passes: "
-                        "of the energy in parts of the largest kinetic energy, of momenta in "
-                        "parts of the sum of the bodies' largest momenta")
-    parser.add_argument("--no-reference", action="store_true",
-                        help="leave out the comparison with an independent integration")
-    parser.add_argument("--reference-seconds", type=_bound, default=REFERENCE_SECONDS, metavar="S",
-                        help="simulated time it covers; inf: all (default: %(default)g)")
-    parser.add_argument("--scheduler", metavar="ADDRESS",
-                        help="scheduler of a dask cluster to work on, such as tcp://host:8786")
+    parser.add_argument(
+        "--max-error",
+        type=_bound,
+        metavar="X",
+        help="largest error that passes, of positions in m and of attitudes in rad",
+    )
+    parser.add_argument(
+        "--max-drift",
+        type=_bound,
+        metavar="X",
+        help="largest drift that passes: "
+        "of the energy in parts of the largest kinetic energy, of momenta in "
+        "parts of the sum of the bodies' largest momenta",
+    )
+    parser.add_argument(
+        "--no-reference",
+        action="store_true",
+        help="leave out the comparison with an independent integration",
+    )
+    parser.add_argument(
+        "--reference-seconds",
+        type=_bound,
+        default=REFERENCE_SECONDS,
+        metavar="S",
+        help="simulated time it covers; inf: all (default: %(default)g)",
+    )
+    parser.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="scheduler of a dask cluster to work on, such as tcp://host:8786",
+    )
     parser.set_defaults(run=run)
 
 
@@ -94,6 +123,7 @@ def run(args):
             _draw(analysis, args.png, comparison)
         if args.html:
             from liegroup_sim_ros.report.page import page_part  # plotly takes a second to import
+
             parts = [page_part(analysis)]
     else:
         found, parts = analyse_many(logs, options, args.scheduler, bool(args.html))
@@ -101,12 +131,18 @@ def run(args):
     exceeded = find_exceeded(found, args.max_error, args.max_drift)
     if args.html:
         from liegroup_sim_ros.report.page import make_page
-        bounds = [f"largest {what} {value:g}" for what, value in (
-            ("error", args.max_error), ("drift", args.max_drift)) if value is not None]
+
+        bounds = [
+            f"largest {what} {value:g}"
+            for what, value in (("error", args.max_error), ("drift", args.max_drift))
+            if value is not None
+        ]
         _write(args.html, make_page(parts, comparison, exceeded, bounds))
     if args.json:
-        _write(args.json, document(found, comparison and comparison[0], args.max_error,
-                                   args.max_drift, exceeded))
+        _write(
+            args.json,
+            document(found, comparison and comparison[0], args.max_error, args.max_drift, exceeded),
+        )
     failed = [entry for entry in found if "failed" in entry]
     if failed:
         rest = f" (and {len(failed) - 1} more like it)" if len(failed) > 1 else ""
@@ -120,6 +156,7 @@ def run(args):
 def write_analysis(log, html, json_file):
     """Analyse one recording, print the table, write page and figures; returns the Analysis."""
     from liegroup_sim_ros.report.page import make_page, page_part
+
     _check_writable(html, json_file)
     analysis = _analyse_one(log, {})
     _write(html, make_page([page_part(analysis)]))
@@ -147,6 +184,7 @@ def _check_picture(path):
 
 def _draw(analysis, path, comparison):
     from liegroup_sim_ros.report.picture import write_picture
+
     try:
         write_picture(analysis, path, comparison)
     except OSError as error:
@@ -157,10 +195,25 @@ def _draw(analysis, path, comparison):
 
 def document(found, comparison=None, max_error=None, max_drift=None, exceeded=()):
     """The JSON text of figures; its schema is config/analysis.schema.json."""
-    return json.dumps(plain({
-        "format": FORMAT, "logs": found, "comparison": comparison,
-        "bounds": {"max_error": max_error, "max_drift": max_drift, "exceeded": list(exceeded)}}),
-        indent=1, allow_nan=False) + "\n"
+    return (
+        json.dumps(
+            plain(
+                {
+                    "format": FORMAT,
+                    "logs": found,
+                    "comparison": comparison,
+                    "bounds": {
+                        "max_error": max_error,
+                        "max_drift": max_drift,
+                        "exceeded": list(exceeded),
+                    },
+                }
+            ),
+            indent=1,
+            allow_nan=False,
+        )
+        + "\n"
+    )
 
 
 def find_exceeded(found, max_error=None, max_drift=None):
@@ -175,15 +228,22 @@ def find_exceeded(found, max_error=None, max_drift=None):
             if "failed" in reference:
                 exceeded.append(f"{log}: its error is not known: {reference['failed']}")
             else:
-                exceeded += [f"{log}: {text}" for name in ("position", "angle")
-                             if (text := _too_large(reference[name], max_error))]
+                exceeded += [
+                    f"{log}: {text}"
+                    for name in ("position", "angle")
+                    if (text := _too_large(reference[name], max_error))
+                ]
         if max_drift is not None:
             drifts = _relative_drifts(figures)
             if not drifts:
-                exceeded.append(f"{log}: its drift is not known: it keeps neither energy nor "
-                                "momentum")
-            exceeded += [f"{log}: relative drift {drift:.3g} of {name} is more than {max_drift:g}"
-                         for name, drift in drifts if not drift <= max_drift]
+                exceeded.append(
+                    f"{log}: its drift is not known: it keeps neither energy nor momentum"
+                )
+            exceeded += [
+                f"{log}: relative drift {drift:.3g} of {name} is more than {max_drift:g}"
+                for name, drift in drifts
+                if not drift <= max_drift
+            ]
     return exceeded
 
 
@@ -193,18 +253,21 @@ def _too_large(error, bound):
     if not error["max"] <= bound:
         return f"error {error['max']:.3g} {unit} is more than {bound:g}"
     if not error["max"] + error["uncertainty"] <= bound:
-        return (f"error {error['max']:.3g} {unit} may be more than {bound:g}: the reference is "
-                f"only known to {error['uncertainty']:.3g} {unit}")
+        return (
+            f"error {error['max']:.3g} {unit} may be more than {bound:g}: the reference is "
+            f"only known to {error['uncertainty']:.3g} {unit}"
+        )
     return None
 
 
 def _relative_drifts(figures):
     """[(of what, drift in parts of its size)] of all that the scene keeps."""
     if "energy" not in figures:
-        return [("the motion", math.nan)]       # no sample is finite
+        return [("the motion", math.nan)]  # no sample is finite
     drifts = [("the energy", figures["energy"]["relative_drift"])]
-    drifts += [("the " + entry["component"], entry["relative_drift"])
-               for entry in figures["momentum"]]
+    drifts += [
+        ("the " + entry["component"], entry["relative_drift"]) for entry in figures["momentum"]
+    ]
     return [(name, drift) for name, drift in drifts if drift is not None]
 
 
@@ -222,6 +285,7 @@ def analyse_log(log, options, page=None):
     if page is None:
         return analysis.figures, None
     from liegroup_sim_ros.report.page import page_part
+
     return analysis.figures, page_part(analysis, page)
 
 
@@ -234,8 +298,13 @@ def analyse_many(logs, options, scheduler=None, page=False):
     if page:
         from liegroup_sim_ros.report.page import MOST_PARTS as drawn
     work = [(log, options, None if drawn is None else k < drawn) for k, log in enumerate(logs)]
-    with Progress(TextColumn("analysing"), BarColumn(), MofNCompleteColumn(),
-                  console=Console(stderr=True), auto_refresh=False) as progress:
+    with Progress(
+        TextColumn("analysing"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        console=Console(stderr=True),
+        auto_refresh=False,
+    ) as progress:
         task = progress.add_task("", total=len(logs))
         found = {}
         for k, result in tasks.run(_analyse_work, work, scheduler):

@@ -4,6 +4,7 @@
 The simulation node and the push are processes of their own, in a ROS domain of their own on this
 machine. Whatever happens, both have ended when the demo ends.
 """
+
 import math
 import os
 import random
@@ -19,12 +20,12 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 SCENE, BODY = "heavy_top", "top"
-STEP, PUBLISH_RATE = 1e-3, 500.0        # s, Hz
-PUSH = ("push", BODY, "--force", "0", "250", "0", "--duration", "0.4")    # N in body axes, s
-PUSH_AT = 0.3                           # part of the run
-SHORTEST = 4.0                          # s: discovery of the push may take 2.5 s
-STARTING = 240.0                        # s; the first start on a machine compiles
-PUSHING = ENDING = 10.0                 # s
+STEP, PUBLISH_RATE = 1e-3, 500.0  # s, Hz
+PUSH = ("push", BODY, "--force", "0", "250", "0", "--duration", "0.4")  # N in body axes, s
+PUSH_AT = 0.3  # part of the run
+SHORTEST = 4.0  # s: discovery of the push may take 2.5 s
+STARTING = 240.0  # s; the first start on a machine compiles
+PUSHING = ENDING = 10.0  # s
 
 
 class DemoError(Exception):
@@ -34,14 +35,25 @@ class DemoError(Exception):
 def add_parser(subparsers):
     """Add `demo` to the subcommands of a command line."""
     parser = subparsers.add_parser(
-        "demo", help="simulate a heavy top in real time, push it, and analyse the recording",
+        "demo",
+        help="simulate a heavy top in real time, push it, and analyse the recording",
         description=f"Simulate the scene {SCENE} in real time, push it from another process, "
-        "record everything and analyse the recording.")
-    parser.add_argument("--out", default="demo_out", metavar="DIR",
-                        help="folder for the recording and the page; those of an earlier demo are "
-                        "overwritten (default: %(default)s)")
-    parser.add_argument("--seconds", type=float, default=10.0, metavar="S",
-                        help="length of the run (default: %(default)g)")
+        "record everything and analyse the recording.",
+    )
+    parser.add_argument(
+        "--out",
+        default="demo_out",
+        metavar="DIR",
+        help="folder for the recording and the page; those of an earlier demo are "
+        "overwritten (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        default=10.0,
+        metavar="S",
+        help="length of the run (default: %(default)g)",
+    )
     parser.set_defaults(run=run)
 
 
@@ -50,8 +62,9 @@ def run(args):
     if not (math.isfinite(args.seconds) and args.seconds >= SHORTEST):
         raise DemoError(f"--seconds must be at least {SHORTEST:g}")
     out = Path(args.out)
-    log, page, figures, output = (out / name for name in (
-        "demo.mcap", "demo.html", "demo.json", "sim_node.txt"))
+    log, page, figures, output = (
+        out / name for name in ("demo.mcap", "demo.html", "demo.json", "sim_node.txt")
+    )
     try:
         out.mkdir(parents=True, exist_ok=True)
         for path in (log, page, figures, output):
@@ -62,22 +75,31 @@ def run(args):
     with _ended_by_signals():
         _simulate(args.seconds, log, output, console)
     from .analyze import write_analysis
+
     analysis = write_analysis(log, html=page, json_file=figures)
     if not analysis.figures["pushes"]:
         raise DemoError("the push is not in the recording; see " + str(output))
-    console.print(f"recording  {log}\npage       {page}\nfigures    {figures}", highlight=False,
-                  soft_wrap=True)
+    console.print(
+        f"recording  {log}\npage       {page}\nfigures    {figures}",
+        highlight=False,
+        soft_wrap=True,
+    )
     return 0
 
 
 def _simulate(seconds, log, output, console):
     """Run the node for so many seconds of simulated time, with a push on the way."""
-    os.environ.update(ROS_DOMAIN_ID=str(random.randint(1, 100)),
-                      ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
+    os.environ.update(
+        ROS_DOMAIN_ID=str(random.randint(1, 100)), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST"
+    )
     parameters = {"scene": SCENE, "step": STEP, "publish_rate": PUBLISH_RATE, "record": log}
     arguments = [part for name, value in parameters.items() for part in ("-p", f"{name}:={value}")]
-    console.print("$ sim_node --ros-args " + shlex.join(arguments), style="dim", highlight=False,
-                  soft_wrap=True)
+    console.print(
+        "$ sim_node --ros-args " + shlex.join(arguments),
+        style="dim",
+        highlight=False,
+        soft_wrap=True,
+    )
     processes = []
     try:
         with open(output, "w", encoding="utf-8") as stream:
@@ -89,8 +111,7 @@ def _simulate(seconds, log, output, console):
             try:
                 code = node.wait(ENDING)
             except subprocess.TimeoutExpired:
-                raise DemoError(f"sim_node did not end within {ENDING:g} s; see {output}"
-                                ) from None
+                raise DemoError(f"sim_node did not end within {ENDING:g} s; see {output}") from None
             if code != 0:
                 raise DemoError(f"sim_node ended with exit code {code}: {_last_line(output)}")
     finally:
@@ -106,17 +127,29 @@ def _watch(seconds, node, output, processes, console):
         # On a loaded machine a push takes long to start; the run waits for it.
         return elapsed < seconds or not answered and elapsed < seconds + PUSHING
 
-    with _diagnostics() as latest, Progress(
-            TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[said]}"),
-            TimeElapsedColumn(), console=console) as progress:
+    with (
+        _diagnostics() as latest,
+        Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.fields[said]}"),
+            TimeElapsedColumn(),
+            console=console,
+        ) as progress,
+    ):
         task = progress.add_task("simulating", total=seconds, said="")
         while going_on():
             if node.poll() is not None:
-                raise DemoError(f"sim_node ended with exit code {node.returncode}: "
-                                + _last_line(output))
+                raise DemoError(
+                    f"sim_node ended with exit code {node.returncode}: " + _last_line(output)
+                )
             if push is None and elapsed >= PUSH_AT * seconds:
-                progress.console.print("$ liegroup_sim " + shlex.join(PUSH), style="dim",
-                                       highlight=False, soft_wrap=True)
+                progress.console.print(
+                    "$ liegroup_sim " + shlex.join(PUSH),
+                    style="dim",
+                    highlight=False,
+                    soft_wrap=True,
+                )
                 push = _start("main", PUSH, subprocess.PIPE, processes)
             if push is not None and push.poll() is not None and not answered:
                 answered = True
@@ -125,8 +158,12 @@ def _watch(seconds, node, output, processes, console):
                     raise DemoError(f"the push failed: {answer}")
                 progress.console.print(answer, highlight=False, soft_wrap=True)
             figures = latest(0.1)
-            said = ("real-time factor {real_time_factor:.3f}, 99 % of ticks within "
-                    "{lateness_p99_us:.0f} us".format(**figures) if figures else "")
+            said = (
+                "real-time factor {real_time_factor:.3f}, 99 % of ticks within "
+                "{lateness_p99_us:.0f} us".format(**figures)
+                if figures
+                else ""
+            )
             elapsed = time.monotonic() - start
             progress.update(task, completed=elapsed, said=said)
     if not answered:
@@ -152,8 +189,9 @@ def _diagnostics():
     def take(message):
         pairs = {pair.key: pair.value for status in message.status for pair in status.values}
         if {"real_time_factor", "lateness_p99_us"} <= set(pairs):
-            figures.update((key, float(pairs[key])) for key in
-                           ("real_time_factor", "lateness_p99_us"))
+            figures.update(
+                (key, float(pairs[key])) for key in ("real_time_factor", "lateness_p99_us")
+            )
 
     node.create_subscription(DiagnosticArray, "/diagnostics", take, 10)
 
@@ -175,10 +213,20 @@ def _start(module, arguments, stream, processes):
     """A process of this package in a session of its own: Ctrl-C reaches it through us only."""
     # -P: the working folder must not come before the installed package.
     process = subprocess.Popen(
-        [sys.executable, "-P", "-c", f"import sys; from liegroup_sim_ros.{module} import main; "
-         f"sys.exit(main({'sys.argv[1:]' if module == 'main' else ''}))", *arguments],
-        stdin=subprocess.DEVNULL, stdout=stream, stderr=subprocess.STDOUT, text=True,
-        start_new_session=True)
+        [
+            sys.executable,
+            "-P",
+            "-c",
+            f"import sys; from liegroup_sim_ros.{module} import main; "
+            f"sys.exit(main({'sys.argv[1:]' if module == 'main' else ''}))",
+            *arguments,
+        ],
+        stdin=subprocess.DEVNULL,
+        stdout=stream,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    )
     processes.append(process)
     return process
 
@@ -187,8 +235,9 @@ def _wait_until(condition, seconds, node, output):
     end = time.monotonic() + seconds
     while not condition():
         if node.poll() is not None:
-            raise DemoError(f"sim_node ended with exit code {node.returncode}: "
-                            + _last_line(output))
+            raise DemoError(
+                f"sim_node ended with exit code {node.returncode}: " + _last_line(output)
+            )
         if time.monotonic() > end:
             raise DemoError(f"sim_node was not ready within {seconds:g} s; see {output}")
         time.sleep(0.05)
@@ -216,11 +265,13 @@ def _end_all(processes):
 @contextmanager
 def _ended_by_signals():
     """Make SIGTERM and a closed terminal end the demo as Ctrl-C does, with its processes."""
+
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    before = {number: signal.signal(number, interrupt)
-              for number in (signal.SIGTERM, signal.SIGHUP)}
+    before = {
+        number: signal.signal(number, interrupt) for number in (signal.SIGTERM, signal.SIGHUP)
+    }
     try:
         yield
     finally:

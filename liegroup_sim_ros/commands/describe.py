@@ -3,6 +3,7 @@
 
 The facts come from liegroup_core.describe; only the cost of a step is measured. No ROS.
 """
+
 import json
 import sys
 import time
@@ -16,20 +17,23 @@ from liegroup_core.describe import describe
 from liegroup_core.layout import make_layout
 
 METHODS = ("rkmk4", "rkmk8")
-MEASURING, LEAST_RUNS = 0.2, 3              # s per method, and runs of which the fastest counts
-STEP = 1e-5                                 # s: small, so that no scene gets into trouble
-MOST_ROWS = 40                              # of a list on the terminal; JSON has all
+MEASURING, LEAST_RUNS = 0.2, 3  # s per method, and runs of which the fastest counts
+STEP = 1e-5  # s: small, so that no scene gets into trouble
+MOST_ROWS = 40  # of a list on the terminal; JSON has all
 
 
 def add_parser(subparsers):
     """Add `describe` to the subcommands of a command line."""
     parser = subparsers.add_parser(
-        "describe", help="say what a scene is made of, what it keeps and what a step costs",
+        "describe",
+        help="say what a scene is made of, what it keeps and what a step costs",
         description="Bodies, joints and forces of a scene, its degrees of freedom, the rows left "
         "out in closed loops, the structure of the solve, the momentum it keeps, and the measured "
-        "cost of a step on this machine.")
-    parser.add_argument("scene", metavar="SCENE",
-                        help="scene file, or name of one that comes along")
+        "cost of a step on this machine.",
+    )
+    parser.add_argument(
+        "scene", metavar="SCENE", help="scene file, or name of one that comes along"
+    )
     parser.add_argument("--json", action="store_true", help="as JSON, on stdout")
     parser.set_defaults(run=run)
 
@@ -61,7 +65,7 @@ def step_cost(scene, method, seconds=MEASURING):
             start = time.perf_counter()
             simulation.advance(steps)
             taken = time.perf_counter() - start
-            if taken < seconds / 40.0:      # too short to be timed: what it took does not count
+            if taken < seconds / 40.0:  # too short to be timed: what it took does not count
                 steps *= 2
             else:
                 times.append(taken / steps)
@@ -72,15 +76,22 @@ def step_cost(scene, method, seconds=MEASURING):
 
 def print_facts(facts, console):
     """Tables on a terminal."""
-    console.print(Text(f"{facts['scene']}: {facts['degrees_of_freedom']} degrees of freedom",
-                       style="bold"))
+    console.print(
+        Text(f"{facts['scene']}: {facts['degrees_of_freedom']} degrees of freedom", style="bold")
+    )
     if facts["description"]:
         console.print(Text(facts["description"], style="dim"))
     for title, rows in sections(facts):
         if not rows:
             continue
-        table = Table(box=None, show_header=False, padding=(0, 2, 0, 0), title=Text(title),
-                      title_justify="left", title_style="bold")
+        table = Table(
+            box=None,
+            show_header=False,
+            padding=(0, 2, 0, 0),
+            title=Text(title),
+            title_justify="left",
+            title_style="bold",
+        )
         table.add_column(width=24, style="dim", overflow="fold")
         table.add_column(overflow="fold")
         table.add_column(style="dim", overflow="fold")
@@ -96,56 +107,105 @@ def sections(facts):
     """The tables: [(title, [(what, value, remark)])]."""
     return [
         ("Bodies", [(body["name"], f"{body['mass']:.6g} kg", "") for body in facts["bodies"]]),
-        ("Joints", [(joint["name"], joint["type"], f"{joint['parent']} - {joint['child']}"
-                     + (f", left out: {' '.join(joint['dropped'])}" if joint["dropped"] else ""))
-                    for joint in facts["joints"]]),
-        ("Forces", [(force["name"], force["type"], " - ".join(force["on"]))
-                    for force in facts["forces"]]),
+        (
+            "Joints",
+            [
+                (
+                    joint["name"],
+                    joint["type"],
+                    f"{joint['parent']} - {joint['child']}"
+                    + (f", left out: {' '.join(joint['dropped'])}" if joint["dropped"] else ""),
+                )
+                for joint in facts["joints"]
+            ],
+        ),
+        (
+            "Forces",
+            [(force["name"], force["type"], " - ".join(force["on"])) for force in facts["forces"]],
+        ),
         ("Freedoms", _freedom_rows(facts)),
         ("Solve", _solve_rows(facts["solve"], facts["plane"])),
         ("Methods that fit", [("", ", ".join(facts["methods"]), "")]),
         ("What it keeps", _kept_rows(facts)),
-        ("Cost of a step on this machine", [
-            (method, cost.get("failed") or f"{cost['step_us']:.3g} us",
-             "" if "failed" in cost else
-             f"fastest of {cost['runs']} runs of {cost['steps']} steps")
-            for method, cost in facts["cost"].items()]),
+        (
+            "Cost of a step on this machine",
+            [
+                (
+                    method,
+                    cost.get("failed") or f"{cost['step_us']:.3g} us",
+                    ""
+                    if "failed" in cost
+                    else f"fastest of {cost['runs']} runs of {cost['steps']} steps",
+                )
+                for method, cost in facts["cost"].items()
+            ],
+        ),
     ]
 
 
 def _freedom_rows(facts):
     dropped = ", ".join(f"{joint} {row}" for joint, row in facts["dropped_rows"])
-    return [("coordinates", str(6 * len(facts["bodies"])), "six for each body"),
-            ("rows of joints", str(facts["rows"]), "forbidden directions"),
-            ("left out", str(len(facts["dropped_rows"])),
-             f"they depend on others: {dropped}" if dropped else "none depends on others"),
-            ("degrees of freedom", str(facts["degrees_of_freedom"]), "what is left")]
+    return [
+        ("coordinates", str(6 * len(facts["bodies"])), "six for each body"),
+        ("rows of joints", str(facts["rows"]), "forbidden directions"),
+        (
+            "left out",
+            str(len(facts["dropped_rows"])),
+            f"they depend on others: {dropped}" if dropped else "none depends on others",
+        ),
+        ("degrees of freedom", str(facts["degrees_of_freedom"]), "what is left"),
+    ]
 
 
 def _solve_rows(solve, plane):
-    where = ("in space", "six scalars a body") if plane is None else (
-        f"across {plane}", "the joints hold all bodies in a plane: three scalars a body")
-    return [("motion", *where),
-            ("unknowns", str(solve["unknowns"]), "accelerations and multipliers"),
-            ("vertices", str(solve["vertices"]), "dense blocks on the diagonal"),
-            ("blocks", str(solve["blocks"]),
-             f"dense, below the diagonal; {solve['fill']} of them fill"),
-            ("numbers", str(solve["numbers"]), f"{solve['dense_share']:.3g} of a dense matrix"),
-            ("operations", f"{solve['factor_flops']} + {solve['solve_flops']}",
-             "estimate: to factorise, to solve"),
-            ("matrix", "constant" if solve["constant"] else "depends on the pose",
-             "factorised once" if solve["constant"] else "factorised in every stage"),
-            ("refinements", str(solve["refinements"]),
-             "masses of neighbours differ much" if solve["refinements"] else "")]
+    where = (
+        ("in space", "six scalars a body")
+        if plane is None
+        else (f"across {plane}", "the joints hold all bodies in a plane: three scalars a body")
+    )
+    return [
+        ("motion", *where),
+        ("unknowns", str(solve["unknowns"]), "accelerations and multipliers"),
+        ("vertices", str(solve["vertices"]), "dense blocks on the diagonal"),
+        (
+            "blocks",
+            str(solve["blocks"]),
+            f"dense, below the diagonal; {solve['fill']} of them fill",
+        ),
+        ("numbers", str(solve["numbers"]), f"{solve['dense_share']:.3g} of a dense matrix"),
+        (
+            "operations",
+            f"{solve['factor_flops']} + {solve['solve_flops']}",
+            "estimate: to factorise, to solve",
+        ),
+        (
+            "matrix",
+            "constant" if solve["constant"] else "depends on the pose",
+            "factorised once" if solve["constant"] else "factorised in every stage",
+        ),
+        (
+            "refinements",
+            str(solve["refinements"]),
+            "masses of neighbours differ much" if solve["refinements"] else "",
+        ),
+    ]
 
 
 def _kept_rows(facts):
-    rows = [("groups of bodies", str(len(facts["groups"])),
-             "; ".join(_listed(group) for group in facts["groups"][:6]))]
+    rows = [
+        (
+            "groups of bodies",
+            str(len(facts["groups"])),
+            "; ".join(_listed(group) for group in facts["groups"][:6]),
+        )
+    ]
     if facts["kept_momentum"] is None:
         return rows + [("momentum", "not looked for", "a joint is no lower pair")]
-    rows += [("momentum", component, _listed(kept["bodies"]))
-             for kept in facts["kept_momentum"] for component in kept["components"]]
+    rows += [
+        ("momentum", component, _listed(kept["bodies"]))
+        for kept in facts["kept_momentum"]
+        for component in kept["components"]
+    ]
     return rows if facts["kept_momentum"] else rows + [("momentum", "none is kept", "")]
 
 

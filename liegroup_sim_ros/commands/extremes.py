@@ -3,6 +3,7 @@
 
 Exit code 0 when no answer is silently wrong, 1 when one is, 2 for wrong input, 130 after Ctrl-C.
 """
+
 import json
 import math
 import sys
@@ -19,12 +20,14 @@ from liegroup_core.study.extremes.extremes import VERDICTS, Kept, axes_of, count
 from liegroup_sim_ros.report.extremes_page import SIGNS, shown, write_page
 
 EXIT_SILENT, EXIT_INTERRUPTED = 1, 130
-WIDTH = 200                     # characters that no table needs: none is cut
-SHORTEST = 1e-3                 # s, a step of the runs at other velocities
+WIDTH = 200  # characters that no table needs: none is cut
+SHORTEST = 1e-3  # s, a step of the runs at other velocities
 STYLES = dict(zip(VERDICTS, ("green", "yellow", "blue", "cyan", "dim", "bold white on red")))
-NOTE = ("accurate: within 5 % of the motion; flagged: wrong, and the run warned; refused: no step "
-        "was taken, with a reason; stopped: the run ended early and said why; unjudged: the truth "
-        "is not known well enough; silent: wrong without a word")
+NOTE = (
+    "accurate: within 5 % of the motion; flagged: wrong, and the run warned; refused: no step "
+    "was taken, with a reason; stopped: the run ended early and said why; unjudged: the truth "
+    "is not known well enough; silent: wrong without a word"
+)
 
 
 class ExtremesError(Exception):
@@ -34,18 +37,29 @@ class ExtremesError(Exception):
 def add_parser(subparsers):
     """Add `extremes` to the subcommands of a command line."""
     parser = subparsers.add_parser(
-        "extremes", help="map where each method stops, and whether it says so",
+        "extremes",
+        help="map where each method stops, and whether it says so",
         description="Drive every method to its limits, on scenes made for it or on a scene of "
         "yours, and judge every run against the true motion.",
-        epilog="What was run is kept at once: after Ctrl-C the same call goes on.")
-    parser.add_argument("scene", metavar="SCENE", nargs="?",
-                        help="scene file, or name of one that comes along; left out: the axes of "
-                        "docs/extremes.md")
-    parser.add_argument("--horizon", type=float, default=8.0, metavar="S",
-                        help="of a SCENE, in s (default: %(default)g)")
+        epilog="What was run is kept at once: after Ctrl-C the same call goes on.",
+    )
+    parser.add_argument(
+        "scene",
+        metavar="SCENE",
+        nargs="?",
+        help="scene file, or name of one that comes along; left out: the axes of docs/extremes.md",
+    )
+    parser.add_argument(
+        "--horizon",
+        type=float,
+        default=8.0,
+        metavar="S",
+        help="of a SCENE, in s (default: %(default)g)",
+    )
     parser.add_argument("--axes", nargs="+", metavar="NAME", help="only these axes")
-    parser.add_argument("--methods", nargs="+", metavar="NAME", default=list(METHODS),
-                        help="only these methods")
+    parser.add_argument(
+        "--methods", nargs="+", metavar="NAME", default=list(METHODS), help="only these methods"
+    )
     parser.add_argument("--quick", action="store_true", help="a few values of each axis")
     parser.add_argument("--long", action="store_true", help="runs of 1e7 steps too")
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one a core)")
@@ -62,30 +76,41 @@ def run(args):
     console = Console(file=sys.stdout)
     found = {axis.name: [] for axis in axes}
     try:
-        with Progress(BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
-                      console=Console(stderr=True)) as bar:
+        with Progress(
+            BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), console=Console(stderr=True)
+        ) as bar:
             task = bar.add_task("")
-            for total, axis, cells, complete in survey(axes, args.quick, tuple(args.methods),
-                                                       args.scheduler, args.workers, kept):
+            for total, axis, cells, complete in survey(
+                axes, args.quick, tuple(args.methods), args.scheduler, args.workers, kept
+            ):
                 bar.update(task, total=total, advance=1)
                 found[axis.name] += cells
                 if complete:
                     _print_axis(axis, found[axis.name], args.methods, console)
     except KeyboardInterrupt:
-        print("liegroup_sim: interrupted; what was run is kept, the same call goes on",
-              file=sys.stderr)
+        print(
+            "liegroup_sim: interrupted; what was run is kept, the same call goes on",
+            file=sys.stderr,
+        )
         return EXIT_INTERRUPTED
-    cells = [cell for axis in axes for value in axis.values for cell in found[axis.name]
-             if cell["value"] == value]
+    cells = [
+        cell
+        for axis in axes
+        for value in axis.values
+        for cell in found[axis.name]
+        if cell["value"] == value
+    ]
     _print_end(cells, console)
     try:
         if args.json:
-            Path(args.json).write_text(json.dumps(as_json(axes, cells), indent=1,
-                                                  allow_nan=False) + "\n", encoding="utf-8")
+            Path(args.json).write_text(
+                json.dumps(as_json(axes, cells), indent=1, allow_nan=False) + "\n", encoding="utf-8"
+            )
         if args.markdown:
             write_page(axes, cells, args.methods, args.markdown)
         if args.png:
             from liegroup_sim_ros.report.heat_map import write_heat_map
+
             write_heat_map(axes, cells, args.methods, args.png)
     except OSError as error:
         raise ExtremesError(f"{error.filename}: cannot be written: {error.strerror}") from None
@@ -102,8 +127,9 @@ def _wanted(args):
     if args.workers is not None and args.workers < 1:
         raise ExtremesError(f"--workers must be at least 1, got {args.workers}")
     if not (math.isfinite(args.horizon) and args.horizon >= SHORTEST):
-        raise ExtremesError(f"--horizon must be a number of seconds, at least {SHORTEST:g}, got "
-                            f"{args.horizon:g}")
+        raise ExtremesError(
+            f"--horizon must be a number of seconds, at least {SHORTEST:g}, got {args.horizon:g}"
+        )
     if args.png and Path(args.png).suffix not in (".png", ".pdf", ".svg"):
         raise ExtremesError(f"{args.png}: the name must end in .png, .pdf or .svg")
     for path in filter(None, (args.json, args.markdown, args.png)):
@@ -122,17 +148,28 @@ def _axes(args):
     axes = axes_of(args.scene, args.horizon, args.long)
     if not args.axes:
         if args.scene and len(axes) == 1:
-            print(f"liegroup_sim: {args.scene} is at rest at the start, there are no velocities "
-                  "to vary", file=sys.stderr)
+            print(
+                f"liegroup_sim: {args.scene} is at rest at the start, there are no velocities "
+                "to vary",
+                file=sys.stderr,
+            )
         return axes
     names = [axis.name for axis in axes]
     for name in args.axes:
         if name == "speed" and args.scene and name not in names:
-            raise ExtremesError(f"axis 'speed': {args.scene} is at rest at the start, there are "
-                                "no velocities to vary")
+            raise ExtremesError(
+                f"axis 'speed': {args.scene} is at rest at the start, there are "
+                "no velocities to vary"
+            )
         if name not in names and name in [axis.name for axis in axes_of(long=True)]:
-            raise ExtremesError(f"axis {name!r} is " + ("not one of a SCENE; there are: "
-                                + ", ".join(names) if args.scene else "run with --long only"))
+            raise ExtremesError(
+                f"axis {name!r} is "
+                + (
+                    "not one of a SCENE; there are: " + ", ".join(names)
+                    if args.scene
+                    else "run with --long only"
+                )
+            )
         if name not in names:
             raise ExtremesError(f"unknown axis {name!r}; there are: {', '.join(names)}")
     return tuple(axis for axis in axes if axis.name in args.axes)
@@ -140,10 +177,15 @@ def _axes(args):
 
 def as_json(axes, cells):
     """What --json holds: axes, numbers of verdicts, cells."""
-    return {"schema": 1, "axes": [{"name": axis.name, "title": axis.title, "unit": axis.unit,
-                                   "values": list(axis.values)} for axis in axes],
-            "counts": counts(cells), "cells": [
-                {key: _finite(value) for key, value in cell.items()} for cell in cells]}
+    return {
+        "schema": 1,
+        "axes": [
+            {"name": axis.name, "title": axis.title, "unit": axis.unit, "values": list(axis.values)}
+            for axis in axes
+        ],
+        "counts": counts(cells),
+        "cells": [{key: _finite(value) for key, value in cell.items()} for cell in cells],
+    }
 
 
 def _finite(value):
@@ -154,8 +196,9 @@ def _finite(value):
 def _print_axis(axis, cells, methods, console):
     values = [value for value in axis.values if any(cell["value"] == value for cell in cells)]
     by_place = {(cell["method"], cell["value"]): cell["verdict"] for cell in cells}
-    console.print(Text(axis.title + (f", {axis.unit}" if axis.unit else ""), style="bold"),
-                  soft_wrap=True)
+    console.print(
+        Text(axis.title + (f", {axis.unit}" if axis.unit else ""), style="bold"), soft_wrap=True
+    )
     table = Table(box=None, padding=(0, 1, 0, 0))
     table.add_column("", no_wrap=True)
     for value in values:
@@ -163,17 +206,27 @@ def _print_axis(axis, cells, methods, console):
     for method in methods:
         row = [by_place.get((method, value)) for value in values]
         if any(row):
-            table.add_row(Text(method), *(
-                Text(SIGNS[verdict], style=STYLES[verdict]) if verdict else Text("")
-                for verdict in row))
+            table.add_row(
+                Text(method),
+                *(
+                    Text(SIGNS[verdict], style=STYLES[verdict]) if verdict else Text("")
+                    for verdict in row
+                ),
+            )
     console.print(table, width=WIDTH, crop=False)
     console.print()
 
 
 def _print_end(cells, console):
-    console.print(Text(", ".join(f"{SIGNS[name]} {name} {number}" for name, number
-                                 in counts(cells).items())))
+    console.print(
+        Text(", ".join(f"{SIGNS[name]} {name} {number}" for name, number in counts(cells).items()))
+    )
     console.print(Text(NOTE, style="dim"))
     for cell in silent(cells):
-        console.print(Text(f"! {cell['axis']} {shown(cell['value'])}, {cell['method']}: error "
-                           f"{cell['error']:.2g} of the motion, unsaid", style="bold red"))
+        console.print(
+            Text(
+                f"! {cell['axis']} {shown(cell['value'])}, {cell['method']}: error "
+                f"{cell['error']:.2g} of the motion, unsaid",
+                style="bold red",
+            )
+        )

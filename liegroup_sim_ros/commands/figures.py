@@ -5,6 +5,7 @@ The tables beside them compare with independent implementations of the same meth
 6.9 are in rotation_figures.py. What the pictures show, and which claims of the chapter hold, is in
 docs/figures.md. No ROS.
 """
+
 import logging
 import sys
 from pathlib import Path
@@ -22,18 +23,27 @@ from liegroup_sim_ros.numbers import GROUPS as GROUP_NAMES
 # four-bar's joints 1 to 4 over 1 s, or 0.15 s at the largest step.
 TOP_ELSEWHERE = {"se3": (8.0e-15, 3.9e-15, 1.5e-14), "so3xr3": (7.499e-3, 7.985e-7, 8.031e-11)}
 FOUR_BAR_ELSEWHERE = {
-    "se3": ((1.6e-13, 3.67e-4, 8.07e-4, 1.1e-16), (7.3e-16, 3.59e-4, 3.86e-6, 4.6e-15),
-            (2.4e-15, 3.56e-8, 7.39e-10, 3.1e-15)),
-    "so3xr3": ((8.9e-4, 4.35e-4, 9.26e-4, 1.89e-4), (1.03e-4, 1.98e-4, 7.52e-5, 2.61e-5),
-               (1.06e-8, 2.00e-8, 7.53e-9, 2.69e-9))}
+    "se3": (
+        (1.6e-13, 3.67e-4, 8.07e-4, 1.1e-16),
+        (7.3e-16, 3.59e-4, 3.86e-6, 4.6e-15),
+        (2.4e-15, 3.56e-8, 7.39e-10, 3.1e-15),
+    ),
+    "so3xr3": (
+        (8.9e-4, 4.35e-4, 9.26e-4, 1.89e-4),
+        (1.03e-4, 1.98e-4, 7.52e-5, 2.61e-5),
+        (1.06e-8, 2.00e-8, 7.53e-9, 2.69e-9),
+    ),
+}
 
-COLOURS = ("#b3432b", "#2c6e9b", "#3f8f4f")             # of the step sizes
+COLOURS = ("#b3432b", "#2c6e9b", "#3f8f4f")  # of the step sizes
 TABLE_WIDTH = 160
-LOWEST = 1e-17                                          # m; what is exactly zero is not drawn
+LOWEST = 1e-17  # m; what is exactly zero is not drawn
 
-NOTE = ("none: no solution at this step (RATTLE), or a step that is refused (RKMK4, where a stage "
-        "turns by nearly a full turn).\nElsewhere: independent implementations; what differs from "
-        "them and why is in docs/figures.md.")
+NOTE = (
+    "none: no solution at this step (RATTLE), or a step that is refused (RKMK4, where a stage "
+    "turns by nearly a full turn).\nElsewhere: independent implementations; what differs from "
+    "them and why is in docs/figures.md."
+)
 
 
 class FiguresError(Exception):
@@ -43,13 +53,18 @@ class FiguresError(Exception):
 def add_parser(subparsers):
     """Add `figures` to the subcommands of a command line."""
     parser = subparsers.add_parser(
-        "figures", help="draw the chapter's Figs. 6.2 and 6.4 to 6.9",
+        "figures",
+        help="draw the chapter's Figs. 6.2 and 6.4 to 6.9",
         description="Integrate the heavy top and the planar four-bar with three step sizes on "
         "both groups, draw how far their joints open, and print the largest errors; integrate "
-        "the free body and the Lagrangian top by the rotation methods and draw their errors.")
-    parser.add_argument("--out", default="figures_out", metavar="DIR",
-                        help="folder for the pictures; earlier ones are overwritten "
-                        "(default: %(default)s)")
+        "the free body and the Lagrangian top by the rotation methods and draw their errors.",
+    )
+    parser.add_argument(
+        "--out",
+        default="figures_out",
+        metavar="DIR",
+        help="folder for the pictures; earlier ones are overwritten (default: %(default)s)",
+    )
     parser.set_defaults(run=run)
 
 
@@ -69,7 +84,7 @@ def run(args):
     except OSError as error:
         raise FiguresError(f"{error.filename}: cannot be written: {error.strerror}") from None
     console = Console(file=sys.stdout)
-    for each in (table, *tables):       # whole, in a narrow terminal too
+    for each in (table, *tables):  # whole, in a narrow terminal too
         console.print(each, width=max(console.width, TABLE_WIDTH), crop=False)
     console.print(NOTE, soft_wrap=True, highlight=False)
     print(*paths, *more_paths, sep="\n")
@@ -81,9 +96,13 @@ class _Progress(logging.Handler):
 
     def __init__(self, runs):
         super().__init__(logging.WARNING)
-        self._bar = Progress(BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
-                             TextColumn("{task.description}", markup=False),
-                             console=Console(stderr=True))
+        self._bar = Progress(
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TextColumn("{task.description}", markup=False),
+            console=Console(stderr=True),
+        )
         self._task = self._bar.add_task("", total=runs)
         self._runs, self._made, self._name = runs, -1, ""
 
@@ -104,8 +123,13 @@ class _Progress(logging.Handler):
 
     def emit(self, record):
         figure = self._name.partition(",")[0]
-        self._bar.console.print(f"{figure}: {record.getMessage()}", style="yellow", markup=False,
-                                highlight=False, soft_wrap=True)
+        self._bar.console.print(
+            f"{figure}: {record.getMessage()}",
+            style="yellow",
+            markup=False,
+            highlight=False,
+            soft_wrap=True,
+        )
 
 
 def make_figures(out, say=lambda text: None):
@@ -118,24 +142,31 @@ def make_figures(out, say=lambda text: None):
     paths = [
         _draw(out / "fig_6_2.png", top, [(0, "ball joint of the heavy top")]),
         _draw(out / "fig_6_4.png", bars, [(j, f"joint {j + 1}: {joints[j]}") for j in (0, 1)]),
-        _draw(out / "fig_6_5.png", bars, [(j, f"joint {j + 1}: {joints[j]}") for j in (2, 3)])]
+        _draw(out / "fig_6_5.png", bars, [(j, f"joint {j + 1}: {joints[j]}") for j in (2, 3)]),
+    ]
     return paths, make_table(top, bars)
 
 
 def make_table(top, bars):
     """Largest errors of all runs and, below each, those of an independent implementation."""
-    table = Table(title="Largest position error of a joint, m", box=None, padding=(0, 1, 0, 0),
-                  title_justify="left")
+    table = Table(
+        title="Largest position error of a joint, m",
+        box=None,
+        padding=(0, 1, 0, 0),
+        title_justify="left",
+    )
     for column in ("group", "step", "", "top", *(f"joint {j}" for j in range(1, 5))):
         table.add_column(column, no_wrap=True)
     for group in GROUPS:
         for i, step in enumerate(STEPS):
             here = (*top[group, step].gap.max(axis=0), *bars[group, step].gap.max(axis=0))
             elsewhere = TOP_ELSEWHERE[group][i], *FOUR_BAR_ELSEWHERE[group][i]
-            table.add_row(GROUP_NAMES[group], f"{step:g} s", "here",
-                          *(f"{error:.2e}" for error in here))
-            table.add_row("", "", "elsewhere", *(f"{error:.2e}" for error in elsewhere),
-                          style="dim")
+            table.add_row(
+                GROUP_NAMES[group], f"{step:g} s", "here", *(f"{error:.2e}" for error in here)
+            )
+            table.add_row(
+                "", "", "elsewhere", *(f"{error:.2e}" for error in elsewhere), style="dim"
+            )
     return table
 
 
@@ -149,10 +180,16 @@ def _draw(path, runs, panels):
         for axis, (joint, title) in zip(row, panels):
             for step, colour in zip(STEPS, COLOURS):
                 made = runs[group, step]
-                times, gap = made.times[1:], made.gap[1:, joint]    # closed at the start
-                axis.semilogy(times[gap > LOWEST], gap[gap > LOWEST], color=colour,
-                              linewidth=1.0, label=f"h = {step:g} s",
-                              marker="." if len(gap) < 50 else "", markersize=4)
+                times, gap = made.times[1:], made.gap[1:, joint]  # closed at the start
+                axis.semilogy(
+                    times[gap > LOWEST],
+                    gap[gap > LOWEST],
+                    color=colour,
+                    linewidth=1.0,
+                    label=f"h = {step:g} s",
+                    marker="." if len(gap) < 50 else "",
+                    markersize=4,
+                )
             axis.set_title(f"{title}, {GROUP_NAMES[group].replace('R^3', 'R³')}", fontsize=10)
             axis.grid(True, which="major", color="#dddddd", linewidth=0.6)
             axis.set_ylim(LOWEST, 1e-1)
@@ -160,7 +197,12 @@ def _draw(path, runs, panels):
         axis.set_xlabel("time, s")
     for axis in axes[:, 0]:
         axis.set_ylabel("position error, m")
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", fontsize=9,
-                  ncols=3, frameon=False)
+    figure.legend(
+        *axes[0, 0].get_legend_handles_labels(),
+        loc="outside upper center",
+        fontsize=9,
+        ncols=3,
+        frameon=False,
+    )
     figure.savefig(path)
     return path

@@ -4,6 +4,7 @@
 Exit code 0, also for a recording that is not complete: it says so; 2 and one line for a file that
 is none.
 """
+
 import json
 import sys
 
@@ -18,9 +19,11 @@ from liegroup_sim_ros.recording.survey import clean, survey
 def add_parser(subparsers):
     """Add `info` to the subcommands of a command line."""
     parser = subparsers.add_parser(
-        "info", help="say what is in a recording and whether it is complete",
+        "info",
+        help="say what is in a recording and whether it is complete",
         description="Say what is in recordings: duration, scene, settings, topics, attachments, "
-        "messages lost. Any MCAP file will do; it is read from front to back, however damaged.")
+        "messages lost. Any MCAP file will do; it is read from front to back, however damaged.",
+    )
     parser.add_argument("logs", metavar="FILE", nargs="+", help="recording (*.mcap)")
     parser.add_argument("--json", action="store_true", help="as JSON, a list with one per file")
     parser.set_defaults(run=run)
@@ -52,23 +55,57 @@ def run(args):
 
 def as_json(found):
     """A Survey as JSON types; the keys are in docs/recording.md."""
-    settings, state = (found.contents.get(name, {})
-                       for name in ("settings.json", "initial_state.json"))
+    settings, state = (
+        found.contents.get(name, {}) for name in ("settings.json", "initial_state.json")
+    )
     first, last = found.stamps
     return {
-        "file": str(found.path), "bytes": found.size, "complete": found.complete,
-        "problems": list(found.problems), "recovered_from": _recovered_from(found),
-        "start_ns": first, "end_ns": last, "duration_s": (last - first) * 1e-9,
-        "messages": found.count, "lost": sum(found.lost.values()),
-        **{name: settings.get(name) for name in (
-            "scene", "method", "group", "step", "stabilisation", "steps_per_sample", "part",
-            "previous", "wall_start", "versions", "machine")},
-        "start_step": state.get("steps"), "bodies": state.get("bodies"),
-        "topics": [{"topic": each.topic, "type": each.type, "messages": each.count,
-                    "rate_hz": each.rate, "lost": each.lost} for each in _in_order(found)],
-        "attachments": [{"name": name, "media_type": kind, "bytes": size}
-                        for name, kind, size in found.attachments],
-        "metadata": sorted(found.metadata), "library": found.library, "profile": found.profile}
+        "file": str(found.path),
+        "bytes": found.size,
+        "complete": found.complete,
+        "problems": list(found.problems),
+        "recovered_from": _recovered_from(found),
+        "start_ns": first,
+        "end_ns": last,
+        "duration_s": (last - first) * 1e-9,
+        "messages": found.count,
+        "lost": sum(found.lost.values()),
+        **{
+            name: settings.get(name)
+            for name in (
+                "scene",
+                "method",
+                "group",
+                "step",
+                "stabilisation",
+                "steps_per_sample",
+                "part",
+                "previous",
+                "wall_start",
+                "versions",
+                "machine",
+            )
+        },
+        "start_step": state.get("steps"),
+        "bodies": state.get("bodies"),
+        "topics": [
+            {
+                "topic": each.topic,
+                "type": each.type,
+                "messages": each.count,
+                "rate_hz": each.rate,
+                "lost": each.lost,
+            }
+            for each in _in_order(found)
+        ],
+        "attachments": [
+            {"name": name, "media_type": kind, "bytes": size}
+            for name, kind, size in found.attachments
+        ],
+        "metadata": sorted(found.metadata),
+        "library": found.library,
+        "profile": found.profile,
+    }
 
 
 def print_survey(found, console):
@@ -81,26 +118,45 @@ def print_survey(found, console):
 
     row("file", f"{found.path}, {found.size / 1e6:.3f} MB")
     if found.complete:
-        row("complete", "yes" + (f", recovered from {said['recovered_from']}"
-                                 if said["recovered_from"] else ""))
+        row(
+            "complete",
+            "yes"
+            + (f", recovered from {said['recovered_from']}" if said["recovered_from"] else ""),
+        )
     else:
-        row("complete", "no: " + "; ".join(
-            text + (f" ({times} times)" if times > 1 else "")
-            for text, times in found.problems.items()))
+        row(
+            "complete",
+            "no: "
+            + "; ".join(
+                text + (f" ({times} times)" if times > 1 else "")
+                for text, times in found.problems.items()
+            ),
+        )
         row("", "liegroup_sim recover makes a readable file out of it")
-    row("duration", f"{said['duration_s']:.9g} s, from {said['start_ns'] * 1e-9:.9g} s to "
-                    f"{said['end_ns'] * 1e-9:.9g} s")
+    row(
+        "duration",
+        f"{said['duration_s']:.9g} s, from {said['start_ns'] * 1e-9:.9g} s to "
+        f"{said['end_ns'] * 1e-9:.9g} s",
+    )
     row("messages", f"{found.count}, lost: {said['lost']}")
     if said["scene"] is not None:
-        row("scene", f"{said['scene']}, {said['method']}, step {said['step']} s, "
-                     f"group {said['group']}, stabilisation {said['stabilisation']}")
-        row("part", f"{said['part']}, from step {said['start_step']}"
-                    + (f", after {said['previous']}" if said["previous"] else ""))
+        row(
+            "scene",
+            f"{said['scene']}, {said['method']}, step {said['step']} s, "
+            f"group {said['group']}, stabilisation {said['stabilisation']}",
+        )
+        row(
+            "part",
+            f"{said['part']}, from step {said['start_step']}"
+            + (f", after {said['previous']}" if said["previous"] else ""),
+        )
         row("made", f"{said['wall_start']}, {found.library}")
     else:
         row("made by", found.library or "nobody who says so")
-    row("attachments", ", ".join(f"{name} ({size} bytes)" for name, _, size
-                                 in found.attachments[:20]) or "none")
+    row(
+        "attachments",
+        ", ".join(f"{name} ({size} bytes)" for name, _, size in found.attachments[:20]) or "none",
+    )
     console.print(table)
     if found.figures:
         console.print()
@@ -110,12 +166,22 @@ def print_survey(found, console):
 def topics_table(found):
     """Table of the topics of a Survey: messages, rates, losses."""
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for name, side in (("topic", "left"), ("type", "left"), ("messages", "right"),
-                       ("per s", "right"), ("lost", "right")):
+    for name, side in (
+        ("topic", "left"),
+        ("type", "left"),
+        ("messages", "right"),
+        ("per s", "right"),
+        ("lost", "right"),
+    ):
         table.add_column(name, justify=side, overflow="fold", no_wrap=side == "right")
     for each in _in_order(found)[:MOST_ROWS]:
-        table.add_row(Text(clean(each.topic)), Text(clean(each.type).replace("/msg/", "/")),
-                      str(each.count), _rate(each), str(each.lost))
+        table.add_row(
+            Text(clean(each.topic)),
+            Text(clean(each.type).replace("/msg/", "/")),
+            str(each.count),
+            _rate(each),
+            str(each.lost),
+        )
     if len(found.figures) > MOST_ROWS:
         table.add_row(f"and {len(found.figures) - MOST_ROWS} more", "", "", "", "")
     return table

@@ -4,6 +4,7 @@
 Exit code 0 when it is done, 2 and one line on stderr when something given to it is wrong, 1 when a
 simulation had to stop, 130 after Ctrl-C, 141 when nobody reads what it says.
 """
+
 import argparse
 import os
 import sys
@@ -29,21 +30,47 @@ from .push import PushError
 from .run import RunError
 from .trade import TradeError
 
-WRONG_INPUT = (LieGroupSimError, RecordingError, AnalysisError, DemoError, ExtremesError,
-               FiguresError, OutputError, PlayError, PushError, ReplayError, RunError, TradeError)
+WRONG_INPUT = (
+    LieGroupSimError,
+    RecordingError,
+    AnalysisError,
+    DemoError,
+    ExtremesError,
+    FiguresError,
+    OutputError,
+    PlayError,
+    PushError,
+    ReplayError,
+    RunError,
+    TradeError,
+)
 EXIT_WRONG_INPUT, EXIT_INTERRUPTED, EXIT_UNREAD = 2, 130, 141
 
 
 def make_parser():
     """The command line; ROS is imported by the subcommands that need it, when they run."""
     parser = argparse.ArgumentParser(
-        prog="liegroup_sim", description="Multibody dynamics on Lie groups for ROS 2.",
+        prog="liegroup_sim",
+        description="Multibody dynamics on Lie groups for ROS 2.",
         epilog="The simulation itself is a node: sim_node --ros-args -p scene:=heavy_top, or with "
-        "a ROS installation: ros2 run liegroup_sim_ros sim_node --ros-args -p scene:=heavy_top")
+        "a ROS installation: ros2 run liegroup_sim_ros sim_node --ros-args -p scene:=heavy_top",
+    )
     parser.add_argument("--version", action="version", version=f"liegroup_sim {__version__}")
     subparsers = parser.add_subparsers(metavar="COMMAND", required=True)
-    for command in (demo, describe, trade, extremes, sweep, offline, analyze_logs, replay, info,
-                    recover, push, figures):
+    for command in (
+        demo,
+        describe,
+        trade,
+        extremes,
+        sweep,
+        offline,
+        analyze_logs,
+        replay,
+        info,
+        recover,
+        push,
+        figures,
+    ):
         command.add_parser(subparsers)
     return parser
 
@@ -58,7 +85,7 @@ def main(args=None):
     except WRONG_INPUT as error:
         print(f"liegroup_sim: {' '.join(str(error).split())}", file=sys.stderr)
         return EXIT_WRONG_INPUT
-    except BrokenPipeError:         # whoever reads, as head does, has read enough
+    except BrokenPipeError:  # whoever reads, as head does, has read enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_UNREAD
     except KeyboardInterrupt:

@@ -4,12 +4,13 @@
 Publishes a wrench at a steady rate, a zero wrench at the end, also after Ctrl-C, and reports what
 the simulation says it applied. The duration is wall time.
 """
+
 import math
 import sys
 import time
 
-DISCOVERY = 10.0                            # s; processes see each other after 0.05 to 2.5 s
-ANSWER = 2.0                                # s that a running simulation needs at most to follow
+DISCOVERY = 10.0  # s; processes see each other after 0.05 to 2.5 s
+ANSWER = 2.0  # s that a running simulation needs at most to follow
 
 
 class PushError(Exception):
@@ -19,19 +20,41 @@ class PushError(Exception):
 def add_parser(subparsers):
     """Add `push` to the subcommands of a command line."""
     parser = subparsers.add_parser(
-        "push", help="push a body of a running simulation",
+        "push",
+        help="push a body of a running simulation",
         description="Apply a wrench to a body of a running simulation node. Force and torque are "
-        "in the axes of the body, the torque about the origin of its frame.")
+        "in the axes of the body, the torque about the origin of its frame.",
+    )
     parser.add_argument("body", metavar="BODY", help="name of the body")
     for name, unit in (("force", "N"), ("torque", "N m")):
-        parser.add_argument(f"--{name}", nargs=3, type=float, metavar=("X", "Y", "Z"),
-                            default=(0.0, 0.0, 0.0), help=f"{unit}, body axes (default: 0 0 0)")
-    parser.add_argument("--duration", type=float, default=1.0, metavar="S",
-                        help="wall time in s (default: %(default)s)")
-    parser.add_argument("--rate", type=float, default=50.0, metavar="HZ",
-                        help="messages per second (default: %(default)s)")
-    parser.add_argument("--node", default="/sim_node", metavar="NAME",
-                        help="the simulation node (default: %(default)s)")
+        parser.add_argument(
+            f"--{name}",
+            nargs=3,
+            type=float,
+            metavar=("X", "Y", "Z"),
+            default=(0.0, 0.0, 0.0),
+            help=f"{unit}, body axes (default: 0 0 0)",
+        )
+    parser.add_argument(
+        "--duration",
+        type=float,
+        default=1.0,
+        metavar="S",
+        help="wall time in s (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--rate",
+        type=float,
+        default=50.0,
+        metavar="HZ",
+        help="messages per second (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--node",
+        default="/sim_node",
+        metavar="NAME",
+        help="the simulation node (default: %(default)s)",
+    )
     parser.set_defaults(run=run)
 
 
@@ -92,16 +115,24 @@ def _push(args):
 
     def bodies():
         prefix, suffix = f"{name}/", "/pose"
-        return sorted(topic[len(prefix):-len(suffix)]
-                      for topic, _ in node.get_topic_names_and_types()
-                      if topic.startswith(prefix) and topic.endswith(suffix))
+        return sorted(
+            topic[len(prefix) : -len(suffix)]
+            for topic, _ in node.get_topic_names_and_types()
+            if topic.startswith(prefix) and topic.endswith(suffix)
+        )
 
     # Both ways, or the answer would be missed.
-    if not spin_until(lambda: publisher.get_subscription_count()
-                      and node.count_publishers(f"{name}/applied_wrench"), DISCOVERY):
-        raise PushError(f"no simulation node {name} within {DISCOVERY:g} s: is it running (a first "
-                        "start compiles for half a minute), with the same ROS_DOMAIN_ID? --node "
-                        "gives its name")
+    if not spin_until(
+        lambda: (
+            publisher.get_subscription_count() and node.count_publishers(f"{name}/applied_wrench")
+        ),
+        DISCOVERY,
+    ):
+        raise PushError(
+            f"no simulation node {name} within {DISCOVERY:g} s: is it running (a first "
+            "start compiles for half a minute), with the same ROS_DOMAIN_ID? --node "
+            "gives its name"
+        )
     if not spin_until(lambda: args.body in bodies(), ANSWER):
         raise PushError(f"{name} has no body {args.body!r}; it has: {', '.join(bodies())}")
     answer = AsyncParameterClient(node, name).get_parameters(["frame_prefix"])
@@ -111,8 +142,10 @@ def _push(args):
     message = WrenchStamped()
     message.header.frame_id = frame
     zero = WrenchStamped(header=message.header)
-    for vector, values in ((message.wrench.force, args.force),
-                           (message.wrench.torque, args.torque)):
+    for vector, values in (
+        (message.wrench.force, args.force),
+        (message.wrench.torque, args.torque),
+    ):
         vector.x, vector.y, vector.z = values
     start, sent = time.monotonic(), 0
     try:
@@ -131,11 +164,19 @@ def _push(args):
         return len(ours) > 1 and ours[-1].wrench == zero.wrench
 
     spin_until(vanished, ANSWER)
-    text = (f"pushed {args.body} of {name} with force {list(args.force)} N, torque "
-            f"{list(args.torque)} N m for {seconds:.2f} s: {sent} messages, then a zero one\n")
-    stamps = [m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in applied
-              if m.header.frame_id == frame]
+    text = (
+        f"pushed {args.body} of {name} with force {list(args.force)} N, torque "
+        f"{list(args.torque)} N m for {seconds:.2f} s: {sent} messages, then a zero one\n"
+    )
+    stamps = [
+        m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec
+        for m in applied
+        if m.header.frame_id == frame
+    ]
     if not stamps:
         return text + "the simulation has not applied it: is it paused? see its log"
-    return text + (f"applied from {stamps[0]:.9g} s to {stamps[-1]:.9g} s of simulated time"
-                   if vanished() else f"applied from {stamps[0]:.9g} s of simulated time on")
+    return text + (
+        f"applied from {stamps[0]:.9g} s to {stamps[-1]:.9g} s of simulated time"
+        if vanished()
+        else f"applied from {stamps[0]:.9g} s of simulated time on"
+    )

@@ -4,6 +4,7 @@
 Exit code 0 when a file was written, or when there was nothing to recover; 2 with one line when the
 file holds nothing, or the new one cannot be written.
 """
+
 import json
 import os
 import sys
@@ -21,19 +22,25 @@ from liegroup_sim_ros.recording.survey import Survey, clean, open_file, survey, 
 
 from .info import topics_table
 
-NOTE = "recovered"              # metadata record of a file that was made here
+NOTE = "recovered"  # metadata record of a file that was made here
 
 
 def add_parser(subparsers):
     """Add `recover` to the subcommands of a command line."""
     parser = subparsers.add_parser(
-        "recover", help="make a cut or damaged recording readable",
+        "recover",
+        help="make a cut or damaged recording readable",
         description="Out of a recording that was never finished (killed process, power failure, "
         "full disk) or is damaged, make a new one that every reader opens, and say what is "
-        "missing. The file itself is not touched.")
+        "missing. The file itself is not touched.",
+    )
     parser.add_argument("log", metavar="FILE", help="recording (*.mcap)")
-    parser.add_argument("-o", "--out", metavar="OUT",
-                        help="new file (default: beside FILE, with _recovered in its name)")
+    parser.add_argument(
+        "-o",
+        "--out",
+        metavar="OUT",
+        help="new file (default: beside FILE, with _recovered in its name)",
+    )
     parser.set_defaults(run=run)
 
 
@@ -44,9 +51,14 @@ def run(args):
     with Console(stderr=True).status("reading"):
         found = survey(path)
     if found.complete:
-        print(f"{path}: is complete, {found.count} messages; there is nothing to recover"
-              + (f"; {_sum(found.lost)} messages were lost before they were written"
-                 if found.lost else ""))
+        print(
+            f"{path}: is complete, {found.count} messages; there is nothing to recover"
+            + (
+                f"; {_sum(found.lost)} messages were lost before they were written"
+                if found.lost
+                else ""
+            )
+        )
         return 0
     with Console(stderr=True).status("writing"):
         written = write_recovered(found, out)
@@ -59,9 +71,11 @@ def run(args):
         return 0
     first, last = (stamp * 1e-9 for stamp in found.stamps)
     Console(file=sys.stdout).print(topics_table(found))
-    print(f"{out}: {written} messages from {first:.9g} s to {last:.9g} s, "
-          f"{_sum(found.lost)} before the last ones are missing; "
-          + ("its end is there" if _has_end(found) else "what came after is lost"))
+    print(
+        f"{out}: {written} messages from {first:.9g} s to {last:.9g} s, "
+        f"{_sum(found.lost)} before the last ones are missing; "
+        + ("its end is there" if _has_end(found) else "what came after is lost")
+    )
     return 0
 
 
@@ -78,8 +92,9 @@ def write_recovered(found, out):
     except FileExistsError:
         raise RecordingError(f"{out}: exists already; choose another name with -o") from None
     except (OSError, ValueError) as error:
-        raise RecordingError(f"{out}: cannot be written: "
-                             f"{getattr(error, 'strerror', None) or error}") from None
+        raise RecordingError(
+            f"{out}: cannot be written: {getattr(error, 'strerror', None) or error}"
+        ) from None
     try:
         with file:
             return _copy(found, file, out.name)
@@ -94,7 +109,7 @@ def write_recovered(found, out):
 
 def _copy(found, file, name):
     new = McapFile(file, LIBRARY, clean(found.profile))
-    schemas, channels = {}, {}              # ids in the old file -> in the new one
+    schemas, channels = {}, {}  # ids in the old file -> in the new one
     chunk = Chunk()
 
     def end_chunk():
@@ -109,23 +124,30 @@ def _copy(found, file, name):
             schema = found.schemas.get(told.schema_id)
             if schema is not None and schema.id not in schemas:
                 schemas[schema.id] = new.add_schema(schema.name, schema.encoding, schema.data)
-            channels[number] = new.add_channel(told.topic, told.message_encoding,
-                                               schemas.get(told.schema_id, 0), told.metadata)
+            channels[number] = new.add_channel(
+                told.topic, told.message_encoding, schemas.get(told.schema_id, 0), told.metadata
+            )
         return channels[number]
 
     def copy_block(block):
         data = block.data
         for number, sequence, log_time, publish_time, start, end in block.messages():
             if number in found.channels:
-                chunk.add(channels.get(number) or channel(number), log_time, data[start:end],
-                          sequence, publish_time)
+                chunk.add(
+                    channels.get(number) or channel(number),
+                    log_time,
+                    data[start:end],
+                    sequence,
+                    publish_time,
+                )
                 if chunk.size > CHUNK_SIZE:
                     end_chunk()
 
     def copy_attachment(piece):
         end_chunk()
-        new.add_attachment(piece.create_time, piece.log_time, piece.name, piece.media_type,
-                           piece.data)
+        new.add_attachment(
+            piece.create_time, piece.log_time, piece.name, piece.media_type, piece.data
+        )
 
     def copy_metadata(piece):
         if piece.name not in (NOTE, "rosbag2"):
@@ -134,14 +156,22 @@ def _copy(found, file, name):
     stream, size = open_file(found.path)
     with stream:
         walk(stream, Survey(found.path, size), copy_block, copy_attachment, copy_metadata)
-    for number in found.channels:           # topics without a message are there, too
+    for number in found.channels:  # topics without a message are there, too
         channel(number)
     end_chunk()
-    new.add_metadata(NOTE, {
-        "from": found.path.name, "problems": json.dumps(list(found.problems)),
-        "lost": json.dumps(found.lost), "unfinished": str(found.unfinished)})
-    topics = [(_topic_info(found, told), new.counts[channels[number]])
-              for number, told in found.channels.items()]
+    new.add_metadata(
+        NOTE,
+        {
+            "from": found.path.name,
+            "problems": json.dumps(list(found.problems)),
+            "lost": json.dumps(found.lost),
+            "unfinished": str(found.unfinished),
+        },
+    )
+    topics = [
+        (_topic_info(found, told), new.counts[channels[number]])
+        for number, told in found.channels.items()
+    ]
     new.add_metadata("rosbag2", bag_metadata.record_of_file(name, new.stamps, topics))
     new.finish()
     file.flush()
@@ -156,8 +186,11 @@ def _topic_info(found, channel):
         qos = None
     schema = found.schemas.get(channel.schema_id)
     return bag_metadata.topic_info(
-        channel.topic, schema.name if schema else "", qos if isinstance(qos, list) else [],
-        channel.metadata.get("topic_type_hash", ""))
+        channel.topic,
+        schema.name if schema else "",
+        qos if isinstance(qos, list) else [],
+        channel.metadata.get("topic_type_hash", ""),
+    )
 
 
 def _has_end(found):

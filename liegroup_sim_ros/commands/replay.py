@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`liegroup_sim replay`: publish a recording again, or simulate it again and compare."""
+
 import math
 import sys
 
@@ -16,48 +17,74 @@ EXIT_DIFFERENT = 1
 def add_parser(subparsers):
     """Add `replay` to the subcommands of a command line."""
     parser = subparsers.add_parser(
-        "replay", help="publish a recording again, or simulate it again and compare",
+        "replay",
+        help="publish a recording again, or simulate it again and compare",
         description="Publish the topics of a recording with its own stamps and /clock. On a "
         "terminal: space pauses and goes on, cursor up and down change the rate, right publishes "
         "the next sample while paused, left goes back 5 s. With --resimulate nothing is "
         "published: the run is simulated again from its recorded start and wrenches and compared "
         "bit for bit.",
         epilog="Exit code: 0; 1 when --resimulate finds a difference where there must be none, or "
-        "one above --bound; 2 for a file that cannot be read.")
+        "one above --bound; 2 for a file that cannot be read.",
+    )
     parser.add_argument("file", metavar="FILE", help="recording (*.mcap), or an address of one")
-    parser.add_argument("--rate", type=float, default=1.0, metavar="X",
-                        help="simulated seconds per second; 0: as fast as it goes (default: 1)")
-    parser.add_argument("--start", type=float, default=0.0, metavar="S",
-                        help="begin so many seconds after the first message")
+    parser.add_argument(
+        "--rate",
+        type=float,
+        default=1.0,
+        metavar="X",
+        help="simulated seconds per second; 0: as fast as it goes (default: 1)",
+    )
+    parser.add_argument(
+        "--start",
+        type=float,
+        default=0.0,
+        metavar="S",
+        help="begin so many seconds after the first message",
+    )
     parser.add_argument("--loop", action="store_true", help="begin anew at the end")
     parser.add_argument("--start-paused", action="store_true", help="wait for ~/resume")
-    parser.add_argument("--clock-rate", type=float, default=100.0, metavar="HZ",
-                        help="of /clock, if it was not recorded (default: %(default)g)")
-    parser.add_argument("--resimulate", action="store_true",
-                        help="simulate it again and compare; nothing is published")
+    parser.add_argument(
+        "--clock-rate",
+        type=float,
+        default=100.0,
+        metavar="HZ",
+        help="of /clock, if it was not recorded (default: %(default)g)",
+    )
+    parser.add_argument(
+        "--resimulate",
+        action="store_true",
+        help="simulate it again and compare; nothing is published",
+    )
     parser.add_argument("--method", metavar="NAME", help="another method: an experiment")
     parser.add_argument("--step", type=float, metavar="S", help="another step, s: an experiment")
     parser.add_argument("--group", metavar="NAME", help="another group: an experiment")
     parser.add_argument("--stabilisation", metavar="KIND", help="another one: an experiment")
-    parser.add_argument("--bound", type=float, metavar="X",
-                        help="largest difference that passes, m and rad")
+    parser.add_argument(
+        "--bound", type=float, metavar="X", help="largest difference that passes, m and rad"
+    )
     parser.set_defaults(run=run)
 
 
 def run(args):
     """Run the subcommand; returns the exit code. Raises RecordingError, SceneError and others."""
-    other = {name: getattr(args, name) for name in ("method", "step", "group", "stabilisation")
-             if getattr(args, name) is not None}
+    other = {
+        name: getattr(args, name)
+        for name in ("method", "step", "group", "stabilisation")
+        if getattr(args, name) is not None
+    }
     if args.resimulate:
         return _resimulate(args.file, other, args.bound)
     if other or args.bound is not None:
-        raise ReplayError("--method, --step, --group, --stabilisation and --bound go with "
-                          "--resimulate")
+        raise ReplayError(
+            "--method, --step, --group, --stabilisation and --bound go with --resimulate"
+        )
     for name in ("rate", "start", "clock_rate"):
         value = getattr(args, name)
         if not (math.isfinite(value) and value >= 0.0):
-            raise PlayError(f"--{name.replace('_', '-')} must be a number, at least 0, got "
-                            f"{value:g}")
+            raise PlayError(
+                f"--{name.replace('_', '-')} must be a number, at least 0, got {value:g}"
+            )
     file = PlayFile(read_recording(args.file))
     if args.start > file.seconds:
         raise PlayError(f"--start {args.start:g}: the recording has {file.seconds:.6g} s")

@@ -4,6 +4,7 @@
 Exit code 1 when the integration had to stop, 130 after Ctrl-C; what was computed is written then
 too. Wrong input is refused before a file is opened.
 """
+
 import math
 import sys
 import time
@@ -19,11 +20,21 @@ from liegroup_core.study.trade.accuracy import choose
 from liegroup_sim_ros.recording.run_files import ArrayFile, LogFile
 
 EXIT_STOPPED = 1
-AT_ONCE = 10_000                            # steps between two looks at the clock, at most
-REDRAW = 0.1                                # s
+AT_ONCE = 10_000  # steps between two looks at the clock, at most
+REDRAW = 0.1  # s
 # Handed on to Simulation if given.
-SETTINGS = ("method", "step", "group", "stabilisation", "baumgarte_time",
-            "dexpinv", "space", "rtol", "atol", "rho_inf")
+SETTINGS = (
+    "method",
+    "step",
+    "group",
+    "stabilisation",
+    "baumgarte_time",
+    "dexpinv",
+    "space",
+    "rtol",
+    "atol",
+    "rho_inf",
+)
 
 
 class RunError(Exception):
@@ -33,48 +44,85 @@ class RunError(Exception):
 def add_parser(subparsers):
     """Add `run` to the subcommands of a command line."""
     parser = subparsers.add_parser(
-        "run", help="simulate as fast as it goes, into a file, without ROS",
+        "run",
+        help="simulate as fast as it goes, into a file, without ROS",
         description="Simulate a scene as fast as it goes and write the motion to a file: arrays "
-        "(*.npz) or a recording (*.mcap) that `liegroup_sim analyze` and other tools read.")
-    parser.add_argument("scene", metavar="SCENE",
-                        help="scene file, or name of one that comes along")
-    parser.add_argument("--duration", type=float, required=True, metavar="S",
-                        help="simulated time in s, a whole number of steps")
-    parser.add_argument("--out", required=True, metavar="FILE",
-                        help="*.npz or *.mcap, must not exist")
-    parser.add_argument("--every", type=int, default=10, metavar="STEPS",
-                        help="steps from one sample to the next; the last state is always one "
-                        "(default: %(default)s)")
+        "(*.npz) or a recording (*.mcap) that `liegroup_sim analyze` and other tools read.",
+    )
+    parser.add_argument(
+        "scene", metavar="SCENE", help="scene file, or name of one that comes along"
+    )
+    parser.add_argument(
+        "--duration",
+        type=float,
+        required=True,
+        metavar="S",
+        help="simulated time in s, a whole number of steps",
+    )
+    parser.add_argument(
+        "--out", required=True, metavar="FILE", help="*.npz or *.mcap, must not exist"
+    )
+    parser.add_argument(
+        "--every",
+        type=int,
+        default=10,
+        metavar="STEPS",
+        help="steps from one sample to the next; the last state is always one "
+        "(default: %(default)s)",
+    )
     add_settings(parser)
     parser.set_defaults(run=run)
 
 
 def add_settings(parser):
     """Add the options that say how to simulate."""
-    parser.add_argument("--accuracy", type=float, metavar="X",
-                        help="in place of method, step, group and stabilisation: the cheapest "
-                        "that keeps this error, positions in parts of the scene's length and "
-                        "attitudes in rad; measured once for a scene on a machine "
-                        "(docs/trade.md)")
-    parser.add_argument("--horizon", type=float, metavar="S", help="simulated time over which the "
-                        "accuracy is promised (default: what suits the scene, at most 10)")
-    parser.add_argument("--method", metavar="NAME",
-                        help=f"{', '.join(METHODS)} (default: {METHOD})")
-    parser.add_argument("--step", type=float, metavar="S",
-                        help=f"step size in s (default: {STEP:g})")
-    parser.add_argument("--group", metavar="NAME",
-                        help=f"{' or '.join(GROUPS)}; auto: se3, but so3xr3 for methods that have "
-                        "no other (default: auto)")
-    parser.add_argument("--stabilisation", metavar="KIND",
-                        help=f"{', '.join(STABILISATIONS)} (default: none)")
-    parser.add_argument("--baumgarte-time", type=float, metavar="S",
-                        help="time in which joint errors die out (default: ten steps)")
+    parser.add_argument(
+        "--accuracy",
+        type=float,
+        metavar="X",
+        help="in place of method, step, group and stabilisation: the cheapest "
+        "that keeps this error, positions in parts of the scene's length and "
+        "attitudes in rad; measured once for a scene on a machine "
+        "(docs/trade.md)",
+    )
+    parser.add_argument(
+        "--horizon",
+        type=float,
+        metavar="S",
+        help="simulated time over which the "
+        "accuracy is promised (default: what suits the scene, at most 10)",
+    )
+    parser.add_argument(
+        "--method", metavar="NAME", help=f"{', '.join(METHODS)} (default: {METHOD})"
+    )
+    parser.add_argument(
+        "--step", type=float, metavar="S", help=f"step size in s (default: {STEP:g})"
+    )
+    parser.add_argument(
+        "--group",
+        metavar="NAME",
+        help=f"{' or '.join(GROUPS)}; auto: se3, but so3xr3 for methods that have "
+        "no other (default: auto)",
+    )
+    parser.add_argument(
+        "--stabilisation", metavar="KIND", help=f"{', '.join(STABILISATIONS)} (default: none)"
+    )
+    parser.add_argument(
+        "--baumgarte-time",
+        type=float,
+        metavar="S",
+        help="time in which joint errors die out (default: ten steps)",
+    )
     parser.add_argument("--dexpinv", metavar="KIND", help="exact or truncated (default: exact)")
-    parser.add_argument("--space", metavar="KIND", help="auto, or space: integrate in space what "
-                        "could be in a plane (default: auto)")
+    parser.add_argument(
+        "--space",
+        metavar="KIND",
+        help="auto, or space: integrate in space what could be in a plane (default: auto)",
+    )
     for name in ("rtol", "atol"):
-        parser.add_argument(f"--{name}", type=float, metavar="X",
-                            help="tolerance of a method with error control")
+        parser.add_argument(
+            f"--{name}", type=float, metavar="X", help="tolerance of a method with error control"
+        )
     parser.add_argument("--rho-inf", type=float, metavar="X", help="damping of generalized_alpha")
 
 
@@ -82,8 +130,7 @@ def given_settings(args):
     """Arguments of Simulation among those of a command line. Raises RunError."""
     if args.horizon is not None and args.accuracy is None:
         raise RunError("--horizon goes with --accuracy")
-    settings = {name: getattr(args, name) for name in SETTINGS
-                if getattr(args, name) is not None}
+    settings = {name: getattr(args, name) for name in SETTINGS if getattr(args, name) is not None}
     if settings and args.accuracy is not None:
         name = next(iter(settings)).replace("_", "-")
         raise RunError(f"--accuracy takes the place of --{name}: leave one of the two away")
@@ -102,9 +149,12 @@ def run(args):
     console = Console(stderr=True)
     try:
         with console.status("starting (the first time on a machine compiles for some 20 s)"):
-            simulation = (Simulation(scene, **settings) if args.accuracy is None
-                          else chosen(scene, args).simulation())
-    except ValueError as error:             # SceneError, too, is one
+            simulation = (
+                Simulation(scene, **settings)
+                if args.accuracy is None
+                else chosen(scene, args).simulation()
+            )
+    except ValueError as error:  # SceneError, too, is one
         raise RunError(str(error)) from None
     steps = whole_steps(args.duration, simulation.step)
     samples = 1 + -(-steps // args.every)
@@ -125,8 +175,10 @@ def run(args):
     if stopped:
         print(f"liegroup_sim: {stopped}; what was computed is in {args.out}", file=sys.stderr)
     else:
-        print(f"{args.out}: {simulation.time:.9g} s in {steps} steps, {file.count} samples, "
-              f"{wall:.3g} s of wall time")
+        print(
+            f"{args.out}: {simulation.time:.9g} s in {steps} steps, {file.count} samples, "
+            f"{wall:.3g} s of wall time"
+        )
     return code
 
 
@@ -136,26 +188,40 @@ def chosen(scene, args, every=None):
     every : s, which it goes into as well, or None
     raises RunError, AccuracyError, SceneError
     """
+
     def usable(step):
         try:
             return all(whole_steps(time, step) for time in (args.duration, every) if time)
         except RunError:
             return False
 
-    whole_steps(args.duration, args.duration)       # a duration that is none is refused as such
-    choice = choose(scene, args.accuracy, args.horizon, usable,
-                    tell=lambda text: print(f"liegroup_sim: {text}", file=sys.stderr))
+    whole_steps(args.duration, args.duration)  # a duration that is none is refused as such
+    choice = choose(
+        scene,
+        args.accuracy,
+        args.horizon,
+        usable,
+        tell=lambda text: print(f"liegroup_sim: {text}", file=sys.stderr),
+    )
     print(f"liegroup_sim: {choice}", file=sys.stderr)
     if args.duration > choice.promise["horizon"]:
-        print(f"liegroup_sim: the accuracy is promised for the first "
-              f"{choice.promise['horizon']:g} s; give --horizon for more", file=sys.stderr)
+        print(
+            f"liegroup_sim: the accuracy is promised for the first "
+            f"{choice.promise['horizon']:g} s; give --horizon for more",
+            file=sys.stderr,
+        )
     return choice
 
 
 def _simulate(simulation, steps, every, file, console):
     """Take all steps and hand every sample that is due to the file."""
-    with Progress(TextColumn("simulating"), BarColumn(), TextColumn("{task.fields[said]}"),
-                  TimeRemainingColumn(), console=console) as progress:
+    with Progress(
+        TextColumn("simulating"),
+        BarColumn(),
+        TextColumn("{task.fields[said]}"),
+        TimeRemainingColumn(),
+        console=console,
+    ) as progress:
         task = progress.add_task("", total=steps, said="")
         drawn = 0.0
         while simulation.steps < steps:
@@ -177,6 +243,8 @@ def whole_steps(duration, step, name="--duration"):
     # Far above rounding, far below what anyone would not see.
     if steps < 1 or abs(duration / step - steps) > 1e-6 * steps:
         nearest = max(1, steps) * step
-        raise RunError(f"{name} {duration:g} s is {duration / step:.6g} steps of {step:g} s, "
-                       f"must be a whole number of them, such as {nearest:.9g}")
+        raise RunError(
+            f"{name} {duration:g} s is {duration / step:.6g} steps of {step:g} s, "
+            f"must be a whole number of them, such as {nearest:.9g}"
+        )
     return steps

@@ -4,6 +4,7 @@
 Every finished piece of the work is kept at once, so that a sweep that was ended goes on where it
 was.
 """
+
 import sys
 
 from rich.console import Console
@@ -30,36 +31,66 @@ CLOSING = "velocities violate the joint", "does not close at the initial poses"
 def add_parser(subparsers):
     """Add `sweep` to the subcommands of a command line."""
     parser = subparsers.add_parser(
-        "sweep", help="many runs of a scene with drawn parameters, into Parquet",
+        "sweep",
+        help="many runs of a scene with drawn parameters, into Parquet",
         description="Draw parameters and initial states of a scene from ranges, by a Latin "
         "hypercube; make all runs, in parallel; write what came of each to Parquet, and show how "
         "the results spread and what they depend on.",
-        epilog="What is finished is kept at once: after Ctrl-C the same call goes on.")
-    parser.add_argument("scene", metavar="SCENE",
-                        help="scene file, or name of one that comes along")
-    parser.add_argument("--vary", nargs="+", action="extend", default=[], metavar="NAME=RANGE",
-                        help="a number of the scene, such as bodies.top.mass, or the end of its "
-                        "name if no other has it; LOW:HIGH, LOW:HIGH:log, MEAN~DEVIATION or A,B,C")
-    parser.add_argument("--list", action="store_true",
-                        help="only show what can vary, with the numbers of the scene")
+        epilog="What is finished is kept at once: after Ctrl-C the same call goes on.",
+    )
+    parser.add_argument(
+        "scene", metavar="SCENE", help="scene file, or name of one that comes along"
+    )
+    parser.add_argument(
+        "--vary",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="NAME=RANGE",
+        help="a number of the scene, such as bodies.top.mass, or the end of its "
+        "name if no other has it; LOW:HIGH, LOW:HIGH:log, MEAN~DEVIATION or A,B,C",
+    )
+    parser.add_argument(
+        "--list", action="store_true", help="only show what can vary, with the numbers of the scene"
+    )
     parser.add_argument("--samples", type=int, metavar="N", help="number of runs")
-    parser.add_argument("--seed", type=int, default=0, metavar="N",
-                        help="of the drawing (default: %(default)s)")
-    parser.add_argument("--duration", type=float, metavar="S",
-                        help="simulated time of each run in s, a whole number of steps")
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="of the drawing (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--duration",
+        type=float,
+        metavar="S",
+        help="simulated time of each run in s, a whole number of steps",
+    )
     parser.add_argument("--out", metavar="FOLDER", help="*.parquet, a folder of Parquet files")
-    parser.add_argument("--keep", type=float, metavar="S",
-                        help="keep the states at these times too, and look at energy and joints "
-                        "there (default: look at a tenth of the run, keep the last state)")
-    parser.add_argument("--assemble", action="store_true",
-                        help="let the joints close the poses and velocities that were drawn")
-    parser.add_argument("--workers", type=int, metavar="N",
-                        help="processes (default: one for each core)")
-    parser.add_argument("--scheduler", metavar="ADDRESS",
-                        help="scheduler of a dask cluster to work on, such as tcp://host:8786")
-    parser.add_argument("--show", nargs="+", metavar="COLUMN",
-                        help="what the tables at the end are of (default: the states of up to two "
-                        "bodies, the energy and the joints)")
+    parser.add_argument(
+        "--keep",
+        type=float,
+        metavar="S",
+        help="keep the states at these times too, and look at energy and joints "
+        "there (default: look at a tenth of the run, keep the last state)",
+    )
+    parser.add_argument(
+        "--assemble",
+        action="store_true",
+        help="let the joints close the poses and velocities that were drawn",
+    )
+    parser.add_argument(
+        "--workers", type=int, metavar="N", help="processes (default: one for each core)"
+    )
+    parser.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="scheduler of a dask cluster to work on, such as tcp://host:8786",
+    )
+    parser.add_argument(
+        "--show",
+        nargs="+",
+        metavar="COLUMN",
+        help="what the tables at the end are of (default: the states of up to two "
+        "bodies, the energy and the joints)",
+    )
     add_settings(parser)
     parser.set_defaults(run=run)
 
@@ -84,20 +115,26 @@ def run(args):
         sweep, description = _asked_for(scene, args)
     unknown = [name for name in args.show or () if sweep.columns.get(name) != "float"]
     if unknown:
-        raise RunError(f"--show: there is no column of numbers {unknown[0]}; there are: "
-                       + ", ".join(name for name, kind in sweep.columns.items()
-                                   if kind == "float"))
+        raise RunError(
+            f"--show: there is no column of numbers {unknown[0]}; there are: "
+            + ", ".join(name for name, kind in sweep.columns.items() if kind == "float")
+        )
     with SweepFile(args.out, description).writing() as file:
         interrupted = _make(sweep, file, args, console)
         if interrupted:
-            print(f"liegroup_sim: interrupted; {sweep.samples - len(file.missing)} of "
-                  f"{sweep.samples} runs are in {args.out}, the same call makes the others",
-                  file=sys.stderr)
+            print(
+                f"liegroup_sim: interrupted; {sweep.samples - len(file.missing)} of "
+                f"{sweep.samples} runs are in {args.out}, the same call makes the others",
+                file=sys.stderr,
+            )
             return EXIT_INTERRUPTED
         statuses = print_sweep(file, args.show, Console(file=sys.stdout))
     if not args.assemble and any(hint in status for status in statuses for hint in CLOSING):
-        print("liegroup_sim: where joints hold the bodies that start otherwise, --assemble lets "
-              "them close", file=sys.stderr)
+        print(
+            "liegroup_sim: where joints hold the bodies that start otherwise, --assemble lets "
+            "them close",
+            file=sys.stderr,
+        )
     return 0 if OK in statuses else EXIT_ALL_FAILED
 
 
@@ -112,16 +149,26 @@ def _asked_for(scene, args):
         if not step > 0.0:
             raise ValueError(f"the step must be a positive number of seconds, got {step:g}")
         every = None if args.keep is None else whole_steps(args.keep, step, "--keep")
-        sweep = Sweep.of(scene, args.vary, args.samples, whole_steps(args.duration, step),
-                         args.seed, every, args.assemble, settings)
+        sweep = Sweep.of(
+            scene,
+            args.vary,
+            args.samples,
+            whole_steps(args.duration, step),
+            args.seed,
+            every,
+            args.assemble,
+            settings,
+        )
     except ParameterError:
         raise
-    except ValueError as error:             # SceneError, too, is one
+    except ValueError as error:  # SceneError, too, is one
         raise RunError(str(error)) from None
     found = versions()
     return sweep, describe(sweep) | {
-        "accuracy": accuracy, "version": __version__,
-        "versions": {name: found.get(name) for name in ("python", *PACKAGES[:3])}}
+        "accuracy": accuracy,
+        "version": __version__,
+        "versions": {name: found.get(name) for name in ("python", *PACKAGES[:3])},
+    }
 
 
 def _begun(path, accuracy):
@@ -143,19 +190,27 @@ def _make(sweep, file, args, console):
         return False
     done, failed = sweep.samples - len(missing), 0
     if done:
-        print(f"liegroup_sim: {done} of {sweep.samples} runs are in {args.out} already",
-              file=sys.stderr)
-    with Progress(TextColumn("{task.description}"), BarColumn(),
-                  TextColumn("{task.completed:.0f}/{task.total:.0f} runs"), TimeElapsedColumn(),
-                  TimeRemainingColumn(), TextColumn("{task.fields[said]}"),
-                  console=console) as progress:
+        print(
+            f"liegroup_sim: {done} of {sweep.samples} runs are in {args.out} already",
+            file=sys.stderr,
+        )
+    with Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.completed:.0f}/{task.total:.0f} runs"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[said]}"),
+        console=console,
+    ) as progress:
         task = progress.add_task(sweep.name, total=sweep.samples, completed=done, said="")
         try:
             for columns in sweep.run(missing, args.scheduler, args.workers):
                 file.add(columns)
                 failed += sum(status != "ok" for status in columns["status"])
-                progress.update(task, advance=len(columns["run"]),
-                                said=f"{failed} failed" if failed else "")
+                progress.update(
+                    task, advance=len(columns["run"]), said=f"{failed} failed" if failed else ""
+                )
         except KeyboardInterrupt:
             return True
     return False

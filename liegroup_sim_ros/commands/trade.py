@@ -3,6 +3,7 @@
 
 Every measured cell is kept at once, so that a run that was ended goes on where it was.
 """
+
 import json
 import sys
 from importlib.util import find_spec
@@ -17,7 +18,7 @@ from liegroup_core.integrators.methods import GROUPS, METHODS
 from liegroup_core.study.trade.trade import BUDGET, Trade
 from liegroup_sim_ros.report.trade_figures import document_part, print_trade
 
-FORMAT = 1                  # of the JSON document, config/trade.schema.json
+FORMAT = 1  # of the JSON document, config/trade.schema.json
 
 
 class TradeError(Exception):
@@ -27,33 +28,60 @@ class TradeError(Exception):
 def add_parser(subparsers):
     """Add `trade` to the subcommands of a command line."""
     parser = subparsers.add_parser(
-        "trade", help="measure what accuracy costs for a scene on this machine",
+        "trade",
+        help="measure what accuracy costs for a scene on this machine",
         description="Run a scene with methods, steps, groups and stabilisations; measure the true "
         "error of each against an independent reference, and its cost in CPU time; name the "
         "settings that no other beats, and the cheapest one for 1e-3, 1e-6 and 1e-9.",
-        epilog="What is measured is kept at once: after Ctrl-C the same call goes on.")
-    parser.add_argument("scenes", metavar="SCENE", nargs="+",
-                        help="scene file, or name of one that comes along")
-    parser.add_argument("--horizon", type=float, metavar="S",
-                        help="simulated time over which errors count, in s (default: what suits "
-                        "the scene, at most 10)")
+        epilog="What is measured is kept at once: after Ctrl-C the same call goes on.",
+    )
+    parser.add_argument(
+        "scenes", metavar="SCENE", nargs="+", help="scene file, or name of one that comes along"
+    )
+    parser.add_argument(
+        "--horizon",
+        type=float,
+        metavar="S",
+        help="simulated time over which errors count, in s (default: what suits "
+        "the scene, at most 10)",
+    )
     parser.add_argument("--methods", nargs="+", metavar="NAME", help="default: all that fit")
-    parser.add_argument("--groups", nargs="+", metavar="NAME",
-                        help=f"default: {' '.join(GROUPS)}")
-    parser.add_argument("--stabilisation", nargs="+", metavar="KIND",
-                        help=f"of {', '.join(STABILISATIONS)} (default: none projection)")
-    parser.add_argument("--steps", nargs="+", type=float, metavar="S",
-                        help="default: from a tenth of the horizon down to where rounding rules")
-    parser.add_argument("--budget", type=float, default=BUDGET, metavar="S",
-                        help="CPU time of a run at most, in s (default: %(default)g)")
-    parser.add_argument("--workers", type=int, metavar="N",
-                        help="processes (default: one for each core)")
-    parser.add_argument("--scheduler", metavar="ADDRESS",
-                        help="scheduler of a dask cluster to work on, such as tcp://host:8786")
+    parser.add_argument("--groups", nargs="+", metavar="NAME", help=f"default: {' '.join(GROUPS)}")
+    parser.add_argument(
+        "--stabilisation",
+        nargs="+",
+        metavar="KIND",
+        help=f"of {', '.join(STABILISATIONS)} (default: none projection)",
+    )
+    parser.add_argument(
+        "--steps",
+        nargs="+",
+        type=float,
+        metavar="S",
+        help="default: from a tenth of the horizon down to where rounding rules",
+    )
+    parser.add_argument(
+        "--budget",
+        type=float,
+        default=BUDGET,
+        metavar="S",
+        help="CPU time of a run at most, in s (default: %(default)g)",
+    )
+    parser.add_argument(
+        "--workers", type=int, metavar="N", help="processes (default: one for each core)"
+    )
+    parser.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="scheduler of a dask cluster to work on, such as tcp://host:8786",
+    )
     parser.add_argument("--json", metavar="FILE", help="write all that was measured")
     parser.add_argument("--html", metavar="PAGE", help="write a self-contained page")
-    parser.add_argument("--png", metavar="FILE", help="write the plot of one scene as a picture: "
-                        "*.png, *.pdf or *.svg (needs matplotlib)")
+    parser.add_argument(
+        "--png",
+        metavar="FILE",
+        help="write the plot of one scene as a picture: *.png, *.pdf or *.svg (needs matplotlib)",
+    )
     parser.set_defaults(run=run)
 
 
@@ -70,9 +98,11 @@ def run(args):
         _write(args.json, document(parts))
     if args.html:
         from liegroup_sim_ros.report.trade_page import make_page  # plotly takes a second to import
+
         _write(args.html, make_page(parts))
     if args.png:
         from liegroup_sim_ros.report.trade_page import write_picture
+
         try:
             write_picture(parts[0], args.png)
         except OSError as error:
@@ -85,24 +115,37 @@ def measured(scene, args):
     console = Console(stderr=True)
     try:
         with console.status("") as status:
-            trade = Trade(scene, args.horizon, tell=lambda text: status.update(
-                f"{scene.name}: {text}"))
-        with Progress(TextColumn("{task.description}"), BarColumn(), TextColumn(
-                "{task.completed:.0f}/{task.total:.0f} ladders"), TimeElapsedColumn(),
-                TextColumn("{task.fields[said]}"), console=console) as progress:
+            trade = Trade(
+                scene, args.horizon, tell=lambda text: status.update(f"{scene.name}: {text}")
+            )
+        with Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.completed:.0f}/{task.total:.0f} ladders"),
+            TimeElapsedColumn(),
+            TextColumn("{task.fields[said]}"),
+            console=console,
+        ) as progress:
             task = progress.add_task(scene.name, total=1, said="")
             for cell, (done, total) in trade.measure(
-                    args.methods, args.groups, args.stabilisation, args.steps, args.budget,
-                    args.scheduler, args.workers,
-                    lambda text: progress.update(task, said=text)):
-                progress.update(task, completed=done, total=total,
-                                said=f"{cell['method']} {cell['step']:g} s")
+                args.methods,
+                args.groups,
+                args.stabilisation,
+                args.steps,
+                args.budget,
+                args.scheduler,
+                args.workers,
+                lambda text: progress.update(task, said=text),
+            ):
+                progress.update(
+                    task, completed=done, total=total, said=f"{cell['method']} {cell['step']:g} s"
+                )
             progress.update(task, completed=progress.tasks[task].total, said="")
         trade.keep_only(args.methods, args.groups, args.stabilisation, args.steps)
         return trade
     except SimulationError as error:
         raise TradeError(f"{scene.name}: {error}") from None
-    except ValueError as error:             # SceneError, too, is one
+    except ValueError as error:  # SceneError, too, is one
         raise TradeError(str(error)) from None
 
 
@@ -113,8 +156,11 @@ def document(parts):
 
 def _check(args):
     """Raise TradeError, before the work, for what is wrong."""
-    for given, known, what in ((args.methods, METHODS, "method"), (args.groups, GROUPS, "group"),
-                               (args.stabilisation, STABILISATIONS, "stabilisation")):
+    for given, known, what in (
+        (args.methods, METHODS, "method"),
+        (args.groups, GROUPS, "group"),
+        (args.stabilisation, STABILISATIONS, "stabilisation"),
+    ):
         for name in given or ():
             if name not in known:
                 raise TradeError(f"unknown {what} {name!r}; there are: {', '.join(known)}")

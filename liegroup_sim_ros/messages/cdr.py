@@ -8,9 +8,10 @@ little endian; alignment counts from behind the 4-byte encapsulation, gaps are z
 
 Source: OMG DDS-RTPS 2.3 section 10 (encapsulation), CORBA 3.3 part 2, section 9.3 (CDR).
 """
+
 import struct
 
-ENCAPSULATION = b"\x00\x01\x00\x00"             # plain CDR, little endian
+ENCAPSULATION = b"\x00\x01\x00\x00"  # plain CDR, little endian
 
 
 class Template:

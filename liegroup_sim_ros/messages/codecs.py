@@ -27,8 +27,8 @@ _LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 _BYTE_ORDER = {b"\x00\x00": ">", b"\x00\x01": "<"}
 _STAMP = struct.Struct("<iI").pack
 _SIX, _SEVEN = struct.Struct("<6d").pack, struct.Struct("<7d").pack
-_FRAME_ID = 16                                 # offset of the frame id's characters in the payload
-_ANGULAR_FIRST = [3, 4, 5, 0, 1, 2]            # linear first <-> angular first; its own inverse
+_FRAME_ID = 16  # offset of the frame id's characters in the payload
+_ANGULAR_FIRST = [3, 4, 5, 0, 1, 2]  # linear first <-> angular first; its own inverse
 
 
 class MessageError(ValueError):
@@ -36,22 +36,22 @@ class MessageError(ValueError):
 
 
 class Poses(NamedTuple):
-    stamp_ns: np.ndarray        # (n,) int64, ns
-    frame_id: np.ndarray        # (n,) str objects
-    position: np.ndarray        # (n, 3) m, in frame_id
-    quaternion: np.ndarray      # (n, 4) x, y, z, w
+    stamp_ns: np.ndarray  # (n,) int64, ns
+    frame_id: np.ndarray  # (n,) str objects
+    position: np.ndarray  # (n, 3) m, in frame_id
+    quaternion: np.ndarray  # (n, 4) x, y, z, w
 
 
 class Twists(NamedTuple):
-    stamp_ns: np.ndarray        # (n,) int64, ns
-    frame_id: np.ndarray        # (n,) str objects
-    twist: np.ndarray           # (n, 6) (omega, v), rad/s and m/s, in frame_id
+    stamp_ns: np.ndarray  # (n,) int64, ns
+    frame_id: np.ndarray  # (n,) str objects
+    twist: np.ndarray  # (n, 6) (omega, v), rad/s and m/s, in frame_id
 
 
 class Wrenches(NamedTuple):
-    stamp_ns: np.ndarray        # (n,) int64, ns
-    frame_id: np.ndarray        # (n,) str objects
-    wrench: np.ndarray          # (n, 6) (torque, force), N m and N, in frame_id
+    stamp_ns: np.ndarray  # (n,) int64, ns
+    frame_id: np.ndarray  # (n,) str objects
+    wrench: np.ndarray  # (n, 6) (torque, force), N m and N, in frame_id
 
 
 class Fields:
@@ -76,8 +76,10 @@ class Fields:
         size = struct.calcsize("<" + form)
         self._at += (len(_LITTLE_ENDIAN) - self._at) % size if count else 0
         if count * size > len(self._payload) - self._at:
-            raise MessageError(f"{self._name}: a message is cut short or of another type: "
-                               f"{len(self._payload)} bytes")
+            raise MessageError(
+                f"{self._name}: a message is cut short or of another type: "
+                f"{len(self._payload)} bytes"
+            )
         values = struct.unpack_from(f"{self._order}{count}{form}", self._payload, self._at)
         self._at += count * size
         return values
@@ -86,10 +88,12 @@ class Fields:
         """A string."""
         size = self.number("I")
         if size > len(self._payload) - self._at:
-            raise MessageError(f"{self._name}: a message is cut short or of another type: "
-                               f"{len(self._payload)} bytes")
+            raise MessageError(
+                f"{self._name}: a message is cut short or of another type: "
+                f"{len(self._payload)} bytes"
+            )
         self._at += size
-        return self._payload[self._at - size:self._at].rstrip(b"\0").decode(errors="replace")
+        return self._payload[self._at - size : self._at].rstrip(b"\0").decode(errors="replace")
 
     def stamp_ns(self):
         """A builtin_interfaces/Time in ns."""
@@ -174,9 +178,8 @@ class WrenchStampedCodec:
             sec, nanosec, frame_size = struct.unpack_from(f"{order}iII", payload, 4)
             values = struct.unpack_from(f"{order}6d", payload, _offset_of_values(frame_size))
         except (KeyError, struct.error):
-            raise MessageError(f"{cls.TYPE}: not plain CDR, cut short or of another type"
-                               ) from None
-        frame_id = payload[_FRAME_ID:_FRAME_ID + frame_size - 1].decode(errors="replace")
+            raise MessageError(f"{cls.TYPE}: not plain CDR, cut short or of another type") from None
+        frame_id = payload[_FRAME_ID : _FRAME_ID + frame_size - 1].decode(errors="replace")
         return sec * 1_000_000_000 + nanosec, frame_id, values[3:] + values[:3]
 
 
@@ -222,7 +225,7 @@ class LogCodec:
 def _offset_of_values(frame_size):
     """Where the float64 values start in the payload; frame_size counts the closing NUL."""
     end = _FRAME_ID + frame_size
-    return end + (4 - end) % 8                 # alignment counts from behind the encapsulation
+    return end + (4 - end) % 8  # alignment counts from behind the encapsulation
 
 
 def _packer(frame_id):
@@ -249,7 +252,8 @@ def _decode(type_name, payloads, nvalues):
     for (_, _, size), index in layouts.items():
         same = np.frombuffer(b"".join([payloads[i] for i in index]), dtype=np.uint8)
         stamp_ns[index], names, which, values[index] = _decode_same(
-            type_name, same.reshape(len(index), size), nvalues)
+            type_name, same.reshape(len(index), size), nvalues
+        )
         frame_id[index] = np.array(names, dtype=object)[which]
     return stamp_ns, frame_id, values
 
@@ -279,18 +283,30 @@ def _decode_same(type_name, rows, nvalues):
     encapsulation = rows[0, :2].tobytes()
     order = _BYTE_ORDER.get(encapsulation)
     if order is None:
-        raise MessageError(f"{type_name}: a message is not plain CDR: "
-                           f"it starts with 0x{encapsulation.hex()}")
-    frame_size = int.from_bytes(rows[0, 12:_FRAME_ID].tobytes(),
-                                "little" if order == "<" else "big")
+        raise MessageError(
+            f"{type_name}: a message is not plain CDR: it starts with 0x{encapsulation.hex()}"
+        )
+    frame_size = int.from_bytes(
+        rows[0, 12:_FRAME_ID].tobytes(), "little" if order == "<" else "big"
+    )
     start = _offset_of_values(frame_size)
     if frame_size < 1 or size < start + 8 * nvalues:
-        raise MessageError(f"{type_name}: a message is cut short or of another type: "
-                           f"{size} bytes")
-    rows = np.ascontiguousarray(rows).view(np.dtype({
-        "names": ["sec", "nanosec", "frame_id", "values"],
-        "formats": [f"{order}i4", f"{order}u4", (np.uint8, frame_size), (f"{order}f8", nvalues)],
-        "offsets": [4, 8, _FRAME_ID, start], "itemsize": size}))[:, 0]
+        raise MessageError(f"{type_name}: a message is cut short or of another type: {size} bytes")
+    rows = np.ascontiguousarray(rows).view(
+        np.dtype(
+            {
+                "names": ["sec", "nanosec", "frame_id", "values"],
+                "formats": [
+                    f"{order}i4",
+                    f"{order}u4",
+                    (np.uint8, frame_size),
+                    (f"{order}f8", nvalues),
+                ],
+                "offsets": [4, 8, _FRAME_ID, start],
+                "itemsize": size,
+            }
+        )
+    )[:, 0]
     frames = rows["frame_id"]
     if (frames == frames[:1]).all():
         found, which = frames[:1], np.zeros(len(rows), dtype=np.int64)

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """diagnostic_msgs/DiagnosticArray of a simulation: its figures, and what to think of them."""
+
 import sys
 
 from liegroup_core.pacing import SLOW
@@ -18,7 +19,7 @@ def encode(stamp_ns, name, figures):
     template.header("")
     template.put("I", 1)
     template.put("B", level)
-    for string in (name, text, ""):         # the last one is the hardware's
+    for string in (name, text, ""):  # the last one is the hardware's
         template.string(string)
     template.put("I", len(figures))
     for key, value in figures.items():
@@ -34,7 +35,7 @@ def decode(payload):
     fields.text()
     for _ in range(fields.number("I")):
         fields.number("B")
-        for _ in range(3):                  # name, message, hardware
+        for _ in range(3):  # name, message, hardware
             fields.text()
         for _ in range(fields.number("I")):
             key = sys.intern(fields.text())

@@ -6,6 +6,7 @@ inertia: its edges are x^2 = 6 (I_y + I_z - I_x) / m about the principal axes. J
 balls at the child's joint frame. What is applied to a body from outside is an arrow at its origin
 for the force, and one for the torque, as long as `arrow_scale` says.
 """
+
 import math
 
 import numpy as np
@@ -21,7 +22,7 @@ JOINT_COLOR = (0.9, 0.6, 0.1, 1.0)
 FORCE_COLOR, TORQUE_COLOR = (0.8, 0.1, 0.1, 1.0), (0.5, 0.1, 0.7, 1.0)
 # Parts of the size of the scene's largest body.
 JOINT_SIZE, SHAFT, HEAD = 0.08, 0.03, 0.06
-THINNEST = 0.01                             # RViz draws nothing of size 0
+THINNEST = 0.01  # RViz draws nothing of size 0
 TYPES = {"box": CUBE, "cylinder": CYLINDER, "rod": CYLINDER, "sphere": SPHERE}
 
 
@@ -46,26 +47,41 @@ class Markers:
         self._end = Template()
         self._end.put("I", 1)
         _add(self._end, "", 0, CUBE, world_frame, (0.0,) * 3, (0.0,) * 4)
-        self._owner, self._local = [], []   # body and pose in it, of each marker but the arrows
+        self._owner, self._local = [], []  # body and pose in it, of each marker but the arrows
         template.put("I", len(solids) + len(scene.joints) + 2 * len(solids))
         for i, (kind, size, local) in enumerate(solids):
-            _add(template, "bodies", i, kind, world_frame,
-                 np.maximum(size, THINNEST * largest), BODY_COLOR)
+            _add(
+                template,
+                "bodies",
+                i,
+                kind,
+                world_frame,
+                np.maximum(size, THINNEST * largest),
+                BODY_COLOR,
+            )
             self._owner.append(i)
             self._local.append(local)
         offsets = {body.name: np.array(body.com) for body in scene.bodies}
         for i, (joint, (_, frame)) in enumerate(zip(scene.joints, layout.joint_frames)):
-            _add(template, "joints", i, SPHERE, world_frame, (JOINT_SIZE * largest,) * 3,
-                 JOINT_COLOR)
-            local = frame.copy()            # in the frame at the centre of mass
+            _add(
+                template, "joints", i, SPHERE, world_frame, (JOINT_SIZE * largest,) * 3, JOINT_COLOR
+            )
+            local = frame.copy()  # in the frame at the centre of mass
             local[:3, 3] += offsets[joint.child]
             self._owner.append(place[joint.child])
             self._local.append(local)
         self._local = np.array(self._local)
         for name, color in (("forces", FORCE_COLOR), ("torques", TORQUE_COLOR)):
             for i in range(len(solids)):
-                _add(template, name, i, ARROW, world_frame, (SHAFT * largest, HEAD * largest, 0.0),
-                     color)
+                _add(
+                    template,
+                    name,
+                    i,
+                    ARROW,
+                    world_frame,
+                    (SHAFT * largest, HEAD * largest, 0.0),
+                    color,
+                )
 
     def encode(self, stamp_ns, sample):
         """The serialized message."""
@@ -97,21 +113,21 @@ def _add(template, namespace, number, kind, frame, size, color):
     template.slot("7d")
     template.put("3d", *size)
     template.put("4f", *color)
-    template.put("iI", 0, 0)            # lifetime: for ever
-    template.put("B", False)            # not locked to the frame
+    template.put("iI", 0, 0)  # lifetime: for ever
+    template.put("B", False)  # not locked to the frame
     template.put("I", 2 if kind == ARROW else 0)
     if kind == ARROW:
         template.slot("6d")
-    template.put("I", 0)                # colours of points
-    template.string("")                 # texture: its resource, then the image:
+    template.put("I", 0)  # colours of points
+    template.string("")  # texture: its resource, then the image:
     template.put("iI", 0, 0)
     template.string("")
     template.string("")
     template.put("I", 0)
-    template.put("I", 0)                # texture coordinates
+    template.put("I", 0)  # texture coordinates
     for _ in ("text", "mesh resource", "file name of the mesh"):
         template.string("")
-    template.put("I", 0)                # the mesh
+    template.put("I", 0)  # the mesh
     template.put("B", False)
 
 
@@ -126,7 +142,7 @@ def solid(body):
     shape = body.shape
     if shape is None:
         moments, axes = np.linalg.eigh(body.inertia_matrix)
-        local[:3, :3] = axes * np.linalg.det(axes)          # a rotation, not a reflection
+        local[:3, :3] = axes * np.linalg.det(axes)  # a rotation, not a reflection
         local[:3, 3] = body.com
         squares = 6.0 * (moments.sum() - 2.0 * moments) / body.mass
         return CUBE, tuple(math.sqrt(max(0.0, square)) for square in squares), local

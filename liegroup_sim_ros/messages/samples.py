@@ -6,10 +6,11 @@ begin with. It returns [(topic, type, encode)], one entry for a topic, and `enco
 sample)` gives the serialized message. Poses are in the world frame, twists are
 body twists: components in body axes, of the body frame's origin.
 """
+
 from .cdr import Template, stamp
 from .codecs import PoseStampedCodec, TwistStampedCodec, pack_stamp
 
-_POSE, _BODY = 7 * 8, 13 * 8                # bytes of a pose, and of a body, in Sample.rows
+_POSE, _BODY = 7 * 8, 13 * 8  # bytes of a pose, and of a body, in Sample.rows
 
 
 def poses_and_twists(body_names, world_frame, frame_prefix=""):
@@ -21,14 +22,17 @@ def poses_and_twists(body_names, world_frame, frame_prefix=""):
     def encode(stamp_ns, sample):
         # Bytes of all bodies at once: numbers one by one cost several times more.
         time, rows = pack_stamp(stamp_ns), sample.rows.tobytes()
-        return [(encode_pose(time, rows[first:middle]), encode_twist(time, rows[middle:end]))
-                for encode_twist, (first, middle, end) in zip(encoders, places)]
+        return [
+            (encode_pose(time, rows[first:middle]), encode_twist(time, rows[middle:end]))
+            for encode_twist, (first, middle, end) in zip(encoders, places)
+        ]
 
     return encode
 
 
 def odometry(layout, world_frame, frame_prefix=""):
     """nav_msgs/Odometry of every body: pose and body twist in one; covariances are zero."""
+
     def of_body(body):
         template = Template()
         template.header(world_frame)
@@ -37,14 +41,17 @@ def odometry(layout, world_frame, frame_prefix=""):
             template.slot(numbers)
             template.put("36d", *(0.0,) * 36)
         return lambda stamp_ns, sample: template.pack(
-            stamp(stamp_ns), _pose(sample, body), _twist(sample, body))
+            stamp(stamp_ns), _pose(sample, body), _twist(sample, body)
+        )
 
-    return [(f"~/{body}/odometry", "nav_msgs/msg/Odometry", of_body(body))
-            for body in layout.body_names]
+    return [
+        (f"~/{body}/odometry", "nav_msgs/msg/Odometry", of_body(body)) for body in layout.body_names
+    ]
 
 
 def velocities(layout, world_frame, frame_prefix=""):
     """geometry_msgs/VelocityStamped of every body: its body twist, relative to the world."""
+
     def of_body(body):
         template = Template()
         template.header(frame_prefix + body)
@@ -53,8 +60,10 @@ def velocities(layout, world_frame, frame_prefix=""):
         template.slot("6d")
         return lambda stamp_ns, sample: template.pack(stamp(stamp_ns), _twist(sample, body))
 
-    return [(f"~/{body}/velocity", "geometry_msgs/msg/VelocityStamped", of_body(body))
-            for body in layout.body_names]
+    return [
+        (f"~/{body}/velocity", "geometry_msgs/msg/VelocityStamped", of_body(body))
+        for body in layout.body_names
+    ]
 
 
 def pose_array(layout, world_frame, frame_prefix=""):
@@ -64,8 +73,15 @@ def pose_array(layout, world_frame, frame_prefix=""):
     template.header(world_frame)
     template.put("I", len(bodies))
     template.slot(f"{7 * len(bodies)}d")
-    return [("~/poses", "geometry_msgs/msg/PoseArray", lambda stamp_ns, sample: template.pack(
-        stamp(stamp_ns), [number for body in bodies for number in _pose(sample, body)]))]
+    return [
+        (
+            "~/poses",
+            "geometry_msgs/msg/PoseArray",
+            lambda stamp_ns, sample: template.pack(
+                stamp(stamp_ns), [number for body in bodies for number in _pose(sample, body)]
+            ),
+        )
+    ]
 
 
 def joint_states(layout, world_frame, frame_prefix=""):
@@ -83,8 +99,11 @@ def joint_states(layout, world_frame, frame_prefix=""):
 
     def encode(stamp_ns, sample):
         coordinates = sample.joint_coordinates
-        return template.pack(stamp(stamp_ns), [coordinates[name][0] for name in names],
-                             [coordinates[name][1] for name in names])
+        return template.pack(
+            stamp(stamp_ns),
+            [coordinates[name][0] for name in names],
+            [coordinates[name][1] for name in names],
+        )
 
     return [("~/joint_states", "sensor_msgs/msg/JointState", encode)]
 

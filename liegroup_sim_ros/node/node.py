@@ -4,6 +4,7 @@
 Topics, services and parameters: docs/node.md. The simulation has a thread of its own
 (server.py); the main thread runs the callbacks and ends everything in order.
 """
+
 import concurrent.futures
 import contextlib
 import logging
@@ -35,8 +36,13 @@ except ImportError:
     Executor = SingleThreadedExecutor
 
 # What a user can mend.
-WRONG_INPUT = (ParameterError, SceneError, RecorderError, ParameterException,
-               NameValidationException)
+WRONG_INPUT = (
+    ParameterError,
+    SceneError,
+    RecorderError,
+    ParameterException,
+    NameValidationException,
+)
 
 # A thread that wants the interpreter waits at most so long for one that computes, s. Python's own
 # 5 ms would make a tick late whenever a callback is at work.
@@ -69,13 +75,20 @@ class SimNode(Node):
     def __init__(self, signals):
         # This node makes the simulated time: use_sim_time would make it its own listener.
         try:
-            super().__init__("sim_node", automatically_declare_parameters_from_overrides=True,
-                             parameter_overrides=[Parameter("use_sim_time", value=False)])
-        except ValueError as error:         # such as `step: []` in a file
-            empty = [name for name, parameter in getattr(self, "_parameter_overrides", {}).items()
-                     if parameter.value is None]
-            raise ParameterError(f"parameter {empty[0]}: has no value" if empty else str(error)
-                                 ) from None
+            super().__init__(
+                "sim_node",
+                automatically_declare_parameters_from_overrides=True,
+                parameter_overrides=[Parameter("use_sim_time", value=False)],
+            )
+        except ValueError as error:  # such as `step: []` in a file
+            empty = [
+                name
+                for name, parameter in getattr(self, "_parameter_overrides", {}).items()
+                if parameter.value is None
+            ]
+            raise ParameterError(
+                f"parameter {empty[0]}: has no value" if empty else str(error)
+            ) from None
         self._signals = signals
         for name in ("liegroup_core", "liegroup_sim_ros"):
             logging.getLogger(name).addHandler(LogHandler(self.get_logger()))
@@ -95,6 +108,7 @@ class SimNode(Node):
             arguments = (self._values.step_count,) if name == "step" else ()
             response.success, response.message = self.ask(name, *arguments)
             return response
+
         return serve
 
     def ask(self, name, *arguments):
@@ -134,8 +148,9 @@ class SimNode(Node):
             after.start()
             response.success = True
             server = after.server
-            response.message = (f"{simulation.scene.name} at {server.stamp_ns * 1e-9:.9g} s, "
-                                f"{server.state}")
+            response.message = (
+                f"{simulation.scene.name} at {server.stamp_ns * 1e-9:.9g} s, {server.state}"
+            )
         return response
 
     def _set_parameter(self, name, value):
@@ -151,9 +166,9 @@ def _refused_by_rcl():
     """Make a ParameterError of what ROS itself does not accept in the arguments."""
     try:
         yield
-    except RuntimeError as error:           # its class is private to rclpy
+    except RuntimeError as error:  # its class is private to rclpy
         text = str(error).partition(", at /")[0]
-        if type(error).__name__ == "UnknownROSArgsError":       # its text is a list and no more
+        if type(error).__name__ == "UnknownROSArgsError":  # its text is a list and no more
             text = f"unknown ROS arguments: {text}"
         raise ParameterError(text) from None
 
@@ -165,8 +180,9 @@ def run(args, signals):
             left = remove_ros_args(args)[1:]
             rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         if left:
-            raise ParameterError(f"unknown argument {left[0]!r}; parameters are given as "
-                                 "--ros-args -p NAME:=VALUE")
+            raise ParameterError(
+                f"unknown argument {left[0]!r}; parameters are given as --ros-args -p NAME:=VALUE"
+            )
         sys.setswitchinterval(SWITCH)
         node = SimNode(signals)
         try:
@@ -175,7 +191,7 @@ def run(args, signals):
             node.scene_run.close()
     except Interrupted:
         rclpy.try_shutdown()
-        os._exit(EXIT_OK)                   # without waiting for the compiler's thread
+        os._exit(EXIT_OK)  # without waiting for the compiler's thread
     except WRONG_INPUT as error:
         print(f"sim_node: {' '.join(str(error).split())}", file=sys.stderr)
         return EXIT_WRONG_INPUT

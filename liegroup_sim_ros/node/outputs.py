@@ -4,6 +4,7 @@
 Topics, types and frames are in docs/node.md. Stamps are simulated time in ns. A topic whose rate
 is 0 is not there, and nothing is computed for it.
 """
+
 import importlib
 
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -47,8 +48,11 @@ class Stream:
         message_class = getattr(importlib.import_module(f"{package}.msg"), name)
         self._node = node
         self._publisher = node.create_publisher(
-            message_class, topic, profile,
-            qos_overriding_options=overrides.options(node, topic, "publisher"))
+            message_class,
+            topic,
+            profile,
+            qos_overriding_options=overrides.options(node, topic, "publisher"),
+        )
         # Publisher.publish enters this context for every message, which takes as long as sending.
         self._handle = self._publisher.handle
         self._handle.__enter__()
@@ -115,12 +119,14 @@ class Outputs:
         self._frames = {body: values.frame_prefix + body for body in bodies}
         self._topics = {"pose": {}, "twist": {}}
         if values.steps["publish_rate"]:
-            self._add_samples(bodies, world_frame, values.frame_prefix,
-                              values.steps["publish_rate"])
+            self._add_samples(
+                bodies, world_frame, values.frame_prefix, values.steps["publish_rate"]
+            )
         # Many bodies may be pushed at one step.
         self._applied = self._stream("~/applied_wrench", WrenchStampedCodec.TYPE, depth=100)
-        self._encode_wrench = {body: WrenchStampedCodec(frame).encode
-                               for body, frame in self._frames.items()}
+        self._encode_wrench = {
+            body: WrenchStampedCodec(frame).encode for body, frame in self._frames.items()
+        }
         self._events = self._stream("~/events", LogCodec.TYPE, qos="transient_local")
         self._diagnostics = self._stream("/diagnostics", diagnostics.TYPE)
         self._clock = self._state = self._marked = None
@@ -131,8 +137,9 @@ class Outputs:
         self._markers = Markers(layout, world_frame, values.arrow_scale, self.acting)
         for name, topics in {**OPTIONAL, "marker_rate": lambda *_: markers(self._markers)}.items():
             if values.steps[name]:
-                self._add_optional(name, topics(layout, world_frame, values.frame_prefix),
-                                   values.steps[name])
+                self._add_optional(
+                    name, topics(layout, world_frame, values.frame_prefix), values.steps[name]
+                )
 
     def _stream(self, *arguments, **options):
         self._streams.append(Stream(self._node, self._overrides, *arguments, **options))
@@ -164,18 +171,28 @@ class Outputs:
                 package = message_type.partition("/")[0]
                 raise ParameterError(
                     f"parameter {parameter}: {package} is not installed here; set the rate to 0, "
-                    f"or install it (apt: ros-jazzy-{package.replace('_', '-')})") from None
-            self.timed.append((steps, lambda stamp_ns, sample, stream=stream, encode=encode:
-                               stream.send(stamp_ns, encode(stamp_ns, sample))))
+                    f"or install it (apt: ros-jazzy-{package.replace('_', '-')})"
+                ) from None
+            self.timed.append(
+                (
+                    steps,
+                    lambda stamp_ns, sample, stream=stream, encode=encode: stream.send(
+                        stamp_ns, encode(stamp_ns, sample)
+                    ),
+                )
+            )
             if parameter == "marker_rate":
                 self._marked = stream
 
     def topics(self):
         """Resolved names, as in a recording's settings."""
-        return {**self._topics, "applied_wrench": self._applied.topic,
-                "events": self._events.topic,
-                "clock": self._clock.topic if self._clock else None,
-                "diagnostics": self._diagnostics.topic}
+        return {
+            **self._topics,
+            "applied_wrench": self._applied.topic,
+            "events": self._events.topic,
+            "clock": self._clock.topic if self._clock else None,
+            "diagnostics": self._diagnostics.topic,
+        }
 
     def set_arrow_scale(self, value):
         """Length of the arrows in ~/markers, m per N and per N m."""
@@ -214,8 +231,10 @@ class Outputs:
         """Something that happened to the run; what ends it is logged, too."""
         if failed:
             self._node.get_logger().error(text)
-        self._events.send(stamp_ns, LogCodec.encode(
-            stamp_ns, LogCodec.ERROR if failed else LogCodec.INFO, name, text))
+        self._events.send(
+            stamp_ns,
+            LogCodec.encode(stamp_ns, LogCodec.ERROR if failed else LogCodec.INFO, name, text),
+        )
 
     def state(self, stamp_ns, figures):
         """~/state: the figures of the diagnostics, in simulated time."""

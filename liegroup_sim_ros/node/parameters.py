@@ -5,6 +5,7 @@ A wrong value, a wrong type or an unknown name raises ParameterError, one line t
 parameter, what is wrong and what would be right. Where a real number is asked for, a whole one
 will do.
 """
+
 import difflib
 import math
 from types import SimpleNamespace
@@ -23,10 +24,10 @@ from liegroup_core.integrators.methods import GROUPS, METHODS
 
 QOS_PREFIX = "qos_overrides."
 RELIABILITIES = ("reliable", "best_effort")
-DEEPEST = 1_000_000                         # messages that a topic may keep
-LONGEST_SHOWN = 60                          # characters of a wrong value in its error
+DEEPEST = 1_000_000  # messages that a topic may keep
+LONGEST_SHOWN = 60  # characters of a wrong value in its error
 HOLDS = ("one_step", "timeout", "until_replaced")
-CHOSEN = ("method", "stabilisation", "group", "step")      # what an accuracy takes the place of
+CHOSEN = ("method", "stabilisation", "group", "step")  # what an accuracy takes the place of
 
 
 class ParameterError(Exception):
@@ -39,48 +40,103 @@ class Entry(NamedTuple):
     name: str
     default: object
     text: str
-    read_only: bool = True                  # False: may be set while the node runs
+    read_only: bool = True  # False: may be set while the node runs
     choices: tuple = ()
     low: float | None = None
     high: float | None = None
-    above: bool = False                     # `low` itself is refused
+    above: bool = False  # `low` itself is refused
 
 
 def _rate(name, default, text):
-    return Entry(name, default, f"messages per second of simulated time on {text}; 0: none",
-                 low=0.0, high=1e5)
+    return Entry(
+        name,
+        default,
+        f"messages per second of simulated time on {text}; 0: none",
+        low=0.0,
+        high=1e5,
+    )
 
 
 TABLE = (
-    Entry("scene", "", "scene file (YAML), or the name of one that comes along; a new one is "
-          "taken by ~/reload", read_only=False),
-    Entry("accuracy", 0.0, "in place of method, stabilisation, group and step: the cheapest that "
-          "keeps this error in real time, positions in parts of the scene's length and attitudes "
-          "in rad; measured once for a scene on a machine, see trade.md; 0: not", low=0.0, high=1.0),
-    Entry("accuracy_horizon", 0.0, "simulated time from the start over which the accuracy is "
-          "promised, s; 0: what suits the scene", low=0.0, high=1e6),
+    Entry(
+        "scene",
+        "",
+        "scene file (YAML), or the name of one that comes along; a new one is taken by ~/reload",
+        read_only=False,
+    ),
+    Entry(
+        "accuracy",
+        0.0,
+        "in place of method, stabilisation, group and step: the cheapest that "
+        "keeps this error in real time, positions in parts of the scene's length and attitudes "
+        "in rad; measured once for a scene on a machine, see trade.md; 0: not",
+        low=0.0,
+        high=1.0,
+    ),
+    Entry(
+        "accuracy_horizon",
+        0.0,
+        "simulated time from the start over which the accuracy is "
+        "promised, s; 0: what suits the scene",
+        low=0.0,
+        high=1e6,
+    ),
     Entry("method", METHOD, "integration method", choices=tuple(METHODS)),
-    Entry("stabilisation", "none", "what is done about joints that open by errors of integration",
-          choices=STABILISATIONS),
-    Entry("group", "auto", "configuration space of a body: SE(3) or SO(3) x R^3; auto: the former, "
-          "but the latter for methods that have no other", choices=("auto", *GROUPS)),
+    Entry(
+        "stabilisation",
+        "none",
+        "what is done about joints that open by errors of integration",
+        choices=STABILISATIONS,
+    ),
+    Entry(
+        "group",
+        "auto",
+        "configuration space of a body: SE(3) or SO(3) x R^3; auto: the former, "
+        "but the latter for methods that have no other",
+        choices=("auto", *GROUPS),
+    ),
     Entry("step", STEP, "step size, s", low=0.0, high=10.0, above=True),
-    Entry("real_time_factor", 1.0, "simulated seconds per second; 0: as fast as it goes",
-          read_only=False, low=0.0, high=1e6),
+    Entry(
+        "real_time_factor",
+        1.0,
+        "simulated seconds per second; 0: as fast as it goes",
+        read_only=False,
+        low=0.0,
+        high=1e6,
+    ),
     Entry("start_paused", False, "wait for ~/resume or ~/step"),
-    Entry("step_count", 1, "steps that one call of ~/step takes", read_only=False,
-          low=1, high=1000000),
+    Entry(
+        "step_count", 1, "steps that one call of ~/step takes", read_only=False, low=1, high=1000000
+    ),
     Entry("record", "", "file to record to, *.mcap, or an existing folder; empty: no recording"),
-    Entry("record_flush_interval", 1.0, "wall time after which what waits in memory is written, "
-          "s: what a killed process can lose", low=0.01, high=3600.0),
-    Entry("record_split_size", 0, "bytes after which the recording goes on in another file, "
-          "complete in itself; 0: never", low=0, high=10**15),
-    Entry("record_split_duration", 0.0, "simulated time after which it does, s; 0: never",
-          low=0.0, high=1e9),
+    Entry(
+        "record_flush_interval",
+        1.0,
+        "wall time after which what waits in memory is written, s: what a killed process can lose",
+        low=0.01,
+        high=3600.0,
+    ),
+    Entry(
+        "record_split_size",
+        0,
+        "bytes after which the recording goes on in another file, complete in itself; 0: never",
+        low=0,
+        high=10**15,
+    ),
+    Entry(
+        "record_split_duration",
+        0.0,
+        "simulated time after which it does, s; 0: never",
+        low=0.0,
+        high=1e9,
+    ),
     Entry("record_metadata", False, "whether a metadata.yaml makes the folder a bag of rosbag2"),
     Entry("world_frame", "world", "frame id of the poses"),
-    Entry("frame_prefix", "", "what the frame id of every body begins with, such as robot1/; not "
-          "that of world_frame"),
+    Entry(
+        "frame_prefix",
+        "",
+        "what the frame id of every body begins with, such as robot1/; not that of world_frame",
+    ),
     _rate("publish_rate", 100.0, "~/BODY/pose and ~/BODY/twist, of which recordings are made"),
     _rate("clock_rate", 100.0, "/clock"),
     _rate("state_rate", 10.0, "~/state"),
@@ -90,13 +146,31 @@ TABLE = (
     _rate("joint_state_rate", 0.0, "~/joint_states"),
     _rate("marker_rate", 0.0, "~/markers"),
     _rate("tf_rate", 0.0, "/tf"),
-    Entry("arrow_scale", 0.01, "length of the arrows in ~/markers, m per N and per N m",
-          read_only=False, low=0.0, high=1e6),
-    Entry("wrench_hold", "timeout", "how long a wrench from ~/wrench or ~/BODY/wrench acts: for "
-          "one step, for wrench_timeout, or until the next one of its source", read_only=False,
-          choices=HOLDS),
-    Entry("wrench_timeout", 0.1, "how long a wrench acts if wrench_hold is timeout, s of "
-          "simulated time", read_only=False, low=0.0, high=1e6, above=True),
+    Entry(
+        "arrow_scale",
+        0.01,
+        "length of the arrows in ~/markers, m per N and per N m",
+        read_only=False,
+        low=0.0,
+        high=1e6,
+    ),
+    Entry(
+        "wrench_hold",
+        "timeout",
+        "how long a wrench from ~/wrench or ~/BODY/wrench acts: for "
+        "one step, for wrench_timeout, or until the next one of its source",
+        read_only=False,
+        choices=HOLDS,
+    ),
+    Entry(
+        "wrench_timeout",
+        0.1,
+        "how long a wrench acts if wrench_hold is timeout, s of simulated time",
+        read_only=False,
+        low=0.0,
+        high=1e6,
+        above=True,
+    ),
     Entry("body_wrenches", True, "whether there is a topic ~/BODY/wrench for every body"),
 )
 _ENTRIES = {entry.name: entry for entry in TABLE}
@@ -113,14 +187,18 @@ def check(name, value):
     if wanted is float and type(value) is int:
         value = float(value)
     if type(value) is not wanted:
-        raise ParameterError(f"parameter {name}: must be {_TYPE_NAMES[wanted]}, got {_shown(value)}")
+        raise ParameterError(
+            f"parameter {name}: must be {_TYPE_NAMES[wanted]}, got {_shown(value)}"
+        )
     if entry.choices and value not in entry.choices:
         raise ParameterError(
-            f"parameter {name}: must be {_listed(entry.choices)}, got {_shown(value)}")
+            f"parameter {name}: must be {_listed(entry.choices)}, got {_shown(value)}"
+        )
     if wanted is float and not math.isfinite(value):
         raise ParameterError(f"parameter {name}: must be finite, got {_shown(value)}")
-    if entry.low is not None and (not entry.low <= value <= entry.high
-                                  or entry.above and value == entry.low):
+    if entry.low is not None and (
+        not entry.low <= value <= entry.high or entry.above and value == entry.low
+    ):
         raise ParameterError(f"parameter {name}: must be {_range(entry)}, got {_shown(value)}")
     return value
 
@@ -135,10 +213,13 @@ def read_parameters(node):
             the quality of service, which qos.py reads
     raises ParameterError
     """
-    given = {name: parameter.value for name, parameter in node.get_parameters_by_prefix("").items()
-             if name not in _BUILT_IN}
+    given = {
+        name: parameter.value
+        for name, parameter in node.get_parameters_by_prefix("").items()
+        if name not in _BUILT_IN
+    }
     for name in given:
-        node.undeclare_parameter(name)      # to be declared again, with its descriptor
+        node.undeclare_parameter(name)  # to be declared again, with its descriptor
         if name not in _ENTRIES and not name.startswith(QOS_PREFIX):
             near = difflib.get_close_matches(name, _ENTRIES, n=1)
             hint = f"did you mean {near[0]}?" if near else f"there are: {', '.join(_ENTRIES)}"
@@ -151,26 +232,33 @@ def read_parameters(node):
     if values.accuracy:
         for name in CHOSEN:
             if name in given:
-                raise ParameterError(f"parameter accuracy: takes the place of {name}: leave one "
-                                     "of the two away")
+                raise ParameterError(
+                    f"parameter accuracy: takes the place of {name}: leave one of the two away"
+                )
     else:
         if values.accuracy_horizon:
-            raise ParameterError("parameter accuracy_horizon: goes with accuracy: give that, too, "
-                                 "or neither")
+            raise ParameterError(
+                "parameter accuracy_horizon: goes with accuracy: give that, too, or neither"
+            )
         set_step(values, values.step)
     values.qos = [name for name in given if name.startswith(QOS_PREFIX)]
     for name in values.qos:
         _check_qos(name, given[name])
     if values.record and not values.publish_rate:
-        raise ParameterError("parameter publish_rate: must be greater than 0 to record: "
-                             "recordings are made of poses and twists")
+        raise ParameterError(
+            "parameter publish_rate: must be greater than 0 to record: "
+            "recordings are made of poses and twists"
+        )
     return values
 
 
 def set_step(values, step):
     """Set `.step` and with it `.steps` of the values. Raises ParameterError."""
-    values.steps = {name: _whole_steps(name, getattr(values, name), step)
-                    for name in _ENTRIES if name.endswith("_rate")}
+    values.steps = {
+        name: _whole_steps(name, getattr(values, name), step)
+        for name in _ENTRIES
+        if name.endswith("_rate")
+    }
     values.step = step
 
 
@@ -188,17 +276,24 @@ def step_fits(values, step):
 
 def watch_parameters(node, changed):
     """Check what is set while the node runs, then call changed(name, value)."""
+
     def convert(parameters):
-        return [Parameter(p.name, value=float(p.value))
-                if p.name in _ENTRIES and type(_ENTRIES[p.name].default) is float
-                and type(p.value) is int else p for p in parameters]
+        return [
+            Parameter(p.name, value=float(p.value))
+            if p.name in _ENTRIES
+            and type(_ENTRIES[p.name].default) is float
+            and type(p.value) is int
+            else p
+            for p in parameters
+        ]
 
     def validate(parameters):
         try:
             for parameter in parameters:
                 if parameter.name == "use_sim_time" and parameter.value is not False:
-                    raise ParameterError("parameter use_sim_time: must be false: this node makes "
-                                         "the simulated time")
+                    raise ParameterError(
+                        "parameter use_sim_time: must be false: this node makes the simulated time"
+                    )
                 if parameter.name in _ENTRIES:
                     check(parameter.name, parameter.value)
         except ParameterError as error:
@@ -217,15 +312,21 @@ def watch_parameters(node, changed):
 
 def table_text():
     """The table in Markdown, as docs/node.md has it (test_node.py)."""
-    rows = ["| parameter | default | allowed | settable while running | meaning |",
-            "|---|---|---|---|---|"]
+    rows = [
+        "| parameter | default | allowed | settable while running | meaning |",
+        "|---|---|---|---|---|",
+    ]
     for entry in TABLE:
         default = {"": "empty", False: "false", True: "true"}.get(
-            entry.default if isinstance(entry.default, (str, bool)) else None, entry.default)
+            entry.default if isinstance(entry.default, (str, bool)) else None, entry.default
+        )
         allowed = _listed(entry.choices) or (
-            _range(entry) if entry.low is not None else _TYPE_NAMES[type(entry.default)])
-        rows.append(f"| `{entry.name}` | {default} | {allowed} | "
-                    f"{'no' if entry.read_only else 'yes'} | {entry.text} |")
+            _range(entry) if entry.low is not None else _TYPE_NAMES[type(entry.default)]
+        )
+        rows.append(
+            f"| `{entry.name}` | {default} | {allowed} | "
+            f"{'no' if entry.read_only else 'yes'} | {entry.text} |"
+        )
     return "\n".join(rows)
 
 
@@ -235,11 +336,12 @@ def _whole_steps(name, rate, step):
         return 0
     steps = 1.0 / (rate * step)
     whole = max(1, round(steps))
-    if abs(steps - whole) > 1e-6 * whole:   # far above rounding, far below a step in any log
+    if abs(steps - whole) > 1e-6 * whole:  # far above rounding, far below a step in any log
         nearest = sorted({1.0 / (max(1, n) * step) for n in (math.floor(steps), math.ceil(steps))})
         raise ParameterError(
             f"parameter {name}: {rate:g} Hz is {steps:.6g} steps of {step:g} s, must be a whole "
-            f"number of steps; possible: {' or '.join(f'{r:.9g}' for r in nearest)}")
+            f"number of steps; possible: {' or '.join(f'{r:.9g}' for r in nearest)}"
+        )
     return whole
 
 
@@ -248,10 +350,13 @@ def _check_qos(name, value):
     policy = name.rpartition(".")[2]
     if policy == "reliability" and value not in RELIABILITIES:
         raise ParameterError(
-            f"parameter {name}: must be {_listed(RELIABILITIES)}, got {_shown(value)}")
+            f"parameter {name}: must be {_listed(RELIABILITIES)}, got {_shown(value)}"
+        )
     if policy == "depth" and not (type(value) is int and 1 <= value <= DEEPEST):
-        raise ParameterError(f"parameter {name}: must be a whole number of at least 1 and at most "
-                             f"{DEEPEST}, got {_shown(value)}")
+        raise ParameterError(
+            f"parameter {name}: must be a whole number of at least 1 and at most "
+            f"{DEEPEST}, got {_shown(value)}"
+        )
 
 
 def _descriptor(entry):
@@ -264,7 +369,8 @@ def _descriptor(entry):
             descriptor.integer_range = [IntegerRange(from_value=entry.low, to_value=entry.high)]
         else:
             descriptor.floating_point_range = [
-                FloatingPointRange(from_value=entry.low, to_value=entry.high)]
+                FloatingPointRange(from_value=entry.low, to_value=entry.high)
+            ]
     return descriptor
 
 

@@ -4,6 +4,7 @@
 TOPIC is a topic's full name, KIND is publisher or subscription, POLICY is depth or reliability. They
 are declared where they are given only: there would be four for every body otherwise.
 """
+
 import difflib
 
 from rclpy.qos import QoSPolicyKind
@@ -26,8 +27,10 @@ class QosOverrides:
 
     def options(self, node, topic, kind):
         """Options for the topic's creation, None if nothing was given for it."""
-        names = {f"{QOS_PREFIX}{node.resolve_topic_name(topic)}.{kind}.{policy}": number
-                 for policy, number in POLICIES.items()}
+        names = {
+            f"{QOS_PREFIX}{node.resolve_topic_name(topic)}.{kind}.{policy}": number
+            for policy, number in POLICIES.items()
+        }
         self._possible += names
         given = [number for name, number in names.items() if name in self._names]
         return QoSOverridingOptions(given) if given else None
@@ -36,6 +39,7 @@ class QosOverrides:
         """All topics were made: raises ParameterError for a name that is not one of them."""
         for name in self._names:
             if name not in self._possible:
-                near, = difflib.get_close_matches(name, self._possible, n=1, cutoff=0.0)
-                raise ParameterError(f"parameter {name}: no topic, or nothing that can be set; "
-                                     f"did you mean {near}?")
+                (near,) = difflib.get_close_matches(name, self._possible, n=1, cutoff=0.0)
+                raise ParameterError(
+                    f"parameter {name}: no topic, or nothing that can be set; did you mean {near}?"
+                )

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """One scene on its way: simulation thread, topics and recording. ~/reload replaces it."""
+
 import threading
 from concurrent.futures import Future, wait
 
@@ -51,31 +52,42 @@ class SceneRun:
                 self._more = {"part": part, "previous": before.recorder.path.name}
         frames = [values.frame_prefix + body for body in layout.body_names]
         if not values.world_frame or f"{values.world_frame}/".startswith(
-                tuple(f"{frame}/" for frame in frames)):
-            raise ParameterError(f"parameter world_frame: must be a name that no body has, "
-                                 f"got {values.world_frame!r}")
+            tuple(f"{frame}/" for frame in frames)
+        ):
+            raise ParameterError(
+                f"parameter world_frame: must be a name that no body has, "
+                f"got {values.world_frame!r}"
+            )
         if values.frame_prefix.startswith("/"):
-            raise ParameterError("parameter frame_prefix: must not begin with a slash, as no "
-                                 f"frame of tf2 does, got {values.frame_prefix!r}")
+            raise ParameterError(
+                "parameter frame_prefix: must not begin with a slash, as no "
+                f"frame of tf2 does, got {values.frame_prefix!r}"
+            )
         qos = QosOverrides(values.qos)
         self.outputs = Outputs(node, layout, values, self._figures, qos)
         if path and (values.record_split_size or values.record_split_duration):
             # Before the samples: the first one of a part is its initial state.
             self.outputs.timed.insert(0, (self._sample_steps, self._divide_if_due))
-        self.server = SimulationServer(simulation, self.outputs, values.real_time_factor, paused,
-                                       base_ns, origin)
-        self.wrenches = WrenchTopics(node, layout.body_names, values, simulation.step,
-                                     self.server, qos)
-        if before is None:                  # later on, the bodies that were meant may be gone
+        self.server = SimulationServer(
+            simulation, self.outputs, values.real_time_factor, paused, base_ns, origin
+        )
+        self.wrenches = WrenchTopics(
+            node, layout.body_names, values, simulation.step, self.server, qos
+        )
+        if before is None:  # later on, the bodies that were meant may be gone
             qos.check()
         # Last of what can fail: nothing else leaves a trace on the disk.
         if path:
             try:
                 self.recorder = Recorder(
-                    path, self._attachments(base_ns, "paused" if paused else "running"),
+                    path,
+                    self._attachments(base_ns, "paused" if paused else "running"),
                     flush_interval=values.record_flush_interval,
                     max_size=values.record_split_size,
-                    max_duration=round(values.record_split_duration * 1e9), part=part, bag=bag)
+                    max_duration=round(values.record_split_duration * 1e9),
+                    part=part,
+                    bag=bag,
+                )
                 self.outputs.record_to(self.recorder)
             except Exception:
                 self._close_topics()
@@ -89,34 +101,51 @@ class SceneRun:
         self._node.get_logger().info(
             f"{simulation.scene.name}: {count} {'body' if count == 1 else 'bodies'}, "
             f"{simulation.method}, step {simulation.step:g} s"
-            + (f" for an accuracy of {simulation.promise['accuracy']:g} over "
-               f"{simulation.promise['horizon']:g} s" if simulation.promise else "")
+            + (
+                f" for an accuracy of {simulation.promise['accuracy']:g} over "
+                f"{simulation.promise['horizon']:g} s"
+                if simulation.promise
+                else ""
+            )
             + f", {self.server.state}"
-            + (f", recording to {self.recorder.path}" if self.recorder else ""))
+            + (f", recording to {self.recorder.path}" if self.recorder else "")
+        )
 
     def _attachments(self, stamp_ns, state):
         """What makes a file complete in itself, at the present state."""
         values = self._values
         return attachments.at_start(
-            self.simulation, self._node.get_fully_qualified_name(), values.world_frame,
-            self._sample_steps, self.outputs.topics(), stamp_ns, state=state,
-            parameters={name: value for name, value in vars(values).items()
-                        if name not in ("steps", "qos")},
-            frame_prefix=values.frame_prefix, **self._more)
+            self.simulation,
+            self._node.get_fully_qualified_name(),
+            values.world_frame,
+            self._sample_steps,
+            self.outputs.topics(),
+            stamp_ns,
+            state=state,
+            parameters={
+                name: value for name, value in vars(values).items() if name not in ("steps", "qos")
+            },
+            frame_prefix=values.frame_prefix,
+            **self._more,
+        )
 
     def _divide_if_due(self, stamp_ns, _):
         """Begin a new part of the recording, in the simulation thread."""
         recorder = self.recorder
         if recorder is not None and recorder.is_part_due(stamp_ns):
             self._attach_pacing()
-            self._more = {"part": recorder.part + 1, "previous": recorder.path.name,
-                          "sequences": recorder.sequences}
+            self._more = {
+                "part": recorder.part + 1,
+                "previous": recorder.path.name,
+                "sequences": recorder.sequences,
+            }
             recorder.divide(self._attachments(stamp_ns, self.server.state))
             self.outputs.record_acting(stamp_ns)
 
     def _attach_pacing(self):
-        self.recorder.add_attachment("pacing.json", *attachments.as_json(
-            self.server.pacer.report()))
+        self.recorder.add_attachment(
+            "pacing.json", *attachments.as_json(self.server.pacer.report())
+        )
 
     def _figures(self):
         """What the diagnostics say beside the server's figures."""
@@ -136,8 +165,9 @@ class SceneRun:
             self._attach_pacing()
             self.recorder.close()
             if self.recorder.failure is None:
-                self._node.get_logger().info(f"recorded {self.recorder.written} messages in "
-                                             f"{self.recorder.path}")
+                self._node.get_logger().info(
+                    f"recorded {self.recorder.written} messages in {self.recorder.path}"
+                )
         self._close_topics(self.server.stamp_ns)
 
     def _close_topics(self, stamp_ns=None):
@@ -154,9 +184,11 @@ def make_simulation(values, signals):
     raises SceneError, ParameterError
     """
     if not values.scene:
-        raise ParameterError("parameter scene: is empty; give a scene file, such as "
-                             "--ros-args -p scene:=heavy_top; a parameter file has it below "
-                             "/**, or below the node's name, and ros__parameters")
+        raise ParameterError(
+            "parameter scene: is empty; give a scene file, such as "
+            "--ros-args -p scene:=heavy_top; a parameter file has it below "
+            "/**, or below the node's name, and ros__parameters"
+        )
     future = Future()
 
     def work():
@@ -187,7 +219,12 @@ def _make(values):
 
 def _chosen(scene, values):
     """Simulation that keeps the accuracy asked for, in the real time asked for."""
-    choice = choose(scene, values.accuracy, values.accuracy_horizon or None,
-                    lambda step: step_fits(values, step), values.real_time_factor)
+    choice = choose(
+        scene,
+        values.accuracy,
+        values.accuracy_horizon or None,
+        lambda step: step_fits(values, step),
+        values.real_time_factor,
+    )
     set_step(values, choice.settings["step"])
     return choice.simulation()

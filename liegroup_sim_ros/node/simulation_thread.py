@@ -6,6 +6,7 @@ applied wrenches, events and diagnostics go to an output object, Outputs in outp
 Simulated time is an integer of nanoseconds that never goes back: the step count restarts at a
 reset, the stamps continue one step after the last one. Imports no ROS.
 """
+
 import math
 import threading
 import time
@@ -14,8 +15,8 @@ from concurrent.futures import Future
 from liegroup_core import SimulationError
 from liegroup_core.pacing import Pacer
 
-DIAGNOSTICS_PERIOD = 1.0                    # s of wall time
-IDLE_TICK = 0.01                            # s of simulated time, where nothing is put out by time
+DIAGNOSTICS_PERIOD = 1.0  # s of wall time
+IDLE_TICK = 0.01  # s of simulated time, where nothing is put out by time
 
 
 class CommandError(Exception):
@@ -41,23 +42,27 @@ class SimulationServer(threading.Thread):
         super().__init__(name="simulation", daemon=True)
         self._simulation = simulation
         self._output = output
-        self._timed = [*output.timed, *([(output.state_steps, self._put_out_state)]
-                                        if output.state_steps else [])]
-        self._sent_ns = [None] * len(self._timed)       # stamp of the last message of each
+        self._timed = [
+            *output.timed,
+            *([(output.state_steps, self._put_out_state)] if output.state_steps else []),
+        ]
+        self._sent_ns = [None] * len(self._timed)  # stamp of the last message of each
         periods = {steps for steps, _ in self._timed} | {output.clock_steps} - {0}
         # Multiples of another one bring no further ticks.
-        self._periods = [period for period in periods
-                         if not any(period % other == 0 for other in periods - {period})
-                         ] or [max(1, round(IDLE_TICK / simulation.step))]
+        self._periods = [
+            period
+            for period in periods
+            if not any(period % other == 0 for other in periods - {period})
+        ] or [max(1, round(IDLE_TICK / simulation.step))]
         self._wake = threading.Event()
         self._lock = threading.Lock()
-        self._commands = []                 # (Future, bound method, arguments)
-        self._wrenches = {}                 # (source, start_ns) -> (Push, duration)
+        self._commands = []  # (Future, bound method, arguments)
+        self._wrenches = {}  # (source, start_ns) -> (Push, duration)
         self._stopping = False
         self._base_ns = base_ns
         self._origin = origin
-        self._factor_seen = 0.0             # achieved real-time factor at the last diagnostics
-        self._reference_energy = None       # J, of the last moment known without a push
+        self._factor_seen = 0.0  # achieved real-time factor at the last diagnostics
+        self._reference_energy = None  # J, of the last moment known without a push
         self.pacer = Pacer(factor, sleep=self._wake.wait)
         self.state = "paused" if paused else "running"
         self._state_before_fault = self.state
@@ -75,9 +80,16 @@ class SimulationServer(threading.Thread):
         CommandError. It is cancelled if the server ends first.
         """
         future = Future()
-        method = {"pause": self._pause, "resume": self._resume, "reset": self._reset,
-                  "step": self._step, "speed": self._speed, "clear": self._clear,
-                  "look": self._look, "hold": self._hold}[command]
+        method = {
+            "pause": self._pause,
+            "resume": self._resume,
+            "reset": self._reset,
+            "step": self._step,
+            "speed": self._speed,
+            "clear": self._clear,
+            "look": self._look,
+            "hold": self._hold,
+        }[command]
         with self._lock:
             self._commands.append((future, method, arguments))
         self._wake.set()
@@ -97,7 +109,7 @@ class SimulationServer(threading.Thread):
 
     def clear(self, prefix):
         """End the wrenches of all sources whose names begin with `prefix`."""
-        with self._lock:                    # what comes after this is not ended
+        with self._lock:  # what comes after this is not ended
             for key in [key for key in self._wrenches if key[0].startswith(prefix)]:
                 del self._wrenches[key]
         self.call("clear", prefix)
@@ -121,7 +133,7 @@ class SimulationServer(threading.Thread):
         try:
             self._begin()
             while not self._stopping:
-                if self._wake.is_set():     # it is set behind every command
+                if self._wake.is_set():  # it is set behind every command
                     self._wake.clear()
                     self._obey()
                 self._run_on()
@@ -156,8 +168,9 @@ class SimulationServer(threading.Thread):
         if time.monotonic() >= self._next_diagnostics:
             self._factor_seen = self.pacer.recent_factor()
             self._output.diagnostics(self.stamp_ns, self._figures(self._simulation.sample()))
-            self._next_diagnostics = max(self._next_diagnostics + DIAGNOSTICS_PERIOD,
-                                         time.monotonic())
+            self._next_diagnostics = max(
+                self._next_diagnostics + DIAGNOSTICS_PERIOD, time.monotonic()
+            )
 
     def _obey(self):
         with self._lock:
@@ -203,8 +216,9 @@ class SimulationServer(threading.Thread):
             wrenches, self._wrenches = self._wrenches, {}
         for push, duration in wrenches.values():
             start = (push.start_ns - self._base_ns) * 1e-9 if push.start_ns else None
-            self._simulation.apply_wrench(push.body, push.wrench, start, duration, push.source,
-                                          push.axes)
+            self._simulation.apply_wrench(
+                push.body, push.wrench, start, duration, push.source, push.axes
+            )
 
     def _put_out(self, everything=False):
         """Put out what is due at the present step, in the order of the stamps."""
@@ -313,7 +327,7 @@ class SimulationServer(threading.Thread):
         return self.stamp_ns, self._simulation.sample(), self.state
 
     def _hold(self):
-        if self.state == "faulted":         # a reset would let it run again
+        if self.state == "faulted":  # a reset would let it run again
             running, self._state_before_fault = self._state_before_fault == "running", "paused"
             return running
         running = self.state == "running"
@@ -324,7 +338,7 @@ class SimulationServer(threading.Thread):
         """{name: number or text} for the diagnostics; units are at the end of the names."""
         pacing = self.pacer.report()
         if self._output.acting:
-            drift = math.nan                # a push changes the energy
+            drift = math.nan  # a push changes the energy
         else:
             if self._reference_energy is None:
                 self._reference_energy = sample.energy

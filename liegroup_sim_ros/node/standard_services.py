@@ -7,12 +7,13 @@
 Codes are given as numbers: the names of the constants differ between versions of the package, the
 numbers do not. Paused at step 0 is "stopped".
 """
+
 import re
 
-OK, NOT_SUPPORTED, INCORRECT_STATE, FAILED = 1, 0, 3, 4             # Result
-STOPPED, PLAYING, PAUSED, QUITTING = 0, 1, 2, 3                     # SimulationState
-ALREADY_THERE, TRANSITION_ERROR = 101, 102                          # SetSimulationState
-SCOPE_DEFAULT, SCOPE_STATE, SCOPE_ALL = 0, 2, 255                   # ResetSimulation
+OK, NOT_SUPPORTED, INCORRECT_STATE, FAILED = 1, 0, 3, 4  # Result
+STOPPED, PLAYING, PAUSED, QUITTING = 0, 1, 2, 3  # SimulationState
+ALREADY_THERE, TRANSITION_ERROR = 101, 102  # SetSimulationState
+SCOPE_DEFAULT, SCOPE_STATE, SCOPE_ALL = 0, 2, 255  # ResetSimulation
 
 
 def offer(node, signals, world_frame):
@@ -22,11 +23,13 @@ def offer(node, signals, world_frame):
     except ImportError:
         return
     services = StandardServices(node.ask, signals, world_frame, msg.EntityState)
-    for name, kind in (("reset_simulation", srv.ResetSimulation),
-                       ("step_simulation", srv.StepSimulation),
-                       ("set_simulation_state", srv.SetSimulationState),
-                       ("get_simulation_state", srv.GetSimulationState),
-                       ("get_entities_states", srv.GetEntitiesStates)):
+    for name, kind in (
+        ("reset_simulation", srv.ResetSimulation),
+        ("step_simulation", srv.StepSimulation),
+        ("set_simulation_state", srv.SetSimulationState),
+        ("get_simulation_state", srv.GetSimulationState),
+        ("get_entities_states", srv.GetEntitiesStates),
+    ):
         node.create_service(kind, f"~/{name}", getattr(services, name))
 
 
@@ -46,8 +49,11 @@ class StandardServices:
     def reset_simulation(self, request, response):
         """The initial state; simulated time goes on, so a reset of time alone is not supported."""
         if request.scope not in (SCOPE_DEFAULT, SCOPE_STATE, SCOPE_ALL):
-            return _answer(response, NOT_SUPPORTED, "only the state can be reset: scope 0, 2 or "
-                           "255; simulated time never goes back")
+            return _answer(
+                response,
+                NOT_SUPPORTED,
+                "only the state can be reset: scope 0, 2 or 255; simulated time never goes back",
+            )
         return _answer(response, *_result(self._ask("reset"), FAILED))
 
     def step_simulation(self, request, response):
@@ -67,8 +73,9 @@ class StandardServices:
         if wanted == QUITTING:
             self._signals.received = True
             return _answer(response, OK, "the node is ending")
-        commands = {STOPPED: ("hold", "reset"), PLAYING: ("resume",),
-                    PAUSED: ("pause",)}.get(wanted)
+        commands = {STOPPED: ("hold", "reset"), PLAYING: ("resume",), PAUSED: ("pause",)}.get(
+            wanted
+        )
         if commands is None:
             return _answer(response, NOT_SUPPORTED, f"there is no state {wanted}")
         for command in commands:
@@ -112,10 +119,11 @@ class StandardServices:
         state.header.stamp.sec, state.header.stamp.nanosec = divmod(stamp_ns, 10**9)
         rotation, twist = sample.poses[body][:3, :3], sample.twists[body]
         for target, names, values in (
-                (state.pose.position, "xyz", sample.positions[body]),
-                (state.pose.orientation, "xyzw", sample.quaternions[body]),
-                (state.twist.angular, "xyz", rotation @ twist[:3]),
-                (state.twist.linear, "xyz", rotation @ twist[3:])):
+            (state.pose.position, "xyz", sample.positions[body]),
+            (state.pose.orientation, "xyzw", sample.quaternions[body]),
+            (state.twist.angular, "xyz", rotation @ twist[:3]),
+            (state.twist.linear, "xyz", rotation @ twist[3:]),
+        ):
             for name, value in zip(names, values):
                 setattr(target, name, float(value))
         return state

@@ -9,13 +9,14 @@ later one of the same replaces the earlier one.
 A zero stamp, or one that is past, means the next step; a stamp to come means that simulated time.
 A message is taken whole or refused whole; refusals are counted by reason. No ROS is imported here.
 """
+
 import math
 from typing import NamedTuple
 
 from liegroup_sim_ros.messages.codecs import MessageError, WrenchStampedCodec
 
 # A stamp further ahead than this is a sender that does not run on simulated time.
-FARTHEST = 3600 * 10**9                     # ns
+FARTHEST = 3600 * 10**9  # ns
 # So many may act or wait for their time: what senders can make the node remember is bounded.
 MOST = 10_000
 LONGEST_NAME = 64
@@ -39,11 +40,11 @@ class Refusal(Exception):
 class Push(NamedTuple):
     """A wrench that is applied."""
 
-    source: str                 # topic, body and name of the commander: source_prefix
+    source: str  # topic, body and name of the commander: source_prefix
     body: str
-    wrench: tuple               # (6,) torque N m, force N, about the origin of the body frame
-    axes: str                   # of the components: "body" or "world"
-    start_ns: int               # stamp from which on it acts; 0: the next step
+    wrench: tuple  # (6,) torque N m, force N, about the origin of the body frame
+    axes: str  # of the components: "body" or "world"
+    start_ns: int  # stamp from which on it acts; 0: the next step
 
 
 def source_prefix(kind, target):
@@ -80,40 +81,69 @@ class WrenchInput:
             self._refuse("damaged", lambda: text)
         axes = "body"
         target, name = self.named(frame_id)
-        if body is not None and target != body and f"{frame_id}/".startswith(
-                f"{self._world_frame}/"):
-            axes, target, name = "world", body, frame_id[len(self._world_frame) + 1:]
+        if (
+            body is not None
+            and target != body
+            and f"{frame_id}/".startswith(f"{self._world_frame}/")
+        ):
+            axes, target, name = "world", body, frame_id[len(self._world_frame) + 1 :]
         if not frame_id.partition("/")[0]:
-            self._refuse("no_frame", lambda: "frame_id is empty; it must be one of: "
-                         + self._frames(body))
+            self._refuse(
+                "no_frame", lambda: "frame_id is empty; it must be one of: " + self._frames(body)
+            )
         if target is None or body not in (None, target):
-            self._refuse("unknown_frame", lambda: f"frame_id {frame_id[:LONGEST_NAME]!r} is not "
-                         f"known here; it must be one of: {self._frames(body)}")
+            self._refuse(
+                "unknown_frame",
+                lambda: (
+                    f"frame_id {frame_id[:LONGEST_NAME]!r} is not "
+                    f"known here; it must be one of: {self._frames(body)}"
+                ),
+            )
         if len(name) > LONGEST_NAME:
-            self._refuse("unknown_frame", lambda: f"frame_id {frame_id[:20]!r}...: the name "
-                         f"behind the slash has more than {LONGEST_NAME} characters")
+            self._refuse(
+                "unknown_frame",
+                lambda: (
+                    f"frame_id {frame_id[:20]!r}...: the name "
+                    f"behind the slash has more than {LONGEST_NAME} characters"
+                ),
+            )
         if not all(map(math.isfinite, wrench)):
             self._refuse("not_finite", lambda: f"for {target}: a component is NaN or infinite")
         if start_ns > now_ns + FARTHEST:
-            self._refuse("stamp_too_far", lambda: f"for {target}: its stamp "
-                         f"{start_ns / 1e9:.9g} s is more than {FARTHEST // 10**9} s ahead of "
-                         f"the simulated time {now_ns / 1e9:.9g} s; leave the stamp zero, or "
-                         "stamp with simulated time (use_sim_time)")
+            self._refuse(
+                "stamp_too_far",
+                lambda: (
+                    f"for {target}: its stamp "
+                    f"{start_ns / 1e9:.9g} s is more than {FARTHEST // 10**9} s ahead of "
+                    f"the simulated time {now_ns / 1e9:.9g} s; leave the stamp zero, or "
+                    "stamp with simulated time (use_sim_time)"
+                ),
+            )
         if held >= MOST:
             self._refuse("too_many", lambda: f"for {target}: {held} wrenches act or wait already")
         self.accepted += 1
-        return Push(source_prefix(kind, f"{target}/{name}" if name else target), target, wrench,
-                    axes, start_ns if start_ns > now_ns else 0)
+        return Push(
+            source_prefix(kind, f"{target}/{name}" if name else target),
+            target,
+            wrench,
+            axes,
+            start_ns if start_ns > now_ns else 0,
+        )
 
     def refuse_clear(self, text):
         """Count a ~/wrench/clear that names no body. Raises Refusal."""
-        self._refuse("unknown_frame", lambda: f"~/wrench/clear: {text[:LONGEST_NAME]!r} names no "
-                     f"body; it must be empty for all, or one of: {self._frames(None)}")
+        self._refuse(
+            "unknown_frame",
+            lambda: (
+                f"~/wrench/clear: {text[:LONGEST_NAME]!r} names no "
+                f"body; it must be empty for all, or one of: {self._frames(None)}"
+            ),
+        )
 
     def named(self, frame_id):
         """(body, name of the commander) of the frame of a body; (None, "") of another one."""
         if frame_id.startswith(self._prefix):
-            body, _, name = frame_id[len(self._prefix):].partition("/")
+            body, _, name = frame_id[len(self._prefix) :].partition("/")
             if body in self._bodies:
                 return body, name
         return None, ""

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Subscriptions to the wrench topics: what comes is read, refused or handed to the simulation."""
+
 from geometry_msgs.msg import WrenchStamped
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String
@@ -31,26 +32,38 @@ class WrenchTopics:
         for body in bodies if values.body_wrenches else ():
             self._listen(f"~/{body}/wrench", "body", body)
         self._subscriptions.append(
-            node.create_subscription(String, "~/wrench/clear", self._clear, DEPTH))
+            node.create_subscription(String, "~/wrench/clear", self._clear, DEPTH)
+        )
 
     def _listen(self, topic, kind, body=None):
         # Bytes: they are read in a few microseconds, an object takes longer to be made.
-        self._subscriptions.append(self._node.create_subscription(
-            WrenchStamped, topic, lambda payload: self._take(payload, kind, body),
-            QoSProfile(depth=DEPTH), raw=True,
-            qos_overriding_options=self._qos.options(self._node, topic, "subscription")))
+        self._subscriptions.append(
+            self._node.create_subscription(
+                WrenchStamped,
+                topic,
+                lambda payload: self._take(payload, kind, body),
+                QoSProfile(depth=DEPTH),
+                raw=True,
+                qos_overriding_options=self._qos.options(self._node, topic, "subscription"),
+            )
+        )
 
     def _take(self, payload, kind, body):
         try:
-            push = self.input.read(payload, kind, body, self._server.stamp_ns,
-                                   self._server.wrenches_held)
+            push = self.input.read(
+                payload, kind, body, self._server.stamp_ns, self._server.wrenches_held
+            )
         except Refusal as refusal:
             self._say(refusal)
             return
         values = self._values
         hold = "until_replaced" if kind == "persistent" else values.wrench_hold
-        self._server.push(push, {"one_step": self._step, "timeout": values.wrench_timeout,
-                                 "until_replaced": None}[hold])
+        self._server.push(
+            push,
+            {"one_step": self._step, "timeout": values.wrench_timeout, "until_replaced": None}[
+                hold
+            ],
+        )
 
     def _clear(self, message):
         body, name = self.input.named(message.data)
@@ -70,9 +83,11 @@ class WrenchTopics:
     def figures(self):
         """What the diagnostics say about them."""
         refused = self.input.refused
-        return {"wrenches_accepted": self.input.accepted,
-                "wrenches_refused": sum(refused.values()),
-                **{f"wrenches_refused_{reason}": count for reason, count in refused.items()}}
+        return {
+            "wrenches_accepted": self.input.accepted,
+            "wrenches_refused": sum(refused.values()),
+            **{f"wrenches_refused_{reason}": count for reason, count in refused.items()},
+        }
 
     def close(self):
         """Listen no longer."""

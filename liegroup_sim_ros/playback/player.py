@@ -4,6 +4,7 @@
 Services, std_srvs/Trigger, under the names of `ros2 bag play`: ~/pause ~/resume ~/toggle_paused
 ~/play_next. Parameters: `rate`, and `position`, which goes to a time in s after the first message.
 """
+
 import importlib
 import math
 import os
@@ -32,13 +33,18 @@ try:
 except ImportError:
     Executor = SingleThreadedExecutor
 
-ATTENTION = 0.01                # s between looks at services and keys
-ACKNOWLEDGED = 2.0              # s that the last messages may take to arrive
-BACK = 5.0                      # s, of the cursor key
+ATTENTION = 0.01  # s between looks at services and keys
+ACKNOWLEDGED = 2.0  # s that the last messages may take to arrive
+BACK = 5.0  # s, of the cursor key
 FASTER = 1.1
 LARGEST_RATE = 1e6
-_KEYS = {b" ": "toggle_paused", b"\x1b[A": "faster", b"\x1b[B": "slower",
-         b"\x1b[C": "play_next", b"\x1b[D": "back"}
+_KEYS = {
+    b" ": "toggle_paused",
+    b"\x1b[A": "faster",
+    b"\x1b[B": "slower",
+    b"\x1b[C": "play_next",
+    b"\x1b[D": "back",
+}
 
 
 def play(file, args):
@@ -46,12 +52,10 @@ def play(file, args):
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        player = Player(file, args.rate, args.start, args.loop, args.start_paused,
-                        args.clock_rate)
+        player = Player(file, args.rate, args.start, args.loop, args.start_paused, args.clock_rate)
         with Keys(player):
             code = player.run()
-        print(f"{file.path}: {player.published} messages of {len(player.topics)} topics "
-              "published")
+        print(f"{file.path}: {player.published} messages of {len(player.topics)} topics published")
         return code
     finally:
         rclpy.try_shutdown()
@@ -75,16 +79,18 @@ class Player:
         self.published, self.paused = 0, paused
         self._pacer = Pacer(rate)
         self._go_to = file.first_ns + round(start * 1e9)
-        self._next = None               # (stamp, messages) that come next
+        self._next = None  # (stamp, messages) that come next
         self._now_ns = self._go_to
         self._looked = 0.0
         for name in ("pause", "resume", "toggle_paused", "play_next"):
             self._node.create_service(Trigger, f"~/{name}", self._serve(name))
         for name, value, text in (
-                ("rate", rate, "simulated seconds per second; 0: as fast as it goes"),
-                ("position", start, "go to this time, s after the first message")):
-            self._node.declare_parameter(name, float(value), ParameterDescriptor(
-                description=text, dynamic_typing=True))
+            ("rate", rate, "simulated seconds per second; 0: as fast as it goes"),
+            ("position", start, "go to this time, s after the first message"),
+        ):
+            self._node.declare_parameter(
+                name, float(value), ParameterDescriptor(description=text, dynamic_typing=True)
+            )
         self._node.add_on_set_parameters_callback(self._check)
         self._node.add_post_set_parameters_callback(self._set)
 
@@ -93,18 +99,27 @@ class Player:
         try:
             message = getattr(importlib.import_module(f"{package}.msg"), name)
         except (ImportError, AttributeError):
-            print(f"liegroup_sim: {topic.name} is left out: {topic.type} is not installed here",
-                  file=sys.stderr)
+            print(
+                f"liegroup_sim: {topic.name} is left out: {topic.type} is not installed here",
+                file=sys.stderr,
+            )
             return
         profile = QoSProfile(
-            depth=topic.depth, reliability=ReliabilityPolicy.RELIABLE if topic.reliable
-            else ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.TRANSIENT_LOCAL
-            if topic.latched else DurabilityPolicy.VOLATILE)
+            depth=topic.depth,
+            reliability=ReliabilityPolicy.RELIABLE
+            if topic.reliable
+            else ReliabilityPolicy.BEST_EFFORT,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL
+            if topic.latched
+            else DurabilityPolicy.VOLATILE,
+        )
         try:
             self._publishers[topic] = self._node.create_publisher(message, topic.name, profile)
         except (InvalidTopicNameException, ValueError, RuntimeError) as error:
-            raise PlayError(f"{self._file.path}: topic {topic.name!r:.60} cannot be published: "
-                            f"{' '.join(str(error).split())[:120]}") from None
+            raise PlayError(
+                f"{self._file.path}: topic {topic.name!r:.60} cannot be published: "
+                f"{' '.join(str(error).split())[:120]}"
+            ) from None
         self.topics.append(topic.name)
 
     # Commands, between two messages:
@@ -113,6 +128,7 @@ class Player:
         def serve(_, response):
             response.success, response.message = True, self.command(name)
             return response
+
         return serve
 
     def command(self, name):
@@ -131,9 +147,11 @@ class Player:
         else:
             self._pacer.factor *= FASTER if name == "faster" else 1.0 / FASTER
             self._begin()
-        return (f"{'paused' if self.paused else 'playing'} at "
-                f"{(self._now_ns - self._file.first_ns) * 1e-9:.9g} s, rate "
-                f"{self._pacer.factor:g}")
+        return (
+            f"{'paused' if self.paused else 'playing'} at "
+            f"{(self._now_ns - self._file.first_ns) * 1e-9:.9g} s, rate "
+            f"{self._pacer.factor:g}"
+        )
 
     def seek(self, position):
         """Go on from a time, s after the first message."""
@@ -146,10 +164,14 @@ class Player:
             value, most = parameter.value, limits.get(parameter.name)
             if most is None:
                 continue
-            if (isinstance(value, bool) or not isinstance(value, (int, float))
-                    or not (math.isfinite(value) and 0.0 <= value <= most)):
-                return SetParametersResult(successful=False, reason=f"{parameter.name} must be "
-                                           f"a number from 0 to {most:g}")
+            if (
+                isinstance(value, bool)
+                or not isinstance(value, (int, float))
+                or not (math.isfinite(value) and 0.0 <= value <= most)
+            ):
+                return SetParametersResult(
+                    successful=False, reason=f"{parameter.name} must be a number from 0 to {most:g}"
+                )
         return SetParametersResult(successful=True)
 
     def _set(self, parameters):
@@ -236,6 +258,7 @@ class Keys:
         if sys.stdin is not None and sys.stdin.isatty():
             import termios
             import tty
+
             self._before = termios.tcgetattr(sys.stdin)
             tty.setcbreak(sys.stdin)
         return self
@@ -243,6 +266,7 @@ class Keys:
     def __exit__(self, *_):
         if self._before is not None:
             import termios
+
             termios.tcsetattr(sys.stdin, termios.TCSADRAIN, self._before)
 
     def look(self):

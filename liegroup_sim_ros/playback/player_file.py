@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A recording to publish again: its topics, and its messages from any time on."""
+
 import re
 from typing import NamedTuple
 
@@ -11,7 +12,7 @@ from liegroup_sim_ros.recording.mcap_stream import McapStream
 from liegroup_sim_ros.recording.recording_file import TellPath
 
 _TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
-LONGEST_QOS = 65536             # bytes of YAML
+LONGEST_QOS = 65536  # bytes of YAML
 
 
 class PlayError(Exception):
@@ -20,7 +21,7 @@ class PlayError(Exception):
 
 class Topic(NamedTuple):
     name: str
-    type: str                   # such as geometry_msgs/msg/PoseStamped
+    type: str  # such as geometry_msgs/msg/PoseStamped
     reliable: bool
     latched: bool
     depth: int
@@ -36,17 +37,21 @@ class PlayFile:
     def __init__(self, recording):
         self.path, self._recording = recording.path, recording
         self._source = recording._source
-        self.topics = {number: Topic(channel.topic, channel.type, *_qos(channel))
-                       for number, channel in recording.channels.items()
-                       if channel.encoding == "cdr" and _TYPE.fullmatch(channel.type)}
+        self.topics = {
+            number: Topic(channel.topic, channel.type, *_qos(channel))
+            for number, channel in recording.channels.items()
+            if channel.encoding == "cdr" and _TYPE.fullmatch(channel.type)
+        }
         self._chunks = self._index()
         edges = [edge for _, *pair in self._chunks for edge in pair]
         if not self.topics or not edges:
             raise PlayError(f"{self.path}: holds no message to publish")
         self.first_ns, self.last_ns = min(edges), max(edges)
         self.seconds = (self.last_ns - self.first_ns) * 1e-9
-        self.has_clock = any(topic.name == "/clock" and recording.topics.get("/clock")
-                             for topic in self.topics.values())
+        self.has_clock = any(
+            topic.name == "/clock" and recording.topics.get("/clock")
+            for topic in self.topics.values()
+        )
 
     def _index(self):
         """(offset, first, last stamp) of all chunks that can be read."""
@@ -76,9 +81,11 @@ class PlayFile:
                 order = order[stamps[order] >= since_ns]
                 edges = np.flatnonzero(np.diff(stamps[order])) + 1
                 for part in np.split(order, edges) if len(order) else ():
-                    group = [(self.topics[number], item.payload(k)) for k, number in
-                             zip(part.tolist(), item.channel[part].tolist())
-                             if number in self.topics]
+                    group = [
+                        (self.topics[number], item.payload(k))
+                        for k, number in zip(part.tolist(), item.channel[part].tolist())
+                        if number in self.topics
+                    ]
                     reached = max(reached, int(stamps[part[0]]))
                     yield reached, group
 
@@ -90,8 +97,10 @@ def _qos(channel):
         offered = yaml.safe_load(text) if len(text) <= LONGEST_QOS else None
         first = offered[0] if isinstance(offered, list) and offered else {}
         depth = first.get("depth") if isinstance(first, dict) else None
-        return (str(first.get("reliability")) not in ("best_effort", "2"),
-                str(first.get("durability")) in ("transient_local", "1"),
-                depth if isinstance(depth, int) and 0 < depth <= 10_000 else 10)
+        return (
+            str(first.get("reliability")) not in ("best_effort", "2"),
+            str(first.get("durability")) in ("transient_local", "1"),
+            depth if isinstance(depth, int) and 0 < depth <= 10_000 else 10,
+        )
     except (yaml.YAMLError, AttributeError, RecursionError, ValueError):
         return True, False, 10

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The run once more from its own initial state and wrenches: bit for bit, or as an experiment."""
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -25,12 +26,16 @@ def make_simulation(scene, settings, **other):
 
     Raises ValueError, one line, for settings that this version cannot simulate.
     """
-    chosen = {"method": settings["method"], "step": settings["step"], "group": settings["group"],
-              "stabilisation": settings.get("stabilisation") or "none",
-              "baumgarte_time": settings.get("baumgarte_time"),
-              **(settings.get("options") or {})}
+    chosen = {
+        "method": settings["method"],
+        "step": settings["step"],
+        "group": settings["group"],
+        "stabilisation": settings.get("stabilisation") or "none",
+        "baumgarte_time": settings.get("baumgarte_time"),
+        **(settings.get("options") or {}),
+    }
     if other.get("method", settings["method"]) != settings["method"]:
-        for name in settings.get("options") or {}:      # they were of the recorded method
+        for name in settings.get("options") or {}:  # they were of the recorded method
             del chosen[name]
     return Simulation(scene, **(chosen | other))
 
@@ -45,13 +50,15 @@ class Repeat:
         self._simulation = simulation
         self._starts = Starts(recording, simulation.layout)
         self._recorded = recording.initial_state
-        self._same_method = all(recording.settings.get(key) == getattr(simulation, key)
-                                for key in ("method", "group", "step"))
+        self._same_method = all(
+            recording.settings.get(key) == getattr(simulation, key)
+            for key in ("method", "group", "step")
+        )
         self._ratio = recording.settings["step"] / simulation.step
         self._stretch = None
         self._steps = self._samples = self._identical = 0
         self._first, self._stopped = None, None
-        self._largest = np.zeros(4)             # m, rad, rad/s, m/s
+        self._largest = np.zeros(4)  # m, rad, rad/s, m/s
 
     def add(self, block):
         """Take up a Block."""
@@ -63,26 +70,34 @@ class Repeat:
         pose, twist = self._states(block)
         k = len(pose)
         offsets = self._simulation.layout.offsets
-        if not offsets.none:                    # one by one, as it was when they were recorded
+        if not offsets.none:  # one by one, as it was when they were recorded
             for row in range(k):
                 pose[row], twist[row] = offsets.to_bodies(pose[row], twist[row])
         turned = quaternions(pose)
-        same = (_same(turned, block.quaternion[:k]) & _same(pose[..., 9:], block.position[:k])
-                & _same(twist, block.twist[:k]))
+        same = (
+            _same(turned, block.quaternion[:k])
+            & _same(pose[..., 9:], block.position[:k])
+            & _same(twist, block.twist[:k])
+        )
         good = same.all(axis=1)
         self._identical += int(good.sum())
         if good.all():
             return
         if self._first is None:
             row = int(np.argmin(good))
-            self._first = {"at_s": float(block.log_times[row]),
-                           "body": block.stretch.bodies[int(np.argmin(same[row]))]}
+            self._first = {
+                "at_s": float(block.log_times[row]),
+                "body": block.stretch.bodies[int(np.argmin(same[row]))],
+            }
         rotation = Rotation.from_quat(turned.reshape(-1, 4)).as_matrix()
         apart = distance(
             Trajectory(None, rotation.reshape(k, -1, 3, 3), pose[..., 9:], twist),
-            Trajectory(None, block.rotation[:k], block.position[:k], block.twist[:k]))
-        self._largest = np.maximum(self._largest, [
-            part.max() for part in (apart.position, apart.angle, apart.angular, apart.linear)])
+            Trajectory(None, block.rotation[:k], block.position[:k], block.twist[:k]),
+        )
+        self._largest = np.maximum(
+            self._largest,
+            [part.max() for part in (apart.position, apart.angle, apart.angular, apart.linear)],
+        )
 
     def _begin(self, stretch):
         self._stretch, self._broken, self._next = stretch, False, 0
@@ -90,8 +105,10 @@ class Repeat:
         self._changes = np.ceil(stretch.change_steps * self._ratio - ROUNDING).astype(np.int64)
         start = stretch.start * self._ratio
         if start != round(start):
-            raise ReplayError("the start of the recording is no whole number of steps of "
-                              f"{self._simulation.step:g} s")
+            raise ReplayError(
+                "the start of the recording is no whole number of steps of "
+                f"{self._simulation.step:g} s"
+            )
         try:
             if stretch.is_first and "memory" in self._recorded and self._same_method:
                 restore(self._simulation, self._recorded)
@@ -107,8 +124,10 @@ class Repeat:
         wanted = block.steps * self._ratio
         steps = np.rint(wanted).astype(np.int64)
         if np.abs(wanted - steps).max() > ROUNDING * max(1.0, self._ratio):
-            raise ReplayError(f"the samples do not lie on steps of {simulation.step:g} s: the "
-                              "time between two must be a whole number of steps")
+            raise ReplayError(
+                f"the samples do not lie on steps of {simulation.step:g} s: the "
+                "time between two must be a whole number of steps"
+            )
         n = len(stretch.bodies)
         pose, twist = np.empty((len(steps), n, 12)), np.empty((len(steps), n, 6))
         done = 0
@@ -121,7 +140,8 @@ class Repeat:
                     self._advance_to(int(self._changes[self._next]))
                     simulation.apply_wrench(
                         stretch.bodies[stretch.change_bodies[self._next]],
-                        stretch.change_wrenches[self._next])
+                        stretch.change_wrenches[self._next],
+                    )
                     self._next += 1
                 self._advance_to(step)
                 pose[done], twist[done] = simulation.state()
@@ -138,17 +158,25 @@ class Repeat:
 
     def figures(self):
         """How many samples have the same bits in every number, and how far the others are off."""
-        return {"samples": self._samples, "identical": self._identical,
-                "first_difference": self._first, "stopped": self._stopped,
-                "largest_difference": dict(zip(
+        return {
+            "samples": self._samples,
+            "identical": self._identical,
+            "first_difference": self._first,
+            "stopped": self._stopped,
+            "largest_difference": dict(
+                zip(
                     ("position_m", "angle_rad", "angular_rad_s", "linear_m_s"),
-                    map(float, self._largest)))}
+                    map(float, self._largest),
+                )
+            ),
+        }
 
 
 def _same(one, other):
     """(k, n) whether all numbers of a body are the same bits."""
-    return (np.ascontiguousarray(one).view(np.int64)
-            == np.ascontiguousarray(other).view(np.int64)).all(axis=2)
+    return (
+        np.ascontiguousarray(one).view(np.int64) == np.ascontiguousarray(other).view(np.int64)
+    ).all(axis=2)
 
 
 class Starts:
@@ -182,6 +210,7 @@ def initial_state(recording):
         if not all(np.isfinite(part).all() for part in (pose, twist, angles) if part is not None):
             raise ValueError
     except (KeyError, TypeError, ValueError, OverflowError):
-        raise RecordingError(f"{recording.path}: its initial state is not 12 and 6 numbers for "
-                             f"each of {n} bodies") from None
+        raise RecordingError(
+            f"{recording.path}: its initial state is not 12 and 6 numbers for each of {n} bodies"
+        ) from None
     return pose, twist, angles

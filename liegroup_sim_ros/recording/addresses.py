@@ -5,6 +5,7 @@ Addresses are read by fsspec, an optional package, with what it knows and what i
 (aiohttp for http://, s3fs for s3://, and so on); a file behind one is copied to a temporary file
 first, because a recording is gone through more than once.
 """
+
 import glob
 import shutil
 import tempfile
@@ -79,8 +80,10 @@ def _fsspec(address):
     try:
         import fsspec
     except ImportError:
-        raise AddressError(f"{address}: needs the package fsspec: pip install fsspec, or "
-                           "'liegroup_sim_ros[remote]'") from None
+        raise AddressError(
+            f"{address}: needs the package fsspec: pip install fsspec, or "
+            "'liegroup_sim_ros[remote]'"
+        ) from None
     return fsspec
 
 
@@ -88,6 +91,6 @@ def _reason(error):
     """What went wrong at the bottom of it, one line."""
     while error.__cause__ is not None:
         error = error.__cause__
-    if isinstance(error, FileNotFoundError):        # has the address as its text, or part of it
+    if isinstance(error, FileNotFoundError):  # has the address as its text, or part of it
         return "no such file"
     return " ".join(str(error).split())[:200] or type(error).__name__

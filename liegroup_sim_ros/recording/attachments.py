@@ -3,6 +3,7 @@
 
 docs/recording.md describes every entry.
 """
+
 import base64
 import binascii
 import json
@@ -30,22 +31,32 @@ def at_start(simulation, node, world_frame, sample_steps, topics, stamp_ns=0, **
     stamp_ns     : of the state
     more         : further entries of settings.json, JSON types
     """
-    described = settings(simulation, sample_steps) | {
-        "node": node, "world_frame": world_frame, "topics": topics} | more
-    return {"scene.yaml": ("application/yaml", simulation.scene.text.encode()),
-            "settings.json": as_json(described),
-            "initial_state.json": as_json(state(simulation, stamp_ns))}
+    described = (
+        settings(simulation, sample_steps)
+        | {"node": node, "world_frame": world_frame, "topics": topics}
+        | more
+    )
+    return {
+        "scene.yaml": ("application/yaml", simulation.scene.text.encode()),
+        "settings.json": as_json(described),
+        "initial_state.json": as_json(state(simulation, stamp_ns)),
+    }
 
 
 def state(simulation, stamp_ns):
     """The present state of a simulation as JSON types; `restore` is the way back."""
     pose, twist = simulation.state()
     # JSON writes the shortest text that reads back to the same float64: the state is exact.
-    return {"bodies": list(simulation.layout.body_names), "pose": pose.tolist(),
-            "twist": twist.tolist(), "angles": simulation.sample().angles.tolist(),
-            "steps": simulation.steps, "stamp_ns": stamp_ns,
-            "base_ns": stamp_ns - simulation.time_ns,
-            "memory": base64.b64encode(simulation.memory()).decode()}
+    return {
+        "bodies": list(simulation.layout.body_names),
+        "pose": pose.tolist(),
+        "twist": twist.tolist(),
+        "angles": simulation.sample().angles.tolist(),
+        "steps": simulation.steps,
+        "stamp_ns": stamp_ns,
+        "base_ns": stamp_ns - simulation.time_ns,
+        "memory": base64.b64encode(simulation.memory()).decode(),
+    }
 
 
 def restore(simulation, entries):
@@ -55,8 +66,12 @@ def restore(simulation, entries):
     is of another version, so that it starts anew from this state
     raises ValueError, KeyError, TypeError for entries that are no state of it
     """
-    arguments = (np.array(entries["pose"], dtype=float), np.array(entries["twist"], dtype=float),
-                 int(entries.get("steps", 0)), entries.get("angles"))
+    arguments = (
+        np.array(entries["pose"], dtype=float),
+        np.array(entries["twist"], dtype=float),
+        int(entries.get("steps", 0)),
+        entries.get("angles"),
+    )
     try:
         memory = base64.b64decode(entries.get("memory", ""), validate=True)
         simulation.set_state(*arguments, memory=memory)
@@ -69,13 +84,21 @@ def restore(simulation, entries):
 def settings(simulation, sample_steps):
     """What a run was made with, and on what, as JSON types."""
     return {
-        "format": 1, "scene": simulation.scene.name, "method": simulation.method,
-        "group": simulation.group, "step": simulation.step,
-        "stabilisation": simulation.stabilisation, "baumgarte_time": simulation.baumgarte_time,
-        "options": simulation.options, "promise": simulation.promise,
-        "steps_per_sample": sample_steps, "versions": versions(),
-        "machine": machine(), "part": 1,
-        "wall_start": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())}
+        "format": 1,
+        "scene": simulation.scene.name,
+        "method": simulation.method,
+        "group": simulation.group,
+        "step": simulation.step,
+        "stabilisation": simulation.stabilisation,
+        "baumgarte_time": simulation.baumgarte_time,
+        "options": simulation.options,
+        "promise": simulation.promise,
+        "steps_per_sample": sample_steps,
+        "versions": versions(),
+        "machine": machine(),
+        "part": 1,
+        "wall_start": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+    }
 
 
 def as_json(data):
@@ -98,17 +121,25 @@ def versions():
 @lru_cache(maxsize=None)
 def machine():
     """What else decides on the bits of a run: system, C library, processor and what it can do."""
-    return {"system": platform.platform(), "libc": " ".join(platform.libc_ver()),
-            "processor": platform.machine(), "cores": os.cpu_count(), **_compiled_for(),
-            "cpu": cpu_name()}
+    return {
+        "system": platform.platform(),
+        "libc": " ".join(platform.libc_ver()),
+        "processor": platform.machine(),
+        "cores": os.cpu_count(),
+        **_compiled_for(),
+        "cpu": cpu_name(),
+    }
 
 
 def _compiled_for():
     """Processor and features that numba compiles for; nothing without numba."""
     try:
         from llvmlite import binding
+
         features = binding.get_host_cpu_features()
-        return {"target": binding.get_host_cpu_name(),
-                "features": sorted(name for name, is_there in features.items() if is_there)}
+        return {
+            "target": binding.get_host_cpu_name(),
+            "features": sorted(name for name, is_there in features.items() if is_there),
+        }
     except (ImportError, RuntimeError):
         return {"target": None, "features": None}

@@ -3,6 +3,7 @@
 
 Source: rosbag2 bag metadata version 9.
 """
+
 import os
 
 import yaml
@@ -15,7 +16,7 @@ class Bag:
 
     def __init__(self):
         self._files = []
-        self._topics = {}                   # name -> what topics_with_message_count has
+        self._topics = {}  # name -> what topics_with_message_count has
 
     def add_file(self, name, stamps, topics):
         """A file that is complete.
@@ -25,13 +26,18 @@ class Bag:
         topics : [(topic_info(...), number of messages)]
         """
         first, last = stamps
-        self._files.append({
-            "path": name, "starting_time": {"nanoseconds_since_epoch": first},
-            "duration": {"nanoseconds": last - first},
-            "message_count": sum(count for _, count in topics)})
+        self._files.append(
+            {
+                "path": name,
+                "starting_time": {"nanoseconds_since_epoch": first},
+                "duration": {"nanoseconds": last - first},
+                "message_count": sum(count for _, count in topics),
+            }
+        )
         for info, count in topics:
             entry = self._topics.setdefault(
-                info["name"], {"topic_metadata": info, "message_count": 0})
+                info["name"], {"topic_metadata": info, "message_count": 0}
+            )
             entry["message_count"] += count
 
     def description(self):
@@ -40,21 +46,27 @@ class Bag:
         starts = [file["starting_time"]["nanoseconds_since_epoch"] for file in files]
         ends = [start + file["duration"]["nanoseconds"] for start, file in zip(starts, files)]
         return {
-            "version": 9, "storage_identifier": "mcap",
+            "version": 9,
+            "storage_identifier": "mcap",
             "duration": {"nanoseconds": max(ends) - min(starts)},
             "starting_time": {"nanoseconds_since_epoch": min(starts)},
             "message_count": sum(file["message_count"] for file in self._files),
             "topics_with_message_count": list(self._topics.values()),
-            "compression_format": "", "compression_mode": "",
+            "compression_format": "",
+            "compression_mode": "",
             "relative_file_paths": [file["path"] for file in self._files],
-            "files": self._files, "custom_data": {}, "ros_distro": "jazzy"}
+            "files": self._files,
+            "custom_data": {},
+            "ros_distro": "jazzy",
+        }
 
     def write(self, folder):
         """Write metadata.yaml, whole or not at all. Raises OSError."""
         path = folder / FILE_NAME
         new = path.with_suffix(".yaml.new")
-        new.write_text(as_yaml({"rosbag2_bagfile_information": self.description()}),
-                       encoding="utf-8")
+        new.write_text(
+            as_yaml({"rosbag2_bagfile_information": self.description()}), encoding="utf-8"
+        )
         os.replace(new, path)
 
 
@@ -67,12 +79,17 @@ def record_of_file(name, stamps, topics):
 
 def topic_info(topic, msg_type, qos, type_hash):
     """What rosbag2 keeps of a topic; qos: as of schemas.qos_profile, a list of them."""
-    return {"name": topic, "type": msg_type, "serialization_format": "cdr",
-            "offered_qos_profiles": qos, "type_description_hash": type_hash}
+    return {
+        "name": topic,
+        "type": msg_type,
+        "serialization_format": "cdr",
+        "offered_qos_profiles": qos,
+        "type_description_hash": type_hash,
+    }
 
 
 class _Dumper(yaml.SafeDumper):
-    def ignore_aliases(self, data):            # rosbag2's reader takes values, not references
+    def ignore_aliases(self, data):  # rosbag2's reader takes values, not references
         return True
 
 

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether the parts of a recording belong together: settings, scene and initial state."""
+
 import math
 
 from liegroup_core.integrators.methods import GROUPS
@@ -11,14 +12,18 @@ def is_promise(entry):
     """Whether an entry of a recording's settings can be judged."""
     return isinstance(entry, dict) and all(
         isinstance(entry.get(key), (int, float)) and math.isfinite(entry[key]) and entry[key] > 0.0
-        for key in ("accuracy", "horizon", "length"))
+        for key in ("accuracy", "horizon", "length")
+    )
 
 
 def check_settings(recording, scene):
     """Raise RecordingError where parts of a recording do not belong together."""
     settings, path = recording.settings, recording.path
-    lacking = [key for key in ("scene", "method", "group", "step", "steps_per_sample",
-                               "world_frame") if key not in settings]
+    lacking = [
+        key
+        for key in ("scene", "method", "group", "step", "steps_per_sample", "world_frame")
+        if key not in settings
+    ]
     if lacking:
         raise RecordingError(f"{path}: its settings lack {', '.join(lacking)}")
 
@@ -30,17 +35,20 @@ def check_settings(recording, scene):
         "method": isinstance(settings["method"], str),
         "group": settings["group"] in tuple(GROUPS),
         "step": isinstance(settings["step"], (int, float))
-        and not isinstance(settings["step"], bool) and 1e-9 <= settings["step"] <= 1e6,
+        and not isinstance(settings["step"], bool)
+        and 1e-9 <= settings["step"] <= 1e6,
         "steps_per_sample": is_count(settings["steps_per_sample"]),
         "world_frame": isinstance(settings["world_frame"], str),
         "options": isinstance(settings.get("options") or {}, dict),
         "versions": isinstance(settings.get("versions") or {}, dict),
         "stabilisation": isinstance(settings.get("stabilisation") or "none", str),
-        "promise": settings.get("promise") is None or is_promise(settings["promise"])}
+        "promise": settings.get("promise") is None or is_promise(settings["promise"]),
+    }
     for name, good in checks.items():
         if not good:
-            raise RecordingError(f"{path}: its setting {name} makes no sense: "
-                                 f"{settings.get(name)!r:.60}")
+            raise RecordingError(
+                f"{path}: its setting {name} makes no sense: {settings.get(name)!r:.60}"
+            )
     if recording.bodies != tuple(body.name for body in scene.bodies):
         raise RecordingError(f"{path}: its initial state is for other bodies than its scene has")
     pacing = recording.pacing

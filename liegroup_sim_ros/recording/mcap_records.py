@@ -7,6 +7,7 @@ mcap_stream.py gives the messages of a recording as arrays.
 
 Source: mcap.dev specification, version 0.
 """
+
 import struct
 import zlib
 from array import array
@@ -27,10 +28,10 @@ MOST_EXPANSION = 1000
 LARGEST_RATIO = 100
 GROWS = f"it claims to hold more than {LARGEST_RATIO} times its size; the rest is left out"
 
-RECORD = struct.Struct("<BQ")               # opcode, size of what follows
-_MESSAGE = struct.Struct("<HIQQ")           # channel, sequence, log time, publish time
-CHUNK = struct.Struct("<QQQII")             # times, size, check sum, length of the compression
-_ATTACHMENT = struct.Struct("<QQI")         # log time, create time, length of the name
+RECORD = struct.Struct("<BQ")  # opcode, size of what follows
+_MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
+CHUNK = struct.Struct("<QQQII")  # times, size, check sum, length of the compression
+_ATTACHMENT = struct.Struct("<QQI")  # log time, create time, length of the name
 
 
 class Damaged(Exception):
@@ -40,11 +41,11 @@ class Damaged(Exception):
 class Block(NamedTuple):
     """Records of schemas, channels and messages."""
 
-    definitions: list           # Schema and Channel
-    starts: array               # where in `data` the messages begin, and
-    ends: array                 # where they end
+    definitions: list  # Schema and Channel
+    starts: array  # where in `data` the messages begin, and
+    ends: array  # where they end
     data: bytes
-    is_whole: bool              # False: the beginning of a chunk that the file ends in
+    is_whole: bool  # False: the beginning of a chunk that the file ends in
 
     def messages(self):
         """Generator of (channel, sequence, log time, publish time, offset of its bytes, end)."""
@@ -56,13 +57,13 @@ class Block(NamedTuple):
 class ChunkHead(NamedTuple):
     """What a chunk says of itself."""
 
-    first_ns: int               # stamps
+    first_ns: int  # stamps
     last_ns: int
-    size: int                   # bytes, decompressed
-    checksum: int               # of these; 0: none
+    size: int  # bytes, decompressed
+    checksum: int  # of these; 0: none
     compression: bytes
-    data_start: int             # offset in the record
-    length: int                 # bytes, in the file
+    data_start: int  # offset in the record
+    length: int  # bytes, in the file
 
 
 class AttachmentPiece(NamedTuple):
@@ -74,9 +75,15 @@ class AttachmentPiece(NamedTuple):
 
 
 # Records that are read; those that the library parses with its class.
-KINDS = {Opcode.HEADER: Header, Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel,
-         Opcode.MESSAGE: None, Opcode.CHUNK: None, Opcode.ATTACHMENT: None,
-         Opcode.METADATA: Metadata}
+KINDS = {
+    Opcode.HEADER: Header,
+    Opcode.SCHEMA: Schema,
+    Opcode.CHANNEL: Channel,
+    Opcode.MESSAGE: None,
+    Opcode.CHUNK: None,
+    Opcode.ATTACHMENT: None,
+    Opcode.METADATA: Metadata,
+}
 
 
 class _Fields(ReadDataStream):
@@ -95,7 +102,7 @@ def parsed(kind, body):
         return kind.read(_Fields(BytesIO(body)))
     except Damaged:
         raise
-    except Exception as error:              # damaged bytes can make a parser raise anything
+    except Exception as error:  # damaged bytes can make a parser raise anything
         raise Damaged(f"a damaged record ({kind.__name__})") from error
 
 
@@ -107,8 +114,8 @@ def chunk_head(body):
     data_start = CHUNK.size + name_length + 8
     if name_length > 16 or len(body) < data_start:
         raise Damaged("a damaged chunk")
-    compression = body[CHUNK.size:CHUNK.size + name_length]
-    length, = struct.unpack_from("<Q", body, data_start - 8)
+    compression = body[CHUNK.size : CHUNK.size + name_length]
+    (length,) = struct.unpack_from("<Q", body, data_start - 8)
     return ChunkHead(first_ns, last_ns, size, checksum, compression, data_start, length)
 
 
@@ -134,8 +141,11 @@ def _decompressed(compression, data, size):
     if compression == b"zstd":
         try:
             # Not decompress(), which believes the size that the data claim.
-            return zstandard.ZstdDecompressor(max_window_size=LARGEST).stream_reader(
-                data).read(size + 1)
+            return (
+                zstandard.ZstdDecompressor(max_window_size=LARGEST)
+                .stream_reader(data)
+                .read(size + 1)
+            )
         except (zstandard.ZstdError, MemoryError) as error:
             raise Damaged("a damaged chunk") from error
     if compression == b"lz4":
@@ -167,12 +177,12 @@ def beginning(body):
         try:
             while left > 0 and start < len(body):
                 # A little at a time: a byte may become 32 KiB.
-                parts.append(decompress(body[start:start + 64]))
+                parts.append(decompress(body[start : start + 64]))
                 left -= len(parts[-1])
                 start += 64
         except (zstandard.ZstdError, MemoryError):
             pass
-        data = b"".join(parts)[:head.size]
+        data = b"".join(parts)[: head.size]
     try:
         block = block_of(data, is_whole=False)
     except Damaged:
@@ -212,12 +222,12 @@ def attachment_of(body):
     try:
         name, media_type = stream.read_prefixed_string(), stream.read_prefixed_string()
         length = stream.read8()
-    except Exception as error:              # likewise
+    except Exception as error:  # likewise
         raise Damaged("a damaged attachment") from error
     at = 16 + stream.count
     if at + length + 4 != len(body):
         raise Damaged("a damaged attachment")
-    checksum, = struct.unpack_from("<I", body, at + length)
+    (checksum,) = struct.unpack_from("<I", body, at + length)
     if checksum and zlib.crc32(body[:-4]) != checksum:
         raise Damaged(f"a damaged attachment, {name}")
-    return AttachmentPiece(log_time, create_time, name, media_type, body[at:at + length])
+    return AttachmentPiece(log_time, create_time, name, media_type, body[at : at + length])

@@ -8,6 +8,7 @@ the size of the file.
 
 Source: mcap.dev specification, version 0.
 """
+
 import struct
 import zlib
 from typing import NamedTuple
@@ -33,10 +34,10 @@ from .mcap_records import (
     parsed,
 )
 
-_TRIES = 16                   # times the size of the file may be read in search of a chunk
+_TRIES = 16  # times the size of the file may be read in search of a chunk
 
 _FOOTER = RECORD.size + 20
-_ZSTD = struct.pack("<I", 4) + b"zstd"      # in every chunk that is searched for
+_ZSTD = struct.pack("<I", 4) + b"zstd"  # in every chunk that is searched for
 
 
 class Damage(NamedTuple):
@@ -48,8 +49,8 @@ class Damage(NamedTuple):
 class End(NamedTuple):
     """The end of a file that was finished."""
 
-    definitions: list           # Schema and Channel of the summary
-    statistics: object          # Statistics, or None
+    definitions: list  # Schema and Channel of the summary
+    statistics: object  # Statistics, or None
 
 
 def pieces(stream, size):
@@ -64,7 +65,7 @@ def pieces(stream, size):
         raise Damaged("not an MCAP file")
     search = _Search(stream, size)
     budget = LARGEST + LARGEST_RATIO * size
-    good_end = at = len(MCAP0_MAGIC)        # all before good_end is known to be right
+    good_end = at = len(MCAP0_MAGIC)  # all before good_end is known to be right
     while True:
         try:
             opcode, length, is_cut = _next_record(stream, at, size)
@@ -149,12 +150,13 @@ def _piece(stream, opcode, start, length):
 
 def _chunk_data(body):
     head = chunk_head(body)
-    return chunk_data(head, body[head.data_start:head.data_start + head.length])
+    return chunk_data(head, body[head.data_start : head.data_start + head.length])
 
 
 def _fits_itself(stream, opcode, start, length):
     """Whether the sizes within a damaged record agree with its length, so that the next one is
-    where the length says."""
+    where the length says.
+    """
     stream.seek(start)
     if opcode != Opcode.CHUNK:
         return opcode != Opcode.ATTACHMENT
@@ -171,7 +173,7 @@ def summary_of(stream, size):
     footer = stream.read(_FOOTER)
     if len(footer) < _FOOTER:
         raise Damaged("the end of the file is damaged")
-    at = parsed(Footer, footer[RECORD.size:]).summary_start - 4 - RECORD.size
+    at = parsed(Footer, footer[RECORD.size :]).summary_start - 4 - RECORD.size
     if at < 0 or at > size or _next_record(stream, at, size)[:2] != (Opcode.DATA_END, 4):
         raise Damaged("the end of the file is damaged")
     return _end(stream, at, size, check_data=False)
@@ -184,11 +186,11 @@ def _end(stream, at, size, check_data=True):
     summary_start = at + RECORD.size + 4
     if tail_start < summary_start or tail_start - summary_start > LARGEST:
         raise Damaged("the end of the file is damaged")
-    data_checksum, = struct.unpack("<I", stream.read(4))
+    (data_checksum,) = struct.unpack("<I", stream.read(4))
     summary, footer = stream.read(tail_start - summary_start), stream.read(_FOOTER)
     if stream.read() != MCAP0_MAGIC or RECORD.unpack_from(footer) != (Opcode.FOOTER, 20):
         raise Damaged("the end of the file is damaged")
-    told = parsed(Footer, footer[RECORD.size:])
+    told = parsed(Footer, footer[RECORD.size :])
     if told.summary_crc and zlib.crc32(summary + footer[:-4]) != told.summary_crc:
         raise Damaged("the summary is damaged")
     if summary and told.summary_start != summary_start:
@@ -201,7 +203,7 @@ def _end(stream, at, size, check_data=True):
         place += RECORD.size
         if place + length > len(summary):
             raise Damaged("the summary is damaged")
-        body = summary[place:place + length]
+        body = summary[place : place + length]
         if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             definitions.append(parsed(KINDS[opcode], body))
         elif opcode == Opcode.STATISTICS:
@@ -225,8 +227,8 @@ class _Search:
 
     def __init__(self, stream, size):
         self._stream, self._size = stream, size
-        self._left = _TRIES * size + 2**20      # bytes that may be read in vain
-        self.done = 0                           # there is none before this offset
+        self._left = _TRIES * size + 2**20  # bytes that may be read in vain
+        self.done = 0  # there is none before this offset
 
     def next_chunk(self, at):
         """Offset of the next one that begins at an offset or behind it, or None."""

@@ -11,6 +11,7 @@ messages of a chunk, some 10 ns each (benchmarks/recording_analysis.py).
 
 Source: mcap.dev specification, version 0.
 """
+
 from typing import NamedTuple
 
 import numpy as np
@@ -35,10 +36,10 @@ from .mcap_records import (
 )
 
 # Messages outside of chunks are put together to pieces of this size.
-PIECE = 2**20                   # bytes
+PIECE = 2**20  # bytes
 
-_CHUNK_HEAD = 56                # bytes, at most
-_MESSAGE_START = 22             # bytes of a message before its data
+_CHUNK_HEAD = 56  # bytes, at most
+_MESSAGE_START = 22  # bytes of a message before its data
 _READ = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.CHUNK, Opcode.ATTACHMENT, Opcode.STATISTICS)
 
 
@@ -46,24 +47,24 @@ class Channel(NamedTuple):
     id: int
     topic: str
     encoding: str
-    type: str                   # name of its schema
-    schema: bytes               # text of the schema
+    type: str  # name of its schema
+    schema: bytes  # text of the schema
     metadata: dict
 
 
 class Messages(NamedTuple):
     """The messages of a chunk, in file order."""
 
-    data: np.ndarray            # (bytes,) uint8, the unpacked chunk
-    channel: np.ndarray         # (m,) channel id
-    sequence: np.ndarray        # (m,)
-    log_time: np.ndarray        # (m,) ns
-    start: np.ndarray           # (m,) where in data its payload begins
-    size: np.ndarray            # (m,) bytes of its payload
+    data: np.ndarray  # (bytes,) uint8, the unpacked chunk
+    channel: np.ndarray  # (m,) channel id
+    sequence: np.ndarray  # (m,)
+    log_time: np.ndarray  # (m,) ns
+    start: np.ndarray  # (m,) where in data its payload begins
+    size: np.ndarray  # (m,) bytes of its payload
 
     def payload(self, k):
         """Bytes of message k."""
-        return self.data[self.start[k]:self.start[k] + self.size[k]].tobytes()
+        return self.data[self.start[k] : self.start[k] + self.size[k]].tobytes()
 
     def rows(self, index):
         """(len(index), size) uint8: payloads of messages of one size."""
@@ -130,7 +131,7 @@ class McapStream:
         self.channels, self._schemas = {}, {}
         self.finished, self.damaged, self.remarks = False, 0, []
         self.statistics = self.attachments_indexed = None
-        self.offset = 0                     # of the record that the last item came from
+        self.offset = 0  # of the record that the last item came from
         self._loose = bytearray()
         self._budget = LARGEST + LARGEST_RATIO * size
 
@@ -149,8 +150,11 @@ class McapStream:
             if opcode == 0 or length > self._size - at:
                 break
             if opcode == Opcode.FOOTER:
-                self.finished = length == 20 and len(file.read(20)) == 20 and (
-                    file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC)
+                self.finished = (
+                    length == 20
+                    and len(file.read(20)) == 20
+                    and (file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC)
+                )
                 break
             if opcode == Opcode.MESSAGE:
                 self._loose += head + file.read(length)
@@ -212,22 +216,25 @@ class McapStream:
         if self._wanted is not None and not self._wanted(at, head.first_ns, head.last_ns):
             return None
         body += self._file.read(length - len(body))
-        return self._messages(np.frombuffer(
-            chunk_data(head, memoryview(body)[head.data_start:]), dtype=np.uint8))
+        return self._messages(
+            np.frombuffer(chunk_data(head, memoryview(body)[head.data_start :]), dtype=np.uint8)
+        )
 
     def _messages(self, data):
         room = len(data) // (RECORD.size + _MESSAGE_START) + 1
         channel, sequence, log_time, start, size = np.empty((5, room), dtype=np.int64)
         other = np.empty((len(data) // RECORD.size + 1, 3), dtype=np.int64)
-        found, others, walked = _find_messages(data, channel, sequence, log_time, start, size,
-                                               other)
+        found, others, walked = _find_messages(
+            data, channel, sequence, log_time, start, size, other
+        )
         for opcode, begin, length in other[:others].tolist():
             if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._take_names(opcode, data[begin:begin + length].tobytes())
+                self._take_names(opcode, data[begin : begin + length].tobytes())
         if walked != len(data):
             self._skip("a chunk whose records do not fit")
-        return Messages(data, channel[:found], sequence[:found], log_time[:found], start[:found],
-                        size[:found])
+        return Messages(
+            data, channel[:found], sequence[:found], log_time[:found], start[:found], size[:found]
+        )
 
     def _take_names(self, opcode, data):
         if opcode == Opcode.SCHEMA:
@@ -236,8 +243,14 @@ class McapStream:
             return
         told = parsed(ChannelRecord, data)
         schema = self._schemas.get(told.schema_id)
-        found = Channel(told.id, told.topic, told.message_encoding, schema.name if schema else "",
-                        schema.data if schema else b"", told.metadata)
+        found = Channel(
+            told.id,
+            told.topic,
+            told.message_encoding,
+            schema.name if schema else "",
+            schema.data if schema else b"",
+            told.metadata,
+        )
         before = self.channels.setdefault(told.id, found)
         if before[:3] != found[:3]:
             raise Damaged(f"channel {told.id} is said to be two different ones")

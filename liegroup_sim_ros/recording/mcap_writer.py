@@ -8,6 +8,7 @@ readers of mcap and of rosbags.
 
 Source: mcap.dev specification, version 0.
 """
+
 import struct
 import zlib
 from array import array
@@ -32,10 +33,10 @@ from mcap.records import (
 from mcap.records import Chunk as ChunkRecord
 from mcap.writer import MCAP0_MAGIC
 
-_MESSAGE = struct.Struct("<BQHIQQ")         # opcode, size, channel, sequence, log and publish time
-_MESSAGE_FIELDS = _MESSAGE.size - 9         # without opcode and size
-_INDEX = struct.Struct("<BQHI")             # opcode, size, channel, size of the array
-_FOOTER_START = struct.Struct("<BQQQ")      # what its check sum covers of a footer
+_MESSAGE = struct.Struct("<BQHIQQ")  # opcode, size, channel, sequence, log and publish time
+_MESSAGE_FIELDS = _MESSAGE.size - 9  # without opcode and size
+_INDEX = struct.Struct("<BQHI")  # opcode, size, channel, size of the array
+_FOOTER_START = struct.Struct("<BQQQ")  # what its check sum covers of a footer
 
 
 class Chunk:
@@ -53,9 +54,17 @@ class Chunk:
         if channel not in self.index:
             self.index[channel] = array("Q")
         self.index[channel].extend((stamp_ns, self.size))
-        self.parts += (_MESSAGE.pack(Opcode.MESSAGE, _MESSAGE_FIELDS + len(data), channel,
-                                     sequence, stamp_ns,
-                                     stamp_ns if publish_ns is None else publish_ns), data)
+        self.parts += (
+            _MESSAGE.pack(
+                Opcode.MESSAGE,
+                _MESSAGE_FIELDS + len(data),
+                channel,
+                sequence,
+                stamp_ns,
+                stamp_ns if publish_ns is None else publish_ns,
+            ),
+            data,
+        )
         self.size += _MESSAGE.size + len(data)
         self.count += 1
 
@@ -73,9 +82,9 @@ class McapFile:
         self._compress = zstandard.ZstdCompressor(level=1).compress
         self._schemas, self._channels, self._definitions = [], [], bytearray()
         self._chunks, self._attachments, self._metadata = [], [], []
-        self.counts = {}                    # channel id -> messages
+        self.counts = {}  # channel id -> messages
         self._first_ns = self._last_ns = None
-        self._checksum = 0                  # of all written so far
+        self._checksum = 0  # of all written so far
         self._put(MCAP0_MAGIC)
         self._write(Header(profile, library))
 
@@ -99,15 +108,21 @@ class McapFile:
 
     def add_schema(self, name, encoding, data):
         """Number of a new schema."""
-        self._schemas.append(Schema(id=len(self._schemas) + 1, data=data, encoding=encoding,
-                                    name=name))
+        self._schemas.append(
+            Schema(id=len(self._schemas) + 1, data=data, encoding=encoding, name=name)
+        )
         self._define(self._schemas[-1])
         return self._schemas[-1].id
 
     def add_channel(self, topic, encoding, schema, metadata):
         """Number of a new channel."""
-        channel = Channel(id=len(self._channels) + 1, topic=topic, message_encoding=encoding,
-                          schema_id=schema, metadata=metadata)
+        channel = Channel(
+            id=len(self._channels) + 1,
+            topic=topic,
+            message_encoding=encoding,
+            schema_id=schema,
+            metadata=metadata,
+        )
         self._channels.append(channel)
         self.counts[channel.id] = 0
         self._define(channel)
@@ -115,11 +130,26 @@ class McapFile:
 
     def add_attachment(self, create_ns, stamp_ns, name, media_type, data):
         """A file within the file."""
-        offset, length = self._write(Attachment(
-            create_time=create_ns, log_time=stamp_ns, name=name, media_type=media_type, data=data))
-        self._attachments.append(AttachmentIndex(
-            offset=offset, length=length, create_time=create_ns, log_time=stamp_ns,
-            data_size=len(data), name=name, media_type=media_type))
+        offset, length = self._write(
+            Attachment(
+                create_time=create_ns,
+                log_time=stamp_ns,
+                name=name,
+                media_type=media_type,
+                data=data,
+            )
+        )
+        self._attachments.append(
+            AttachmentIndex(
+                offset=offset,
+                length=length,
+                create_time=create_ns,
+                log_time=stamp_ns,
+                data_size=len(data),
+                name=name,
+                media_type=media_type,
+            )
+        )
 
     def add_metadata(self, name, entries):
         """{key: text} under a name."""
@@ -143,9 +173,16 @@ class McapFile:
         data = front + b"".join(chunk.parts)
         first, last = (edge(edge(each[::2]) for each in index.values()) for edge in (min, max))
         compressed = self._compress(data)
-        offset, length = self._write(ChunkRecord(
-            compression="zstd", data=compressed, message_start_time=first, message_end_time=last,
-            uncompressed_crc=zlib.crc32(data), uncompressed_size=len(data)))
+        offset, length = self._write(
+            ChunkRecord(
+                compression="zstd",
+                data=compressed,
+                message_start_time=first,
+                message_end_time=last,
+                uncompressed_crc=zlib.crc32(data),
+                uncompressed_size=len(data),
+            )
+        )
         start, offsets, parts = offset + length, {}, b""
         for channel, each in index.items():
             offsets[channel] = start + len(parts)
@@ -154,10 +191,19 @@ class McapFile:
             parts += struct.pack(f"<{len(each)}Q", *each)
             self.counts[channel] += len(each) // 2
         self._put(parts)
-        self._chunks.append(ChunkIndex(
-            message_start_time=first, message_end_time=last, chunk_start_offset=offset,
-            chunk_length=length, message_index_offsets=offsets, message_index_length=len(parts),
-            compression="zstd", compressed_size=len(compressed), uncompressed_size=len(data)))
+        self._chunks.append(
+            ChunkIndex(
+                message_start_time=first,
+                message_end_time=last,
+                chunk_start_offset=offset,
+                chunk_length=length,
+                message_index_offsets=offsets,
+                message_index_length=len(parts),
+                compression="zstd",
+                compressed_size=len(compressed),
+                uncompressed_size=len(data),
+            )
+        )
         if self._first_ns is None:
             self._first_ns, self._last_ns = first, last
         self._first_ns, self._last_ns = min(self._first_ns, first), max(self._last_ns, last)
@@ -167,30 +213,45 @@ class McapFile:
         self._write(DataEnd(self._checksum))
         start, (first, last) = self._stream.tell(), self.stamps
         statistics = Statistics(
-            attachment_count=len(self._attachments), channel_count=len(self._channels),
-            channel_message_counts=self.counts, chunk_count=len(self._chunks),
-            message_count=sum(self.counts.values()), message_start_time=first,
-            message_end_time=last, metadata_count=len(self._metadata),
-            schema_count=len(self._schemas))
+            attachment_count=len(self._attachments),
+            channel_count=len(self._channels),
+            channel_message_counts=self.counts,
+            chunk_count=len(self._chunks),
+            message_count=sum(self.counts.values()),
+            message_start_time=first,
+            message_end_time=last,
+            metadata_count=len(self._metadata),
+            schema_count=len(self._schemas),
+        )
         summary, groups = RecordBuilder(), []
         for opcode, records in (
-                (Opcode.SCHEMA, self._schemas), (Opcode.CHANNEL, self._channels),
-                (Opcode.STATISTICS, [statistics]), (Opcode.CHUNK_INDEX, self._chunks),
-                (Opcode.ATTACHMENT_INDEX, self._attachments),
-                (Opcode.METADATA_INDEX, self._metadata)):
+            (Opcode.SCHEMA, self._schemas),
+            (Opcode.CHANNEL, self._channels),
+            (Opcode.STATISTICS, [statistics]),
+            (Opcode.CHUNK_INDEX, self._chunks),
+            (Opcode.ATTACHMENT_INDEX, self._attachments),
+            (Opcode.METADATA_INDEX, self._metadata),
+        ):
             begin = summary.count
             for record in records:
                 record.write(summary)
             if records:
-                groups.append(SummaryOffset(group_opcode=opcode, group_start=start + begin,
-                                            group_length=summary.count - begin))
+                groups.append(
+                    SummaryOffset(
+                        group_opcode=opcode,
+                        group_start=start + begin,
+                        group_length=summary.count - begin,
+                    )
+                )
         offsets_start = start + summary.count
         for group in groups:
             group.write(summary)
         data = summary.end()
         self._stream.write(data)
-        checksum = zlib.crc32(_FOOTER_START.pack(Opcode.FOOTER, 8 + 8 + 4, start, offsets_start),
-                              zlib.crc32(data))
-        self._write(Footer(summary_start=start, summary_offset_start=offsets_start,
-                           summary_crc=checksum))
+        checksum = zlib.crc32(
+            _FOOTER_START.pack(Opcode.FOOTER, 8 + 8 + 4, start, offsets_start), zlib.crc32(data)
+        )
+        self._write(
+            Footer(summary_start=start, summary_offset_start=offsets_start, summary_crc=checksum)
+        )
         self._stream.write(MCAP0_MAGIC)

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The motion in a recording: stretches between resets, piece by piece, in bounded memory."""
+
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -10,7 +11,7 @@ from .reader import RecordingError
 
 # Samples that are kept for plots and for a closer look, of all bodies together and at least.
 KEPT, LEAST_KEPT = 40_000, 2000
-LATEST = 2**62                  # ns; stamps beyond are no times
+LATEST = 2**62  # ns; stamps beyond are no times
 
 
 @dataclass(eq=False)
@@ -20,17 +21,17 @@ class Stretch:
     steps, rotation, position, twist and angles are of k samples, evenly taken from all of them.
     """
 
-    base_ns: int            # stamp of step 0
-    end_ns: float           # stamp of the reset that ends it, or infinity
-    step: float             # s
-    bodies: tuple           # names
-    is_first: bool          # it begins with the file, the others with a reset
-    start: int              # number of its first step
-    change_steps: np.ndarray    # (m,) steps from which on the total wrench on a body is another
-    change_bodies: np.ndarray   # (m,) index of the body
-    change_wrenches: np.ndarray     # (m, 6) body axes
-    samples: int = 0        # all there are
-    first_step: int = 0     # of a sample
+    base_ns: int  # stamp of step 0
+    end_ns: float  # stamp of the reset that ends it, or infinity
+    step: float  # s
+    bodies: tuple  # names
+    is_first: bool  # it begins with the file, the others with a reset
+    start: int  # number of its first step
+    change_steps: np.ndarray  # (m,) steps from which on the total wrench on a body is another
+    change_bodies: np.ndarray  # (m,) index of the body
+    change_wrenches: np.ndarray  # (m, 6) body axes
+    samples: int = 0  # all there are
+    first_step: int = 0  # of a sample
     last_step: int = 0
     kept: list = field(default_factory=list, repr=False)
 
@@ -71,8 +72,9 @@ class Stretch:
     @property
     def pushed(self):
         """((first step, end step, body), ...) intervals with a wrench, in the order of time."""
-        return tuple(sorted((*pair, body) for body in self.bodies
-                            for pair in self.pushes_on(body).tolist()))
+        return tuple(
+            sorted((*pair, body) for body in self.bodies for pair in self.pushes_on(body).tolist())
+        )
 
     def free(self, bodies):
         """(m, 2) first and last step of intervals in which no wrench acts on any of the bodies.
@@ -96,11 +98,11 @@ class Block(NamedTuple):
     """k successive samples of one stretch, all with finite numbers; n bodies."""
 
     stretch: Stretch
-    steps: np.ndarray       # (k,) step number of each sample
-    rotation: np.ndarray    # (k, n, 3, 3) body -> world
-    position: np.ndarray    # (k, n, 3) m, world
+    steps: np.ndarray  # (k,) step number of each sample
+    rotation: np.ndarray  # (k, n, 3, 3) body -> world
+    position: np.ndarray  # (k, n, 3) m, world
     quaternion: np.ndarray  # (k, n, 4) as recorded
-    twist: np.ndarray       # (k, n, 6) rad/s, m/s; body axes
+    twist: np.ndarray  # (k, n, 6) rad/s, m/s; body axes
 
     @property
     def times(self):
@@ -124,7 +126,7 @@ class _Kept(NamedTuple):
     rotation: np.ndarray
     position: np.ndarray
     twist: np.ndarray
-    angles: np.ndarray      # (k, t) rad, of the torsional springs
+    angles: np.ndarray  # (k, t) rad, of the torsional springs
 
 
 _KEPT = _Kept._fields
@@ -157,12 +159,14 @@ class Motion:
         stamp = state.get("stamp_ns", 0)
         if not all(isinstance(value, int) and abs(value) < LATEST for value in (start, stamp)):
             raise RecordingError(f"{recording.path}: its initial state has no step and no stamp")
-        bases = [stamp - round(start * step * 1e9)]         # of a part, it went on before
+        bases = [stamp - round(start * step * 1e9)]  # of a part, it went on before
         bases += [event.stamp_ns for event in recording.events if event.name == "reset"]
         if any(b <= a for a, b in zip(bases, bases[1:])):
             raise RecordingError(f"{recording.path}: the stamps of its resets do not increase")
-        self._all = [self._stretch(base, end, step, k == 0, start if k == 0 else 0)
-                     for k, (base, end) in enumerate(zip(bases, [*bases[1:], np.inf]))]
+        self._all = [
+            self._stretch(base, end, step, k == 0, start if k == 0 else 0)
+            for k, (base, end) in enumerate(zip(bases, [*bases[1:], np.inf]))
+        ]
         self.first = self._all[0]
         self._bases = np.array(bases, dtype=np.int64)
 
@@ -172,19 +176,30 @@ class Motion:
         inside = [(s >= base) & (s < end) for s in stamps]
         when = np.concatenate([s[mask] for s, mask in zip(stamps, inside)])
         which = np.repeat(np.arange(len(stamps)), [int(mask.sum()) for mask in inside])
-        wrench = np.concatenate([np.empty((0, 6))] + [
-            track.wrench[mask] for track, mask in zip(tracks.values(), inside)])
+        wrench = np.concatenate(
+            [np.empty((0, 6))]
+            + [track.wrench[mask] for track, mask in zip(tracks.values(), inside)]
+        )
         order = np.argsort(when, kind="stable")
         steps = np.rint((when - base) / (step * 1e9)).astype(np.int64)
-        return Stretch(base, end, step, self._recording.bodies, is_first, start, steps[order],
-                       which[order], wrench[order])
+        return Stretch(
+            base,
+            end,
+            step,
+            self._recording.bodies,
+            is_first,
+            start,
+            steps[order],
+            which[order],
+            wrench[order],
+        )
 
     def blocks(self, angles=None):
         """Block after block. Raises RecordingError for settings that contradict the messages.
 
         angles : function of a Block that returns (k, t) numbers that are kept with the samples
         """
-        since = None                # of the samples, the number of the next one that is kept
+        since = None  # of the samples, the number of the next one that is kept
         for found in self._recording.samples():
             if abs(int(found.stamp_ns[0])) > LATEST or abs(int(found.stamp_ns[-1])) > LATEST:
                 raise RecordingError(f"{self._recording.path}: its stamps are no times")
@@ -201,12 +216,26 @@ class Motion:
                 pick = slice(since % self.every, None, self.every)
                 since = (since - len(block.steps)) % self.every
                 if len(block.steps[pick]):
-                    block.stretch.kept.append(_Kept(*(part[pick].copy() for part in (
-                        block.steps, block.rotation, block.position, block.twist, values))))
+                    block.stretch.kept.append(
+                        _Kept(
+                            *(
+                                part[pick].copy()
+                                for part in (
+                                    block.steps,
+                                    block.rotation,
+                                    block.position,
+                                    block.twist,
+                                    values,
+                                )
+                            )
+                        )
+                    )
                 yield block
         if not self.samples:
-            raise RecordingError(f"{self._recording.path}: holds no complete sample: the run "
-                                 "ended before one was written")
+            raise RecordingError(
+                f"{self._recording.path}: holds no complete sample: the run "
+                "ended before one was written"
+            )
         self.stretches = [stretch for stretch in self.stretches if stretch.kept]
 
     def _block(self, stretch, found, part):
@@ -216,13 +245,17 @@ class Motion:
         steps = np.rint((stamps - stretch.base_ns) / unit).astype(np.int64)
         # Stamps are rounded to ns from the step count.
         if np.abs(stretch.base_ns + np.rint(steps * unit) - stamps).max() > 1.0:
-            raise RecordingError(f"{self._recording.path}: its stamps do not lie on steps of "
-                                 f"{stretch.step:g} s")
+            raise RecordingError(
+                f"{self._recording.path}: its stamps do not lie on steps of {stretch.step:g} s"
+            )
         self._count(stretch, steps)
         position, quaternion, twist = (values[part] for values in found[1:])
         norm = np.linalg.norm(quaternion, axis=2)
-        good = (np.isfinite(position).all(axis=(1, 2)) & np.isfinite(twist).all(axis=(1, 2))
-                & (np.isfinite(norm) & (norm > 0.0)).all(axis=1))
+        good = (
+            np.isfinite(position).all(axis=(1, 2))
+            & np.isfinite(twist).all(axis=(1, 2))
+            & (np.isfinite(norm) & (norm > 0.0)).all(axis=1)
+        )
         if not good.all():
             self.not_finite += int((~good).sum())
             if self.first_not_finite is None:
@@ -237,8 +270,9 @@ class Motion:
         stretch.samples += len(steps)
         stretch.last_step = int(steps[-1])
         turn = Rotation.from_quat(quaternion.reshape(-1, 4)).as_matrix()
-        return Block(stretch, steps, turn.reshape(*position.shape[:2], 3, 3), position,
-                     quaternion, twist)
+        return Block(
+            stretch, steps, turn.reshape(*position.shape[:2], 3, 3), position, quaternion, twist
+        )
 
     def _count(self, stretch, steps):
         """Samples that are there, and those on the grid between them that are not."""

@@ -37,10 +37,20 @@ from .tracks import (
     WrenchTrack,
 )
 
-__all__ = ["AppliedWrench", "Event", "JointTrack", "PoseTrack", "Recording", "RecordingError",
-           "Samples", "TwistTrack", "WrenchTrack", "read_recording"]
+__all__ = [
+    "AppliedWrench",
+    "Event",
+    "JointTrack",
+    "PoseTrack",
+    "Recording",
+    "RecordingError",
+    "Samples",
+    "TwistTrack",
+    "WrenchTrack",
+    "read_recording",
+]
 
-FORMAT = 1                      # of settings.json and all that goes with it
+FORMAT = 1  # of settings.json and all that goes with it
 JOINT_STATE = "sensor_msgs/msg/JointState"
 # Numbers of a piece of `samples`, and how many samples the topics of a file may lie apart.
 PIECE, MOST_APART = 200_000, 100_000
@@ -48,27 +58,29 @@ PIECE, MOST_APART = 200_000, 100_000
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    path: Path | str            # a text if it is an address
+    path: Path | str  # a text if it is an address
     scene_text: str
-    settings: dict              # settings.json
-    initial_state: dict         # initial_state.json
-    pacing: dict | None         # pacing.json; None if the run did not come to its end
-    bodies: tuple               # names, in the order of initial_state
-    wrench: dict                # {body: WrenchTrack}
-    events: list                # Event
-    diagnostics: list           # (stamp_ns, {key: text}), all statuses of an array together
-    topics: dict                # {topic: message count}
-    complete: bool              # the file was finished and no part of it is damaged
-    lost: dict                  # {topic: messages missing by sequence number}; empty if none
-    problem: str | None         # None or one line for the user
-    channels: dict = field(repr=False)      # {id: mcap_stream.Channel}
-    _source: object = field(repr=False)     # Source
+    settings: dict  # settings.json
+    initial_state: dict  # initial_state.json
+    pacing: dict | None  # pacing.json; None if the run did not come to its end
+    bodies: tuple  # names, in the order of initial_state
+    wrench: dict  # {body: WrenchTrack}
+    events: list  # Event
+    diagnostics: list  # (stamp_ns, {key: text}), all statuses of an array together
+    topics: dict  # {topic: message count}
+    complete: bool  # the file was finished and no part of it is damaged
+    lost: dict  # {topic: messages missing by sequence number}; empty if none
+    problem: str | None  # None or one line for the user
+    channels: dict = field(repr=False)  # {id: mcap_stream.Channel}
+    _source: object = field(repr=False)  # Source
 
     @property
     def pose(self):
         """{body: PoseTrack}, loaded when asked for."""
-        return {body: PoseTrack(stamps, values[:, :3], values[:, 3:])
-                for body, (stamps, values) in self._tracks["pose"].items()}
+        return {
+            body: PoseTrack(stamps, values[:, :3], values[:, 3:])
+            for body, (stamps, values) in self._tracks["pose"].items()
+        }
 
     @property
     def twist(self):
@@ -78,17 +90,24 @@ class Recording:
     @property
     def applied_wrench(self):
         """The changes of the wrenches on all bodies, [AppliedWrench] in the order of stamps."""
-        found = [AppliedWrench(stamp, body, tuple(wrench)) for body, track in self.wrench.items()
-                 for stamp, wrench in zip(track.stamp_ns.tolist(), track.wrench.tolist())]
+        found = [
+            AppliedWrench(stamp, body, tuple(wrench))
+            for body, track in self.wrench.items()
+            for stamp, wrench in zip(track.stamp_ns.tolist(), track.wrench.tolist())
+        ]
         return sorted(found, key=lambda change: change.stamp_ns)
 
     @cached_property
     def _tracks(self):
         wanted = self._motion_topics()
         rows = {topic: self.topics.get(topic, 0) for topic in wanted}
-        tracks = {topic: (np.empty(rows[topic], dtype=np.int64),
-                          np.empty((rows[topic], 7 if kind == "pose" else 6)))
-                  for topic, (kind, _) in wanted.items()}
+        tracks = {
+            topic: (
+                np.empty(rows[topic], dtype=np.int64),
+                np.empty((rows[topic], 7 if kind == "pose" else 6)),
+            )
+            for topic, (kind, _) in wanted.items()
+        }
         done = dict.fromkeys(wanted, 0)
         for topic, stamps, values in self._decoded(wanted):
             at = slice(done[topic], done[topic] + len(stamps))
@@ -111,15 +130,19 @@ class Recording:
                     for k in index:
                         found, stamp_ns, values = _joint_state(messages.payload(k))
                         if found != (names or found):
-                            raise RecordingError("its joint states are not always of the same "
-                                                 "joints")
+                            raise RecordingError(
+                                "its joint states are not always of the same joints"
+                            )
                         names = found
                         stamps.append(stamp_ns)
                         numbers.append(values)
         if names is None:
             return None
-        return JointTrack(np.array(stamps), names,
-                          *np.array(numbers).reshape(-1, 2, len(names)).transpose(1, 0, 2))
+        return JointTrack(
+            np.array(stamps),
+            names,
+            *np.array(numbers).reshape(-1, 2, len(names)).transpose(1, 0, 2),
+        )
 
     def samples(self):
         """Samples of all bodies, piece by piece in the order of time: [Samples], an iterator.
@@ -128,7 +151,7 @@ class Recording:
         left out. Raises RecordingError
         """
         wanted = self._motion_topics()
-        waiting = {topic: [[], []] for topic in wanted}     # stamps, values
+        waiting = {topic: [[], []] for topic in wanted}  # stamps, values
         counts = dict.fromkeys(wanted, 0)
         least = max(64, PIECE // (13 * max(1, len(self.bodies))))
         for topic, stamps, values in self._decoded(wanted):
@@ -138,26 +161,35 @@ class Recording:
             if counts[topic] >= 2 * least and min(counts.values()) >= least:
                 yield from self._merged(wanted, waiting, counts)
             if counts[topic] > MOST_APART + 4 * least:
-                raise RecordingError(f"{self.path}: the topics of one sample lie more than "
-                                     f"{MOST_APART} samples apart in it")
+                raise RecordingError(
+                    f"{self.path}: the topics of one sample lie more than "
+                    f"{MOST_APART} samples apart in it"
+                )
         yield from self._merged(wanted, waiting, counts)
 
     def _merged(self, wanted, waiting, counts):
         """Take the complete samples out of what waits."""
-        tracks = {topic: (np.concatenate(stamps), np.concatenate(values)) if stamps else
-                  (np.empty(0, dtype=np.int64), np.empty((0, 7)))
-                  for topic, (stamps, values) in waiting.items()}
+        tracks = {
+            topic: (np.concatenate(stamps), np.concatenate(values))
+            if stamps
+            else (np.empty(0, dtype=np.int64), np.empty((0, 7)))
+            for topic, (stamps, values) in waiting.items()
+        }
         if not all(len(stamps) for stamps, _ in tracks.values()):
             return
         upto = min(int(stamps[-1]) for stamps, _ in tracks.values())
         common = None
         for stamps, _ in tracks.values():
-            ready = stamps[:np.searchsorted(stamps, upto, "right")]
+            ready = stamps[: np.searchsorted(stamps, upto, "right")]
             if common is None or not np.array_equal(common, ready):
                 common = ready if common is None else np.intersect1d(common, ready, True)
         n = len(self.bodies)
-        found = Samples(common, np.empty((len(common), n, 3)), np.empty((len(common), n, 4)),
-                        np.empty((len(common), n, 6)))
+        found = Samples(
+            common,
+            np.empty((len(common), n, 3)),
+            np.empty((len(common), n, 4)),
+            np.empty((len(common), n, 6)),
+        )
         for topic, (kind, body) in wanted.items():
             stamps, values = tracks[topic]
             rows = values[np.searchsorted(stamps, common)]
@@ -175,17 +207,22 @@ class Recording:
     def _motion_topics(self):
         """{topic: (kind, body)} in the order of the bodies."""
         topics = self.settings["topics"]
-        return {topics[kind][body]: (kind, body)
-                for body in self.bodies for kind in ("pose", "twist")}
+        return {
+            topics[kind][body]: (kind, body) for body in self.bodies for kind in ("pose", "twist")
+        }
 
     def _decoded(self, wanted):
         """(topic, stamps, values) of the messages of poses and twists, piece by piece."""
         last = {}
         with TellPath(self.path):
-            world, prefix = (self.settings.get(key, default) for key, default in (
-                ("world_frame", "world"), ("frame_prefix", "")))
-            frames = {topic: prefix + body if kind == "twist" else world
-                      for topic, (kind, body) in wanted.items()}
+            world, prefix = (
+                self.settings.get(key, default)
+                for key, default in (("world_frame", "world"), ("frame_prefix", ""))
+            )
+            frames = {
+                topic: prefix + body if kind == "twist" else world
+                for topic, (kind, body) in wanted.items()
+            }
             for messages, channels in self._source.messages(self.channels):
                 for channel, index in channels:
                     if channel.topic not in wanted:
@@ -194,8 +231,10 @@ class Recording:
                     codec = PoseStampedCodec if kind == "pose" else TwistStampedCodec
                     for stamps, names, _, values in decode(codec, messages, index):
                         if names != [frames[channel.topic]]:
-                            raise RecordingError(f"{channel.topic} is in frame {names[0]!r:.60}, "
-                                                 f"not in {frames[channel.topic]!r:.60}")
+                            raise RecordingError(
+                                f"{channel.topic} is in frame {names[0]!r:.60}, "
+                                f"not in {frames[channel.topic]!r:.60}"
+                            )
                         before = last.get(channel.topic, stamps[0] - 1)
                         if stamps[0] <= before or (np.diff(stamps) <= 0).any():
                             raise RecordingError(f"the stamps of {channel.topic} do not increase")
@@ -212,32 +251,54 @@ class Recording:
         raises ImportError without pandas, ValueError for another `what`
         """
         import pandas
+
         if what == "motion":
             parts = {}
             for body in self.bodies:
                 pose, twist = self.pose[body], self.twist[body]
-                parts[body] = pandas.concat([
-                    pandas.DataFrame(np.hstack(pose[1:]), pose.time,
-                                     ["x", "y", "z", "qx", "qy", "qz", "qw"]),
-                    pandas.DataFrame(twist.twist, twist.time,
-                                     ["wx", "wy", "wz", "vx", "vy", "vz"])], axis=1)
+                parts[body] = pandas.concat(
+                    [
+                        pandas.DataFrame(
+                            np.hstack(pose[1:]), pose.time, ["x", "y", "z", "qx", "qy", "qz", "qw"]
+                        ),
+                        pandas.DataFrame(
+                            twist.twist, twist.time, ["wx", "wy", "wz", "vx", "vy", "vz"]
+                        ),
+                    ],
+                    axis=1,
+                )
             frame = pandas.concat(parts, axis=1)
         elif what == "wrench":
             changes = self.applied_wrench
             frame = pandas.DataFrame(
-                [change.wrench for change in changes], [c.stamp_ns * 1e-9 for c in changes],
-                ["tx", "ty", "tz", "fx", "fy", "fz"], dtype=float)
+                [change.wrench for change in changes],
+                [c.stamp_ns * 1e-9 for c in changes],
+                ["tx", "ty", "tz", "fx", "fy", "fz"],
+                dtype=float,
+            )
             frame.insert(0, "body", [change.body for change in changes])
         elif what == "joints":
             states = self.joint_states
-            frame = pandas.DataFrame() if states is None else pandas.concat({
-                name: pandas.DataFrame({"position": states.position[:, k],
-                                        "velocity": states.velocity[:, k]}, states.time)
-                for k, name in enumerate(states.names)}, axis=1)
+            frame = (
+                pandas.DataFrame()
+                if states is None
+                else pandas.concat(
+                    {
+                        name: pandas.DataFrame(
+                            {"position": states.position[:, k], "velocity": states.velocity[:, k]},
+                            states.time,
+                        )
+                        for k, name in enumerate(states.names)
+                    },
+                    axis=1,
+                )
+            )
         elif what == "events":
-            frame = pandas.DataFrame([event[1:] for event in self.events],
-                                     [event.stamp_ns * 1e-9 for event in self.events],
-                                     ["name", "text"])
+            frame = pandas.DataFrame(
+                [event[1:] for event in self.events],
+                [event.stamp_ns * 1e-9 for event in self.events],
+                ["name", "text"],
+            )
         else:
             raise ValueError(f"what must be motion, wrench, joints or events, got {what!r}")
         frame.index.name = "time_s"
@@ -253,24 +314,36 @@ def read_recording(path):
         names = Attachments(attachments, stream)
         settings = names.json("settings.json")
         if settings.get("format") != FORMAT:
-            raise RecordingError(f"it has format {settings.get('format')!r:.40}, this version "
-                                 f"reads format {FORMAT}")
+            raise RecordingError(
+                f"it has format {settings.get('format')!r:.40}, this version reads format {FORMAT}"
+            )
         initial_state = names.json("initial_state.json")
         pacing = names.json("pacing.json") if "pacing.json" in attachments else None
         bodies, topics = tuple(initial_state["bodies"]), settings["topics"]
         if len(set(bodies)) < len(bodies) or not all(
-                isinstance(topics[kind][body], str) for body in bodies
-                for kind in ("pose", "twist")):
+            isinstance(topics[kind][body], str) for body in bodies for kind in ("pose", "twist")
+        ):
             raise RecordingError("its settings do not name a topic for each of its bodies")
         scene_text = names["scene.yaml"].decode()
         scan = Scan(source, settings, bodies)
         problem = scan.problem(source, attachments)
         return Recording(
-            path=path, scene_text=scene_text, settings=settings, initial_state=initial_state,
-            pacing=pacing, bodies=bodies, wrench=scan.wrenches(), events=scan.events,
-            diagnostics=scan.diagnostics, topics=scan.counts(), complete=problem is None,
+            path=path,
+            scene_text=scene_text,
+            settings=settings,
+            initial_state=initial_state,
+            pacing=pacing,
+            bodies=bodies,
+            wrench=scan.wrenches(),
+            events=scan.events,
+            diagnostics=scan.diagnostics,
+            topics=scan.counts(),
+            complete=problem is None,
             lost={topic: count for topic, count in scan.lost().items() if count},
-            problem=problem and f"{path}: {problem}", channels=scan.channels, _source=source)
+            problem=problem and f"{path}: {problem}",
+            channels=scan.channels,
+            _source=source,
+        )
 
 
 def _joint_state(payload):

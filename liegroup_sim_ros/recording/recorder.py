@@ -30,10 +30,10 @@ from liegroup_sim_ros.messages import schemas
 from .bag_metadata import FILE_NAME, Bag, as_yaml, record_of_file, topic_info
 from .mcap_writer import Chunk, McapFile
 
-CHUNK_SIZE = 128 * 1024       # bytes before compression; more than nearly all messages have
-QUEUE_BYTES = 64 * 2**20      # that may wait, for messages so large that few fit
+CHUNK_SIZE = 128 * 1024  # bytes before compression; more than nearly all messages have
+QUEUE_BYTES = 64 * 2**20  # that may wait, for messages so large that few fit
 LIBRARY = f"liegroup_sim_ros/{__version__}"
-_IDLE = 5e-3                  # s between looks at the queue
+_IDLE = 5e-3  # s between looks at the queue
 
 _log = logging.getLogger(__name__)
 
@@ -63,8 +63,18 @@ class Recorder:
     RecorderError.
     """
 
-    def __init__(self, path, attachments=None, metadata=None, queue_size=20000,
-                 flush_interval=1.0, max_size=0, max_duration=0, part=1, bag=None):
+    def __init__(
+        self,
+        path,
+        attachments=None,
+        metadata=None,
+        queue_size=20000,
+        flush_interval=1.0,
+        max_size=0,
+        max_duration=0,
+        part=1,
+        bag=None,
+    ):
         self.path = _new_file_path(path)
         self.part = part
         self._stem = self.path.stem if part == 1 else self.path.stem.removesuffix(f"_part{part}")
@@ -72,36 +82,39 @@ class Recorder:
         if max_size or max_duration:
             self._refuse_old_parts()
         if bag is True and (self.path.parent / FILE_NAME).exists():
-            raise RecorderError(f"cannot record to {self.path}: its folder is a bag already, it "
-                                f"has a {FILE_NAME}; choose another folder")
+            raise RecorderError(
+                f"cannot record to {self.path}: its folder is a bag already, it "
+                f"has a {FILE_NAME}; choose another folder"
+            )
         self.written = 0
         self.lost = 0
         self.failure = None
         self._metadata = metadata or {}
         self._channels, self._registered = [], []
-        self._schema_ids = {}                  # message type -> schema id in the present file
-        self._chunk = Chunk()                  # under construction
-        self._queue = deque()                  # chunks, and functions that add a channel or so
-        self._lock = threading.Lock()          # of the chunk and of those who fill the queue
+        self._schema_ids = {}  # message type -> schema id in the present file
+        self._chunk = Chunk()  # under construction
+        self._queue = deque()  # chunks, and functions that add a channel or so
+        self._lock = threading.Lock()  # of the chunk and of those who fill the queue
         self._queue_size = queue_size
-        self._given = 0                        # messages that came so far
-        self._bytes_in = self._bytes_out = 0   # of chunks that went into the queue, and out
+        self._given = 0  # messages that came so far
+        self._bytes_in = self._bytes_out = 0  # of chunks that went into the queue, and out
         self._flush_interval = flush_interval
         self._max_size, self._max_duration = max_size, max_duration
-        self._part_since = None                # stamp, ns; None: no sample of this part yet
+        self._part_since = None  # stamp, ns; None: no sample of this part yet
         self._dividing = False
         self._closing = threading.Event()
         self._closed = False
         try:
             self._open(self.path, attachments or {})
         except FileExistsError:
-            raise RecorderError(f"cannot record to {self.path}: it exists already; "
-                                f"remove it or choose another name") from None
+            raise RecorderError(
+                f"cannot record to {self.path}: it exists already; remove it or choose another name"
+            ) from None
         except OSError as error:
             raise RecorderError(f"cannot record to {self.path}: {_reason(error)}") from None
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
-        atexit.register(self.close)            # a program that ends by an exception, too
+        atexit.register(self.close)  # a program that ends by an exception, too
 
     def __enter__(self):
         return self
@@ -111,11 +124,16 @@ class Recorder:
 
     def _refuse_old_parts(self):
         pattern = re.compile(re.escape(self._stem) + r"_part[0-9]+\.mcap")
-        old = sorted(entry.name for entry in self.path.parent.iterdir()
-                     if pattern.fullmatch(entry.name) and self.part == 1)
+        old = sorted(
+            entry.name
+            for entry in self.path.parent.iterdir()
+            if pattern.fullmatch(entry.name) and self.part == 1
+        )
         if old:
-            raise RecorderError(f"cannot record to {self.path}: {old[0]} is in the way of its "
-                                f"parts; remove it or choose another name")
+            raise RecorderError(
+                f"cannot record to {self.path}: {old[0]} is in the way of its "
+                f"parts; remove it or choose another name"
+            )
 
     @property
     def queued(self):
@@ -132,8 +150,9 @@ class Recorder:
 
     def part_path(self, part):
         """Path of a part."""
-        return self.path.with_name(f"{self._stem}_part{part}.mcap" if part > 1
-                                   else f"{self._stem}.mcap")
+        return self.path.with_name(
+            f"{self._stem}_part{part}.mcap" if part > 1 else f"{self._stem}.mcap"
+        )
 
     def add_channel(self, topic, msg_type, qos="reliable", depth=10):
         """Number of a new channel, for `write`; at any time, from one thread.
@@ -142,9 +161,12 @@ class Recorder:
         Raises RecorderError if the type is not installed.
         """
         try:
-            channel = _Channel(topic_info(topic, msg_type, [schemas.qos_profile(qos, depth)],
-                                          schemas.type_hash(msg_type)),
-                               schemas.definition(msg_type).encode())
+            channel = _Channel(
+                topic_info(
+                    topic, msg_type, [schemas.qos_profile(qos, depth)], schemas.type_hash(msg_type)
+                ),
+                schemas.definition(msg_type).encode(),
+            )
         except schemas.SchemaError as error:
             raise RecorderError(f"cannot record {topic}: {error}") from None
         with self._lock:
@@ -164,19 +186,18 @@ class Recorder:
             while self._is_full() and not self._closed:
                 time.sleep(_IDLE)
         channel = self._channels[channel]
-        with self._lock:                       # numbers in the order of the chunks
+        with self._lock:  # numbers in the order of the chunks
             self._given += 1
             if self._closed or self.failure is not None:
                 self.lost += 1
                 return
             channel.sequence += 1
-            self._chunk.add(channel.id, stamp_ns, data, channel.sequence & 0xffffffff)
+            self._chunk.add(channel.id, stamp_ns, data, channel.sequence & 0xFFFFFFFF)
             if self._chunk.size > CHUNK_SIZE:
                 self._close_chunk()
 
     def _is_full(self):
-        return (self.queued >= self._queue_size
-                or self._bytes_in - self._bytes_out > QUEUE_BYTES)
+        return self.queued >= self._queue_size or self._bytes_in - self._bytes_out > QUEUE_BYTES
 
     def _close_chunk(self):
         """What comes next goes into another chunk. The caller has the lock."""
@@ -193,8 +214,11 @@ class Recorder:
 
     def add_attachment(self, name, media_type, data):
         """Attach a file, usually at the end of a part or a run."""
-        self._in_order(lambda: self._mcap.add_attachment(
-            time.time_ns(), self._mcap.stamps[1], name, media_type, data))
+        self._in_order(
+            lambda: self._mcap.add_attachment(
+                time.time_ns(), self._mcap.stamps[1], name, media_type, data
+            )
+        )
 
     def is_part_due(self, stamp_ns):
         """Whether the present part has reached its size or, at this stamp, its duration."""
@@ -202,8 +226,12 @@ class Recorder:
             self._part_since = stamp_ns
         if self._dividing or self.failure or not (self._max_size or self._max_duration):
             return False
-        return bool(self._max_size and self.bytes >= self._max_size
-                    or self._max_duration and stamp_ns - self._part_since >= self._max_duration)
+        return bool(
+            self._max_size
+            and self.bytes >= self._max_size
+            or self._max_duration
+            and stamp_ns - self._part_since >= self._max_duration
+        )
 
     def divide(self, attachments):
         """What is written from now on goes to a new file: the next part, with its attachments."""
@@ -216,7 +244,7 @@ class Recorder:
             self._file.close()
             self._open(path, attachments)
             self.path = path
-            for channel in self._registered:    # others come out of the queue yet
+            for channel in self._registered:  # others come out of the queue yet
                 self._add_to_file(channel)
             self._dividing = False
 
@@ -252,16 +280,22 @@ class Recorder:
         info = channel.info
         if info["type"] not in self._schema_ids:
             self._schema_ids[info["type"]] = self._mcap.add_schema(
-                info["type"], "ros2msg", channel.definition)
+                info["type"], "ros2msg", channel.definition
+            )
         self._mcap.add_channel(
-            info["name"], "cdr", self._schema_ids[info["type"]],
-            {"offered_qos_profiles": as_yaml(info["offered_qos_profiles"]),
-             "topic_type_hash": info["type_description_hash"]})
+            info["name"],
+            "cdr",
+            self._schema_ids[info["type"]],
+            {
+                "offered_qos_profiles": as_yaml(info["offered_qos_profiles"]),
+                "topic_type_hash": info["type_description_hash"],
+            },
+        )
 
     def _run(self):
         flushed = time.monotonic()
         while True:
-            closing = self._closing.is_set()   # asked first: then all there was is written below
+            closing = self._closing.is_set()  # asked first: then all there was is written below
             if closing or time.monotonic() - flushed > self._flush_interval:
                 with self._lock:
                     self._close_chunk()
@@ -310,8 +344,10 @@ class Recorder:
         with self._lock:
             # A chunk whose index did not go into the file is there for a reader all the same.
             self.written = self._earlier + sum(self._mcap.counts.values())
-            self.failure = (f"recording to {self.path} stopped after {self.written} messages: "
-                            f"{_reason(error)}{_where(error)}; the simulation goes on unrecorded")
+            self.failure = (
+                f"recording to {self.path} stopped after {self.written} messages: "
+                f"{_reason(error)}{_where(error)}; the simulation goes on unrecorded"
+            )
             self._chunk = Chunk()
             self.lost = self._given - self.written
         _log.error(self.failure)
@@ -321,7 +357,7 @@ class _Channel:
     """A topic: its number, its last sequence number, what is known of it."""
 
     def __init__(self, info, definition):
-        self.id = None                         # in every file
+        self.id = None  # in every file
         self.sequence = 0
         self.info, self.definition = info, definition
 
@@ -336,7 +372,7 @@ class _File:
 
     def write(self, data):
         rest = memoryview(data)
-        while rest:                            # the system may take a part, and refuse the next
+        while rest:  # the system may take a part, and refuse the next
             taken = self._raw.write(rest)
             self._size += taken
             rest = rest[taken:]
@@ -354,8 +390,9 @@ def _new_file_path(path):
         if path.is_dir():
             path /= time.strftime("recording_%Y_%m_%d-%H_%M_%S.mcap")
         elif path.suffix != ".mcap":
-            raise RecorderError(f"cannot record to {path}: the name must end in .mcap, "
-                                f"or be an existing folder")
+            raise RecorderError(
+                f"cannot record to {path}: the name must end in .mcap, or be an existing folder"
+            )
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RecorderError(f"cannot record to {path}: {_reason(error)}") from None

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The file of a recording: its attachments, its messages, what is rare in it, what is missing."""
+
 import json
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from .mcap_records import AttachmentPiece, Damaged
 from .mcap_stream import McapStream
 from .tracks import Event, RecordingError, WrenchTrack
 
-MOST_EVENTS = 10**6             # of events and of diagnostics; a run has some, once a second
+MOST_EVENTS = 10**6  # of events and of diagnostics; a run has some, once a second
 
 
 class TellPath:
@@ -30,15 +31,17 @@ class TellPath:
             raise RecordingError(str(error)) from None
         if isinstance(error, (RecordingError, Damaged)):
             text = str(error)
-            raise RecordingError(text if text.startswith(f"{self._path}: ")
-                                 else f"{self._path}: {text}") from None
+            raise RecordingError(
+                text if text.startswith(f"{self._path}: ") else f"{self._path}: {text}"
+            ) from None
         if isinstance(error, MessageError):
             raise RecordingError(f"{self._path}: damaged message: {error}") from None
         if isinstance(error, OSError):
             raise RecordingError(f"{self._path}: {error.strerror or error}") from None
         if isinstance(error, (KeyError, AttributeError, TypeError, UnicodeDecodeError)):
-            raise RecordingError(f"{self._path}: its settings or initial state lack an entry: "
-                                 f"{error!r:.120}") from None
+            raise RecordingError(
+                f"{self._path}: its settings or initial state lack an entry: {error!r:.120}"
+            ) from None
 
 
 class Attachments:
@@ -51,9 +54,12 @@ class Attachments:
         if name not in self._found:
             stream = self._stream
             raise RecordingError(
-                f"damaged: {stream.remarks[0]}" if stream.remarks else
-                "ends before anything was written to it" if not (self._found or stream.finished)
-                else f'no attachment "{name}": not a recording of this simulator')
+                f"damaged: {stream.remarks[0]}"
+                if stream.remarks
+                else "ends before anything was written to it"
+                if not (self._found or stream.finished)
+                else f'no attachment "{name}": not a recording of this simulator'
+            )
         return self._found[name]
 
     def json(self, name):
@@ -73,7 +79,7 @@ class Source:
         self._copy = fetch(path) if is_remote(path) else None
         self.path = Path(self._copy.name) if self._copy else path
         with open(self.path, "rb") as file:
-            self.size = file.seek(0, 2)     # one that is being written may grow meanwhile
+            self.size = file.seek(0, 2)  # one that is being written may grow meanwhile
 
     def attachments(self):
         """({name: bytes}, McapStream); no chunk is unpacked for them."""
@@ -99,8 +105,14 @@ class Source:
                 order = np.argsort(item.channel, kind="stable")
                 numbers, first = np.unique(item.channel[order], return_index=True)
                 parts = np.split(order, first[1:])
-                yield item, [(stream.channels[number], part) for number, part
-                             in zip(numbers.tolist(), parts) if number in stream.channels]
+                yield (
+                    item,
+                    [
+                        (stream.channels[number], part)
+                        for number, part in zip(numbers.tolist(), parts)
+                        if number in stream.channels
+                    ],
+                )
 
 
 class Scan:
@@ -108,21 +120,24 @@ class Scan:
 
     def __init__(self, source, settings, bodies):
         topics, before = settings["topics"], settings.get("sequences")
-        before = before if isinstance(before, dict) else {}     # of the part before this one
+        before = before if isinstance(before, dict) else {}  # of the part before this one
         self.events, self.diagnostics = [], []
-        self._tallies = {}                  # channel id -> _Tally
+        self._tallies = {}  # channel id -> _Tally
         self._wrenches = {body: ([], []) for body in bodies}
         self._prefix = settings.get("frame_prefix", "")
-        events, told, applied = (topics[key] for key in
-                                 ("events", "diagnostics", "applied_wrench"))
+        events, told, applied = (topics[key] for key in ("events", "diagnostics", "applied_wrench"))
         for messages, channels in source.messages():
             for channel, index in channels:
                 if channel.id not in self._tallies:
                     self._tallies[channel.id] = _Tally(channel.topic, before.get(channel.topic))
                 self._tallies[channel.id].add(messages.sequence[index])
                 if channel.topic == events:
-                    self.events += [Event(stamp, name, text) for stamp, _, name, text in
-                                    (LogCodec.decode_one(messages.payload(k)) for k in index)]
+                    self.events += [
+                        Event(stamp, name, text)
+                        for stamp, _, name, text in (
+                            LogCodec.decode_one(messages.payload(k)) for k in index
+                        )
+                    ]
                 elif channel.topic == told:
                     self.diagnostics += [diagnostics.decode(messages.payload(k)) for k in index]
                 elif channel.topic == applied:
@@ -141,15 +156,19 @@ class Scan:
             for k, frame in enumerate(names):
                 body = frame.removeprefix(self._prefix)
                 if body not in self._wrenches or self._prefix + body != frame:
-                    raise RecordingError(f"a wrench is on {frame!r:.60}, which is none of its "
-                                         "bodies")
+                    raise RecordingError(
+                        f"a wrench is on {frame!r:.60}, which is none of its bodies"
+                    )
                 self._wrenches[body][0].append(stamps[which == k])
                 self._wrenches[body][1].append(values[which == k])
 
     def wrenches(self):
-        return {body: WrenchTrack(np.concatenate(stamps), np.concatenate(values)) if stamps else
-                WrenchTrack(np.empty(0, dtype=np.int64), np.empty((0, 6)))
-                for body, (stamps, values) in self._wrenches.items()}
+        return {
+            body: WrenchTrack(np.concatenate(stamps), np.concatenate(values))
+            if stamps
+            else WrenchTrack(np.empty(0, dtype=np.int64), np.empty((0, 6)))
+            for body, (stamps, values) in self._wrenches.items()
+        }
 
     def counts(self):
         found = {}
@@ -166,8 +185,10 @@ class Scan:
         if stream.damaged:
             said.append(f"{stream.damaged} damaged part(s) skipped: {', '.join(stream.remarks)}")
         if not stream.finished:
-            said.append("not finished: it is still being recorded, the run was ended hard or the "
-                        "disk was full; everything up to the last flush is read")
+            said.append(
+                "not finished: it is still being recorded, the run was ended hard or the "
+                "disk was full; everything up to the last flush is read"
+            )
         elif stream.statistics is None:
             said.append("it has no summary")
         elif any(tally.count != tally.written for tally in self._tallies.values()):

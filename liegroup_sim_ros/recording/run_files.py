@@ -5,6 +5,7 @@ Both have sample(sample), finish(simulation, stopped, failed, wall_seconds), `co
 and are closed at the end of their `with` block; `stopped` is why the run came to no end, or None.
 They are new files: none is overwritten.
 """
+
 import json
 from pathlib import Path
 
@@ -22,7 +23,7 @@ from liegroup_sim_ros.messages.samples import poses_and_twists
 from . import attachments
 from .recorder import Recorder, RecorderError
 
-NODE = "/sim_node"                          # names the topics, as a run of the node would
+NODE = "/sim_node"  # names the topics, as a run of the node would
 WORLD_FRAME = "world"
 
 
@@ -44,16 +45,21 @@ class ArrayFile:
         n = len(simulation.layout.body_names)
         try:
             self._arrays = {
-                "time": np.empty(samples), "steps": np.empty(samples, dtype=np.int64),
-                "poses": np.empty((samples, n, 4, 4)), "twists": np.empty((samples, n, 6)),
-                "energy": np.empty(samples), "residual": np.empty(samples)}
+                "time": np.empty(samples),
+                "steps": np.empty(samples, dtype=np.int64),
+                "poses": np.empty((samples, n, 4, 4)),
+                "twists": np.empty((samples, n, 6)),
+                "energy": np.empty(samples),
+                "residual": np.empty(samples),
+            }
             self._stream = open(self._path, "xb")
         except MemoryError:
-            raise OutputError(f"{path}: {samples} samples of {n} bodies do not fit into memory: "
-                              "take fewer, --every, or write *.mcap") from None
+            raise OutputError(
+                f"{path}: {samples} samples of {n} bodies do not fit into memory: "
+                "take fewer, --every, or write *.mcap"
+            ) from None
         except FileExistsError:
-            raise OutputError(f"{path}: exists already; remove it or choose another name"
-                              ) from None
+            raise OutputError(f"{path}: exists already; remove it or choose another name") from None
         except OSError as error:
             raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
 
@@ -65,23 +71,29 @@ class ArrayFile:
 
     def sample(self, sample):
         """Take up a sample."""
-        for name, value in (("time", sample.time), ("steps", sample.steps),
-                            ("poses", sample.pose_matrices), ("twists", sample.twist),
-                            ("energy", sample.energy), ("residual", sample.constraint_residual)):
+        for name, value in (
+            ("time", sample.time),
+            ("steps", sample.steps),
+            ("poses", sample.pose_matrices),
+            ("twists", sample.twist),
+            ("energy", sample.energy),
+            ("residual", sample.constraint_residual),
+        ):
             self._arrays[name][self.count] = value
         self.count, self.last_step = self.count + 1, sample.steps
 
     def finish(self, simulation, stopped, failed, wall_seconds):
         """Write everything. Raises OutputError."""
         settings = attachments.settings(simulation, self._every)
-        settings |= {"stopped": stopped, "failed": failed,
-                     "wall_seconds": wall_seconds}
+        settings |= {"stopped": stopped, "failed": failed, "wall_seconds": wall_seconds}
         try:
-            np.savez(self._stream, **{name: array[:self.count]
-                                      for name, array in self._arrays.items()},
-                     bodies=np.array(simulation.layout.body_names),
-                     scene=np.array(simulation.scene.text),
-                     settings=np.array(json.dumps(settings, indent=1)))
+            np.savez(
+                self._stream,
+                **{name: array[: self.count] for name, array in self._arrays.items()},
+                bodies=np.array(simulation.layout.body_names),
+                scene=np.array(simulation.scene.text),
+                settings=np.array(json.dumps(settings, indent=1)),
+            )
         except OSError as error:
             raise OutputError(f"{self._path}: cannot be written: {error.strerror}") from None
 
@@ -92,24 +104,34 @@ class LogFile:
     def __init__(self, path, simulation, every, _samples):
         self.count, self.last_step = 0, -1
         bodies = simulation.layout.body_names
-        topics = {"pose": {b: f"{NODE}/{b}/pose" for b in bodies},
-                  "twist": {b: f"{NODE}/{b}/twist" for b in bodies},
-                  "applied_wrench": f"{NODE}/applied_wrench", "events": f"{NODE}/events",
-                  "clock": None, "diagnostics": "/diagnostics"}
+        topics = {
+            "pose": {b: f"{NODE}/{b}/pose" for b in bodies},
+            "twist": {b: f"{NODE}/{b}/twist" for b in bodies},
+            "applied_wrench": f"{NODE}/applied_wrench",
+            "events": f"{NODE}/events",
+            "clock": None,
+            "diagnostics": "/diagnostics",
+        }
         try:
             for codec in (PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec, LogCodec):
                 schemas.definition(codec.TYPE)
                 schemas.type_hash(codec.TYPE)
-            self._recorder = Recorder(path, attachments.at_start(
-                simulation, NODE, WORLD_FRAME, every, topics))
+            self._recorder = Recorder(
+                path, attachments.at_start(simulation, NODE, WORLD_FRAME, every, topics)
+            )
         except schemas.SchemaError as error:
             raise OutputError(f"{path}: {error}; *.npz needs no ROS") from None
         except RecorderError as error:
             raise OutputError(str(error)) from None
         add = self._recorder.add_channel
         self._encode = poses_and_twists(bodies, WORLD_FRAME)
-        self._channels = [(add(topics["pose"][b], PoseStampedCodec.TYPE),
-                           add(topics["twist"][b], TwistStampedCodec.TYPE)) for b in bodies]
+        self._channels = [
+            (
+                add(topics["pose"][b], PoseStampedCodec.TYPE),
+                add(topics["twist"][b], TwistStampedCodec.TYPE),
+            )
+            for b in bodies
+        ]
         add(topics["applied_wrench"], WrenchStampedCodec.TYPE)
         self._events = add(topics["events"], LogCodec.TYPE, "transient_local")
         self._event(0, "start", f"{simulation.scene.name} at step 0, without a clock")
@@ -140,9 +162,20 @@ class LogFile:
         if failed:
             self._event(stamp, "fault", stopped, LogCodec.ERROR)
         self._event(stamp, "stop", stopped or f"stopped at step {simulation.steps}")
-        self._recorder.add_attachment("pacing.json", *attachments.as_json({
-            "ticks": None, "overruns": None, "reanchored": None,
-            "lateness_us": {"p50": None, "p99": None, "max": None},
-            "real_time_factor_wanted": 0.0,
-            "real_time_factor": simulation.time / wall_seconds if wall_seconds > 0.0 else None,
-            "wall_seconds": wall_seconds, "sim_seconds": simulation.time}))
+        self._recorder.add_attachment(
+            "pacing.json",
+            *attachments.as_json(
+                {
+                    "ticks": None,
+                    "overruns": None,
+                    "reanchored": None,
+                    "lateness_us": {"p50": None, "p99": None, "max": None},
+                    "real_time_factor_wanted": 0.0,
+                    "real_time_factor": simulation.time / wall_seconds
+                    if wall_seconds > 0.0
+                    else None,
+                    "wall_seconds": wall_seconds,
+                    "sim_seconds": simulation.time,
+                }
+            ),
+        )

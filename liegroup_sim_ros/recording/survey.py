@@ -3,6 +3,7 @@
 
 Read from front to back in bounded memory (mcap_scan.py). For `info` and `recover`.
 """
+
 import json
 import os
 import string
@@ -15,12 +16,14 @@ from .mcap_records import AttachmentPiece, Block, Damaged
 from .mcap_scan import Damage, End, pieces, summary_of
 from .reader import RecordingError
 
-MOST_DEFINITIONS = 8 * 2**20    # bytes of all names and schemas
-MOST_EXTRAS = 10_000            # attachments and metadata records
-MOST_PROBLEMS = 20              # different ones that are listed
-NO_END = ("its end is missing: it is still being recorded, the run was ended hard, the disk was "
-          "full or the file was cut")
-_KEPT = ("settings.json", "initial_state.json")     # attachments whose content is looked at
+MOST_DEFINITIONS = 8 * 2**20  # bytes of all names and schemas
+MOST_EXTRAS = 10_000  # attachments and metadata records
+MOST_PROBLEMS = 20  # different ones that are listed
+NO_END = (
+    "its end is missing: it is still being recorded, the run was ended hard, the disk was "
+    "full or the file was cut"
+)
+_KEPT = ("settings.json", "initial_state.json")  # attachments whose content is looked at
 _PLAIN = frozenset(string.printable) - frozenset("\t\n\r\x0b\x0c")
 
 
@@ -29,10 +32,10 @@ class ChannelFigures:
     """One channel of the file."""
 
     topic: str
-    type: str                   # of its messages; empty without a schema
+    type: str  # of its messages; empty without a schema
     count: int = 0
-    lost: int = 0               # missing before the last one there is, by sequence number
-    expected: int | None = None         # that of the next one; None: not known, or not numbered
+    lost: int = 0  # missing before the last one there is, by sequence number
+    expected: int | None = None  # that of the next one; None: not known, or not numbered
     first_ns: int | None = None
     last_ns: int | None = None
 
@@ -70,21 +73,21 @@ class Survey:
     """What was found in a file."""
 
     path: Path
-    size: int                                       # bytes
+    size: int  # bytes
     profile: str = ""
     library: str = ""
-    schemas: dict = field(default_factory=dict)     # id -> Schema
-    channels: dict = field(default_factory=dict)    # id -> Channel
-    figures: dict = field(default_factory=dict)     # id -> ChannelFigures
-    attachments: list = field(default_factory=list)     # (name, media type, bytes)
-    metadata: dict = field(default_factory=dict)    # name -> {key: text}
-    contents: dict = field(default_factory=dict)    # name -> parsed JSON of _KEPT
+    schemas: dict = field(default_factory=dict)  # id -> Schema
+    channels: dict = field(default_factory=dict)  # id -> Channel
+    figures: dict = field(default_factory=dict)  # id -> ChannelFigures
+    attachments: list = field(default_factory=list)  # (name, media type, bytes)
+    metadata: dict = field(default_factory=dict)  # name -> {key: text}
+    contents: dict = field(default_factory=dict)  # name -> parsed JSON of _KEPT
     before: dict | None = None  # topic -> sequence number before the first one; None: not known
-    problems: dict = field(default_factory=dict)    # text -> how often
+    problems: dict = field(default_factory=dict)  # text -> how often
     chunks: int = 0
-    unfinished: int = 0         # messages out of a chunk that the file ends in
-    stray: int = 0              # messages of channels that the file does not describe
-    finished: bool = False      # it has its end: summary, index and statistics
+    unfinished: int = 0  # messages out of a chunk that the file ends in
+    stray: int = 0  # messages of channels that the file does not describe
+    finished: bool = False  # it has its end: summary, index and statistics
 
     @property
     def complete(self):
@@ -105,8 +108,11 @@ class Survey:
     def stamps(self):
         """(least, largest) stamp in ns, zeros without messages."""
         known = [each for each in self.figures.values() if each.count]
-        return (min(each.first_ns for each in known), max(each.last_ns for each in known)
-                ) if known else (0, 0)
+        return (
+            (min(each.first_ns for each in known), max(each.last_ns for each in known))
+            if known
+            else (0, 0)
+        )
 
     def problem(self, text):
         """Note a problem."""
@@ -119,7 +125,7 @@ def open_file(path):
     """(stream, size) of a file. Raises RecordingError."""
     try:
         stream = open(path, "rb")
-    except (OSError, ValueError) as error:      # ValueError: a zero byte in the name
+    except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
         raise RecordingError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
     if not stream.seekable():
         stream.close()
@@ -141,10 +147,16 @@ def survey(path):
             raise RecordingError(f"{path}: {error.strerror or error}") from None
     if not found.count and not found.attachments:
         reasons = [text for text in found.problems if text != NO_END]
-        raise RecordingError(f"{path}: " + (
-            "an MCAP file without any content" if found.complete
-            else f"nothing in it can be read: {reasons[0]}" if reasons
-            else "ends before anything was written to it"))
+        raise RecordingError(
+            f"{path}: "
+            + (
+                "an MCAP file without any content"
+                if found.complete
+                else f"nothing in it can be read: {reasons[0]}"
+                if reasons
+                else "ends before anything was written to it"
+            )
+        )
     return found
 
 
@@ -154,7 +166,7 @@ def walk(stream, found, on_block=None, on_attachment=None, on_metadata=None):
     raises Damaged when it is no MCAP file
     """
     definitions, extras = _Definitions(found), 0
-    try:                                # definitions in front may be damaged
+    try:  # definitions in front may be damaged
         for each in summary_of(stream, found.size).definitions:
             definitions.add(each)
     except Damaged:
@@ -210,7 +222,7 @@ def _attachment(found, piece):
             content = json.loads(piece.data)
             json.dumps(content, allow_nan=False)
         except (ValueError, RecursionError):
-            return                      # of other software, then
+            return  # of other software, then
         if isinstance(content, dict) and _is_flat(content):
             found.contents[piece.name] = content
             if piece.name == "settings.json":
@@ -228,17 +240,24 @@ def _first_numbers(found, settings):
     if settings.get("format") != 1:
         return
     before = settings.get("sequences")
-    found.before = {} if not isinstance(before, dict) else {
-        topic: number for topic, number in before.items() if isinstance(number, int)}
+    found.before = (
+        {}
+        if not isinstance(before, dict)
+        else {topic: number for topic, number in before.items() if isinstance(number, int)}
+    )
     for figures in found.figures.values():
         figures.expect(found.before)
 
 
 def _end(found, end):
     told = end.statistics
-    if told is not None and (told.message_count != found.count or any(
+    if told is not None and (
+        told.message_count != found.count
+        or any(
             told.channel_message_counts.get(each, 0) != figures.count
-            for each, figures in found.figures.items())):
+            for each, figures in found.figures.items()
+        )
+    ):
         found.problem("its statistics do not agree with its messages")
     found.finished = True
 
@@ -270,4 +289,4 @@ class _Definitions:
 def clean(text, longest=200):
     """Text that may be shown in a terminal: names in a file may hold anything."""
     text = "".join(c if c in _PLAIN or c.isprintable() else "\ufffd" for c in text)
-    return text if len(text) <= longest else text[:longest - 3] + "..."
+    return text if len(text) <= longest else text[: longest - 3] + "..."

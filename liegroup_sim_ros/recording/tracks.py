@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a recording is made of, as arrays: tracks of bodies and joints, wrenches, events."""
+
 from typing import NamedTuple
 
 import numpy as np
@@ -17,9 +18,9 @@ class _Timed:
 
 
 class _PoseTrack(NamedTuple):
-    stamp_ns: np.ndarray        # (n,) int64, ns
-    position: np.ndarray        # (n, 3) m, world
-    quaternion: np.ndarray      # (n, 4) x, y, z, w, body -> world
+    stamp_ns: np.ndarray  # (n,) int64, ns
+    position: np.ndarray  # (n, 3) m, world
+    quaternion: np.ndarray  # (n, 4) x, y, z, w, body -> world
 
 
 class PoseTrack(_PoseTrack, _Timed):
@@ -27,8 +28,8 @@ class PoseTrack(_PoseTrack, _Timed):
 
 
 class _TwistTrack(NamedTuple):
-    stamp_ns: np.ndarray        # (n,) int64, ns
-    twist: np.ndarray           # (n, 6) (omega, v), rad/s and m/s, body axes
+    stamp_ns: np.ndarray  # (n,) int64, ns
+    twist: np.ndarray  # (n, 6) (omega, v), rad/s and m/s, body axes
 
 
 class TwistTrack(_TwistTrack, _Timed):
@@ -36,8 +37,8 @@ class TwistTrack(_TwistTrack, _Timed):
 
 
 class _WrenchTrack(NamedTuple):
-    stamp_ns: np.ndarray        # (m,) int64, ns
-    wrench: np.ndarray          # (m, 6) (torque, force), N m and N, body axes: the total from then
+    stamp_ns: np.ndarray  # (m,) int64, ns
+    wrench: np.ndarray  # (m, 6) (torque, force), N m and N, body axes: the total from then
 
 
 class WrenchTrack(_WrenchTrack, _Timed):
@@ -45,10 +46,10 @@ class WrenchTrack(_WrenchTrack, _Timed):
 
 
 class _JointTrack(NamedTuple):
-    stamp_ns: np.ndarray        # (n,) int64, ns
-    names: tuple                # of k joints
-    position: np.ndarray        # (n, k) rad or m
-    velocity: np.ndarray        # (n, k) rad/s or m/s
+    stamp_ns: np.ndarray  # (n,) int64, ns
+    names: tuple  # of k joints
+    position: np.ndarray  # (n, k) rad or m
+    velocity: np.ndarray  # (n, k) rad/s or m/s
 
 
 class JointTrack(_JointTrack, _Timed):
@@ -58,19 +59,19 @@ class JointTrack(_JointTrack, _Timed):
 class Samples(NamedTuple):
     """k successive samples of all n bodies."""
 
-    stamp_ns: np.ndarray        # (k,) int64, ns
-    position: np.ndarray        # (k, n, 3) m, world
-    quaternion: np.ndarray      # (k, n, 4) x, y, z, w
-    twist: np.ndarray           # (k, n, 6) (omega, v), body axes
+    stamp_ns: np.ndarray  # (k,) int64, ns
+    position: np.ndarray  # (k, n, 3) m, world
+    quaternion: np.ndarray  # (k, n, 4) x, y, z, w
+    twist: np.ndarray  # (k, n, 6) (omega, v), body axes
 
 
 class AppliedWrench(NamedTuple):
     stamp_ns: int
     body: str
-    wrench: tuple               # (6,) (torque, force), body axes: the total from stamp_ns on
+    wrench: tuple  # (6,) (torque, force), body axes: the total from stamp_ns on
 
 
 class Event(NamedTuple):
     stamp_ns: int
-    name: str                   # "start", "pause", "resume", "reset", "step", "fault", "stop", ...
+    name: str  # "start", "pause", "resume", "reset", "step", "fault", "stop", ...
     text: str

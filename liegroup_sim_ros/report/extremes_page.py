@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The map of extremes in words: numbers, silent answers, and a table of signs for each axis."""
+
 import statistics
 
 from liegroup_core.study.extremes.extremes import VERDICTS, counts, silent
@@ -24,8 +25,10 @@ def shown(value):
 def _lines(axes, cells, methods):
     yield "# The map of extremes"
     yield ""
-    yield ("Made by `liegroup_sim extremes`; [extremes.md](extremes.md) says what the signs mean "
-           "and how a cell is judged.")
+    yield (
+        "Made by `liegroup_sim extremes`; [extremes.md](extremes.md) says what the signs mean "
+        "and how a cell is judged."
+    )
     yield ""
     yield "| sign | verdict | cells |"
     yield "|---|---|---|"
@@ -41,20 +44,30 @@ def _numbers(cells):
     wrong = silent(cells)
     yield (f"{len(wrong)} answers are silently wrong" + (":" if wrong else "."))
     for cell in wrong:
-        yield (f"* {cell['axis']} {shown(cell['value'])}, {cell['method']}: error "
-               f"{cell['error']:.2g} of the motion")
+        yield (
+            f"* {cell['axis']} {shown(cell['value'])}, {cell['method']}: error "
+            f"{cell['error']:.2g} of the motion"
+        )
     flagged = [cell for cell in cells if cell["verdict"] == "flagged"]
-    alone = [cell for cell in flagged if all(any(part in text for part in WATCH)
-                                             for text in cell["says"])]
-    warned = sorted(cell["error"] for cell in cells
-                    if cell["verdict"] == "accurate" and cell["says"])
+    alone = [
+        cell
+        for cell in flagged
+        if all(any(part in text for part in WATCH) for text in cell["says"])
+    ]
+    warned = sorted(
+        cell["error"] for cell in cells if cell["verdict"] == "accurate" and cell["says"]
+    )
     yield ""
-    yield (f"{len(alone)} of the {len(flagged)} flagged cells are flagged by the watch over the "
-           "step alone: without it they would be silent.")
+    yield (
+        f"{len(alone)} of the {len(flagged)} flagged cells are flagged by the watch over the "
+        "step alone: without it they would be silent."
+    )
     if warned:
-        yield (f"{len(warned)} accurate cells were warned of; their errors are from "
-               f"{warned[0]:.1g} to {warned[-1]:.1g} of the motion, the median is "
-               f"{statistics.median(warned):.1g}.")
+        yield (
+            f"{len(warned)} accurate cells were warned of; their errors are from "
+            f"{warned[0]:.1g} to {warned[-1]:.1g} of the motion, the median is "
+            f"{statistics.median(warned):.1g}."
+        )
     yield ""
 
 

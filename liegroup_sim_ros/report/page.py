@@ -4,6 +4,7 @@
 Names come from files that anybody may have made. They are escaped wherever they stand, and the
 page itself forbids every script but its own, and every request (Content-Security-Policy).
 """
+
 import base64
 import hashlib
 import json
@@ -19,11 +20,13 @@ from .plots import difference_plot, make_plots
 from .summary import OVERVIEW, comparison_rows, headline, overview, sections, short_names
 from .view import make_view, speeds
 
-MOST_PARTS = 20         # logs with plots on one page; of the others it has the tables
-MOST_LISTED = 20        # problems of several logs at the top
-LONGEST = 200_000       # characters of a text
-NUMBER = re.compile(r"\d[\d.]*(?:e[+-]\d+)?"
-                    r"(?: (?:m|s|ms|us|rad|J|W|N)\b(?:/s)?(?: m\b)?(?: s\b)?)?")
+MOST_PARTS = 20  # logs with plots on one page; of the others it has the tables
+MOST_LISTED = 20  # problems of several logs at the top
+LONGEST = 200_000  # characters of a text
+NUMBER = re.compile(
+    r"\d[\d.]*(?:e[+-]\d+)?"
+    r"(?: (?:m|s|ms|us|rad|J|W|N)\b(?:/s)?(?: m\b)?(?: s\b)?)?"
+)
 
 
 def page_part(analysis, plots=True):
@@ -34,9 +37,13 @@ def page_part(analysis, plots=True):
         "plots": make_plots(analysis) if plots else [],
         "view": make_view(analysis) if plots and analysis.motion.stretches else None,
         "description": analysis.scene.description.strip(),
-        "events": "\n".join(f"{event.stamp_ns * 1e-9:12.6f} s  {event.name}: {event.text}"
-                            for event in recording.events),
-        "scene": recording.scene_text, "settings": recording.settings}
+        "events": "\n".join(
+            f"{event.stamp_ns * 1e-9:12.6f} s  {event.name}: {event.text}"
+            for event in recording.events
+        ),
+        "scene": recording.scene_text,
+        "settings": recording.settings,
+    }
 
 
 def make_page(parts, comparison=None, exceeded=(), bounds=()):
@@ -47,8 +54,10 @@ def make_page(parts, comparison=None, exceeded=(), bounds=()):
     exceeded   : a text for every bound that is exceeded
     bounds     : a text for every bound that was given
     """
-    data = [{"plots": [plot for *_, plot in part.get("plots", ())], "view": part.get("view")}
-            for part in parts]
+    data = [
+        {"plots": [plot for *_, plot in part.get("plots", ())], "view": part.get("view")}
+        for part in parts
+    ]
     one = len(parts) == 1
     body = _one(parts[0], 0, exceeded, bounds) if one else _several(parts, exceeded, bounds)
     if comparison:
@@ -56,10 +65,15 @@ def make_page(parts, comparison=None, exceeded=(), bounds=()):
         data.append({"plots": [plot for *_, plot in plots], "view": None})
         rows = _rows("Compared with the other recording", comparison_rows(comparison[0]))
         drawn = "".join(plot_card(title, remark) for title, remark, _ in plots)
-        body += (f'<h2>Compared with {escape(comparison[0]["logs"][1])}</h2>'
-                 f'<div class="cards" data-part="{len(parts)}">{drawn}{rows}</div>')
-    title = (f'{parts[0]["figures"]["scene"]}: how wrong is this run?' if one else
-             f"{len(parts)} recordings: how wrong are they?")
+        body += (
+            f"<h2>Compared with {escape(comparison[0]['logs'][1])}</h2>"
+            f'<div class="cards" data-part="{len(parts)}">{drawn}{rows}</div>'
+        )
+    title = (
+        f"{parts[0]['figures']['scene']}: how wrong is this run?"
+        if one
+        else f"{len(parts)} recordings: how wrong are they?"
+    )
     return frame(title, body, data)
 
 
@@ -70,8 +84,9 @@ def frame(title, body, data):
     data : of each part {"plots": as plotly.js has them, "view": of view.py or None}
     """
     resources = files(__package__)
-    style, code = ((resources / f"page.{kind}").read_text(encoding="utf-8")
-                   for kind in ("css", "js"))
+    style, code = (
+        (resources / f"page.{kind}").read_text(encoding="utf-8") for kind in ("css", "js")
+    )
     scripts = get_plotlyjs(), code
     allowed = " ".join(f"'sha256-{_digest(script)}'" for script in scripts)
     return f"""<!DOCTYPE html>
@@ -101,11 +116,16 @@ def _one(part, number, exceeded=(), bounds=()):
     """The page of one log."""
     figures = part["figures"]
     problems = [*exceeded, *figures["problems"]]
-    return (f'<header><h1>{escape(figures["scene"])}</h1>{_state(len(problems))}</header>'
-            f'<p class="verdict">{unbroken(figures["verdict"])}</p>'
-            + _problems(problems) + _bounds(bounds, exceeded) + _tiles(figures)
-            + (f'<p class="soft">{escape(part["description"])}</p>' if part["description"] else "")
-            + f'<div data-part="{number}">{_drawn(part)}</div>' + _told(part))
+    return (
+        f"<header><h1>{escape(figures['scene'])}</h1>{_state(len(problems))}</header>"
+        f'<p class="verdict">{unbroken(figures["verdict"])}</p>'
+        + _problems(problems)
+        + _bounds(bounds, exceeded)
+        + _tiles(figures)
+        + (f'<p class="soft">{escape(part["description"])}</p>' if part["description"] else "")
+        + f'<div data-part="{number}">{_drawn(part)}</div>'
+        + _told(part)
+    )
 
 
 def _several(parts, exceeded, bounds):
@@ -114,56 +134,87 @@ def _several(parts, exceeded, bounds):
     names = short_names(found)
     wrong = [figures.get("problems", [figures.get("failed")]) for figures in found]
     bad, count = (sum(map(kind, wrong)) for kind in (bool, len))
-    verdict = (f"{bad} of {len(parts)} recordings have problems." if bad else
-               "No problem was found in any of them.")
+    verdict = (
+        f"{bad} of {len(parts)} recordings have problems."
+        if bad
+        else "No problem was found in any of them."
+    )
     lines = "".join(
         f'<tr><td data-what="log"><a href="#log{k}">{escape(name)}</a></td>'
-        + "".join(f'<td data-what="{what}"{_alarm(value)}>{escape(value)}</td>'
-                  for what, value in zip(OVERVIEW, overview(figures)))
+        + "".join(
+            f'<td data-what="{what}"{_alarm(value)}>{escape(value)}</td>'
+            for what, value in zip(OVERVIEW, overview(figures))
+        )
         + f'<td data-what="problems" class="{"bad" if problems else "good"}">'
-        f'{len(problems) or "none"}</td></tr>'
-        for k, (name, figures, problems) in enumerate(zip(names, found, wrong)))
+        f"{len(problems) or 'none'}</td></tr>"
+        for k, (name, figures, problems) in enumerate(zip(names, found, wrong))
+    )
     heads = "".join(f"<th>{what}</th>" for what in ("log", *OVERVIEW, "problems"))
-    body = (f"<header><h1>{len(parts)} recordings</h1>{_state(count + len(exceeded))}</header>"
-            f'<p class="verdict">{verdict}</p>' + _problems(_listed(found, names, wrong, exceeded))
-            + _bounds(bounds, exceeded)
-            + f'<section class="card"><table class="logs"><thead><tr>{heads}</tr></thead>'
-            f"<tbody>{lines}</tbody></table></section>")
+    body = (
+        f"<header><h1>{len(parts)} recordings</h1>{_state(count + len(exceeded))}</header>"
+        f'<p class="verdict">{verdict}</p>'
+        + _problems(_listed(found, names, wrong, exceeded))
+        + _bounds(bounds, exceeded)
+        + f'<section class="card"><table class="logs"><thead><tr>{heads}</tr></thead>'
+        f"<tbody>{lines}</tbody></table></section>"
+    )
     for k, (part, name) in enumerate(zip(parts, names)):
         figures = part["figures"]
-        inside = (_problems([figures["failed"]]) if "failed" in figures else
-                  f'<p class="verdict">{unbroken(figures["verdict"])}</p>'
-                  + _problems(figures["problems"]) + _tiles(figures) + _drawn(part) + _told(part))
-        body += (f'<details class="log" id="log{k}" data-part="{k}"><summary>{escape(name)}'
-                 f"</summary>{inside}</details>")
+        inside = (
+            _problems([figures["failed"]])
+            if "failed" in figures
+            else f'<p class="verdict">{unbroken(figures["verdict"])}</p>'
+            + _problems(figures["problems"])
+            + _tiles(figures)
+            + _drawn(part)
+            + _told(part)
+        )
+        body += (
+            f'<details class="log" id="log{k}" data-part="{k}"><summary>{escape(name)}'
+            f"</summary>{inside}</details>"
+        )
     return body
 
 
 def _listed(found, names, wrong, exceeded):
     """What is wrong with several logs, the first of it."""
-    listed = [*exceeded, *(f"{name}: {text.removeprefix(figures['log'] + ': ')}"
-                           for figures, name, problems in zip(found, names, wrong)
-                           for text in problems)]
+    listed = [
+        *exceeded,
+        *(
+            f"{name}: {text.removeprefix(figures['log'] + ': ')}"
+            for figures, name, problems in zip(found, names, wrong)
+            for text in problems
+        ),
+    ]
     more = len(listed) - MOST_LISTED
     return listed if more <= 0 else [*listed[:MOST_LISTED], f"and {more} more"]
 
 
 def _drawn(part):
     return (_view(part["view"], bool(part["plots"])) if part["view"] else "") + (
-        '<div class="cards">' + "".join(
-            plot_card(title, remark) for title, remark, _ in part["plots"]) + "</div>")
+        '<div class="cards">'
+        + "".join(plot_card(title, remark) for title, remark, _ in part["plots"])
+        + "</div>"
+    )
 
 
 def _told(part):
     """Tables, scene and settings of a log."""
     figures, settings = part["figures"], part["settings"]
-    rows = "".join(f"<tr><td>{escape(key)}</td><td>{escape(_text(value))}</td></tr>"
-                   for key, value in sorted(settings.items()) if key != "topics")
-    return ('<div class="tables">' + "".join(_rows(*section) for section in sections(figures))
-            + "</div>" + _details("Events", f"<pre>{_shortened(part['events'])}</pre>")
-            + _details("Scene", f"<pre>{_shortened(part['scene'])}</pre>")
-            + _details("Settings", f'<table class="settings">{rows}</table>')
-            + f'<p class="soft">{escape(figures["log"])}</p>')
+    rows = "".join(
+        f"<tr><td>{escape(key)}</td><td>{escape(_text(value))}</td></tr>"
+        for key, value in sorted(settings.items())
+        if key != "topics"
+    )
+    return (
+        '<div class="tables">'
+        + "".join(_rows(*section) for section in sections(figures))
+        + "</div>"
+        + _details("Events", f"<pre>{_shortened(part['events'])}</pre>")
+        + _details("Scene", f"<pre>{_shortened(part['scene'])}</pre>")
+        + _details("Settings", f'<table class="settings">{rows}</table>')
+        + f'<p class="soft">{escape(figures["log"])}</p>'
+    )
 
 
 def _text(value):
@@ -174,47 +225,67 @@ def _text(value):
 
 def plot_card(title, remark):
     """HTML of the place where page.js draws the next plot of a part."""
-    return (f'<section class="card"><h3>{escape(title)}</h3><p class="remark">{escape(remark)}</p>'
-            '<div class="plot plane"></div></section>')
+    return (
+        f'<section class="card"><h3>{escape(title)}</h3><p class="remark">{escape(remark)}</p>'
+        '<div class="plot plane"></div></section>'
+    )
 
 
 def _view(view, has_plots):
     choices, first = speeds(view["seconds"])
-    options = "".join(f'<option value="{speed:g}"{" selected" if speed == first else ""}>'
-                      f"{speed:g} ×</option>" for speed in choices)
+    options = "".join(
+        f'<option value="{speed:g}"{" selected" if speed == first else ""}>{speed:g} ×</option>'
+        for speed in choices
+    )
     remark = f"{view['frames']} instants; drag to turn; the tools zoom and shift" + (
-        "; a click on a plot below goes to that instant" if has_plots else "")
-    return (f'<section class="card view"><h3>Motion</h3><p class="remark">{remark}</p>'
-            '<div class="plot"></div><div class="controls">'
-            '<button type="button">Play</button>'
-            f'<input type="range" min="0" max="{view["frames"] - 1}" value="0" step="1" '
-            'aria-label="time">'
-            f'<output></output><select aria-label="speed, times real time">{options}</select>'
-            "</div></section>")
+        "; a click on a plot below goes to that instant" if has_plots else ""
+    )
+    return (
+        f'<section class="card view"><h3>Motion</h3><p class="remark">{remark}</p>'
+        '<div class="plot"></div><div class="controls">'
+        '<button type="button">Play</button>'
+        f'<input type="range" min="0" max="{view["frames"] - 1}" value="0" step="1" '
+        'aria-label="time">'
+        f'<output></output><select aria-label="speed, times real time">{options}</select>'
+        "</div></section>"
+    )
 
 
 def _rows(title, rows):
-    return (f'<section class="card"><h3>{escape(title)}</h3><table class="rows">' + "".join(
-        f"<tr><td>{escape(what)}</td><td{_alarm(value)}>{unbroken(value)}</td>"
-        f"<td>{unbroken(remark)}</td></tr>" for what, value, remark in rows)
-        + "</table></section>")
+    return (
+        f'<section class="card"><h3>{escape(title)}</h3><table class="rows">'
+        + "".join(
+            f"<tr><td>{escape(what)}</td><td{_alarm(value)}>{unbroken(value)}</td>"
+            f"<td>{unbroken(remark)}</td></tr>"
+            for what, value, remark in rows
+        )
+        + "</table></section>"
+    )
 
 
 def _tiles(figures):
-    tiles = "".join(f"<div><span>{escape(what)}</span><b{_alarm(value)}>{unbroken(value)}</b>"
-                    f"<span>{unbroken(remark)}</span></div>"
-                    for what, value, remark in headline(figures))
+    tiles = "".join(
+        f"<div><span>{escape(what)}</span><b{_alarm(value)}>{unbroken(value)}</b>"
+        f"<span>{unbroken(remark)}</span></div>"
+        for what, value, remark in headline(figures)
+    )
     return f'<div class="tiles">{tiles}</div>'
 
 
 def _state(problems):
-    return ('<span class="state good">✓ no problem found</span>' if not problems else
-            f'<span class="state bad">✗ {problems} problem{"" if problems == 1 else "s"}</span>')
+    return (
+        '<span class="state good">✓ no problem found</span>'
+        if not problems
+        else f'<span class="state bad">✗ {problems} problem{"" if problems == 1 else "s"}</span>'
+    )
 
 
 def _problems(problems):
-    return ('<ul class="bad">' + "".join(f"<li>{escape(text)}</li>" for text in problems) + "</ul>"
-            if problems else "")
+    return (
+        '<ul class="bad">' + "".join(f"<li>{escape(text)}</li>" for text in problems) + "</ul>"
+        if problems
+        else ""
+    )
 
 
 def _bounds(bounds, exceeded):
@@ -236,8 +307,8 @@ def _shortened(text):
 def unbroken(text):
     """Escaped, and no line ends within a number or before its unit."""
     parts, at = [], 0
-    for number in NUMBER.finditer(text):        # before it is escaped: entities hold digits, too
-        parts += [escape(text[at:number.start()]), f'<span class="n">{number[0]}</span>']
+    for number in NUMBER.finditer(text):  # before it is escaped: entities hold digits, too
+        parts += [escape(text[at : number.start()]), f'<span class="n">{number[0]}</span>']
         at = number.end()
     return "".join(parts) + escape(text[at:])
 

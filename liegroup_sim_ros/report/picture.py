@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The plots of an analysis as a picture for papers, drawn by matplotlib."""
+
 import math
 import textwrap
 from html import unescape
@@ -9,10 +10,16 @@ from matplotlib.figure import Figure
 from .plots import centre_paths, difference_plot, make_plots
 
 KINDS = (".png", ".pdf", ".svg")
-WIDTH, ROW = 7.0, 2.4           # inch: the text of a page, a row of two plots
-LINE, SHORT = 34, 12            # characters; a single curve with a shorter name needs no legend
-COLOURS = {"--blue": "#2a6fd6", "--orange": "#cf6a12", "--green": "#16875a",
-           "--violet": "#7049c0", "--red": "#d63a3a", "--grey": "#6b7480"}
+WIDTH, ROW = 7.0, 2.4  # inch: the text of a page, a row of two plots
+LINE, SHORT = 34, 12  # characters; a single curve with a shorter name needs no legend
+COLOURS = {
+    "--blue": "#2a6fd6",
+    "--orange": "#cf6a12",
+    "--green": "#16875a",
+    "--violet": "#7049c0",
+    "--red": "#d63a3a",
+    "--grey": "#6b7480",
+}
 
 
 def write_picture(analysis, path, comparison=None):
@@ -50,9 +57,14 @@ def _plane(axes, title, plot):
     for trace in plot["data"]:
         line = trace["line"]
         y = [math.nan if v is None or log and v <= 0.0 else v for v in trace["y"]]
-        axes.plot([math.nan if v is None else v for v in trace["x"]], y, lw=0.9,
-                  color=COLOURS[line["color"]], ls=":" if line["dash"] == "dot" else "-",
-                  label=_label(trace["name"]))
+        axes.plot(
+            [math.nan if v is None else v for v in trace["x"]],
+            y,
+            lw=0.9,
+            color=COLOURS[line["color"]],
+            ls=":" if line["dash"] == "dot" else "-",
+            label=_label(trace["name"]),
+        )
     if log:
         axes.set_yscale("log")
         if "range" in layout["yaxis"]:
@@ -74,7 +86,7 @@ def _paths(axes, analysis):
     for (body, path), colour in zip(paths.items(), list(COLOURS.values())[:4] * len(paths)):
         axes.plot(*path.T, lw=0.9, color=colour, label=_label(body))
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_box_aspect(None, zoom=0.9)        # its labels are not counted in the layout
+    axes.set_box_aspect(None, zoom=0.9)  # its labels are not counted in the layout
     for name in "xyz":
         getattr(axes, f"set_{name}label")(f"{name} / m", fontsize=7, labelpad=-2)
         getattr(axes, f"{name}axis").set_tick_params(pad=-1)

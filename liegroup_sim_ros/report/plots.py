@@ -3,15 +3,16 @@
 
 Colours are names of CSS variables ("--blue"); the page puts in those of its light or dark mode.
 """
+
 import math
 from html import escape
 
 import numpy as np
 
-BINS = 1000             # of a curve: the smallest and the largest value of each are drawn
+BINS = 1000  # of a curve: the smallest and the largest value of each are drawn
 PATH_POINTS = 4000
-HEIGHT = 340            # px
-FEW, ODD = 0.02, 1e-2   # values of log plots out of sight: these few, where so far below the rest
+HEIGHT = 340  # px
+FEW, ODD = 0.02, 1e-2  # values of log plots out of sight: these few, where so far below the rest
 COLOURS = ("--blue", "--orange", "--green", "--violet", "--red", "--grey")
 
 
@@ -24,95 +25,178 @@ def make_plots(analysis):
     bands = _push_bands(figures, analysis.motion)
     if curves.get("reference"):
         kind = figures["reference"]["kind"]
-        source = "an independent tight integration" if kind == "integration" else (
-            "the exact solution")
-        plots.append(("How the error grows", f"distance from {source}, the largest of all "
-                      "bodies; dotted: how well that one is known",
-                      _plane(_error_traces(curves["reference"]), bands, "m, rad", log=True)))
+        source = (
+            "an independent tight integration" if kind == "integration" else ("the exact solution")
+        )
+        plots.append(
+            (
+                "How the error grows",
+                f"distance from {source}, the largest of all "
+                "bodies; dotted: how well that one is known",
+                _plane(_error_traces(curves["reference"]), bands, "m, rad", log=True),
+            )
+        )
     if curves["energy"]:
-        plots.append(("Energy", "change since the start of each stretch without a wrench",
-                      _plane(_interval_traces([("energy", curves["energy"])]), bands, "J")))
-    kept = [(f"{entry['component']}, {entry['unit']}", part)
-            for entry, part in zip(figures["momentum"], curves["momentum"]) if part]
+        plots.append(
+            (
+                "Energy",
+                "change since the start of each stretch without a wrench",
+                _plane(_interval_traces([("energy", curves["energy"])]), bands, "J"),
+            )
+        )
+    kept = [
+        (f"{entry['component']}, {entry['unit']}", part)
+        for entry, part in zip(figures["momentum"], curves["momentum"])
+        if part
+    ]
     if kept:
-        plots.append(("Momentum components that the scene keeps", "change, as for the energy",
-                      _plane(_interval_traces(kept[:6]), bands, "N m s" if all(
-                          entry["unit"] == "N m s" for entry in figures["momentum"][:6])
-                          else "N m s, N s")))
+        plots.append(
+            (
+                "Momentum components that the scene keeps",
+                "change, as for the energy",
+                _plane(
+                    _interval_traces(kept[:6]),
+                    bands,
+                    "N m s"
+                    if all(entry["unit"] == "N m s" for entry in figures["momentum"][:6])
+                    else "N m s, N s",
+                ),
+            )
+        )
     if curves["joints"]:
-        plots.append(("How far the joints are open", "the worst joint",
-                      _plane(_interval_traces([("open by", curves["joints"])]), bands, "m, rad",
-                             log=True)))
+        plots.append(
+            (
+                "How far the joints are open",
+                "the worst joint",
+                _plane(
+                    _interval_traces([("open by", curves["joints"])]), bands, "m, rad", log=True
+                ),
+            )
+        )
     late = _lateness_traces(analysis.recording.diagnostics)
     if late:
-        plots.append(("Lateness", "of the ticks against the wall clock, since the start",
-                      _plane(late, bands, "µs", log=True)))
+        plots.append(
+            (
+                "Lateness",
+                "of the ticks against the wall clock, since the start",
+                _plane(late, bands, "µs", log=True),
+            )
+        )
     return plots
 
 
 def _error_traces(parts):
     times = _joined([part[0] for part in parts])
-    names = (("position, m", "--blue", "solid"), ("attitude, rad", "--orange", "solid"),
-             ("position, known to", "--blue", "dot"), ("attitude, known to", "--orange", "dot"))
-    return [_line(name, times, _joined([part[k + 1] for part in parts]), colour, dash)
-            for k, (name, colour, dash) in enumerate(names)]
+    names = (
+        ("position, m", "--blue", "solid"),
+        ("attitude, rad", "--orange", "solid"),
+        ("position, known to", "--blue", "dot"),
+        ("attitude, known to", "--orange", "dot"),
+    )
+    return [
+        _line(name, times, _joined([part[k + 1] for part in parts]), colour, dash)
+        for k, (name, colour, dash) in enumerate(names)
+    ]
 
 
 def _interval_traces(named):
     """A curve of each name, with gaps between its intervals."""
-    return [_line(name, _joined([times for times, _ in part]),
-                  _joined([change for _, change in part]), COLOURS[k % len(COLOURS)])
-            for k, (name, part) in enumerate(named)]
+    return [
+        _line(
+            name,
+            _joined([times for times, _ in part]),
+            _joined([change for _, change in part]),
+            COLOURS[k % len(COLOURS)],
+        )
+        for k, (name, part) in enumerate(named)
+    ]
 
 
 def _lateness_traces(diagnostics):
     traces = []
-    for key, name, colour in (("p50", "half of them within", "--green"),
-                              ("p99", "99 % within", "--orange"), ("max", "all within", "--red")):
+    for key, name, colour in (
+        ("p50", "half of them within", "--green"),
+        ("p99", "99 % within", "--orange"),
+        ("max", "all within", "--red"),
+    ):
         field = f"lateness_{key}_us"
-        values = [(stamp * 1e-9, float(entry[field])) for stamp, entry in diagnostics
-                  if field in entry]
+        values = [
+            (stamp * 1e-9, float(entry[field])) for stamp, entry in diagnostics if field in entry
+        ]
         if values:
             traces.append({**_line(name, *np.array(values).T, colour), "mode": "lines+markers"})
     return traces
 
 
-BASE = {"paper_bgcolor": "rgba(0,0,0,0)", "plot_bgcolor": "rgba(0,0,0,0)",
-         "font": {"color": "--text", "family": "system-ui, sans-serif", "size": 12},
-         "legend": {"orientation": "h", "yref": "container", "y": 0, "yanchor": "bottom", "x": 0},
-         "hoverlabel": {"bgcolor": "--card", "bordercolor": "--grid", "font": {"color": "--text"}}}
+BASE = {
+    "paper_bgcolor": "rgba(0,0,0,0)",
+    "plot_bgcolor": "rgba(0,0,0,0)",
+    "font": {"color": "--text", "family": "system-ui, sans-serif", "size": 12},
+    "legend": {"orientation": "h", "yref": "container", "y": 0, "yanchor": "bottom", "x": 0},
+    "hoverlabel": {"bgcolor": "--card", "bordercolor": "--grid", "font": {"color": "--text"}},
+}
 
 
 def centre_paths(analysis):
     """{body: (k, 3) m} of the centres of mass, with a gap between stretches."""
     stretches = analysis.motion.stretches
     every = max(1, sum(len(s.steps) for s in stretches) // PATH_POINTS)
-    return {body.name: _joined([
-        s.position[::every, n] + s.rotation[::every, n] @ np.array(body.com) for s in stretches])
-        for n, body in enumerate(analysis.scene.bodies)}
+    return {
+        body.name: _joined(
+            [
+                s.position[::every, n] + s.rotation[::every, n] @ np.array(body.com)
+                for s in stretches
+            ]
+        )
+        for n, body in enumerate(analysis.scene.bodies)
+    }
 
 
 def difference_plot(curve):
     """[(title, remark, plot)] of the curves of a comparison, see comparison.py; none of zeros."""
     if not any((values > 0.0).any() for _, values in curve):
         return []
-    traces = [_line(name, *part, colour) for name, part, colour in zip(
-        ("position, m", "attitude, rad"), curve, COLOURS)]
-    return [("How far the two are apart", "the largest distance of all bodies",
-             _plane(traces, [], "m, rad", log=True))]
+    traces = [
+        _line(name, *part, colour)
+        for name, part, colour in zip(("position, m", "attitude, rad"), curve, COLOURS)
+    ]
+    return [
+        (
+            "How far the two are apart",
+            "the largest distance of all bodies",
+            _plane(traces, [], "m, rad", log=True),
+        )
+    ]
 
 
 def _plane(traces, bands, unit, log=False):
     """Curves over time; the traces must be finite and, for a log axis, positive to be seen."""
-    axis = {"gridcolor": "--grid", "zerolinecolor": "--grid", "linecolor": "--grid",
-            "automargin": True}
-    return {"data": traces, "layout": {
-        "xaxis": {**axis, "title": {"text": "time / s", "standoff": 6}},
-        "yaxis": {**axis, "title": {"text": unit, "standoff": 8}, **(
-            {"type": "log", "exponentformat": "power", **_decades(traces)} if log else
-            {"exponentformat": "power"})},
-        "shapes": bands, "margin": {"l": 8, "r": 8, "t": 30, "b": 8}, "height": HEIGHT,
-        "hovermode": "x unified" if len(traces) <= 4 else "closest", **BASE}}
+    axis = {
+        "gridcolor": "--grid",
+        "zerolinecolor": "--grid",
+        "linecolor": "--grid",
+        "automargin": True,
+    }
+    return {
+        "data": traces,
+        "layout": {
+            "xaxis": {**axis, "title": {"text": "time / s", "standoff": 6}},
+            "yaxis": {
+                **axis,
+                "title": {"text": unit, "standoff": 8},
+                **(
+                    {"type": "log", "exponentformat": "power", **_decades(traces)}
+                    if log
+                    else {"exponentformat": "power"}
+                ),
+            },
+            "shapes": bands,
+            "margin": {"l": 8, "r": 8, "t": 30, "b": 8},
+            "height": HEIGHT,
+            "hovermode": "x unified" if len(traces) <= 4 else "closest",
+            **BASE,
+        },
+    }
 
 
 def _decades(traces):
@@ -122,7 +206,7 @@ def _decades(traces):
         return {"dtick": 1}
     found, low, high = {}, min(values), max(values)
     usual = float(np.quantile(values, FEW))
-    if low < usual * ODD:           # a difference that happens to be 1e-40 is not to be looked at
+    if low < usual * ODD:  # a difference that happens to be 1e-40 is not to be looked at
         low = usual * ODD
         found["range"] = [math.log10(low), math.log10(high) + 0.2]
     return {"dtick": max(1, math.ceil(math.log10(high / low) / 7.0)), **found}
@@ -130,10 +214,22 @@ def _decades(traces):
 
 def _push_bands(figures, motion):
     end = float(motion.stretches[-1].log_times[-1])
-    return [{"type": "rect", "xref": "x", "yref": "paper", "x0": push["from_s"], "layer": "below",
-             "x1": end if push["to_s"] is None else push["to_s"], "y0": 0, "y1": 1,
-             "fillcolor": "--red", "opacity": 0.18, "line": {"width": 0}}
-            for push in figures["pushes"][:200]]
+    return [
+        {
+            "type": "rect",
+            "xref": "x",
+            "yref": "paper",
+            "x0": push["from_s"],
+            "layer": "below",
+            "x1": end if push["to_s"] is None else push["to_s"],
+            "y0": 0,
+            "y1": 1,
+            "fillcolor": "--red",
+            "opacity": 0.18,
+            "line": {"width": 0},
+        }
+        for push in figures["pushes"][:200]
+    ]
 
 
 def _line(name, x, y, colour, dash="solid"):
@@ -141,9 +237,16 @@ def _line(name, x, y, colour, dash="solid"):
     if len(x) > 2 * BINS:
         pick = _extremes(y)
         x, y = x[pick], y[pick]
-    return {"type": "scatter", "mode": "lines", "name": label(name), "x": _plain(x),
-            "y": _plain(y), "line": {"color": colour, "width": 1.6, "dash": dash},
-            "connectgaps": False, "hovertemplate": "%{y:.3g}"}
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "name": label(name),
+        "x": _plain(x),
+        "y": _plain(y),
+        "line": {"color": colour, "width": 1.6, "dash": dash},
+        "connectgaps": False,
+        "hovertemplate": "%{y:.3g}",
+    }
 
 
 def label(name):
@@ -156,8 +259,11 @@ def _extremes(y):
     gaps = ~np.isfinite(y)
     low, high = np.where(gaps, np.inf, y), np.where(gaps, -np.inf, y)
     edges = np.linspace(0, len(y), BINS + 1).astype(int)
-    rows = {a + int(values[a:b].argmax()) for a, b in zip(edges, edges[1:])
-            for values in (-low, high, gaps)}
+    rows = {
+        a + int(values[a:b].argmax())
+        for a, b in zip(edges, edges[1:])
+        for values in (-low, high, gaps)
+    }
     return np.array(sorted(rows))
 
 

@@ -3,7 +3,7 @@
 
 from liegroup_sim_ros.numbers import GROUPS, counted, error_text, shown
 
-MOST_JOINTS = 8         # in the table; the others are in the JSON
+MOST_JOINTS = 8  # in the table; the others are in the JSON
 OVERVIEW = ("position", "attitude", "energy", "joints", "same bits", "lost")
 
 
@@ -13,27 +13,48 @@ def headline(figures):
     reference = figures.get("reference")
     if reference and "failed" not in reference:
         known = "the reference's own uncertainty"
-        found += [(text, shown(max(entry["max"], entry["uncertainty"]), entry["unit"]),
-                   known if entry["max"] <= entry["uncertainty"] else
-                   f"at most, known to {shown(entry['uncertainty'], entry['unit'])}")
-                  for name, text in (("position", "position error"), ("angle", "attitude error"))
-                  for entry in [reference[name]]]
+        found += [
+            (
+                text,
+                shown(max(entry["max"], entry["uncertainty"]), entry["unit"]),
+                known
+                if entry["max"] <= entry["uncertainty"]
+                else f"at most, known to {shown(entry['uncertainty'], entry['unit'])}",
+            )
+            for name, text in (("position", "position error"), ("angle", "attitude error"))
+            for entry in [reference[name]]
+        ]
     if figures.get("joints"):
         name, worst = max(figures["joints"].items(), key=lambda item: item[1]["largest"])
-        found.append(("joints open by", shown(worst["largest"], worst["unit"]),
-                      f"at most: {name}"))
+        found.append(("joints open by", shown(worst["largest"], worst["unit"]), f"at most: {name}"))
     if figures.get("energy") and figures["energy"]["relative_drift"] is not None:
-        found.append(("energy drift", shown(figures["energy"]["relative_drift"]),
-                      "of the largest kinetic energy"))
+        found.append(
+            (
+                "energy drift",
+                shown(figures["energy"]["relative_drift"]),
+                "of the largest kinetic energy",
+            )
+        )
     repeat = figures.get("repeat", {})
     if "identical" in repeat:
         same = repeat["identical"] == repeat["samples"]
-        found.append(("simulated again", "same bits" if same else "different",
-                      f"{repeat['identical']} of {repeat['samples']} samples are the same"))
+        found.append(
+            (
+                "simulated again",
+                "same bits" if same else "different",
+                f"{repeat['identical']} of {repeat['samples']} samples are the same",
+            )
+        )
     if figures["timing"].get("real_time_factor"):
-        found.append(("real-time factor", f"{figures['timing']['real_time_factor']:.3f}",
-                      "" if not figures["timing"]["factor_wanted"] else
-                      f"wanted {shown(figures['timing']['factor_wanted'])}"))
+        found.append(
+            (
+                "real-time factor",
+                f"{figures['timing']['real_time_factor']:.3f}",
+                ""
+                if not figures["timing"]["factor_wanted"]
+                else f"wanted {shown(figures['timing']['factor_wanted'])}",
+            )
+        )
     return found
 
 
@@ -42,8 +63,14 @@ def sections(figures):
     found = [("Run", _run_rows(figures))]
     if "reference" in figures and "failed" not in figures["reference"]:
         kind = figures["reference"]["kind"]
-        found.append(("Error against an independent integration" if kind == "integration"
-                      else f"Error against the exact solution: {kind}", _error_rows(figures)))
+        found.append(
+            (
+                "Error against an independent integration"
+                if kind == "integration"
+                else f"Error against the exact solution: {kind}",
+                _error_rows(figures),
+            )
+        )
     local = figures.get("local", {})
     if local and "failed" not in local:
         found.append(("Error of one step, by step halving", _local_rows(local)))
@@ -51,9 +78,18 @@ def sections(figures):
         found.append(("What it should keep", _kept_rows(figures)))
     repeat = figures.get("repeat", {})
     if "identical" in repeat:
-        found.append(("Simulated again", [(
-            "same bytes", f"{repeat['identical']} of {repeat['samples']} samples",
-            "from the recorded start, settings and wrenches")]))
+        found.append(
+            (
+                "Simulated again",
+                [
+                    (
+                        "same bytes",
+                        f"{repeat['identical']} of {repeat['samples']} samples",
+                        "from the recorded start, settings and wrenches",
+                    )
+                ],
+            )
+        )
     found.append(("Real time", _timing_rows(figures["timing"])))
     found.append(("File", _file_rows(figures)))
     return found
@@ -62,40 +98,73 @@ def sections(figures):
 def _run_rows(figures):
     pushes = figures["pushes"]
     shown_pushes = "; ".join(
-        f"{p['body']} {p['from_s']:.3f} s to " + (f"{p['to_s']:.3f} s" if p["to_s"] is not None
-                                                  else "the end") for p in pushes[:4])
+        f"{p['body']} {p['from_s']:.3f} s to "
+        + (f"{p['to_s']:.3f} s" if p["to_s"] is not None else "the end")
+        for p in pushes[:4]
+    )
     count = figures["push_count"]
     more = f" and {count - 4} more" if count > 4 else ""
     refused = figures["wrenches_refused"]
     return [
-        ("scene", figures["scene"], ", ".join(figures["bodies"][:6])
-         + (f" and {len(figures['bodies']) - 6} more" if len(figures["bodies"]) > 6 else "")),
-        ("method", f"{figures['method']}, step {shown(figures['step'] * 1e3, 'ms')}",
-         f"on {GROUPS.get(figures['group'], figures['group'])}"),
-        ("simulated time", shown(figures["sim_seconds"], "s"),
-         f"{figures['samples']} samples"
-         + (f", {counted(figures['resets'], 'reset')}" if figures["resets"] else "")),
-        ("pushes", str(count), shown_pushes + more
-         + (f"; {refused:.0f} wrench messages refused" if refused else "")),
+        (
+            "scene",
+            figures["scene"],
+            ", ".join(figures["bodies"][:6])
+            + (f" and {len(figures['bodies']) - 6} more" if len(figures["bodies"]) > 6 else ""),
+        ),
+        (
+            "method",
+            f"{figures['method']}, step {shown(figures['step'] * 1e3, 'ms')}",
+            f"on {GROUPS.get(figures['group'], figures['group'])}",
+        ),
+        (
+            "simulated time",
+            shown(figures["sim_seconds"], "s"),
+            f"{figures['samples']} samples"
+            + (f", {counted(figures['resets'], 'reset')}" if figures["resets"] else ""),
+        ),
+        (
+            "pushes",
+            str(count),
+            shown_pushes + more + (f"; {refused:.0f} wrench messages refused" if refused else ""),
+        ),
     ]
 
 
 def _error_rows(figures):
-    names = {"position": "position", "angle": "attitude", "attitude": "attitude |R - Rref|",
-             "angular": "angular velocity", "linear": "velocity"}
-    return [(text, shown(entry["max"], entry["unit"]),
-             f"at the end {shown(entry['final'], entry['unit'])}, "
-             f"reference ± {shown(entry['uncertainty'], entry['unit'])}")
-            for key, text in names.items() for entry in [figures["reference"][key]]]
+    names = {
+        "position": "position",
+        "angle": "attitude",
+        "attitude": "attitude |R - Rref|",
+        "angular": "angular velocity",
+        "linear": "velocity",
+    }
+    return [
+        (
+            text,
+            shown(entry["max"], entry["unit"]),
+            f"at the end {shown(entry['final'], entry['unit'])}, "
+            f"reference ± {shown(entry['uncertainty'], entry['unit'])}",
+        )
+        for key, text in names.items()
+        for entry in [figures["reference"][key]]
+    ]
 
 
 def _local_rows(local):
     return [
-        ("position", shown(local["position_m"], "m"),
-         _joined(f"largest of {local['windows']} places", local["remark"])),
+        (
+            "position",
+            shown(local["position_m"], "m"),
+            _joined(f"largest of {local['windows']} places", local["remark"]),
+        ),
         ("attitude", shown(local["angle_rad"], "rad"), ""),
-        ("observed order", "-" if local["order"] is None else f"{local['order']:.2f}",
-         f"of the method: {local['order_expected']}")]
+        (
+            "observed order",
+            "-" if local["order"] is None else f"{local['order']:.2f}",
+            f"of the method: {local['order_expected']}",
+        ),
+    ]
 
 
 def _trend(slope, explained, unit):
@@ -107,25 +176,49 @@ def _trend(slope, explained, unit):
 
 def _kept_rows(figures):
     energy = figures["energy"]
-    rows = [("energy drift", shown(energy["drift_J"], "J"), _joined(
-        energy["relative_drift"] is not None
-        and f"{shown(energy['relative_drift'])} of the largest kinetic energy",
-        _trend(energy["trend_W"], energy["trend_explains"], "W"),
-        energy["left_out"] and f"without {energy['left_out']}" if energy["drift_J"] is not None
-        else energy["left_out"]))]
+    rows = [
+        (
+            "energy drift",
+            shown(energy["drift_J"], "J"),
+            _joined(
+                energy["relative_drift"] is not None
+                and f"{shown(energy['relative_drift'])} of the largest kinetic energy",
+                _trend(energy["trend_W"], energy["trend_explains"], "W"),
+                energy["left_out"] and f"without {energy['left_out']}"
+                if energy["drift_J"] is not None
+                else energy["left_out"],
+            ),
+        )
+    ]
     for entry in figures["momentum"]:
-        rows.append((entry["component"], shown(entry["drift"], entry["unit"]), _joined(
-            f"of at most {shown(entry['largest'], entry['unit'])}",
-            _trend(entry["trend_per_s"], entry["trend_explains"],
-                   entry["unit"].removesuffix(" s")),
-            len(figures["bodies"]) > len(entry["bodies"]) and ", ".join(entry["bodies"][:4]),
-            entry["left_out"] and f"without {entry['left_out']}")))
+        rows.append(
+            (
+                entry["component"],
+                shown(entry["drift"], entry["unit"]),
+                _joined(
+                    f"of at most {shown(entry['largest'], entry['unit'])}",
+                    _trend(
+                        entry["trend_per_s"],
+                        entry["trend_explains"],
+                        entry["unit"].removesuffix(" s"),
+                    ),
+                    len(figures["bodies"]) > len(entry["bodies"])
+                    and ", ".join(entry["bodies"][:4]),
+                    entry["left_out"] and f"without {entry['left_out']}",
+                ),
+            )
+        )
     if not figures["momentum"]:
         rows.append(("momentum", "-", "this scene keeps no component of it"))
     joints = sorted(figures["joints"].items(), key=lambda item: -item[1]["largest"])
     for name, entry in joints[:MOST_JOINTS]:
-        rows.append((f"joint {name} open by", shown(entry["largest"], entry["unit"]),
-                     f"at {shown(entry['at_s'], 's')}"))
+        rows.append(
+            (
+                f"joint {name} open by",
+                shown(entry["largest"], entry["unit"]),
+                f"at {shown(entry['at_s'], 's')}",
+            )
+        )
     if len(joints) > MOST_JOINTS:
         rows.append((f"{len(joints) - MOST_JOINTS} other joints", "less", ""))
     return rows
@@ -135,18 +228,34 @@ def _timing_rows(timing):
     late, ticks = timing["lateness_us"], timing.get("ticks")
     no_clock = "it was not run against a clock"
     return [
-        ("real-time factor", "-" if timing.get("real_time_factor") is None
-         else f"{timing['real_time_factor']:.4f}",
-         "as fast as it goes was wanted" if timing["factor_wanted"] == 0.0
-         else f"wanted {shown(timing['factor_wanted'])}"),
-        ("lateness of a tick", _microseconds(late["p50"]), no_clock if late["p50"] is None else
-         f"half of them; 99 % within {_microseconds(late['p99'])}, all within "
-         f"{_microseconds(late['max'])}"),
-        ("overruns", "-" if timing.get("overruns") is None else f"{timing['overruns']:.0f}",
-         "" if ticks is None else f"of {ticks:.0f} ticks"),
-        ("gaps", str(timing["gaps"]), "" if not timing["gaps"] else
-         f"the longest {shown(timing['largest_gap_s'], 's')}, at "
-         f"{shown(timing['largest_gap_at_s'], 's')}"),
+        (
+            "real-time factor",
+            "-" if timing.get("real_time_factor") is None else f"{timing['real_time_factor']:.4f}",
+            "as fast as it goes was wanted"
+            if timing["factor_wanted"] == 0.0
+            else f"wanted {shown(timing['factor_wanted'])}",
+        ),
+        (
+            "lateness of a tick",
+            _microseconds(late["p50"]),
+            no_clock
+            if late["p50"] is None
+            else f"half of them; 99 % within {_microseconds(late['p99'])}, all within "
+            f"{_microseconds(late['max'])}",
+        ),
+        (
+            "overruns",
+            "-" if timing.get("overruns") is None else f"{timing['overruns']:.0f}",
+            "" if ticks is None else f"of {ticks:.0f} ticks",
+        ),
+        (
+            "gaps",
+            str(timing["gaps"]),
+            ""
+            if not timing["gaps"]
+            else f"the longest {shown(timing['largest_gap_s'], 's')}, at "
+            f"{shown(timing['largest_gap_at_s'], 's')}",
+        ),
     ]
 
 
@@ -156,10 +265,11 @@ def _microseconds(value):
 
 def _file_rows(figures):
     lost = sum(figures["lost_messages"].values()) + figures["missing_samples"]
-    return [("messages", str(sum(figures["messages"].values())),
-             f"{len(figures['messages'])} topics"),
-            ("lost", str(lost), "by sequence number and by the grid of samples"),
-            ("complete", "yes" if figures["complete"] else "no", figures["file_problem"] or "")]
+    return [
+        ("messages", str(sum(figures["messages"].values())), f"{len(figures['messages'])} topics"),
+        ("lost", str(lost), "by sequence number and by the grid of samples"),
+        ("complete", "yes" if figures["complete"] else "no", figures["file_problem"] or ""),
+    ]
 
 
 def _joined(*remarks):
@@ -177,28 +287,56 @@ def overview(figures):
     if "failed" in figures:
         return ["-"] * len(OVERVIEW)
     reference = figures.get("reference") or {"failed": ""}
-    errors = ["-", "-"] if "failed" in reference else [
-        error_text(reference[name]).partition(" (")[0] for name in ("position", "angle")]
+    errors = (
+        ["-", "-"]
+        if "failed" in reference
+        else [error_text(reference[name]).partition(" (")[0] for name in ("position", "angle")]
+    )
     joints = [joint["largest"] for joint in figures.get("joints", {}).values()]
     repeat = figures.get("repeat", {})
     lost = sum(figures["lost_messages"].values()) + figures["missing_samples"]
-    return [*errors, shown(figures.get("energy", {}).get("relative_drift")),
-            shown(max(joints)) if joints else "-",
-            f"{repeat['identical']}/{repeat['samples']}" if "identical" in repeat else "-",
-            str(lost)]
+    return [
+        *errors,
+        shown(figures.get("energy", {}).get("relative_drift")),
+        shown(max(joints)) if joints else "-",
+        f"{repeat['identical']}/{repeat['samples']}" if "identical" in repeat else "-",
+        str(lost),
+    ]
 
 
 def comparison_rows(figures):
     """The table of a comparison: [(what, value, remark)]."""
-    names = {"position": "position", "angle": "attitude", "angular": "angular velocity",
-             "linear": "velocity"}
-    rows = [("same bytes", f"{figures['identical']} of {figures['samples']} samples",
-             "" if figures["first_difference_s"] is None else
-             f"the first other one at {shown(figures['first_difference_s'], 's')}")]
-    rows += [(names[name], shown(entry["max"], entry["unit"]),
-              "" if entry["at_s"] is None else f"at {shown(entry['at_s'], 's')}")
-             for name, entry in figures["difference"].items()]
-    rows += [(what, "the same" if equal else "different", "") for what, equal in (
-        ("scene", figures["same_scene"]), ("wrenches", figures["same_wrenches"]))]
-    return rows + [(key, str(mine), f"in the other one {theirs}")
-                   for key, (mine, theirs) in figures["settings"].items()]
+    names = {
+        "position": "position",
+        "angle": "attitude",
+        "angular": "angular velocity",
+        "linear": "velocity",
+    }
+    rows = [
+        (
+            "same bytes",
+            f"{figures['identical']} of {figures['samples']} samples",
+            ""
+            if figures["first_difference_s"] is None
+            else f"the first other one at {shown(figures['first_difference_s'], 's')}",
+        )
+    ]
+    rows += [
+        (
+            names[name],
+            shown(entry["max"], entry["unit"]),
+            "" if entry["at_s"] is None else f"at {shown(entry['at_s'], 's')}",
+        )
+        for name, entry in figures["difference"].items()
+    ]
+    rows += [
+        (what, "the same" if equal else "different", "")
+        for what, equal in (
+            ("scene", figures["same_scene"]),
+            ("wrenches", figures["same_wrenches"]),
+        )
+    ]
+    return rows + [
+        (key, str(mine), f"in the other one {theirs}")
+        for key, (mine, theirs) in figures["settings"].items()
+    ]

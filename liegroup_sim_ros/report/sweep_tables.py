@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What came of a sweep, as tables: how results spread, and what they depend on."""
+
 import re
 
 import numpy as np
@@ -11,9 +12,9 @@ from liegroup_sim_ros.numbers import shown
 
 from .terminal import plain_table
 
-WIDTH = 130                 # characters; a narrower terminal folds the lines
+WIDTH = 130  # characters; a narrower terminal folds the lines
 QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
-BODIES = 2                  # whose states are shown if nobody says what is to be
+BODIES = 2  # whose states are shown if nobody says what is to be
 REASONS = 10
 # Runs from which a rank correlation is told: below, one in twenty is as large as 0.6 by chance.
 LEAST = 10
@@ -62,40 +63,65 @@ def print_sweep(file, show, console):
     columns = list(show or _usual(sweep))
     wanted = ["run", "status", "warning", "cpu_s", "time", *sweep.paths, *columns]
     read = file.table(list(dict.fromkeys(wanted)))
-    table = {name: read[name].to_numpy() if kinds[name] != "text" else read[name].to_pylist()
-             for name in read.column_names}
+    table = {
+        name: read[name].to_numpy() if kinds[name] != "text" else read[name].to_pylist()
+        for name in read.column_names
+    }
     ok = np.array([status == OK for status in table["status"]])
     console.width = max(console.width, WIDTH)
     settings = dict(sweep.settings)
-    console.print(Text(f"{sweep.name}: {len(ok)} runs of {sweep.steps * settings['step']:.9g} s, "
-                       f"{settings['method']} at {shown(settings['step'] * 1e3, 'ms')}; "
-                       f"{len(ok) - ok.sum()} failed", style="bold"))
+    console.print(
+        Text(
+            f"{sweep.name}: {len(ok)} runs of {sweep.steps * settings['step']:.9g} s, "
+            f"{settings['method']} at {shown(settings['step'] * 1e3, 'ms')}; "
+            f"{len(ok) - ok.sum()} failed",
+            style="bold",
+        )
+    )
     cpu = table["cpu_s"]
-    console.print(Text(f"{shown(cpu.mean() * 1e3, 'ms')} of CPU time a run, "
-                       f"{shown(cpu.sum(), 's')} in all", style="dim"))
+    console.print(
+        Text(
+            f"{shown(cpu.mean() * 1e3, 'ms')} of CPU time a run, {shown(cpu.sum(), 's')} in all",
+            style="dim",
+        )
+    )
     _tell(console, "failed", [s for s in table["status"] if s != OK])
     _tell(console, "warned of", [w for w in table["warning"] if w])
     for name in dict.fromkeys((*sweep.paths, *columns)):
         table[name] = np.where(ok, table[name], np.nan)
     found = spread(table, (*sweep.paths, *columns))
-    _print(console, "How the runs spread that came to their end",
-           ("", "least", "5 %", "median", "95 %", "largest"),
-           [(name, *map(shown, values)) for name, values in found.items() if values is not None])
+    _print(
+        console,
+        "How the runs spread that came to their end",
+        ("", "least", "5 %", "median", "95 %", "largest"),
+        [(name, *map(shown, values)) for name, values in found.items() if values is not None],
+    )
     ranks = dependence(table, sweep.paths, columns)
-    _print(console, "What depends on what: rank correlation (Spearman), 0 none, 1 or -1 one rises "
-           "or falls with the other",
-           ("", *sweep.paths),
-           [(name, *(f"{row[path]:+.2f}" if path in row else "-" for path in sweep.paths))
-            for name, row in ranks.items()])
+    _print(
+        console,
+        "What depends on what: rank correlation (Spearman), 0 none, 1 or -1 one rises "
+        "or falls with the other",
+        ("", *sweep.paths),
+        [
+            (name, *(f"{row[path]:+.2f}" if path in row else "-" for path in sweep.paths))
+            for name, row in ranks.items()
+        ],
+    )
     return set(table["status"])
 
 
 def _usual(sweep):
-    floats = [name for name, kind in sweep.columns.items()
-              if kind == "float" and name not in (*sweep.paths, "cpu_s", "time", "energy_start")]
+    floats = [
+        name
+        for name, kind in sweep.columns.items()
+        if kind == "float" and name not in (*sweep.paths, "cpu_s", "time", "energy_start")
+    ]
     bodies = list(dict.fromkeys(name.rpartition(".")[0] for name in floats if "." in name))
-    return [name for name in floats if not name.rpartition(".")[0]
-            or name.rpartition(".")[0] in bodies[:BODIES]]
+    return [
+        name
+        for name in floats
+        if not name.rpartition(".")[0] or name.rpartition(".")[0] in bodies[:BODIES]
+    ]
 
 
 def _tell(console, what, texts):
@@ -103,8 +129,12 @@ def _tell(console, what, texts):
     for count, text in counted[:REASONS]:
         console.print(Text(f"{count} {what}: {text}"))
     if len(counted) > REASONS:
-        console.print(Text(f"{sum(count for count, _ in counted[REASONS:])} {what} for "
-                           f"{len(counted) - REASONS} other reasons"))
+        console.print(
+            Text(
+                f"{sum(count for count, _ in counted[REASONS:])} {what} for "
+                f"{len(counted) - REASONS} other reasons"
+            )
+        )
 
 
 def _print(console, title, heads, rows):

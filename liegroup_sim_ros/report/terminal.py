@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The figures of an analysis on a terminal."""
+
 from rich.table import Table
 from rich.text import Text
 
@@ -14,8 +15,14 @@ def print_table(figures, console):
     for problem in figures["problems"]:
         console.print(Text(f"! {problem}", style="bold red"))
     for title, rows in sections(figures):
-        table = Table(box=None, show_header=False, padding=(0, 2, 0, 0), title=Text(title),
-                      title_justify="left", title_style="bold")
+        table = Table(
+            box=None,
+            show_header=False,
+            padding=(0, 2, 0, 0),
+            title=Text(title),
+            title_justify="left",
+            title_style="bold",
+        )
         table.add_column(width=24, style="dim")
         table.add_column(width=18)
         table.add_column(style="dim", overflow="fold")
@@ -33,12 +40,18 @@ def print_overview(found, console):
     for title in ("log", *OVERVIEW):
         table.add_column(Text(title), overflow="fold", no_wrap=title != "log")
     for name, figures in zip(names, found):
-        table.add_row(Text(name), *(Text(cell, style="bold red" if cell in NO_NUMBER else "")
-                                    for cell in overview(figures)))
+        table.add_row(
+            Text(name),
+            *(
+                Text(cell, style="bold red" if cell in NO_NUMBER else "")
+                for cell in overview(figures)
+            ),
+        )
     console.print(table)
     for name, figures in zip(names, found):
-        for problem in figures.get("problems") or [figures[key] for key in ("failed",)
-                                                   if key in figures]:
+        for problem in figures.get("problems") or [
+            figures[key] for key in ("failed",) if key in figures
+        ]:
             text = problem if problem.startswith((figures["log"], name)) else f"{name}: {problem}"
             console.print(Text(f"! {text}", style="bold red"), soft_wrap=True)
 
@@ -47,10 +60,18 @@ def print_comparison(figures, console):
     """Difference of two logs on a terminal."""
     same = figures["identical"] == figures["samples"]
     console.print()
-    console.print(Text(f"Compared with {figures['logs'][1]}: " + (
-        f"the same bit for bit in {figures['samples']} samples" if same else
-        f"{figures['identical']} of {figures['samples']} samples are the same, the first other "
-        f"one at {shown(figures['first_difference_s'], 's')}"), style="bold"))
+    console.print(
+        Text(
+            f"Compared with {figures['logs'][1]}: "
+            + (
+                f"the same bit for bit in {figures['samples']} samples"
+                if same
+                else f"{figures['identical']} of {figures['samples']} samples are the same, the first other "
+                f"one at {shown(figures['first_difference_s'], 's')}"
+            ),
+            style="bold",
+        )
+    )
     table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
     for what, value, remark in comparison_rows(figures)[1:]:
         table.add_row(Text(what), Text(value), Text(remark, style="dim"))
@@ -59,8 +80,9 @@ def print_comparison(figures, console):
 
 def plain_table(title, heads, rows):
     """Table without lines, of texts that are shown as they are."""
-    table = Table(box=None, padding=(0, 2, 0, 0), title=Text(title), title_justify="left",
-                  title_style="bold")
+    table = Table(
+        box=None, padding=(0, 2, 0, 0), title=Text(title), title_justify="left", title_style="bold"
+    )
     for head in heads:
         table.add_column(Text(head), no_wrap=True)
     for row in rows:

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A measured trade as JSON types, and as tables in words."""
+
 from rich.text import Text
 
 from liegroup_core.study.trade.accuracy import SHARE
@@ -9,10 +10,12 @@ from liegroup_sim_ros.recording.attachments import versions
 
 from .terminal import plain_table
 
-WIDTH = 130                 # characters; a narrower terminal folds the lines
+WIDTH = 130  # characters; a narrower terminal folds the lines
 CHEAPEST_HEAD = ("accuracy", "setting", "error", "CPU s per s", "times real time")
 FRONT_HEAD = ("error", "CPU s per s", "setting", "rad/s", "m/s", "energy", "momentum", "joints")
-FRONT_TITLE = "What no other setting beats; to the right its errors of twist, energy, momentum, joints"
+FRONT_TITLE = (
+    "What no other setting beats; to the right its errors of twist, energy, momentum, joints"
+)
 
 
 def document_part(trade):
@@ -23,22 +26,38 @@ def document_part(trade):
     cheapest = []
     for accuracy in ACCURACIES:
         cell = trade.cheapest(accuracy)
-        cheapest.append({
-            "accuracy": accuracy, "cell": None if cell is None else number[id(cell)],
-            "real_time_factor": None if cell is None else 1e6 / cell["cost_us"]})
+        cheapest.append(
+            {
+                "accuracy": accuracy,
+                "cell": None if cell is None else number[id(cell)],
+                "real_time_factor": None if cell is None else 1e6 / cell["cost_us"],
+            }
+        )
     best = trade.best()
     in_time = trade.best(lambda cell: cell["cost_us"] * 1e-6 <= SHARE)
     return {
-        "scene": trade.scene.name, "bodies": len(trade.scene.bodies), "horizon": trade.horizon,
+        "scene": trade.scene.name,
+        "bodies": len(trade.scene.bodies),
+        "horizon": trade.horizon,
         "length": truth.length,
-        "reference": {"kind": truth.kind, "known": truth.known, "agrees": truth.agrees,
-                      "position": truth.uncertainty[0], "attitude": truth.uncertainty[1],
-                      "angular": truth.uncertainty[2], "linear": truth.uncertainty[3],
-                      "seconds": truth.seconds},
-        "margin": MARGIN, "versions": versions(), "cells": cells,
-        "front": [number[id(cell)] for cell in trade.front()], "cheapest": cheapest,
+        "reference": {
+            "kind": truth.kind,
+            "known": truth.known,
+            "agrees": truth.agrees,
+            "position": truth.uncertainty[0],
+            "attitude": truth.uncertainty[1],
+            "angular": truth.uncertainty[2],
+            "linear": truth.uncertainty[3],
+            "seconds": truth.seconds,
+        },
+        "margin": MARGIN,
+        "versions": versions(),
+        "cells": cells,
+        "front": [number[id(cell)] for cell in trade.front()],
+        "cheapest": cheapest,
         "best": None if best is None else best[1],
-        "best_in_real_time": None if in_time is None else in_time[1]}
+        "best_in_real_time": None if in_time is None else in_time[1],
+    }
 
 
 def setting(cell):
@@ -47,8 +66,7 @@ def setting(cell):
     more = "" if tolerance is None else f", rtol {tolerance:g}"
     stabilised = "" if cell["stabilisation"] == "none" else f", {cell['stabilisation']}"
     step = shown(cell["step"] * 1e3, "ms") if cell["step"] < 1.0 else shown(cell["step"], "s")
-    return (f"{cell['method']}, {step}{more}, {GROUPS[cell['group']]}"
-            f"{stabilised}")
+    return f"{cell['method']}, {step}{more}, {GROUPS[cell['group']]}{stabilised}"
 
 
 def error_text(value, known):
@@ -59,8 +77,11 @@ def error_text(value, known):
 def reference_text(part):
     """What the errors are against, in words."""
     reference = part["reference"]
-    text = ("an independent integration" if reference["kind"] == "integration"
-            else f"the closed form ({reference['kind']})")
+    text = (
+        "an independent integration"
+        if reference["kind"] == "integration"
+        else f"the closed form ({reference['kind']})"
+    )
     if reference["agrees"] is not None:
         text += f", which an independent integration meets within {shown(reference['agrees'])}"
     return f"{text}; known to {shown(reference['known'])}"
@@ -71,13 +92,20 @@ def cheapest_rows(part):
     rows = []
     for entry in part["cheapest"]:
         if entry["cell"] is None:
-            rows.append((f"{entry['accuracy']:g}", f"none: at best {shown(part['best'])}",
-                         "-", "-", "-"))
+            rows.append(
+                (f"{entry['accuracy']:g}", f"none: at best {shown(part['best'])}", "-", "-", "-")
+            )
             continue
         cell = part["cells"][entry["cell"]]
-        rows.append((f"{entry['accuracy']:g}", setting(cell),
-                     error_text(cell["error"], part["reference"]["known"]),
-                     shown(cell["cost_us"] * 1e-6), shown(entry["real_time_factor"])))
+        rows.append(
+            (
+                f"{entry['accuracy']:g}",
+                setting(cell),
+                error_text(cell["error"], part["reference"]["known"]),
+                shown(cell["cost_us"] * 1e-6),
+                shown(entry["real_time_factor"]),
+            )
+        )
     return rows
 
 
@@ -87,29 +115,47 @@ def front_rows(part):
     rows = []
     for k in part["front"]:
         cell = part["cells"][k]
-        rows.append((
-            error_text(cell["error"], reference["known"]), shown(cell["cost_us"] * 1e-6),
-            setting(cell), error_text(cell["angular"], reference["angular"]),
-            error_text(cell["linear"], reference["linear"]),
-            shown(cell["energy"]), shown(cell["momentum"]), shown(cell["joints"])))
+        rows.append(
+            (
+                error_text(cell["error"], reference["known"]),
+                shown(cell["cost_us"] * 1e-6),
+                setting(cell),
+                error_text(cell["angular"], reference["angular"]),
+                error_text(cell["linear"], reference["linear"]),
+                shown(cell["energy"]),
+                shown(cell["momentum"]),
+                shown(cell["joints"]),
+            )
+        )
     return rows
 
 
 def headline(part):
     """One sentence."""
     stopped = sum(bool(cell["stopped"]) for cell in part["cells"])
-    return (f"{part['scene']}: {len(part['cells'])} settings over {shown(part['horizon'], 's')}, "
-            f"{stopped} of which had to stop; {len(part['front'])} that no other beats")
+    return (
+        f"{part['scene']}: {len(part['cells'])} settings over {shown(part['horizon'], 's')}, "
+        f"{stopped} of which had to stop; {len(part['front'])} that no other beats"
+    )
 
 
 def print_trade(part, console):
     """Tables on a terminal."""
     console.width = max(console.width, WIDTH)
     console.print(Text(headline(part), style="bold"))
-    console.print(Text(f"errors against {reference_text(part)}; lengths in parts of "
-                       f"{shown(part['length'], 'm')}", style="dim"))
-    _print(console, f"The cheapest for an accuracy, with a margin of {part['margin']:g}",
-           CHEAPEST_HEAD, cheapest_rows(part))
+    console.print(
+        Text(
+            f"errors against {reference_text(part)}; lengths in parts of "
+            f"{shown(part['length'], 'm')}",
+            style="dim",
+        )
+    )
+    _print(
+        console,
+        f"The cheapest for an accuracy, with a margin of {part['margin']:g}",
+        CHEAPEST_HEAD,
+        cheapest_rows(part),
+    )
     _print(console, FRONT_TITLE, FRONT_HEAD, front_rows(part))
     console.print()
 

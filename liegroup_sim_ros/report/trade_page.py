@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The work-precision plot of a trade: on a self-contained page, and as a picture for papers."""
+
 from html import escape
 
 from .page import frame, plot_card, unbroken
@@ -15,9 +16,9 @@ from .trade_figures import (
     setting,
 )
 
-DASHES = ("solid", "dash", "dot", "longdashdot")    # times 6 colours: more than there are methods
+DASHES = ("solid", "dash", "dot", "longdashdot")  # times 6 colours: more than there are methods
 SYMBOLS = ("circle", "square", "triangle-up", "diamond", "triangle-down", "cross")
-HEIGHT = 560                # px
+HEIGHT = 560  # px
 MARKS = ("o", "s", "^", "D", "v", "P")
 LINES = ("-", "--", ":", "-.")
 COST, ERROR = "CPU time, s per simulated second", "error, rad or parts of the scene's length"
@@ -26,8 +27,10 @@ COST, ERROR = "CPU time, s per simulated second", "error, rad or parts of the sc
 def curves(part):
     """[(method, cells)]: of each method what none of its own beats, from cheap to accurate."""
     found = {}
-    for cell in sorted((cell for cell in part["cells"] if not cell["stopped"]),
-                       key=lambda cell: (cell["cost_us"], cell["error"])):
+    for cell in sorted(
+        (cell for cell in part["cells"] if not cell["stopped"]),
+        key=lambda cell: (cell["cost_us"], cell["error"]),
+    ):
         mine = found.setdefault(cell["method"], [])
         if not mine or cell["error"] < mine[-1]["error"]:
             mine.append(cell)
@@ -40,35 +43,72 @@ def make_plot(part):
     traces = []
     for k, (method, cells) in enumerate(curves(part)):
         colour = COLOURS[k % len(COLOURS)]
-        traces.append({
-            "type": "scatter", "mode": "lines+markers", "name": label(method),
-            "x": [cell["cost_us"] * 1e-6 for cell in cells],
-            "y": [max(cell["error"], known) for cell in cells],
-            "text": [label(setting(cell)) for cell in cells],
-            "line": {"color": colour, "width": 1.4,
-                     "dash": DASHES[k // len(COLOURS) % len(DASHES)]},
-            "marker": {"color": colour, "size": 6,
-                       "symbol": SYMBOLS[k % len(SYMBOLS)]},
-            "hovertemplate": "%{text}<br>error %{y:.3g}, %{x:.3g} s per s"})
+        traces.append(
+            {
+                "type": "scatter",
+                "mode": "lines+markers",
+                "name": label(method),
+                "x": [cell["cost_us"] * 1e-6 for cell in cells],
+                "y": [max(cell["error"], known) for cell in cells],
+                "text": [label(setting(cell)) for cell in cells],
+                "line": {
+                    "color": colour,
+                    "width": 1.4,
+                    "dash": DASHES[k // len(COLOURS) % len(DASHES)],
+                },
+                "marker": {"color": colour, "size": 6, "symbol": SYMBOLS[k % len(SYMBOLS)]},
+                "hovertemplate": "%{text}<br>error %{y:.3g}, %{x:.3g} s per s",
+            }
+        )
     front = [part["cells"][k] for k in part["front"]]
-    traces.append({
-        "type": "scatter", "mode": "lines", "name": "what no other beats",
-        "x": [cell["cost_us"] * 1e-6 for cell in front],
-        "y": [max(cell["error"], known) for cell in front],
-        "line": {"color": "--text", "width": 5, "dash": "solid"}, "opacity": 0.25,
-        "hoverinfo": "skip"})
-    axis = {"type": "log", "exponentformat": "power", "gridcolor": "--grid",
-            "zerolinecolor": "--grid", "linecolor": "--grid", "automargin": True}
-    lines = [{"type": "line", "xref": xref, "yref": yref, "x0": x0, "x1": x1, "y0": y0, "y1": y1,
-              "line": {"color": colour, "width": 1, "dash": "dot"}}
-             for xref, yref, x0, x1, y0, y1, colour in (
-                 ("x", "paper", 1, 1, 0, 1, "--red"),
-                 ("paper", "y", 0, 1, known, known, "--grey"))]
-    return {"data": traces, "layout": {
-        "xaxis": {**axis, "title": {"text": COST, "standoff": 6}},
-        "yaxis": {**axis, "title": {"text": ERROR, "standoff": 8}}, "shapes": lines,
-        "margin": {"l": 8, "r": 8, "t": 30, "b": 8}, "height": HEIGHT, "hovermode": "closest",
-        **BASE}}
+    traces.append(
+        {
+            "type": "scatter",
+            "mode": "lines",
+            "name": "what no other beats",
+            "x": [cell["cost_us"] * 1e-6 for cell in front],
+            "y": [max(cell["error"], known) for cell in front],
+            "line": {"color": "--text", "width": 5, "dash": "solid"},
+            "opacity": 0.25,
+            "hoverinfo": "skip",
+        }
+    )
+    axis = {
+        "type": "log",
+        "exponentformat": "power",
+        "gridcolor": "--grid",
+        "zerolinecolor": "--grid",
+        "linecolor": "--grid",
+        "automargin": True,
+    }
+    lines = [
+        {
+            "type": "line",
+            "xref": xref,
+            "yref": yref,
+            "x0": x0,
+            "x1": x1,
+            "y0": y0,
+            "y1": y1,
+            "line": {"color": colour, "width": 1, "dash": "dot"},
+        }
+        for xref, yref, x0, x1, y0, y1, colour in (
+            ("x", "paper", 1, 1, 0, 1, "--red"),
+            ("paper", "y", 0, 1, known, known, "--grey"),
+        )
+    ]
+    return {
+        "data": traces,
+        "layout": {
+            "xaxis": {**axis, "title": {"text": COST, "standoff": 6}},
+            "yaxis": {**axis, "title": {"text": ERROR, "standoff": 8}},
+            "shapes": lines,
+            "margin": {"l": 8, "r": 8, "t": 30, "b": 8},
+            "height": HEIGHT,
+            "hovermode": "closest",
+            **BASE,
+        },
+    }
 
 
 def make_page(parts):
@@ -76,16 +116,25 @@ def make_page(parts):
     body = "" if len(parts) == 1 else f"<header><h1>{len(parts)} scenes</h1></header>"
     for k, part in enumerate(parts):
         tag = "h1" if len(parts) == 1 else "h2"
-        body += (f'<{tag}>{escape(part["scene"])}: what accuracy costs</{tag}>'
-                 f'<p class="verdict">{unbroken(headline(part))}</p>'
-                 f'<p class="soft">Errors against {unbroken(reference_text(part))}. '
-                 f'Processor: {escape(_processor(part))}.</p>'
-                 f'<div class="cards" data-part="{k}">' + plot_card(
-                     "Work and precision", "of each method what none of its own settings beats; "
-                     "red: real time on one core; grey: what the reference knows") + "</div>"
-                 + _table(f"The cheapest for an accuracy, with a margin of {part['margin']:g}",
-                          CHEAPEST_HEAD, cheapest_rows(part))
-                 + _table(FRONT_TITLE, FRONT_HEAD, front_rows(part)))
+        body += (
+            f"<{tag}>{escape(part['scene'])}: what accuracy costs</{tag}>"
+            f'<p class="verdict">{unbroken(headline(part))}</p>'
+            f'<p class="soft">Errors against {unbroken(reference_text(part))}. '
+            f"Processor: {escape(_processor(part))}.</p>"
+            f'<div class="cards" data-part="{k}">'
+            + plot_card(
+                "Work and precision",
+                "of each method what none of its own settings beats; "
+                "red: real time on one core; grey: what the reference knows",
+            )
+            + "</div>"
+            + _table(
+                f"The cheapest for an accuracy, with a margin of {part['margin']:g}",
+                CHEAPEST_HEAD,
+                cheapest_rows(part),
+            )
+            + _table(FRONT_TITLE, FRONT_HEAD, front_rows(part))
+        )
     title = f"{', '.join(part['scene'] for part in parts)}: what accuracy costs"
     return frame(title, body, [{"plots": [make_plot(part)], "view": None} for part in parts])
 
@@ -95,12 +144,22 @@ def _processor(part):
 
 
 def _table(title, heads, rows):
-    return (f'<div class="cards"><section class="card"><h3>{escape(title)}</h3>'
-            '<table class="logs"><thead><tr>'
-            + "".join(f"<th>{escape(head)}</th>" for head in heads) + "</tr></thead><tbody>"
-            + "".join("<tr>" + "".join(f'<td data-what="{escape(head)}"><span>{unbroken(cell)}'
-                                       "</span></td>" for head, cell in zip(heads, row)) + "</tr>"
-                      for row in rows) + "</tbody></table></section></div>")
+    return (
+        f'<div class="cards"><section class="card"><h3>{escape(title)}</h3>'
+        '<table class="logs"><thead><tr>'
+        + "".join(f"<th>{escape(head)}</th>" for head in heads)
+        + "</tr></thead><tbody>"
+        + "".join(
+            "<tr>"
+            + "".join(
+                f'<td data-what="{escape(head)}"><span>{unbroken(cell)}</span></td>'
+                for head, cell in zip(heads, row)
+            )
+            + "</tr>"
+            for row in rows
+        )
+        + "</tbody></table></section></div>"
+    )
 
 
 def write_picture(part, path):
@@ -113,14 +172,25 @@ def write_picture(part, path):
     figure = Figure(figsize=(7.0, 4.8), layout="constrained")
     axes = figure.add_subplot()
     front = [part["cells"][k] for k in part["front"]]
-    axes.plot([cell["cost_us"] * 1e-6 for cell in front],
-              [max(cell["error"], known) for cell in front], color="black", lw=5, alpha=0.18,
-              label="what no other beats")
+    axes.plot(
+        [cell["cost_us"] * 1e-6 for cell in front],
+        [max(cell["error"], known) for cell in front],
+        color="black",
+        lw=5,
+        alpha=0.18,
+        label="what no other beats",
+    )
     for k, (method, cells) in enumerate(curves(part)):
-        axes.plot([cell["cost_us"] * 1e-6 for cell in cells],
-                  [max(cell["error"], known) for cell in cells], lw=0.9, ms=3,
-                  color=inks[k % len(inks)], marker=MARKS[k % len(MARKS)],
-                  ls=LINES[k // len(inks) % len(LINES)], label=method)
+        axes.plot(
+            [cell["cost_us"] * 1e-6 for cell in cells],
+            [max(cell["error"], known) for cell in cells],
+            lw=0.9,
+            ms=3,
+            color=inks[k % len(inks)],
+            marker=MARKS[k % len(MARKS)],
+            ls=LINES[k // len(inks) % len(LINES)],
+            label=method,
+        )
     axes.axvline(1.0, color=INKS["--red"], lw=0.8, ls=":")
     axes.axhline(known, color=INKS["--grey"], lw=0.8, ls=":")
     axes.set_xscale("log")
@@ -129,9 +199,15 @@ def write_picture(part, path):
     axes.set_ylabel(ERROR, fontsize=8)
     axes.tick_params(labelsize=7)
     axes.grid(True, lw=0.3)
-    title = axes.set_title(f"{part['scene']}, {part['horizon']:g} s; errors against "
-                           + ("an independent integration" if part["reference"]["kind"]
-                              == "integration" else "the closed form"), fontsize=8.5)
+    title = axes.set_title(
+        f"{part['scene']}, {part['horizon']:g} s; errors against "
+        + (
+            "an independent integration"
+            if part["reference"]["kind"] == "integration"
+            else "the closed form"
+        ),
+        fontsize=8.5,
+    )
     title.set_parse_math(False)
     axes.legend(fontsize=6, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
     figure.savefig(path, dpi=300)

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The 3D view of the page: bodies as they are drawn, joints, and where they are when."""
+
 import base64
 import math
 
@@ -30,16 +31,27 @@ def make_view(analysis):
     index = {body.name: i for i, body in enumerate(scene.bodies)}
     solids = [solid(body) for body in scene.bodies]
     thinnest = THINNEST * max(max(size) for _, size, _ in solids)
-    bodies = [{
-        "name": label(body.name), "solid": {CUBE: "box", CYLINDER: "cylinder"}.get(kind, "sphere"),
-        "size": [max(float(length), thinnest) for length in size],
-        "at": local[:3, 3].tolist(), "turn": local[:3, :3].ravel().tolist(),
-        "com": [float(x) for x in body.com], "colour": COLOURS[i % len(COLOURS)]}
-        for i, (body, (kind, size, local)) in enumerate(zip(scene.bodies, solids))]
-    joints = [{"name": label(joint.name), "parent": index.get(joint.parent, -1),
-               "child": index[joint.child],
-               "at": (frame[:3, 3] + scene.bodies[index[joint.child]].com).tolist()}
-              for joint, (_, frame) in zip(scene.joints, layout.joint_frames)]
+    bodies = [
+        {
+            "name": label(body.name),
+            "solid": {CUBE: "box", CYLINDER: "cylinder"}.get(kind, "sphere"),
+            "size": [max(float(length), thinnest) for length in size],
+            "at": local[:3, 3].tolist(),
+            "turn": local[:3, :3].ravel().tolist(),
+            "com": [float(x) for x in body.com],
+            "colour": COLOURS[i % len(COLOURS)],
+        }
+        for i, (body, (kind, size, local)) in enumerate(zip(scene.bodies, solids))
+    ]
+    joints = [
+        {
+            "name": label(joint.name),
+            "parent": index.get(joint.parent, -1),
+            "child": index[joint.child],
+            "at": (frame[:3, 3] + scene.bodies[index[joint.child]].com).tolist(),
+        }
+        for joint, (_, frame) in zip(scene.joints, layout.joint_frames)
+    ]
     count = sum(len(stretch.steps) for stretch in stretches)
     most = min(MOST_FRAMES, max(LEAST_FRAMES, MOST_PLACES // len(bodies)))
     pick = np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
@@ -50,17 +62,38 @@ def make_view(analysis):
     turn = np.concatenate([stretch.rotation for stretch in stretches])[pick]
     quaternion = Rotation.from_matrix(turn.reshape(-1, 3, 3)).as_quat()
     places = np.concatenate([position, quaternion.reshape(*position.shape[:2], 4)], axis=2)
-    pushes = [[index[body], stretch.base_ns * 1e-9 + first * stretch.step,
-               stretch.base_ns * 1e-9 + end * stretch.step if math.isfinite(end) else None]
-              for stretch in stretches for first, end, body in stretch.pushed]
+    pushes = [
+        [
+            index[body],
+            stretch.base_ns * 1e-9 + first * stretch.step,
+            stretch.base_ns * 1e-9 + end * stretch.step if math.isfinite(end) else None,
+        ]
+        for stretch in stretches
+        for first, end, body in stretch.pushed
+    ]
     seconds = float(times[-1] - times[0])
-    return {"bodies": bodies, "joints": joints, "times": _packed(times, "<f8"),
-            "places": _packed(places, "<f4"), "breaks": np.flatnonzero(np.diff(owner)).tolist(),
-            "pushes": pushes[:MOST_PUSHES], "frames": len(pick), "seconds": seconds,
-            "digits": max(0, min(6, 3 - math.floor(math.log10(seconds)))) if seconds > 0 else 3,
-            "layout": {"margin": {"l": 0, "r": 0, "t": 32, "b": 0}, **BASE, "legend": {
-                "orientation": "h", "x": 0, "y": 1, "yanchor": "top",
-                "bgcolor": "rgba(0,0,0,0)"}}}
+    return {
+        "bodies": bodies,
+        "joints": joints,
+        "times": _packed(times, "<f8"),
+        "places": _packed(places, "<f4"),
+        "breaks": np.flatnonzero(np.diff(owner)).tolist(),
+        "pushes": pushes[:MOST_PUSHES],
+        "frames": len(pick),
+        "seconds": seconds,
+        "digits": max(0, min(6, 3 - math.floor(math.log10(seconds)))) if seconds > 0 else 3,
+        "layout": {
+            "margin": {"l": 0, "r": 0, "t": 32, "b": 0},
+            **BASE,
+            "legend": {
+                "orientation": "h",
+                "x": 0,
+                "y": 1,
+                "yanchor": "top",
+                "bgcolor": "rgba(0,0,0,0)",
+            },
+        },
+    }
 
 
 def speeds(seconds):
@@ -68,8 +101,11 @@ def speeds(seconds):
     seconds = seconds or 1.0
     steps = [m * 10.0**e for e in range(-6, 7) for m in (1, 2, 5)]
     usual = [s for s in steps if seconds / 200.0 <= s <= seconds / 1.5] or [1.0]
-    first = 1.0 if 3.0 <= seconds <= 60.0 else min(
-        usual, key=lambda s: abs(math.log(seconds / s / 15.0)))
+    first = (
+        1.0
+        if 3.0 <= seconds <= 60.0
+        else min(usual, key=lambda s: abs(math.log(seconds / s / 15.0)))
+    )
     return sorted({*usual, first}), first
 
 

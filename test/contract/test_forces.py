@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What holds for every kind of force; a new kind is tested by giving examples of it here."""
+
 import os
 import subprocess
 import sys
@@ -33,28 +34,53 @@ ON_JOINTS = {"between": ("a", "b"), "ground": ("world", "c")}
 # Of each kind one force between bodies, where there is such a thing, and one to the world.
 EXAMPLES = {
     "spring_damper": [
-        SpringDamper(name="s", parent="a", child="b", parent_point=(0.1, 0.2, 0.3),
-                     child_point=(0.4, -0.2, 0.1), stiffness=50, damping=3, rest_length=0.7),
-        SpringDamper(name="t", parent="world", child="c", parent_point=(0, 0, 1),
-                     child_point=(0.4, 0, 0), stiffness=20)],
+        SpringDamper(
+            name="s",
+            parent="a",
+            child="b",
+            parent_point=(0.1, 0.2, 0.3),
+            child_point=(0.4, -0.2, 0.1),
+            stiffness=50,
+            damping=3,
+            rest_length=0.7,
+        ),
+        SpringDamper(
+            name="t",
+            parent="world",
+            child="c",
+            parent_point=(0, 0, 1),
+            child_point=(0.4, 0, 0),
+            stiffness=20,
+        ),
+    ],
     "torsional_spring_damper": [
         TorsionalSpringDamper(name="s", joint="between", stiffness=4, damping=0.3, rest_angle=9),
-        TorsionalSpringDamper(name="t", joint="ground", stiffness=2, damping=0.1)],
+        TorsionalSpringDamper(name="t", joint="ground", stiffness=2, damping=0.1),
+    ],
     "linear_spring_damper": [
         LinearSpringDamper(name="s", joint="between", stiffness=40, damping=3, rest_position=0.3),
-        LinearSpringDamper(name="t", joint="ground", stiffness=20, damping=1)],
-    "motor": [Motor(name="s", joint="between", torque=-4, rate_limit=3),
-              Motor(name="t", joint="ground", torque=3)],
-    "linear_motor": [LinearMotor(name="s", joint="between", force=-4, speed_limit=3),
-                     LinearMotor(name="t", joint="ground", force=3)],
-    "drag": [Drag(name="s", body="a", linear=2, quadratic=3, angular=0.5, angular_quadratic=0.7),
-             Drag(name="t", body="b", quadratic=1)],
+        LinearSpringDamper(name="t", joint="ground", stiffness=20, damping=1),
+    ],
+    "motor": [
+        Motor(name="s", joint="between", torque=-4, rate_limit=3),
+        Motor(name="t", joint="ground", torque=3),
+    ],
+    "linear_motor": [
+        LinearMotor(name="s", joint="between", force=-4, speed_limit=3),
+        LinearMotor(name="t", joint="ground", force=3),
+    ],
+    "drag": [
+        Drag(name="s", body="a", linear=2, quadratic=3, angular=0.5, angular_quadratic=0.7),
+        Drag(name="t", body="b", quadratic=1),
+    ],
     "applied_wrench": [
         ConstantWrench(name="s", body="a", torque=(1, 2, 3), force=(4, 5, -6), point=(1, 0.2, 3)),
-        ConstantWrench(name="t", body="b", torque=(1, 2, 3), force=(4, 5, -6), point=(1, 0.2, 3),
-                       axes="world")],
+        ConstantWrench(
+            name="t", body="b", torque=(1, 2, 3), force=(4, 5, -6), point=(1, 0.2, 3), axes="world"
+        ),
+    ],
 }
-DRIVEN = ("motor", "linear_motor", "applied_wrench")     # their power may be positive
+DRIVEN = ("motor", "linear_motor", "applied_wrench")  # their power may be positive
 ELASTIC = [kind for kind, module in kinds.KINDS.items() if hasattr(module, "energy")]
 SEEDS = range(4)
 
@@ -78,9 +104,10 @@ class State:
             ends[name] = (INDEX[parent], INDEX[child], F_a, F_b)
         self.matrices = pose
         self.twist = rng.normal(size=(3, 6))
-        self.forces = kinds.make_forces(EXAMPLES[kind] if described is None else described,
-                                        INDEX, ends)
-        self.angle = np.full(len(self.forces.torsional_spring_damper), 20.0)    # three turns
+        self.forces = kinds.make_forces(
+            EXAMPLES[kind] if described is None else described, INDEX, ends
+        )
+        self.angle = np.full(len(self.forces.torsional_spring_damper), 20.0)  # three turns
         kinds.count_turns(self.forces, flat(pose), self.angle)
         self.acting = np.ones(len(self.forces.applied_wrench), dtype=bool)
 
@@ -131,7 +158,8 @@ def test_forces_between_bodies_cancel(kind, seed):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_wrench_at_rest_is_minus_the_gradient_of_the_energy(kind, seed):
     """Five-point differences of step 1e-3 leave 1e-12 of the fifth derivative, and eps / 1e-3 of
-    the energy, both below 1e3: 1e-9."""
+    the energy, both below 1e3: 1e-9.
+    """
     state = State(kind, seed)
     wrench = state.wrench(np.zeros((3, 6)))
     assert np.abs(wrench).max() > 0.1
@@ -144,8 +172,12 @@ def test_the_wrench_at_rest_is_minus_the_gradient_of_the_energy(kind, seed):
 
 def difference(state, motion):
     """Change of the energy along a small motion, five-point rule."""
-    return (state.energy(-2 * motion) - 8 * state.energy(-motion) + 8 * state.energy(motion)
-            - state.energy(2 * motion)) / 12
+    return (
+        state.energy(-2 * motion)
+        - 8 * state.energy(-motion)
+        + 8 * state.energy(motion)
+        - state.energy(2 * motion)
+    ) / 12
 
 
 def test_gravity_is_minus_the_gradient_of_its_energy():
@@ -188,8 +220,9 @@ def test_without_rows_nothing_happens():
     state = State("drag", 0, described=[])
     wrench = np.random.default_rng(0).normal(size=(3, 6))
     before = wrench.tobytes()
-    kinds.add_wrenches(state.forces, state.angle, state.acting, flat(state.matrices), state.twist,
-                       wrench)
+    kinds.add_wrenches(
+        state.forces, state.angle, state.acting, flat(state.matrices), state.twist, wrench
+    )
     assert wrench.tobytes() == before
     assert state.energy() == 0.0 and state.power(state.twist) == 0.0
     assert kinds.too_fast(state.forces, 1e9, flat(state.matrices), state.twist) == -1
@@ -206,16 +239,20 @@ def test_a_wrench_acts_where_it_is_told_to():
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_wrench_in_body_axes_is_that_in_world_axes_turned(seed):
-    both = [ConstantWrench(name=axes, body="a", torque=(1, 2, 3), force=(4, 5, -6), axes=axes)
-            for axes in ("world", "body")]
+    both = [
+        ConstantWrench(name=axes, body="a", torque=(1, 2, 3), force=(4, 5, -6), axes=axes)
+        for axes in ("world", "body")
+    ]
     state = State("applied_wrench", seed, both)
     state.acting[:] = (True, False)
     in_world = state.wrench(state.twist)[0].reshape(2, 3)
-    np.testing.assert_allclose(in_world @ state.matrices[0][:3, :3].T, [[1, 2, 3], [4, 5, -6]],
-                               atol=1e-14)      # a few roundings of numbers below 9
+    np.testing.assert_allclose(
+        in_world @ state.matrices[0][:3, :3].T, [[1, 2, 3], [4, 5, -6]], atol=1e-14
+    )  # a few roundings of numbers below 9
 
 
 # ---------------------------------------------------------------- along a motion
+
 
 def busy_scene():
     """A chain of three hinges with every kind of force that hinges can have."""
@@ -226,11 +263,19 @@ def busy_scene():
         TorsionalSpringDamper(name="inner", joint="j1", stiffness=2, damping=0.02, rest_angle=-4),
         Motor(name="motor", joint="j2", torque=0.7, rate_limit=9),
         Motor(name="push", joint="j1", torque=-0.3),
-        Drag(name="air", body="b", linear=0.1, quadratic=0.02, angular=0.01,
-             angular_quadratic=0.003),
-        ConstantWrench(name="wind", body="c", torque=(0.1, 0, 0), force=(1, 0.5, 0),
-                       point=(0.1, 0, 0.2), axes="world"),
-        ConstantWrench(name="jet", body="a", force=(0.4, 0.1, 0), point=(0, 0, 0.3))]
+        Drag(
+            name="air", body="b", linear=0.1, quadratic=0.02, angular=0.01, angular_quadratic=0.003
+        ),
+        ConstantWrench(
+            name="wind",
+            body="c",
+            torque=(0.1, 0, 0),
+            force=(1, 0.5, 0),
+            point=(0.1, 0, 0.2),
+            axes="world",
+        ),
+        ConstantWrench(name="jet", body="a", force=(0.4, 0.1, 0), point=(0, 0, 0.3)),
+    ]
     return scene.model_copy(update={"forces": tuple(forces)})
 
 
@@ -246,7 +291,8 @@ def test_energy_changes_by_the_power(group):
             samples.append(simulation.sample())
         power = np.array([sample.power for sample in samples])
         integral = (power[0] + power[-1] + 4 * power[1::2].sum() + 2 * power[2:-1:2].sum()) / (
-            3 * steps)
+            3 * steps
+        )
         gaps.append(abs(samples[-1].energy - samples[0].energy - integral))
     assert np.abs(power).mean() > 1.0
     assert gaps[1] < gaps[0] / 12 and gaps[1] < 1e-5 * np.abs(power).mean()
@@ -267,15 +313,21 @@ def test_the_same_bits_however_the_steps_are_asked_for(group):
 
 def test_without_the_compiler_the_same_numbers():
     """Plain Python rounds as machine code does; libm's last bit may differ."""
-    code = ("import sys; sys.path[:0] = sys.argv[1:]; import test_forces; "
-            "s = test_forces.Simulation(test_forces.busy_scene()); s.advance(20); "
-            "p = s.sample(); print(p.pose.tobytes().hex(), p.energy.hex(), p.power.hex())")
+    code = (
+        "import sys; sys.path[:0] = sys.argv[1:]; import test_forces; "
+        "s = test_forces.Simulation(test_forces.busy_scene()); s.advance(20); "
+        "p = s.sample(); print(p.pose.tobytes().hex(), p.energy.hex(), p.power.hex())"
+    )
     here = Path(__file__).parent
 
     def run(disable):
         out = subprocess.run(
-            [sys.executable, "-c", code, str(here), str(here.parent)], capture_output=True,
-            text=True, check=True, env={**os.environ, "NUMBA_DISABLE_JIT": disable}).stdout.split()
+            [sys.executable, "-c", code, str(here), str(here.parent)],
+            capture_output=True,
+            text=True,
+            check=True,
+            env={**os.environ, "NUMBA_DISABLE_JIT": disable},
+        ).stdout.split()
         return np.frombuffer(bytes.fromhex(out[0])), *map(float.fromhex, out[1:])
 
     plain, fast = run("1"), run("0")

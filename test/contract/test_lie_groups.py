@@ -9,6 +9,7 @@ Tolerances are in units of 2^-53. An entry of exp carries up to 6 units from a c
 products and the sums, and 1.5 t from the angle, since t^2, one product and two sums, is known to 3
 units; linear entries all that times the size of eta.
 """
+
 import math
 
 import mpmath as mp
@@ -67,7 +68,7 @@ def mp_dexp(X):
     ad = mp_ad(X)
     term = total = mp.eye(len(X))
     k = 1
-    while mp.norm(term, mp.inf) > mp.mpf(10)**-45:
+    while mp.norm(term, mp.inf) > mp.mpf(10) ** -45:
         term = term * ad / (k + 1)
         total = total + term
         k += 1
@@ -97,7 +98,7 @@ def elements(group, angles, seed=1):
     for angle in angles:
         found += [element(group, angle, size, rng) for size in (1.0, 100.0)]
         xi = angle * np.eye(3)[rng.integers(3)]
-        found.append(np.concatenate((xi, 0.7 * xi))[:DIMENSION[group]])
+        found.append(np.concatenate((xi, 0.7 * xi))[: DIMENSION[group]])
     return found
 
 
@@ -151,11 +152,10 @@ def test_group_axioms(group):
         identity = np.eye(len(A))
         # Two factors, good to 16 units times 1 + 2 each, and a product of rows.
         tolerance = 100 * UNIT
-        assert group.log(A @ B).shape == X.shape                     # closed: log refuses others
+        assert group.log(A @ B).shape == X.shape  # closed: log refuses others
         assert np.abs(group.inverse(A) @ A - identity).max() <= tolerance
         assert np.abs(group.exp(-X) - group.inverse(A)).max() <= tolerance
-        assert np.abs(group.inverse(A @ B)
-                      - group.inverse(B) @ group.inverse(A)).max() <= tolerance
+        assert np.abs(group.inverse(A @ B) - group.inverse(B) @ group.inverse(A)).max() <= tolerance
         assert np.abs(group.exp(0.3 * X) @ group.exp(0.7 * X) - A).max() <= tolerance
         assert np.abs(group.Ad(A @ B) - group.Ad(A) @ group.Ad(B)).max() <= tolerance
         # The rotation part stays one: 9 entries' errors, twice.
@@ -188,12 +188,13 @@ def test_log_beyond_pi_is_the_shorter_way_round(group):
 @pytest.mark.parametrize("group", GROUPS)
 def test_log_at_half_turns(group):
     # Either sign may come; the rotation must be the same and the angle pi.
-    axes = [np.eye(3)[i] for i in range(3)] + [np.array(a) / np.linalg.norm(a) for a in
-                                               ([1, 1, 0], [0, -1, 1], [1, 2, 3], [-3, 1e-9, 1])]
+    axes = [np.eye(3)[i] for i in range(3)] + [
+        np.array(a) / np.linalg.norm(a) for a in ([1, 1, 0], [0, -1, 1], [1, 2, 3], [-3, 1e-9, 1])
+    ]
     for axis in axes:
         C = np.eye(len(group.exp(np.zeros(DIMENSION[group]))))
         C[:3, :3] = 2.0 * np.outer(axis, axis) - np.eye(3)
-        C[:3, 3:] = [[1.0], [-2.0], [3.0]][:3 * (len(C) - 3)]
+        C[:3, 3:] = [[1.0], [-2.0], [3.0]][: 3 * (len(C) - 3)]
         X = group.log(C)
         assert abs(np.linalg.norm(X[:3]) - math.pi) <= 8 * UNIT
         assert np.abs(group.exp(X) - C).max() <= 60 * UNIT * scale(X)
@@ -237,7 +238,7 @@ def test_dexpinv_against_the_inverse_of_the_series_of_ad(group):
     # derivative, a triple one.
     for X in elements(group, SMALL + BELOW_PI + BEYOND_PI):
         t = float(np.linalg.norm(X[:3]))
-        growth = max(1.0, math.pi / (2.0 * math.pi - t))**3
+        growth = max(1.0, math.pi / (2.0 * math.pi - t)) ** 3
         allowed = 4.5 * UNIT * growth * scale(X)
         assert difference(group.dexpinv(X), mp.inverse(mp_dexp(X))) <= allowed, X
 
@@ -255,11 +256,12 @@ def test_body_twist_is_dexp_of_minus_X(group):
     """C^-1 Cdot = hat(dexp_{-X} Xdot) and Cdot C^-1 = hat(dexp_X Xdot), by differences."""
     rng = np.random.default_rng(5)
     # Central difference of the 50-digit exponential: error step^2 times third derivative, 1e-27.
-    step = mp.mpf(10)**-15
+    step = mp.mpf(10) ** -15
     for angle in (0.0, 1e-3, 0.9, 2.5, 4.0):
         X, rate = element(group, angle, 1.0, rng), element(group, 1.0, 1.0, rng)
-        ahead, behind = (mp_exp([mp.mpf(x) + s * mp.mpf(v) for x, v in zip(X, rate)])
-                         for s in (step, -step))
+        ahead, behind = (
+            mp_exp([mp.mpf(x) + s * mp.mpf(v) for x, v in zip(X, rate)]) for s in (step, -step)
+        )
         inverse = mp.inverse(mp_exp(X))
         Cdot = (ahead - behind) / (2 * step)
         # 4.5 units an entry of dexp, and rows of six times a rate of norm sqrt(2).
@@ -285,11 +287,16 @@ def test_leading_dimensions(group, name):
 
 @pytest.mark.parametrize("group", GROUPS)
 @pytest.mark.parametrize("name", ["exp", "hat", "ad", "dexp", "dexpinv"])
-@pytest.mark.parametrize("bad, message", [
-    ([0.0, 1.0], "must have shape"), (1.0, "must have shape"),
-    ("far", "must be numbers"), (None, "must have shape"),
-    ([[1.0, 2.0], [3.0]], "must be numbers"),
-])
+@pytest.mark.parametrize(
+    "bad, message",
+    [
+        ([0.0, 1.0], "must have shape"),
+        (1.0, "must have shape"),
+        ("far", "must be numbers"),
+        (None, "must have shape"),
+        ([[1.0, 2.0], [3.0]], "must be numbers"),
+    ],
+)
 def test_wrong_coordinates_are_refused(group, name, bad, message):
     with pytest.raises(ValueError, match=message):
         getattr(group, name)(bad)
@@ -318,8 +325,12 @@ def test_matrices_outside_the_group_are_refused(group, name):
     scaled, mirrored = identity.copy(), identity.copy()
     scaled[:3, :3] *= 1.001
     mirrored[2, 2] = -1.0
-    for bad, message in ((scaled, "not a rotation"), (mirrored, "reflection"),
-                         (np.eye(5), "must have shape"), (identity[0], "must have shape")):
+    for bad, message in (
+        (scaled, "not a rotation"),
+        (mirrored, "reflection"),
+        (np.eye(5), "must have shape"),
+        (identity[0], "must have shape"),
+    ):
         with pytest.raises(ValueError, match=message):
             function(bad)
     if group is SE3:

@@ -3,6 +3,7 @@
 
 The order on problems with references: test/verification/test_orders.py.
 """
+
 import math
 import os
 import subprocess
@@ -32,9 +33,13 @@ from liegroup_core.status import (
 TABLEAUS = {name: method for name, method in METHODS.items() if method.coefficients}
 ANYWHERE = [name for name, method in METHODS.items() if method.family != "rotation"]
 CONTROLLED = [name for name, method in TABLEAUS.items() if method.tableau.e is not None]
-ON_GROUPS = [(name, group) for name, method in METHODS.items() for group in ("se3", "so3xr3")
-             if group == "so3xr3" or method.family not in NOT_ON_SE3]
-UNIT = 2.0 ** -53
+ON_GROUPS = [
+    (name, group)
+    for name, method in METHODS.items()
+    for group in ("se3", "so3xr3")
+    if group == "so3xr3" or method.family not in NOT_ON_SE3
+]
+UNIT = 2.0**-53
 
 
 def rooted_trees(order):
@@ -108,8 +113,10 @@ def test_all_order_conditions_up_to_the_stated_order(name):
             off, allowed = defect(a, b, tree, 1.0 / density(tree))
             assert off <= allowed, tree
     # One order more is not reached, and not by a rounding's width.
-    assert max(defect(a, b, tree, 1.0 / density(tree))[0]
-               for tree in rooted_trees(method.order + 1)) > 1e-6
+    assert (
+        max(defect(a, b, tree, 1.0 / density(tree))[0] for tree in rooted_trees(method.order + 1))
+        > 1e-6
+    )
 
 
 @pytest.mark.parametrize("name", CONTROLLED)
@@ -190,8 +197,13 @@ def test_steps_too_large_stop_with_the_last_good_state(name, caplog):
     try:
         simulation.advance(10)
     except SimulationError as failure:
-        assert failure.status & 0xff in (ROTATION_TOO_LARGE, NOT_FINITE, NOT_CONVERGED,
-                                         NO_RATTLE_STEP, DIVERGED)
+        assert failure.status & 0xFF in (
+            ROTATION_TOO_LARGE,
+            NOT_FINITE,
+            NOT_CONVERGED,
+            NO_RATTLE_STEP,
+            DIVERGED,
+        )
         assert "smaller step" in str(failure) and "\n" not in str(failure)
         good = simulation.steps
         assert good == 0 or METHODS[name].family == "rotation"
@@ -243,8 +255,14 @@ def test_a_singular_pose_is_solved_or_stops_with_the_state_kept(name):
     assert np.abs(simulation.state()[0] - pose).max() <= 1e-4
 
 
-@pytest.mark.parametrize("name", [n for n in METHODS if n not in CONTROLLED and n not in (
-    "rattle", "constrained_rattle4", "constrained_rattle8")])
+@pytest.mark.parametrize(
+    "name",
+    [
+        n
+        for n in METHODS
+        if n not in CONTROLLED and n not in ("rattle", "constrained_rattle4", "constrained_rattle8")
+    ],
+)
 def test_a_rotation_beyond_pi_warns_once(name, caplog):
     """A free body turns about an axis of inertia, which all but RATTLE follow at any step.
 
@@ -256,7 +274,9 @@ def test_a_rotation_beyond_pi_warns_once(name, caplog):
     simulation.advance(2)
     said = [r.message for r in caplog.records if "more than pi" in r.message]
     # 4 rad a step: pi is at 0.39 s.
-    assert len(said) == 1 and said[0].startswith(f"{name}, step 0.5 s:") and "step of 0.39" in said[0]
+    assert (
+        len(said) == 1 and said[0].startswith(f"{name}, step 0.5 s:") and "step of 0.39" in said[0]
+    )
 
 
 @pytest.mark.parametrize("name, group", ON_GROUPS)
@@ -271,28 +291,34 @@ def test_a_free_body_without_forces_or_motion_stays(name, group):
 def test_options_are_refused_where_they_mean_nothing_or_are_wrong():
     scene = load_scene("free_body")
     for options, text in (
-            ({"method": "rkmk4", "rtol": 1e-6}, "rkmk4 has no option 'rtol'; it has: dexpinv"),
-            ({"method": "rkmk54", "rho_inf": 1.0}, "it has: dexpinv, space, rtol, atol"),
-            ({"method": "rattle", "rtol": 1e-6}, "rattle has no option 'rtol'; it has none$"),
-            ({"method": "rattle", "group": "se3"}, "group must be 'so3xr3' or 'auto', got 'se3'"),
-            ({"method": "constrained_rattle", "group": "se3"}, "on SO\\(3\\) x R\\^3 alone"),
-            ({"method": "rkmk4", "group": "so3"}, "unknown group 'so3'; there are: auto, se3"),
-            ({"method": "rkmk54", "atol": 0.0}, "atol must be a positive number, got 0.0"),
-            ({"method": "rkmk54", "rtol": math.nan}, "rtol must be a positive number"),
-            ({"method": "rkmk4", "dexpinv": "none"}, "'exact' or 'truncated', got 'none'"),
-            ({"method": "rkmk4", "space": "plane"}, "'auto' or 'space', got 'plane'"),
-            ({"method": "generalized_alpha", "rho_inf": 1.1}, "rho_inf must be a number from 0"),
-            ({"method": "generalized_alpha", "stabilisation": "projection"}, "closes the joints")):
+        ({"method": "rkmk4", "rtol": 1e-6}, "rkmk4 has no option 'rtol'; it has: dexpinv"),
+        ({"method": "rkmk54", "rho_inf": 1.0}, "it has: dexpinv, space, rtol, atol"),
+        ({"method": "rattle", "rtol": 1e-6}, "rattle has no option 'rtol'; it has none$"),
+        ({"method": "rattle", "group": "se3"}, "group must be 'so3xr3' or 'auto', got 'se3'"),
+        ({"method": "constrained_rattle", "group": "se3"}, "on SO\\(3\\) x R\\^3 alone"),
+        ({"method": "rkmk4", "group": "so3"}, "unknown group 'so3'; there are: auto, se3"),
+        ({"method": "rkmk54", "atol": 0.0}, "atol must be a positive number, got 0.0"),
+        ({"method": "rkmk54", "rtol": math.nan}, "rtol must be a positive number"),
+        ({"method": "rkmk4", "dexpinv": "none"}, "'exact' or 'truncated', got 'none'"),
+        ({"method": "rkmk4", "space": "plane"}, "'auto' or 'space', got 'plane'"),
+        ({"method": "generalized_alpha", "rho_inf": 1.1}, "rho_inf must be a number from 0"),
+        ({"method": "generalized_alpha", "stabilisation": "projection"}, "closes the joints"),
+    ):
         with pytest.raises(ValueError, match=text):
             Simulation(scene, **options)
     assert Simulation(scene).group == "se3" and Simulation(scene, method="rattle").group == "so3xr3"
     assert Simulation(scene, method="rkmk54", rtol=1e-3).options == {
-        "dexpinv": "exact", "space": "auto", "rtol": 1e-3, "atol": 1e-6}
+        "dexpinv": "exact",
+        "space": "auto",
+        "rtol": 1e-3,
+        "atol": 1e-6,
+    }
 
 
 def test_substeps_are_deterministic_counted_and_forgotten():
-    simulation = Simulation(load_scene("heavy_top"), method="rkmk54", step=0.1, rtol=1e-9,
-                            atol=1e-9)
+    simulation = Simulation(
+        load_scene("heavy_top"), method="rkmk54", step=0.1, rtol=1e-9, atol=1e-9
+    )
     assert simulation.substeps == (0, 0)
     simulation.advance(5)
     good, attempts = simulation.substeps
@@ -308,8 +334,9 @@ def test_substeps_are_deterministic_counted_and_forgotten():
 
 def test_error_norm_is_the_documented_one():
     """The largest body's |dxi|, |deta| by atol, |dw|, |dv| by atol + rtol |velocity|."""
-    simulation = Simulation(mechanisms.named("chain of balls"), method="rkmk54", rtol=3e-4,
-                            atol=2e-5)
+    simulation = Simulation(
+        mechanisms.named("chain of balls"), method="rkmk54", rtol=3e-4, atol=2e-5
+    )
     integrator = simulation._integrator
     n, stages = 3, len(METHODS["rkmk54"].tableau.e)
     rng = np.random.default_rng(4)
@@ -321,14 +348,17 @@ def test_error_norm_is_the_documented_one():
     size = np.maximum(*(np.linalg.norm(v.reshape(n, 2, 3), axis=2) for v in (before, after)))
     tolerance = 2e-5 + 3e-4 * np.hstack([np.zeros((n, 2)), size])
     expected = np.sqrt(((np.linalg.norm(delta, axis=2) / tolerance) ** 2).sum(axis=1)).max()
-    found = spatial.error_norm(simulation.layout.model, integrator.work, integrator._scheme, 0.01, before)
+    found = spatial.error_norm(
+        simulation.layout.model, integrator.work, integrator._scheme, 0.01, before
+    )
     assert found == pytest.approx(expected, rel=1e-12)
 
 
 def test_a_tolerance_out_of_reach_ends_with_a_status():
     """Far below rounding no substep is good; a long step needs too many of them."""
-    simulation = Simulation(load_scene("heavy_top"), method="rkmk54", step=0.01, rtol=1e-40,
-                            atol=1e-40)
+    simulation = Simulation(
+        load_scene("heavy_top"), method="rkmk54", step=0.01, rtol=1e-40, atol=1e-40
+    )
     before = simulation.state()[0].tobytes()
     with pytest.raises(SimulationError, match="raise atol and rtol") as failure:
         simulation.advance(1)
@@ -343,20 +373,26 @@ def test_a_tolerance_out_of_reach_ends_with_a_status():
 
 def test_without_the_compiler_the_same_numbers():
     """Plain Python rounds as machine code does: no fast-math. libm's last bit may differ."""
-    code = ("import sys; sys.path.insert(0, sys.argv[1]); import mechanisms\n"
-            "from liegroup_core import Simulation\n"
-            "from liegroup_core.integrators.methods import METHODS\n"
-            "for name in METHODS:\n"
-            "    s = Simulation(mechanisms.fitting(name, 'chain of balls'), method=name,\n"
-            "                   step=5e-3)\n"
-            "    s.advance(4)\n"
-            "    print(s.state()[0].tobytes().hex())")
+    code = (
+        "import sys; sys.path.insert(0, sys.argv[1]); import mechanisms\n"
+        "from liegroup_core import Simulation\n"
+        "from liegroup_core.integrators.methods import METHODS\n"
+        "for name in METHODS:\n"
+        "    s = Simulation(mechanisms.fitting(name, 'chain of balls'), method=name,\n"
+        "                   step=5e-3)\n"
+        "    s.advance(4)\n"
+        "    print(s.state()[0].tobytes().hex())"
+    )
     here = os.path.dirname(os.path.dirname(__file__))
 
     def run(disable):
         lines = subprocess.run(
-            [sys.executable, "-c", code, here], capture_output=True, text=True, check=True,
-            env={**os.environ, "NUMBA_DISABLE_JIT": disable}).stdout.split()
+            [sys.executable, "-c", code, here],
+            capture_output=True,
+            text=True,
+            check=True,
+            env={**os.environ, "NUMBA_DISABLE_JIT": disable},
+        ).stdout.split()
         return [np.frombuffer(bytes.fromhex(line)) for line in lines]
 
     plain, fast = run("1"), run("0")

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Assembly: loops close, velocities follow, and what cannot be is named with its size."""
+
 import re
 
 import mechanisms
@@ -33,28 +34,36 @@ CLOSED = {name for name, (_, loops) in mechanisms.MECHANISMS.items() if loops}
 def disturbed(scene, rng, size, keep=()):
     """The scene with joints written out and all poses and velocities off by up to `size`."""
     joints = []
-    for joint, (a, b), [element, *_] in zip(scene.joints, resolve_frames(scene),
-                                            resolve_elements(scene)):
+    for joint, (a, b), [element, *_] in zip(
+        scene.joints, resolve_frames(scene), resolve_elements(scene)
+    ):
         length = {"length": element.length} if joint.type == "distance" else {}
-        joints.append(joint.remade(parent_frame=mechanisms.frame(a),
-                                   child_frame=mechanisms.frame(b), **length))
+        joints.append(
+            joint.remade(
+                parent_frame=mechanisms.frame(a), child_frame=mechanisms.frame(b), **length
+            )
+        )
     bodies = []
     for body in scene.bodies:
         if body.name in keep:
             bodies.append(body.remade(initial="fixed"))
             continue
         turn = SO3.exp(size * rng.uniform(-1, 1, 3))
-        bodies.append(body.remade(
-            position=body.position + size * rng.uniform(-1, 1, 3),
-            rotation_vector=SO3.log(body.rotation @ turn),
-            angular_velocity=body.angular_velocity + size * rng.normal(size=3),
-            linear_velocity=body.linear_velocity + size * rng.normal(size=3)))
+        bodies.append(
+            body.remade(
+                position=body.position + size * rng.uniform(-1, 1, 3),
+                rotation_vector=SO3.log(body.rotation @ turn),
+                angular_velocity=body.angular_velocity + size * rng.normal(size=3),
+                linear_velocity=body.linear_velocity + size * rng.normal(size=3),
+            )
+        )
     return scene.remade(assemble=True, bodies=bodies, joints=joints)
 
 
 def mass_matrix(scene):
-    return block_diag(*(block_diag(body.inertia_matrix, body.mass * np.eye(3))
-                        for body in scene.bodies))
+    return block_diag(
+        *(block_diag(body.inertia_matrix, body.mass * np.eye(3)) for body in scene.bodies)
+    )
 
 
 def twists(scene):
@@ -89,7 +98,8 @@ def test_what_is_closed_keeps_its_bits():
         scene = load_scene(name)
         again = scene_from_text(scene.text.replace("gravity:", "assemble: true\ngravity:"))
         assert [body.model_dump() for body in again.bodies] == [
-            body.model_dump() for body in scene.bodies]
+            body.model_dump() for body in scene.bodies
+        ]
 
 
 @pytest.mark.parametrize("keep", ["a", "c"])
@@ -100,7 +110,10 @@ def test_a_fixed_body_keeps_its_pose_and_velocity_to_the_bit(name, keep):
     done = assembled(rough)
     for mine, theirs in zip(done.bodies, rough.bodies):
         same = (mine.position, mine.rotation_vector, mine.angular_velocity) == (
-            theirs.position, theirs.rotation_vector, theirs.angular_velocity)
+            theirs.position,
+            theirs.rotation_vector,
+            theirs.angular_velocity,
+        )
         assert same == (mine.name == keep)
     check_consistency(done)
 
@@ -114,10 +127,22 @@ def test_a_fixed_body_keeps_only_what_it_was_given():
     assert free.bodies[0].position != scene.bodies[0].position
     check_consistency(free)
     [joint] = [joint for joint in load_scene("heavy_top").joints]
-    spun = Scene(name="s", gravity=(0, 0, 0), assemble=True, bodies=[
-        Body(name="top", mass=1, inertia=(1, 1, 1), angular_velocity=(0, 0, 2),
-             linear_velocity=(0, 1, 0), initial="fixed")],
-        joints=[joint.remade(parent_frame=Frame(position=(0.1, 0, 0)))])
+    spun = Scene(
+        name="s",
+        gravity=(0, 0, 0),
+        assemble=True,
+        bodies=[
+            Body(
+                name="top",
+                mass=1,
+                inertia=(1, 1, 1),
+                angular_velocity=(0, 0, 2),
+                linear_velocity=(0, 1, 0),
+                initial="fixed",
+            )
+        ],
+        joints=[joint.remade(parent_frame=Frame(position=(0.1, 0, 0)))],
+    )
     body = assembled(spun).bodies[0]
     np.testing.assert_allclose(body.position, (0.6, 0, 0), atol=1e-16)
     assert (body.angular_velocity, body.linear_velocity) == ((0, 0, 2), (0, 1, 0))
@@ -134,17 +159,18 @@ def test_rates_of_a_chain_are_met():
     turning["world"], rotation["world"] = np.zeros(3), np.eye(3)
     for joint, (frame, _), rate in zip(done.joints, resolve_frames(done), rates):
         axis = rotation[joint.parent] @ frame[:3, 2]
-        np.testing.assert_allclose(turning[joint.child] - turning[joint.parent], rate * axis,
-                                   atol=1e-13)
+        np.testing.assert_allclose(
+            turning[joint.child] - turning[joint.parent], rate * axis, atol=1e-13
+        )
         assert joint.rate is None
 
 
 @pytest.mark.parametrize("pair", LOWER_PAIRS)
 def test_a_rate_is_of_a_freedom_of_its_joint(pair):
-    rows = LOWER_PAIRS[pair].forbidden()                # of a screw for a pitch of zero
+    rows = LOWER_PAIRS[pair].forbidden()  # of a screw for a pitch of zero
     if pair in RATES:
         assert not rows[:, RATES[pair]].any()
-    else:                                               # nothing moves, or no axis is marked out
+    else:  # nothing moves, or no axis is marked out
         assert len(rows) == 6 or not rows[:, :3].any()
 
 
@@ -168,13 +194,38 @@ def test_bodies_without_a_pose_are_put_where_the_joints_put_them():
     # parents that follow their children, and branches
     bodies = [Body(name=name, mass=1, inertia=(1, 1, 1)) for name in "abc"]
     frame, end = Frame(rotation_vector=(0, 0, 0.5)), Frame(position=(1, 0, 0))
-    tree = Scene(name="t", gravity=(0, 0, 0), assemble=True, bodies=bodies, joints=[
-        Joint(name="j", type="revolute", parent="c", child="b", parent_frame=end,
-              child_frame=frame),
-        Joint(name="k", type="revolute", parent="world", child="b", parent_frame=frame,
-              child_frame=frame),
-        Joint(name="l", type="spherical", parent="c", child="a", parent_frame=frame,
-              child_frame=end)])
+    tree = Scene(
+        name="t",
+        gravity=(0, 0, 0),
+        assemble=True,
+        bodies=bodies,
+        joints=[
+            Joint(
+                name="j",
+                type="revolute",
+                parent="c",
+                child="b",
+                parent_frame=end,
+                child_frame=frame,
+            ),
+            Joint(
+                name="k",
+                type="revolute",
+                parent="world",
+                child="b",
+                parent_frame=frame,
+                child_frame=frame,
+            ),
+            Joint(
+                name="l",
+                type="spherical",
+                parent="c",
+                child="a",
+                parent_frame=frame,
+                child_frame=end,
+            ),
+        ],
+    )
     a, b, c = assembled(tree).bodies
     np.testing.assert_allclose(b.pose, np.eye(4), atol=1e-15)
     np.testing.assert_allclose(c.pose @ end.pose, frame.pose, atol=1e-15)
@@ -184,19 +235,25 @@ def test_bodies_without_a_pose_are_put_where_the_joints_put_them():
 def test_frames_left_out_are_where_the_others_are_before_anything_is_moved():
     text = load_scene("four_bar").text
     scene = scene_from_text(
-        text.replace("    child_frame: {position: [0.5, 0.0, 0.0]}  ", "    # "))
+        text.replace("    child_frame: {position: [0.5, 0.0, 0.0]}  ", "    # ")
+    )
     [_, _, joint, _] = scene.joints
-    coupler, rocker = (Body(name="b", mass=1, inertia=(1, 1, 1), position=p, rotation_vector=r)
-                       for p, r in (((0.44, 0.75, 0), (0, 0, 0.5)), ((0.94, 0.5, 0), (0, 0, 1.7))))
+    coupler, rocker = (
+        Body(name="b", mass=1, inertia=(1, 1, 1), position=p, rotation_vector=r)
+        for p, r in (((0.44, 0.75, 0), (0, 0, 0.5)), ((0.94, 0.5, 0), (0, 0, 1.7)))
+    )
     at = np.linalg.inv(rocker.pose) @ coupler.pose @ (0.5, 0, 0, 1)
     np.testing.assert_allclose(joint.child_frame.position, at[:3], atol=1e-15)
 
 
 def test_guesses_choose_the_branch():
     text = load_scene("four_bar").text
-    below = text.replace("[0.44, 0.75, 0.0]", "[0.1, 0.1, 0.0]").replace(
-        "[0.0, 0.0, 0.5] ", "[0.0, 0.0, -1.3]").replace(
-        "[0.94, 0.5, 0.0]", "[0.55, -0.25, 0.0]").replace("[0.0, 0.0, 1.7]", "[0.0, 0.0, -2.6]")
+    below = (
+        text.replace("[0.44, 0.75, 0.0]", "[0.1, 0.1, 0.0]")
+        .replace("[0.0, 0.0, 0.5] ", "[0.0, 0.0, -1.3]")
+        .replace("[0.94, 0.5, 0.0]", "[0.55, -0.25, 0.0]")
+        .replace("[0.0, 0.0, 1.7]", "[0.0, 0.0, -2.6]")
+    )
     corner = scene_from_text(below).bodies[1].pose @ (0.5, 0, 0, 1)
     # the mirror image of (0.870810, 0.991620) at the line from (0, 0.5) to (1, 0)
     np.testing.assert_allclose(corner[:2], [0.1291901, -0.4916198], atol=1e-6)
@@ -230,8 +287,14 @@ def test_the_same_text_gives_the_same_bits_and_is_kept():
 
 def test_a_scene_made_in_code_is_assembled_when_it_is_simulated():
     bodies = [Body(name="a", mass=1, inertia=(1, 1, 1), position=(0.2, 0.1, 0.9))]
-    joint = Joint(name="j", type="spherical", parent="world", child="a", parent_frame=Frame(),
-                  child_frame=Frame(position=(0, 0, 1)))
+    joint = Joint(
+        name="j",
+        type="spherical",
+        parent="world",
+        child="a",
+        parent_frame=Frame(),
+        child_frame=Frame(position=(0, 0, 1)),
+    )
     scene = Scene(name="s", gravity=(0, 0, -1), assemble=True, bodies=bodies, joints=[joint])
     simulation = Simulation(scene)
     assert simulation.sample().constraint_residual <= 1e-15
@@ -246,12 +309,22 @@ def test_a_scene_made_in_code_is_assembled_when_it_is_simulated():
 def bar_between(distance, **keys):
     """A bar of 1 m on ball joints to two points of the world."""
     return Scene(
-        name="s", gravity=(0, 0, 0), assemble=True,
+        name="s",
+        gravity=(0, 0, 0),
+        assemble=True,
         bodies=[Body(name="bar", mass=1, inertia=(0.1, 1, 1), **keys)],
-        joints=[Joint(name=name, type="spherical", parent="world", child="bar",
-                      parent_frame=Frame(position=(x, 0, 0)),
-                      child_frame=Frame(position=(y, 0, 0)))
-                for name, x, y in (("left", -distance / 2, -0.5), ("right", distance / 2, 0.5))])
+        joints=[
+            Joint(
+                name=name,
+                type="spherical",
+                parent="world",
+                child="bar",
+                parent_frame=Frame(position=(x, 0, 0)),
+                child_frame=Frame(position=(y, 0, 0)),
+            )
+            for name, x, y in (("left", -distance / 2, -0.5), ("right", distance / 2, 0.5))
+        ],
+    )
 
 
 def test_what_cannot_close_is_named_with_its_gap():
@@ -259,43 +332,64 @@ def test_what_cannot_close_is_named_with_its_gap():
     with pytest.raises(SceneError) as caught:
         assembled(bar_between(1.2, position=(0.01, 0.1, 0)))
     # 0.2 m too long: half of it at each end
-    assert re.match(r'joints\[[01]\] "(left|right)": cannot be closed: where assembly ends it has '
-                    r"a gap of 0\.1 m and a tilt of 0 rad; start from poses", str(caught.value))
+    assert re.match(
+        r'joints\[[01]\] "(left|right)": cannot be closed: where assembly ends it has '
+        r"a gap of 0\.1 m and a tilt of 0 rad; start from poses",
+        str(caught.value),
+    )
     with pytest.raises(SceneError, match=r'"left": cannot be closed: .* a gap of 0\.5 m'):
         assembled(bar_between(1.5, position=(0.25, 0, 0), initial="fixed"))
 
 
 def test_an_error_in_a_file_has_its_line():
     text = load_scene("four_bar").text.replace(
-        "{position: [1.0, 0.0, 0.0]}", "{position: [5.0, 0.0, 0.0]}")
+        "{position: [1.0, 0.0, 0.0]}", "{position: [5.0, 0.0, 0.0]}"
+    )
     with pytest.raises(SceneError) as caught:
         scene_from_text(text, source="x.yaml")
-    line, name = re.match(r'x\.yaml:(\d+): joints\[\d\] "(\w+)": cannot be closed',
-                          str(caught.value)).groups()
+    line, name = re.match(
+        r'x\.yaml:(\d+): joints\[\d\] "(\w+)": cannot be closed', str(caught.value)
+    ).groups()
     assert f"name: {name}" in text.splitlines()[int(line) - 1]
 
 
 def test_rates_that_contradict_each_other_are_named():
     text = load_scene("four_bar").text
-    twice = text.replace("parent_frame: {position: [1.0, 0.0, 0.0]}",
-                         "rate: 1.0\n    parent_frame: {position: [1.0, 0.0, 0.0]}")
+    twice = text.replace(
+        "parent_frame: {position: [1.0, 0.0, 0.0]}",
+        "rate: 1.0\n    parent_frame: {position: [1.0, 0.0, 0.0]}",
+    )
     assert twice != text
-    with pytest.raises(SceneError, match=r'x.yaml:\d+: joints\[\d\] "\w+": rates of joints and '
-                                         "velocities of fixed bodies contradict each other"):
+    with pytest.raises(
+        SceneError,
+        match=r'x.yaml:\d+: joints\[\d\] "\w+": rates of joints and '
+        "velocities of fixed bodies contradict each other",
+    ):
         scene_from_text(twice, source="x.yaml")
     # the same rate twice is no contradiction: the rocker's is what it is anyway
     rate = load_scene("four_bar").bodies[2].angular_velocity[2]
     check_consistency(scene_from_text(twice.replace("rate: 1.0", f"rate: {rate!r}")))
 
 
-@pytest.mark.parametrize("old, new, message", [
-    ("assemble: true ", "# ", 'bodies[0] "crank": initial is for assembly: leave it out, or give'),
-    ("assemble: true ", "assemble: yes ", "assemble must be true or false, got 'yes'"),
-    ("assemble: true ", "assemble: 1 ", "assemble must be true or false, got 1"),
-    ("initial: fixed", "initial: firm", "initial must be 'guess' or 'fixed', got 'firm'"),
-    ("type: spherical ", "rate: 1.0\n    type: spherical ", "rate is not for a spherical joint"),
-    ("rate: 31", "rate: fast #", "rate must be a number"),
-])
+@pytest.mark.parametrize(
+    "old, new, message",
+    [
+        (
+            "assemble: true ",
+            "# ",
+            'bodies[0] "crank": initial is for assembly: leave it out, or give',
+        ),
+        ("assemble: true ", "assemble: yes ", "assemble must be true or false, got 'yes'"),
+        ("assemble: true ", "assemble: 1 ", "assemble must be true or false, got 1"),
+        ("initial: fixed", "initial: firm", "initial must be 'guess' or 'fixed', got 'firm'"),
+        (
+            "type: spherical ",
+            "rate: 1.0\n    type: spherical ",
+            "rate is not for a spherical joint",
+        ),
+        ("rate: 31", "rate: fast #", "rate must be a number"),
+    ],
+)
 def test_wrong_keys_are_refused(old, new, message):
     text = load_scene("four_bar").text
     assert old in text
@@ -305,16 +399,24 @@ def test_wrong_keys_are_refused(old, new, message):
 
 
 def test_a_rate_without_assembly_is_refused():
-    scene = Scene(name="s", gravity=(0, 0, 0), assemble=True, bodies=[
-        Body(name="a", mass=1, inertia=(1, 1, 1))], joints=[
-        Joint(name="j", type="revolute", parent="world", child="a", child_frame=Frame(), rate=1)])
+    scene = Scene(
+        name="s",
+        gravity=(0, 0, 0),
+        assemble=True,
+        bodies=[Body(name="a", mass=1, inertia=(1, 1, 1))],
+        joints=[
+            Joint(name="j", type="revolute", parent="world", child="a", child_frame=Frame(), rate=1)
+        ],
+    )
     with pytest.raises(SceneError, match='joints\\[0\\] "j": rate is for assembly: leave it out'):
         scene.remade(assemble=False)
 
 
 def test_bodies_that_nothing_places_are_named():
-    bodies = [Body(name="a", mass=1, inertia=(1, 1, 1), position=(1, 0, 0)),
-              Body(name="b", mass=1, inertia=(1, 1, 1))]
+    bodies = [
+        Body(name="a", mass=1, inertia=(1, 1, 1), position=(1, 0, 0)),
+        Body(name="b", mass=1, inertia=(1, 1, 1)),
+    ]
     with pytest.raises(SceneError, match='bodies\\[1\\] "b": has no position, no rotation and no'):
         assembled(Scene(name="s", gravity=(0, 0, 0), assemble=True, bodies=bodies))
     joint = Joint(name="j", type="revolute", parent="a", child="b", child_frame=Frame())
@@ -332,7 +434,8 @@ def test_a_loop_closes_at_any_size(length):
         found[size] = (simulation.layout, simulation.sample())
     (layout, sample), (other, scaled) = found[1.0], found[length]
     assert [joint["dropped"] for joint in describe(layout)["joints"]] == [
-        joint["dropped"] for joint in describe(other)["joints"]]
+        joint["dropped"] for joint in describe(other)["joints"]
+    ]
     # Closed to 1e-12 of the length, CLOSED, whatever it is.
     assert scaled.constraint_residual <= 1e-12 * length
     for name, position in sample.positions.items():

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Centres of mass away from the body frames: the same mechanism, described otherwise."""
+
 import mechanisms
 import numpy as np
 import pytest
@@ -78,11 +79,13 @@ def test_the_same_motion_wherever_the_frames_are(name, group):
         for body, c in com.items():
             R = mine.poses[body][:3, :3]
             np.testing.assert_allclose(R, theirs.poses[body][:3, :3], atol=1e-11)
-            np.testing.assert_allclose(mine.positions[body] + R @ c, theirs.positions[body],
-                                       atol=1e-11)
+            np.testing.assert_allclose(
+                mine.positions[body] + R @ c, theirs.positions[body], atol=1e-11
+            )
             w, v = np.split(mine.twists[body], 2)
-            np.testing.assert_allclose(np.r_[w, v + np.cross(w, c)], theirs.twists[body],
-                                       atol=1e-10)
+            np.testing.assert_allclose(
+                np.r_[w, v + np.cross(w, c)], theirs.twists[body], atol=1e-10
+            )
         one.advance(50)
         other.advance(50)
 
@@ -94,8 +97,9 @@ def test_a_wrench_is_about_the_origin_of_the_body_frame(name):
     one, other = Simulation(scene), Simulation(elsewhere)
     torque, force = np.array([0.3, -0.2, 0.5]), np.array([4.0, 5.0, -6.0])
     other.apply_wrench("a", (*torque, *force), start=0.01, duration=0.03)
-    one.apply_wrench("a", (*(torque - np.cross(com["a"], force)), *force), start=0.01,
-                     duration=0.03)
+    one.apply_wrench(
+        "a", (*(torque - np.cross(com["a"], force)), *force), start=0.01, duration=0.03
+    )
     one.advance(60)
     other.advance(60)
     close(public(other.sample()), public(one.sample()), 1e-10)
@@ -121,8 +125,10 @@ def test_a_recorded_run_is_repeated_to_the_bit():
         again.advance(change.step - again.steps)
         again.apply_wrench(change.body, change.wrench)
     again.advance(60 - again.steps)
-    for mine, theirs in zip((*again.state(), again.sample().pose, again.sample().twist),
-                            (*first.state(), first.sample().pose, first.sample().twist)):
+    for mine, theirs in zip(
+        (*again.state(), again.sample().pose, again.sample().twist),
+        (*first.state(), first.sample().pose, first.sample().twist),
+    ):
         assert mine.tobytes() == theirs.tobytes()
 
 
@@ -131,8 +137,9 @@ def test_a_recorded_pose_makes_the_sample_it_came_from():
     simulation = Simulation(scene)
     simulation.advance(20)
     sample = simulation.sample()
-    again = simulation.layout.sample(sample.pose, sample.twist, sample.time, sample.time_ns,
-                                     sample.steps)
+    again = simulation.layout.sample(
+        sample.pose, sample.twist, sample.time, sample.time_ns, sample.steps
+    )
     close(public(again), public(sample), 1e-13)
     np.testing.assert_allclose(again.pose, sample.pose, atol=1e-15)
 
@@ -152,8 +159,9 @@ def test_the_reference_integration_means_the_same_frames(name):
     np.testing.assert_allclose(exact.position[1], sample.pose[:, 9:], atol=1e-8)
     np.testing.assert_allclose(exact.rotation[1].reshape(n, 9), sample.pose[:, :9], atol=1e-8)
     np.testing.assert_allclose(exact.twist[1], sample.twist, atol=1e-7)
-    still = simulation.layout.sample(np.concatenate(
-        [exact.rotation[0].reshape(n, 9), exact.position[0]], axis=1), exact.twist[0])
+    still = simulation.layout.sample(
+        np.concatenate([exact.rotation[0].reshape(n, 9), exact.position[0]], axis=1), exact.twist[0]
+    )
     first = Simulation(scene).sample()
     np.testing.assert_allclose(still.pose, first.pose, atol=1e-14)
     np.testing.assert_allclose(still.twist, first.twist, atol=1e-14)
@@ -161,14 +169,30 @@ def test_the_reference_integration_means_the_same_frames(name):
 
 def test_kept_momentum_does_not_depend_on_the_frames():
     """Two bodies on a ball joint in space, and one that spins alone: all their momentum is kept."""
-    bodies = [Body(name=name, mass=mass, inertia=(1, 2, 2.5), com=com, position=place,
-                   angular_velocity=w, linear_velocity=v)
-              for name, mass, com, place, w, v in (
-                  ("a", 2.0, (0.3, 0, 0.1), (0, 0, 0), (1, 0, 2), (0, 0, 0)),
-                  ("b", 1.0, (0, 0.2, -0.4), (0, 1, 0), (0, 3, 1), (0, 0, 0)),
-                  ("c", 3.0, (0.1, 0.1, 0), (5, 0, 0), (0, 1, 1), (1, 0, 0)))]
-    joint = Joint(name="j", type="spherical", parent="a", child="b", parent_frame=Frame(),
-                  child_frame=Frame(position=(0, -1, 0)))
+    bodies = [
+        Body(
+            name=name,
+            mass=mass,
+            inertia=(1, 2, 2.5),
+            com=com,
+            position=place,
+            angular_velocity=w,
+            linear_velocity=v,
+        )
+        for name, mass, com, place, w, v in (
+            ("a", 2.0, (0.3, 0, 0.1), (0, 0, 0), (1, 0, 2), (0, 0, 0)),
+            ("b", 1.0, (0, 0.2, -0.4), (0, 1, 0), (0, 3, 1), (0, 0, 0)),
+            ("c", 3.0, (0.1, 0.1, 0), (5, 0, 0), (0, 1, 1), (1, 0, 0)),
+        )
+    ]
+    joint = Joint(
+        name="j",
+        type="spherical",
+        parent="a",
+        child="b",
+        parent_frame=Frame(),
+        child_frame=Frame(position=(0, -1, 0)),
+    )
     scene = Scene(name="s", gravity=(0, 0, 0), assemble=True, bodies=bodies, joints=[joint])
     simulation = Simulation(scene)
     samples = []
@@ -180,8 +204,9 @@ def test_kept_momentum_does_not_depend_on_the_frames():
     kept = conserved_momentum(scene)
     assert sorted(len(group.labels) for group in kept) == [6, 6]
     for group in kept:
-        values = momentum_values(scene, group, pose[..., :9].reshape(5, 3, 3, 3), pose[..., 9:],
-                                 twist)
+        values = momentum_values(
+            scene, group, pose[..., :9].reshape(5, 3, 3, 3), pose[..., 9:], twist
+        )
         # the error of order 4 at this step, measured 1e-10
         np.testing.assert_allclose(values, values[:1].repeat(5, axis=0), atol=1e-9)
 
@@ -224,16 +249,34 @@ def test_every_place_of_every_kind_is_known(kind):
 def test_a_pendulum_about_the_origin_of_its_frame():
     """A plate on a hinge at its frame's origin, its centre of mass 0.4 m off: q'' = -k sin q."""
     com, moment = np.array([0.24, 0.0, -0.32]), 0.05
-    scene = Scene(name="p", gravity=(0, 0, -9.81), bodies=[
-        Body(name="plate", mass=2.0, inertia=(0.04, moment, 0.03), com=com,
-             rotation_vector=(0, 0.5, 0))],
-        joints=[Joint(name="pin", type="revolute", parent="world", child="plate",
-                      child_frame=Frame(axis=(0, 1, 0)))])
-    k = 2.0 * 9.81 * 0.4 / (moment + 2.0 * 0.4 ** 2)
-    hanging = np.arctan2(0.24, 0.32)            # of the centre of mass from -z, about -y
+    scene = Scene(
+        name="p",
+        gravity=(0, 0, -9.81),
+        bodies=[
+            Body(
+                name="plate",
+                mass=2.0,
+                inertia=(0.04, moment, 0.03),
+                com=com,
+                rotation_vector=(0, 0.5, 0),
+            )
+        ],
+        joints=[
+            Joint(
+                name="pin",
+                type="revolute",
+                parent="world",
+                child="plate",
+                child_frame=Frame(axis=(0, 1, 0)),
+            )
+        ],
+    )
+    k = 2.0 * 9.81 * 0.4 / (moment + 2.0 * 0.4**2)
+    hanging = np.arctan2(0.24, 0.32)  # of the centre of mass from -z, about -y
     start = hanging - 0.5
-    theta = solve_ivp(lambda t, y: [y[1], -k * np.sin(y[0])], (0, 2), [start, 0], rtol=1e-12,
-                      atol=1e-13).y[0, -1]
+    theta = solve_ivp(
+        lambda t, y: [y[1], -k * np.sin(y[0])], (0, 2), [start, 0], rtol=1e-12, atol=1e-13
+    ).y[0, -1]
     simulation = Simulation(scene)
     simulation.advance(2000)
     R = simulation.sample().poses["plate"][:3, :3]
@@ -244,9 +287,20 @@ def test_a_pendulum_about_the_origin_of_its_frame():
 
 
 def test_a_free_body_turns_about_its_centre_of_mass():
-    scene = Scene(name="f", gravity=(0, 0, 0), bodies=[
-        Body(name="b", mass=3.0, inertia=(1, 2, 2.5), com=(0.3, 0.2, -0.4),
-             angular_velocity=(1, 2, 3), linear_velocity=(0.1, 0, 0))])
+    scene = Scene(
+        name="f",
+        gravity=(0, 0, 0),
+        bodies=[
+            Body(
+                name="b",
+                mass=3.0,
+                inertia=(1, 2, 2.5),
+                com=(0.3, 0.2, -0.4),
+                angular_velocity=(1, 2, 3),
+                linear_velocity=(0.1, 0, 0),
+            )
+        ],
+    )
     simulation = Simulation(scene)
     body = scene.bodies[0]
     velocity = body.linear_velocity + np.cross(body.angular_velocity, body.com)
@@ -254,5 +308,6 @@ def test_a_free_body_turns_about_its_centre_of_mass():
         simulation.advance(250)
         C = simulation.sample().poses["b"]
         # a straight line, in 1000 sums of numbers of size 1
-        np.testing.assert_allclose(C[:3, :3] @ body.com + C[:3, 3],
-                                   body.com + simulation.time * velocity, atol=1e-12)
+        np.testing.assert_allclose(
+            C[:3, :3] @ body.com + C[:3, 3], body.com + simulation.time * velocity, atol=1e-12
+        )

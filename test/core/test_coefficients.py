@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Coefficients of exp, dexp and dexpinv against their definitions with 60 digits."""
+
 import math
 from fractions import Fraction
 
@@ -15,8 +16,11 @@ NAMES = ("sinc", "versinc", "cubic", "versinc slope", "cubic slope", "b", "u")
 
 def computed(x):
     """All seven coefficients of the kernels."""
-    return (*coefficients.exp_coefficients(x), *coefficients.dexp_slopes(x),
-            *coefficients.dexpinv_coefficients(x))
+    return (
+        *coefficients.exp_coefficients(x),
+        *coefficients.dexp_slopes(x),
+        *coefficients.dexpinv_coefficients(x),
+    )
 
 
 def exact(x):
@@ -30,10 +34,17 @@ def exact(x):
         sinc = mp.sin(t) / t
         versinc = (1 - mp.cos(t)) / x
         cubic = (t - mp.sin(t)) / t**3
-        beta = (mp.sin(t / 2) / (t / 2))**2
+        beta = (mp.sin(t / 2) / (t / 2)) ** 2
         gamma = t / 2 * mp.cot(t / 2)
-        return (sinc, versinc, cubic, (sinc - 2 * versinc) / x, (versinc - 3 * cubic) / x,
-                (1 - gamma) / x, (1 / beta + gamma - 2) / x**2)
+        return (
+            sinc,
+            versinc,
+            cubic,
+            (sinc - 2 * versinc) / x,
+            (versinc - 3 * cubic) / x,
+            (1 - gamma) / x,
+            (1 / beta + gamma - 2) / x**2,
+        )
 
 
 def errors(t_values):
@@ -65,16 +76,21 @@ def factorial(n):
     return Fraction(math.factorial(n))
 
 
-@pytest.mark.parametrize("table, term", [
-    ("SINC_SERIES", lambda k: (-1)**k / factorial(2 * k + 1)),
-    ("VERSINC_SERIES", lambda k: (-1)**k / factorial(2 * k + 2)),
-    ("CUBIC_SERIES", lambda k: (-1)**k / factorial(2 * k + 3)),
-    ("VERSINC_SLOPE_SERIES", lambda k: 2 * (k + 1) * (-1)**(k + 1) / factorial(2 * k + 4)),
-    ("CUBIC_SLOPE_SERIES", lambda k: 2 * (k + 1) * (-1)**(k + 1) / factorial(2 * k + 5)),
-    ("DEXPINV_SERIES", lambda k: bernoulli(2 * k + 2) / factorial(2 * k + 2)),
-    ("DEXPINV_SLOPE_SERIES",
-     lambda k: 2 * (k + 1) * bernoulli(2 * k + 4) / factorial(2 * k + 4)),
-])
+@pytest.mark.parametrize(
+    "table, term",
+    [
+        ("SINC_SERIES", lambda k: (-1) ** k / factorial(2 * k + 1)),
+        ("VERSINC_SERIES", lambda k: (-1) ** k / factorial(2 * k + 2)),
+        ("CUBIC_SERIES", lambda k: (-1) ** k / factorial(2 * k + 3)),
+        ("VERSINC_SLOPE_SERIES", lambda k: 2 * (k + 1) * (-1) ** (k + 1) / factorial(2 * k + 4)),
+        ("CUBIC_SLOPE_SERIES", lambda k: 2 * (k + 1) * (-1) ** (k + 1) / factorial(2 * k + 5)),
+        ("DEXPINV_SERIES", lambda k: bernoulli(2 * k + 2) / factorial(2 * k + 2)),
+        (
+            "DEXPINV_SLOPE_SERIES",
+            lambda k: 2 * (k + 1) * bernoulli(2 * k + 4) / factorial(2 * k + 4),
+        ),
+    ],
+)
 def test_series_are_the_exact_rationals_rounded_and_long_enough(table, term):
     series = getattr(coefficients, table)
     assert series == tuple(float(term(k)) for k in range(12))
@@ -82,8 +98,11 @@ def test_series_are_the_exact_rationals_rounded_and_long_enough(table, term):
     # What is cut off at the switch. The terms fall by a factor x/39 or faster there, so the
     # remainder is below twice the first term left out; the smallest value below the switch is
     # the one at it, but for sinc and the like, which do not fall below 0.4 of their limit.
-    switch = (coefficients.DEXPINV_SERIES_BELOW if table.startswith("DEXPINV")
-              else coefficients.EXP_SERIES_BELOW)
+    switch = (
+        coefficients.DEXPINV_SERIES_BELOW
+        if table.startswith("DEXPINV")
+        else coefficients.EXP_SERIES_BELOW
+    )
     remainder = 2.0 * abs(float(term(12))) * switch**12
     assert remainder < 0.1 * UNIT * 0.4 * abs(series[0])
 
@@ -131,7 +150,7 @@ def test_accuracy_of_dexpinv_coefficients():
 def test_dexpinv_coefficients_near_their_poles(k):
     # Doubles around (2 pi k)^2: one of them may be taken for the pole itself and give NaN, the
     # others are large: b = -1/(t d) at the distance d = t/2 * 2^-52 * n of the n-th neighbour.
-    x = float((2 * mp.pi * k)**2)
+    x = float((2 * mp.pi * k) ** 2)
     pole = 0
     for n in range(-300, 301):
         b, u = coefficients.dexpinv_coefficients(x * (1.0 + n * 2.0**-52))

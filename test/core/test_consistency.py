@@ -39,14 +39,18 @@ def random_frame(rng):
 
 # ---------------------------------------------------------------- frames
 
+
 def two_bodies(rng, kind="revolute", **joint):
     """World - a - b with random poses; frames of the two joints chosen to close."""
     (C_a, a), (C_b, b) = random_frame(rng), random_frame(rng)
-    bodies = [Body(name=name, mass=1, inertia=[1, 1, 1], **keys)
-              for name, keys in (("a", a), ("b", b))]
+    bodies = [
+        Body(name=name, mass=1, inertia=[1, 1, 1], **keys) for name, keys in (("a", a), ("b", b))
+    ]
     F_b, frame_b = random_frame(rng)
-    joints = [Joint(name="j", type=kind, parent="a", child="b", child_frame=Frame(**frame_b)),
-              Joint(name="k", type=kind, parent="world", child="a", parent_frame=Frame(**frame_b))]
+    joints = [
+        Joint(name="j", type=kind, parent="a", child="b", child_frame=Frame(**frame_b)),
+        Joint(name="k", type=kind, parent="world", child="a", parent_frame=Frame(**frame_b)),
+    ]
     return C_a, C_b, F_b, Scene(name="s", gravity=(0, 0, 0), bodies=bodies, joints=joints)
 
 
@@ -76,18 +80,30 @@ def test_frames_that_are_given_are_taken_as_they_are():
 
 # ---------------------------------------------------------------- closing
 
+
 def pinned(offset=(0, 0, 0), kind="spherical", at=(0, 0, 0), **frame):
     """A body at `at` with both joint frames given, the child's one shifted by `offset`."""
     return Scene(
-        name="s", gravity=(0, 0, 0),
+        name="s",
+        gravity=(0, 0, 0),
         bodies=[Body(name="b", mass=1, inertia=[1, 1, 1], position=at)],
-        joints=[Joint(name="j", type=kind, parent="world", child="b",
-                      parent_frame=Frame(position=at),
-                      child_frame=Frame(position=offset, **frame))])
+        joints=[
+            Joint(
+                name="j",
+                type=kind,
+                parent="world",
+                child="b",
+                parent_frame=Frame(position=at),
+                child_frame=Frame(position=offset, **frame),
+            )
+        ],
+    )
 
 
-@pytest.mark.parametrize("gap, at, closes", [
-    (1e-10, 0.0, True), (3e-9, 0.0, False), (1e-4, 1e6, True), (3e-3, 1e6, False)])
+@pytest.mark.parametrize(
+    "gap, at, closes",
+    [(1e-10, 0.0, True), (3e-9, 0.0, False), (1e-4, 1e6, True), (3e-3, 1e6, False)],
+)
 def test_a_gap_counts_relative_to_the_numbers(gap, at, closes):
     scene = pinned(offset=(0, gap, 0), at=(at, 0, 0))
     if closes:
@@ -101,7 +117,8 @@ def test_an_open_joint_is_named_with_gap_and_tilt():
     with pytest.raises(SceneError) as caught:
         check_consistency(pinned(offset=(3, 0, 4), kind="revolute", axis=(1, 0, 0)))
     assert str(caught.value).startswith(
-        'joints[0] "j": does not close at the initial poses: gap 5 m, tilt 1.57 rad; leave out')
+        'joints[0] "j": does not close at the initial poses: gap 5 m, tilt 1.57 rad; leave out'
+    )
     assert caught.value.place == ("joints", 0)
     with pytest.raises(SceneError, match="gap 0 m, tilt 3.14 rad"):
         check_consistency(pinned(kind="revolute", axis=(0, 0, -1)))
@@ -125,11 +142,20 @@ def test_a_pair_may_start_turned_the_way_it_turns():
 def rod(length=None, reach=(3, 0, 4), at=(0, 0, 0)):
     """A body at `at` on a distance joint to the point `reach` further on."""
     return Scene(
-        name="s", gravity=(0, 0, 0),
+        name="s",
+        gravity=(0, 0, 0),
         bodies=[Body(name="b", mass=1, inertia=[1, 1, 1], position=at)],
-        joints=[DistanceJoint(name="j", parent="world", child="b", length=length,
-                              parent_frame=Frame(position=np.add(at, reach)),
-                              child_frame=Frame())])
+        joints=[
+            DistanceJoint(
+                name="j",
+                parent="world",
+                child="b",
+                length=length,
+                parent_frame=Frame(position=np.add(at, reach)),
+                child_frame=Frame(),
+            )
+        ],
+    )
 
 
 def test_a_distance_left_out_is_the_one_at_the_start():
@@ -137,16 +163,25 @@ def test_a_distance_left_out_is_the_one_at_the_start():
     assert element.length == 5.0
     check_consistency(rod())
     check_consistency(rod(5.0))
-    with pytest.raises(SceneError, match=r"joints\[0\] \"j\": does not close .* gap 1 m, tilt 0 "
-                                         "rad; leave out length to keep the distance"):
+    with pytest.raises(
+        SceneError,
+        match=r"joints\[0\] \"j\": does not close .* gap 1 m, tilt 0 "
+        "rad; leave out length to keep the distance",
+    ):
         check_consistency(rod(4.0))
     with pytest.raises(SceneError, match="gap 2 m, tilt 0 rad"):
         check_consistency(rod(2.0, reach=(0, 0, 0)))
 
 
-@pytest.mark.parametrize("reach, length, at", [
-    ((0, 0, 0), None, 0), ((0, 1e-10, 0), None, 0), ((0, 1e-10, 0), 1e-10, 0),
-    ((1e-4, 0, 0), None, 1e6)])
+@pytest.mark.parametrize(
+    "reach, length, at",
+    [
+        ((0, 0, 0), None, 0),
+        ((0, 1e-10, 0), None, 0),
+        ((0, 1e-10, 0), 1e-10, 0),
+        ((1e-4, 0, 0), None, 1e6),
+    ],
+)
 def test_a_rod_without_length_is_refused(reach, length, at):
     """What is small against the round-off of the positions has no direction."""
     with pytest.raises(SceneError, match="at the same place, .*; use a spherical joint") as caught:
@@ -163,6 +198,7 @@ def test_of_several_open_joints_the_first_is_named():
 
 # ---------------------------------------------------------------- velocities
 
+
 def allowed_velocity(rng, kind, axes, way, cross_axis):
     """Relative angular velocity, and that of the child's point against the parent's body there.
 
@@ -172,12 +208,18 @@ def allowed_velocity(rng, kind, axes, way, cross_axis):
     x, y, z = axes.T
     a, b, c = rng.normal(size=3)
     still, any_turn = np.zeros(3), rng.normal(size=3)
-    across = np.cross(way, any_turn)        # keeps the distance
-    return {"spherical": (any_turn, still), "revolute": (a * z, still),
-            "prismatic": (still, b * z), "cylindrical": (a * z, b * z),
-            "planar": (a * z, b * x + c * y), "screw": (a * z, a * mechanisms.PITCH * z),
-            "fixed": (still, still), "universal": (a * x + b * cross_axis, still),
-            "distance": (any_turn, across)}[kind]
+    across = np.cross(way, any_turn)  # keeps the distance
+    return {
+        "spherical": (any_turn, still),
+        "revolute": (a * z, still),
+        "prismatic": (still, b * z),
+        "cylindrical": (a * z, b * z),
+        "planar": (a * z, b * x + c * y),
+        "screw": (a * z, a * mechanisms.PITCH * z),
+        "fixed": (still, still),
+        "universal": (a * x + b * cross_axis, still),
+        "distance": (any_turn, across),
+    }[kind]
 
 
 def forbidden_direction(kind, axes, way):
@@ -206,14 +248,27 @@ def moving(rng, kind, error=0.0, turn=np.zeros(3)):
         v = v_parent + np.cross(w_parent, q - parent_pose[:3, 3]) + s + np.cross(w, C[:3, 3] - q)
         if child == "b":
             v = v + error * forbidden_direction(kind, at_parent[:3, :3], way)
-        bodies.append(Body(name=child, mass=1, inertia=[1, 1, 1], **keys,
-                           angular_velocity=C[:3, :3].T @ w + (turn if child == "b" else 0.0),
-                           linear_velocity=C[:3, :3].T @ v))
+        bodies.append(
+            Body(
+                name=child,
+                mass=1,
+                inertia=[1, 1, 1],
+                **keys,
+                angular_velocity=C[:3, :3].T @ w + (turn if child == "b" else 0.0),
+                linear_velocity=C[:3, :3].T @ v,
+            )
+        )
         # both frames are given
-        joints.append(mechanisms.joint(
-            kind, name=f"to_{child}", parent=parent, child=child,
-            parent_frame=described(np.linalg.inv(parent_pose) @ at_parent),
-            child_frame=described(np.linalg.inv(C) @ at_child)))
+        joints.append(
+            mechanisms.joint(
+                kind,
+                name=f"to_{child}",
+                parent=parent,
+                child=child,
+                parent_frame=described(np.linalg.inv(parent_pose) @ at_parent),
+                child_frame=described(np.linalg.inv(C) @ at_child),
+            )
+        )
         parent_pose, w_parent, v_parent = C, w, v
     return Scene(name="s", gravity=(0, 0, 0), bodies=bodies, joints=joints)
 
@@ -238,8 +293,8 @@ def test_a_velocity_against_a_joint_is_named_with_its_size(kind):
         with pytest.raises(SceneError) as caught:
             check_consistency(moving(rng, kind, error))
         assert str(caught.value).startswith(
-            'joints[1] "to_b": the initial velocities violate the joint by '
-            f"{error:.3g} m/s and ")
+            f'joints[1] "to_b": the initial velocities violate the joint by {error:.3g} m/s and '
+        )
         assert caught.value.place == ("joints", 1)
 
 
@@ -259,10 +314,15 @@ def test_the_velocities_the_message_gives_are_consistent(kind):
         scene = moving(rng, kind, rng.normal(), rng.normal(size=3))
         with pytest.raises(SceneError) as caught:
             check_consistency(scene)
-        vectors = re.search(r'"b" would follow it with angular_velocity \[(.*)\] and '
-                            r"linear_velocity \[(.*)\]$", str(caught.value))
-        update = {key: [float(x) for x in text.split(",")] for key, text in
-                  zip(("angular_velocity", "linear_velocity"), vectors.groups())}
+        vectors = re.search(
+            r'"b" would follow it with angular_velocity \[(.*)\] and '
+            r"linear_velocity \[(.*)\]$",
+            str(caught.value),
+        )
+        update = {
+            key: [float(x) for x in text.split(",")]
+            for key, text in zip(("angular_velocity", "linear_velocity"), vectors.groups())
+        }
         mended = scene.bodies[1].model_copy(update=update)
         check_consistency(scene.model_copy(update={"bodies": [scene.bodies[0], mended]}))
 
@@ -274,11 +334,12 @@ def test_the_heavy_top_at_rest_at_its_centre_is_refused_with_the_right_velocity(
     assert wrong != text
     with pytest.raises(SceneError) as caught:
         scene_from_text(wrong, source="top.yaml")
-    line = text[:text.index("- name: pivot")].count("\n") + 1
+    line = text[: text.index("- name: pivot")].count("\n") + 1
     assert str(caught.value) == (
         f'top.yaml:{line}: joints[0] "pivot": the initial velocities violate the joint by '
         '0.25 m/s and 0 rad/s; "top" would follow it with angular_velocity [0, 0, 0.5] and '
-        "linear_velocity [0, 0.25, 0]")
+        "linear_velocity [0, 0.25, 0]"
+    )
 
 
 def test_extreme_numbers_are_judged_without_a_warning(recwarn):

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Facts about a scene: counted by hand, or against the dense matrix."""
+
 import mechanisms
 import numpy as np
 import pytest
@@ -18,8 +19,16 @@ from liegroup_sim_ros.chapter.joint_runs import four_bar
 def test_heavy_top():
     facts = describe(make_layout(load_scene("heavy_top")))
     assert facts["degrees_of_freedom"] == 3 and facts["dropped_rows"] == []
-    assert facts["joints"] == [{"name": "pivot", "type": "spherical", "parent": "world",
-                                "child": "top", "rows": ["vx", "vy", "vz"], "dropped": []}]
+    assert facts["joints"] == [
+        {
+            "name": "pivot",
+            "type": "spherical",
+            "parent": "world",
+            "child": "top",
+            "rows": ["vx", "vy", "vz"],
+            "dropped": [],
+        }
+    ]
     assert facts["forces"] == [{"name": "spring", "type": "spring_damper", "on": ["world", "top"]}]
     assert facts["solve"]["constant"] and facts["solve"]["unknowns"] == 9
     # One block of 6, one of 3, and the 3 x 6 between them.
@@ -54,13 +63,13 @@ def test_structure_of_the_solve_is_that_of_the_matrix(name):
     found = solve_structure(model)
     work = make_work(model, 1)
     size = len(model.constant)
-    work.matrix[:model.fresh] = np.nan
-    work.matrix[model.fresh:size] = model.constant[model.fresh:]
+    work.matrix[: model.fresh] = np.nan
+    work.matrix[model.fresh : size] = model.constant[model.fresh :]
     assemble(model.replace(matrix=model.constant), work, *initial_state(layout.scene))
     written = 0
     for vertex in model.vertices:
-        for below, place, _ in model.columns[vertex["column_start"]:vertex["column_end"]]:
-            block = work.matrix[place:place + model.vertices[below]["size"] * vertex["size"]]
+        for below, place, _ in model.columns[vertex["column_start"] : vertex["column_end"]]:
+            block = work.matrix[place : place + model.vertices[below]["size"] * vertex["size"]]
             assert np.isfinite(block).all()
             written += bool(block.any())
     assert found["blocks"] - found["fill"] == written
@@ -73,7 +82,7 @@ def test_operations_of_a_dense_factor():
     *_, ranges, columns, updates = block_layout(np.array([6, 3]), [[1], []], [(0, 0)])
     vertices = np.array([(0, k, 0, *each) for k, each in zip((6, 3), ranges)], dtype=VERTEX)
     factor, solve = operations(vertices, columns, updates)
-    assert factor == pytest.approx(9 ** 3 / 3, rel=0.01) and solve == 2 * 9 ** 2
+    assert factor == pytest.approx(9**3 / 3, rel=0.01) and solve == 2 * 9**2
 
 
 # Twice M^-1 of 18; and for the ball two triangles of 9, and the 3 x 6 below the body twice.

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The index-1 solve against a dense one, and its structure."""
+
 import engine
 import mechanisms
 import naive
@@ -36,12 +37,16 @@ def test_accelerations_are_those_of_the_dense_saddle_point(name, seed):
     twists = {body.name: body.twist for body in scene.bodies}
 
     def along(t):
-        return naive.residual(scene, frames, {key: naive.displaced(matrix, t * twists[key])
-                                              for key, matrix in matrices.items()})
+        return naive.residual(
+            scene,
+            frames,
+            {key: naive.displaced(matrix, t * twists[key]) for key, matrix in matrices.items()},
+        )
 
     h = 1e-3
     rate = (-along(2 * h) + 16 * along(h) - 30 * along(0) + 16 * along(-h) - along(-2 * h)) / (
-        12 * h * h)
+        12 * h * h
+    )
     expected = naive.accelerations(scene, frames, matrices, twists, rate)
     found = engine_accelerations(Simulation(scene))
     # A body that is welded to the world does not accelerate: gravity is there all the same.
@@ -52,8 +57,14 @@ def test_accelerations_are_those_of_the_dense_saddle_point(name, seed):
 
 def random_tree(rng):
     """Five bodies, and joints of any kind."""
-    links = [(f"b{rng.integers(max(0, i - 2), i)}" if i else "world", f"b{i}",
-              rng.choice(mechanisms.KINDS)) for i in range(5)]
+    links = [
+        (
+            f"b{rng.integers(max(0, i - 2), i)}" if i else "world",
+            f"b{i}",
+            rng.choice(mechanisms.KINDS),
+        )
+        for i in range(5)
+    ]
     return mechanisms.mechanism(rng, links, springs=0)
 
 
@@ -66,7 +77,7 @@ def distance_to_dense(simulation):
     wrenches(simulation.layout.model, work, pose, twist, np.zeros_like(twist), work.wrench)
     M = engine.masses(simulation.layout.centred)
     K = np.block([[M, J.T], [J, np.zeros((len(J), len(J)))]])
-    wanted = np.linalg.solve(K, np.concatenate([work.wrench.ravel(), bias]))[:twist.size]
+    wanted = np.linalg.solve(K, np.concatenate([work.wrench.ravel(), bias]))[: twist.size]
     found = np.concatenate(list(engine_accelerations(simulation).values()))
     return np.abs(found - wanted).max() / max(9.81, np.abs(wanted).max())
 
@@ -82,12 +93,22 @@ def test_both_ways_through_a_tree(monkeypatch, bodies_first, seed):
     rng = np.random.default_rng(seed)
     scene = random_tree(rng)
     heavier = np.exp(rng.uniform(0.0, np.log(900.0), size=len(scene.bodies)))
-    scene = scene.model_copy(update={"bodies": tuple(
-        body.model_copy(update={"mass": factor * body.mass,
-                                "inertia": tuple(factor * np.array(body.inertia))})
-        for factor, body in zip(heavier, scene.bodies))})
-    monkeypatch.setattr(build, "cheapest_structure",
-                        lambda *given: Structure(*given[:5], bodies_first))
+    scene = scene.model_copy(
+        update={
+            "bodies": tuple(
+                body.model_copy(
+                    update={
+                        "mass": factor * body.mass,
+                        "inertia": tuple(factor * np.array(body.inertia)),
+                    }
+                )
+                for factor, body in zip(heavier, scene.bodies)
+            )
+        }
+    )
+    monkeypatch.setattr(
+        build, "cheapest_structure", lambda *given: Structure(*given[:5], bodies_first)
+    )
     simulation = Simulation(scene)
     assert distance_to_dense(simulation) <= 1e-12
 
@@ -106,8 +127,11 @@ def test_no_digits_are_lost_to_levers_across_thin_bodies(thin, seed):
     for body in scene.bodies:
         turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
         matrix = 0.1 * body.mass * turn @ np.diag([1.0, 1.0, thin]) @ turn.T
-        bodies.append(body.model_copy(update={
-            "inertia": (*np.diag(matrix), matrix[0, 1], matrix[0, 2], matrix[1, 2])}))
+        bodies.append(
+            body.model_copy(
+                update={"inertia": (*np.diag(matrix), matrix[0, 1], matrix[0, 2], matrix[1, 2])}
+            )
+        )
     simulation = Simulation(scene.model_copy(update={"bodies": tuple(bodies)}))
     assert distance_to_dense(simulation) <= (1e-12 if thin == 1e-2 else 1e-13)
 
@@ -119,21 +143,43 @@ def test_no_digits_are_lost_to_slender_rods_on_hinges(radius, turn):
 
     1e-13: the dense solve itself is right to some 1e-14 here.
     """
-    bodies = [Body(name=f"r{i}", shape=Rod(axis=(1, 0, 0), length=1.0, radius=radius, mass=1.0),
-                   position=(i + 0.5, 0.0, 0.0)) for i in range(4)]
-    joints = [Joint(name=f"j{i}", type="revolute", parent=f"r{i - 1}" if i else "world",
-                    child=f"r{i}", child_frame=Frame(position=(-0.5, 0, 0), rotation_vector=turn))
-              for i in range(4)]
+    bodies = [
+        Body(
+            name=f"r{i}",
+            shape=Rod(axis=(1, 0, 0), length=1.0, radius=radius, mass=1.0),
+            position=(i + 0.5, 0.0, 0.0),
+        )
+        for i in range(4)
+    ]
+    joints = [
+        Joint(
+            name=f"j{i}",
+            type="revolute",
+            parent=f"r{i - 1}" if i else "world",
+            child=f"r{i}",
+            child_frame=Frame(position=(-0.5, 0, 0), rotation_vector=turn),
+        )
+        for i in range(4)
+    ]
     scene = Scene(name="rods", gravity=(0.1, 0.3, -9.81), bodies=bodies, joints=joints)
     assert distance_to_dense(Simulation(scene, space="space")) <= 1e-13
 
 
 def test_a_joint_does_not_care_which_side_is_called_parent():
     scene = mechanisms.named("net")
-    turned = [joint.model_copy(update={
-        "parent": joint.child, "child": joint.parent,
-        "parent_frame": joint.child_frame, "child_frame": joint.parent_frame})
-        if joint.parent != "world" else joint for joint in scene.joints]
+    turned = [
+        joint.model_copy(
+            update={
+                "parent": joint.child,
+                "child": joint.parent,
+                "parent_frame": joint.child_frame,
+                "child_frame": joint.parent_frame,
+            }
+        )
+        if joint.parent != "world"
+        else joint
+        for joint in scene.joints
+    ]
     found = engine_accelerations(Simulation(scene))
     again = engine_accelerations(Simulation(scene.model_copy(update={"joints": tuple(turned)})))
     size = max(np.abs(value).max() for value in found.values())
@@ -195,7 +241,8 @@ def test_bodies_first_leave_the_joints_of_a_body_coupled():
 def test_what_depends_on_a_pose_changes_and_nothing_else():
     """A body on two joints, 6 + 3 + 3: the block of the second joint changes."""
     place, (summed, fresh, size, end), ranges, columns, updates = block_layout(
-        np.array([6, 3, 3]), [[1, 2], [2], []], [(2, 0)])
+        np.array([6, 3, 3]), [[1, 2], [2], []], [(2, 0)]
+    )
     changing = {block for block, at in place.items() if at < fresh}
     assert changing == {(2, 0), (2, 1), (2, 2)} and fresh == 18 + 9 + 9
     # The block that is written anew comes after those that are added to.
@@ -213,7 +260,7 @@ def test_what_depends_on_a_pose_changes_and_nothing_else():
 def test_what_is_written_anew_has_no_constant_part(name):
     """`assemble` writes those blocks of J over, so nothing may have been added to them."""
     model = Simulation(mechanisms.named(name)).layout.model
-    assert not model.matrix[model.summed:model.fresh].any()
+    assert not model.matrix[model.summed : model.fresh].any()
 
 
 @pytest.mark.parametrize("name", mechanisms.MECHANISMS)
@@ -230,8 +277,10 @@ def test_power_balance(name):
     power = 0.0
     for spring in scene.forces:
         ends, speeds = [], []
-        for body, point in ((spring.parent, spring.parent_point),
-                            (spring.child, spring.child_point)):
+        for body, point in (
+            (spring.parent, spring.parent_point),
+            (spring.child, spring.child_point),
+        ):
             matrix = start.poses.get(body, np.eye(4))
             twist = start.twists.get(body, np.zeros(6))
             ends.append(matrix[:3, :3] @ np.array(point) + matrix[:3, 3])

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The map of extremes: its verdicts catch planted wrong answers, and none is silent."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -23,8 +24,16 @@ from liegroup_core.study.extremes.cell import (
 )
 from liegroup_core.study.extremes.extremes import axes_of, column, counts, silent, survey
 
-METHODS = ("rkmk2", "rkmk4", "rkmk54", "rkmk8", "generalized_alpha", "stoermer_verlet", "rattle",
-           "constrained_rattle")
+METHODS = (
+    "rkmk2",
+    "rkmk4",
+    "rkmk54",
+    "rkmk8",
+    "generalized_alpha",
+    "stoermer_verlet",
+    "rattle",
+    "constrained_rattle",
+)
 
 
 def verdict(problem, method, make=Simulation, **more):
@@ -55,8 +64,9 @@ def test_plausible_wrong_answers_are_silent(mutant, amplitude):
     assert found["verdict"] == SILENT and found["error"] > 0.2 and not found["says"]
 
 
-@pytest.mark.parametrize("method", ["constrained_rattle", "constrained_rattle4",
-                                    "constrained_rattle8"])
+@pytest.mark.parametrize(
+    "method", ["constrained_rattle", "constrained_rattle4", "constrained_rattle8"]
+)
 def test_squares_that_have_no_digits(method):
     """Around 1e-160 rad those of angles are below the least normal number, or zero."""
     errors = []
@@ -82,8 +92,17 @@ def test_the_other_verdicts():
 
 def test_a_loss_of_accuracy_along_a_scale_is_wrong():
     """1 % is right where nothing better is due, and wrong where the scale 1 has 1e-6."""
-    cells = [{"method": "rkmk4", "value": value, "error": error, "uncertainty": 0.0, "says": [],
-              "verdict": ACCURATE} for value, error in ((1.0, 1e-6), (10.0, 1e-5), (100.0, 1e-2))]
+    cells = [
+        {
+            "method": "rkmk4",
+            "value": value,
+            "error": error,
+            "uncertainty": 0.0,
+            "says": [],
+            "verdict": ACCURATE,
+        }
+        for value, error in ((1.0, 1e-6), (10.0, 1e-5), (100.0, 1e-2))
+    ]
     judge_alike(cells, 1.0)
     assert [cell["verdict"] for cell in cells] == [ACCURATE, ACCURATE, SILENT]
 
@@ -95,20 +114,28 @@ def test_sizes_are_those_of_the_motion():
     none = np.zeros((2, 1, 3))
     truth = problems.motions.Truth(R, none, 0.0)
     assert extremes_cell.sizes(truth, 2.0) == (1e-300, 2e-300)
-    angle, _ = extremes_cell.apart(about(2, np.array([3.0])), none[0], about(2, np.array([0.5])),
-                                   none[0])
+    angle, _ = extremes_cell.apart(
+        about(2, np.array([3.0])), none[0], about(2, np.array([0.5])), none[0]
+    )
     assert angle == pytest.approx(2.5, rel=1e-15)
 
 
 def test_truths_agree_with_the_independent_integration():
     """Closed forms and equations in one angle against DOP853 on all coordinates."""
-    for problem in (problems.step_bars(5e-3), problems.mass_chain(3.0), problems.angle(1.0),
-                    problems.stiff(1e3), problems.step_top(0.05), problems.inertia_rod(10.0)):
+    for problem in (
+        problems.step_bars(5e-3),
+        problems.mass_chain(3.0),
+        problems.angle(1.0),
+        problems.stiff(1e3),
+        problems.step_top(0.05),
+        problems.inertia_rod(10.0),
+    ):
         times = problem.samples()[:4] * problem.step
         mine = problem.motion(times)
         theirs = problems.motions.integrated(problem.scene, problem.length)(times)
-        angle, way = extremes_cell.apart(mine.rotation, mine.position, theirs.rotation,
-                                         theirs.position)
+        angle, way = extremes_cell.apart(
+            mine.rotation, mine.position, theirs.rotation, theirs.position
+        )
         assert max(angle, way) < 1e-8
 
 
@@ -129,17 +156,20 @@ def test_what_was_run_is_not_run_again(tmp_path, monkeypatch):
     methods = ("rkmk4", "rattle")
 
     def whole(kept, methods):
-        cells = [cell | {"seconds": 0.0} for *_, found, _ in survey(
-            axes, True, methods, workers=1, kept=kept) for cell in found]
+        cells = [
+            cell | {"seconds": 0.0}
+            for *_, found, _ in survey(axes, True, methods, workers=1, kept=kept)
+            for cell in found
+        ]
         return sorted(cells, key=lambda cell: (cell["axis"], cell["value"], cell["method"]))
 
     alone = whole(None, methods)
     ended = survey(axes, True, methods[:1], workers=1, kept=extremes.Kept.of(root=tmp_path))
     next(ended), next(ended)
     ended.close()
-    file, = tmp_path.rglob("*.jsonl")
+    (file,) = tmp_path.rglob("*.jsonl")
     with open(file, "a", encoding="utf-8") as stream:
-        stream.write('\n{"axis": "angle", "val')        # a process killed while it wrote
+        stream.write('\n{"axis": "angle", "val')  # a process killed while it wrote
     made = []
     monkeypatch.setattr(extremes, "column", lambda item: made.append(item) or column(item))
     assert whole(extremes.Kept.of(root=tmp_path), methods) == alone
@@ -157,6 +187,7 @@ def test_a_scene_that_cannot_be_made_is_refused_by_the_methods_that_are_for_it()
         *joints, last = made.scene.joints
         last = last.model_copy(update={"parent_frame": Frame(position=(distance, 0, 0))})
         return replace(made, scene=made.scene.model_copy(update={"joints": (*joints, last)}))
+
     axis = replace(next(axis for axis in AXES if axis.name == "length_bars"), problem=far)
     cells = column((axis, 5.0, ("rkmk4", "rattle")))
     assert [(cell["method"], cell["verdict"]) for cell in cells] == [("rkmk4", REFUSED)]

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Forces in scene files: what is read, and every mistake in one line that says where and what."""
+
 import math
 
 import pytest
@@ -22,8 +23,10 @@ forces:
 SPRING = "type: torsional_spring_damper, joint: hinge, stiffness: 5, damping: 1, rest_angle: -20"
 MOTOR = "type: motor, joint: hinge, torque: -5, rate_limit: 100"
 DRAG = "type: drag, body: a, linear: 1, quadratic: 2, angular: 3, angular_quadratic: 4"
-PUSH = ("type: applied_wrench, body: b, force: [1, 2, 3], torque: [4, 5, 6], point: [7, 8, 9], "
-        "axes: world, start: 0.25, end: 0.75")
+PUSH = (
+    "type: applied_wrench, body: b, force: [1, 2, 3], torque: [4, 5, 6], point: [7, 8, 9], "
+    "axes: world, start: 0.25, end: 0.75"
+)
 
 
 def scene_with(force):
@@ -39,7 +42,12 @@ def test_every_number_arrives_in_the_model():
 
     spring = row(SPRING)
     assert [spring[key] for key in ("parent", "child", "stiffness", "damping", "rest_angle")] == [
-        0, 1, 5, 1, -20]
+        0,
+        1,
+        5,
+        1,
+        -20,
+    ]
     motor = row(MOTOR)
     assert (motor["torque"], motor["slope"]) == (-5, 0.05)
     assert row(MOTOR.replace(", rate_limit: 100", ""))["slope"] == 0.0
@@ -52,32 +60,48 @@ def test_every_number_arrives_in_the_model():
     assert (push["world_axes"], push["start"], push["end"]) == (0, 0.0, math.inf)
 
 
-@pytest.mark.parametrize("force, message", [
-    (SPRING.replace("hinge", "hing"),
-     "joint 'hing' is no joint; did you mean \"hinge\"? known are ball, hinge"),
-    (SPRING.replace("hinge", "ball"),
-     'joint "ball" is spherical, but torsional_spring_damper needs one that is revolute or '),
-    (MOTOR.replace("hinge", "ball"), 'joint "ball" is spherical, but motor needs one that is '),
-    ("type: linear_motor, joint: hinge, force: 1",
-     'joint "hinge" is revolute, but linear_motor needs one that is prismatic or '),
-    ("type: linear_spring_damper, joint: hinge, stiffness: 1",
-     'joint "hinge" is revolute, but linear_spring_damper needs one that is prismatic or '),
-    (SPRING.replace("joint: hinge, ", ""), "joint is missing: give the name of a joint that "),
-    (SPRING.replace("joint: hinge", "joint: 3"), "joint must be text, got 3"),
-    (SPRING.replace("stiffness: 5", "stiffness: -5"), "stiffness must not be negative, got -5"),
-    (SPRING.replace("-20", ".inf"), "rest_angle must be finite, got inf"),
-    (SPRING.replace("rest_angle", "rest_angel"),
-     "unknown key 'rest_angel'; did you mean \"rest_angle\"?"),
-    (MOTOR.replace("100", "0"), "rate_limit must be greater than 0, got 0"),
-    (MOTOR.replace("torque: -5, ", ""), "torque is missing: give the torque on the child at rest"),
-    (DRAG.replace("body: a", "body: c"), "body 'c' is no body; known are a, b"),
-    (DRAG.replace("body: a", "body: world"), "body 'world' is no body; known are a, b"),
-    (DRAG.replace("quadratic: 2", "quadratic: -2"), "quadratic must not be negative, got -2"),
-    (PUSH.replace("0.75", "0.25"), "end 0.25 must be later than start 0.25: give a later end"),
-    (PUSH.replace("start: 0.25", "start: -1"), "start must not be negative, got -1"),
-    (PUSH.replace("axes: world", "axes: hinge"), "axes must be 'body' or 'world', got 'hinge'"),
-    (PUSH.replace("[1, 2, 3]", "[1, 2]"), "force must have 3 numbers [x, y, z], got [1, 2]"),
-])
+@pytest.mark.parametrize(
+    "force, message",
+    [
+        (
+            SPRING.replace("hinge", "hing"),
+            "joint 'hing' is no joint; did you mean \"hinge\"? known are ball, hinge",
+        ),
+        (
+            SPRING.replace("hinge", "ball"),
+            'joint "ball" is spherical, but torsional_spring_damper needs one that is revolute or ',
+        ),
+        (MOTOR.replace("hinge", "ball"), 'joint "ball" is spherical, but motor needs one that is '),
+        (
+            "type: linear_motor, joint: hinge, force: 1",
+            'joint "hinge" is revolute, but linear_motor needs one that is prismatic or ',
+        ),
+        (
+            "type: linear_spring_damper, joint: hinge, stiffness: 1",
+            'joint "hinge" is revolute, but linear_spring_damper needs one that is prismatic or ',
+        ),
+        (SPRING.replace("joint: hinge, ", ""), "joint is missing: give the name of a joint that "),
+        (SPRING.replace("joint: hinge", "joint: 3"), "joint must be text, got 3"),
+        (SPRING.replace("stiffness: 5", "stiffness: -5"), "stiffness must not be negative, got -5"),
+        (SPRING.replace("-20", ".inf"), "rest_angle must be finite, got inf"),
+        (
+            SPRING.replace("rest_angle", "rest_angel"),
+            "unknown key 'rest_angel'; did you mean \"rest_angle\"?",
+        ),
+        (MOTOR.replace("100", "0"), "rate_limit must be greater than 0, got 0"),
+        (
+            MOTOR.replace("torque: -5, ", ""),
+            "torque is missing: give the torque on the child at rest",
+        ),
+        (DRAG.replace("body: a", "body: c"), "body 'c' is no body; known are a, b"),
+        (DRAG.replace("body: a", "body: world"), "body 'world' is no body; known are a, b"),
+        (DRAG.replace("quadratic: 2", "quadratic: -2"), "quadratic must not be negative, got -2"),
+        (PUSH.replace("0.75", "0.25"), "end 0.25 must be later than start 0.25: give a later end"),
+        (PUSH.replace("start: 0.25", "start: -1"), "start must not be negative, got -1"),
+        (PUSH.replace("axes: world", "axes: hinge"), "axes must be 'body' or 'world', got 'hinge'"),
+        (PUSH.replace("[1, 2, 3]", "[1, 2]"), "force must have 3 numbers [x, y, z], got [1, 2]"),
+    ],
+)
 def test_a_mistake_is_one_line(force, message):
     with pytest.raises(SceneError) as caught:
         scene_with(force)
@@ -88,6 +112,6 @@ def test_a_mistake_is_one_line(force, message):
 
 
 def test_a_joint_force_without_joints():
-    text = HEAD[:HEAD.index("joints:")] + f"forces:\n  - {{name: it, {MOTOR}}}\n"
+    text = HEAD[: HEAD.index("joints:")] + f"forces:\n  - {{name: it, {MOTOR}}}\n"
     with pytest.raises(SceneError, match="joint 'hinge' is no joint; the scene has no joints"):
         scene_from_text(text)

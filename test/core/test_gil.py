@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Steps are taken without the interpreter's lock: other threads of the process go on meanwhile."""
+
 import threading
 import time
 
@@ -13,7 +14,7 @@ from liegroup_core.compiling.kernels import compiled
 def test_other_threads_run_while_steps_are_taken():
     """With the lock held, this thread would stand still for as long as the steps take."""
     simulation = Simulation(load_scene("heavy_top"))
-    steps, span = 500_000, []               # half a second in one compiled call
+    steps, span = 500_000, []  # half a second in one compiled call
 
     def take():
         start = time.perf_counter()

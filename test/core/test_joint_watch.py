@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A motion that left its joints is not silent."""
+
 import logging
 
 import numpy as np
@@ -49,8 +50,10 @@ def test_joints_that_are_no_joints_any_more_are_said():
     assert simulation.sample().constraint_residual > 1e-3 * size
 
 
-@pytest.mark.parametrize("name", ["heavy_top", "free_body", "slider_crank", "bricard",
-                                  "double_pendulum", "lagrangian_top"])
+@pytest.mark.parametrize(
+    "name",
+    ["heavy_top", "free_body", "slider_crank", "bricard", "double_pendulum", "lagrangian_top"],
+)
 def test_good_runs_are_left_alone(name):
     assert run(name, 3000).doubt is None
 
@@ -64,8 +67,9 @@ def test_it_is_said_however_the_steps_are_asked_for():
 
 def test_a_push_is_no_singular_pose():
     """From rest joints do not open at all; under a push they do, and nothing was before that."""
-    simulation = Simulation(load_scene("double_pendulum").model_copy(
-        update={"gravity": (0, 0, 0)}), step=5e-3)
+    simulation = Simulation(
+        load_scene("double_pendulum").model_copy(update={"gravity": (0, 0, 0)}), step=5e-3
+    )
     simulation.advance(2 * EVERY)
     assert simulation.sample().constraint_residual < 1e-15
     simulation.apply_wrench("lower", (0, 2.0, 0, 0, 0, 0), duration=1.0)

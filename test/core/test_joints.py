@@ -4,6 +4,7 @@
 What a joint allows is said here once more, as motions along single directions and as formulas of
 machines (the thread of a screw, Hooke's joint, the conical pendulum), without the table of rows.
 """
+
 import math
 from types import SimpleNamespace
 
@@ -73,6 +74,7 @@ def allowed(rng, kind, pitch=0.7, size=1.0):
 
 # ---------------------------------------------------------------- the table of lower pairs
 
+
 @pytest.mark.parametrize("kind", LOWER_PAIRS)
 @pytest.mark.parametrize("pitch", [0.0, 0.7, -3e-3])
 def test_the_rows_forbid_all_but_the_free_motions(kind, pitch):
@@ -133,8 +135,9 @@ def test_a_screw_without_a_pitch_is_a_hinge(pitch):
     C[:3, 3] = 0.1, -0.2, 0.3
     error = residual("screw", C, pitch=pitch)
     np.testing.assert_allclose(error, residual("revolute", C), atol=1e-15)
-    np.testing.assert_allclose(LOWER_PAIRS["screw"].forbidden(0.0),
-                               LOWER_PAIRS["revolute"].forbidden())
+    np.testing.assert_allclose(
+        LOWER_PAIRS["screw"].forbidden(0.0), LOWER_PAIRS["revolute"].forbidden()
+    )
 
 
 @pytest.mark.parametrize("kind", FREE)
@@ -180,14 +183,15 @@ def test_next_to_closed_the_residual_changes_as_the_rows_say(kind, size):
         reach = 1.0 + distance + (1.0 / distance if kind == "distance" else 0.0)
         # Second order: products of two vectors of up to sqrt(3) size each, in units in which the
         # arm or the curvature of a sphere counts; then round-off of a few products.
-        assert np.abs(error).max() <= 6 * reach ** 2 * size ** 2 + 32 * reach * EPS
+        assert np.abs(error).max() <= 6 * reach**2 * size**2 + 32 * reach * EPS
 
 
 def test_rotation_z_to_is_a_rotation_to_round_off():
     rng = np.random.default_rng(3)
     axes = list(rng.normal(size=(50, 3))) + [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0, -1, 0)]
-    axes += [(tiny, -tiny, sign) for tiny in (1e-300, 1e-170, 1e-16, 1e-8, 1e-3)
-             for sign in (1, -1)]
+    axes += [
+        (tiny, -tiny, sign) for tiny in (1e-300, 1e-170, 1e-16, 1e-8, 1e-3) for sign in (1, -1)
+    ]
     for axis in axes:
         axis = np.array(axis) / np.linalg.norm(axis)
         R = rotation_z_to(axis)
@@ -201,15 +205,17 @@ def test_rotation_z_to_is_a_rotation_to_round_off():
 
 # ---------------------------------------------------------------- joints with own formulas
 
+
 def test_a_universal_joint_turns_its_shafts_as_hookes_joint_does():
     """w_b / w_a = cos beta / (1 - sin^2 beta cos^2 gamma), shafts at an angle beta, the cross of
-    shaft a turned by gamma from their plane (any textbook on machines)."""
+    shaft a turned by gamma from their plane (any textbook on machines).
+    """
     for beta in (0.0, 0.3, 1.2):
         shaft_b = np.array([math.sin(beta), 0.0, math.cos(beta)])
         for gamma in (0.0, 0.4, 2.0, -3.0):
-            cross = np.array([math.cos(gamma), math.sin(gamma), 0.0])   # x axis, in yoke a
+            cross = np.array([math.cos(gamma), math.sin(gamma), 0.0])  # x axis, in yoke a
             y = np.cross(shaft_b, cross)
-            y /= np.linalg.norm(y)                                      # y axis, in yoke b
+            y /= np.linalg.norm(y)  # y axis, in yoke b
             parent, child = np.eye(4), np.eye(4)
             parent[:3, :3] = np.column_stack([cross, np.cross([0, 0, 1], cross), [0, 0, 1]])
             child[:3, :3] = np.column_stack([np.cross(y, shaft_b), y, shaft_b])
@@ -227,11 +233,17 @@ def conical_pendulum(angle=0.6, length=0.8):
     """A ball on a rod that goes round; its period is 2 pi sqrt(l cos(angle) / g)."""
     period = 2.0 * math.pi * math.sqrt(length * math.cos(angle) / 9.81)
     radius = length * math.sin(angle)
-    ball = Body(name="ball", mass=2.0, inertia=(0.1, 0.2, 0.25), angular_velocity=(1.0, 2.0, 3.0),
-                position=(radius, 0, -length * math.cos(angle)),
-                linear_velocity=(0, 2.0 * math.pi * radius / period, 0))
-    rod = DistanceJoint(name="rod", parent="world", child="ball", parent_frame=Frame(),
-                        child_frame=Frame())
+    ball = Body(
+        name="ball",
+        mass=2.0,
+        inertia=(0.1, 0.2, 0.25),
+        angular_velocity=(1.0, 2.0, 3.0),
+        position=(radius, 0, -length * math.cos(angle)),
+        linear_velocity=(0, 2.0 * math.pi * radius / period, 0),
+    )
+    rod = DistanceJoint(
+        name="rod", parent="world", child="ball", parent_frame=Frame(), child_frame=Frame()
+    )
     return period, Scene(name="cone", gravity=(0, 0, -9.81), bodies=[ball], joints=[rod])
 
 
@@ -251,6 +263,7 @@ def test_a_rod_carries_a_conical_pendulum():
 
 # ---------------------------------------------------------------- the kernels of the engine
 
+
 @pytest.mark.parametrize("name", mechanisms.MECHANISMS)
 def test_the_kernel_has_the_residuals_of_the_joints(name):
     """At poses where nothing is closed, too."""
@@ -262,12 +275,14 @@ def test_the_kernel_has_the_residuals_of_the_joints(name):
         moved = np.array([C @ motion(size * rng.normal(size=6)) for C in found])
         values = engine.residual(layout.model, moved)
         where = dict(zip(layout.body_names, moved)) | {"world": np.eye(4)}
-        for i, (joint, frames, parts) in enumerate(zip(
-                layout.scene.joints, layout.joint_frames, resolve_elements(layout.scene))):
+        for i, (joint, frames, parts) in enumerate(
+            zip(layout.scene.joints, layout.joint_frames, resolve_elements(layout.scene))
+        ):
             C = np.linalg.inv(where[joint.parent] @ frames[0]) @ where[joint.child] @ frames[1]
             # the same formula of poses with entries up to 20, by another way of multiplying them
-            np.testing.assert_allclose(values[layout.joint_of_row == i],
-                                       position_residual(parts, C), atol=2e-13)
+            np.testing.assert_allclose(
+                values[layout.joint_of_row == i], position_residual(parts, C), atol=2e-13
+            )
 
 
 @pytest.mark.parametrize("name", mechanisms.MECHANISMS)
@@ -275,7 +290,8 @@ def test_the_kernel_has_the_residuals_of_the_joints(name):
 def test_rows_and_bias_are_the_slopes_of_the_residual(name, seed):
     """At closed joints dg = J X for C exp X, and d^2 g / dt^2 = -bias along constant twists V with
     J V = 0. Central differences of step 1e-6 leave 1e-10, five-point second differences of step
-    1e-3 leave 1e-9 times the fourth and more powers of twists of up to 5."""
+    1e-3 leave 1e-9 times the fourth and more powers of twists of up to 5.
+    """
     simulation = Simulation(mechanisms.named(name, seed))
     model = simulation.layout.model
     found, twist = naive.matrices(simulation.state()[0]), simulation.state()[1]
@@ -291,16 +307,19 @@ def test_rows_and_bias_are_the_slopes_of_the_residual(name, seed):
     assert np.abs(J @ twist.ravel()).max() <= 1e-13 * max(1.0, np.abs(J).max())
 
     def along(t):
-        return engine.residual(model, np.array([naive.displaced(C, t * V)
-                                                for C, V in zip(found, twist)]))
+        return engine.residual(
+            model, np.array([naive.displaced(C, t * V) for C, V in zip(found, twist)])
+        )
 
     h = 1e-3
     rate = (-along(2 * h) + 16 * along(h) - 30 * along(0) + 16 * along(-h) - along(-2 * h)) / (
-        12 * h * h)
+        12 * h * h
+    )
     np.testing.assert_allclose(-bias, rate, atol=1e-8 * (1.0 + np.abs(bias).max()))
     # Both ways of keeping a violation agree where there is none.
-    np.testing.assert_allclose(engine.rows(simulation)[1], bias,
-                               atol=1e-12 * (1.0 + np.abs(bias).max()))
+    np.testing.assert_allclose(
+        engine.rows(simulation)[1], bias, atol=1e-12 * (1.0 + np.abs(bias).max())
+    )
 
 
 @pytest.mark.parametrize("name", mechanisms.MECHANISMS)
@@ -314,8 +333,9 @@ def test_the_bias_is_the_rate_of_the_rows_where_joints_are_open_too(name):
     """
     simulation = Simulation(mechanisms.named(name))
     rng = np.random.default_rng(8)
-    found = np.array([C @ motion(0.3 * rng.normal(size=6))
-                      for C in naive.matrices(simulation.state()[0])])
+    found = np.array(
+        [C @ motion(0.3 * rng.normal(size=6)) for C in naive.matrices(simulation.state()[0])]
+    )
     twist = rng.normal(size=(len(found), 6))
 
     def speeds(t):

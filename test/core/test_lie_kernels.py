@@ -4,6 +4,7 @@
 The contract test reaches exp, log, dexp, dexpinv, Ad, ad and the inverse through the matrix
 classes; here are the remaining kernels, the quaternions, the edges, and plain Python.
 """
+
 import json
 import math
 import os
@@ -52,7 +53,7 @@ def test_Ad_inverse_is_Ad_of_the_inverse(seed):
     C, w, v = pose(rng), vector(rng), vector(rng)
     got = np.concatenate(se3.se3_Ad_inverse(*C, w, v))
     want = np.linalg.inv(SE3.Ad(matrix(*C))) @ np.concatenate((w, v))
-    assert np.abs(got - want).max() <= 200 * UNIT    # cond(Ad) is below 10 for |r| < 3
+    assert np.abs(got - want).max() <= 200 * UNIT  # cond(Ad) is below 10 for |r| < 3
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -66,10 +67,22 @@ def test_ad_transpose_is_the_dual_of_ad(seed):
 
 # Quaternions (x, y, z, w) that take each of the four roots, and neighbours of a half turn.
 QUATERNIONS = [
-    (0.0, 0.0, 0.0, 1.0), (1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0),
-    (0.1, 0.2, 0.3, 0.9), (0.9, 0.2, 0.3, 0.1), (0.2, 0.9, -0.3, 0.1), (-0.2, 0.3, 0.9, 0.1),
-    (0.5, 0.5, 0.5, 0.5), (0.5, -0.5, 0.5, 0.5), (1e-9, 0.0, 0.0, 1.0), (0.6, 0.8, 0.0, 1e-9),
-    (1e-300, -2e-300, 0.0, 1.0), (0.9, 0.2, 0.3, -0.1), (0.1, 0.2, 0.3, -0.9)]
+    (0.0, 0.0, 0.0, 1.0),
+    (1.0, 0.0, 0.0, 0.0),
+    (0.0, 1.0, 0.0, 0.0),
+    (0.0, 0.0, 1.0, 0.0),
+    (0.1, 0.2, 0.3, 0.9),
+    (0.9, 0.2, 0.3, 0.1),
+    (0.2, 0.9, -0.3, 0.1),
+    (-0.2, 0.3, 0.9, 0.1),
+    (0.5, 0.5, 0.5, 0.5),
+    (0.5, -0.5, 0.5, 0.5),
+    (1e-9, 0.0, 0.0, 1.0),
+    (0.6, 0.8, 0.0, 1e-9),
+    (1e-300, -2e-300, 0.0, 1.0),
+    (0.9, 0.2, 0.3, -0.1),
+    (0.1, 0.2, 0.3, -0.9),
+]
 
 
 @pytest.mark.parametrize("q", QUATERNIONS)
@@ -119,7 +132,7 @@ def test_tiny_rotations_keep_every_digit(size):
 def test_pure_translation_is_exact():
     zero, eta, w, v = (0.0, 0.0, 0.0), (2.0, -4.0, 8.0), (1.0, 2.0, 3.0), (4.0, 8.0, 16.0)
     assert se3.se3_exp(zero, eta) == ((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), eta)
-    bracket = np.cross(eta, w)                    # the series ends here, as ad^2 w = 0
+    bracket = np.cross(eta, w)  # the series ends here, as ad^2 w = 0
     assert se3.se3_dexp(zero, eta, w, v) == (w, tuple(v + 0.5 * bracket))
     assert se3.se3_dexpinv(zero, eta, w, v) == (w, tuple(v - 0.5 * bracket))
 
@@ -127,9 +140,14 @@ def test_pure_translation_is_exact():
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e200])
 def test_what_is_not_finite_stays_so_and_nothing_raises(bad):
     xi, ok = (0.1, bad, 0.2), (1.0, 2.0, 3.0)
-    results = [so3.so3_exp(xi), so3.so3_dexp(xi, ok), so3.so3_dexpinv(xi, ok),
-               sum(se3.se3_exp(xi, ok), ()), sum(se3.se3_dexp(xi, ok, ok, ok), ()),
-               sum(se3.se3_dexpinv(xi, ok, ok, ok), ())]
+    results = [
+        so3.so3_exp(xi),
+        so3.so3_dexp(xi, ok),
+        so3.so3_dexpinv(xi, ok),
+        sum(se3.se3_exp(xi, ok), ()),
+        sum(se3.se3_dexp(xi, ok, ok, ok), ()),
+        sum(se3.se3_dexpinv(xi, ok, ok, ok), ()),
+    ]
     for result in results:
         assert not all(map(math.isfinite, result))
     if abs(bad) != 1e200:
@@ -169,8 +187,14 @@ json.dump(bits, sys.stdout)
 def test_plain_python_gives_the_same_bits():
     def run(disable):
         environment = {**os.environ, "NUMBA_DISABLE_JIT": disable, "PYTHONPATH": str(ROOT)}
-        done = subprocess.run([sys.executable, "-c", SAMPLE], env=environment, check=True,
-                              capture_output=True, text=True, timeout=60)
+        done = subprocess.run(
+            [sys.executable, "-c", SAMPLE],
+            env=environment,
+            check=True,
+            capture_output=True,
+            text=True,
+            timeout=60,
+        )
         return json.loads(done.stdout)
 
     assert run("0") == run("1")

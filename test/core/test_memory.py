@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A run that is continued from a saved state goes on to the bit, whatever its method keeps."""
+
 import pytest
 
 from liegroup_core import Simulation, load_scene
@@ -36,7 +37,7 @@ def test_a_run_goes_on_to_the_bit_from_a_saved_state(method):
     state = (*saved.state(), SAVED, saved.sample().angles)
     expected = bits(run(scene, method, END))
     assert bits(run(scene, method, END, (*state, saved.memory()))) == expected
-    if saved.memory():                      # else what is saved beside the state is nothing
+    if saved.memory():  # else what is saved beside the state is nothing
         assert bits(run(scene, method, END, state)) != expected
 
 

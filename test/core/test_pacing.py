@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pacing, with a clock that the test turns."""
+
 import json
 import time
 
@@ -8,7 +9,7 @@ import pytest
 
 from liegroup_core.pacing import CATCH_UP, WATCH, LatenessHistogram, Pacer
 
-GLANCE = 1e-6               # s for a look at the clock: the most a watched tick can be late
+GLANCE = 1e-6  # s for a look at the clock: the most a watched tick can be late
 
 
 class Clock:
@@ -75,7 +76,7 @@ def test_short_delay_is_caught_up_with_and_counted():
     pacer.start(0.0)
     start = clock.now
     run(pacer, clock, 10)
-    clock.now += 0.055                      # ticks 11 to 15 are due meanwhile
+    clock.now += 0.055  # ticks 11 to 15 are due meanwhile
     times = run(pacer, clock, 10, first=11) - start
     assert np.ptp(times[:5]) < 10 * GLANCE  # these follow at once
     assert np.allclose(times[5:], np.arange(16, 21) * 0.01, atol=2 * GLANCE)
@@ -145,7 +146,7 @@ def test_wait_ends_early_on_request():
 
     pacer = Pacer(1.0, clock, sleep)
     pacer.start(0.0)
-    assert not pacer.wait(0.01)             # woken: not due
+    assert not pacer.wait(0.01)  # woken: not due
     assert len(woken) == 1 and pacer.ticks == 0
     pacer, clock = make()
     pacer.start(0.0)
@@ -195,8 +196,15 @@ def test_report_is_json_and_names_what_a_recording_needs():
     pacer.start(0.0)
     run(pacer, clock, 10)
     report = json.loads(json.dumps(pacer.report(), allow_nan=False))
-    assert set(report) == {"ticks", "overruns", "reanchored", "lateness_us", "real_time_factor",
-                           "wall_seconds", "sim_seconds"}
+    assert set(report) == {
+        "ticks",
+        "overruns",
+        "reanchored",
+        "lateness_us",
+        "real_time_factor",
+        "wall_seconds",
+        "sim_seconds",
+    }
 
 
 def test_real_clock_is_never_early():

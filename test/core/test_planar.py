@@ -4,6 +4,7 @@
 In space the same equations are solved with six scalars a body, by code that shares neither the
 joints' rows nor the Lie group with the planar one.
 """
+
 import mechanisms
 import numpy as np
 import pytest
@@ -29,11 +30,23 @@ TREES = {
     "hinge": [("world", "a", "revolute")],
     "slider": [("world", "a", "prismatic")],
     "plate": [("world", "a", "planar")],
-    "chain": [("world", "a", "revolute"), ("a", "b", "revolute"), ("b", "c", "prismatic"),
-              ("c", "d", "fixed"), ("a", "e", "planar"), ("e", "f", "revolute")],
+    "chain": [
+        ("world", "a", "revolute"),
+        ("a", "b", "revolute"),
+        ("b", "c", "prismatic"),
+        ("c", "d", "fixed"),
+        ("a", "e", "planar"),
+        ("e", "f", "revolute"),
+    ],
     # Without a plate: solved as articulated bodies.
-    "tree": [("world", "a", "prismatic"), ("a", "b", "revolute"), ("b", "c", "prismatic"),
-             ("c", "d", "fixed"), ("a", "e", "revolute"), ("e", "f", "revolute")],
+    "tree": [
+        ("world", "a", "prismatic"),
+        ("a", "b", "revolute"),
+        ("b", "c", "prismatic"),
+        ("c", "d", "fixed"),
+        ("a", "e", "revolute"),
+        ("e", "f", "revolute"),
+    ],
 }
 LOOPS = {
     "chain with a loop": ("chain", [("world", "d", "spherical")]),
@@ -71,29 +84,64 @@ def mechanism(name, normal, seed=0):
         pose[:3, :3] = turned_about(normal, rng.uniform(-3.0, 3.0)) @ axis_turns(rng)
         pose[:3, 3] = rng.normal(size=3)
         poses[child] = pose
-        axis = n if kind in ("revolute", "planar") else turned_about(normal, 1.3) @ np.eye(3)[
-            (normal + 1) % 3]
+        axis = (
+            n
+            if kind in ("revolute", "planar")
+            else turned_about(normal, 1.3) @ np.eye(3)[(normal + 1) % 3]
+        )
         frames[child] = Frame(position=0.4 * rng.normal(size=3), axis=pose[:3, :3].T @ axis)
-        joints.append(Joint(name=f"to_{child}", type=kind, parent=parent, child=child,
-                            child_frame=frames[child]))
+        joints.append(
+            Joint(
+                name=f"to_{child}", type=kind, parent=parent, child=child, child_frame=frames[child]
+            )
+        )
     for parent, child, kind in loops:
-        joints.append(Joint(name=f"loop_{child}", type=kind, parent=parent, child=child,
-                            child_frame=Frame(position=0.3 * rng.normal(size=3),
-                                              axis=poses[child][:3, :3].T @ n)))
+        joints.append(
+            Joint(
+                name=f"loop_{child}",
+                type=kind,
+                parent=parent,
+                child=child,
+                child_frame=Frame(
+                    position=0.3 * rng.normal(size=3), axis=poses[child][:3, :3].T @ n
+                ),
+            )
+        )
     del poses["world"]
     bodies = []
     for body, pose in poses.items():
         made = mechanisms.random_body(rng, body, np.eye(4))
-        bodies.append(made.model_copy(update={
-            "position": tuple(pose[:3, 3]), "rotation_vector": tuple(SO3.log(pose[:3, :3]))}))
-    forces = [SpringDamper(name="spring", parent="world", child=bodies[-1].name,
-                           parent_point=rng.normal(size=3), child_point=rng.normal(size=3),
-                           stiffness=30.0, damping=0.5, rest_length=0.3),
-              Drag(name="drag", body=bodies[0].name, linear=0.3, quadratic=0.1, angular=0.2)]
-    forces += [TorsionalSpringDamper(name=f"coil_{joint.child}", joint=joint.name, stiffness=2.0,
-                                     damping=0.1) for joint in joints if joint.type == "revolute"]
-    scene = Scene(name="made", gravity=(3.0, -4.0, 5.0), bodies=bodies, joints=joints,
-                  forces=forces)
+        bodies.append(
+            made.model_copy(
+                update={
+                    "position": tuple(pose[:3, 3]),
+                    "rotation_vector": tuple(SO3.log(pose[:3, :3])),
+                }
+            )
+        )
+    forces = [
+        SpringDamper(
+            name="spring",
+            parent="world",
+            child=bodies[-1].name,
+            parent_point=rng.normal(size=3),
+            child_point=rng.normal(size=3),
+            stiffness=30.0,
+            damping=0.5,
+            rest_length=0.3,
+        ),
+        Drag(name="drag", body=bodies[0].name, linear=0.3, quadratic=0.1, angular=0.2),
+    ]
+    forces += [
+        TorsionalSpringDamper(
+            name=f"coil_{joint.child}", joint=joint.name, stiffness=2.0, damping=0.1
+        )
+        for joint in joints
+        if joint.type == "revolute"
+    ]
+    scene = Scene(
+        name="made", gravity=(3.0, -4.0, 5.0), bodies=bodies, joints=joints, forces=forces
+    )
     return mechanisms.moving(rng, scene)
 
 
@@ -111,8 +159,10 @@ def both(scene, steps=200, step=1e-3, push=(0.3, -0.2, 0.4, 5.0, -4.0, 3.0), **s
 
 def difference(first, second):
     """Largest difference of two simulations' poses and twists, relative to sizes above 1."""
-    return max(np.abs(a - b).max() / max(1.0, np.abs(b).max())
-               for a, b in zip(first.state(), second.state()))
+    return max(
+        np.abs(a - b).max() / max(1.0, np.abs(b).max())
+        for a, b in zip(first.state(), second.state())
+    )
 
 
 @pytest.mark.parametrize("group", GROUPS)
@@ -128,9 +178,15 @@ def test_the_motion_is_that_in_space(name, normal, group):
     assert moved > 1e-3
 
 
-@pytest.mark.parametrize("settings", [
-    {"method": "rkmk54", "rtol": 1e-9, "atol": 1e-9}, {"method": "rkmk8"},
-    {"dexpinv": "truncated"}, {"stabilisation": "projection"}])
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"method": "rkmk54", "rtol": 1e-9, "atol": 1e-9},
+        {"method": "rkmk8"},
+        {"dexpinv": "truncated"},
+        {"stabilisation": "projection"},
+    ],
+)
 def test_every_setting_has_its_planar_form(settings):
     planar, space = both(mechanism("chain with a loop", 2), **settings)
     assert difference(planar, space) <= 1e-11
@@ -139,8 +195,9 @@ def test_every_setting_has_its_planar_form(settings):
 
 def test_masses_that_differ_much_are_left_to_the_saddle_point():
     scene = mechanism("tree", 2)
-    heavy = scene.bodies[-1].model_copy(update={
-        "mass": 1e6, "inertia": tuple(1e6 * value for value in scene.bodies[-1].inertia)})
+    heavy = scene.bodies[-1].model_copy(
+        update={"mass": 1e6, "inertia": tuple(1e6 * value for value in scene.bodies[-1].inertia)}
+    )
     plane = make_layout(scene.model_copy(update={"bodies": (*scene.bodies[:-1], heavy)})).plane
     assert len(plane.links) == 0 and plane.refinements == 1
 
@@ -173,8 +230,11 @@ def test_pairs_to_ground_stay_closed_to_round_off(name):
 def test_a_run_does_not_depend_on_how_it_is_cut():
     """What goes from the plane to space and back between calls is the same to the bit."""
     scene = mechanism("chain with a loop", 0)
-    runs = [Simulation(scene, group=group, method=method) for group in GROUPS
-            for method in ("rkmk4", "rkmk54")]
+    runs = [
+        Simulation(scene, group=group, method=method)
+        for group in GROUPS
+        for method in ("rkmk4", "rkmk54")
+    ]
     for run in runs:
         whole = Simulation(scene, group=run.group, method=run.method)
         whole.advance(30)
@@ -189,8 +249,10 @@ def test_nothing_leaves_the_plane():
     sample = simulation.sample()
     normals = np.abs(sample.pose_matrices[:, 2, :3])
     assert (np.sort(normals, axis=1) == (0.0, 0.0, 1.0)).all()
-    assert (sample.pose_matrices[:, 2, 3] == Simulation(simulation.scene).sample()
-            .pose_matrices[:, 2, 3]).all()
+    assert (
+        sample.pose_matrices[:, 2, 3]
+        == Simulation(simulation.scene).sample().pose_matrices[:, 2, 3]
+    ).all()
 
 
 def test_a_state_out_of_the_plane_is_integrated_in_space():
@@ -209,10 +271,20 @@ def test_a_state_out_of_the_plane_is_integrated_in_space():
 def hinged(axis, **body):
     """One body on a hinge, or another joint."""
     keys = {"position": (0.5, 0, 0)} | body
-    return Scene(name="hinged", gravity=(0, 0, -9.81),
-                 bodies=[Body(name="a", mass=1.0, inertia=(0.1, 0.2, 0.3), **keys)],
-                 joints=[Joint(name="j", type="revolute", parent="world", child="a",
-                               child_frame=Frame(position=(-0.5, 0, 0), axis=axis))])
+    return Scene(
+        name="hinged",
+        gravity=(0, 0, -9.81),
+        bodies=[Body(name="a", mass=1.0, inertia=(0.1, 0.2, 0.3), **keys)],
+        joints=[
+            Joint(
+                name="j",
+                type="revolute",
+                parent="world",
+                child="a",
+                child_frame=Frame(position=(-0.5, 0, 0), axis=axis),
+            )
+        ],
+    )
 
 
 def test_what_is_not_held_in_a_plane_of_axes_is_not_taken_for_it():
@@ -229,15 +301,21 @@ def test_what_is_not_held_in_a_plane_of_axes_is_not_taken_for_it():
         scene = hinged((0, 1, 0))
         joint = scene.joints[0].model_copy(update={"type": name})
         assert plane(scene.model_copy(update={"joints": (joint,)})) is None
-    screw = ScrewJoint(name="j", parent="world", child="a", pitch=0.1,
-                       child_frame=Frame(position=(-0.5, 0, 0), axis=(0, 1, 0)))
+    screw = ScrewJoint(
+        name="j",
+        parent="world",
+        child="a",
+        pitch=0.1,
+        child_frame=Frame(position=(-0.5, 0, 0), axis=(0, 1, 0)),
+    )
     assert plane(hinged((0, 1, 0)).model_copy(update={"joints": (screw,)})) is None
     assert plane(load_scene("heavy_top")) is None and plane(load_scene("free_body")) is None
     assert plane(load_scene("ball_chain")) is None and plane(load_scene("bricard")) is None
 
 
-@pytest.mark.parametrize("name", ["double_pendulum", "hinge_chain", "four_bar", "n_four_bar",
-                                  "andrews_squeezer"])
+@pytest.mark.parametrize(
+    "name", ["double_pendulum", "hinge_chain", "four_bar", "n_four_bar", "andrews_squeezer"]
+)
 def test_planar_scenes_are_found_and_agree(name):
     """Loops drift alike: to rounding, as long as no drift has become large."""
     planar, space = both(load_scene(name), steps=100, step=1e-4, push=np.zeros(6))
@@ -246,17 +324,27 @@ def test_planar_scenes_are_found_and_agree(name):
 
 def test_redundant_rows_in_the_plane_are_left_out():
     """A parallelogram with a third crank: 4 bars of 3 scalars and 12 rows of rank 11, one freedom."""
+
     def bar(name, start, end):
         (x0, y0), (x1, y1) = start, end
-        return Body(name=name, mass=1.0, inertia=(0.01, 0.1, 0.1),
-                    position=((x0 + x1) / 2, (y0 + y1) / 2, 0),
-                    rotation_vector=(0, 0, np.arctan2(y1 - y0, x1 - x0)))
+        return Body(
+            name=name,
+            mass=1.0,
+            inertia=(0.01, 0.1, 0.1),
+            position=((x0 + x1) / 2, (y0 + y1) / 2, 0),
+            rotation_vector=(0, 0, np.arctan2(y1 - y0, x1 - x0)),
+        )
 
     def hinge(name, parent, child, at):
         body = next(b for b in bodies if b.name == child)
         point = body.rotation.T @ (np.array([*at, 0.0]) - body.position)
-        return Joint(name=name, type="revolute", parent=parent, child=child,
-                     child_frame=Frame(position=point))
+        return Joint(
+            name=name,
+            type="revolute",
+            parent=parent,
+            child=child,
+            child_frame=Frame(position=point),
+        )
 
     bodies = [bar(f"crank{x}", (x, 0), (x + 0.3, 0.8)) for x in range(3)]
     bodies.append(bar("coupler", (0.3, 0.8), (2.3, 0.8)))
@@ -271,7 +359,7 @@ def test_redundant_rows_in_the_plane_are_left_out():
     turned = np.arctan2(*planar.sample().pose_matrices[0, 1::-1, 0])
     drop = np.hypot(0.3, 0.8) * (np.sin(angle) - np.sin(turned))
     length = np.hypot(0.3, 0.8)
-    inertia = 3 * (0.1 + length ** 2 / 4) + length ** 2
+    inertia = 3 * (0.1 + length**2 / 4) + length**2
     rate = np.sqrt(2 * 9.81 * (3 / 2 + 1) * drop / inertia)
     # RKMK4 at 1e-3 s: local errors of 1e-15 relative, 300 of them, and drift as small
     assert abs(planar.sample().twists["crank0"][2]) == pytest.approx(rate, rel=1e-9)

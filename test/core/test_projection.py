@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stabilisation: projection is least squares and no more, Baumgarte's errors die out."""
+
 import engine
 import mechanisms
 import naive
@@ -38,7 +39,7 @@ def test_projection_closes_all_joints_to_rounding(name, size, most_rounds):
         rounds, status, pose, twist = projected(simulation, *disturbed(simulation, rng, size))
         assert status == OK and rounds <= most_rounds
         # lengths of up to 8 m at 16 units of 2^-52: see ROUND_OFF
-        assert np.abs(engine.residual(model, naive.matrices(pose))).max() <= 128 * 2.0 ** -52
+        assert np.abs(engine.residual(model, naive.matrices(pose))).max() <= 128 * 2.0**-52
         J, _ = engine.rows(simulation, pose, twist)
         # the size times the condition of S, below 1e4, and 2^-52
         assert np.abs(J @ twist.ravel()).max() <= 1e-11 * size + 1e-14
@@ -84,8 +85,11 @@ def momenta(simulation, pose, twist):
     sample = simulation.layout.sample(pose, twist)
     mass = np.array([body.mass for body in simulation.scene.bodies])
     M = engine.masses(simulation.scene)
-    return (sample.spatial_momentum, 0.5 * twist.ravel() @ M @ twist.ravel(),
-            mass @ pose[:, 9:] / mass.sum())
+    return (
+        sample.spatial_momentum,
+        0.5 * twist.ravel() @ M @ twist.ravel(),
+        mass @ pose[:, 9:] / mass.sum(),
+    )
 
 
 def test_inner_joints_change_no_momentum():
@@ -113,7 +117,7 @@ def test_closing_the_joints_keeps_linear_momentum_energy_and_centre_of_mass():
     assert np.abs(new_pose - pose).max() > 1e-4
     # sums of products of size 10
     assert np.abs(after[3:] - before[3:]).max() <= 1e-13
-    turned = twist.copy()                   # the same velocity in the world, in the new body axes
+    turned = twist.copy()  # the same velocity in the world, in the new body axes
     R, new_R = naive.matrices(pose)[:, :3, :3], naive.matrices(new_pose)[:, :3, :3]
     turned[:, 3:] = np.einsum("nji,njk,nk->ni", new_R, R, twist[:, 3:])
     change = (new_twist - turned).ravel()
@@ -126,8 +130,9 @@ def test_closing_the_joints_keeps_linear_momentum_energy_and_centre_of_mass():
 def test_at_ground_joints_projection_changes_nothing(kind):
     """On SE(3) they are closed to rounding: the runs differ by that, magnified by the motion."""
     scene = mechanisms.named(f"{kind} to ground")
-    with_it, without = (Simulation(scene, step=2e-3, stabilisation=s)
-                        for s in ("projection", "none"))
+    with_it, without = (
+        Simulation(scene, step=2e-3, stabilisation=s) for s in ("projection", "none")
+    )
     with_it.advance(500)
     without.advance(500)
     for mine, theirs in zip(with_it.state(), without.state()):
@@ -157,14 +162,15 @@ def test_projection_keeps_order_and_joints(name, group):
 
 def test_what_cannot_be_closed_is_reported():
     """A pendulum of 1 m on a rod that became too short: the last good state stays."""
-    scene = mechanisms.mechanism(np.random.default_rng(5), [("world", "a", "spherical")],
-                                 loops=[("world", "a", "distance")])
+    scene = mechanisms.mechanism(
+        np.random.default_rng(5), [("world", "a", "spherical")], loops=[("world", "a", "distance")]
+    )
     simulation = Simulation(scene, stabilisation="projection")
     simulation.advance(10)
     before = simulation.state()
     simulation.layout.model.elements["length"][1] += 100.0
     rounds, status, _, _ = projected(simulation, *before)
-    assert status & 0xff in (NOT_PROJECTED, DEPENDENT_ROWS) and rounds > 0
+    assert status & 0xFF in (NOT_PROJECTED, DEPENDENT_ROWS) and rounds > 0
     with pytest.raises(SimulationError, match="smaller step|singular pose") as failure:
         simulation.advance(5)
     assert failure.value.status in (NOT_PROJECTED, DEPENDENT_ROWS) and simulation.steps == 10
@@ -174,13 +180,19 @@ def test_what_cannot_be_closed_is_reported():
 
 # ---------------------------------------------------------------- Baumgarte
 
+
 @pytest.mark.parametrize("name", ["net", "every kind"])
 @pytest.mark.parametrize("group", ["se3", "so3xr3"])
 def test_errors_die_out_as_baumgarte_says(name, group):
     """g = g0 (1 + a t) exp(-a t) for a small gap g0, whose velocity is zero at first."""
     time = 0.02
-    simulation = Simulation(mechanisms.named(name), step=2e-4, group=group,
-                            stabilisation="baumgarte", baumgarte_time=time)
+    simulation = Simulation(
+        mechanisms.named(name),
+        step=2e-4,
+        group=group,
+        stabilisation="baumgarte",
+        baumgarte_time=time,
+    )
     model = simulation.layout.model
     pose, twist = disturbed(simulation, np.random.default_rng(6), 1e-7)
     J, _ = engine.rows(simulation, pose, twist)
@@ -194,14 +206,15 @@ def test_errors_die_out_as_baumgarte_says(name, group):
         found = engine.residual(model, naive.matrices(simulation.state()[0]))
         # the frames, in whose axes gaps are measured, turn by some 2 rad/s
         assert np.abs(found - expected).max() <= 2.0 * simulation.time * np.abs(gap).max()
-    assert np.abs(found).max() <= 0.05 * np.abs(gap).max()      # 6 exp(-5) = 0.040
+    assert np.abs(found).max() <= 0.05 * np.abs(gap).max()  # 6 exp(-5) = 0.040
 
 
 def test_baumgarte_keeps_a_long_run_closed():
     runs = {}
     for stabilisation in ("none", "baumgarte", "projection"):
-        simulation = Simulation(mechanisms.named("chain of balls"), step=4e-3,
-                                stabilisation=stabilisation)
+        simulation = Simulation(
+            mechanisms.named("chain of balls"), step=4e-3, stabilisation=stabilisation
+        )
         simulation.advance(1000)
         runs[stabilisation] = simulation.sample().constraint_residual
     assert runs["baumgarte"] < 0.1 * runs["none"]
@@ -210,13 +223,23 @@ def test_baumgarte_keeps_a_long_run_closed():
 
 # ---------------------------------------------------------------- settings
 
-@pytest.mark.parametrize("setting, text", [
-    ({"stabilisation": "gear"}, "unknown stabilisation 'gear'; there are: none, projection, baum"),
-    ({"baumgarte_time": 0.1}, "goes with stabilisation 'baumgarte', not with 'none'"),
-    ({"stabilisation": "baumgarte", "baumgarte_time": 0.0}, "at least the step of 0.001 s, got 0"),
-    ({"stabilisation": "baumgarte", "baumgarte_time": float("nan")}, "at least the step"),
-    ({"stabilisation": "baumgarte", "baumgarte_time": "1"}, "at least the step"),
-])
+
+@pytest.mark.parametrize(
+    "setting, text",
+    [
+        (
+            {"stabilisation": "gear"},
+            "unknown stabilisation 'gear'; there are: none, projection, baum",
+        ),
+        ({"baumgarte_time": 0.1}, "goes with stabilisation 'baumgarte', not with 'none'"),
+        (
+            {"stabilisation": "baumgarte", "baumgarte_time": 0.0},
+            "at least the step of 0.001 s, got 0",
+        ),
+        ({"stabilisation": "baumgarte", "baumgarte_time": float("nan")}, "at least the step"),
+        ({"stabilisation": "baumgarte", "baumgarte_time": "1"}, "at least the step"),
+    ],
+)
 def test_wrong_settings_say_what_would_be_right(setting, text):
     with pytest.raises(ValueError, match=text):
         Simulation(mechanisms.named("ball"), **setting)

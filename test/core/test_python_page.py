@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """docs/python.md says what is so: its pieces of code run, one after the other, and print."""
+
 import re
 from pathlib import Path
 
@@ -13,7 +14,7 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "python.md"
 
 def test_all_code_of_the_page(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("LIEGROUP_CACHE_DIR", str(tmp_path))    # nothing is known there
+    monkeypatch.setenv("LIEGROUP_CACHE_DIR", str(tmp_path))  # nothing is known there
     monkeypatch.setattr(accuracy, "SHORTLIST", ("rkmk4",))
     monkeypatch.setattr(accuracy, "BUDGET", 0.1)
     pieces = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(), re.DOTALL | re.MULTILINE)

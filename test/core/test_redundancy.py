@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Closed loops: which rows are dropped, singular poses, and ratios of masses."""
+
 import mpmath
 import numpy as np
 import pytest
@@ -18,14 +19,25 @@ def bar(name, start, end, rate=0.0, start_velocity=(0.0, 0.0), mass=1.0):
     length, angle = np.linalg.norm(along), np.arctan2(along[1], along[0])
     turned = SO3.exp([0.0, 0.0, angle])
     velocity = np.append(start_velocity + rate * np.array([-along[1], along[0]]) / 2, 0.0)
-    return Body(name=name, mass=mass, inertia=(mass * 1e-3, *[mass * length ** 2 / 12] * 2),
-                position=(*(start + end) / 2, 0.0), rotation_vector=(0.0, 0.0, angle),
-                angular_velocity=(0.0, 0.0, rate), linear_velocity=turned.T @ velocity)
+    return Body(
+        name=name,
+        mass=mass,
+        inertia=(mass * 1e-3, *[mass * length**2 / 12] * 2),
+        position=(*(start + end) / 2, 0.0),
+        rotation_vector=(0.0, 0.0, angle),
+        angular_velocity=(0.0, 0.0, rate),
+        linear_velocity=turned.T @ velocity,
+    )
 
 
 def hinge(name, parent, child, offset, kind="revolute"):
-    return Joint(name=name, type=kind, parent=parent, child=child,
-                 child_frame=Frame(position=(offset, 0.0, 0.0)))
+    return Joint(
+        name=name,
+        type=kind,
+        parent=parent,
+        child=child,
+        child_frame=Frame(position=(offset, 0.0, 0.0)),
+    )
 
 
 def parallelogram(angle, rate, kinds=("revolute",) * 4, gravity=(0.0, 0.0, 0.0)):
@@ -33,13 +45,21 @@ def parallelogram(angle, rate, kinds=("revolute",) * 4, gravity=(0.0, 0.0, 0.0))
     tip = np.array([np.cos(angle), np.sin(angle)])
     speed = rate * np.array([-tip[1], tip[0]])
     pin = np.array([2.0, 0.0])
-    return Scene(name="parallelogram", gravity=gravity, bodies=[
-        bar("crank", (0, 0), tip, rate), bar("coupler", tip, tip + pin, 0.0, speed),
-        bar("rocker", pin, tip + pin, rate)],
-        joints=[hinge("a", "world", "crank", -0.5, kinds[0]),
-                hinge("b", "crank", "coupler", -1.0, kinds[1]),
-                hinge("c", "coupler", "rocker", 0.5, kinds[2]),
-                hinge("d", "world", "rocker", -0.5, kinds[3])])
+    return Scene(
+        name="parallelogram",
+        gravity=gravity,
+        bodies=[
+            bar("crank", (0, 0), tip, rate),
+            bar("coupler", tip, tip + pin, 0.0, speed),
+            bar("rocker", pin, tip + pin, rate),
+        ],
+        joints=[
+            hinge("a", "world", "crank", -0.5, kinds[0]),
+            hinge("b", "crank", "coupler", -1.0, kinds[1]),
+            hinge("c", "coupler", "rocker", 0.5, kinds[2]),
+            hinge("d", "world", "rocker", -0.5, kinds[3]),
+        ],
+    )
 
 
 def test_a_tree_has_no_loop_joints():
@@ -50,8 +70,9 @@ def test_a_tree_has_no_loop_joints():
 
 def test_planar_four_bar_drops_the_row_out_of_its_plane():
     """Three revolute joints and a spherical one: 18 rows of rank 17."""
-    layout = Simulation(parallelogram(1.0, 2.0, ("revolute", "revolute", "spherical", "revolute"))
-                        ).layout
+    layout = Simulation(
+        parallelogram(1.0, 2.0, ("revolute", "revolute", "spherical", "revolute"))
+    ).layout
     assert layout.dropped_rows == [("c", "vz")]
 
 
@@ -64,10 +85,21 @@ def test_a_singular_start_is_not_taken_for_redundancy(angle):
 
 
 def test_coaxial_hinges_are_one():
-    scene = Scene(name="door", gravity=(0, 0, -9.81), bodies=[bar("door", (0, 0), (1, 0))], joints=[
-        hinge("low", "world", "door", -0.5),
-        Joint(name="high", type="revolute", parent="world", child="door",
-              child_frame=Frame(position=(-0.5, 0, 0.7)))])
+    scene = Scene(
+        name="door",
+        gravity=(0, 0, -9.81),
+        bodies=[bar("door", (0, 0), (1, 0))],
+        joints=[
+            hinge("low", "world", "door", -0.5),
+            Joint(
+                name="high",
+                type="revolute",
+                parent="world",
+                child="door",
+                child_frame=Frame(position=(-0.5, 0, 0.7)),
+            ),
+        ],
+    )
     simulation = Simulation(scene)
     assert [joint for joint, _ in simulation.layout.dropped_rows] == ["high"] * 5
     simulation.apply_wrench("door", (0, 0, 1.0, 0, 0, 0))
@@ -125,15 +157,20 @@ def exact_accelerations(model, pose, scene):
             row = mpmath.zeros(1, 6 * n)
             given = model.child_jacobian[joint["first"] + r].reshape(6, 1)
             alpha, beta = matrix(given[:3]), matrix(given[3:])
-            row[6 * b:6 * b + 6] = mpmath.matrix([[*alpha, *beta]])
+            row[6 * b : 6 * b + 6] = mpmath.matrix([[*alpha, *beta]])
             if a >= 0:
                 turn = rot[b].T * rot[a]
                 p = rot[b].T * (place[a] - place[b])
-                cross = mpmath.matrix([p[1] * beta[2] - p[2] * beta[1],
-                                       p[2] * beta[0] - p[0] * beta[2],
-                                       p[0] * beta[1] - p[1] * beta[0]])
-                row[6 * a:6 * a + 6] = -mpmath.matrix(
-                    [[*(turn.T * (alpha - cross)), *(turn.T * beta)]])
+                cross = mpmath.matrix(
+                    [
+                        p[1] * beta[2] - p[2] * beta[1],
+                        p[2] * beta[0] - p[0] * beta[2],
+                        p[0] * beta[1] - p[1] * beta[0],
+                    ]
+                )
+                row[6 * a : 6 * a + 6] = -mpmath.matrix(
+                    [[*(turn.T * (alpha - cross)), *(turn.T * beta)]]
+                )
             rows.append(row)
     size = 6 * n + len(rows)
     K, right = mpmath.zeros(size, size), mpmath.zeros(size, 1)
@@ -143,17 +180,24 @@ def exact_accelerations(model, pose, scene):
                 K[6 * i + r, 6 * i + c] = mpmath.mpf(float(body.inertia_matrix[r, c]))
             K[6 * i + 3 + r, 6 * i + 3 + r] = mpmath.mpf(body.mass)
         force = rot[i].T * matrix([[g] for g in scene.gravity]) * mpmath.mpf(body.mass)
-        right[6 * i + 3:6 * i + 6] = force
+        right[6 * i + 3 : 6 * i + 6] = force
     for r, row in enumerate(rows):
         for c in range(6 * n):
             K[6 * n + r, c] = K[c, 6 * n + r] = row[c]
     solution = mpmath.lu_solve(K, right)
-    return np.array([float(x) for x in solution[:6 * n]]).reshape(n, 6)
+    return np.array([float(x) for x in solution[: 6 * n]]).reshape(n, 6)
 
 
-@pytest.mark.parametrize("masses", [
-    (1, 1, 1, 1), (1e-8, 1e-8, 1e-8, 1), (1, 1e-8, 1e-8, 1e-8), (1, 1e-8, 1, 1e-8, 1),
-    (1e-4, 1, 1e4, 1e-4)])
+@pytest.mark.parametrize(
+    "masses",
+    [
+        (1, 1, 1, 1),
+        (1e-8, 1e-8, 1e-8, 1),
+        (1, 1e-8, 1e-8, 1e-8),
+        (1, 1e-8, 1, 1e-8, 1),
+        (1e-4, 1, 1e4, 1e-4),
+    ],
+)
 def test_no_digits_are_lost_to_the_ratio_of_masses(masses):
     """A bent chain of balls, each body's acceleration against 60 digits.
 

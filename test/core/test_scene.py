@@ -35,8 +35,10 @@ from liegroup_core.scene.shapes import SHAPES
 from liegroup_core.scene.values import Described
 
 GOOD = (Path(__file__).parent / "rig.yaml").read_text(encoding="utf-8")
-PARSERS = sorted({yaml.SafeLoader, getattr(yaml, "CSafeLoader", yaml.SafeLoader)},
-                 key=lambda parser: parser.__name__)
+PARSERS = sorted(
+    {yaml.SafeLoader, getattr(yaml, "CSafeLoader", yaml.SafeLoader)},
+    key=lambda parser: parser.__name__,
+)
 
 
 @pytest.fixture(params=PARSERS, ids=lambda parser: parser.__name__)
@@ -46,6 +48,7 @@ def parser(request, monkeypatch):
 
 
 # ---------------------------------------------------------------- good scenes
+
 
 @each_scene
 def test_every_scene_that_comes_along_loads(path):
@@ -71,8 +74,7 @@ def test_numbers_are_kept(parser):
     assert scene.gravity == (0.0, 0.0, -9.81)
     top, rod = scene.bodies
     assert (top.mass, top.inertia, top.position) == (2.5, (1.0, 1.1, 1.2), (1.0, 0.0, 0.0))
-    np.testing.assert_array_equal(
-        rod.inertia_matrix, [[0.1, 0.01, 0], [0.01, 0.5, 0], [0, 0, 0.5]])
+    np.testing.assert_array_equal(rod.inertia_matrix, [[0.1, 0.01, 0], [0.01, 0.5, 0], [0, 0, 0.5]])
     assert top.quaternion is None
     assert top.angular_velocity == top.linear_velocity == (0.0, 0.0, 0.0)
     pivot, hinge = scene.joints
@@ -84,10 +86,21 @@ def test_numbers_are_kept(parser):
     assert (spring.stiffness, spring.damping, spring.rest_length) == (1e4, 0.2, 0.5)
 
 
-@pytest.mark.parametrize("text, value", [
-    ("1e4", 1e4), ("1E-3", 1e-3), ("+.5", 0.5), ("5.", 5.0), ("007", 7.0), ("0.1", 0.1),
-    ("123456789012345678901", 123456789012345678901.0), ("1.7976e99", 1.7976e99),
-    ("0.1000000000000000055511151231257827", 0.1), ("4.9e-324", 4.9e-324)])
+@pytest.mark.parametrize(
+    "text, value",
+    [
+        ("1e4", 1e4),
+        ("1E-3", 1e-3),
+        ("+.5", 0.5),
+        ("5.", 5.0),
+        ("007", 7.0),
+        ("0.1", 0.1),
+        ("123456789012345678901", 123456789012345678901.0),
+        ("1.7976e99", 1.7976e99),
+        ("0.1000000000000000055511151231257827", 0.1),
+        ("4.9e-324", 4.9e-324),
+    ],
+)
 def test_numbers_follow_yaml_1_2(parser, text, value):
     assert scene_from_text(GOOD.replace("2.5", text)).bodies[0].mass == value
 
@@ -99,7 +112,7 @@ def test_plain_words_follow_yaml_1_2(parser):
 
 
 def test_lists_without_a_value_are_empty(parser):
-    head = GOOD[:GOOD.index("joints:")]
+    head = GOOD[: GOOD.index("joints:")]
     scene = scene_from_text(head + "joints:\nforces:\n")
     assert scene.joints == scene.forces == ()
     assert scene_from_text(head).forces == ()
@@ -107,7 +120,8 @@ def test_lists_without_a_value_are_empty(parser):
 
 def test_aliases_stand_for_what_they_name(parser):
     text = GOOD.replace("inertia: [1.0", "inertia: &i [1.0").replace(
-        "[0.1, 0.5, 0.5, 0.01, 0, 0]", "*i")
+        "[0.1, 0.5, 0.5, 0.01, 0, 0]", "*i"
+    )
     first, second = scene_from_text(text).bodies
     assert first.inertia == second.inertia == (1.0, 1.1, 1.2)
 
@@ -135,28 +149,35 @@ def test_a_quaternion_is_normalised_but_kept_as_written():
 
 
 def test_twist_is_angular_first():
-    body = Body(name="b", mass=1, inertia=[1, 1, 1], angular_velocity=[1, 2, 3],
-                linear_velocity=[4, 5, 6])
+    body = Body(
+        name="b", mass=1, inertia=[1, 1, 1], angular_velocity=[1, 2, 3], linear_velocity=[4, 5, 6]
+    )
     np.testing.assert_array_equal(body.twist, [1, 2, 3, 4, 5, 6])
 
 
 def test_inertia_lists_the_diagonal_then_xy_xz_yz():
     body = Body(name="b", mass=1, inertia=[2.0, 3.0, 4.0, 0.1, 0.2, 0.3])
     np.testing.assert_array_equal(
-        body.inertia_matrix, [[2.0, 0.1, 0.2], [0.1, 3.0, 0.3], [0.2, 0.3, 4.0]])
+        body.inertia_matrix, [[2.0, 0.1, 0.2], [0.1, 3.0, 0.3], [0.2, 0.3, 4.0]]
+    )
 
 
-@pytest.mark.parametrize("inertia", [
-    [1.0, 1.0, 2.0],                                     # thin disc
-    [2.0e-12, 1.0, 1.0],                                 # rod, a millionth as thick as long
-    [0.3333333, 0.3333333, 0.6666667],                   # disc, seven digits
-    [0.36, 0.306, 0.09],
-    [1.5, 1.5, 2.0, 0.5, 0, 0]])                         # thin disc, axes turned by pi/4
+@pytest.mark.parametrize(
+    "inertia",
+    [
+        [1.0, 1.0, 2.0],  # thin disc
+        [2.0e-12, 1.0, 1.0],  # rod, a millionth as thick as long
+        [0.3333333, 0.3333333, 0.6666667],  # disc, seven digits
+        [0.36, 0.306, 0.09],
+        [1.5, 1.5, 2.0, 0.5, 0, 0],
+    ],
+)  # thin disc, axes turned by pi/4
 def test_inertia_of_real_bodies_is_allowed(inertia):
     assert Body(name="b", mass=1, inertia=inertia).inertia == tuple(inertia)
 
 
 # ---------------------------------------------------------------- files and names
+
 
 def test_files_that_cannot_be_read(tmp_path, monkeypatch):
     def line(path):
@@ -240,6 +261,7 @@ def test_a_file_goes_before_a_scene_of_the_same_name(tmp_path, monkeypatch):
 
 def test_loading_takes_a_few_milliseconds():
     """Promised: below 20 ms. The best of five leaves out what else the machine does."""
+
     def once():
         start = time.perf_counter()
         load_scene("double_pendulum")
@@ -251,14 +273,32 @@ def test_loading_takes_a_few_milliseconds():
 
 # ---------------------------------------------------------------- scenes made in code
 
+
 def made_in_code(**changes):
     values = {
-        "name": "rig", "gravity": np.array([0, 0, -9.81]),
+        "name": "rig",
+        "gravity": np.array([0, 0, -9.81]),
         "bodies": [Body(name="a", mass=np.float32(1.5), inertia=np.ones(3), position=(1, 0, 0))],
-        "joints": [Joint(name="j", type="spherical", parent="world", child="a",
-                         child_frame=Frame(position=[-1, 0, 0]))],
-        "forces": [SpringDamper(name="s", parent="world", parent_point=[0, 0, 1], child="a",
-                                child_point=[0, 0, 0], stiffness=100)]}
+        "joints": [
+            Joint(
+                name="j",
+                type="spherical",
+                parent="world",
+                child="a",
+                child_frame=Frame(position=[-1, 0, 0]),
+            )
+        ],
+        "forces": [
+            SpringDamper(
+                name="s",
+                parent="world",
+                parent_point=[0, 0, 1],
+                child="a",
+                child_point=[0, 0, 0],
+                stiffness=100,
+            )
+        ],
+    }
     return Scene(**(values | changes))
 
 
@@ -280,32 +320,65 @@ def test_every_kind_of_joint_survives_as_text():
         assert [type(joint) for joint in again.joints] == [type(joint) for joint in scene.joints]
 
 
-@pytest.mark.parametrize("make, message", [
-    (lambda: Body(name="top", mass=-1, inertia=[1, 1, 1]),
-     'Body "top": mass must be greater than 0, got -1'),
-    (lambda: Body(mass=1, inertia=[1, 1, 1]), "Body: name is missing: give the name: a letter,"),
-    (lambda: Frame(axis=[0, 0, 0]), "Frame: axis must not be zero"),
-    (lambda: Joint(name="j", type="hinge", parent="world", child="a", child_frame=Frame()),
-     "Joint \"j\": type must be 'spherical', 'revolute', 'prismatic', 'cylindrical', 'planar', "
-     "'fixed' or 'universal', got 'hinge'"),
-    (lambda: ScrewJoint(name="j", parent="world", child="a", child_frame=Frame()),
-     'ScrewJoint "j": pitch is missing: give the way along z in m for every radian'),
-    (lambda: DistanceJoint(name="j", parent="world", child="a", child_frame=Frame()),
-     'DistanceJoint "j": parent_frame is missing: give the frame'),
-    (lambda: DistanceJoint(name="j", parent="world", child="a", child_frame=Frame(),
-                           parent_frame=Frame(), length=0),
-     'DistanceJoint "j": length must be greater than 0, got 0'),
-    (lambda: Joint(name="j", type="revolute", parent="world", child="a"),
-     'Joint "j": parent_frame or child_frame is missing'),
-    (lambda: SpringDamper(name="s", parent="a", child="b", stiffness=1),
-     'SpringDamper "s": parent_point is missing: give the attachment point in m'),
-    (lambda: made_in_code(bodies=[]), "bodies is empty"),
-    (lambda: made_in_code(bodies=[{"name": "a", "mass": 10**5000, "inertia": [1, 1, 1]}]),
-     'bodies[0] "a": mass must be finite, got a value of type int'),
-    (lambda: made_in_code(forces=[made_in_code().joints[0]]),
-     'forces[0] "j": must be a mapping'),
-    (lambda: made_in_code().model_copy(update={"gravity": (0, 0)}), "gravity must have 3 numbers"),
-])
+@pytest.mark.parametrize(
+    "make, message",
+    [
+        (
+            lambda: Body(name="top", mass=-1, inertia=[1, 1, 1]),
+            'Body "top": mass must be greater than 0, got -1',
+        ),
+        (
+            lambda: Body(mass=1, inertia=[1, 1, 1]),
+            "Body: name is missing: give the name: a letter,",
+        ),
+        (lambda: Frame(axis=[0, 0, 0]), "Frame: axis must not be zero"),
+        (
+            lambda: Joint(name="j", type="hinge", parent="world", child="a", child_frame=Frame()),
+            "Joint \"j\": type must be 'spherical', 'revolute', 'prismatic', 'cylindrical', 'planar', "
+            "'fixed' or 'universal', got 'hinge'",
+        ),
+        (
+            lambda: ScrewJoint(name="j", parent="world", child="a", child_frame=Frame()),
+            'ScrewJoint "j": pitch is missing: give the way along z in m for every radian',
+        ),
+        (
+            lambda: DistanceJoint(name="j", parent="world", child="a", child_frame=Frame()),
+            'DistanceJoint "j": parent_frame is missing: give the frame',
+        ),
+        (
+            lambda: DistanceJoint(
+                name="j",
+                parent="world",
+                child="a",
+                child_frame=Frame(),
+                parent_frame=Frame(),
+                length=0,
+            ),
+            'DistanceJoint "j": length must be greater than 0, got 0',
+        ),
+        (
+            lambda: Joint(name="j", type="revolute", parent="world", child="a"),
+            'Joint "j": parent_frame or child_frame is missing',
+        ),
+        (
+            lambda: SpringDamper(name="s", parent="a", child="b", stiffness=1),
+            'SpringDamper "s": parent_point is missing: give the attachment point in m',
+        ),
+        (lambda: made_in_code(bodies=[]), "bodies is empty"),
+        (
+            lambda: made_in_code(bodies=[{"name": "a", "mass": 10**5000, "inertia": [1, 1, 1]}]),
+            'bodies[0] "a": mass must be finite, got a value of type int',
+        ),
+        (
+            lambda: made_in_code(forces=[made_in_code().joints[0]]),
+            'forces[0] "j": must be a mapping',
+        ),
+        (
+            lambda: made_in_code().model_copy(update={"gravity": (0, 0)}),
+            "gravity must have 3 numbers",
+        ),
+    ],
+)
 def test_wrong_values_in_code_raise_scene_error(make, message):
     with pytest.raises(SceneError) as caught:
         make()
@@ -329,11 +402,22 @@ VECTOR = st.tuples(FINITE, FINITE, FINITE)
 
 
 @settings(max_examples=200, deadline=None, derandomize=True)
-@given(mass=st.floats(min_value=5e-324, max_value=1e100), gravity=VECTOR, position=VECTOR,
-       twist=st.tuples(VECTOR, VECTOR), description=st.text(max_size=40))
+@given(
+    mass=st.floats(min_value=5e-324, max_value=1e100),
+    gravity=VECTOR,
+    position=VECTOR,
+    twist=st.tuples(VECTOR, VECTOR),
+    description=st.text(max_size=40),
+)
 def test_numbers_and_text_survive_to_the_bit(mass, gravity, position, twist, description):
-    body = Body(name="true", mass=mass, inertia=[mass, mass, mass], position=position,
-                angular_velocity=twist[0], linear_velocity=twist[1])
+    body = Body(
+        name="true",
+        mass=mass,
+        inertia=[mass, mass, mass],
+        position=position,
+        angular_velocity=twist[0],
+        linear_velocity=twist[1],
+    )
     scene = Scene(name="null", description=description, gravity=gravity, bodies=[body])
     again = scene_from_text(scene.text)
     assert repr(again.model_dump()) == repr(scene.model_dump())
@@ -350,16 +434,25 @@ def test_every_field_is_documented():
     for model in MODELS:
         for key, field in model.model_fields.items():
             value = list(field.default) if type(field.default) is tuple else field.default
-            default = ("required" if field.is_required() else
-                       "-" if value is None else "empty" if value in ("", []) else
-                       str(value).lower() if isinstance(value, bool) else value)
+            default = (
+                "required"
+                if field.is_required()
+                else "-"
+                if value is None
+                else "empty"
+                if value in ("", [])
+                else str(value).lower()
+                if isinstance(value, bool)
+                else value
+            )
             assert f"| `{key}` | {field.description} | {default} |" in text
 
 
 def test_every_model_is_in_the_list():
     def leaves(model):
         return {model}.union(*map(leaves, model.__subclasses__())) - (
-            {model} if model.__subclasses__() else set())
+            {model} if model.__subclasses__() else set()
+        )
 
     assert leaves(Described) == {*MODELS}
 
@@ -371,5 +464,6 @@ def test_the_examples_in_the_documentation_agree():
     names = {}
     exec(code, names)
     left_out = {"description"}
-    assert (scene_from_text(written).model_dump(exclude=left_out)
-            == names["scene"].model_dump(exclude=left_out))
+    assert scene_from_text(written).model_dump(exclude=left_out) == names["scene"].model_dump(
+        exclude=left_out
+    )

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every scene file that comes along builds, starts closed and keeps what it should."""
+
 import numpy as np
 import pytest
 from scene_files import each_scene
@@ -9,8 +10,12 @@ from liegroup_core.scene import check_consistency
 from liegroup_core.scene.library import chain, four_bar_windows
 
 # Steps for which the error of order 4 of each scene is small, s; the rest take 1 ms.
-STEPS = {"four_bar": 1e-4, "lagrangian_top": 2e-4, "andrews_squeezer": 2e-6,
-         "flyball_governor": 5e-5}
+STEPS = {
+    "four_bar": 1e-4,
+    "lagrangian_top": 2e-4,
+    "andrews_squeezer": 2e-6,
+    "flyball_governor": 5e-5,
+}
 
 
 @each_scene
@@ -33,18 +38,28 @@ def test_a_scene_builds_and_keeps_its_joints_and_its_energy(path):
     assert simulation.singular_solves == 0
 
 
-@pytest.mark.parametrize("name, made", [
-    ("ball_chain", chain(10)), ("hinge_chain", chain(10, "revolute")),
-    ("n_four_bar", four_bar_windows(2))])
+@pytest.mark.parametrize(
+    "name, made",
+    [
+        ("ball_chain", chain(10)),
+        ("hinge_chain", chain(10, "revolute")),
+        ("n_four_bar", four_bar_windows(2)),
+    ],
+)
 def test_the_scenes_that_come_along_are_those_of_the_library(name, made):
     scene = load_scene(name)
     for mine, theirs in zip(made.bodies, scene.bodies):
         assert (mine.name, mine.mass, mine.inertia, mine.com) == (
-            theirs.name, theirs.mass, theirs.inertia, theirs.com)
+            theirs.name,
+            theirs.mass,
+            theirs.inertia,
+            theirs.com,
+        )
         np.testing.assert_allclose(mine.pose, theirs.pose, atol=1e-15)
         np.testing.assert_allclose(mine.twist, theirs.twist, atol=1e-15)
     assert [(j.name, j.type, j.parent, j.child) for j in made.joints] == [
-        (j.name, j.type, j.parent, j.child) for j in scene.joints]
+        (j.name, j.type, j.parent, j.child) for j in scene.joints
+    ]
 
 
 @pytest.mark.parametrize("kind", ["spherical", "revolute"])
@@ -56,7 +71,7 @@ def test_a_chain_begins_to_fall_as_it_should(kind, n):
     simulation.advance(10)
     sample = simulation.sample()
     if n == 1:
-        acceleration = 9.81 * 0.05 / (0.005 ** 2 / 4 + 0.1 ** 2 / 3)
+        acceleration = 9.81 * 0.05 / (0.005**2 / 4 + 0.1**2 / 3)
         assert sample.twists["rod0"][1] == pytest.approx(1e-3 * acceleration, rel=1e-5)
     # both kinds of joint move in the plane alike, and none of the energy is lost
     assert np.abs(sample.pose[:, 10]).max() <= 1e-15

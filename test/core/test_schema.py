@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The JSON schema of scene files: up to date, valid, and of one mind with the loader."""
+
 import json
 
 import jsonschema
@@ -44,18 +45,29 @@ def test_every_key_tells_what_it_is():
             assert part["description"], (model, key)
 
 
-@pytest.mark.parametrize("old, new", [
-    ("mass: 2.5", "mass: -1"), ("mass: 2.5", "mass: heavy"), ("mass: 2.5", "masss: 2.5"),
-    ("mass: 2.5", ""), ("name: top", "name: my top"), ("position: [1, 0, 0]", "position: [1, 0]"),
-    ("quaternion: [0, 0, 0, 1]", "quaternion: [0, 0, 0]"), ("type: revolute", "type: hinge"),
-    ("type: revolute", "rate: 3"), ("stiffness: 1e4", "stiffness: -1"),
-    ("stiffness: 1e4", "stiff: 1"), ("gravity: [0, 0, -9.81]", ""),
-    ("description: Two bodies", "description: 5"), ("description: Two bodies", "assemble: on"),
-    ("mass: 2.5\n    inertia: [1.0, 1.1, 1.2]", "shape: {type: box, size: [1, 1, 0], mass: 1}"),
-    ("mass: 2.5\n    inertia: [1.0, 1.1, 1.2]", "shape: {type: box, size: [1, 1, 1]}"),
-    ("mass: 2.5\n    inertia: [1.0, 1.1, 1.2]", "shape: {size: [1, 1, 1], mass: 1}"),
-    ("child_frame: {position: [-1, 0, 0]}", ""),
-])
+@pytest.mark.parametrize(
+    "old, new",
+    [
+        ("mass: 2.5", "mass: -1"),
+        ("mass: 2.5", "mass: heavy"),
+        ("mass: 2.5", "masss: 2.5"),
+        ("mass: 2.5", ""),
+        ("name: top", "name: my top"),
+        ("position: [1, 0, 0]", "position: [1, 0]"),
+        ("quaternion: [0, 0, 0, 1]", "quaternion: [0, 0, 0]"),
+        ("type: revolute", "type: hinge"),
+        ("type: revolute", "rate: 3"),
+        ("stiffness: 1e4", "stiffness: -1"),
+        ("stiffness: 1e4", "stiff: 1"),
+        ("gravity: [0, 0, -9.81]", ""),
+        ("description: Two bodies", "description: 5"),
+        ("description: Two bodies", "assemble: on"),
+        ("mass: 2.5\n    inertia: [1.0, 1.1, 1.2]", "shape: {type: box, size: [1, 1, 0], mass: 1}"),
+        ("mass: 2.5\n    inertia: [1.0, 1.1, 1.2]", "shape: {type: box, size: [1, 1, 1]}"),
+        ("mass: 2.5\n    inertia: [1.0, 1.1, 1.2]", "shape: {size: [1, 1, 1], mass: 1}"),
+        ("child_frame: {position: [-1, 0, 0]}", ""),
+    ],
+)
 def test_what_the_schema_refuses_the_loader_refuses(old, new):
     assert GOOD.count(old) >= 1
     text = GOOD.replace(old, new, 1)
@@ -64,16 +76,22 @@ def test_what_the_schema_refuses_the_loader_refuses(old, new):
         scene_from_text(text)
 
 
-@pytest.mark.parametrize("old, new", [
-    ("", ""), ("mass: 2.5", "mass: 1e4"), ("[1.0, 1.1, 1.2]", "&i [1.0, 1.1, 1.2]"),
-    ("forces:", "# forces:"), ("description: Two bodies", "assemble: true"),
-    ("mass: 2.5\n    inertia: [1.0, 1.1, 1.2]", "shape: {type: sphere, radius: 1, density: 1}"),
-    ("mass: 2.5\n    inertia: [1.0, 1.1, 1.2]", "shape: {type: rod, length: 1, mass: 1}"),
-    ("mass: 2.5", "mass: 2.5\n    com: [0, 0, 1]"),
-])
+@pytest.mark.parametrize(
+    "old, new",
+    [
+        ("", ""),
+        ("mass: 2.5", "mass: 1e4"),
+        ("[1.0, 1.1, 1.2]", "&i [1.0, 1.1, 1.2]"),
+        ("forces:", "# forces:"),
+        ("description: Two bodies", "assemble: true"),
+        ("mass: 2.5\n    inertia: [1.0, 1.1, 1.2]", "shape: {type: sphere, radius: 1, density: 1}"),
+        ("mass: 2.5\n    inertia: [1.0, 1.1, 1.2]", "shape: {type: rod, length: 1, mass: 1}"),
+        ("mass: 2.5", "mass: 2.5\n    com: [0, 0, 1]"),
+    ],
+)
 def test_what_the_loader_takes_the_schema_takes(old, new):
     text = GOOD.replace(old, new, 1)
     if new.startswith("#"):
-        text = GOOD[:GOOD.index("forces:")] + "forces:\n"
+        text = GOOD[: GOOD.index("forces:")] + "forces:\n"
     scene_from_text(text)
     assert accepts(text)

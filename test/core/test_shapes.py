@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Solids: mass, centre and inertia against integration over the volume."""
+
 import numpy as np
 import pytest
 from numpy.polynomial.legendre import leggauss
@@ -36,10 +37,11 @@ def volume_points(shape):
         return grid(*(interval(-edge / 2, edge / 2) for edge in shape.size))
     if shape.type == "sphere":
         (r, z, turn), weight = grid(interval(0, shape.radius), interval(-1, 1), around())
-        across = np.sqrt(1 - z ** 2)
-        return r * np.array([across * np.cos(turn), across * np.sin(turn), z]), weight * r ** 2
-    (r, z, turn), weight = grid(interval(0, shape.radius),
-                                interval(-shape.length / 2, shape.length / 2), around())
+        across = np.sqrt(1 - z**2)
+        return r * np.array([across * np.cos(turn), across * np.sin(turn), z]), weight * r**2
+    (r, z, turn), weight = grid(
+        interval(0, shape.radius), interval(-shape.length / 2, shape.length / 2), around()
+    )
     return np.array([r * np.cos(turn), r * np.sin(turn), z]), weight * r
 
 
@@ -79,21 +81,26 @@ def test_every_solid_is_integrated():
 def test_a_rod_is_thin_and_still_has_an_inertia_of_its_own():
     rod = Body(name="b", shape=Rod(length=2.0, mass=3.0, axis=(1, 0, 0)))
     along, across = rod.inertia[0], rod.inertia[1]
-    assert across == pytest.approx(3.0 * 2.0 ** 2 / 12, rel=1e-5)
-    assert along == pytest.approx(0.5 * 3.0 * 0.002 ** 2, rel=1e-14)
+    assert across == pytest.approx(3.0 * 2.0**2 / 12, rel=1e-5)
+    assert along == pytest.approx(0.5 * 3.0 * 0.002**2, rel=1e-14)
 
 
 def test_axes_along_body_axes_leave_no_round_off():
     for axis, order in (((1, 0, 0), (0, 1, 1)), ((0, 1, 0), (1, 0, 1)), ((0, 0, 1), (1, 1, 0))):
         inertia = Body(name="b", shape=Cylinder(radius=0.1, length=1, mass=1, axis=axis)).inertia
         assert inertia[3:] == (0.0, 0.0, 0.0)
-        assert inertia[:3] == tuple((0.5 * 0.1 ** 2, (3 * 0.1 ** 2 + 1) / 12)[i] for i in order)
+        assert inertia[:3] == tuple((0.5 * 0.1**2, (3 * 0.1**2 + 1) / 12)[i] for i in order)
 
 
 def test_a_body_with_a_shape_is_written_and_read_again():
-    scene = Scene(name="s", gravity=(0, 0, 0), bodies=[
-        Body(name="b", shape=Box(size=(1, 2, 3), density=1e3, position=(1, 0, 0))),
-        Body(name="c", shape={"type": "rod", "length": 1, "mass": 2})])
+    scene = Scene(
+        name="s",
+        gravity=(0, 0, 0),
+        bodies=[
+            Body(name="b", shape=Box(size=(1, 2, 3), density=1e3, position=(1, 0, 0))),
+            Body(name="c", shape={"type": "rod", "length": 1, "mass": 2}),
+        ],
+    )
     again = scene_from_text(scene.text)
     assert repr(again.model_dump()) == repr(scene.model_dump())
     assert "inertia" not in scene.text and again.bodies[0].mass == 6000.0
@@ -105,25 +112,40 @@ def text_with(shape):
     return f"name: s\ngravity: [0, 0, 0]\nbodies:\n- name: b\n  shape: {shape}\n"
 
 
-@pytest.mark.parametrize("shape, message", [
-    ("{type: ball, radius: 1, mass: 1}", "shape: type 'ball' is not known; known are box,"),
-    ("{radius: 1, mass: 1}", "shape: type is missing: give box or cylinder or rod or sphere"),
-    ("{type: sphere, radius: 1}", "shape: mass is missing: give mass or density"),
-    ("{type: sphere, radius: 1, mass: 1, density: 1}",
-     "shape: mass and density both give the mass: keep one of them"),
-    ("{type: sphere, radius: -1, mass: 1}", "shape.radius must be greater than 0, got -1"),
-    ("{type: box, size: [1, 0, 1], mass: 1}", "shape.size must be three sizes greater than 0"),
-    ("{type: box, size: [1, 1], mass: 1}", "shape.size must have 3 numbers"),
-    ("{type: cylinder, radius: 1, mass: 1}", "shape: length is missing: give the length along z"),
-    ("{type: rod, length: 1, density: 1}", "shape: radius is missing: give it, or mass"),
-    ("{type: rod, length: 1, mass: 1, axis: [1, 0, 0], quaternion: [0, 0, 0, 1]}",
-     "shape: quaternion and axis both give the rotation"),
-    ("{type: cylinder, length: 1, radius: 1e-9, mass: 1}",
-     "shape: its inertia must be positive definite"),
-    ("{type: sphere, radius: 1e80, density: 1e80}", "or its inertia is out of range: check sizes"),
-    ("{type: sphere, radius: 1e-80, density: 1e-100}", "is out of range: check sizes"),
-    ("3", "shape must be a mapping"),
-])
+@pytest.mark.parametrize(
+    "shape, message",
+    [
+        ("{type: ball, radius: 1, mass: 1}", "shape: type 'ball' is not known; known are box,"),
+        ("{radius: 1, mass: 1}", "shape: type is missing: give box or cylinder or rod or sphere"),
+        ("{type: sphere, radius: 1}", "shape: mass is missing: give mass or density"),
+        (
+            "{type: sphere, radius: 1, mass: 1, density: 1}",
+            "shape: mass and density both give the mass: keep one of them",
+        ),
+        ("{type: sphere, radius: -1, mass: 1}", "shape.radius must be greater than 0, got -1"),
+        ("{type: box, size: [1, 0, 1], mass: 1}", "shape.size must be three sizes greater than 0"),
+        ("{type: box, size: [1, 1], mass: 1}", "shape.size must have 3 numbers"),
+        (
+            "{type: cylinder, radius: 1, mass: 1}",
+            "shape: length is missing: give the length along z",
+        ),
+        ("{type: rod, length: 1, density: 1}", "shape: radius is missing: give it, or mass"),
+        (
+            "{type: rod, length: 1, mass: 1, axis: [1, 0, 0], quaternion: [0, 0, 0, 1]}",
+            "shape: quaternion and axis both give the rotation",
+        ),
+        (
+            "{type: cylinder, length: 1, radius: 1e-9, mass: 1}",
+            "shape: its inertia must be positive definite",
+        ),
+        (
+            "{type: sphere, radius: 1e80, density: 1e80}",
+            "or its inertia is out of range: check sizes",
+        ),
+        ("{type: sphere, radius: 1e-80, density: 1e-100}", "is out of range: check sizes"),
+        ("3", "shape must be a mapping"),
+    ],
+)
 def test_a_wrong_shape_is_refused_in_one_line(shape, message):
     with pytest.raises(SceneError) as caught:
         scene_from_text(text_with(shape), source="x.yaml")
@@ -131,8 +153,9 @@ def test_a_wrong_shape_is_refused_in_one_line(shape, message):
     assert message in str(caught.value)
 
 
-@pytest.mark.parametrize("key, value", [
-    ("mass", "1.0"), ("inertia", "[1, 1, 1]"), ("com", "[0, 0, 1]")])
+@pytest.mark.parametrize(
+    "key, value", [("mass", "1.0"), ("inertia", "[1, 1, 1]"), ("com", "[0, 0, 1]")]
+)
 def test_a_shape_goes_without_what_it_gives(key, value):
     text = text_with("{type: sphere, radius: 1, mass: 1}") + f"  {key}: {value}\n"
     with pytest.raises(SceneError, match=f"x.yaml:6: .*{key} and shape both give the {key}"):
@@ -141,10 +164,12 @@ def test_a_shape_goes_without_what_it_gives(key, value):
 
 def test_an_offset_solid_turns_its_own_inertia():
     """Steiner's part is not in the inertia: it is about the centre of mass, wherever that is."""
-    here, there = (Body(name="b", shape=Box(size=(1, 2, 3), mass=1, position=p,
-                                            rotation_vector=(0.1, 0.2, 0.3)))
-                   for p in ((0, 0, 0), (5, -7, 9)))
+    here, there = (
+        Body(
+            name="b", shape=Box(size=(1, 2, 3), mass=1, position=p, rotation_vector=(0.1, 0.2, 0.3))
+        )
+        for p in ((0, 0, 0), (5, -7, 9))
+    )
     assert here.inertia == there.inertia
     R = SO3.exp((0.1, 0.2, 0.3))
-    np.testing.assert_allclose(R.T @ here.inertia_matrix @ R, np.diag([13, 10, 5]) / 12,
-                               atol=1e-15)
+    np.testing.assert_allclose(R.T @ here.inertia_matrix @ R, np.diag([13, 10, 5]) / 12, atol=1e-15)

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulation as its user sees it: stepping, settings, and what happens when it cannot go on."""
+
 import os
 import subprocess
 import sys
@@ -80,20 +81,26 @@ def test_a_rotation_beyond_pi_warns_once(caplog):
     assert len([r for r in caplog.records if "more than pi" in r.message]) == 1
 
 
-@pytest.mark.parametrize("slack", [0.0, 1e-9, 10.0 ** -8.75])
+@pytest.mark.parametrize("slack", [0.0, 1e-9, 10.0**-8.75])
 def test_a_linkage_that_is_stretched_and_cannot_move_is_refused(slack):
     """Also where the links are off the line through their pins by angles, the root of `slack`,
-    next to the tolerance of the rank, so that two ways to find the rank differ."""
+    next to the tolerance of the rank, so that two ways to find the rank differ.
+    """
     with pytest.raises(SceneError, match="stretched or folded to a pose that it cannot leave"):
         Simulation(mechanisms.two_links(1.0 + slack))
     assert Simulation(mechanisms.two_links(1.5)).layout.dropped_rows == []
 
 
-@pytest.mark.parametrize("setting, text", [
-    ({"method": "rk9"}, "unknown method 'rk9'; there are: rkmk1, "),
-    ({"group": "so3"}, "unknown group 'so3'; there are: auto, se3, so3xr3"),
-    ({"step": 0.0}, "positive"), ({"step": float("nan")}, "positive"), ({"step": "1"}, "positive"),
-])
+@pytest.mark.parametrize(
+    "setting, text",
+    [
+        ({"method": "rk9"}, "unknown method 'rk9'; there are: rkmk1, "),
+        ({"group": "so3"}, "unknown group 'so3'; there are: auto, se3, so3xr3"),
+        ({"step": 0.0}, "positive"),
+        ({"step": float("nan")}, "positive"),
+        ({"step": "1"}, "positive"),
+    ],
+)
 def test_wrong_settings_say_what_would_be_right(setting, text):
     with pytest.raises(ValueError, match=text):
         Simulation(load_scene("free_body"), **setting)
@@ -135,9 +142,13 @@ def test_a_state_that_is_none_is_refused():
             simulation.set_state(factor * pose, twist)
 
 
-@pytest.mark.parametrize("given, message", [
-    (("heavy_top",), "expected a Scene, got 'heavy_top': load_scene reads one from a file"),
-    ((load_scene("free_body"), ["rkmk4"]), "unknown method")])
+@pytest.mark.parametrize(
+    "given, message",
+    [
+        (("heavy_top",), "expected a Scene, got 'heavy_top': load_scene reads one from a file"),
+        ((load_scene("free_body"), ["rkmk4"]), "unknown method"),
+    ],
+)
 def test_what_is_no_scene_or_method_is_refused(given, message):
     with pytest.raises(ValueError, match=message):
         Simulation(*given)
@@ -145,17 +156,23 @@ def test_what_is_no_scene_or_method_is_refused(given, message):
 
 def test_without_the_compiler_the_same_numbers():
     """Plain Python rounds as machine code does: no fast-math. libm's last bit may differ."""
-    code = ("import sys; sys.path.insert(0, sys.argv[1]); import mechanisms; "
-            "from liegroup_core import Simulation; "
-            "[(s := Simulation(mechanisms.named(name), group='so3xr3', stabilisation=kind), "
-            "s.advance(20), print(s.state()[0].tobytes().hex(), s.sample().energy.hex())) "
-            "for name in ('net', 'every kind') for kind in ('none', 'baumgarte', 'projection')]")
+    code = (
+        "import sys; sys.path.insert(0, sys.argv[1]); import mechanisms; "
+        "from liegroup_core import Simulation; "
+        "[(s := Simulation(mechanisms.named(name), group='so3xr3', stabilisation=kind), "
+        "s.advance(20), print(s.state()[0].tobytes().hex(), s.sample().energy.hex())) "
+        "for name in ('net', 'every kind') for kind in ('none', 'baumgarte', 'projection')]"
+    )
     here = os.path.dirname(os.path.dirname(__file__))
 
     def run(disable):
         return subprocess.run(
-            [sys.executable, "-c", code, here], capture_output=True, text=True, check=True,
-            env={**os.environ, "NUMBA_DISABLE_JIT": disable}).stdout.split()
+            [sys.executable, "-c", code, here],
+            capture_output=True,
+            text=True,
+            check=True,
+            env={**os.environ, "NUMBA_DISABLE_JIT": disable},
+        ).stdout.split()
 
     plain, fast = run("1"), run("0")
     assert len(plain) == len(fast) == 12

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A step that is too large for its motion is not silent, and one that is not is left alone."""
+
 import json
 import logging
 import re
@@ -17,9 +18,18 @@ from liegroup_core.study.extremes import problems as problems
 ROOT = Path(__file__).resolve().parents[2]
 SCENES = ROOT / "config" / "scenes"
 TRADES = json.loads((ROOT / "docs" / "which_method.json").read_text())["scenes"]
-PLENTY = {"free_body": 4000, "heavy_top": 4000, "double_pendulum": 2000, "slider_crank": 1000,
-          "bricard": 1000, "lagrangian_top": 2000, "n_four_bar": 1000, "ball_chain": 300,
-          "four_bar": 2000, "hinge_chain": 300}
+PLENTY = {
+    "free_body": 4000,
+    "heavy_top": 4000,
+    "double_pendulum": 2000,
+    "slider_crank": 1000,
+    "bricard": 1000,
+    "lagrangian_top": 2000,
+    "n_four_bar": 1000,
+    "ball_chain": 300,
+    "four_bar": 2000,
+    "hinge_chain": 300,
+}
 # The step that is taken where none is given is too large for these.
 FASTER = {"andrews_squeezer", "flyball_governor"}
 
@@ -31,8 +41,9 @@ def run(scene, steps, every=None, **settings):
     return simulation
 
 
-@pytest.mark.parametrize("method, step", [("stoermer_verlet", 0.1), ("coadjoint_rkmk2", 0.1),
-                                          ("rkmk2", 0.2)])
+@pytest.mark.parametrize(
+    "method, step", [("stoermer_verlet", 0.1), ("coadjoint_rkmk2", 0.1), ("rkmk2", 0.2)]
+)
 def test_a_rod_that_slowly_goes_wrong(method, step, caplog):
     """A rod of ratio 100: stable at the start, and off by more than 5 % after 20 s."""
     problem = problems.inertia_rod(100.0, step=step)
@@ -115,10 +126,18 @@ def test_what_a_push_gives_is_no_error():
     assert simulation._step_watch._keeps_energy
 
 
-@pytest.mark.parametrize("settings", [
-    {"method": "rkmk4"}, {"method": "rkmk4", "space": "space"}, {"method": "rkmk54"},
-    {"method": "rkmk4", "stabilisation": "projection"}, {"method": "generalized_alpha"},
-    {"method": "constrained_rattle"}], ids=str)
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"method": "rkmk4"},
+        {"method": "rkmk4", "space": "space"},
+        {"method": "rkmk54"},
+        {"method": "rkmk4", "stabilisation": "projection"},
+        {"method": "generalized_alpha"},
+        {"method": "constrained_rattle"},
+    ],
+    ids=str,
+)
 def test_it_changes_nothing(settings):
     """To the bit, with all that lasts between steps; and whichever way the steps are asked for."""
     scene = load_scene("slider_crank")
@@ -167,14 +186,16 @@ def test_a_small_component_that_grows():
         assert ("added up" in doubt) if wrong else doubt is None
 
 
-@pytest.mark.parametrize("method, stiffness", [
-    ("rkmk8", 1e6), ("coadjoint_rkmk8", 1e6), ("rkmk8", 1.5e6), ("coadjoint_rkmk8", 1.5e6)])
+@pytest.mark.parametrize(
+    "method, stiffness",
+    [("rkmk8", 1e6), ("coadjoint_rkmk8", 1e6), ("rkmk8", 1.5e6), ("coadjoint_rkmk8", 1.5e6)],
+)
 def test_a_spring_that_turns_over(method, stiffness, monkeypatch):
     """Damped, and through its zero length within one step, of 50: errors of 7 to 48 % after it."""
     problem = problems.stiff_damped(stiffness)
     settings = {"method": method, "step": problem.step}
     assert "ends of a spring passed" in run(problem.scene, problem.steps, **settings).doubt
-    if stiffness == 1e6:        # no other look comes across it
+    if stiffness == 1e6:  # no other look comes across it
         monkeypatch.setattr(StepWatch, "waits", lambda *_: False)
         assert run(problem.scene, problem.steps, **settings).doubt is None
 
@@ -186,23 +207,45 @@ def test_a_spring_without_a_line_is_not_waited_for():
     assert Simulation(problems.stiff_damped(1e6).scene, "rkmk8", 1e-3)._step_watch.waits(0)
 
 
-@pytest.mark.parametrize("method, space", [
-    ("rkmk8", "auto"), ("rkmk8", "space"), ("coadjoint_rkmk4", None), ("lie_midpoint", None),
-    ("generalized_alpha", None), ("constrained_rattle", None)])
+@pytest.mark.parametrize(
+    "method, space",
+    [
+        ("rkmk8", "auto"),
+        ("rkmk8", "space"),
+        ("coadjoint_rkmk4", None),
+        ("lie_midpoint", None),
+        ("generalized_alpha", None),
+        ("constrained_rattle", None),
+    ],
+)
 def test_waiting_for_a_spring_changes_nothing(method, space, monkeypatch):
     """To the bit, in every family; and a spring that swings through zero is met now and then."""
     met = []
     meets = StepWatch.met
-    monkeypatch.setattr(StepWatch, "met", lambda self, steps: met.append(steps) or meets(
-        self, steps))
-    spring = SpringDamper(name="spring", parent="world", parent_point=(0.0, 0.0, -1.0),
-                          child="bob", child_point=(0.0, 0.0, 0.0), stiffness=40.0, damping=0.5)
+    monkeypatch.setattr(
+        StepWatch, "met", lambda self, steps: met.append(steps) or meets(self, steps)
+    )
+    spring = SpringDamper(
+        name="spring",
+        parent="world",
+        parent_point=(0.0, 0.0, -1.0),
+        child="bob",
+        child_point=(0.0, 0.0, 0.0),
+        stiffness=40.0,
+        damping=0.5,
+    )
     scene = problems.angle(0.5).scene
     scene = scene.model_copy(update={"forces": (spring,)})
     if space == "auto":
-        hinge = scene.joints[0].model_copy(update={"type": "revolute", **{
-            end: getattr(scene.joints[0], end).model_copy(update={"axis": (0, 1, 0)})
-            for end in ("parent_frame", "child_frame")}})
+        hinge = scene.joints[0].model_copy(
+            update={
+                "type": "revolute",
+                **{
+                    end: getattr(scene.joints[0], end).model_copy(update={"axis": (0, 1, 0)})
+                    for end in ("parent_frame", "child_frame")
+                },
+            }
+        )
         scene = scene.model_copy(update={"joints": (hinge,)})
     settings = {"method": method, "step": 0.01} | ({"space": space} if space else {})
     looked = run(scene, 400, **settings)
@@ -215,9 +258,15 @@ def test_waiting_for_a_spring_changes_nothing(method, space, monkeypatch):
     assert len(met) == count
 
 
-@pytest.mark.parametrize("method, step, offset", [
-    ("stoermer_verlet", 0.05, 1e-10), ("stoermer_verlet", 0.05, 1e-11),
-    ("coadjoint_rkmk4", 0.5, 1e-10), ("coadjoint_rkmk4", 0.5, 3e-10)])
+@pytest.mark.parametrize(
+    "method, step, offset",
+    [
+        ("stoermer_verlet", 0.05, 1e-10),
+        ("stoermer_verlet", 0.05, 1e-11),
+        ("coadjoint_rkmk4", 0.5, 1e-10),
+        ("coadjoint_rkmk4", 0.5, 3e-10),
+    ],
+)
 def test_a_body_that_comes_back_to_its_middle_axis(method, step, offset):
     """Its momentum is kept and its energy drifts by 1e-5: it flips over again at another time."""
     problem = problems.racket(offset, step)

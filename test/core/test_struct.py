@@ -1,4 +1,5 @@
 """What a kernel reads of a Struct is what Python reads of it, at any time and in any copy."""
+
 import copy
 import gc
 import json
@@ -37,9 +38,19 @@ class Outer(Struct):
 @kernel
 def read(outer, i):
     """One number of every field, and the shapes."""
-    return (outer.flag, outer.count, outer.inner.shift, outer.inner.rows[i, 1],
-            outer.pairs[i]["number"], outer.pairs[i]["vector"][2], outer.cube[1, i, 2],
-            outer.inner.rows.shape, outer.cube.shape, len(outer.pairs), len(outer.nothing))
+    return (
+        outer.flag,
+        outer.count,
+        outer.inner.shift,
+        outer.inner.rows[i, 1],
+        outer.pairs[i]["number"],
+        outer.pairs[i]["vector"][2],
+        outer.cube[1, i, 2],
+        outer.inner.rows.shape,
+        outer.cube.shape,
+        len(outer.pairs),
+        len(outer.nothing),
+    )
 
 
 @kernel
@@ -88,18 +99,36 @@ def made(flag=True, count=-7, shift=-0.25):
     rng = np.random.default_rng(3)
     pairs = np.zeros(4, dtype=PAIR)
     pairs["number"], pairs["vector"] = np.arange(4) - 2, rng.normal(size=(4, 3))
-    return Outer(flag=flag, count=count, inner=Inner(rows=rng.normal(size=(4, 2)), shift=shift),
-                 pairs=pairs, cube=rng.normal(size=(2, 4, 3)), nothing=np.zeros((0, 6)))
+    return Outer(
+        flag=flag,
+        count=count,
+        inner=Inner(rows=rng.normal(size=(4, 2)), shift=shift),
+        pairs=pairs,
+        cube=rng.normal(size=(2, 4, 3)),
+        nothing=np.zeros((0, 6)),
+    )
 
 
 def expected(outer, i):
-    return (outer.flag, outer.count, outer.inner.shift, outer.inner.rows[i, 1],
-            outer.pairs[i]["number"], outer.pairs[i]["vector"][2], outer.cube[1, i, 2],
-            (4, 2), (2, 4, 3), 4, 0)
+    return (
+        outer.flag,
+        outer.count,
+        outer.inner.shift,
+        outer.inner.rows[i, 1],
+        outer.pairs[i]["number"],
+        outer.pairs[i]["vector"][2],
+        outer.cube[1, i, 2],
+        (4, 2),
+        (2, 4, 3),
+        4,
+        0,
+    )
 
 
-@pytest.mark.parametrize("flag, count, shift", [(True, -7, -0.25), (False, 2**62, math.inf),
-                                                (np.True_, np.int64(-1), np.float64(5e-324))])
+@pytest.mark.parametrize(
+    "flag, count, shift",
+    [(True, -7, -0.25), (False, 2**62, math.inf), (np.True_, np.int64(-1), np.float64(5e-324))],
+)
 def test_every_kind_of_field(flag, count, shift):
     outer = made(flag, count, shift)
     for i in range(4):
@@ -144,24 +173,28 @@ def halved_by_steps(array, steps):
     return True
 
 
-@pytest.mark.skipif(not compiled() or platform.machine() not in ("x86_64", "AMD64"),
-                    reason="other processors are as fast with such numbers")
-@pytest.mark.parametrize("numbers, ended", [((1.0, 2.0 ** -1022, -2.0 ** -1021, 2.0 ** -1030), True),
-                                            ((), False)])
+@pytest.mark.skipif(
+    not compiled() or platform.machine() not in ("x86_64", "AMD64"),
+    reason="other processors are as fast with such numbers",
+)
+@pytest.mark.parametrize(
+    "numbers, ended", [((1.0, 2.0**-1022, -(2.0**-1021), 2.0**-1030), True), ((), False)]
+)
 def test_what_is_next_to_zero_is_zero_in_steps_and_nowhere_else(numbers, ended):
     """The smallest normal number is 2^-1022; half of it would take a hundred times as long."""
     array = np.array(numbers)
     assert halved_by_steps(array, 2) == ended
-    assert array.tolist() == [0.25, 0.0, 0.0, 0.0][:len(array)]
-    array = np.array([2.0 ** -1022, 2.0 ** -1030])
-    assert halved(array) and array.tolist() == [2.0 ** -1023, 2.0 ** -1031]
-    assert (array * 0.5).tolist() == [2.0 ** -1024, 2.0 ** -1032]
+    assert array.tolist() == [0.25, 0.0, 0.0, 0.0][: len(array)]
+    array = np.array([2.0**-1022, 2.0**-1030])
+    assert halved(array) and array.tolist() == [2.0**-1023, 2.0**-1031]
+    assert (array * 0.5).tolist() == [2.0**-1024, 2.0**-1032]
 
 
 @pytest.mark.parametrize("harm", ["nothing", "index", "code", "full"])
 def test_kernels_out_of_the_cache(tmp_path, harm):
     """Also where a file of it is damaged, or no file can be written, as on a full disk; the caller
-    of a shared function is loaded before that."""
+    of a shared function is loaded before that.
+    """
     if not compiled() or CACHE_FOLDER is None:
         pytest.skip("nothing is compiled, or nothing is kept")
     (tmp_path / "kernels.py").write_text("""if True:
@@ -187,9 +220,17 @@ def test_kernels_out_of_the_cache(tmp_path, harm):
 
     def run(prepare=None, told=0):
         said = subprocess.run(
-            [sys.executable, "-c", f"import sys; sys.path.append({str(tmp_path)!r}); import kernels"],
-            capture_output=True, text=True, check=True, preexec_fn=prepare,
-            env={**os.environ, "LIEGROUP_CACHE_DIR": str(tmp_path / "cache")})
+            [
+                sys.executable,
+                "-c",
+                f"import sys; sys.path.append({str(tmp_path)!r}); import kernels",
+            ],
+            capture_output=True,
+            text=True,
+            check=True,
+            preexec_fn=prepare,
+            env={**os.environ, "LIEGROUP_CACHE_DIR": str(tmp_path / "cache")},
+        )
         assert said.stderr.count("compiled kernels cannot be kept") == told
         assert len(said.stderr.splitlines()) == told
         return json.loads(said.stdout)
@@ -217,7 +258,7 @@ def test_copies_have_memory_of_their_own(again):
     assert read(outer, 1) == before and read(other, 1)[4] == 9
     del outer
     gc.collect()
-    [np.full(1000, np.nan) for _ in range(100)]         # would lie where freed memory was
+    [np.full(1000, np.nan) for _ in range(100)]  # would lie where freed memory was
     assert read(other, 3) == expected(other, 3)
 
 
@@ -241,11 +282,19 @@ def test_arrays_that_kernels_could_not_read(array):
         Inner(rows=array, shift=0.0)
 
 
-@pytest.mark.parametrize("scene, method", [
-    ("four_bar", "rkmk54"), ("heavy_top", "rkmk4"), ("double_pendulum", "generalized_alpha"),
-    ("double_pendulum", "constrained_rattle4"), ("lagrangian_top", "stoermer_verlet")])
-@pytest.mark.parametrize("again", [copy.copy, copy.deepcopy,
-                                   lambda x: pickle.loads(pickle.dumps(x))])
+@pytest.mark.parametrize(
+    "scene, method",
+    [
+        ("four_bar", "rkmk54"),
+        ("heavy_top", "rkmk4"),
+        ("double_pendulum", "generalized_alpha"),
+        ("double_pendulum", "constrained_rattle4"),
+        ("lagrangian_top", "stoermer_verlet"),
+    ],
+)
+@pytest.mark.parametrize(
+    "again", [copy.copy, copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))]
+)
 def test_a_copied_simulation_goes_on_alone(scene, method, again):
     simulation = Simulation(load_scene(scene), method=method, step=1e-3)
     simulation.advance(20)
@@ -282,6 +331,7 @@ def test_a_sample_in_another_process(tmp_path):
     path = tmp_path / "sample"
     path.write_bytes(pickle.dumps(sample))
     code = "import pickle, sys; print(pickle.load(open(sys.argv[1], 'rb')).energy.hex())"
-    said = subprocess.run([sys.executable, "-c", code, path], capture_output=True, text=True,
-                          check=True)
+    said = subprocess.run(
+        [sys.executable, "-c", code, path], capture_output=True, text=True, check=True
+    )
     assert float.fromhex(said.stdout) == sample.energy

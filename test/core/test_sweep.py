@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ensembles: parameters by name, the Latin hypercube, runs that depend on their number alone."""
+
 import math
 import os
 import signal
@@ -47,22 +48,37 @@ TIME, STEP = 2.0, 0.02
 
 
 def oscillator(samples=12, **more):
-    return Sweep.of(scene_from_text(OSCILLATOR), VARY, samples, round(TIME / STEP), **{
-        "settings": {"method": "rkmk8", "step": STEP}} | more)
+    return Sweep.of(
+        scene_from_text(OSCILLATOR),
+        VARY,
+        samples,
+        round(TIME / STEP),
+        **{"settings": {"method": "rkmk8", "step": STEP}} | more,
+    )
 
 
 def joined(pieces):
     """{column: values} of all runs, in their order, without what they cost."""
     pieces = sorted(pieces, key=lambda piece: piece["run"][0])
-    return {name: [value for piece in pieces for value in piece[name]]
-            for name in pieces[0] if name != "cpu_s"}
+    return {
+        name: [value for piece in pieces for value in piece[name]]
+        for name in pieces[0]
+        if name != "cpu_s"
+    }
 
 
 def same(first, second):
     """Whether all bits are the same."""
+
     def bits(columns):
-        return {name: [np.asarray(value).tobytes() if isinstance(value, (float, np.ndarray))
-                       else value for value in values] for name, values in columns.items()}
+        return {
+            name: [
+                np.asarray(value).tobytes() if isinstance(value, (float, np.ndarray)) else value
+                for value in values
+            ]
+            for name, values in columns.items()
+        }
+
     return bits(first) == bits(second)
 
 
@@ -73,17 +89,18 @@ def test_every_number_of_a_scene_is_a_parameter(path):
     before = parameters(scene)
     assert all(f"bodies.{body.name}.position.0" in before for body in scene.bodies)
     assert {f"gravity.{i}" for i in range(3)} < set(before)
-    for name, value in list(before.items())[::math.ceil(len(before) / 60)]:
-        if value is None or "inertia" in name:      # three that must fit each other
+    for name, value in list(before.items())[:: math.ceil(len(before) / 60)]:
+        if value is None or "inertia" in name:  # three that must fit each other
             continue
         after = parameters(changed(scene, {name: value * 0.75 + 0.01}))
         assert after[name] == value * 0.75 + 0.01
         kind = next((kind for kind in ROTATIONS if kind in name), None)
         for other in set(before) - {name}:
             if name.endswith("shape.length") and other.endswith("shape.radius"):
-                continue                    # of a rod: a part of its length if left out
-            if kind is None or not other.startswith(tuple(
-                    name.partition(kind)[0] + key for key in ROTATIONS)):
+                continue  # of a rod: a part of its length if left out
+            if kind is None or not other.startswith(
+                tuple(name.partition(kind)[0] + key for key in ROTATIONS)
+            ):
                 assert after[other] == before[other], (name, other)
             elif kind == "rotation_vector" and kind in other:
                 # Written as such now: the way there and back of a quaternion or an axis rounds.
@@ -101,17 +118,29 @@ def test_a_name_is_a_path_or_an_end_of_one_only():
         path_of(scene, "1")
 
 
-@pytest.mark.parametrize("text, said", [
-    ("mass", "must be NAME=LOW:HIGH"), ("mass=", "must be NAME=LOW:HIGH"),
-    ("=1:2", "must be NAME=LOW:HIGH"), ("mass=a:b", "no number"), ("mass=1:2:3", "two numbers"),
-    ("mass=2:1", "2 must be below 1"), ("mass=1:1", "1 must be below 1"),
-    ("gravity.2=-1:1:log", "greater than 0, got -1"), ("mass=1,2:log", "log goes with"),
-    ("mass=1~0", "deviation must be greater than 0"), ("mass=1~-1", "deviation"),
-    ("mass=1:inf", "not finite"), ("mass=nan,1", "not finite"),
-    ("mass=-1:1", "bodies.ball.mass must be greater than 0, got -1"),
-    ("mass=0,1", "bodies.ball.mass must be greater than 0, got 0"),
-    ("stiffness=-1:1", "forces.spring.stiffness must not be negative, got -1"),
-    ("gravity.0=1:1e101", "at most 1e+100 in size"), ("weight=1:2", "no parameter weight")])
+@pytest.mark.parametrize(
+    "text, said",
+    [
+        ("mass", "must be NAME=LOW:HIGH"),
+        ("mass=", "must be NAME=LOW:HIGH"),
+        ("=1:2", "must be NAME=LOW:HIGH"),
+        ("mass=a:b", "no number"),
+        ("mass=1:2:3", "two numbers"),
+        ("mass=2:1", "2 must be below 1"),
+        ("mass=1:1", "1 must be below 1"),
+        ("gravity.2=-1:1:log", "greater than 0, got -1"),
+        ("mass=1,2:log", "log goes with"),
+        ("mass=1~0", "deviation must be greater than 0"),
+        ("mass=1~-1", "deviation"),
+        ("mass=1:inf", "not finite"),
+        ("mass=nan,1", "not finite"),
+        ("mass=-1:1", "bodies.ball.mass must be greater than 0, got -1"),
+        ("mass=0,1", "bodies.ball.mass must be greater than 0, got 0"),
+        ("stiffness=-1:1", "forces.spring.stiffness must not be negative, got -1"),
+        ("gravity.0=1:1e101", "at most 1e+100 in size"),
+        ("weight=1:2", "no parameter weight"),
+    ],
+)
 def test_a_wrong_range_is_one_line(text, said):
     with pytest.raises(ParameterError) as error:
         range_of(scene_as_written(OSCILLATOR), text)
@@ -126,7 +155,7 @@ def test_latin_hypercube(samples):
     shares = (np.log(mass) / math.log(4.0), (stiffness - 4.0) / 5.0, ndtr(velocity / 0.5))
     for share in shares:
         assert sorted(np.floor(share * samples).astype(int)) == list(range(samples))
-    if samples == 64:                       # 64 shares, a third of them each
+    if samples == 64:  # 64 shares, a third of them each
         assert sorted(np.unique(position, return_counts=True)[1]) == [21, 21, 22]
     assert np.array_equal(sweep.values, oscillator(samples).values)
     assert not np.array_equal(mass, oscillator(samples, seed=1).values[:, 0])
@@ -134,7 +163,8 @@ def test_latin_hypercube(samples):
 
 def test_closed_form_of_all_runs():
     """The error of rkmk8 goes with (w h)^8 w t < (3 * 0.02)^8 * 6 < 1e-9, times a constant below
-    1e-3 of a method of order 8 (1 / 9!): below rounding, 1e-16 in each of 100 steps."""
+    1e-3 of a method of order 8 (1 / 9!): below rounding, 1e-16 in each of 100 steps.
+    """
     columns = joined(oscillator(every=25).run(range(12), workers=1))
     mass, k, x0, v0 = (np.array(columns[path]) for path in oscillator().paths)
     assert columns["status"] == ["ok"] * 12 and columns["warning"] == [None] * 12
@@ -142,7 +172,7 @@ def test_closed_form_of_all_runs():
     assert np.allclose(columns["ball.x"], x0 * np.cos(w * TIME), rtol=0, atol=1e-13)
     assert np.allclose(columns["ball.y"], v0 / w * np.sin(w * TIME), rtol=0, atol=1e-13)
     assert np.allclose(columns["ball.vx"], -w * x0 * np.sin(w * TIME), rtol=0, atol=1e-12)
-    energy = (k * x0 ** 2 + mass * v0 ** 2) / 2
+    energy = (k * x0**2 + mass * v0**2) / 2
     assert np.allclose(columns["energy_start"], energy, rtol=1e-14)
     assert (np.array(columns["energy_drift"]) <= 1e-12 * energy).all()
     assert columns["time"] == [TIME] * 12 and columns["joints"] == [0.0] * 12
@@ -170,7 +200,7 @@ def test_the_same_bits_with_other_workers_and_pieces_and_a_death(monkeypatch, tm
     pieces = list(sweep.run(range(12), workers=1))
     assert [len(piece["run"]) for piece in pieces] == [1, 11]
     alone = joined(sweep.run(range(12), workers=1))
-    monkeypatch.setattr(sweeps, "PIECE", 1e-9)          # a run each
+    monkeypatch.setattr(sweeps, "PIECE", 1e-9)  # a run each
     monkeypatch.setattr(sweeps, "unchanged", sweeps.simulate, raising=False)
     monkeypatch.setattr(sweeps, "simulate", simulate)
     shared = list(sweep.run(range(12), workers=2))
@@ -197,22 +227,30 @@ def test_runs_that_fail_are_rows_that_say_why():
     vary = ["angular_velocity.2=-1,0.5,1"]
     settings = {"step": 1e-3}
     open_ = joined(Sweep.of(top, vary, 6, 10, settings=settings).run(range(6), workers=1))
-    for value, status, time in zip(open_["bodies.top.angular_velocity.2"], open_["status"],
-                                   open_["time"]):
+    for value, status, time in zip(
+        open_["bodies.top.angular_velocity.2"], open_["status"], open_["time"]
+    ):
         if value == 0.5:
             assert status == "ok" and time == 0.01
         else:
             assert "the initial velocities violate the joint" in status and math.isnan(time)
-    closed = joined(Sweep.of(top, vary, 6, 10, every=10, assemble=True, settings=settings
-                             ).run(range(6), workers=1))
+    closed = joined(
+        Sweep.of(top, vary, 6, 10, every=10, assemble=True, settings=settings).run(
+            range(6), workers=1
+        )
+    )
     assert closed["status"] == ["ok"] * 6 and max(closed["joints"]) < 1e-9
     # What was drawn is kept, the velocity of the centre follows: 0.5 m from the pivot.
-    for value, turn, speed in zip(closed["bodies.top.angular_velocity.2"],
-                                  closed["samples.top.wz"], closed["samples.top.vy"]):
+    for value, turn, speed in zip(
+        closed["bodies.top.angular_velocity.2"], closed["samples.top.wz"], closed["samples.top.vy"]
+    ):
         assert turn[0] == pytest.approx(value, abs=1e-15)
         assert speed[0] == pytest.approx(value / 2, abs=1e-15)
-    fast = joined(Sweep.of(load_scene("lagrangian_top"), ["mass=1,1.1"], 2, 10,
-                           settings={"step": 0.1}).run(range(2), workers=1))
+    fast = joined(
+        Sweep.of(load_scene("lagrangian_top"), ["mass=1,1.1"], 2, 10, settings={"step": 0.1}).run(
+            range(2), workers=1
+        )
+    )
     assert all("stopped at t = " in status for status in fast["status"])
     assert all(0.0 <= time < 1.0 for time in fast["time"])
     drawn = joined(oscillator_with("mass=0.1~1").run(range(8), workers=1))
@@ -226,15 +264,27 @@ def test_what_assembly_cannot_keep_is_told():
     """Velocities that no motion has are a failure; a pose that closes elsewhere, a warning."""
     top = load_scene("heavy_top")
     settings = {"step": 1e-3}
-    found = joined(Sweep.of(top, ["angular_velocity.2=1:2", "linear_velocity.1=3:4"], 3, 5,
-                            assemble=True, settings=settings).run(range(3), workers=1))
+    found = joined(
+        Sweep.of(
+            top,
+            ["angular_velocity.2=1:2", "linear_velocity.1=3:4"],
+            3,
+            5,
+            assemble=True,
+            settings=settings,
+        ).run(range(3), workers=1)
+    )
     assert all("contradict each other" in status for status in found["status"])
-    found = joined(Sweep.of(top, ["bodies.top.position.0=0.4,0.5"], 2, 5, every=5, assemble=True,
-                            settings=settings).run(range(2), workers=1))
+    found = joined(
+        Sweep.of(
+            top, ["bodies.top.position.0=0.4,0.5"], 2, 5, every=5, assemble=True, settings=settings
+        ).run(range(2), workers=1)
+    )
     assert found["status"] == ["ok"] * 2
-    for value, warning, start in zip(found["bodies.top.position.0"], found["warning"],
-                                     found["samples.top.x"]):
-        assert start[0] == 0.5              # from the pivot
+    for value, warning, start in zip(
+        found["bodies.top.position.0"], found["warning"], found["samples.top.x"]
+    ):
+        assert start[0] == 0.5  # from the pivot
         assert (warning is None) == (value == 0.5)
         assert warning is None or "position.0 0.5 in place of 0.4" in warning
 
@@ -244,8 +294,11 @@ def test_a_linkage_is_looked_at_once():
     for kept in (generic_poses, redundancy._chosen, planar_build._chosen):
         kept.cache_clear()
     base = scene_as_written((SCENES[0].parent / "four_bar.yaml").read_text())
-    paths = [{}, {"bodies.rocker.shape.mass": 2.0},
-             {"joints.crank_coupler.child_frame.position.0": -0.51}]
+    paths = [
+        {},
+        {"bodies.rocker.shape.mass": 2.0},
+        {"joints.crank_coupler.child_frame.position.0": -0.51},
+    ]
     layouts, looks = [], []
     for values in paths:
         layouts.append(make_layout(changed(base, values)))
@@ -260,9 +313,12 @@ def oscillator_with(*vary):
 
 
 def test_wrong_sweeps_are_refused():
-    for change, said in (({"samples": 0}, "samples must be"), ({"seed": -1}, "the seed must be"),
-                         ({"samples": 10 ** 12}, "more numbers"),
-                         ({"settings": {"method": "rk"}}, "unknown method")):
+    for change, said in (
+        ({"samples": 0}, "samples must be"),
+        ({"seed": -1}, "the seed must be"),
+        ({"samples": 10**12}, "more numbers"),
+        ({"settings": {"method": "rk"}}, "unknown method"),
+    ):
         with pytest.raises(ValueError, match=said):
             oscillator(**change)
     for vary, said in (((), "nothing varies"), (("mass=1:2", "ball.mass=1:3"), "given twice")):
@@ -316,8 +372,11 @@ def test_what_is_no_folder_of_a_sweep_is_left_alone(tmp_path):
     (tmp_path / "a.parquet").write_text("mine")
     (tmp_path / "b.parquet").mkdir()
     (tmp_path / "b.parquet" / "notes.txt").write_text("mine")
-    for name, said in (("a.parquet", "is a file"), ("b.parquet", "it has notes.txt"),
-                       ("c.csv", "must end in .parquet")):
+    for name, said in (
+        ("a.parquet", "is a file"),
+        ("b.parquet", "it has notes.txt"),
+        ("c.csv", "must end in .parquet"),
+    ):
         with pytest.raises(SweepFileError, match=said):
             SweepFile(tmp_path / name, sweep)
     with pytest.raises(SweepFileError, match="there is no sweep"):
@@ -326,4 +385,7 @@ def test_what_is_no_folder_of_a_sweep_is_left_alone(tmp_path):
         with SweepFile(tmp_path / "none" / "e.parquet", sweep).writing():
             pass
     assert sorted(path.name for path in tmp_path.rglob("*")) == [
-        "a.parquet", "b.parquet", "notes.txt"]
+        "a.parquet",
+        "b.parquet",
+        "notes.txt",
+    ]

@@ -4,6 +4,7 @@
 Checked along integrations by `liegroup_core.reference`, which knows nothing of symmetries. Runs
 last 1.5 s at speeds of some rad/s; the reference is right to about 1e-11 of values of size 10.
 """
+
 import numpy as np
 import pytest
 
@@ -14,32 +15,55 @@ from liegroup_core.reference import integrate
 from liegroup_core.scene.description import Body, Frame, Joint, Scene, SpringDamper
 
 G = (0.0, 0.0, -9.81)
-KEPT = 1e-9             # 1e-11 of values of size 10 to 100
-SPOILT = 1e-4           # what is not kept changes by far more within 1.5 s
+KEPT = 1e-9  # 1e-11 of values of size 10 to 100
+SPOILT = 1e-4  # what is not kept changes by far more within 1.5 s
 
 
 def body(name="a", position=(0.3, -0.2, 0.4), pivot=None, axis=None):
     """A body with a generic motion, one that a ball joint or hinge at `pivot` allows."""
     turn = np.array(axis if axis is not None else (0.7, -1.1, 1.9))
     speed = np.cross(turn, np.subtract(position, pivot)) if pivot is not None else (0.5, 0.2, -0.3)
-    return Body(name=name, mass=2.0, inertia=(0.05, 0.08, 0.11), position=position,
-                angular_velocity=turn, linear_velocity=speed)
+    return Body(
+        name=name,
+        mass=2.0,
+        inertia=(0.05, 0.08, 0.11),
+        position=position,
+        angular_velocity=turn,
+        linear_velocity=speed,
+    )
 
 
 def ball(pivot, child="a", parent="world"):
-    return Joint(name=f"ball_{child}", type="spherical", parent=parent, child=child,
-                 parent_frame=Frame(position=pivot))
+    return Joint(
+        name=f"ball_{child}",
+        type="spherical",
+        parent=parent,
+        child=child,
+        parent_frame=Frame(position=pivot),
+    )
 
 
 def hinge(pivot, axis, child="a", parent="world"):
-    return Joint(name=f"hinge_{child}", type="revolute", parent=parent, child=child,
-                 parent_frame=Frame(position=pivot, axis=axis))
+    return Joint(
+        name=f"hinge_{child}",
+        type="revolute",
+        parent=parent,
+        child=child,
+        parent_frame=Frame(position=pivot, axis=axis),
+    )
 
 
 def spring(place, at=(0.0, 0.0, 0.0), rest=0.0, damping=0.0, child="a", parent="world"):
-    return SpringDamper(name=f"spring_{child}", parent=parent, parent_point=place,
-                        child=child, child_point=at, stiffness=60.0, damping=damping,
-                        rest_length=rest)
+    return SpringDamper(
+        name=f"spring_{child}",
+        parent=parent,
+        parent_point=place,
+        child=child,
+        child_point=at,
+        stiffness=60.0,
+        damping=damping,
+        rest_length=rest,
+    )
 
 
 def scene(bodies, joints=(), forces=(), gravity=G):
@@ -49,57 +73,92 @@ def scene(bodies, joints=(), forces=(), gravity=G):
 PIVOT = (0.1, 0.2, -0.1)
 TOP = body(pivot=PIVOT)
 FIELD = 60.0 * np.subtract((0.5, 0.9, 0.3), PIVOT) + 2.0 * np.array(G)
-CHAIN = [body("a", (0.3, 0.0, 0.0), (0.0, 0.0, 0.0)), Body(
-    name="b", mass=1.0, inertia=(0.02, 0.03, 0.04), position=(0.9, 0.0, 0.0),
-    angular_velocity=(0.7, -1.1, 1.9), linear_velocity=np.cross((0.7, -1.1, 1.9), (0.9, 0, 0)))]
+CHAIN = [
+    body("a", (0.3, 0.0, 0.0), (0.0, 0.0, 0.0)),
+    Body(
+        name="b",
+        mass=1.0,
+        inertia=(0.02, 0.03, 0.04),
+        position=(0.9, 0.0, 0.0),
+        angular_velocity=(0.7, -1.1, 1.9),
+        linear_velocity=np.cross((0.7, -1.1, 1.9), (0.9, 0, 0)),
+    ),
+]
 
 # name: (scene, [(point or None for the centre of mass, angular directions, linear directions)])
 CASES = {
     "free in space": (scene([body()], gravity=(0, 0, 0)), [(None, np.eye(3), np.eye(3))]),
     "free in gravity": (scene([body()]), [(None, np.eye(3), np.eye(3)[:2])]),
     "free pair with spring and damper": (
-        scene([body("a"), body("b", (1, 0, 0))],
-              forces=[spring((0.1, 0, 0), (0, 0.1, 0), 0.4, 0.5, "b", "a")]),
-        [(None, np.eye(3), np.eye(3)[:2])]),
+        scene(
+            [body("a"), body("b", (1, 0, 0))],
+            forces=[spring((0.1, 0, 0), (0, 0.1, 0), 0.4, 0.5, "b", "a")],
+        ),
+        [(None, np.eye(3), np.eye(3)[:2])],
+    ),
     "top": (scene([TOP], [ball(PIVOT)]), [(PIVOT, [(0, 0, 1)], [])]),
-    "top without gravity": (scene([TOP], [ball(PIVOT)], gravity=(0, 0, 0)),
-                            [(PIVOT, np.eye(3), [])]),
+    "top without gravity": (
+        scene([TOP], [ball(PIVOT)], gravity=(0, 0, 0)),
+        [(PIVOT, np.eye(3), [])],
+    ),
     "top, spring without rest length to its centre": (
-        scene([TOP], [ball(PIVOT)], [spring((0.5, 0.9, 0.3))]), [(PIVOT, [FIELD], [])]),
+        scene([TOP], [ball(PIVOT)], [spring((0.5, 0.9, 0.3))]),
+        [(PIVOT, [FIELD], [])],
+    ),
     "top, such a spring elsewhere on it": (
-        scene([TOP], [ball(PIVOT)], [spring((0.5, 0.9, 0.3), (0.1, 0.2, 0.05))]), []),
+        scene([TOP], [ball(PIVOT)], [spring((0.5, 0.9, 0.3), (0.1, 0.2, 0.05))]),
+        [],
+    ),
     "top, such a spring elsewhere, to a point above the pivot": (
         scene([TOP], [ball(PIVOT)], [spring((0.1, 0.2, 0.7), (0.1, 0.2, 0.05))]),
-        [(PIVOT, [(0, 0, 1)], [])]),
+        [(PIVOT, [(0, 0, 1)], [])],
+    ),
     "top, spring with rest length": (
-        scene([TOP], [ball(PIVOT)], [spring((0.5, 0.9, 0.3), rest=0.2)]), []),
+        scene([TOP], [ball(PIVOT)], [spring((0.5, 0.9, 0.3), rest=0.2)]),
+        [],
+    ),
     "top, spring with rest length and damper above the pivot": (
         scene([TOP], [ball(PIVOT)], [spring((0.1, 0.2, 0.7), rest=0.2, damping=0.4)]),
-        [(PIVOT, [(0, 0, 1)], [])]),
+        [(PIVOT, [(0, 0, 1)], [])],
+    ),
     "top, damped spring to a point beside the pivot": (
-        scene([TOP], [ball(PIVOT)], [spring((0.5, 0.9, 0.3), damping=0.4)]), []),
+        scene([TOP], [ball(PIVOT)], [spring((0.5, 0.9, 0.3), damping=0.4)]),
+        [],
+    ),
     "upright hinge": (
         scene([body(pivot=PIVOT, axis=(0, 0, 1.5))], [hinge(PIVOT, (0, 0, 1))]),
-        [(PIVOT, [(0, 0, 1)], [])]),
+        [(PIVOT, [(0, 0, 1)], [])],
+    ),
     "lying hinge off the centre": (
-        scene([body(pivot=PIVOT, axis=(0, 1.5, 0))], [hinge(PIVOT, (0, 1, 0))]), []),
+        scene([body(pivot=PIVOT, axis=(0, 1.5, 0))], [hinge(PIVOT, (0, 1, 0))]),
+        [],
+    ),
     "lying hinge through the centre": (
-        scene([body(position=(0.1, 0.5, -0.1), pivot=PIVOT, axis=(0, 1.5, 0))],
-              [hinge(PIVOT, (0, 1, 0))]), [(PIVOT, [(0, 1, 0)], [])]),
+        scene(
+            [body(position=(0.1, 0.5, -0.1), pivot=PIVOT, axis=(0, 1.5, 0))],
+            [hinge(PIVOT, (0, 1, 0))],
+        ),
+        [(PIVOT, [(0, 1, 0)], [])],
+    ),
     "free body, spring to its centre": (
         scene([body()], forces=[spring((0.5, 0.9, 0.3))]),
-        [(None, np.eye(3), []),
-         (np.add((0.5, 0.9, 0.3), np.array(G) * 2.0 / 60.0), np.eye(3), [])]),
+        [(None, np.eye(3), []), (np.add((0.5, 0.9, 0.3), np.array(G) * 2.0 / 60.0), np.eye(3), [])],
+    ),
     "free body, spring with rest length": (
         scene([body()], forces=[spring((0.5, 0.9, 0.3), (0.1, 0.2, 0.05), 0.2)]),
-        [((0.5, 0.9, 0.3), [(0, 0, 1)], [])]),
+        [((0.5, 0.9, 0.3), [(0, 0, 1)], [])],
+    ),
     "two balls in a chain": (
         scene(CHAIN, [ball((0, 0, 0)), ball((0.3, 0, 0), "b", "a")]),
-        [((0, 0, 0), [(0, 0, 1)], [])]),
+        [((0, 0, 0), [(0, 0, 1)], [])],
+    ),
     "two separate tops": (
-        scene([TOP, body("b", (1.0, 0.0, 0.0), (0.8, 0.3, 0.1))],
-              [ball(PIVOT), ball((0.8, 0.3, 0.1), "b")]),
-        [(PIVOT, [(0, 0, 1)], []), ((0.8, 0.3, 0.1), [(0, 0, 1)], [])]),
+        scene(
+            [TOP, body("b", (1.0, 0.0, 0.0), (0.8, 0.3, 0.1))],
+            [ball(PIVOT), ball((0.8, 0.3, 0.1), "b")],
+        ),
+        [(PIVOT, [(0, 0, 1)], []), ((0.8, 0.3, 0.1), [(0, 0, 1)], [])],
+    ),
 }
 
 
@@ -115,14 +174,16 @@ def test_components(name):
     assert len(kept) == len(expected)
     for found, (point, angular, linear) in zip(kept, expected):
         angular = np.reshape(angular, (-1, 3)) / np.reshape(
-            np.linalg.norm(np.reshape(angular, (-1, 3)), axis=1), (-1, 1))
+            np.linalg.norm(np.reshape(angular, (-1, 3)), axis=1), (-1, 1)
+        )
         assert (found.point is None) == (point is None)
         assert found.angular == pytest.approx(angular, abs=1e-9)
         assert found.linear == pytest.approx(np.reshape(linear, (-1, 3)), abs=1e-9)
         assert len(found.labels) == len(found.units) == len(angular) + len(found.linear)
-        if point is not None and len(angular) == 1:     # any point of the axis would do
+        if point is not None and len(angular) == 1:  # any point of the axis would do
             assert np.cross(found.point - np.array(point), angular[0]) == pytest.approx(
-                np.zeros(3), abs=1e-9)
+                np.zeros(3), abs=1e-9
+            )
         elif point is not None:
             assert found.point == pytest.approx(np.array(point), abs=1e-9)
 
@@ -137,8 +198,14 @@ def test_named_components_stay(name):
         assert np.abs(values - values[0]).max() <= KEPT
 
 
-@pytest.mark.parametrize("name", [name for name, (_, kept) in CASES.items() if len(kept) <= 1
-                                  and not (kept and kept[0][0] is None)])
+@pytest.mark.parametrize(
+    "name",
+    [
+        name
+        for name, (_, kept) in CASES.items()
+        if len(kept) <= 1 and not (kept and kept[0][0] is None)
+    ],
+)
 def test_nothing_else_stays(name):
     """Of all combinations xi . L + eta . P only the named ones stay: the others span 6 - k.
 
@@ -152,8 +219,9 @@ def test_nothing_else_stays(name):
     inertia = np.array([b.inertia_matrix for b in case.bodies])
     linear = mass[:, None] * np.einsum("knij,knj->kni", run.rotation, run.twist[..., 3:])
     angular = np.einsum("knij,njl,knl->kni", run.rotation, inertia, run.twist[..., :3])
-    momentum = np.concatenate([(angular + np.cross(run.position, linear)).sum(axis=1),
-                               linear.sum(axis=1)], axis=1)
+    momentum = np.concatenate(
+        [(angular + np.cross(run.position, linear)).sum(axis=1), linear.sum(axis=1)], axis=1
+    )
     count = sum(len(np.reshape(angular, (-1, 3))) for _, angular, _ in expected)
     if any(joint.type == "revolute" for joint in case.joints):
         axis = case.joints[0].parent_frame.rotation[:, 2]
@@ -162,7 +230,7 @@ def test_nothing_else_stays(name):
         assert count == 1 or np.ptp(along) > SPOILT
         return
     values = np.linalg.svd(momentum - momentum.mean(axis=0))[1]
-    assert (values <= 20 * KEPT).sum() == count         # sqrt(151) samples
+    assert (values <= 20 * KEPT).sum() == count  # sqrt(151) samples
     assert (values > SPOILT).sum() == 6 - count
 
 
@@ -184,6 +252,7 @@ def test_scenes_of_the_chapter():
 def test_values_agree_with_the_sample():
     """momentum_values against Sample.spatial_momentum, components and centre of mass apart."""
     from liegroup_core import Simulation
+
     case, _ = CASES["free pair with spring and damper"]
     simulation = Simulation(case)
     simulation.advance(100)
@@ -191,6 +260,6 @@ def test_values_agree_with_the_sample():
     (kept,) = conserved_momentum(case)
     poses = sample.pose_matrices[None]
     values = momentum_values(case, kept, poses[..., :3, :3], poses[..., :3, 3], sample.twist[None])
-    centre = poses[0, :, :3, 3].mean(axis=0)            # the two masses are equal
+    centre = poses[0, :, :3, 3].mean(axis=0)  # the two masses are equal
     L, P = sample.spatial_momentum[:3], sample.spatial_momentum[3:]
     assert values[0] == pytest.approx([*(L - np.cross(centre, P)), P[0], P[1]], abs=1e-12)

@@ -3,6 +3,7 @@
 
 Functions are made inside the tests: such ones are handed to the workers as a whole.
 """
+
 import os
 import signal
 
@@ -18,11 +19,15 @@ def square(x):
 @pytest.mark.parametrize("workers", [1, 2])
 def test_items_that_follow_from_results(workers):
     """Numbers of items go on; a worker dies over one of them, and its work is done again."""
+
     def halve(x):
         return x // 2
 
-    found = dict(tasks.run(halve, [8, 5], workers=workers,
-                           follow=lambda k, result: [result] if result else []))
+    found = dict(
+        tasks.run(
+            halve, [8, 5], workers=workers, follow=lambda k, result: [result] if result else []
+        )
+    )
     # 8 leads to 4, 2, 1 and 5 to 2, 1: whoever comes first, seven calls.
     assert sorted(found) == list(range(7)) and (found[0], found[1]) == (4, 2)
     assert sorted(found.values()) == [0, 0, 1, 1, 2, 2, 4]
@@ -77,8 +82,9 @@ def test_an_interrupt_while_workers_start_ends_the_run_when_they_have(monkeypatc
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler and not deaf(0)
     finally:
         signal.signal(signal.SIGINT, before)
-    assert not [child for child in psutil.Process().children()
-                if "spawn_main" in " ".join(child.cmdline())]
+    assert not [
+        child for child in psutil.Process().children() if "spawn_main" in " ".join(child.cmdline())
+    ]
 
 
 def test_workers_that_cannot_be_started(monkeypatch):

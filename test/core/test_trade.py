@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The trade: errors repeat and fall with the order, what is measured is kept, promises hold."""
+
 import json
 from itertools import islice
 
@@ -36,8 +37,7 @@ def made(scene, folder, horizon=HORIZON):
 
 def errors(trade):
     """What must be the same bits again."""
-    return [{key: value for key, value in cell.items() if key not in COSTS}
-            for cell in trade.cells]
+    return [{key: value for key, value in cell.items() if key not in COSTS} for cell in trade.cells]
 
 
 @pytest.fixture(scope="module")
@@ -56,8 +56,12 @@ def test_errors_are_the_same_bits_with_two_workers(scene, trade, tmp_path):
         pass
 
     def bits(cells):
-        return {(cell["group"], cell["stabilisation"], cell["step"]): json.dumps(cell)
-                for cell in cells if cell["method"] == "rkmk4"}
+        return {
+            (cell["group"], cell["stabilisation"], cell["step"]): json.dumps(cell)
+            for cell in cells
+            if cell["method"] == "rkmk4"
+        }
+
     one, two = bits(errors(trade)), bits(errors(other))
     both = one.keys() & two.keys()
     assert len(both) >= 12
@@ -67,13 +71,20 @@ def test_errors_are_the_same_bits_with_two_workers(scene, trade, tmp_path):
 @pytest.mark.parametrize("method", MEASURED)
 def test_errors_fall_with_the_order(trade, method):
     """Between rungs in the asymptotic range, in the middle: 0.2 of the order, as steps are no
-    powers of each other and the next term of the error still counts."""
+    powers of each other and the next term of the error still counts.
+    """
     for group in {cell["group"] for cell in trade.cells if cell["method"] == method}:
-        cells = [cell for cell in trade.cells if not cell["stopped"] and (
-            cell["method"], cell["group"], cell["stabilisation"]) == (method, group, "none")]
-        slopes = [np.log(a["error"] / b["error"]) / np.log(a["step"] / b["step"])
-                  for a, b in zip(cells, cells[1:])
-                  if a["error"] < 1e-2 and b["error"] > 1e3 * trade.truth.known]
+        cells = [
+            cell
+            for cell in trade.cells
+            if not cell["stopped"]
+            and (cell["method"], cell["group"], cell["stabilisation"]) == (method, group, "none")
+        ]
+        slopes = [
+            np.log(a["error"] / b["error"]) / np.log(a["step"] / b["step"])
+            for a, b in zip(cells, cells[1:])
+            if a["error"] < 1e-2 and b["error"] > 1e3 * trade.truth.known
+        ]
         assert len(slopes) >= 3
         assert np.median(slopes) == pytest.approx(METHODS[method].order, abs=0.2)
 
@@ -82,26 +93,33 @@ def test_the_front_and_the_cheapest(trade):
     settled = dict((id(cell), error) for cell, error in trade.settled())
     front = trade.front()
     for cell in front:
-        assert not any(other["cost_us"] <= cell["cost_us"] and settled[id(other)]
-                       < settled[id(cell)] for other, _ in trade.settled())
+        assert not any(
+            other["cost_us"] <= cell["cost_us"] and settled[id(other)] < settled[id(cell)]
+            for other, _ in trade.settled()
+        )
     for wanted in (1e-2, 1e-4, 1e-6):
         cell = trade.cheapest(wanted)
         assert MARGIN * settled[id(cell)] <= wanted
         assert cell in front
-        assert not any(MARGIN * error <= wanted and other["cost_us"] < cell["cost_us"]
-                       for other, error in trade.settled())
+        assert not any(
+            MARGIN * error <= wanted and other["cost_us"] < cell["cost_us"]
+            for other, error in trade.settled()
+        )
     assert trade.cheapest(1e-15) is None
 
 
 def test_a_step_that_is_right_by_chance_is_not_chosen(scene, trade):
     """A coarse step without an error is as good as the two finer ones, and no better."""
     lucky = made(scene, trade._store.folder.parent.parent)
-    cells = [cell for cell in lucky.cells if not cell["stopped"]
-             and (cell["method"], cell["group"]) == ("rkmk2", "se3")]
+    cells = [
+        cell
+        for cell in lucky.cells
+        if not cell["stopped"] and (cell["method"], cell["group"]) == ("rkmk2", "se3")
+    ]
     coarse = cells[0]
     assert coarse["error"] > 1e-3
     before = lucky.cheapest(1e-5)
-    coarse["error"] = 0.0                   # the dict that the trade holds
+    coarse["error"] = 0.0  # the dict that the trade holds
     assert min(lucky.cells, key=lambda cell: cell.get("error", 1.0)) is coarse
     settled = {id(cell): error for cell, error in lucky.settled()}
     assert settled[id(coarse)] == max(cell["error"] for cell in cells[1:3])
@@ -114,7 +132,7 @@ def test_what_is_measured_is_kept(scene, tmp_path):
     running = first.measure(["rkmk4"], budget=0.02, workers=1)
     taken = [cell for cell, _ in islice(running, 5)]
     running.close()
-    file, = tmp_path.rglob("cells.jsonl")
+    (file,) = tmp_path.rglob("cells.jsonl")
     with open(file, "ab") as stream:
         stream.write(b'\n{"method": "rkm')
     second = made(scene, tmp_path)
@@ -132,10 +150,16 @@ def test_a_damaged_store_is_measured_again(scene, trade, tmp_path):
     here = made(scene, tmp_path)
     good = trade.cells[0]
     here._store.keep_cell(here.truth.horizon, good)
-    file, = [*here._store.folder.rglob("truth.npz")]
+    (file,) = [*here._store.folder.rglob("truth.npz")]
     with open(file.with_name("cells.jsonl"), "ab") as stream:
-        for damaged in ({"cpu": good["cpu"]}, good | {"step": "1"}, good | {"error": None},
-                        {name: good[name] for name in good if name != "cost_us"}, [1], 3):
+        for damaged in (
+            {"cpu": good["cpu"]},
+            good | {"step": "1"},
+            good | {"error": None},
+            {name: good[name] for name in good if name != "cost_us"},
+            [1],
+            3,
+        ):
             stream.write(b"\n" + json.dumps(damaged).encode())
         stream.write(b"\n\x00\xff\xfe\n")
     assert made(scene, tmp_path).cells == [good]
@@ -151,7 +175,9 @@ def test_what_is_asked_for_is_answered_whatever_was_measured_before(scene, trade
     asked = made(scene, trade._store.folder.parent.parent)
     asked.keep_only(["rkmk4", "stoermer_verlet"], ["se3"], steps=[1e-2, 5e-3])
     assert {(cell["method"], cell["group"], cell["step"]) for cell in asked.cells} == {
-        ("rkmk4", "se3", 1e-2), ("rkmk4", "se3", 5e-3)}
+        ("rkmk4", "se3", 1e-2),
+        ("rkmk4", "se3", 5e-3),
+    }
     assert {cell["method"] for cell in asked.front()} <= {"rkmk4"}
     with pytest.raises(ValueError, match="double_pendulum: none of the .* these do: rkmk1"):
         list(asked.measure(["stoermer_verlet"]))
@@ -160,11 +186,12 @@ def test_what_is_asked_for_is_answered_whatever_was_measured_before(scene, trade
 def test_a_full_disk_keeps_nobody_from_measuring(scene, tmp_path, caplog):
     trade = made(scene, tmp_path)
     file = trade._store.folder / "0.5s" / "cells.jsonl"
-    file.mkdir()                            # as good as a disk that takes nothing
+    file.mkdir()  # as good as a disk that takes nothing
     found = list(islice(trade.measure(["rkmk4"], budget=0.02, workers=1), 3))
     assert len(found) == len(trade.cells) == 3
     assert [text for text in caplog.messages if "cannot be kept" in text] == [
-        f"what is measured cannot be kept: {file}: Is a directory"]
+        f"what is measured cannot be kept: {file}: Is a directory"
+    ]
 
 
 def test_another_scene_version_or_processor_finds_nothing(scene, trade, monkeypatch):
@@ -207,8 +234,10 @@ def test_the_accuracy_is_kept(name, tmp_path, monkeypatch):
         poses = np.array(poses)
         k, n = poses.shape[:2]
         true, known = integrate(scene, *initial_state(simulation.layout.centred), times)
-        off = distance(Trajectory(None, poses[..., :9].reshape(k, n, 3, 3), poses[..., 9:],
-                                  np.array(twists)), true)
+        off = distance(
+            Trajectory(None, poses[..., :9].reshape(k, n, 3, 3), poses[..., 9:], np.array(twists)),
+            true,
+        )
         error = scaled(off.position, off.angle, choice.promise["length"])
         assert error <= wanted
         # Not by chance: the promise says what the error is, up to what lies between its samples.
@@ -224,11 +253,13 @@ def test_refusals_say_what_can_be_had(tmp_path, monkeypatch):
     monkeypatch.setattr(accuracy, "BUDGET", 0.05)
     scene = load_scene("double_pendulum")
     for arguments, said in (
-            ({"accuracy": 1e-14}, "cannot be had for double_pendulum over 0.5 s on this machine"),
-            ({"accuracy": 1e-3, "factor": 1e9}, "times real time: the cheapest setting"),
-            ({"accuracy": 1e-3, "factor": 1e9}, "at 1e.09 times no setting .* is fast enough"),
-            ({"accuracy": 1e-3, "usable": lambda step: False}, "no step can be used"),
-            ({"accuracy": 0.0}, "above 0"), ({"accuracy": 2.0}, "at most 1")):
+        ({"accuracy": 1e-14}, "cannot be had for double_pendulum over 0.5 s on this machine"),
+        ({"accuracy": 1e-3, "factor": 1e9}, "times real time: the cheapest setting"),
+        ({"accuracy": 1e-3, "factor": 1e9}, "at 1e.09 times no setting .* is fast enough"),
+        ({"accuracy": 1e-3, "usable": lambda step: False}, "no step can be used"),
+        ({"accuracy": 0.0}, "above 0"),
+        ({"accuracy": 2.0}, "at most 1"),
+    ):
         with pytest.raises(AccuracyError, match=said) as error:
             choose(scene, horizon=0.5, tell=lambda text: None, **arguments)
         assert "\n" not in str(error.value)
@@ -259,10 +290,11 @@ forces:
 def test_a_motion_that_is_over_before_the_first_sample_counts(tmp_path):
     """Critically damped at 1000 / s: it is over after 10 ms, the first hundredth of the horizon.
     The error that is measured is that of all steps: the early samples of steps of 0.5 ms are 0.5,
-    1, 2, ... ms, and the error, about as wide as the motion, is largest between two of them."""
+    1, 2, ... ms, and the error, about as wide as the motion, is largest between two of them.
+    """
     scene = scene_from_text(STIFF)
     trade = made(scene, tmp_path, 1.0)
-    (cell, _), = trade.measure(["rkmk4"], ["se3"], ["none"], [5e-4], workers=1)
+    ((cell, _),) = trade.measure(["rkmk4"], ["se3"], ["none"], [5e-4], workers=1)
     simulation = Simulation(scene, "rkmk4", 5e-4)
     places = []
     for _ in range(100):
@@ -273,7 +305,7 @@ def test_a_motion_that_is_over_before_the_first_sample_counts(tmp_path):
     largest = np.abs(np.array(places) - true).max()
     assert 0.5 * largest <= cell["position"] <= largest * (1.0 + 1e-6)
     late = np.abs(np.array(places) - true)[19::20].max()
-    assert late < 0.1 * largest             # what the hundredths alone would tell
+    assert late < 0.1 * largest  # what the hundredths alone would tell
 
 
 def test_steps_divide_the_samples():

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Applied wrenches: who acts when, and the momentum a known push leaves behind."""
+
 import numpy as np
 import pytest
 
@@ -93,25 +94,27 @@ def test_a_force_in_world_axes_keeps_its_direction_on_a_spinning_body():
     """
     simulation = Simulation(load_scene("free_body"), step=1e-3)
     spin, force, steps = 20.0, 4.0, 500
-    simulation.set_state(np.array([[1.0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0]]),
-                         [[0, 0, spin, 0, 0, 0]])
+    simulation.set_state(
+        np.array([[1.0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0]]), [[0, 0, spin, 0, 0, 0]]
+    )
     simulation.apply_wrench("body", (0, 0, 0, force, 0, 0), duration=0.5, axes="world")
     simulation.advance(800)
     angle = spin * simulation.step
     expected = steps * force / spin * np.array([np.sin(angle), 1.0 - np.cos(angle), 0.0])
     change = simulation.sample().spatial_momentum[3:]
-    assert np.abs(change - expected).max() <= 800 * 2.0 * angle ** 5 / 120
+    assert np.abs(change - expected).max() <= 800 * 2.0 * angle**5 / 120
     # One change for every step, in body axes, and one at the end.
     changes = simulation.drain_applied()
     assert [c.step for c in changes] == [*range(501)] and not any(changes[-1].wrench)
     # 250 steps of 0.02 rad: the body has turned by 5 rad.
-    assert np.allclose(changes[250].wrench[3:],
-                       (4.0 * np.cos(5.0), -4.0 * np.sin(5.0), 0.0), rtol=0.0, atol=1e-9)
+    assert np.allclose(
+        changes[250].wrench[3:], (4.0 * np.cos(5.0), -4.0 * np.sin(5.0), 0.0), rtol=0.0, atol=1e-9
+    )
 
 
 def test_world_axes_and_body_axes_of_two_sources_add():
     simulation = Simulation(load_scene("free_body"))
-    quarter = [[0.0, -1, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0]]      # a quarter turn about z
+    quarter = [[0.0, -1, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0]]  # a quarter turn about z
     simulation.set_state(np.array(quarter), np.zeros((1, 6)))
     simulation.apply_wrench("body", (1, 0, 0, 0, 2, 0), source="world", axes="world")
     simulation.apply_wrench("body", (0, 0, 3, 0, 0, 0), source="body")

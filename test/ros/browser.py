@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Chromium without a window, driven by its DevTools protocol over a pipe; needs no package."""
+
 import base64
 import fcntl
 import json
@@ -10,16 +11,30 @@ import subprocess
 import sys
 import time
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which(
-    "google-chrome")
-PATIENCE = 60.0                         # s, for an answer; a shared machine may be slow
+CHROMIUM = (
+    shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+)
+PATIENCE = 60.0  # s, for an answer; a shared machine may be slow
 # No network but what a page asks for: nothing is to be left on the machine, nor fetched.
-OPTIONS = ("--headless=new", "--remote-debugging-pipe", "--no-sandbox", "--disable-gpu",
-           "--enable-unsafe-swiftshader", "--no-first-run", "--disable-extensions",
-           "--disable-background-networking", "--disable-component-update", "--disable-sync",
-           "--disable-dev-shm-usage", "--hide-scrollbars", "--mute-audio")
-START = ("import os, sys; os.dup2(int(sys.argv[1]), 3); os.dup2(int(sys.argv[2]), 4); "
-         "os.execv(sys.argv[3], sys.argv[3:])")
+OPTIONS = (
+    "--headless=new",
+    "--remote-debugging-pipe",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--enable-unsafe-swiftshader",
+    "--no-first-run",
+    "--disable-extensions",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--disable-dev-shm-usage",
+    "--hide-scrollbars",
+    "--mute-audio",
+)
+START = (
+    "import os, sys; os.dup2(int(sys.argv[1]), 3); os.dup2(int(sys.argv[2]), 4); "
+    "os.execv(sys.argv[3], sys.argv[3:])"
+)
 
 
 class Browser:
@@ -35,9 +50,20 @@ class Browser:
         # Chromium reads from 3 and writes to 4, which may be something else in this process.
         high = [fcntl.fcntl(end, fcntl.F_DUPFD, 10) for end in (to_read, to_write)]
         self._process = subprocess.Popen(
-            [sys.executable, "-c", START, *map(str, high), CHROMIUM, *OPTIONS,
-             f"--user-data-dir={folder}", "about:blank"],
-            pass_fds=high, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+            [
+                sys.executable,
+                "-c",
+                START,
+                *map(str, high),
+                CHROMIUM,
+                *OPTIONS,
+                f"--user-data-dir={folder}",
+                "about:blank",
+            ],
+            pass_fds=high,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
         for end in (to_read, to_write, *high):
             os.close(end)
         self._read, self._write = read, write
@@ -45,8 +71,9 @@ class Browser:
         self._loaded = False
         self.errors, self.requests, self.dialogs = [], [], []
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
-        self._session = self.call("Target.attachToTarget", targetId=target,
-                                  flatten=True)["sessionId"]
+        self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)[
+            "sessionId"
+        ]
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.call(f"{domain}.enable")
 
@@ -65,7 +92,7 @@ class Browser:
             message["sessionId"] = self._session
         data = json.dumps(message).encode() + b"\0"
         while data:
-            data = data[os.write(self._write, data):]
+            data = data[os.write(self._write, data) :]
         answer = {}
         while answer.get("id") != number:
             answer = self._next()
@@ -112,30 +139,42 @@ class Browser:
 
     def look(self, width, height, dark=False, phone=False):
         """Another window and theme for the page that is open."""
-        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height,
-                  deviceScaleFactor=2 if phone else 1, mobile=phone)
+        self.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=2 if phone else 1,
+            mobile=phone,
+        )
         self.call("Emulation.setTouchEmulationEnabled", enabled=phone)
-        self.call("Emulation.setEmulatedMedia", features=[
-            {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}])
+        self.call(
+            "Emulation.setEmulatedMedia",
+            features=[{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}],
+        )
 
     def drag(self, x, y, rise):
         """Put a finger on a point of the window, move it so many px down, and lift it."""
         self.call("Input.dispatchTouchEvent", type="touchStart", touchPoints=[{"x": x, "y": y}])
         for k in range(1, 16):
-            self.call("Input.dispatchTouchEvent", type="touchMove",
-                      touchPoints=[{"x": x, "y": y + rise * k / 15}])
+            self.call(
+                "Input.dispatchTouchEvent",
+                type="touchMove",
+                touchPoints=[{"x": x, "y": y + rise * k / 15}],
+            )
         self.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
         self.run("new Promise(done => setTimeout(done, 200))")
 
     def run(self, code):
         """Value of a JavaScript expression; of a promise, what it brings."""
-        found = self.call("Runtime.evaluate", expression=code, returnByValue=True,
-                          awaitPromise=True)
+        found = self.call(
+            "Runtime.evaluate", expression=code, returnByValue=True, awaitPromise=True
+        )
         if "exceptionDetails" in found:
             raise RuntimeError(json.dumps(found["exceptionDetails"])[:500])
         return found["result"].get("value")
 
     def picture(self, whole=True):
         """PNG of the page, whole or only what the window shows."""
-        return base64.b64decode(self.call(
-            "Page.captureScreenshot", captureBeyondViewport=whole)["data"])
+        return base64.b64decode(
+            self.call("Page.captureScreenshot", captureBeyondViewport=whole)["data"]
+        )

@@ -13,6 +13,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 def scene(tmp_path_factory):
     """Scene file with two free bodies, see node_process.SCENE."""
     from node_process import SCENE
+
     path = tmp_path_factory.mktemp("scene") / "two_bodies.yaml"
     path.write_text(SCENE)
     return path
@@ -22,6 +23,7 @@ def scene(tmp_path_factory):
 def client():
     """ROS node in this process, see node_process.Client."""
     from node_process import Client
+
     client = Client()
     yield client
     client.close()

@@ -22,10 +22,14 @@ from liegroup_sim_ros.messages.codecs import (
 from liegroup_sim_ros.recording.recorder import Recorder
 
 BODIES = ("top", "arm_2")
-TOPICS = {"pose": {body: f"/sim_node/{body}/pose" for body in BODIES},
-          "twist": {body: f"/sim_node/{body}/twist" for body in BODIES},
-          "applied_wrench": "/sim_node/applied_wrench", "events": "/sim_node/events",
-          "clock": "/clock", "diagnostics": "/diagnostics"}
+TOPICS = {
+    "pose": {body: f"/sim_node/{body}/pose" for body in BODIES},
+    "twist": {body: f"/sim_node/{body}/twist" for body in BODIES},
+    "applied_wrench": "/sim_node/applied_wrench",
+    "events": "/sim_node/events",
+    "clock": "/clock",
+    "diagnostics": "/diagnostics",
+}
 SCENE = "name: spinning top\ngravity: [0, 0, -9.81]\nbodies: []  # \u03c9\n"
 SETTINGS = {"format": 1, "scene": "spinning top", "method": "rkmk4", "topics": TOPICS}
 INITIAL = {"bodies": list(BODIES), "pose": [[0.1 + 0.2] * 12] * 2, "twist": [[0.0] * 6] * 2}
@@ -37,9 +41,11 @@ END_NS = START_NS + STEPS * STEP_NS
 
 
 def attachments():
-    return {"scene.yaml": ("application/yaml", SCENE.encode()),
-            "settings.json": ("application/json", json.dumps(SETTINGS).encode()),
-            "initial_state.json": ("application/json", json.dumps(INITIAL).encode())}
+    return {
+        "scene.yaml": ("application/yaml", SCENE.encode()),
+        "settings.json": ("application/json", json.dumps(SETTINGS).encode()),
+        "initial_state.json": ("application/json", json.dumps(INITIAL).encode()),
+    }
 
 
 def stamped(message, stamp, stamp_ns):
@@ -69,29 +75,46 @@ def record_run(path):
             written.setdefault(topic, []).append((stamp_ns, data))
             recorder.write(channels[topic], stamp_ns, data)
 
-        for topics, codec in ((TOPICS["pose"], PoseStampedCodec),
-                              (TOPICS["twist"], TwistStampedCodec)):
+        for topics, codec in (
+            (TOPICS["pose"], PoseStampedCodec),
+            (TOPICS["twist"], TwistStampedCodec),
+        ):
             for topic in topics.values():
                 channels[topic] = recorder.add_channel(topic, codec.TYPE)
         for name, msg_type, qos in (
-                ("applied_wrench", WrenchStampedCodec.TYPE, "reliable"),
-                ("events", "rcl_interfaces/msg/Log", "transient_local"),
-                ("diagnostics", "diagnostic_msgs/msg/DiagnosticArray", "reliable"),
-                ("clock", ClockCodec.TYPE, "best_effort")):
+            ("applied_wrench", WrenchStampedCodec.TYPE, "reliable"),
+            ("events", "rcl_interfaces/msg/Log", "transient_local"),
+            ("diagnostics", "diagnostic_msgs/msg/DiagnosticArray", "reliable"),
+            ("clock", ClockCodec.TYPE, "best_effort"),
+        ):
             channels[TOPICS[name]] = recorder.add_channel(TOPICS[name], msg_type, qos)
         write(TOPICS["events"], START_NS, log_message(START_NS, "start", "spinning top"))
         for i in range(STEPS):
             stamp_ns = START_NS + i * STEP_NS
             write("/clock", stamp_ns, ClockCodec.encode(stamp_ns))
             for body in BODIES:
-                write(TOPICS["pose"][body], stamp_ns, PoseStampedCodec("world").encode(
-                    stamp_ns, random.normal(size=3), random.normal(size=4)))
-                write(TOPICS["twist"][body], stamp_ns, TwistStampedCodec(body).encode(
-                    stamp_ns, random.normal(size=6)))
-        write(TOPICS["applied_wrench"], END_NS,
-              WrenchStampedCodec("arm_2").encode(END_NS, (1, 2, 3, 4, 5, 6.5)))
-        write(TOPICS["diagnostics"], END_NS,
-              diagnostics_message(END_NS, {"energy": "1.5", "lost": "0"}))
+                write(
+                    TOPICS["pose"][body],
+                    stamp_ns,
+                    PoseStampedCodec("world").encode(
+                        stamp_ns, random.normal(size=3), random.normal(size=4)
+                    ),
+                )
+                write(
+                    TOPICS["twist"][body],
+                    stamp_ns,
+                    TwistStampedCodec(body).encode(stamp_ns, random.normal(size=6)),
+                )
+        write(
+            TOPICS["applied_wrench"],
+            END_NS,
+            WrenchStampedCodec("arm_2").encode(END_NS, (1, 2, 3, 4, 5, 6.5)),
+        )
+        write(
+            TOPICS["diagnostics"],
+            END_NS,
+            diagnostics_message(END_NS, {"energy": "1.5", "lost": "0"}),
+        )
         write(TOPICS["events"], END_NS, log_message(END_NS, "stop", "done"))
         recorder.add_attachment("pacing.json", "application/json", json.dumps(PACING).encode())
     assert recorder.failure is None and recorder.lost == 0 and recorder.queued == 0
@@ -104,6 +127,10 @@ def python(code, *arguments):
     """A Python process that runs `code`, with this file at hand as `example_run`."""
     path = [str(Path(__file__).parent), *filter(None, [os.environ.get("PYTHONPATH")])]
     return subprocess.Popen(
-        [sys.executable, "-c", textwrap.dedent(code), *map(str, arguments)], text=True,
+        [sys.executable, "-c", textwrap.dedent(code), *map(str, arguments)],
+        text=True,
         env={**os.environ, "PYTHONPATH": os.pathsep.join(path)},
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )

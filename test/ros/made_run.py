@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recordings as the node makes them, without its threads, so that each can be spoilt somewhere."""
+
 from example_run import diagnostics_message, log_message
 
 from liegroup_core import Simulation
@@ -7,9 +8,15 @@ from liegroup_sim_ros.messages.codecs import PoseStampedCodec, TwistStampedCodec
 from liegroup_sim_ros.recording import attachments
 from liegroup_sim_ros.recording.recorder import Recorder
 
-PACING = {"ticks": 100, "overruns": 2, "reanchored": 0, "real_time_factor": 1.0,
-          "lateness_us": {"p50": 0.1, "p99": 40.0, "max": 900.0}, "wall_seconds": 1.0,
-          "sim_seconds": 1.0}
+PACING = {
+    "ticks": 100,
+    "overruns": 2,
+    "reanchored": 0,
+    "real_time_factor": 1.0,
+    "lateness_us": {"p50": 0.1, "p99": 40.0, "max": 900.0},
+    "wall_seconds": 1.0,
+    "sim_seconds": 1.0,
+}
 PAIR = """
 name: pair
 description: "<script>alert(1)</script> & more"
@@ -24,8 +31,20 @@ forces:
 """
 
 
-def record(path, scene, steps, step=2e-3, per_sample=10, group="se3", pushes=(), resets=(),
-           spoil=lambda topic, k, data: data, pacing=PACING, end=True, promise=None):
+def record(
+    path,
+    scene,
+    steps,
+    step=2e-3,
+    per_sample=10,
+    group="se3",
+    pushes=(),
+    resets=(),
+    spoil=lambda topic, k, data: data,
+    pacing=PACING,
+    end=True,
+    promise=None,
+):
     """Record a run of so many steps.
 
     pushes : {step: (body, wrench)}, resets : steps at which to go back to the start
@@ -35,22 +54,32 @@ def record(path, scene, steps, step=2e-3, per_sample=10, group="se3", pushes=(),
     simulation = Simulation(scene, "rkmk4", step, group)
     simulation.promise = promise
     bodies = [body.name for body in scene.bodies]
-    topics = {"pose": {b: f"/sim_node/{b}/pose" for b in bodies},
-              "twist": {b: f"/sim_node/{b}/twist" for b in bodies},
-              "applied_wrench": "/sim_node/applied_wrench", "events": "/sim_node/events",
-              "clock": None, "diagnostics": "/diagnostics"}
+    topics = {
+        "pose": {b: f"/sim_node/{b}/pose" for b in bodies},
+        "twist": {b: f"/sim_node/{b}/twist" for b in bodies},
+        "applied_wrench": "/sim_node/applied_wrench",
+        "events": "/sim_node/events",
+        "clock": None,
+        "diagnostics": "/diagnostics",
+    }
     count = {}
-    with Recorder(path, attachments.at_start(simulation, "/sim_node", "world", per_sample,
-                                             topics)) as recorder:
-        channel = {t: recorder.add_channel(t, c.TYPE) for kind, c in (
-            ("pose", PoseStampedCodec), ("twist", TwistStampedCodec)) for t in
-            topics[kind].values()}
+    with Recorder(
+        path, attachments.at_start(simulation, "/sim_node", "world", per_sample, topics)
+    ) as recorder:
+        channel = {
+            t: recorder.add_channel(t, c.TYPE)
+            for kind, c in (("pose", PoseStampedCodec), ("twist", TwistStampedCodec))
+            for t in topics[kind].values()
+        }
         channel[topics["applied_wrench"]] = recorder.add_channel(
-            topics["applied_wrench"], WrenchStampedCodec.TYPE)
+            topics["applied_wrench"], WrenchStampedCodec.TYPE
+        )
         channel["/sim_node/events"] = recorder.add_channel(
-            "/sim_node/events", "rcl_interfaces/msg/Log", "transient_local")
+            "/sim_node/events", "rcl_interfaces/msg/Log", "transient_local"
+        )
         channel["/diagnostics"] = recorder.add_channel(
-            "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+            "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"
+        )
 
         def write(topic, stamp_ns, data):
             count[topic] = count.get(topic, -1) + 1
@@ -62,10 +91,18 @@ def record(path, scene, steps, step=2e-3, per_sample=10, group="se3", pushes=(),
             sample = simulation.sample()
             stamp = base + sample.time_ns
             for b in bodies:
-                write(topics["pose"][b], stamp, PoseStampedCodec("world").encode(
-                    stamp, sample.positions[b].tolist(), sample.quaternions[b].tolist()))
-                write(topics["twist"][b], stamp, TwistStampedCodec(b).encode(
-                    stamp, sample.twists[b].tolist()))
+                write(
+                    topics["pose"][b],
+                    stamp,
+                    PoseStampedCodec("world").encode(
+                        stamp, sample.positions[b].tolist(), sample.quaternions[b].tolist()
+                    ),
+                )
+                write(
+                    topics["twist"][b],
+                    stamp,
+                    TwistStampedCodec(b).encode(stamp, sample.twists[b].tolist()),
+                )
 
         base = 0
         write("/sim_node/events", 0, log_message(0, "start", "<b>begin</b>"))
@@ -76,8 +113,11 @@ def record(path, scene, steps, step=2e-3, per_sample=10, group="se3", pushes=(),
             simulation.advance()
             for change in simulation.drain_applied():
                 stamp = base + round(change.step * step * 1e9)
-                write(topics["applied_wrench"], stamp,
-                      WrenchStampedCodec(change.body).encode(stamp, change.wrench))
+                write(
+                    topics["applied_wrench"],
+                    stamp,
+                    WrenchStampedCodec(change.body).encode(stamp, change.wrench),
+                )
             if simulation.steps % per_sample == 0:
                 put_out()
             if k in resets:
@@ -86,9 +126,19 @@ def record(path, scene, steps, step=2e-3, per_sample=10, group="se3", pushes=(),
                 write("/sim_node/events", base, log_message(base, "reset", "initial state"))
                 put_out()
         stamp = base + simulation.time_ns
-        write("/diagnostics", stamp, diagnostics_message(stamp, {
-            "real_time_factor_wanted": "1", "lateness_p50_us": "0.1", "lateness_p99_us": "40",
-            "lateness_max_us": "900"}))
+        write(
+            "/diagnostics",
+            stamp,
+            diagnostics_message(
+                stamp,
+                {
+                    "real_time_factor_wanted": "1",
+                    "lateness_p50_us": "0.1",
+                    "lateness_p99_us": "40",
+                    "lateness_max_us": "900",
+                },
+            ),
+        )
         if end:
             write("/sim_node/events", stamp, log_message(stamp, "stop", "done"))
             recorder.add_attachment("pacing.json", *attachments.as_json(pacing))

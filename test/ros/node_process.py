@@ -3,6 +3,7 @@
 
 Everything runs in one ROS domain that no other test run is likely to have.
 """
+
 import os
 import signal
 import subprocess
@@ -26,11 +27,15 @@ bodies:
      angular_velocity: [0.4, 1.1, 0.3], linear_velocity: [0.1, 0.2, 0.3]}
 """
 
-PATIENCE = 30.0             # s; for what takes at most 3 s on an idle machine
-COMPILING = 180.0           # s; the first start on a machine compiles
+PATIENCE = 30.0  # s; for what takes at most 3 s on an idle machine
+COMPILING = 180.0  # s; the first start on a machine compiles
 DOMAIN = 1 + os.getpid() % 100
-ENVIRONMENT = {**os.environ, "ROS_DOMAIN_ID": str(DOMAIN),
-               "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "PYTHONUNBUFFERED": "1"}
+ENVIRONMENT = {
+    **os.environ,
+    "ROS_DOMAIN_ID": str(DOMAIN),
+    "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+    "PYTHONUNBUFFERED": "1",
+}
 NODE = "import sys; from liegroup_sim_ros.node.entry import main; sys.exit(main())"
 PUSH = "import sys; from liegroup_sim_ros.commands.main import main; sys.exit(main())"
 
@@ -42,8 +47,12 @@ def python(code, *arguments, env=None, under=()):
     """
     return subprocess.Popen(
         [*under, sys.executable, "-c", code, *map(str, arguments)],
-        env={**ENVIRONMENT, **(env or {})}, start_new_session=True, text=True,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        env={**ENVIRONMENT, **(env or {})},
+        start_new_session=True,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
 
 
 class NodeProcess:
@@ -53,8 +62,14 @@ class NodeProcess:
 
     def __init__(self, parameters, remap=(), env=None, under=()):
         arguments = [f"{name}:={value}" for name, value in parameters.items()]
-        self.process = python(NODE, "--ros-args", *(a for p in arguments for a in ("-p", p)),
-                              *(a for r in remap for a in ("-r", r)), env=env, under=under)
+        self.process = python(
+            NODE,
+            "--ros-args",
+            *(a for p in arguments for a in ("-p", p)),
+            *(a for r in remap for a in ("-r", r)),
+            env=env,
+            under=under,
+        )
 
     def __enter__(self):
         self.running.append(self)
@@ -79,8 +94,9 @@ class Client:
     """A ROS node in this process that listens, calls and pushes."""
 
     def __init__(self):
-        os.environ.update({key: ENVIRONMENT[key] for key in
-                           ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")})
+        os.environ.update(
+            {key: ENVIRONMENT[key] for key in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")}
+        )
         self._context = rclpy.Context()
         self._context.init()
         self.node = rclpy.create_node("test_client", context=self._context)
@@ -126,8 +142,11 @@ class Client:
 
     def set(self, node, **values):
         """Result of setting one parameter, or more."""
-        request = SetParameters.Request(parameters=[
-            Parameter(name, value=value).to_parameter_msg() for name, value in values.items()])
+        request = SetParameters.Request(
+            parameters=[
+                Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
+            ]
+        )
         return self.call(f"{node}/set_parameters", SetParameters, request).results[-1]
 
     def pusher(self, node, topic="wrench"):
@@ -139,8 +158,7 @@ class Client:
             message = WrenchStamped()
             message.header.frame_id = body
             message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
-            for vector, values in ((message.wrench.torque, torque),
-                                   (message.wrench.force, force)):
+            for vector, values in ((message.wrench.torque, torque), (message.wrench.force, force)):
                 vector.x, vector.y, vector.z = values
             publisher.publish(message)
 
@@ -154,5 +172,8 @@ def stamp_ns(stamp):
 def values(message):
     """(body, (torque, force), stamp in ns) of a WrenchStamped."""
     torque, force = message.wrench.torque, message.wrench.force
-    return (message.header.frame_id, (torque.x, torque.y, torque.z, force.x, force.y, force.z),
-            stamp_ns(message.header.stamp))
+    return (
+        message.header.frame_id,
+        (torque.x, torque.y, torque.z, force.x, force.y, force.z),
+        stamp_ns(message.header.stamp),
+    )

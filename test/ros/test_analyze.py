@@ -3,6 +3,7 @@
 
 What it says about the chapter's heavy top is held against numbers of an independent program.
 """
+
 import dataclasses
 import json
 
@@ -27,8 +28,12 @@ PUSHED = {400: ("top", (0.0, 0.0, 0.0, 0.0, 200.0, 0.0)), 700: ("top", (0.0,) * 
 @pytest.fixture(scope="module")
 def pushed_top(tmp_path_factory):
     """Heavy top, 3 s at h = 2 ms, pushed from 0.8 s to 1.4 s."""
-    return record(tmp_path_factory.mktemp("log") / "pushed.mcap", load_scene("heavy_top"), 1500,
-                  pushes=PUSHED.items())
+    return record(
+        tmp_path_factory.mktemp("log") / "pushed.mcap",
+        load_scene("heavy_top"),
+        1500,
+        pushes=PUSHED.items(),
+    )
 
 
 def test_error_of_the_heavy_top(tmp_path):
@@ -48,9 +53,14 @@ def test_error_of_the_heavy_top(tmp_path):
         assert 0.0 < entry["uncertainty"] < 1e-3 * entry["max"]
     assert (error["kind"], error["seconds"]) == ("integration", 6.0)
     assert figures["repeat"] == {
-        "samples": 301, "identical": 301, "first_difference": None, "stopped": None,
+        "samples": 301,
+        "identical": 301,
+        "first_difference": None,
+        "stopped": None,
         "largest_difference": dict.fromkeys(
-            ("position_m", "angle_rad", "angular_rad_s", "linear_m_s"), 0.0)}
+            ("position_m", "angle_rad", "angular_rad_s", "linear_m_s"), 0.0
+        ),
+    }
     assert figures["problems"] == []
     assert figures["joints"]["pivot"]["largest"] < 1e-12
     assert figures["joints"]["pivot"]["unit"] == "m"
@@ -59,8 +69,10 @@ def test_error_of_the_heavy_top(tmp_path):
 
 def test_open_joint_on_the_other_group(tmp_path):
     """On SO(3) x R^3 the pivot opens by 1.274e-5 m within 6 s at h = 2 ms; here every 2nd step."""
-    figures = figures_of(record(tmp_path / "a.mcap", load_scene("heavy_top"), 3000, per_sample=2,
-                                group="so3xr3"), reference=False)
+    figures = figures_of(
+        record(tmp_path / "a.mcap", load_scene("heavy_top"), 3000, per_sample=2, group="so3xr3"),
+        reference=False,
+    )
     assert figures["joints"]["pivot"]["largest"] == pytest.approx(1.274e-5, rel=1e-2)
     assert "reference" not in figures
     assert figures["repeat"]["identical"] == 1501
@@ -73,9 +85,13 @@ def test_energy_and_momentum_without_the_push(pushed_top):
     pose, twist = recording.pose["top"], recording.twist["top"].twist
     time = pose.stamp_ns * 1e-9
     x, y, z, w = pose.quaternion.T
-    R = np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                  [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                  [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]])
+    R = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
     inertia, mass = np.array([0.36, 0.306, 0.09]), 21.6
     kinetic = 0.5 * twist[:, :3] ** 2 @ inertia + 0.5 * mass * (twist[:, 3:] ** 2).sum(axis=1)
     spring = 0.5e4 * ((pose.position - [1.0, 0.0, 0.5]) ** 2).sum(axis=1)
@@ -92,7 +108,7 @@ def test_energy_and_momentum_without_the_push(pushed_top):
     # Values of size 1e4 J and 10 N m s, so round-off of 1e-12 and 1e-15 of them.
     assert figures["energy"]["drift_J"] == pytest.approx(drift(total), abs=1e-10)
     assert figures["energy"]["largest_kinetic_J"] == pytest.approx(kinetic.max(), rel=1e-12)
-    assert drift(total) < 1e-2 < np.ptp(total)      # the push is not in it
+    assert drift(total) < 1e-2 < np.ptp(total)  # the push is not in it
     assert "0.6 s with an applied wrench" in figures["energy"]["left_out"]
     (momentum,) = figures["momentum"]
     assert momentum["drift"] == pytest.approx(drift(along), abs=1e-12)
@@ -105,10 +121,15 @@ def test_repetition_and_reference_need_the_wrenches(pushed_top, tmp_path):
     good = figures_of(pushed_top)
     assert good["repeat"]["identical"] == good["repeat"]["samples"] == 151
     assert good["reference"]["angle"]["max"] < 1e-4
-    spoilt = record(tmp_path / "a.mcap", load_scene("heavy_top"), 1500, pushes=PUSHED.items(),
-                    spoil=lambda topic, k, data: None if "wrench" in topic and k == 1 else data)
+    spoilt = record(
+        tmp_path / "a.mcap",
+        load_scene("heavy_top"),
+        1500,
+        pushes=PUSHED.items(),
+        spoil=lambda topic, k, data: None if "wrench" in topic and k == 1 else data,
+    )
     bad = figures_of(spoilt)
-    assert bad["repeat"]["identical"] == 71         # up to 1.4 s, where the push should end
+    assert bad["repeat"]["identical"] == 71  # up to 1.4 s, where the push should end
     assert bad["repeat"]["first_difference"]["at_s"] == pytest.approx(1.42)
     assert bad["reference"]["angle"]["max"] > 0.1
     assert any("simulated again it is not the same: top" in text for text in bad["problems"])
@@ -116,7 +137,7 @@ def test_repetition_and_reference_need_the_wrenches(pushed_top, tmp_path):
 
 def test_one_wrong_bit_is_found(tmp_path):
     def flip(topic, k, data):
-        last = data[:-8] + bytes([data[-8] ^ 1]) + data[-7:]      # the quaternion's w, little end
+        last = data[:-8] + bytes([data[-8] ^ 1]) + data[-7:]  # the quaternion's w, little end
         return last if topic.endswith("pose") and k == 30 else data
 
     figures = figures_of(record(tmp_path / "a.mcap", load_scene("heavy_top"), 500, spoil=flip))
@@ -127,15 +148,24 @@ def test_one_wrong_bit_is_found(tmp_path):
 
 def test_resets_begin_anew(tmp_path):
     """Each stretch is judged from the initial state; a push that the reset ends counts so far."""
-    figures = figures_of(record(
-        tmp_path / "a.mcap", load_scene("heavy_top"), 900, resets=(300, 555),
-        pushes=[(100, ("top", (0, 0, 5.0, 0, 0, 0))), (200, ("top", (0,) * 6)),
-                (600, ("top", (0, 0, 5.0, 0, 0, 0)))]))
+    figures = figures_of(
+        record(
+            tmp_path / "a.mcap",
+            load_scene("heavy_top"),
+            900,
+            resets=(300, 555),
+            pushes=[
+                (100, ("top", (0, 0, 5.0, 0, 0, 0))),
+                (200, ("top", (0,) * 6)),
+                (600, ("top", (0, 0, 5.0, 0, 0, 0))),
+            ],
+        )
+    )
     assert figures["resets"] == 2 and figures["problems"] == []
     assert figures["repeat"]["identical"] == figures["repeat"]["samples"] == 31 + 26 + 35
     assert figures["reference"]["angle"]["max"] < 1e-4
     assert [push["to_s"] is None for push in figures["pushes"]] == [False, True]
-    assert figures["energy"]["intervals"] == 4      # 2 + 1 + 1, the last up to the push
+    assert figures["energy"]["intervals"] == 4  # 2 + 1 + 1, the last up to the push
     assert figures["sim_seconds"] == pytest.approx(0.6 + 0.5 + 0.68)
 
 
@@ -154,6 +184,7 @@ def test_dampers_leave_no_energy_to_keep(tmp_path):
 
 def test_numbers_that_are_none(tmp_path, capsys):
     """Samples with NaN are told and left out; none of their figures looks fine."""
+
     def spoil(topic, k, data):
         if topic == "/sim_node/left/twist" and k in (20, 21):
             return data[:-8] + np.array(np.nan).tobytes()
@@ -163,19 +194,28 @@ def test_numbers_that_are_none(tmp_path, capsys):
     assert main(["analyze", str(log), "--json", str(tmp_path / "a.json")]) == 0
     said = capsys.readouterr().out
     assert "NaN or infinity in 2 samples, from 0.4 s on" in said
-    figures, = json.loads((tmp_path / "a.json").read_text(), parse_constant=pytest.fail)["logs"]
+    (figures,) = json.loads((tmp_path / "a.json").read_text(), parse_constant=pytest.fail)["logs"]
     assert figures["not_finite_samples"] == 2 and figures["repeat"]["samples"] == 39
 
 
 def test_missing_samples_and_messages(tmp_path):
     """A sample without the messages of one body is none; gaps in sequence numbers are told."""
-    log = record(tmp_path / "a.mcap", scene_from_text(PAIR), 400, spoil=lambda topic, k, data:
-                 None if k == 7 and topic.startswith("/sim_node/left") else data)
+    log = record(
+        tmp_path / "a.mcap",
+        scene_from_text(PAIR),
+        400,
+        spoil=lambda topic, k, data: (
+            None if k == 7 and topic.startswith("/sim_node/left") else data
+        ),
+    )
     recording = dataclasses.replace(read_recording(log), lost={"/clock": 3})
     figures = analyse(recording, reference=False).figures
     assert figures["missing_samples"] == 1 and figures["samples"] == 40
     assert figures["repeat"]["identical"] == 40
-    assert figures["problems"] == ["messages are missing: 3 of /clock", "missing from the recording: 1 sample"]
+    assert figures["problems"] == [
+        "messages are missing: 3 of /clock",
+        "missing from the recording: 1 sample",
+    ]
 
 
 def test_recording_of_a_killed_process(tmp_path, pushed_top):

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`liegroup_sim analyze`: exact solutions, order, trends, bounds, many logs, addresses, schema."""
+
 import functools
 import json
 import math
@@ -50,6 +51,7 @@ joints:
 def run(path, scene, method="rkmk4", step=2e-3, duration=1.0, every=10, **options):
     """Record a run of the engine without a clock."""
     from liegroup_sim_ros.recording.run_files import LogFile
+
     simulation = Simulation(scene, method, step, **options)
     with LogFile(path, simulation, every, 0) as file:
         file.sample(simulation.sample())
@@ -66,12 +68,19 @@ def test_error_against_the_exact_solution(tmp_path, text, name):
     recording = read_recording(run(tmp_path / "a.mcap", scene_from_text(text), step=1e-2, every=5))
     exact = analyse(recording).figures["reference"]
     assert (exact["kind"], exact["seconds"]) == (name, 1.0)
-    pushed = read_recording(record(tmp_path / "b.mcap", scene_from_text(text), 100, pushes=[
-        (50, (recording.bodies[0], (0, 0, 1.0, 0, 0, 0)))]))
+    pushed = read_recording(
+        record(
+            tmp_path / "b.mcap",
+            scene_from_text(text),
+            100,
+            pushes=[(50, (recording.bodies[0], (0, 0, 1.0, 0, 0, 0)))],
+        )
+    )
     assert analyse(pushed).figures["reference"]["kind"] == "integration"
     # By the same figures of a part that asks for the integration.
     from liegroup_sim_ros.analysis.reference import ReferenceError
     from liegroup_sim_ros.recording.motion import Motion
+
     motion = Motion(recording)
     part = ReferenceError(make_layout(scene_from_text(text)), recording, motion.expected)
     for block in motion.blocks():
@@ -85,9 +94,18 @@ def test_error_against_the_exact_solution(tmp_path, text, name):
     assert exact["angle"]["max"] > 1e-9
 
 
-@pytest.mark.parametrize("method, order, step", [
-    ("rkmk1", 1, 1e-3), ("rkmk2", 2, 1e-3), ("rkmk4", 4, 4e-3), ("rkmk8", 8, 2e-2),
-    ("generalized_alpha", 2, 1e-3), ("constrained_rattle", 2, 1e-3), ("lie_midpoint", 2, 1e-3)])
+@pytest.mark.parametrize(
+    "method, order, step",
+    [
+        ("rkmk1", 1, 1e-3),
+        ("rkmk2", 2, 1e-3),
+        ("rkmk4", 4, 4e-3),
+        ("rkmk8", 8, 2e-2),
+        ("generalized_alpha", 2, 1e-3),
+        ("constrained_rattle", 2, 1e-3),
+        ("lie_midpoint", 2, 1e-3),
+    ],
+)
 def test_observed_order_and_error_of_one_step(tmp_path, method, order, step):
     """The order shows; and a step from the start is as wrong as the estimate says."""
     scene = scene_from_text(TOP)
@@ -105,6 +123,7 @@ def test_observed_order_and_error_of_one_step(tmp_path, method, order, step):
 
 def test_trend_and_curves_of_a_drift():
     """A line with noise: its slope; steps back at a wrench begin an interval anew."""
+
     class Stretch:
         def free(self, bodies):
             return np.array([[-1.0, 400.0], [500.0, np.inf]])
@@ -150,10 +169,16 @@ def checked(path):
 
 def test_schema_says_what_there_is(tmp_path, logs, capsys):
     jsonschema.Draft202012Validator.check_schema(json.loads(SCHEMA.read_text()))
-    log = record(tmp_path / "pair.mcap", scene_from_text(PAIR), 100, resets=(50,), pushes=[
-        (20, ("left", (0, 0, 1.0, 0, 0, 0)))])
-    assert main(["analyze", str(log), "--json", str(tmp_path / "x.json"),
-                 "--compare", str(log)]) == 0
+    log = record(
+        tmp_path / "pair.mcap",
+        scene_from_text(PAIR),
+        100,
+        resets=(50,),
+        pushes=[(20, ("left", (0, 0, 1.0, 0, 0, 0)))],
+    )
+    assert (
+        main(["analyze", str(log), "--json", str(tmp_path / "x.json"), "--compare", str(log)]) == 0
+    )
     document = checked(tmp_path / "x.json")
     assert document["comparison"]["identical"] == document["comparison"]["samples"] == 12
     assert main(["analyze", str(logs / "c.mcap"), "--json", str(tmp_path / "x.json")]) == 0
@@ -169,8 +194,15 @@ def test_many_logs(logs, tmp_path, capsys, monkeypatch, way):
         monkeypatch.setitem(sys.modules, "dask", None)
     if way == "cluster":
         from dask.distributed import LocalCluster
-        cluster = LocalCluster(n_workers=1, threads_per_worker=1, processes=False,
-                               dashboard_address=None, protocol="tcp", host="127.0.0.1")
+
+        cluster = LocalCluster(
+            n_workers=1,
+            threads_per_worker=1,
+            processes=False,
+            dashboard_address=None,
+            protocol="tcp",
+            host="127.0.0.1",
+        )
         options += ["--scheduler", cluster.scheduler_address]
     try:
         assert main(["analyze", str(logs / "[abd].mcap"), *options]) == 2
@@ -182,11 +214,13 @@ def test_many_logs(logs, tmp_path, capsys, monkeypatch, way):
     assert err.splitlines()[-1] == f"liegroup_sim: {logs / 'd.mcap'}: not an MCAP file"
     document = checked(tmp_path / "x.json")
     assert [entry["log"] for entry in document["logs"]] == [
-        str(logs / name) for name in ("a.mcap", "b.mcap", "d.mcap")]
+        str(logs / name) for name in ("a.mcap", "b.mcap", "d.mcap")
+    ]
     alone = analyse(read_recording(logs / "a.mcap")).figures
     assert document["logs"][0]["reference"]["angle"] == alone["reference"]["angle"]
     assert [text.split(": ")[0] for text in document["bounds"]["exceeded"]] == 2 * [
-        str(logs / "a.mcap")]                   # rkmk8 is exact enough
+        str(logs / "a.mcap")
+    ]  # rkmk8 is exact enough
 
 
 def test_bounds(logs, tmp_path, capsys):
@@ -203,8 +237,10 @@ def test_bounds(logs, tmp_path, capsys):
     assert "its drift is not known" in capsys.readouterr().err
     assert main(["analyze", log, "--no-reference", "--max-error", "1"]) == 2
     assert main(["analyze", log, log, "--compare", log]) == 2
-    for nothing, said in ((tmp_path / "*.none", "no file matches"),
-                          (tmp_path.parent, "a folder without *.mcap in it")):
+    for nothing, said in (
+        (tmp_path / "*.none", "no file matches"),
+        (tmp_path.parent, "a folder without *.mcap in it"),
+    ):
         assert main(["analyze", str(nothing)]) == 2
         assert said in capsys.readouterr().err
     assert main(["analyze", log, "--scheduler", "tcp://127.0.0.1:9"]) == 2
@@ -230,11 +266,21 @@ def test_two_logs(logs, tmp_path):
 
 def test_long_runs_are_judged_as_short_ones(tmp_path, monkeypatch):
     """Piece by piece gives what one piece gives, curves thinned or not."""
-    log = record(tmp_path / "a.mcap", scene_from_text(PAIR), 2000, per_sample=1, resets=(700,),
-                 pushes=[(300, ("left", (0, 0, 1.0, 0, 0, 0))), (400, ("left", (0,) * 6))])
+    log = record(
+        tmp_path / "a.mcap",
+        scene_from_text(PAIR),
+        2000,
+        per_sample=1,
+        resets=(700,),
+        pushes=[(300, ("left", (0, 0, 1.0, 0, 0, 0))), (400, ("left", (0,) * 6))],
+    )
     whole = analyse(read_recording(log))
-    for name, value in (("recording.PIECE", 130), ("report.motion.KEPT", 500),
-                        ("report.motion.LEAST_KEPT", 500), ("report.drift.MOST_POINTS", 300)):
+    for name, value in (
+        ("recording.PIECE", 130),
+        ("report.motion.KEPT", 500),
+        ("report.motion.LEAST_KEPT", 500),
+        ("report.drift.MOST_POINTS", 300),
+    ):
         monkeypatch.setattr(f"liegroup_sim_ros.{name}", value)
     pieces = analyse(read_recording(log))
 
@@ -246,9 +292,10 @@ def test_long_runs_are_judged_as_short_ones(tmp_path, monkeypatch):
         # Sums are made in another order: round-off, of trends that are differences 1e-6.
         return pytest.approx(value, rel=1e-6, abs=1e-14) if isinstance(value, float) else value
 
-    left_out = ("local",)                   # looks at other places
+    left_out = ("local",)  # looks at other places
     assert {k: v for k, v in pieces.figures.items() if k not in left_out} == numbers(
-        {k: v for k, v in whole.figures.items() if k not in left_out})
+        {k: v for k, v in whole.figures.items() if k not in left_out}
+    )
     kept = [sum(len(s.steps) for s in analysis.motion.stretches) for analysis in (whole, pieces)]
     assert kept[0] == 2002 and 400 <= kept[1] <= 501
     stretch = pieces.motion.stretches[1]
@@ -264,8 +311,10 @@ def test_addresses(logs, monkeypatch):
     assert there.path == "memory://logs/a.mcap" and there.settings == here.settings
     assert np.array_equal(there.pose["top"].quaternion, here.pose["top"].quaternion)
     assert main(["analyze", "memory://logs/*.mcap", "--no-reference"]) == 0
-    for address, said in (("memory://logs/b.mcap", "cannot be read"),
-                          ("nothing://x.mcap", "Protocol not known")):
+    for address, said in (
+        ("memory://logs/b.mcap", "cannot be read"),
+        ("nothing://x.mcap", "Protocol not known"),
+    ):
         with pytest.raises(RecordingError, match=said):
             read_recording(address)
     monkeypatch.setitem(sys.modules, "fsspec", None)
@@ -275,22 +324,32 @@ def test_addresses(logs, monkeypatch):
 
 def test_a_bound_that_the_reference_cannot_judge_is_not_kept():
     """The error counts with the uncertainty of what it is measured against."""
+
     def figures(error, uncertainty):
         entry = {"max": error, "uncertainty": uncertainty, "unit": "m"}
         return [{"log": "a", "reference": {"position": entry, "angle": entry}}]
 
     assert find_exceeded(figures(0.9, 0.05), 1.0) == []
-    for error, uncertainty, said in ((0.9, 0.2, "may be more than 1: the reference is only"),
-                                     (math.nan, 0.0, "is more than 1"),
-                                     (0.0, math.nan, "may be more than 1"),
-                                     (1.1, 0.0, "error 1.1 m is more than 1")):
+    for error, uncertainty, said in (
+        (0.9, 0.2, "may be more than 1: the reference is only"),
+        (math.nan, 0.0, "is more than 1"),
+        (0.0, math.nan, "may be more than 1"),
+        (1.1, 0.0, "error 1.1 m is more than 1"),
+    ):
         found = find_exceeded(figures(error, uncertainty), 1.0)
         assert len(found) == 2 and all(said in text for text in found)
 
 
-@pytest.mark.parametrize("error, uncertainty, said", [
-    (1.0, 0.05, "1 m"), (1.0, 0.2, "1 m (± 0.2 m)"), (0.0, 0.0, "0 m"),
-    (1.0, 1.5, "1.5 m (all the reference can tell)"), (math.nan, 1.0, "not a number")])
+@pytest.mark.parametrize(
+    "error, uncertainty, said",
+    [
+        (1.0, 0.05, "1 m"),
+        (1.0, 0.2, "1 m (± 0.2 m)"),
+        (0.0, 0.0, "0 m"),
+        (1.0, 1.5, "1.5 m (all the reference can tell)"),
+        (math.nan, 1.0, "not a number"),
+    ],
+)
 def test_an_error_is_told_with_what_is_known_of_it(error, uncertainty, said):
     entry = {"max": error, "uncertainty": uncertainty, "unit": "m"}
     assert summary._error(entry) == said
@@ -329,7 +388,7 @@ def test_addresses_on_the_web(logs, capsys):
         assert all(text in err for text in said)
 
     refused("none", "404")
-    refused("short", "1000000")             # and not: a recording without its end
+    refused("short", "1000000")  # and not: a recording without its end
     server.shutdown()
     server.server_close()
     refused("a", "Connect")
@@ -337,8 +396,12 @@ def test_addresses_on_the_web(logs, capsys):
 
 def test_as_a_library_without_ros(tmp_path):
     """Arrays and data frames in a Python where no ROS package can be imported."""
-    log = record(tmp_path / "a.mcap", scene_from_text(PAIR), 100, pushes=[
-        (20, ("left", (0, 0, 1.0, 0, 0, 2.0)))])
+    log = record(
+        tmp_path / "a.mcap",
+        scene_from_text(PAIR),
+        100,
+        pushes=[(20, ("left", (0, 0, 1.0, 0, 0, 2.0)))],
+    )
     code = """
 import sys
 for name in ("rclpy", "rosgraph_msgs", "geometry_msgs", "rcl_interfaces", "diagnostic_msgs",
@@ -379,14 +442,22 @@ def test_joint_states_are_read(tmp_path):
     from liegroup_sim_ros.messages import samples as sample_messages
     from liegroup_sim_ros.recording import attachments
     from liegroup_sim_ros.recording.recorder import Recorder
+
     simulation = Simulation(load_scene("double_pendulum"), "rkmk4", 1e-3)
     bodies = simulation.layout.body_names
-    topics = {"pose": {b: f"/{b}/pose" for b in bodies}, "events": "/e", "diagnostics": "/d",
-              "twist": {b: f"/{b}/twist" for b in bodies}, "applied_wrench": "/w", "clock": None}
-    (_, kind, encode), = sample_messages.joint_states(simulation.layout, "world")
+    topics = {
+        "pose": {b: f"/{b}/pose" for b in bodies},
+        "events": "/e",
+        "diagnostics": "/d",
+        "twist": {b: f"/{b}/twist" for b in bodies},
+        "applied_wrench": "/w",
+        "clock": None,
+    }
+    ((_, kind, encode),) = sample_messages.joint_states(simulation.layout, "world")
     wanted = []
-    with Recorder(tmp_path / "a.mcap", attachments.at_start(
-            simulation, "/n", "world", 1, topics)) as recorder:
+    with Recorder(
+        tmp_path / "a.mcap", attachments.at_start(simulation, "/n", "world", 1, topics)
+    ) as recorder:
         channel = recorder.add_channel("/n/joint_states", kind)
         for _ in range(30):
             simulation.advance(10)
@@ -397,7 +468,9 @@ def test_joint_states_are_read(tmp_path):
     states = recording.joint_states
     k = len(states.names)
     assert k == 2 and states.names == tuple(sample.joint_coordinates)
-    assert np.array_equal(np.column_stack([states.stamp_ns, states.position[:, 0],
-                                           states.velocity[:, 0]]), np.array(wanted)[:, :3])
+    assert np.array_equal(
+        np.column_stack([states.stamp_ns, states.position[:, 0], states.velocity[:, 0]]),
+        np.array(wanted)[:, :3],
+    )
     frame = recording.to_pandas("joints")
     assert frame.shape == (30, 4) and frame[states.names[1]].velocity.iloc[-1] == wanted[-1][4]

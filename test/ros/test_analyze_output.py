@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What `liegroup_sim analyze` prints and writes, and how it refuses what it cannot read."""
+
 import base64
 import json
 import math
@@ -27,8 +28,12 @@ from liegroup_sim_ros.report.terminal import print_table
 
 
 def test_not_a_number_is_never_shown_as_fine(tmp_path, capsys):
-    log = record(tmp_path / "a.mcap", scene_from_text(PAIR), 20,
-                 pacing=PACING | {"real_time_factor": 0.5, "reanchored": 3})
+    log = record(
+        tmp_path / "a.mcap",
+        scene_from_text(PAIR),
+        20,
+        pacing=PACING | {"real_time_factor": 0.5, "reanchored": 3},
+    )
     analysis = analyse(read_recording(log))
     assert "too slow: real-time factor 0.5 of 1" in analysis.figures["problems"]
     assert any("behind the wall clock, 3 times" in text for text in analysis.figures["problems"])
@@ -78,9 +83,11 @@ def test_page(tmp_path, capsys):
     assert "<script>alert(1)</script> & more" in "".join(links.texts)
     assert "start: <b>begin</b>" in "".join(links.texts)
     assert 'name="viewport"' in text and "prefers-color-scheme: dark" in text
-    part, = json.loads(next(data for given, data in links.scripts if given.get("id") == "data"),
-                       parse_constant=pytest.fail)
-    assert len(part["plots"]) == 4                  # error, energy, momentum, lateness; no joints
+    (part,) = json.loads(
+        next(data for given, data in links.scripts if given.get("id") == "data"),
+        parse_constant=pytest.fail,
+    )
+    assert len(part["plots"]) == 4  # error, energy, momentum, lateness; no joints
     for plot in part["plots"]:
         for trace in plot["data"]:
             assert len(trace["x"]) == len(trace["y"]) > 0
@@ -93,6 +100,7 @@ def test_page(tmp_path, capsys):
 
 def test_a_chance_hit_does_not_stretch_a_log_axis():
     """Beginnings at 1e-46 m are left out of sight, slow growth from 1e-15 m is not."""
+
     def axis(y):
         plot = plots._plane([plots._line("error", np.arange(len(y)), y, "--blue")], [], "m", True)
         return plot["layout"]["yaxis"]
@@ -111,7 +119,9 @@ def test_long_recordings_make_no_large_page(tmp_path, monkeypatch):
     drawn = plots._line("a curve", np.arange(1e6), y, "--blue")
     assert len(drawn["x"]) == len(drawn["y"]) <= 3 * plots.BINS
     assert (drawn["x"][drawn["y"].index(7.0)], drawn["x"][drawn["y"].index(-5.0)]) == (
-        123_456, 654_321)
+        123_456,
+        654_321,
+    )
     assert None in drawn["y"]
     log = record(tmp_path / "a.mcap", scene_from_text(PAIR), 2000, per_sample=1, resets=(700,))
     monkeypatch.setattr(view, "MOST_PLACES", 400)
@@ -133,20 +143,26 @@ def test_pictures(tmp_path, capsys):
         assert main(["analyze", log, "--no-reference", "--png", str(picture)]) == 0
         assert picture.read_bytes().startswith(start)
     text = (tmp_path / "a.svg").read_text()
-    assert text.count('id="axes_') == 4         # paths, energy, momentum, lateness
+    assert text.count('id="axes_') == 4  # paths, energy, momentum, lateness
     capsys.readouterr()
-    for picture, more, said in ((tmp_path / "a.jpg", [], "must end with .png"),
-                                (tmp_path / "no" / "a.png", [], "cannot be written"),
-                                (tmp_path / "a.png", [log], "goes with one log")):
+    for picture, more, said in (
+        (tmp_path / "a.jpg", [], "must end with .png"),
+        (tmp_path / "no" / "a.png", [], "cannot be written"),
+        (tmp_path / "a.png", [log], "goes with one log"),
+    ):
         assert main(["analyze", log, *more, "--png", str(picture)]) == 2
         out, err = capsys.readouterr()
         assert out == "" and said in err and err.count("\n") == 1
 
 
-@pytest.mark.parametrize("make, said", [
-    (lambda path: None, "No such file"),
-    (lambda path: path.write_bytes(b"not a log"), "not an MCAP file"),
-    (lambda path: path.mkdir(), "a folder without")])
+@pytest.mark.parametrize(
+    "make, said",
+    [
+        (lambda path: None, "No such file"),
+        (lambda path: path.write_bytes(b"not a log"), "not an MCAP file"),
+        (lambda path: path.mkdir(), "a folder without"),
+    ],
+)
 def test_bad_files(tmp_path, capsys, make, said):
     make(tmp_path / "a.mcap")
     assert main(["analyze", str(tmp_path / "a.mcap")]) == 2
@@ -160,10 +176,26 @@ def test_other_wrong_input(tmp_path, capsys):
     log = record(tmp_path / "a.mcap", scene_from_text(PAIR), 20)
     assert main(["analyze", str(log), "--html", str(tmp_path / "no" / "a.html")]) == 2
     assert "cannot be written" in capsys.readouterr().err
-    broken = Recorder(tmp_path / "b.mcap", dict(
-        attachments.at_start(Simulation(scene_from_text(PAIR)), "/n", "world", 10, {
-            "pose": {}, "twist": {}, "applied_wrench": "/a", "events": "/e", "clock": None,
-            "diagnostics": "/d"}) | {"scene.yaml": ("application/yaml", b"name: 3")}))
+    broken = Recorder(
+        tmp_path / "b.mcap",
+        dict(
+            attachments.at_start(
+                Simulation(scene_from_text(PAIR)),
+                "/n",
+                "world",
+                10,
+                {
+                    "pose": {},
+                    "twist": {},
+                    "applied_wrench": "/a",
+                    "events": "/e",
+                    "clock": None,
+                    "diagnostics": "/d",
+                },
+            )
+            | {"scene.yaml": ("application/yaml", b"name: 3")}
+        ),
+    )
     broken.close()
     assert main(["analyze", str(tmp_path / "b.mcap")]) == 2
     err = capsys.readouterr().err
@@ -173,14 +205,15 @@ def test_other_wrong_input(tmp_path, capsys):
 def test_works_without_ros(tmp_path):
     """In a Python where no ROS package can be imported."""
     log = record(tmp_path / "a.mcap", scene_from_text(PAIR), 100)
-    code = ("import sys\n"
-            "for name in ('rclpy', 'geometry_msgs', 'rcl_interfaces', 'diagnostic_msgs',"
-            " 'builtin_interfaces', 'std_msgs'):\n"
-            "    sys.modules[name] = None\n"
-            "from liegroup_sim_ros.commands.main import main\n"
-            "sys.exit(main(['analyze', sys.argv[1], '--no-reference']))")
-    done = subprocess.run([sys.executable, "-c", code, str(log)], capture_output=True,
-                          text=True)
+    code = (
+        "import sys\n"
+        "for name in ('rclpy', 'geometry_msgs', 'rcl_interfaces', 'diagnostic_msgs',"
+        " 'builtin_interfaces', 'std_msgs'):\n"
+        "    sys.modules[name] = None\n"
+        "from liegroup_sim_ros.commands.main import main\n"
+        "sys.exit(main(['analyze', sys.argv[1], '--no-reference']))"
+    )
+    done = subprocess.run([sys.executable, "-c", code, str(log)], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert "11 of 11 samples" in " ".join(done.stdout.split())
 
@@ -188,8 +221,9 @@ def test_works_without_ros(tmp_path):
 def test_command_line(capsys):
     with pytest.raises(SystemExit) as ended:
         main(["--version"])
-    assert ended.value.code == 0 and re.fullmatch(r"liegroup_sim \d+\.\d+\.\d+\n",
-                                                  capsys.readouterr().out)
+    assert ended.value.code == 0 and re.fullmatch(
+        r"liegroup_sim \d+\.\d+\.\d+\n", capsys.readouterr().out
+    )
     with pytest.raises(SystemExit) as ended:
         main(["nonsense"])
     assert ended.value.code == 2

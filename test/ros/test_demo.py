@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`liegroup_sim demo` as a user starts it: a real node, a real push, and nothing left behind."""
+
 import json
 import os
 import signal
@@ -12,15 +13,19 @@ import pytest
 
 from liegroup_sim_ros.commands.main import main
 
-COMPILING = 300.0           # s; the first start on a machine compiles, on a loaded one slowly
+COMPILING = 300.0  # s; the first start on a machine compiles, on a loaded one slowly
 DEMO = "import sys; from liegroup_sim_ros.commands.main import main; sys.exit(main(sys.argv[1:]))"
 
 
 def start(*arguments):
     # What runs in the background of a shell has SIGINT ignored, and hands that on.
-    return subprocess.Popen([sys.executable, "-c", DEMO, "demo", *map(str, arguments)], text=True,
-                            stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-                            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL))
+    return subprocess.Popen(
+        [sys.executable, "-c", DEMO, "demo", *map(str, arguments)],
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
 
 
 def running(out):
@@ -30,7 +35,7 @@ def running(out):
         try:
             if os.fsencode(out) in path.read_bytes():
                 found.append(int(path.parent.name))
-        except OSError:         # ended in the meantime
+        except OSError:  # ended in the meantime
             continue
     return found
 
@@ -44,7 +49,7 @@ def test_demo(tmp_path):
     said, errors = demo.communicate(timeout=COMPILING)
     assert demo.returncode == 0, errors
     assert running(out) == []
-    figures, = json.loads((out / "demo.json").read_text())["logs"]
+    (figures,) = json.loads((out / "demo.json").read_text())["logs"]
     assert figures["scene"] == "heavy_top" and figures["complete"]
     # One push; on a machine that stalls for longer than the wrench's hold time it has a gap.
     assert figures["pushes"] and figures["pushes"][-1]["to_s"] is not None
@@ -81,8 +86,10 @@ def test_ended_early_it_leaves_nothing(tmp_path, number):
 
 def test_wrong_input(tmp_path, capsys):
     (tmp_path / "file").write_text("")
-    for arguments, said in ((["--seconds", "1"], "--seconds must be at least"),
-                            (["--out", str(tmp_path / "file")], "file")):
+    for arguments, said in (
+        (["--seconds", "1"], "--seconds must be at least"),
+        (["--out", str(tmp_path / "file")], "file"),
+    ):
         assert main(["demo", *arguments]) == 2
         err = capsys.readouterr().err
         assert said in err and err.count("\n") == 1

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`liegroup_sim extremes`: table, picture, JSON, and one line for wrong input."""
+
 import json
 import signal
 
@@ -12,13 +13,37 @@ from liegroup_sim_ros.commands.main import main
 
 def test_table_picture_and_json(tmp_path, capsys):
     picture, cells = tmp_path / "map.png", tmp_path / "map.json"
-    assert main(["extremes", "--axes", "step_free", "--methods", "rkmk4", "rkmk8", "--quick",
-                 "--workers", "1", "--png", str(picture), "--json", str(cells)]) == 0
+    assert (
+        main(
+            [
+                "extremes",
+                "--axes",
+                "step_free",
+                "--methods",
+                "rkmk4",
+                "rkmk8",
+                "--quick",
+                "--workers",
+                "1",
+                "--png",
+                str(picture),
+                "--json",
+                str(cells),
+            ]
+        )
+        == 0
+    )
     shown = capsys.readouterr().out
     assert "step, free body over 16 s, s" in shown and "silent 0" in shown
     found = json.loads(cells.read_text())
-    assert found["counts"] == {"accurate": 4, "flagged": 0, "refused": 2, "stopped": 0,
-                               "unjudged": 0, "silent": 0}
+    assert found["counts"] == {
+        "accurate": 4,
+        "flagged": 0,
+        "refused": 2,
+        "stopped": 0,
+        "unjudged": 0,
+        "silent": 0,
+    }
     assert [cell["value"] for cell in found["cells"]] == [8.0, 8.0, 1.0, 1.0, 0.25, 0.25]
     assert picture.read_bytes().startswith(b"\x89PNG")
 
@@ -34,11 +59,13 @@ def test_ctrl_c_loses_nothing(tmp_path, capsys, monkeypatch):
             signal.raise_signal(signal.SIGINT)
         made.append(item[1])
         return extremes_column(item)
+
     extremes_column = extremes.column
     monkeypatch.setattr(extremes, "column", column)
     assert main(call) == 130
     assert capsys.readouterr().err.splitlines()[-1] == (
-        "liegroup_sim: interrupted; what was run is kept, the same call goes on")
+        "liegroup_sim: interrupted; what was run is kept, the same call goes on"
+    )
     assert len(made) == 3
     assert main(call) == 0
     assert sorted(made) == sorted(next(a for a in extremes.AXES if a.name == "turn").values)
@@ -46,14 +73,44 @@ def test_ctrl_c_loses_nothing(tmp_path, capsys, monkeypatch):
 
 
 def test_a_scene_of_the_user(capsys):
-    assert main(["extremes", "free_body", "--horizon", "0.5", "--axes", "step", "--methods",
-                 "rkmk4", "--workers", "1"]) == 0
+    assert (
+        main(
+            [
+                "extremes",
+                "free_body",
+                "--horizon",
+                "0.5",
+                "--axes",
+                "step",
+                "--methods",
+                "rkmk4",
+                "--workers",
+                "1",
+            ]
+        )
+        == 0
+    )
     assert "accurate 9" in capsys.readouterr().out
 
 
 def test_a_scene_at_rest_has_no_speeds_and_quick_is_quick(capsys):
-    assert main(["extremes", "double_pendulum", "--horizon", "0.5", "--quick", "--methods",
-                 "rkmk8", "rattle", "--workers", "1"]) == 0
+    assert (
+        main(
+            [
+                "extremes",
+                "double_pendulum",
+                "--horizon",
+                "0.5",
+                "--quick",
+                "--methods",
+                "rkmk8",
+                "rattle",
+                "--workers",
+                "1",
+            ]
+        )
+        == 0
+    )
     shown, said = capsys.readouterr()
     # Every third of nine steps, for the one method that is for it.
     heads, row = (line.split() for line in shown.splitlines()[1:3])
@@ -64,22 +121,45 @@ def test_a_scene_at_rest_has_no_speeds_and_quick_is_quick(capsys):
 def test_values_are_told_apart_and_whole(tmp_path, capsys):
     """1.000001 is not 1, on the terminal and in the page, and no head of a column is cut."""
     page, wanted = tmp_path / "map.md", next(a for a in extremes.AXES if a.name == "sleeping")
-    assert main(["extremes", "--axes", "sleeping", "--methods", "rkmk8", "--workers", "1",
-                 "--markdown", str(page)]) == 0
+    assert (
+        main(
+            [
+                "extremes",
+                "--axes",
+                "sleeping",
+                "--methods",
+                "rkmk8",
+                "--workers",
+                "1",
+                "--markdown",
+                str(page),
+            ]
+        )
+        == 0
+    )
     heads = capsys.readouterr().out.splitlines()[1].split()
     assert tuple(map(float, heads)) == wanted.values
     row = next(line for line in page.read_text().splitlines() if line.startswith("| | 0.5"))
     assert [float(x) for x in row.strip("| ").split("|")] == list(wanted.values)
 
 
-@pytest.mark.parametrize("wrong, says", [
-    (["--methods", "euler"], "unknown method 'euler'"), (["--axes", "heat"], "unknown axis 'heat'"),
-    (["no_such_scene"], "no_such_scene"), (["--workers", "0"], "--workers"),
-    (["--horizon", "nan"], "--horizon"), (["--png", "map.gif"], ".png"),
-    (["--horizon", "1e-4"], "at least 0.001"), (["--json", "/no/such/a.json"], "existing folder"),
-    (["--quick", "--axes", "racket_coarse"], "--quick"), (["--axes", "steps"], "--long"),
-    (["double_pendulum", "--axes", "speed"], "at rest"),
-    (["free_body", "--axes", "racket"], "not one of a SCENE")])
+@pytest.mark.parametrize(
+    "wrong, says",
+    [
+        (["--methods", "euler"], "unknown method 'euler'"),
+        (["--axes", "heat"], "unknown axis 'heat'"),
+        (["no_such_scene"], "no_such_scene"),
+        (["--workers", "0"], "--workers"),
+        (["--horizon", "nan"], "--horizon"),
+        (["--png", "map.gif"], ".png"),
+        (["--horizon", "1e-4"], "at least 0.001"),
+        (["--json", "/no/such/a.json"], "existing folder"),
+        (["--quick", "--axes", "racket_coarse"], "--quick"),
+        (["--axes", "steps"], "--long"),
+        (["double_pendulum", "--axes", "speed"], "at rest"),
+        (["free_body", "--axes", "racket"], "not one of a SCENE"),
+    ],
+)
 def test_wrong_input_is_one_line(wrong, says, capsys):
     assert main(["extremes", *wrong]) == 2
     said = capsys.readouterr().err

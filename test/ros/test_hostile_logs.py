@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Damaged and hostile files: one line, in bounded memory and time, and never a wrong number."""
+
 import dataclasses
 import math
 import random
@@ -30,15 +31,23 @@ CHUNK, ATTACHMENT = 6, 9
 def small(tmp_path_factory):
     """A small file with poses, twists, wrenches, a reset, diagnostics and all attachments."""
     path = tmp_path_factory.mktemp("log") / "small.mcap"
-    return record(path, scene_from_text(PAIR), 60, resets=(40,), pushes=[
-        (20, ("left", (0, 0, 1.0, 0, 0, 0))), (30, ("left", (0,) * 6))])
+    return record(
+        path,
+        scene_from_text(PAIR),
+        60,
+        resets=(40,),
+        pushes=[(20, ("left", (0, 0, 1.0, 0, 0, 0))), (30, ("left", (0,) * 6))],
+    )
 
 
 def motion(recording):
     """{(kind, body, stamp): numbers}"""
-    return {(kind, body, stamp): tuple(row) for kind in ("pose", "twist")
-            for body, track in getattr(recording, kind).items()
-            for stamp, row in zip(track.stamp_ns.tolist(), np.hstack(track[1:]).tolist())}
+    return {
+        (kind, body, stamp): tuple(row)
+        for kind in ("pose", "twist")
+        for body, track in getattr(recording, kind).items()
+        for stamp, row in zip(track.stamp_ns.tolist(), np.hstack(track[1:]).tolist())
+    }
 
 
 @pytest.mark.parametrize("harm", ["cut", "flip", "garble", "random"])
@@ -57,10 +66,10 @@ def test_nothing_wrong_is_read(small, tmp_path, harm):
         if harm == "cut":
             harmed = data[:k]
         elif harm == "flip":
-            harmed = data[:k] + bytes([data[k] ^ 1 << chance.randrange(8)]) + data[k + 1:]
+            harmed = data[:k] + bytes([data[k] ^ 1 << chance.randrange(8)]) + data[k + 1 :]
         elif harm == "garble":
             size = chance.choice((2, 8, 100))
-            harmed = data[:k] + chance.randbytes(size) + data[k + size:]
+            harmed = data[:k] + chance.randbytes(size) + data[k + size :]
         else:
             harmed = MAGIC + chance.randbytes(chance.randrange(4000))
         file.write_bytes(harmed)
@@ -89,8 +98,11 @@ def with_chunk(head, packed):
 
 
 def chunk_head(unpacked, packed, crc=0, compression=b"zstd"):
-    return struct.pack("<QQQII", 0, 1, unpacked, crc, len(compression)) + compression + (
-        struct.pack("<Q", packed))
+    return (
+        struct.pack("<QQQII", 0, 1, unpacked, crc, len(compression))
+        + compression
+        + (struct.pack("<Q", packed))
+    )
 
 
 def bomb(claimed):
@@ -114,7 +126,7 @@ def growing_chunks():
     data += struct.pack("<BQHIQQ", 5, 1022, 1, 1, 1, 1).ljust(1031, b"\0") * (15 * 2**20 // 1031)
     packed = zstandard.ZstdCompressor(level=3).compress(data)
     chunk = with_chunk(chunk_head(len(data), len(packed), zlib.crc32(data)), packed)
-    return MAGIC + chunk[len(MAGIC):] * 30
+    return MAGIC + chunk[len(MAGIC) :] * 30
 
 
 def test_a_file_of_many_bombs_is_read_as_far_as_one_may_grow(tmp_path, capsys):
@@ -130,17 +142,24 @@ def test_a_file_of_many_bombs_is_read_as_far_as_one_may_grow(tmp_path, capsys):
     assert "more than 100 times its size" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("make", [
-    lambda: bomb(2**30), lambda: bomb(2**63), lambda: bomb(2**20), message_bomb,
-    lambda: with_chunk(chunk_head(2**62, 2**62), b""),
-    lambda: with_chunk(chunk_head(10, 2**62), bytes(100)),
-    lambda: with_chunk(chunk_head(100, 100, compression=b"none"), bytes(100)),
-    lambda: MAGIC + struct.pack("<BQ", ATTACHMENT, 2**63) + bytes(100),
-    lambda: MAGIC + struct.pack("<BQ", CHUNK, 2**64 - 1) + bytes(100),
-    lambda: MAGIC + struct.pack("<BQ", 0xff, 0) * 200_000,
-    lambda: MAGIC + struct.pack("<BQ", ATTACHMENT, 100) + b"\xff" * 100,
-    lambda: MAGIC + (struct.pack("<BQQQI", ATTACHMENT, 40, 0, 0, 2**32 - 1) + bytes(20)) * 5000,
-], ids=range(12))
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: bomb(2**30),
+        lambda: bomb(2**63),
+        lambda: bomb(2**20),
+        message_bomb,
+        lambda: with_chunk(chunk_head(2**62, 2**62), b""),
+        lambda: with_chunk(chunk_head(10, 2**62), bytes(100)),
+        lambda: with_chunk(chunk_head(100, 100, compression=b"none"), bytes(100)),
+        lambda: MAGIC + struct.pack("<BQ", ATTACHMENT, 2**63) + bytes(100),
+        lambda: MAGIC + struct.pack("<BQ", CHUNK, 2**64 - 1) + bytes(100),
+        lambda: MAGIC + struct.pack("<BQ", 0xFF, 0) * 200_000,
+        lambda: MAGIC + struct.pack("<BQ", ATTACHMENT, 100) + b"\xff" * 100,
+        lambda: MAGIC + (struct.pack("<BQQQI", ATTACHMENT, 40, 0, 0, 2**32 - 1) + bytes(20)) * 5000,
+    ],
+    ids=range(12),
+)
 def test_bombs_and_huge_lengths(tmp_path, capsys, make):
     """Refused in a second or so, with the memory of one chunk: 64 MiB, and the arrays over it."""
     file = tmp_path / "hostile.mcap"
@@ -157,27 +176,62 @@ def test_bombs_and_huge_lengths(tmp_path, capsys, make):
     assert main(["replay", str(file)]) == main(["replay", str(file), "--resimulate"]) == 2
 
 
-STRANGE = (None, True, -1, 0, 1e-300, 1e300, math.nan, math.inf, 2**70, "x", "", [], [1], {},
-           {"a": [{}]}, "\n", 1.5)
+STRANGE = (
+    None,
+    True,
+    -1,
+    0,
+    1e-300,
+    1e300,
+    math.nan,
+    math.inf,
+    2**70,
+    "x",
+    "",
+    [],
+    [1],
+    {},
+    {"a": [{}]},
+    "\n",
+    1.5,
+)
 
 
-@pytest.mark.parametrize("key", [
-    "method", "group", "step", "steps_per_sample", "world_frame", "stabilisation", "options",
-    "baumgarte_time", "versions", "scene", "machine"])
+@pytest.mark.parametrize(
+    "key",
+    [
+        "method",
+        "group",
+        "step",
+        "steps_per_sample",
+        "world_frame",
+        "stabilisation",
+        "options",
+        "baumgarte_time",
+        "versions",
+        "scene",
+        "machine",
+    ],
+)
 def test_settings_that_make_no_sense(small, key):
     """A line that says so, or, where they do not matter to the numbers, the same numbers."""
     good = read_recording(small)
     for value in STRANGE:
         recording = dataclasses.replace(good, settings=good.settings | {key: value})
-        for judge in (lambda: analyse(recording, reference=False).figures["repeat"],
-                      lambda: resimulate(recording)):
+        for judge in (
+            lambda: analyse(recording, reference=False).figures["repeat"],
+            lambda: resimulate(recording),
+        ):
             try:
                 figures = judge()
             except (RecordingError, SceneError, ReplayError) as error:
                 assert "\n" not in str(error)
                 continue
-            assert "failed" in figures or figures["identical"] == figures["samples"] or (
-                key in ("steps_per_sample", "world_frame"))
+            assert (
+                "failed" in figures
+                or figures["identical"] == figures["samples"]
+                or (key in ("steps_per_sample", "world_frame"))
+            )
 
 
 @pytest.mark.parametrize("key", ["pose", "twist", "steps", "stamp_ns", "angles"])

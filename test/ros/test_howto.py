@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command lines of sim_node in docs/howto.md start a node, and its Python runs against one."""
+
 import re
 import shlex
 import signal
@@ -25,10 +26,14 @@ def test_page_has_what_is_tested_here():
 @pytest.mark.parametrize("command", COMMANDS)
 def test_command_starts_a_node(client, tmp_path, command):
     command = command.replace("config/", f"{SOURCE / 'config'}/").replace(
-        "run.mcap", str(tmp_path / "run.mcap"))
+        "run.mcap", str(tmp_path / "run.mcap")
+    )
     namespace = re.search(r"__ns:=(\S+)", command)
-    events = client.listen(f"{namespace[1] if namespace else ''}/sim_node/events", Log, QoSProfile(
-        depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+    events = client.listen(
+        f"{namespace[1] if namespace else ''}/sim_node/events",
+        Log,
+        QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL),
+    )
     process = python(NODE, *shlex.split(command))
     try:
         client.until(lambda: events, COMPILING)
@@ -53,4 +58,5 @@ def test_python_of_the_page_runs(tmp_path):
     assert lines[6].startswith("double_pendulum at") and lines[7].startswith("it is ")
     assert "'/sim_node/top/pose'" in lines[8]
     assert {"pause", "step", "reset", "speed", "resume"} <= {
-        event.name for event in read_recording(path).events}
+        event.name for event in read_recording(path).events
+    }

@@ -28,9 +28,14 @@ from liegroup_sim_ros.messages.codecs import (
 STAMPS = st.integers(0, (2**31 - 1) * 1_000_000_000 + 999_999_999)
 FRAMES = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=40)
 FLOATS = st.floats(allow_nan=False)
-TYPES = ["geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TwistStamped",
-         "geometry_msgs/msg/WrenchStamped", "rosgraph_msgs/msg/Clock",
-         "rcl_interfaces/msg/Log", "diagnostic_msgs/msg/DiagnosticArray"]
+TYPES = [
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/TwistStamped",
+    "geometry_msgs/msg/WrenchStamped",
+    "rosgraph_msgs/msg/Clock",
+    "rcl_interfaces/msg/Log",
+    "diagnostic_msgs/msg/DiagnosticArray",
+]
 
 
 def floats(count):
@@ -86,15 +91,17 @@ def test_pose_is_what_ros_serializes(stamp_ns, frame_id, position, quaternion):
 
 @given(STAMPS, FRAMES, floats(6))
 def test_twist_and_wrench_are_what_ros_serializes(stamp_ns, frame_id, values):
-    assert (TwistStampedCodec(frame_id).encode(stamp_ns, values)
-            == twist_message(stamp_ns, frame_id, values))
-    assert (WrenchStampedCodec(frame_id).encode(stamp_ns, np.array(values))
-            == wrench_message(stamp_ns, frame_id, values))
+    assert TwistStampedCodec(frame_id).encode(stamp_ns, values) == twist_message(
+        stamp_ns, frame_id, values
+    )
+    assert WrenchStampedCodec(frame_id).encode(stamp_ns, np.array(values)) == wrench_message(
+        stamp_ns, frame_id, values
+    )
 
 
 @pytest.mark.parametrize("length", range(41))
 def test_every_frame_id_length(length):
-    frame_id = "abcdefghij"[:length % 10] + "x" * (length - length % 10)
+    frame_id = "abcdefghij"[: length % 10] + "x" * (length - length % 10)
     assert len(frame_id) == length
     expected = pose_message(7, frame_id, [1.0, 2.0, 3.0], [0.1, 0.2, 0.3, 0.4])
     assert PoseStampedCodec(frame_id).encode(7, (1, 2, 3), (0.1, 0.2, 0.3, 0.4)) == expected
@@ -110,12 +117,18 @@ def test_clock_is_what_ros_serializes(stamp_ns):
 @settings(max_examples=50)
 @given(st.lists(st.tuples(STAMPS, FRAMES, floats(7)), max_size=20))
 def test_decode_of_mixed_frames_gives_the_same_numbers_back(rows):
-    poses = PoseStampedCodec.decode([pose_message(stamp_ns, frame_id, values[:3], values[3:])
-                                     for stamp_ns, frame_id, values in rows])
-    twists = TwistStampedCodec.decode([twist_message(stamp_ns, frame_id, values[:6])
-                                       for stamp_ns, frame_id, values in rows])
-    wrenches = WrenchStampedCodec.decode([wrench_message(stamp_ns, frame_id, values[:6])
-                                          for stamp_ns, frame_id, values in rows])
+    poses = PoseStampedCodec.decode(
+        [
+            pose_message(stamp_ns, frame_id, values[:3], values[3:])
+            for stamp_ns, frame_id, values in rows
+        ]
+    )
+    twists = TwistStampedCodec.decode(
+        [twist_message(stamp_ns, frame_id, values[:6]) for stamp_ns, frame_id, values in rows]
+    )
+    wrenches = WrenchStampedCodec.decode(
+        [wrench_message(stamp_ns, frame_id, values[:6]) for stamp_ns, frame_id, values in rows]
+    )
     values = np.array([row[2] for row in rows]).reshape(-1, 7)
     for decoded in (poses, twists, wrenches):
         assert decoded.stamp_ns.dtype == np.int64
@@ -136,13 +149,16 @@ def test_decode_takes_big_endian_and_trailing_bytes():
     assert twists.twist.tolist() == [[3, 4, 5, 0, 1, 2]] * 3
 
 
-@pytest.mark.parametrize("damage, said", [
-    (lambda data: data[:-1], "a message is cut short or of another type"),
-    (lambda data: data[:10], "a message is cut short"),
-    (lambda data: b"", "a message is not plain CDR"),
-    (lambda data: b"\x00\x07" + data[2:], "a message is not plain CDR: it starts with 0x0007"),
-    (lambda data: data[:12] + b"\xff\xff\xff\xff" + data[16:], "a message is cut short"),
-])
+@pytest.mark.parametrize(
+    "damage, said",
+    [
+        (lambda data: data[:-1], "a message is cut short or of another type"),
+        (lambda data: data[:10], "a message is cut short"),
+        (lambda data: b"", "a message is not plain CDR"),
+        (lambda data: b"\x00\x07" + data[2:], "a message is not plain CDR: it starts with 0x0007"),
+        (lambda data: data[:12] + b"\xff\xff\xff\xff" + data[16:], "a message is cut short"),
+    ],
+)
 def test_damaged_payload_is_one_clear_line(damage, said):
     good = PoseStampedCodec("world").encode(0, (0, 0, 0), (0, 0, 0, 1))
     with pytest.raises(MessageError, match=said) as caught:
@@ -159,15 +175,20 @@ def test_definition_and_hash_agree_with_an_independent_implementation(msg_type):
     parsed = get_types_from_msg(schemas.definition(msg_type), msg_type)
     fields = {name: store.fielddefs[name] for name in parsed}
     assert {name: [f[0] for f in parsed[name][1]] for name in parsed} == {
-        name: [f[0] for f in fields[name][1]] for name in fields}
+        name: [f[0] for f in fields[name][1]] for name in fields
+    }
     assert schemas.type_hash(msg_type) == store.hash_rihs01(msg_type)
 
 
 def test_definition_has_the_form_that_readers_split():
     parts = schemas.definition("geometry_msgs/msg/PoseStamped").split("\n" + "=" * 80 + "\n")
     assert [part.split("\n", 1)[0] for part in parts[1:]] == [
-        "MSG: geometry_msgs/Pose", "MSG: geometry_msgs/Point", "MSG: geometry_msgs/Quaternion",
-        "MSG: std_msgs/Header", "MSG: builtin_interfaces/Time"]
+        "MSG: geometry_msgs/Pose",
+        "MSG: geometry_msgs/Point",
+        "MSG: geometry_msgs/Quaternion",
+        "MSG: std_msgs/Header",
+        "MSG: builtin_interfaces/Time",
+    ]
 
 
 @pytest.mark.parametrize("msg_type", ["no_such_msgs/msg/Thing", "geometry_msgs/msg/NoSuchThing"])

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The simulation node as a process, over real DDS: what it says, obeys and refuses."""
+
 import re
 import signal
 import time
@@ -30,27 +31,44 @@ class Shared:
         self.pose = client.listen(f"{NODE}/puck/pose", PoseStamped)
         self.twist = client.listen(f"{NODE}/puck/twist", TwistStamped)
         self.cube_twist = client.listen(f"{NODE}/cube/twist", TwistStamped)
-        self.clock = client.listen("/clock", Clock, QoSProfile(
-            depth=200, reliability=ReliabilityPolicy.BEST_EFFORT))
+        self.clock = client.listen(
+            "/clock", Clock, QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
+        )
         self.applied = client.listen(f"{NODE}/applied_wrench", WrenchStamped)
-        self.events = client.listen(f"{NODE}/events", Log, QoSProfile(
-            depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+        self.events = client.listen(
+            f"{NODE}/events", Log, QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        )
         self.diagnostics = client.listen("/diagnostics", DiagnosticArray)
         self.logged = client.listen("/rosout", Log)
         self.push = client.pusher(NODE)
-        client.until(lambda: self.pose and self.twist and self.cube_twist and self.clock
-                     and self.diagnostics and self.events, COMPILING, "one message of each")
+        client.until(
+            lambda: (
+                self.pose
+                and self.twist
+                and self.cube_twist
+                and self.clock
+                and self.diagnostics
+                and self.events
+            ),
+            COMPILING,
+            "one message of each",
+        )
 
     def now_ns(self):
         """Stamp up to which all poses and twists have come."""
-        return min(stamp_ns(messages[-1].header.stamp)
-                   for messages in (self.pose, self.twist, self.cube_twist))
+        return min(
+            stamp_ns(messages[-1].header.stamp)
+            for messages in (self.pose, self.twist, self.cube_twist)
+        )
 
     def pause(self, client):
         """Pause the node; the stamp at which it stands, once all messages up to it have come."""
         assert client.call(f"{NODE}/pause").success
-        client.until(lambda: self.events[-1].name == "pause"
-                     and self.now_ns() == stamp_ns(self.events[-1].stamp))
+        client.until(
+            lambda: (
+                self.events[-1].name == "pause" and self.now_ns() == stamp_ns(self.events[-1].stamp)
+            )
+        )
         return self.now_ns()
 
     def figures(self):
@@ -82,7 +100,8 @@ def test_poses_twists_and_clock_are_complete(client, node):
     client.until(lambda: node.now_ns() > end)
     pose, twist, cube = (
         [m for m in messages if begin < stamp_ns(m.header.stamp) <= end]
-        for messages in (node.pose, node.twist, node.cube_twist))
+        for messages in (node.pose, node.twist, node.cube_twist)
+    )
     assert {m.header.frame_id for m in pose} == {"world"}
     assert {m.header.frame_id for m in twist} == {"puck"}
     assert {m.header.frame_id for m in cube} == {"cube"}
@@ -103,8 +122,9 @@ def test_start_is_told_to_who_comes_later(node):
 
 
 def test_push_from_another_process_gives_its_impulse(client, node):
-    push = python(PUSH, "push", "puck", "--force", 3, 0, 0, "--torque", 0, 0, 0.8,
-                  "--duration", 0.3)
+    push = python(
+        PUSH, "push", "puck", "--force", 3, 0, 0, "--torque", 0, 0, 0.8, "--duration", 0.3
+    )
     client.until(lambda: push.poll() is not None, what="end of the push")
     output, errors = push.communicate()
     assert push.returncode == 0, errors
@@ -120,7 +140,7 @@ def test_push_from_another_process_gives_its_impulse(client, node):
     assert twist.angular.z == pytest.approx(0.8 * seconds / 0.4, rel=1e-12)
     assert twist.angular.x == twist.angular.y == 0.0
     t = np.linspace(0.0, seconds, 20001)
-    angle = 0.5 * (0.8 / 0.4) * t ** 2
+    angle = 0.5 * (0.8 / 0.4) * t**2
     impulse = np.trapezoid if hasattr(np, "trapezoid") else np.trapz
     expected = 3.0 / 2.0 * np.hypot(impulse(np.cos(angle), t), impulse(np.sin(angle), t))
     # Trapezoids of 15 us: error of order 1e-10.
@@ -163,7 +183,7 @@ def test_wrench_until_replaced(client, node):
 
 
 def test_stamp_to_come_is_kept_and_stamp_past_is_now(client, node):
-    future = node.now_ns() + 333 * STEP_NS + 1      # within a step: the next step boundary
+    future = node.now_ns() + 333 * STEP_NS + 1  # within a step: the next step boundary
     node.push("puck", force=(1.0, 0.0, 0.0), stamp_ns=future)
     node.push("cube", force=(1.0, 0.0, 0.0), stamp_ns=1)
     client.until(lambda: len(node.applied) == 4)
@@ -174,14 +194,19 @@ def test_stamp_to_come_is_kept_and_stamp_past_is_now(client, node):
     assert applied["cube", True] < applied["puck", True] - 200 * STEP_NS
 
 
-@pytest.mark.parametrize("reason, body, force, ahead, message", [
-    ("not_finite", "puck", (float("nan"), 0.0, 0.0), 0, "for puck: a component is NaN"),
-    ("not_finite", "puck", (0.0, float("-inf"), 0.0), 0, None),
-    ("unknown_frame", "world", (1.0, 0.0, 0.0), 0, "'world' is not known here"),
-    ("no_frame", "", (1.0, 0.0, 0.0), 0, "frame_id is empty"),
-    ("stamp_too_far", "puck", (1.0, 0.0, 0.0), 1_800_000_000 * 10**9, "ahead of the simulated")])
+@pytest.mark.parametrize(
+    "reason, body, force, ahead, message",
+    [
+        ("not_finite", "puck", (float("nan"), 0.0, 0.0), 0, "for puck: a component is NaN"),
+        ("not_finite", "puck", (0.0, float("-inf"), 0.0), 0, None),
+        ("unknown_frame", "world", (1.0, 0.0, 0.0), 0, "'world' is not known here"),
+        ("no_frame", "", (1.0, 0.0, 0.0), 0, "frame_id is empty"),
+        ("stamp_too_far", "puck", (1.0, 0.0, 0.0), 1_800_000_000 * 10**9, "ahead of the simulated"),
+    ],
+)
 def test_wrong_wrench_is_refused_counted_and_said_once(
-        client, node, reason, body, force, ahead, message):
+    client, node, reason, body, force, ahead, message
+):
     client.until(lambda: node.figures()["state"] == "running")
     logged = len(node.logged)
     key = f"wrenches_refused_{reason}"
@@ -196,14 +221,18 @@ def test_wrong_wrench_is_refused_counted_and_said_once(
     if message:
         assert len(said) == 1 and message in said[0]
     else:
-        assert said == []               # the reason is known from the case before
+        assert said == []  # the reason is known from the case before
 
 
 def test_wrench_publisher_with_incompatible_qos_is_named(client, node):
-    publisher = client.node.create_publisher(WrenchStamped, f"{NODE}/wrench", QoSProfile(
-        depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
-    client.until(lambda: any("incompatible QoS" in m.msg and "RELIABILITY" in m.msg
-                             for m in node.logged))
+    publisher = client.node.create_publisher(
+        WrenchStamped,
+        f"{NODE}/wrench",
+        QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT),
+    )
+    client.until(
+        lambda: any("incompatible QoS" in m.msg and "RELIABILITY" in m.msg for m in node.logged)
+    )
     client.node.destroy_publisher(publisher)
 
 
@@ -253,7 +282,7 @@ def test_reset_restores_the_state_and_time_goes_on(client, node):
 
 
 def test_speed_is_held_and_can_be_changed(client, node):
-    for wanted in (0.5, 2):             # a whole number is a number, too
+    for wanted in (0.5, 2):  # a whole number is a number, too
         assert client.set(NODE, real_time_factor=wanted).successful
         client.spin(0.1)
         begin, start = node.now_ns(), time.monotonic()
@@ -271,8 +300,13 @@ def test_speed_is_held_and_can_be_changed(client, node):
     assert not client.set(NODE, wrench_hold="forever").successful
     assert client.set(NODE, real_time_factor=1.0).successful
     # Events and answers come by different ways.
-    client.until(lambda: [m.msg for m in node.events if m.name == "speed"][-4:] == [
-        f"real-time factor {factor}" for factor in ("0.5", "2", "0", "1")], what="all events")
+    client.until(
+        lambda: (
+            [m.msg for m in node.events if m.name == "speed"][-4:]
+            == [f"real-time factor {factor}" for factor in ("0.5", "2", "0", "1")]
+        ),
+        what="all events",
+    )
 
 
 def test_divergence_stops_the_simulation_not_the_node(client, node):
@@ -286,7 +320,7 @@ def test_divergence_stops_the_simulation_not_the_node(client, node):
     assert not refused.success and "~/reset first" in refused.message
     count = len(node.pose)
     assert client.call(f"{NODE}/reset").success
-    client.until(lambda: len(node.pose) > count + 10)       # running again, as before
+    client.until(lambda: len(node.pose) > count + 10)  # running again, as before
     client.until(lambda: node.figures()["state"] == "running")
     speed = node.cube_twist[-1].twist.linear
     assert np.linalg.norm([speed.x, speed.y, speed.z]) == pytest.approx(np.sqrt(0.14), rel=1e-10)

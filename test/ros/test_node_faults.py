@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a running node does when the disk is full, when it is held up or cannot keep up."""
+
 import shlex
 import signal
 import subprocess
@@ -12,7 +13,7 @@ from node_process import COMPILING, NodeProcess, stamp_ns
 
 PERIOD_NS = 10_000_000
 # A disk of 300 kB in a mount namespace of its own; then the node, with the arguments behind.
-SMALL_DISK = "mount -t tmpfs -o size=300k tmpfs {0} && exec \"$@\""
+SMALL_DISK = 'mount -t tmpfs -o size=300k tmpfs {0} && exec "$@"'
 
 
 def has_namespaces():
@@ -35,11 +36,16 @@ def test_full_disk_ends_the_recording_loudly_and_not_the_simulation(client, scen
     script = SMALL_DISK.format(shlex.quote(str(tmp_path)))
     diagnostics = client.listen("/diagnostics", DiagnosticArray)
     poses = client.listen("/filling/puck/pose", PoseStamped)
-    with NodeProcess({"scene": scene, "record": tmp_path / "run.mcap", "publish_rate": 1000.0},
-                     remap=["__node:=filling"],
-                     under=("unshare", "-rm", "sh", "-c", script, "sh")) as process:
-        client.until(lambda: diagnostics and figures(diagnostics).get("recorder_failure"),
-                     COMPILING, "a full disk")
+    with NodeProcess(
+        {"scene": scene, "record": tmp_path / "run.mcap", "publish_rate": 1000.0},
+        remap=["__node:=filling"],
+        under=("unshare", "-rm", "sh", "-c", script, "sh"),
+    ) as process:
+        client.until(
+            lambda: diagnostics and figures(diagnostics).get("recorder_failure"),
+            COMPILING,
+            "a full disk",
+        )
         status = diagnostics[-1].status[0]
         assert status.level == DiagnosticStatus.ERROR and "No space left" in status.message
         count, lost = len(poses), int(figures(diagnostics)["recorder_lost"])
@@ -67,16 +73,20 @@ def test_a_node_that_was_held_up_goes_on_without_a_burst(client, scene):
         assert simulated < elapsed + 0.1 + 2e-9 * PERIOD_NS
         client.until(lambda: int(figures(diagnostics)["reanchored"]) >= 1)
         stamps = [stamp_ns(m.header.stamp) for m in poses]
-        assert {b - a for a, b in zip(stamps, stamps[1:])} == {PERIOD_NS}    # nothing is left out
+        assert {b - a for a, b in zip(stamps, stamps[1:])} == {PERIOD_NS}  # nothing is left out
         ended_well(process)
 
 
 def test_a_node_that_cannot_keep_up_says_so(client, scene):
     diagnostics = client.listen("/diagnostics", DiagnosticArray)
-    with NodeProcess({"scene": scene, "real_time_factor": 1e6},
-                     remap=["__node:=hurried"]) as process:
-        client.until(lambda: diagnostics and int(figures(diagnostics)["reanchored"]) > 1,
-                     COMPILING, "diagnostics")
+    with NodeProcess(
+        {"scene": scene, "real_time_factor": 1e6}, remap=["__node:=hurried"]
+    ) as process:
+        client.until(
+            lambda: diagnostics and int(figures(diagnostics)["reanchored"]) > 1,
+            COMPILING,
+            "diagnostics",
+        )
         client.until(lambda: diagnostics[-1].status[0].level == DiagnosticStatus.WARN)
         assert "too slow: real-time factor" in diagnostics[-1].status[0].message
         assert int(figures(diagnostics)["overruns"]) > 1

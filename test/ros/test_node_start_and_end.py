@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """How the simulation node starts and ends: what it refuses, leaves, and that its file repeats."""
+
 import os
 import signal
 import time
@@ -22,8 +23,12 @@ from liegroup_sim_ros.recording.reader import read_recording
 def repeat(recording):
     """Simulate a recording again from itself; bytes of all poses and twists, {topic: [...]}."""
     settings = recording.settings
-    simulation = Simulation(scene_from_text(recording.scene_text), settings["method"],
-                            settings["step"], settings["group"])
+    simulation = Simulation(
+        scene_from_text(recording.scene_text),
+        settings["method"],
+        settings["step"],
+        settings["group"],
+    )
     resets = [event.stamp_ns for event in recording.events if event.name == "reset"]
     stamps = recording.pose[recording.bodies[0]].stamp_ns.tolist()
     changes = sorted(recording.applied_wrench)
@@ -35,13 +40,17 @@ def repeat(recording):
         while changes and changes[0].stamp_ns <= stamp:
             change = changes.pop(0)
             if change.stamp_ns >= base_ns:
-                simulation.apply_wrench(change.body, change.wrench,
-                                        start=(change.stamp_ns - base_ns) * 1e-9)
+                simulation.apply_wrench(
+                    change.body, change.wrench, start=(change.stamp_ns - base_ns) * 1e-9
+                )
         simulation.advance(round((stamp - base_ns) * 1e-9 / settings["step"]) - simulation.steps)
         sample = simulation.sample()
         for body, (poses, twists) in repeated.items():
-            poses.append(PoseStampedCodec("world").encode(
-                stamp, sample.positions[body], sample.quaternions[body]))
+            poses.append(
+                PoseStampedCodec("world").encode(
+                    stamp, sample.positions[body], sample.quaternions[body]
+                )
+            )
             twists.append(TwistStampedCodec(body).encode(stamp, sample.twists[body]))
     return repeated
 
@@ -51,8 +60,10 @@ def test_recording_of_pushes_and_controls_repeats_bit_for_bit(client, scene, tmp
     """Also: SIGINT twice, as `ros2 launch` sends it, ends the node well and the file whole."""
     path = tmp_path / "run.mcap"
     name = f"/recorded_{method}"
-    with NodeProcess({"scene": scene, "record": path, "publish_rate": 200.0, "method": method},
-                     remap=[f"__node:={name[1:]}"]) as process:
+    with NodeProcess(
+        {"scene": scene, "record": path, "publish_rate": 200.0, "method": method},
+        remap=[f"__node:={name[1:]}"],
+    ) as process:
         push = client.pusher(name)
         seen = client.listen(f"{name}/cube/pose", PoseStamped)
         client.until(lambda: len(seen) > 20, COMPILING)
@@ -70,7 +81,7 @@ def test_recording_of_pushes_and_controls_repeats_bit_for_bit(client, scene, tmp
         assert client.call(f"{name}/reset").success
         push("cube", torque=(0.3, 0.2, 0.1), force=(0.0, 0.0, 1.0))
         client.spin(0.3)
-        for _ in range(3):              # the second and the third come during the clean-up
+        for _ in range(3):  # the second and the third come during the clean-up
             process.send(signal.SIGINT)
             time.sleep(0.02)
         code, errors = process.wait()
@@ -78,9 +89,17 @@ def test_recording_of_pushes_and_controls_repeats_bit_for_bit(client, scene, tmp
     recording = read_recording(path)
     assert recording.complete and recording.lost == {}
     assert [event.name for event in recording.events] == [
-        "start", "pause", "step", "resume", "reset", "stop"]
+        "start",
+        "pause",
+        "step",
+        "resume",
+        "reset",
+        "stop",
+    ]
     assert recording.settings["topics"]["pose"] == {
-        "puck": f"{name}/puck/pose", "cube": f"{name}/cube/pose"}
+        "puck": f"{name}/puck/pose",
+        "cube": f"{name}/cube/pose",
+    }
     assert len(recording.applied_wrench) >= 6
     samples = recording.pose["puck"].stamp_ns
     assert (np.diff(samples) > 0).all()
@@ -88,11 +107,19 @@ def test_recording_of_pushes_and_controls_repeats_bit_for_bit(client, scene, tmp
     repeated = repeat(recording)
     for body in recording.bodies:
         pose, twist = recording.pose[body], recording.twist[body]
-        poses, twists = (codec.decode(payloads) for codec, payloads in zip(
-            (PoseStampedCodec, TwistStampedCodec), repeated[body]))
-        assert all(np.array_equal(*pair) for pair in (
-            (pose.stamp_ns, poses.stamp_ns), (pose.position, poses.position),
-            (pose.quaternion, poses.quaternion), (twist.twist, twists.twist)))
+        poses, twists = (
+            codec.decode(payloads)
+            for codec, payloads in zip((PoseStampedCodec, TwistStampedCodec), repeated[body])
+        )
+        assert all(
+            np.array_equal(*pair)
+            for pair in (
+                (pose.stamp_ns, poses.stamp_ns),
+                (pose.position, poses.position),
+                (pose.quaternion, poses.quaternion),
+                (twist.twist, twists.twist),
+            )
+        )
     # What was heard is what was recorded.
     heard = {stamp_ns(m.header.stamp): m.pose.position.x for m in seen}
     kept = dict(zip(samples.tolist(), recording.pose["cube"].position[:, 0]))
@@ -103,15 +130,19 @@ def test_recording_of_pushes_and_controls_repeats_bit_for_bit(client, scene, tmp
 def test_signal_ends_the_node_and_finishes_its_file(client, scene, tmp_path, number):
     path = tmp_path / "run.mcap"
     name = f"/ended_by_{number.name.lower()}"
-    qos = {f"qos_overrides.{name}/wrench.subscription.reliability": "best_effort",
-           f"qos_overrides.{name}/cube/pose.publisher.reliability": "best_effort",
-           f"qos_overrides.{name}/puck/pose.publisher.depth": 25}
-    with NodeProcess({"scene": scene, "record": path, "real_time_factor": 0.0, **qos},
-                     remap=[f"__node:={name[1:]}"]) as process:
+    qos = {
+        f"qos_overrides.{name}/wrench.subscription.reliability": "best_effort",
+        f"qos_overrides.{name}/cube/pose.publisher.reliability": "best_effort",
+        f"qos_overrides.{name}/puck/pose.publisher.depth": 25,
+    }
+    with NodeProcess(
+        {"scene": scene, "record": path, "real_time_factor": 0.0, **qos},
+        remap=[f"__node:={name[1:]}"],
+    ) as process:
         seen = client.listen(f"{name}/puck/pose", PoseStamped, 1)
         client.until(lambda: seen, COMPILING)
-        wrench, = client.node.get_subscriptions_info_by_topic(f"{name}/wrench")
-        cube, = client.node.get_publishers_info_by_topic(f"{name}/cube/pose")
+        (wrench,) = client.node.get_subscriptions_info_by_topic(f"{name}/wrench")
+        (cube,) = client.node.get_publishers_info_by_topic(f"{name}/cube/pose")
         for endpoint in (wrench, cube):
             assert endpoint.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
         process.send(number)
@@ -120,8 +151,10 @@ def test_signal_ends_the_node_and_finishes_its_file(client, scene, tmp_path, num
     recording = read_recording(path)
     assert recording.complete and recording.events[-1].name == "stop"
     with open(path, "rb") as stream:
-        offered = {channel.topic: yaml.safe_load(channel.metadata["offered_qos_profiles"])[0]
-                   for channel in make_reader(stream).get_summary().channels.values()}
+        offered = {
+            channel.topic: yaml.safe_load(channel.metadata["offered_qos_profiles"])[0]
+            for channel in make_reader(stream).get_summary().channels.values()
+        }
     assert offered[f"{name}/cube/pose"]["reliability"] == "best_effort"
     assert offered[f"{name}/puck/pose"]["depth"] == 25
     # As fast as it goes is faster than the clock.
@@ -131,8 +164,9 @@ def test_signal_ends_the_node_and_finishes_its_file(client, scene, tmp_path, num
 @pytest.mark.skipif(not compiled(), reason="nothing is compiled")
 def test_signal_while_compiling_ends_the_node(scene, tmp_path):
     path = tmp_path / "run.mcap"
-    with NodeProcess({"scene": scene, "record": path},
-                     env={"LIEGROUP_CACHE_DIR": str(tmp_path)}) as process:
+    with NodeProcess(
+        {"scene": scene, "record": path}, env={"LIEGROUP_CACHE_DIR": str(tmp_path)}
+    ) as process:
         for line in process.process.stderr:
             if "compiling" in line:
                 break
@@ -143,20 +177,30 @@ def test_signal_while_compiling_ends_the_node(scene, tmp_path):
     assert not path.exists()
 
 
-@pytest.mark.parametrize("parameters, message", [
-    ({"scene": "''"}, "parameter scene: is empty"),
-    ({"scene": ""}, "Couldn't parse parameter override rule: '-p scene:='"),
-    ({"scene": "no_such_scene.yaml"}, "no_such_scene"),
-    ({"method": "euler"}, "parameter method: must be rkmk1"),
-    ({"scene": "four_bar", "method": "rattle"}, "method rattle does not fit this scene: it takes"),
-    ({"frame_prefix": "/left/"}, "parameter frame_prefix: must not begin with a slash"),
-    ({"frame_prefix": "map/", "world_frame": "map/puck"}, "parameter world_frame: must be a name"),
-    ({"stepp": 0.001}, "parameter stepp: unknown; did you mean step?"),
-    ({"step": -0.001}, "parameter step: must be greater than 0"),
-    ({"step": "fast"}, "parameter step: must be a number, got 'fast'"),
-    ({"publish_rate": 300.0}, "300 Hz is 3.33333 steps of 0.001 s"),
-    ({"wrench_hold": "forever"}, "must be one_step, timeout or until_replaced"),
-    ({"record": "/proc/no/folder.mcap"}, "cannot record to /proc/no/folder.mcap")])
+@pytest.mark.parametrize(
+    "parameters, message",
+    [
+        ({"scene": "''"}, "parameter scene: is empty"),
+        ({"scene": ""}, "Couldn't parse parameter override rule: '-p scene:='"),
+        ({"scene": "no_such_scene.yaml"}, "no_such_scene"),
+        ({"method": "euler"}, "parameter method: must be rkmk1"),
+        (
+            {"scene": "four_bar", "method": "rattle"},
+            "method rattle does not fit this scene: it takes",
+        ),
+        ({"frame_prefix": "/left/"}, "parameter frame_prefix: must not begin with a slash"),
+        (
+            {"frame_prefix": "map/", "world_frame": "map/puck"},
+            "parameter world_frame: must be a name",
+        ),
+        ({"stepp": 0.001}, "parameter stepp: unknown; did you mean step?"),
+        ({"step": -0.001}, "parameter step: must be greater than 0"),
+        ({"step": "fast"}, "parameter step: must be a number, got 'fast'"),
+        ({"publish_rate": 300.0}, "300 Hz is 3.33333 steps of 0.001 s"),
+        ({"wrench_hold": "forever"}, "must be one_step, timeout or until_replaced"),
+        ({"record": "/proc/no/folder.mcap"}, "cannot record to /proc/no/folder.mcap"),
+    ],
+)
 def test_wrong_parameter_is_one_line_and_exit_code_2(scene, parameters, message):
     with NodeProcess({"scene": scene, **parameters}) as process:
         code, errors = process.wait()
@@ -165,24 +209,33 @@ def test_wrong_parameter_is_one_line_and_exit_code_2(scene, parameters, message)
     assert lines[0].startswith("sim_node: ")
 
 
-@pytest.mark.parametrize("name, value, message", [
-    ("/sim_node/wrench.subscription.reliability", "bogus", "must be reliable or best"),
-    ("/sim_node/wrench.subscription.depth", 0, "must be a whole number of at least 1"),
-    ("/sim_node/wrench.subscription.depth", "many", "must be a whole number of at least 1"),
-    ("/sim_node/puk/pose.publisher.depth", 5, "did you mean qos_overrides./sim_node/puck/pose")])
+@pytest.mark.parametrize(
+    "name, value, message",
+    [
+        ("/sim_node/wrench.subscription.reliability", "bogus", "must be reliable or best"),
+        ("/sim_node/wrench.subscription.depth", 0, "must be a whole number of at least 1"),
+        ("/sim_node/wrench.subscription.depth", "many", "must be a whole number of at least 1"),
+        ("/sim_node/puk/pose.publisher.depth", 5, "did you mean qos_overrides./sim_node/puck/pose"),
+    ],
+)
 def test_wrong_quality_of_service_is_refused_before_the_recording_is_opened(
-        scene, tmp_path, name, value, message):
+    scene, tmp_path, name, value, message
+):
     path = tmp_path / "run.mcap"
     with NodeProcess({"scene": scene, "record": path, f"qos_overrides.{name}": value}) as process:
         code, errors = process.wait()
-    line, = [line for line in errors.splitlines() if not line.startswith("[")]
+    (line,) = [line for line in errors.splitlines() if not line.startswith("[")]
     assert code == 2 and line.startswith("sim_node: parameter qos") and message in line, errors
     assert not path.exists()
 
 
 def test_two_nodes_in_two_namespaces(client, scene):
-    both = [NodeProcess({"scene": scene, "clock_rate": 0.0, "world_frame": f"map_{ns}"},
-                        remap=[f"__ns:=/{ns}"]) for ns in ("a", "b")]
+    both = [
+        NodeProcess(
+            {"scene": scene, "clock_rate": 0.0, "world_frame": f"map_{ns}"}, remap=[f"__ns:=/{ns}"]
+        )
+        for ns in ("a", "b")
+    ]
     with both[0], both[1]:
         heard = {ns: client.listen(f"/{ns}/sim_node/puck/pose", PoseStamped) for ns in "ab"}
         client.until(lambda: heard["a"] and heard["b"], COMPILING)

@@ -3,6 +3,7 @@
 
 The frames of its bodies have a prefix, as those of one robot of several.
 """
+
 import importlib.util
 import signal
 
@@ -25,8 +26,16 @@ from liegroup_sim_ros.recording.reader import read_recording
 STEP_NS = 1_000_000
 NODE, PREFIX = "/shown", "robot1/"
 # Steps from one message to the next; they have no common period but the step.
-PERIODS = {"publish_rate": 10, "odometry_rate": 20, "velocity_rate": 25, "pose_array_rate": 50,
-           "joint_state_rate": 4, "marker_rate": 40, "state_rate": 125, "clock_rate": 5}
+PERIODS = {
+    "publish_rate": 10,
+    "odometry_rate": 20,
+    "velocity_rate": 25,
+    "pose_array_rate": 50,
+    "joint_state_rate": 4,
+    "marker_rate": 40,
+    "state_rate": 125,
+    "clock_rate": 5,
+}
 ARM = """
 name: arm
 gravity: [0, 0, -9.81]
@@ -57,13 +66,18 @@ class Shown:
             "pose_array_rate": client.listen(f"{NODE}/poses", PoseArray),
             "joint_state_rate": client.listen(f"{NODE}/joint_states", JointState),
             "marker_rate": client.listen(f"{NODE}/markers", MarkerArray),
-            "state_rate": client.listen(f"{NODE}/state", DiagnosticArray)}
+            "state_rate": client.listen(f"{NODE}/state", DiagnosticArray),
+        }
         self.twist = client.listen(f"{NODE}/lower/twist", TwistStamped)
         self.clock = client.listen("/clock", Clock)
-        self.events = client.listen(f"{NODE}/events", Log, QoSProfile(
-            depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL))
-        client.until(lambda: all(self.messages.values()) and self.clock and self.events,
-                     COMPILING, "one message of each")
+        self.events = client.listen(
+            f"{NODE}/events", Log, QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        )
+        client.until(
+            lambda: all(self.messages.values()) and self.clock and self.events,
+            COMPILING,
+            "one message of each",
+        )
 
     def stamps(self, name):
         return [stamp_of(message) for message in self.messages[name]]
@@ -79,9 +93,17 @@ def node(client, folder):
     scene = folder / "arm.yaml"
     scene.write_text(ARM)
     rates = {name: 1000.0 / steps for name, steps in PERIODS.items()}
-    with NodeProcess({"scene": scene, "record": folder / "run.mcap", "arrow_scale": 0.1,
-                      "world_frame": "map", "frame_prefix": PREFIX, **rates},
-                     remap=[f"__node:={NODE[1:]}"]) as process:
+    with NodeProcess(
+        {
+            "scene": scene,
+            "record": folder / "run.mcap",
+            "arrow_scale": 0.1,
+            "world_frame": "map",
+            "frame_prefix": PREFIX,
+            **rates,
+        },
+        remap=[f"__node:={NODE[1:]}"],
+    ) as process:
         yield Shown(client)
         process.send(signal.SIGINT)
         assert process.wait()[0] == 0
@@ -89,8 +111,9 @@ def node(client, folder):
 
 def test_every_topic_has_its_own_rate(client, node):
     begin = max(node.stamps(name)[-1] for name in node.messages)
-    client.until(lambda: all(node.stamps(name)[-1] > begin + 400 * STEP_NS
-                             for name in node.messages))
+    client.until(
+        lambda: all(node.stamps(name)[-1] > begin + 400 * STEP_NS for name in node.messages)
+    )
     for name in node.messages:
         stamps = [stamp for stamp in node.stamps(name) if begin < stamp]
         assert set(np.diff(stamps)) == {PERIODS[name] * STEP_NS}, name
@@ -101,16 +124,35 @@ def test_every_topic_has_its_own_rate(client, node):
 
 def test_topics_agree_at_the_same_stamp(client, node):
     def common():
-        return set.intersection(*(set(node.stamps(name)[2:]) for name in (
-            "publish_rate", "odometry_rate", "velocity_rate", "pose_array_rate",
-            "joint_state_rate", "marker_rate"))) & {stamp_ns(m.header.stamp) for m in node.twist}
+        return set.intersection(
+            *(
+                set(node.stamps(name)[2:])
+                for name in (
+                    "publish_rate",
+                    "odometry_rate",
+                    "velocity_rate",
+                    "pose_array_rate",
+                    "joint_state_rate",
+                    "marker_rate",
+                )
+            )
+        ) & {stamp_ns(m.header.stamp) for m in node.twist}
 
     stamp = max(client.until(common))
     pose, odometry, velocity, poses, joints, markers = (
         next(m for m in messages if stamp_of(m) == stamp)
-        for messages in (node.messages[name] for name in (
-            "publish_rate", "odometry_rate", "velocity_rate", "pose_array_rate",
-            "joint_state_rate", "marker_rate")))
+        for messages in (
+            node.messages[name]
+            for name in (
+                "publish_rate",
+                "odometry_rate",
+                "velocity_rate",
+                "pose_array_rate",
+                "joint_state_rate",
+                "marker_rate",
+            )
+        )
+    )
     twist_stamped = next(m for m in node.twist if stamp_ns(m.header.stamp) == stamp)
     twist, lower = twist_stamped.twist, f"{PREFIX}lower"
     assert odometry.pose.pose == pose.pose == poses.poses[1]
@@ -118,34 +160,49 @@ def test_topics_agree_at_the_same_stamp(client, node):
     assert twist_stamped.header.frame_id == odometry.child_frame_id == lower
     assert (velocity.header.frame_id, velocity.body_frame_id) == (lower, lower)
     assert velocity.reference_frame_id == "map" and {
-        m.header.frame_id for m in (pose, odometry, poses, markers.markers[0])} == {"map"}
+        m.header.frame_id for m in (pose, odometry, poses, markers.markers[0])
+    } == {"map"}
     # In the plane: the second angle is that between the two bodies.
     turn = [2.0 * np.arctan2(p.orientation.y, p.orientation.w) for p in poses.poses]
     assert joints.name == ["shoulder", "elbow"]
     for angle, expected in zip(joints.position, (turn[0], turn[1] - turn[0])):
         assert np.remainder(angle - expected + np.pi, 2 * np.pi) - np.pi == pytest.approx(
-            0.0, abs=1e-9)
+            0.0, abs=1e-9
+        )
     assert joints.velocity[0] + joints.velocity[1] == pytest.approx(twist.angular.y, abs=1e-9)
     assert markers.markers[1].pose.position == pose.pose.position
 
 
 def test_applied_wrench_is_an_arrow(client, node):
     push = client.pusher(NODE, "wrench/persistent")
-    push("lower", force=(0.0, 3.0, 0.0))        # no frame of this node
+    push("lower", force=(0.0, 3.0, 0.0))  # no frame of this node
     push(f"{PREFIX}lower", force=(0.0, 2.0, 0.0))
 
     def arrow():
-        return next((m for m in node.messages["marker_rate"][-1].markers
-                     if (m.ns, m.id, m.action) == ("forces", 1, Marker.ADD)), None)
+        return next(
+            (
+                m
+                for m in node.messages["marker_rate"][-1].markers
+                if (m.ns, m.id, m.action) == ("forces", 1, Marker.ADD)
+            ),
+            None,
+        )
 
     assert client.until(arrow, what="an arrow").points[1].y == pytest.approx(0.2)
     assert client.set(NODE, arrow_scale=0.5).successful
     client.until(lambda: arrow().points[1].y == 1.0)
     push(f"{PREFIX}lower")
     client.until(lambda: arrow() is None)
-    client.until(lambda: "1" == next(
-        pair.value for pair in node.messages["state_rate"][-1].status[0].values
-        if pair.key == "wrenches_refused_unknown_frame"))
+    client.until(
+        lambda: (
+            "1"
+            == next(
+                pair.value
+                for pair in node.messages["state_rate"][-1].status[0].values
+                if pair.key == "wrenches_refused_unknown_frame"
+            )
+        )
+    )
 
 
 def test_push_from_the_command_line_finds_the_prefix(client, node):
@@ -175,13 +232,17 @@ def test_use_sim_time_is_refused(client, node):
 
 def test_who_comes_while_time_stands_still_gets_the_time_and_the_scene(client, node):
     assert client.call(f"{NODE}/pause").success
-    client.spin(0.2)                    # what is under way comes
-    clock = client.listen("/clock", Clock, QoSProfile(
-        depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
-    shown = client.listen(f"{NODE}/markers", MarkerArray, QoSProfile(
-        depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+    client.spin(0.2)  # what is under way comes
+    clock = client.listen(
+        "/clock", Clock, QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+    )
+    shown = client.listen(
+        f"{NODE}/markers",
+        MarkerArray,
+        QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL),
+    )
     client.until(lambda: len(clock) >= 2 and shown)
-    paused, = {stamp_ns(message.clock) for message in clock}
+    (paused,) = {stamp_ns(message.clock) for message in clock}
     assert (node.events[-1].name, stamp_ns(node.events[-1].stamp)) == ("pause", paused)
     assert paused - PERIODS["marker_rate"] * STEP_NS < stamp_of(shown[-1]) <= paused
     assert client.call(f"{NODE}/resume").success
@@ -193,13 +254,13 @@ def test_reload_takes_a_new_scene_with_new_topics_and_a_new_file(client, node, f
     assert client.set(NODE, scene="no_such_scene").successful
     refused = client.call(f"{NODE}/reload")
     assert not refused.success and "no_such_scene" in refused.message
-    (folder / "run_part2.mcap").touch()                    # in the way of the next part
+    (folder / "run_part2.mcap").touch()  # in the way of the next part
     assert client.set(NODE, scene=str(scene)).successful
     refused = client.call(f"{NODE}/reload")
     assert not refused.success and "exists already" in refused.message
     (folder / "run_part2.mcap").unlink()
     count = len(node.messages["publish_rate"])
-    client.until(lambda: len(node.messages["publish_rate"]) > count + 5)     # goes on
+    client.until(lambda: len(node.messages["publish_rate"]) > count + 5)  # goes on
     assert client.set(NODE, scene=str(scene)).successful
     poses = client.listen(f"{NODE}/puck/pose", PoseStamped)
     applied = client.listen(f"{NODE}/applied_wrench", WrenchStamped)
@@ -211,19 +272,25 @@ def test_reload_takes_a_new_scene_with_new_topics_and_a_new_file(client, node, f
     clock = np.array([stamp_ns(message.clock) for message in node.clock])
     assert (np.diff(clock) >= 0).all()
     # Else the bodies of the scene before would stay in sight.
-    deleted, = (m for m in node.messages["marker_rate"] if m.markers[0].action == Marker.DELETEALL)
+    (deleted,) = (
+        m for m in node.messages["marker_rate"] if m.markers[0].action == Marker.DELETEALL
+    )
     assert len(deleted.markers) == 1 and deleted.markers[0].header.frame_id == "map"
     push = client.pusher(NODE, "puck/wrench")
     push(f"{PREFIX}puck", force=(0.0, 2.0, 0.0))
     client.until(lambda: len(applied) >= 2)
     assert [values(m)[0] for m in applied] == [f"{PREFIX}puck"] * 2
-    client.until(lambda: f"{NODE}/lower/pose" not in dict(client.node.get_topic_names_and_types())
-                 or not client.node.get_publishers_info_by_topic(f"{NODE}/lower/pose"))
+    client.until(
+        lambda: (
+            f"{NODE}/lower/pose" not in dict(client.node.get_topic_names_and_types())
+            or not client.node.get_publishers_info_by_topic(f"{NODE}/lower/pose")
+        )
+    )
     # The part that is finished, and the one that is being written, are whole in themselves.
     first = read_recording(folder / "run.mcap")
     assert first.complete and first.bodies == ("upper", "lower") and first.lost == {}
     assert first.events[-1].name == "stop"
-    assert client.call(f"{NODE}/reload").success           # the same again
+    assert client.call(f"{NODE}/reload").success  # the same again
     client.until(lambda: (folder / "run_part3.mcap").exists())
     second = read_recording(folder / "run_part2.mcap")
     assert second.complete and second.bodies == ("puck", "cube")
@@ -241,20 +308,27 @@ def test_all_that_is_published_is_recorded(client, node, folder):
         stamps = {}
         for _, channel, message in make_reader(stream).iter_messages():
             stamps.setdefault(channel.topic, []).append(message.log_time)
-    for topic, name in (("lower/pose", "publish_rate"), ("upper/odometry", "odometry_rate"),
-                        ("upper/velocity", "velocity_rate"), ("poses", "pose_array_rate"),
-                        ("joint_states", "joint_state_rate"), ("markers", "marker_rate"),
-                        ("state", "state_rate")):
+    for topic, name in (
+        ("lower/pose", "publish_rate"),
+        ("upper/odometry", "odometry_rate"),
+        ("upper/velocity", "velocity_rate"),
+        ("poses", "pose_array_rate"),
+        ("joint_states", "joint_state_rate"),
+        ("markers", "marker_rate"),
+        ("state", "state_rate"),
+    ):
         assert set(np.diff(stamps[f"{NODE}/{topic}"])) == {PERIODS[name] * STEP_NS}, topic
 
 
-@pytest.mark.skipif(importlib.util.find_spec("tf2_msgs") is not None,
-                    reason="tf2_msgs is installed here")
+@pytest.mark.skipif(
+    importlib.util.find_spec("tf2_msgs") is not None, reason="tf2_msgs is installed here"
+)
 def test_topic_whose_type_is_not_installed_is_one_line(scene):
     with NodeProcess({"scene": scene, "tf_rate": 10.0}) as process:
         code, errors = process.wait()
     assert code == 2 and errors.splitlines()[-1].startswith(
-        "sim_node: parameter tf_rate: tf2_msgs is not installed here")
+        "sim_node: parameter tf_rate: tf2_msgs is not installed here"
+    )
 
 
 def test_recording_without_poses_is_refused(scene, tmp_path):

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Wrench topics of a running node: axes, sums, sources, persistence, and commanders that die."""
+
 import os
 import signal
 
@@ -34,19 +35,25 @@ class Pushed:
         self.applied = client.listen(f"{NODE}/applied_wrench", WrenchStamped)
         self.pose = client.listen(f"{NODE}/cube/pose", PoseStamped)
         self.twist = client.listen(f"{NODE}/cube/twist", TwistStamped)
-        self.to = {topic: client.pusher(NODE, topic) for topic in (
-            "wrench", "wrench/persistent", "puck/wrench", "cube/wrench")}
+        self.to = {
+            topic: client.pusher(NODE, topic)
+            for topic in ("wrench", "wrench/persistent", "puck/wrench", "cube/wrench")
+        }
         self.clear = client.node.create_publisher(String, f"{NODE}/wrench/clear", 10)
-        client.until(lambda: self.pose and self.twist and self.clear.get_subscription_count(),
-                     COMPILING, "poses and twists")
+        client.until(
+            lambda: self.pose and self.twist and self.clear.get_subscription_count(),
+            COMPILING,
+            "poses and twists",
+        )
 
     def forces(self, body):
         """x of the total force on a body, at all its changes."""
         return [values(m)[1][3] for m in self.applied if m.header.frame_id == body]
 
     def until_forces(self, body, expected):
-        self.client.until(lambda: len(self.forces(body)) >= len(expected),
-                          what=f"{expected} on {body}")
+        self.client.until(
+            lambda: len(self.forces(body)) >= len(expected), what=f"{expected} on {body}"
+        )
         assert self.forces(body) == expected
 
     def world_velocity(self):
@@ -67,8 +74,9 @@ class Pushed:
 
 @pytest.fixture(scope="module")
 def process(client, scene):
-    with NodeProcess({"scene": scene, "wrench_hold": "until_replaced"},
-                     remap=[f"__node:={NODE[1:]}"]) as process:
+    with NodeProcess(
+        {"scene": scene, "wrench_hold": "until_replaced"}, remap=[f"__node:={NODE[1:]}"]
+    ) as process:
         yield process, Pushed(client)
         process.send(signal.SIGTERM)
         assert process.wait()[0] == 0
@@ -87,20 +95,27 @@ def test_wrenches_of_topics_and_names_add(client, node):
     """Each is replaced, and ended, by its own only."""
     expected = [0.0]
     for topic, frame, force in (
-            ("wrench", "puck", 1.0), ("wrench", "puck/left", 2.0), ("puck/wrench", "puck", 4.0),
-            ("puck/wrench", "world/fan", 8.0), ("wrench/persistent", "puck", 16.0),
-            ("wrench/persistent", "puck/b", 32.0)):
+        ("wrench", "puck", 1.0),
+        ("wrench", "puck/left", 2.0),
+        ("puck/wrench", "puck", 4.0),
+        ("puck/wrench", "world/fan", 8.0),
+        ("wrench/persistent", "puck", 16.0),
+        ("wrench/persistent", "puck/b", 32.0),
+    ):
         node.to[topic](frame, force=(force, 0.0, 0.0))
         expected.append(expected[-1] + force)
         node.until_forces("puck", expected[1:])
     for topic, frame, change in (
-            ("wrench", "puck", -1.0), ("wrench", "puck/left", -2.0), ("puck/wrench", "world", 0.0),
-            ("puck/wrench", "world/fan", -8.0)):
+        ("wrench", "puck", -1.0),
+        ("wrench", "puck/left", -2.0),
+        ("puck/wrench", "world", 0.0),
+        ("puck/wrench", "world/fan", -8.0),
+    ):
         node.to[topic](frame)
         if change:
             expected.append(expected[-1] + change)
             node.until_forces("puck", expected[1:])
-        else:                           # world and puck are axes of one source on this topic
+        else:  # world and puck are axes of one source on this topic
             expected.append(expected[-1] - 4.0)
             node.until_forces("puck", expected[1:])
     assert expected[-1] == 48.0
@@ -126,13 +141,14 @@ def test_persistent_wrenches_last_until_they_are_cleared(client, node):
 
 def test_force_in_world_axes_keeps_its_direction(client, node):
     """On the tumbling cube: the change of velocity is F t / m, off by less than w h = 1.3e-3 of
-    it, for within a step the force turns with the body."""
+    it, for within a step the force turns with the body.
+    """
     node.stand_still()
     before, force = node.world_velocity(), np.array([3.0, 0.0, -4.0])
     assert client.set(NODE, step_count=50).successful
     node.to["cube/wrench"]("world", force=force.tolist(), stamp_ns=1)
-    client.spin(0.1)                    # it has arrived before it is asked for steps
-    for steps in range(50, 501, 50):    # fewer than the topic keeps for a slow listener
+    client.spin(0.1)  # it has arrived before it is asked for steps
+    for steps in range(50, 501, 50):  # fewer than the topic keeps for a slow listener
         assert client.call(f"{NODE}/step").success
         client.until(lambda: len(node.applied) == steps)
     node.stand_still()
@@ -152,7 +168,7 @@ def test_wrench_of_a_commander_that_dies_ends(client, node):
     try:
         client.until(lambda: node.applied, what="a push")
         client.spin(0.5)
-        assert len(node.applied) == 1   # 20 ms between messages, 100 ms of hold: no gap
+        assert len(node.applied) == 1  # 20 ms between messages, 100 ms of hold: no gap
     finally:
         os.killpg(commander.pid, signal.SIGKILL)
         commander.communicate()

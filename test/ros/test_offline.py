@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`liegroup_sim run` and `describe`: files that say what was run, and refusals in one line."""
+
 import json
 import subprocess
 import sys
@@ -18,9 +19,29 @@ from liegroup_sim_ros.recording.reader import read_recording
 
 def test_arrays_are_those_of_the_simulation(tmp_path, capsys):
     path = tmp_path / "a.npz"
-    assert main(["run", "double_pendulum", "--duration", "0.095", "--every", "10",
-                 "--step", "1e-3", "--method", "rkmk8", "--group", "so3xr3",
-                 "--stabilisation", "projection", "--out", str(path)]) == 0
+    assert (
+        main(
+            [
+                "run",
+                "double_pendulum",
+                "--duration",
+                "0.095",
+                "--every",
+                "10",
+                "--step",
+                "1e-3",
+                "--method",
+                "rkmk8",
+                "--group",
+                "so3xr3",
+                "--stabilisation",
+                "projection",
+                "--out",
+                str(path),
+            ]
+        )
+        == 0
+    )
     assert capsys.readouterr().out.startswith(f"{path}: 0.095 s in 95 steps, 11 samples")
     found = np.load(path)
     assert found["steps"].tolist() == [*range(0, 91, 10), 95]
@@ -39,9 +60,13 @@ def test_arrays_are_those_of_the_simulation(tmp_path, capsys):
     assert str(found["scene"]) == load_scene("double_pendulum").text
 
 
-@pytest.mark.parametrize("more", [
-    ["--method", "rkmk54", "--rtol", "1e-9", "--atol", "1e-9"],
-    ["--stabilisation", "baumgarte", "--baumgarte-time", "0.05", "--group", "so3xr3"]])
+@pytest.mark.parametrize(
+    "more",
+    [
+        ["--method", "rkmk54", "--rtol", "1e-9", "--atol", "1e-9"],
+        ["--stabilisation", "baumgarte", "--baumgarte-time", "0.05", "--group", "so3xr3"],
+    ],
+)
 def test_a_recording_is_analysed_like_that_of_the_node(tmp_path, more):
     """Simulated again from the file's own settings it is the same to the bit."""
     path = tmp_path / "a.mcap"
@@ -63,8 +88,23 @@ def test_a_recording_is_analysed_like_that_of_the_node(tmp_path, more):
 def test_a_run_that_stops_leaves_what_was_computed(tmp_path, capsys, suffix):
     """The top turns by 15 rad in a step of 0.1 s: beyond 2 pi there is no solution."""
     path = tmp_path / f"a.{suffix}"
-    assert main(["run", "lagrangian_top", "--duration", "1", "--step", "0.1", "--every", "1",
-                 "--out", str(path)]) == 1
+    assert (
+        main(
+            [
+                "run",
+                "lagrangian_top",
+                "--duration",
+                "1",
+                "--step",
+                "0.1",
+                "--every",
+                "1",
+                "--out",
+                str(path),
+            ]
+        )
+        == 1
+    )
     said = capsys.readouterr().err.splitlines()[-1]
     assert said.startswith("liegroup_sim: stopped at t = 0 s") and "smaller step" in said
     if suffix == "npz":
@@ -77,13 +117,23 @@ def test_a_run_that_stops_leaves_what_was_computed(tmp_path, capsys, suffix):
         assert analyse(recording, reference=False).figures["faults"]
 
 
-@pytest.mark.parametrize("change, said", [
-    ({"--duration": "0.0015"}, "whole number"), ({"--duration": "0"}, "positive"),
-    ({"--duration": "nan"}, "positive"), ({"--every": "0"}, "--every"),
-    ({"--method": "rkmk5"}, "rkmk54"), ({"--group": "so3"}, "so3xr3"), ({"--step": "-1"}, "step"),
-    ({"--stabilisation": "x"}, "projection"), ({"--rtol": "1e-3"}, "no option 'rtol'"),
-    ({"scene": "nope"}, "nope"), ({"--out": "a.txt"}, ".npz or .mcap"),
-    ({"--out": "none/a.npz"}, "cannot be written")])
+@pytest.mark.parametrize(
+    "change, said",
+    [
+        ({"--duration": "0.0015"}, "whole number"),
+        ({"--duration": "0"}, "positive"),
+        ({"--duration": "nan"}, "positive"),
+        ({"--every": "0"}, "--every"),
+        ({"--method": "rkmk5"}, "rkmk54"),
+        ({"--group": "so3"}, "so3xr3"),
+        ({"--step": "-1"}, "step"),
+        ({"--stabilisation": "x"}, "projection"),
+        ({"--rtol": "1e-3"}, "no option 'rtol'"),
+        ({"scene": "nope"}, "nope"),
+        ({"--out": "a.txt"}, ".npz or .mcap"),
+        ({"--out": "none/a.npz"}, "cannot be written"),
+    ],
+)
 def test_wrong_input_is_one_line_and_no_file(tmp_path, monkeypatch, capsys, change, said):
     monkeypatch.chdir(tmp_path)
     given = {"scene": "heavy_top", "--duration": "0.01", "--out": "a.npz"} | change
@@ -104,17 +154,28 @@ def test_no_file_is_overwritten(tmp_path, capsys):
 
 def test_a_recording_needs_interface_packages_but_not_rclpy(tmp_path):
     """One line where the packages are missing; with them, nothing of rclpy is imported."""
+
     def run(prelude, name):
         return subprocess.run(
-            [sys.executable, "-P", "-c", "import sys\n" + prelude + "\n"
-             "from liegroup_sim_ros.commands.main import main\n"
-             f"code = main(['run', 'heavy_top', '--duration', '0.01', '--out', {str(name)!r}])\n"
-             "assert 'rclpy' not in sys.modules\nsys.exit(code)"],
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+            [
+                sys.executable,
+                "-P",
+                "-c",
+                "import sys\n" + prelude + "\n"
+                "from liegroup_sim_ros.commands.main import main\n"
+                f"code = main(['run', 'heavy_top', '--duration', '0.01', '--out', {str(name)!r}])\n"
+                "assert 'rclpy' not in sys.modules\nsys.exit(code)",
+            ],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
 
     assert run("", tmp_path / "a.mcap").returncode == 0
-    hidden = ("import importlib.util as u; find = u.find_spec\n"
-              "u.find_spec = lambda name, *a: None if name.endswith('_msgs') else find(name, *a)")
+    hidden = (
+        "import importlib.util as u; find = u.find_spec\n"
+        "u.find_spec = lambda name, *a: None if name.endswith('_msgs') else find(name, *a)"
+    )
     refused = run(hidden, tmp_path / "b.mcap")
     assert refused.returncode == 2 and "geometry_msgs" in refused.stderr
     assert "Traceback" not in refused.stderr and not (tmp_path / "b.mcap").exists()

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The installed package is what pip, the ament index and `ros2 run` expect of it."""
+
 import ast
 import importlib.metadata
 import json
@@ -36,13 +37,16 @@ print(*sys.modules)
 def ament_path(monkeypatch):
     """What setup.bash does for a workspace; nobody does it for a pip install."""
     sourced = os.environ.get("AMENT_PREFIX_PATH")
-    monkeypatch.setenv("AMENT_PREFIX_PATH",
-                       os.pathsep.join(filter(None, [sourced, sys.prefix])))
+    monkeypatch.setenv("AMENT_PREFIX_PATH", os.pathsep.join(filter(None, [sourced, sys.prefix])))
 
 
 def imported_by(*names):
-    printed = subprocess.run([sys.executable, "-P", "-c", IMPORT_ALL, *names], check=True,
-                             stdout=subprocess.PIPE, text=True).stdout
+    printed = subprocess.run(
+        [sys.executable, "-P", "-c", IMPORT_ALL, *names],
+        check=True,
+        stdout=subprocess.PIPE,
+        text=True,
+    ).stdout
     return set(printed.split())
 
 
@@ -61,10 +65,18 @@ def test_version_is_the_same_everywhere():
 
 def test_share_files_are_installed():
     share = Path(get_package_share_directory(NAME))
-    files = [path.relative_to(SOURCE)
-             for pattern in ("package.xml", "config/*.yaml", "config/*.rviz", "config/*.json",
-                             "config/scenes/*.yaml", "launch/*.launch.*")
-             for path in SOURCE.glob(pattern)]
+    files = [
+        path.relative_to(SOURCE)
+        for pattern in (
+            "package.xml",
+            "config/*.yaml",
+            "config/*.rviz",
+            "config/*.json",
+            "config/scenes/*.yaml",
+            "launch/*.launch.*",
+        )
+        for path in SOURCE.glob(pattern)
+    ]
     assert Path("config/scenes/heavy_top.yaml") in files
     for file in files:
         assert (share / file).read_bytes() == (SOURCE / file).read_bytes()
@@ -73,8 +85,11 @@ def test_share_files_are_installed():
 def test_layouts_show_topics_that_the_node_has():
     documented = (SOURCE / "docs" / "node.md").read_text()
     rviz = yaml.safe_load((SOURCE / "config" / "scene.rviz").read_text())
-    shown = [display["Topic"]["Value"] for display in rviz["Visualization Manager"]["Displays"]
-             if "Topic" in display]
+    shown = [
+        display["Topic"]["Value"]
+        for display in rviz["Visualization Manager"]["Displays"]
+        if "Topic" in display
+    ]
     foxglove = json.loads((SOURCE / "config" / "foxglove.json").read_text())["configById"]
     shown += foxglove["3D!scene"]["topics"]
     shown += [path["value"].partition(".")[0] for path in foxglove["Plot!joints"]["paths"]]
@@ -88,14 +103,17 @@ def test_launch_file_is_python_and_its_preset_is_there():
     """launch has no wheel: that it starts the node is proved with a ROS installation only."""
     text = (SOURCE / "launch" / "sim.launch.py").read_text()
     tree = ast.parse(text)
-    constants = {node.targets[0].id: ast.literal_eval(node.value) for node in tree.body
-                 if isinstance(node, ast.Assign)}
+    constants = {
+        node.targets[0].id: ast.literal_eval(node.value)
+        for node in tree.body
+        if isinstance(node, ast.Assign)
+    }
     arguments, parameters = constants["ARGUMENTS"], constants["PARAMETERS"]
     assert (SOURCE / "config" / f"{arguments['preset'][0]}.yaml").exists()
     used = set(re.findall(r'LaunchConfiguration\("(\w+)"\)', text)) - {"params_file"}
     assert used == set(arguments) - set(parameters) and set(parameters) < set(arguments)
     assert set(parameters) <= {entry.name for entry in TABLE if type(entry.default) is str}
-    node, = re.findall(r'package=PACKAGE, executable="(\w+)", name="(\w+)"', text)
+    (node,) = re.findall(r'package=PACKAGE, executable="(\w+)", name="(\w+)"', text)
     assert node == ("sim_node", "sim_node") and (SOURCE / "liegroup_sim_ros/node/entry.py").exists()
     remapped = re.findall(r'\("/(\w+)", LaunchConfiguration', text)
     assert remapped == ["clock", "tf"]
@@ -103,10 +121,18 @@ def test_launch_file_is_python_and_its_preset_is_there():
 
 @pytest.mark.parametrize("start", ["ros2 run", "python -m"])
 def test_node_is_found_and_answers(start):
-    command = ([Path(get_package_prefix(NAME), "lib", NAME, "sim_node")] if start == "ros2 run"
-               else [sys.executable, "-P", "-m", f"{NAME}.sim_node"])
-    ended = subprocess.run([*command, "--ros-args", "-p", "scene:=no_such_scene"],
-                           stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=60)
+    command = (
+        [Path(get_package_prefix(NAME), "lib", NAME, "sim_node")]
+        if start == "ros2 run"
+        else [sys.executable, "-P", "-m", f"{NAME}.sim_node"]
+    )
+    ended = subprocess.run(
+        [*command, "--ros-args", "-p", "scene:=no_such_scene"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        timeout=60,
+    )
     assert ended.returncode == 2
     assert "no_such_scene" in ended.stdout
     assert "Traceback" not in ended.stdout
@@ -121,6 +147,17 @@ def test_core_imports_no_ros():
 
 
 def test_analysis_does_without_rclpy():
-    assert "rclpy" not in imported_by(*(f"{NAME}.{part}" for part in
-                                        ("messages", "recording", "analyze", "analyze_logs",
-                                         "resimulate", "player_file", "report")))
+    assert "rclpy" not in imported_by(
+        *(
+            f"{NAME}.{part}"
+            for part in (
+                "messages",
+                "recording",
+                "analyze",
+                "analyze_logs",
+                "resimulate",
+                "player_file",
+                "report",
+            )
+        )
+    )

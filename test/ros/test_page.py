@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page of `liegroup_sim analyze --html` in a browser, for readers and for attackers."""
+
 import json
 import re
 import sys
@@ -40,10 +41,26 @@ def pages(tmp_path_factory):
     other = record(folder / "other.mcap", scene, 1000, 1e-3)
     (folder / "bad.mcap").write_bytes(b"no log")
     assert main(["analyze", str(one), "--html", str(folder / "one.html")]) == 0
-    assert main(["analyze", str(one), "--html", str(folder / "compared.html"), "--compare",
-                 str(other)]) == 0
-    assert main(["analyze", str(folder / "*.mcap"), "--html", str(folder / "many.html"),
-                 "--no-reference", "--max-drift", "1e-12"]) == 2
+    assert (
+        main(
+            ["analyze", str(one), "--html", str(folder / "compared.html"), "--compare", str(other)]
+        )
+        == 0
+    )
+    assert (
+        main(
+            [
+                "analyze",
+                str(folder / "*.mcap"),
+                "--html",
+                str(folder / "many.html"),
+                "--no-reference",
+                "--max-drift",
+                "1e-12",
+            ]
+        )
+        == 2
+    )
     return folder
 
 
@@ -64,13 +81,16 @@ def test_motion(browser, pages, capsys):
     count, times = browser.run("[views[0].motion.times.length, [...views[0].motion.times]]")
     assert count == 101 and times == pytest.approx(recording.pose[second].time, abs=1e-12)
     for k in (0, 25, 100):
-        browser.run(f"(s => {{ s.value = {k}; s.dispatchEvent(new Event('input')); }})"
-                    "(document.querySelector('input'))")
+        browser.run(
+            f"(s => {{ s.value = {k}; s.dispatchEvent(new Event('input')); }})"
+            "(document.querySelector('input'))"
+        )
         drawn = browser.run(
             "(() => { const v = views[0], d = v.plot.data, m = d.find(t => t.type === 'mesh3d'),"
             " j = d[d.length - 1]; return {mesh: [m.x, m.y, m.z], joints: [j.x, j.y, j.z],"
             " owner: v.motion.points.map(p => p[0]), red: m.facecolor, faces: v.motion.faces.map("
-            "f => f[0]), text: document.querySelector('output').textContent}; })()")
+            "f => f[0]), text: document.querySelector('output').textContent}; })()"
+        )
         mesh, owner = np.array(drawn["mesh"]).T, np.array(drawn["owner"])
         for i, (body, track) in enumerate(recording.pose.items()):
             # The middle of a solid about its centre; poses are kept as float32 of some metres.
@@ -81,16 +101,20 @@ def test_motion(browser, pages, capsys):
         assert red == ({1} if k == 25 else set())
         if k == 0:
             place = np.array(drawn["joints"]).T
-    assert np.abs(np.array(drawn["joints"]).T[0] - place[0]).max() < 1e-6     # fixed in the world
+    assert np.abs(np.array(drawn["joints"]).T[0] - place[0]).max() < 1e-6  # fixed in the world
     assert np.abs(np.array(drawn["joints"]).T[1] - place[1]).max() > 1e-2
     browser.run("document.querySelector('.plane').emit('plotly_click', {points: [{x: 0.4}]})")
     assert browser.run("[views[0].frame, document.querySelector('.cursor').style.display]") == [
-        40, "block"]
+        40,
+        "block",
+    ]
     browser.run("document.querySelector('.controls button').click()")
-    went = browser.run("new Promise(done => { const look = () => views[0].frame > 42 ? "
-                       "done([views[0].playing, "
-                       "document.querySelector('.controls button').textContent]) : "
-                       "setTimeout(look, 20); look(); })")
+    went = browser.run(
+        "new Promise(done => { const look = () => views[0].frame > 42 ? "
+        "done([views[0].playing, "
+        "document.querySelector('.controls button').textContent]) : "
+        "setTimeout(look, 20); look(); })"
+    )
     assert went == [True, "Pause"]
     browser.run("document.querySelector('.controls button').click()")
     assert browser.run("views[0].playing") is False and browser.errors == []
@@ -103,11 +127,13 @@ def turned(quaternion, vector):
 
 def test_phone(browser, pages):
     """Nothing is wider than 360 px, plots follow the window, a finger on them scrolls the page."""
+
     def right():
         return browser.run(
             "Math.max(document.documentElement.scrollWidth, ...[...document.querySelectorAll("
             "'.main-svg, .card, .tiles > div, canvas')].map("
-            "e => e.getBoundingClientRect().right))")
+            "e => e.getBoundingClientRect().right))"
+        )
 
     opened(browser, pages / "compared.html")
     assert browser.run("document.querySelectorAll('.plane .main-svg').length") >= 8
@@ -119,18 +145,24 @@ def test_phone(browser, pages):
     browser.run("document.querySelectorAll('.logs a')[1].click()")
     browser.run("new Promise(done => setTimeout(done, 300))")
     assert browser.run("[...document.querySelectorAll('details.log')].map(d => d.open)") == [
-        False, True, False]
+        False,
+        True,
+        False,
+    ]
     assert browser.errors == [] and len(browser.requests) == 1
     assert right() <= 360
     assert "drift" in browser.run("document.querySelector('p.bad').textContent")
     # All that is wrong with any of them is said at the top, and counted.
-    said = browser.run("[...document.querySelectorAll('main > ul.bad > li')].map(e => "
-                       "e.textContent)")
+    said = browser.run(
+        "[...document.querySelectorAll('main > ul.bad > li')].map(e => e.textContent)"
+    )
     assert "✗ " + str(len(said)) in browser.run("document.querySelector('.state').textContent")
     assert said.count("bad.mcap: not an MCAP file") == 1 < len(said)
-    x, y = browser.run("(() => { const p = document.querySelector('.plane .nsewdrag'); "
-                       "p.scrollIntoView({block: 'center'}); const r = p.getBoundingClientRect();"
-                       " return [r.x + r.width / 2, r.y + r.height / 2]; })()")
+    x, y = browser.run(
+        "(() => { const p = document.querySelector('.plane .nsewdrag'); "
+        "p.scrollIntoView({block: 'center'}); const r = p.getBoundingClientRect();"
+        " return [r.x + r.width / 2, r.y + r.height / 2]; })()"
+    )
     before = browser.run("scrollY")
     browser.drag(x, y, -150)
     assert browser.run("scrollY") > before + 100
@@ -138,10 +170,12 @@ def test_phone(browser, pages):
 
 def test_light_and_dark(browser, pages):
     """Colours of page and plots, also when the theme changes while the page is open."""
-    look = ("[getComputedStyle(document.querySelector('.card')).backgroundColor, "
-            "document.querySelector('.plane')._fullLayout.font.color, "
-            "document.querySelector('.plane').data[0].line.color, "
-            "views[0].plot._fullLayout.scene.xaxis.gridcolor]")
+    look = (
+        "[getComputedStyle(document.querySelector('.card')).backgroundColor, "
+        "document.querySelector('.plane')._fullLayout.font.color, "
+        "document.querySelector('.plane').data[0].line.color, "
+        "views[0].plot._fullLayout.scene.xaxis.gridcolor]"
+    )
     dark = [DARK_CARD, "#e6e9ee", "#5b9cf5", "#363d46"]
     opened(browser, pages / "one.html", dark=True)
     assert browser.run(look) == dark
@@ -157,37 +191,53 @@ def test_hostile_names(browser, tmp_path, monkeypatch):
     """Names of bodies, joints, files and the scene, and all its texts, are shown and never run."""
     monkeypatch.setattr(values, "_NAME", re.compile(r"[\s\S]*"))
     name = json.dumps(HOSTILE)
-    text = PAIR.replace("name: pair", f"name: {name}").replace("left", name).replace(
-        "<script>alert(1)</script> & more", HOSTILE.replace('"', '\\"'))
-    text += (f"joints:\n  - {{name: {json.dumps('j' + HOSTILE)}, type: spherical, parent: world, "
-             f"parent_frame: {{position: [0, 0, 0]}}, child: {name}}}\n")
+    text = (
+        PAIR.replace("name: pair", f"name: {name}")
+        .replace("left", name)
+        .replace("<script>alert(1)</script> & more", HOSTILE.replace('"', '\\"'))
+    )
+    text += (
+        f"joints:\n  - {{name: {json.dumps('j' + HOSTILE)}, type: spherical, parent: world, "
+        f"parent_frame: {{position: [0, 0, 0]}}, child: {name}}}\n"
+    )
     folder = tmp_path / "<"
     folder.mkdir()
     pushes = [(50, (HOSTILE, (0, 0, 1.0, 0, 0, 0))), (80, (HOSTILE, (0,) * 6))]
-    log = record(folder / "script><script>alert(3)<b>.mcap", scene_from_text(text), 200,
-                 pushes=pushes)
+    log = record(
+        folder / "script><script>alert(3)<b>.mcap", scene_from_text(text), 200, pushes=pushes
+    )
     page = tmp_path / "a.html"
-    assert main(["analyze", str(log), "--no-reference", "--html", str(page), "--compare",
-                 str(log)]) == 0
+    assert (
+        main(["analyze", str(log), "--no-reference", "--html", str(page), "--compare", str(log)])
+        == 0
+    )
     opened(browser, page)
     shown = browser.run("document.body.innerText")
     assert browser.run("document.querySelector('h1').textContent") == HOSTILE
-    assert browser.run("[...document.querySelectorAll('.tables td')].map(t => t.textContent)"
-                       f".join().includes({json.dumps('joint j' + HOSTILE + ' open by')})")
+    assert browser.run(
+        "[...document.querySelectorAll('.tables td')].map(t => t.textContent)"
+        f".join().includes({json.dumps('joint j' + HOSTILE + ' open by')})"
+    )
     assert shown.count("alert(1)") >= 4 and "</script>" in shown and str(log) in shown
     # In the legend of a plot, as text.
-    assert HOSTILE in browser.run("[...document.querySelectorAll('.legendtext')].map("
-                                  "t => t.textContent).join()")
+    assert HOSTILE in browser.run(
+        "[...document.querySelectorAll('.legendtext')].map(t => t.textContent).join()"
+    )
     assert browser.run("document.querySelectorAll('main script, main img, main b b').length") == 0
     several = tmp_path / "b.html"
-    monkeypatch.setitem(sys.modules, "dask", None)      # other processes know nothing of the patch
+    monkeypatch.setitem(sys.modules, "dask", None)  # other processes know nothing of the patch
     assert main(["analyze", str(log), str(log), "--no-reference", "--html", str(several)]) == 0
     browser.open(several)
     assert browser.run("document.querySelector('.logs a').textContent") == str(log)
     assert browser.errors == [] and browser.dialogs == [] and len(browser.requests) == 1
     # And were a script to come in, it could neither run nor tell anybody.
-    assert browser.run("(() => { const s = document.createElement('script'); s.textContent = "
-                       "'window.ran = 1'; document.body.append(s); return window.ran; })()"
-                       ) is None
-    assert browser.run("fetch('https://example.org').then(() => 'sent', () => 'refused')"
-                       ) == "refused"
+    assert (
+        browser.run(
+            "(() => { const s = document.createElement('script'); s.textContent = "
+            "'window.ran = 1'; document.body.append(s); return window.ran; })()"
+        )
+        is None
+    )
+    assert (
+        browser.run("fetch('https://example.org').then(() => 'sent', () => 'refused')") == "refused"
+    )

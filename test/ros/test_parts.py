@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A recording in parts: each complete in itself, all of them one bag."""
+
 import json
 
 import numpy as np
@@ -46,27 +47,40 @@ def content(path):
         rows = {}
         for _, channel, message in reader.iter_messages(log_time_order=False):
             rows.setdefault(channel.topic, []).append(
-                (message.sequence, message.log_time, message.data))
-    return ({name: json.loads(data) if name.endswith(".json") else data.decode()
-             for name, data in files.items()}, rows)
+                (message.sequence, message.log_time, message.data)
+            )
+    return (
+        {
+            name: json.loads(data) if name.endswith(".json") else data.decode()
+            for name, data in files.items()
+        },
+        rows,
+    )
 
 
 def same_bits(path):
     """Number of samples of a part; each is made again from the part alone, to the bit."""
     files, rows = content(path)
     settings, state = files["settings.json"], files["initial_state.json"]
-    simulation = Simulation(scene_from_text(files["scene.yaml"]), settings["method"],
-                            settings["step"], settings["group"], settings["stabilisation"],
-                            settings["baumgarte_time"], **settings["options"])
+    simulation = Simulation(
+        scene_from_text(files["scene.yaml"]),
+        settings["method"],
+        settings["step"],
+        settings["group"],
+        settings["stabilisation"],
+        settings["baumgarte_time"],
+        **settings["options"],
+    )
     assert attachments.restore(simulation, state)
     topics, base = settings["topics"], state["base_ns"]
     wrenches = WrenchStampedCodec.decode(
-        [data for _, _, data in rows.get(topics["applied_wrench"], [])])
+        [data for _, _, data in rows.get(topics["applied_wrench"], [])]
+    )
     changes = list(zip(wrenches.stamp_ns.tolist(), wrenches.frame_id, wrenches.wrench.tolist()))
     bodies = state["bodies"]
     poses = {b: rows[topics["pose"][b]] for b in bodies}
     twists = {b: rows[topics["twist"][b]] for b in bodies}
-    assert poses[bodies[0]][0][1] == state["stamp_ns"]      # the first sample is the state
+    assert poses[bodies[0]][0][1] == state["stamp_ns"]  # the first sample is the state
     resets = [stamp for _, stamp, data in rows.get(topics["events"], []) if b"\0reset\0" in data]
     for k, (_, stamp, _) in enumerate(poses[bodies[0]]):
         while resets and resets[0] <= stamp:
@@ -75,16 +89,22 @@ def same_bits(path):
         while changes and changes[0][0] <= stamp:
             at, body, wrench = changes.pop(0)
             if at < base:
-                continue                    # what ended by the reset
+                continue  # what ended by the reset
             simulation.advance(round((at - base) * 1e-9 / settings["step"]) - simulation.steps)
             simulation.apply_wrench(body, wrench)
         simulation.advance(round((stamp - base) * 1e-9 / settings["step"]) - simulation.steps)
         sample = simulation.sample()
         for b in bodies:
-            assert poses[b][k][1:] == (stamp, PoseStampedCodec(settings["world_frame"]).encode(
-                stamp, sample.positions[b].tolist(), sample.quaternions[b].tolist())), (path, k)
-            assert twists[b][k][1:] == (stamp, TwistStampedCodec(b).encode(
-                stamp, sample.twists[b].tolist())), (path, k)
+            assert poses[b][k][1:] == (
+                stamp,
+                PoseStampedCodec(settings["world_frame"]).encode(
+                    stamp, sample.positions[b].tolist(), sample.quaternions[b].tolist()
+                ),
+            ), (path, k)
+            assert twists[b][k][1:] == (
+                stamp,
+                TwistStampedCodec(b).encode(stamp, sample.twists[b].tolist()),
+            ), (path, k)
     return len(poses[bodies[0]])
 
 
@@ -93,19 +113,29 @@ def test_every_part_of_a_run_repeats_its_bits_alone(client, tmp_path):
     scene = tmp_path / "wound.yaml"
     scene.write_text(SCENE)
     bag = tmp_path / "bag"
-    with NodeProcess({"scene": scene, "method": "rkmk54", "record": bag / "run.mcap",
-                      "publish_rate": 200.0, "record_split_duration": 0.25,
-                      "record_metadata": True, "wrench_hold": "until_replaced",
-                      "step_count": 7, "record_flush_interval": 0.2},
-                     remap=["__node:=parted"]) as node:
-        events = client.listen("/parted/events", Log, QoSProfile(
-            depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+    with NodeProcess(
+        {
+            "scene": scene,
+            "method": "rkmk54",
+            "record": bag / "run.mcap",
+            "publish_rate": 200.0,
+            "record_split_duration": 0.25,
+            "record_metadata": True,
+            "wrench_hold": "until_replaced",
+            "step_count": 7,
+            "record_flush_interval": 0.2,
+        },
+        remap=["__node:=parted"],
+    ) as node:
+        events = client.listen(
+            "/parted/events", Log, QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        )
         client.until(lambda: events, COMPILING)
         push = client.pusher("/parted", "free/wrench")
         push("world", torque=(0.0, 0.3, 0.0), force=(0.5, 0.0, 1.0))
         client.until(lambda: (bag / "run_part3.mcap").exists())
         assert client.call("/parted/pause").success
-        client.spin(0.5)                    # a part that is due may be on its way to the disk
+        client.spin(0.5)  # a part that is due may be on its way to the disk
         paused = len(list(bag.glob("*.mcap")))
         assert client.call("/parted/step").success
         assert client.set("/parted", real_time_factor=0.5).successful
@@ -140,7 +170,7 @@ def test_every_part_of_a_run_repeats_its_bits_alone(client, tmp_path):
             numbers[topic] = messages[-1][0]
         before = path.name
         assert state["steps"] == round((state["stamp_ns"] - state["base_ns"]) / 1e6)
-    assert state["steps"] > 0 and state["base_ns"] > 0      # after the reset
+    assert state["steps"] > 0 and state["base_ns"] > 0  # after the reset
     # The spring is wound further than a pose can tell.
     angles = [content(path)[0]["initial_state.json"]["angles"][0] for path in parts[:3]]
     assert abs(angles[2]) > 2 * np.pi
@@ -188,7 +218,7 @@ def test_what_is_in_the_way_of_parts_or_of_the_bag_is_refused_at_the_start(tmp_p
     (tmp_path / "run_part2.mcap").touch()
     with pytest.raises(RecorderError, match="run_part2.mcap is in the way of its parts"):
         Recorder(tmp_path / "run.mcap", max_size=1000)
-    Recorder(tmp_path / "run.mcap").close()             # not in the way of a single file
+    Recorder(tmp_path / "run.mcap").close()  # not in the way of a single file
     (tmp_path / "metadata.yaml").touch()
     with pytest.raises(RecorderError, match="its folder is a bag already"):
         Recorder(tmp_path / "other.mcap", bag=True)

@@ -20,7 +20,8 @@ def test_a_killed_process_loses_at_most_the_flush_interval(tmp_path):
     """Stamps are the machine's monotonic clock, so the parent knows how much is missing."""
     path = tmp_path / "killed.mcap"
     flush_interval, duration = 0.2, 2.0
-    child = python("""
+    child = python(
+        """
         import sys, time
         from example_run import PoseStampedCodec, Recorder, attachments
         recorder = Recorder(sys.argv[1], attachments(), flush_interval=float(sys.argv[2]))
@@ -31,7 +32,10 @@ def test_a_killed_process_loses_at_most_the_flush_interval(tmp_path):
             recorder.write(channel, now, PoseStampedCodec("world").encode(
                 now, (0, 0, 0), (0, 0, 0, 1)))
             time.sleep(5e-3)              # too few to fill a chunk: only time closes one
-        """, path, flush_interval)
+        """,
+        path,
+        flush_interval,
+    )
     assert child.stdout.readline() == "running\n"
     started = time.monotonic_ns()
     time.sleep(duration)
@@ -53,7 +57,8 @@ def test_a_killed_process_loses_at_most_the_flush_interval(tmp_path):
 def test_a_full_disk_ends_the_recording_and_not_the_run(tmp_path):
     """A limit on the file size stands for the disk: part of a write is taken, the rest refused."""
     path = tmp_path / "full.mcap"
-    child = python("""
+    child = python(
+        """
         import json, os, resource, sys
         from example_run import PoseStampedCodec, Recorder, attachments
         resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))
@@ -67,21 +72,24 @@ def test_a_full_disk_ends_the_recording_and_not_the_run(tmp_path):
         recorder.close()
         recorder.close()
         print(json.dumps([recorder.written, recorder.lost, recorder.queued, recorder.failure]))
-        """, path)
+        """,
+        path,
+    )
     output, errors = child.communicate(timeout=60)
     assert child.returncode == 0, errors
     written, lost, queued, failure = json.loads(output)
     assert errors.splitlines() == [failure]
     assert "File too large" in failure and str(path) in failure and "\n" not in failure
     assert lost > 0 and written + lost == 20_000 and queued == 0
-    recording = read_recording(path)           # what counts as written is really there
+    recording = read_recording(path)  # what counts as written is really there
     assert len(recording.pose["top"].stamp_ns) >= written > 0
     assert not recording.complete and recording.lost == {}
 
 
 def test_a_disk_that_is_full_at_the_very_end_is_noticed(tmp_path):
     """The last three bytes do not fit: the system takes part of a write and reports no error."""
-    child = python("""
+    child = python(
+        """
         import json, resource, sys
         from example_run import ClockCodec, Recorder, attachments
 
@@ -95,7 +103,9 @@ def test_a_disk_that_is_full_at_the_very_end_is_noticed(tmp_path):
         resource.setrlimit(resource.RLIMIT_FSIZE, (size - 3, size - 3))
         short = record(sys.argv[1] + "/2.mcap")
         print(json.dumps([size, short.bytes, short.failure]))
-        """, tmp_path)
+        """,
+        tmp_path,
+    )
     size, short, failure = json.loads(child.communicate(timeout=60)[0])
     assert short == size - 3 and "File too large" in failure
 
@@ -111,10 +121,12 @@ def test_a_fast_producer_waits_and_nothing_is_lost(tmp_path):
             recorder.write(channel, i, payload)
             longest = max(longest, recorder.queued)
     assert recorder.written == 200_000 and recorder.lost == 0
-    assert 900 < longest <= 1000               # the queue did fill, and its bound held
+    assert 900 < longest <= 1000  # the queue did fill, and its bound held
     with open(path, "rb") as stream:
-        sequences = [message.sequence for _, _, message in
-                     make_reader(stream).iter_messages(log_time_order=False)]
+        sequences = [
+            message.sequence
+            for _, _, message in make_reader(stream).iter_messages(log_time_order=False)
+        ]
     assert sequences == list(range(1, 200_001))
 
 
@@ -135,8 +147,10 @@ def test_many_threads_share_one_recorder(tmp_path):
         for thread in threads:
             thread.join()
     with open(path, "rb") as stream:
-        messages = [(channel.topic, message.sequence) for _, channel, message in
-                    make_reader(stream).iter_messages(log_time_order=False)]
+        messages = [
+            (channel.topic, message.sequence)
+            for _, channel, message in make_reader(stream).iter_messages(log_time_order=False)
+        ]
     assert sorted(messages) == ([("/clock", i) for i in range(1, 8001)] + [("/late/clock", 1)])
 
 
@@ -157,25 +171,31 @@ def test_close_twice_from_two_threads_and_write_after_it(tmp_path):
 
 
 def test_a_run_that_dies_by_an_exception_is_finished(tmp_path):
-    child = python("""
+    child = python(
+        """
         import sys
         from example_run import ClockCodec, Recorder
         recorder = Recorder(sys.argv[1])
         recorder.write(recorder.add_channel("/clock", ClockCodec.TYPE), 3, ClockCodec.encode(3))
         raise SystemExit(5)
-        """, tmp_path / "run.mcap")
+        """,
+        tmp_path / "run.mcap",
+    )
     assert child.communicate(timeout=20) == ("", "") and child.returncode == 5
     with open(tmp_path / "run.mcap", "rb") as stream:
         assert make_reader(stream).get_summary().statistics.message_count == 1
 
 
-@pytest.mark.parametrize("name, said", [
-    ("there.mcap", "it exists already; remove it or choose another name"),
-    ("there.mcap/run.mcap", "exists|Not a directory"),
-    ("run.bag", "must end in .mcap, or be an existing folder"),
-    ("x" * 300 + ".mcap", "File name too long"),
-    ("/proc/run.mcap", "cannot record to /proc/run.mcap: "),
-])
+@pytest.mark.parametrize(
+    "name, said",
+    [
+        ("there.mcap", "it exists already; remove it or choose another name"),
+        ("there.mcap/run.mcap", "exists|Not a directory"),
+        ("run.bag", "must end in .mcap, or be an existing folder"),
+        ("x" * 300 + ".mcap", "File name too long"),
+        ("/proc/run.mcap", "cannot record to /proc/run.mcap: "),
+    ],
+)
 def test_a_path_that_cannot_be_written_is_one_clear_line(tmp_path, name, said):
     (tmp_path / "there.mcap").write_text("precious")
     with pytest.raises(RecorderError, match=said) as caught:

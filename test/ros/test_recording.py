@@ -36,14 +36,20 @@ def run(tmp_path_factory):
 def test_read_back_is_what_was_written(run):
     path, written = run
     recording = read_recording(path)
-    assert (recording.scene_text, recording.settings, recording.initial_state,
-            recording.pacing) == (SCENE, SETTINGS, INITIAL, PACING)
+    assert (
+        recording.scene_text,
+        recording.settings,
+        recording.initial_state,
+        recording.pacing,
+    ) == (SCENE, SETTINGS, INITIAL, PACING)
     assert recording.complete and recording.problem is None and recording.lost == {}
     assert recording.topics == {topic: len(rows) for topic, rows in written.items()}
     assert recording.bodies == BODIES
     for body in BODIES:
-        for track, topics, codec in ((recording.pose, TOPICS["pose"], PoseStampedCodec),
-                                     (recording.twist, TOPICS["twist"], TwistStampedCodec)):
+        for track, topics, codec in (
+            (recording.pose, TOPICS["pose"], PoseStampedCodec),
+            (recording.twist, TOPICS["twist"], TwistStampedCodec),
+        ):
             stamps = [stamp for stamp, _ in written[topics[body]]]
             assert track[body].stamp_ns.tolist() == stamps
             assert np.array_equal(track[body].time, np.array(stamps) * 1e-9)
@@ -70,7 +76,8 @@ def test_mcap_sees_the_same_bytes_stamps_and_sequences(run):
         assert read == written
         assert {a.name: a.data for a in reader.iter_attachments()} == {
             **{name: data for name, (_, data) in attachments().items()},
-            "pacing.json": json.dumps(PACING).encode()}
+            "pacing.json": json.dumps(PACING).encode(),
+        }
         assert reader.get_header().profile == "ros2"
         assert {m.name: m.metadata for m in reader.iter_metadata()}["run"] == {"operator": "test"}
 
@@ -86,8 +93,9 @@ def test_three_readers_decode_every_message_to_the_same_values(run):
             return (message.stamp.sec, message.stamp.nanosec, message.name, message.msg)
         header = (message.header.stamp.sec, message.header.stamp.nanosec, message.header.frame_id)
         if hasattr(message, "status"):
-            return header + tuple((pair.key, pair.value)
-                                  for status in message.status for pair in status.values)
+            return header + tuple(
+                (pair.key, pair.value) for status in message.status for pair in status.values
+            )
         if hasattr(message, "pose"):
             parts = (message.pose.position, "xyz"), (message.pose.orientation, "xyzw")
         elif hasattr(message, "twist"):
@@ -116,8 +124,7 @@ def test_three_readers_decode_every_message_to_the_same_values(run):
         assert np.array_equal(np.hstack([pose.position, pose.quaternion]), theirs)
         theirs = [row[3:] for _, row in by_mcap[TOPICS["twist"][body]]]
         assert np.array_equal(np.hstack([twist.twist[:, 3:], twist.twist[:, :3]]), theirs)
-    assert by_mcap[TOPICS["applied_wrench"]] == [
-        (END_NS, (3, 0, "arm_2", 4, 5, 6.5, 1, 2, 3))]
+    assert by_mcap[TOPICS["applied_wrench"]] == [(END_NS, (3, 0, "arm_2", 4, 5, 6.5, 1, 2, 3))]
 
 
 def test_rosbag2_finds_its_metadata_and_indexes(run):
@@ -125,19 +132,20 @@ def test_rosbag2_finds_its_metadata_and_indexes(run):
     with open(path, "rb") as stream:
         reader = make_reader(stream)
         summary = reader.get_summary()
-        bag = yaml.safe_load({m.name: m.metadata for m in reader.iter_metadata()}
-                             ["rosbag2"]["serialized_metadata"])
+        bag = yaml.safe_load(
+            {m.name: m.metadata for m in reader.iter_metadata()}["rosbag2"]["serialized_metadata"]
+        )
     counts = {topic: len(rows) for topic, rows in written.items()}
     statistics = summary.statistics
     assert statistics.message_count == bag["message_count"] == sum(counts.values())
     assert all(chunk.message_index_length > 0 for chunk in summary.chunk_indexes)
     assert (bag["version"], bag["storage_identifier"]) == (9, "mcap")
-    assert (bag["starting_time"]["nanoseconds_since_epoch"] == statistics.message_start_time
-            == START_NS)
+    assert (
+        bag["starting_time"]["nanoseconds_since_epoch"] == statistics.message_start_time == START_NS
+    )
     assert bag["duration"]["nanoseconds"] == END_NS - START_NS
     assert statistics.message_end_time == END_NS
-    topics = {entry["topic_metadata"]["name"]: entry
-              for entry in bag["topics_with_message_count"]}
+    topics = {entry["topic_metadata"]["name"]: entry for entry in bag["topics_with_message_count"]}
     assert {name: entry["message_count"] for name, entry in topics.items()} == counts
     for channel in summary.channels.values():
         said = topics[channel.topic]["topic_metadata"]
@@ -145,8 +153,9 @@ def test_rosbag2_finds_its_metadata_and_indexes(run):
         assert summary.schemas[channel.schema_id].encoding == "ros2msg"
         assert summary.schemas[channel.schema_id].name == said["type"]
         assert channel.metadata["topic_type_hash"] == said["type_description_hash"]
-        assert (yaml.safe_load(channel.metadata["offered_qos_profiles"])
-                == said["offered_qos_profiles"])
+        assert (
+            yaml.safe_load(channel.metadata["offered_qos_profiles"]) == said["offered_qos_profiles"]
+        )
     with AnyReader([path]) as reader:
         qos = {c.topic: c.ext.offered_qos_profiles[0] for c in reader.connections}
     assert qos["/clock"].reliability.name == "BEST_EFFORT"
@@ -159,7 +168,8 @@ def test_a_file_cut_anywhere_gives_its_beginning_or_one_clear_line(run, tmp_path
     path, written = run
     whole, cut = path.read_bytes(), tmp_path / "cut.mcap"
     everything = PoseStampedCodec.decode(
-        [data for _, data in written[TOPICS["pose"]["top"]]]).position
+        [data for _, data in written[TOPICS["pose"]["top"]]]
+    ).position
     read = 0
     for size in [*range(0, 60, 7), *np.linspace(60, len(whole) - 1, 120).astype(int).tolist()]:
         cut.write_bytes(whole[:size])
@@ -170,9 +180,9 @@ def test_a_file_cut_anywhere_gives_its_beginning_or_one_clear_line(run, tmp_path
             continue
         position = recording.pose["top"].position
         assert not recording.complete and str(cut) in recording.problem
-        assert np.array_equal(position, everything[:len(position)])
+        assert np.array_equal(position, everything[: len(position)])
         read += len(position) > 0
-    assert read > 10                           # the file has several chunks
+    assert read > 10  # the file has several chunks
 
 
 def test_a_damaged_chunk_is_skipped_counted_and_told(run, tmp_path):
@@ -182,7 +192,7 @@ def test_a_damaged_chunk_is_skipped_counted_and_told(run, tmp_path):
     assert len(chunks) > 2
     data = bytearray(path.read_bytes())
     at = chunks[1].chunk_start_offset + chunks[1].chunk_length // 2
-    data[at:at + 40] = bytes(b ^ 0x55 for b in data[at:at + 40])
+    data[at : at + 40] = bytes(b ^ 0x55 for b in data[at : at + 40])
     (tmp_path / "damaged.mcap").write_bytes(data)
     recording = read_recording(tmp_path / "damaged.mcap")
     assert not recording.complete and "1 damaged part(s) skipped" in recording.problem
@@ -191,9 +201,14 @@ def test_a_damaged_chunk_is_skipped_counted_and_told(run, tmp_path):
         assert recording.topics[topic] + lost == len(written[topic])
 
 
-@pytest.mark.parametrize("content, said", [
-    (None, "No such file"), (b"", "not an MCAP file"),
-    (b"#!/bin/sh\nexit 0\n", "not an MCAP file")])
+@pytest.mark.parametrize(
+    "content, said",
+    [
+        (None, "No such file"),
+        (b"", "not an MCAP file"),
+        (b"#!/bin/sh\nexit 0\n", "not an MCAP file"),
+    ],
+)
 def test_what_is_no_recording_is_one_clear_line(tmp_path, content, said):
     if content is not None:
         (tmp_path / "x.mcap").write_bytes(content)
@@ -203,13 +218,16 @@ def test_what_is_no_recording_is_one_clear_line(tmp_path, content, said):
         read_recording(tmp_path)
 
 
-@pytest.mark.parametrize("name, data, said", [
-    ("settings.json", b"{}", "it has format None, this version reads format 1"),
-    ("settings.json", b"{", 'its attachment "settings.json" is damaged'),
-    ("settings.json", b'{"format": 1}', "lack an entry: KeyError"),
-    ("initial_state.json", b"[]", "is damaged: it is no JSON object"),
-    ("scene.yaml", None, 'no attachment "scene.yaml"'),
-])
+@pytest.mark.parametrize(
+    "name, data, said",
+    [
+        ("settings.json", b"{}", "it has format None, this version reads format 1"),
+        ("settings.json", b"{", 'its attachment "settings.json" is damaged'),
+        ("settings.json", b'{"format": 1}', "lack an entry: KeyError"),
+        ("initial_state.json", b"[]", "is damaged: it is no JSON object"),
+        ("scene.yaml", None, 'no attachment "scene.yaml"'),
+    ],
+)
 def test_bad_attachments_are_one_clear_line(tmp_path, name, data, said):
     files = attachments()
     files[name] = ("application/json", data)

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`recover` and `info` on files that are cut, damaged or made to do harm."""
+
 import json
 import random
 import struct
@@ -24,7 +25,7 @@ from liegroup_sim_ros.recording.reader import RecordingError
 from liegroup_sim_ros.recording.recorder import Recorder
 from liegroup_sim_ros.recording.survey import survey
 
-COUNT = 60                                  # messages of the small file
+COUNT = 60  # messages of the small file
 
 
 @pytest.fixture(scope="module")
@@ -78,18 +79,19 @@ def test_a_file_cut_at_any_byte_gives_its_beginning_and_nothing_else(small, tmp_
             found = survey(cut)
         except RecordingError as error:
             one_line(error, cut)
-            assert not counts               # only before there was anything in it
+            assert not counts  # only before there was anything in it
             continue
         assert not found.complete and found.lost == {}
-        assert found.stamps == ((written[0][0], written[found.count - 1][0]) if found.count
-                                else (0, 0))
+        assert found.stamps == (
+            (written[0][0], written[found.count - 1][0]) if found.count else (0, 0)
+        )
         assert as_json(found)["messages"] == found.count
         if not counts or found.count != counts[-1] or size % 10 == 0:
             assert write_recovered(found, out) == found.count
-            assert messages_of(out) == written[:found.count]
+            assert messages_of(out) == written[: found.count]
             out.unlink()
         counts.append(found.count)
-    assert counts == sorted(counts)         # more bytes, no fewer messages
+    assert counts == sorted(counts)  # more bytes, no fewer messages
     assert len(set(counts)) == found.chunks + 1 > 4 and counts[-1] == COUNT
 
 
@@ -110,14 +112,15 @@ def test_a_large_chunk_that_is_cut_gives_its_beginning(small, tmp_path):
             writer.finish()
         with open(path, "rb") as stream:
             first = make_reader(stream).get_summary().chunk_indexes[0]
-        held = first.uncompressed_size / 121            # messages in it
+        held = first.uncompressed_size / 121  # messages in it
         for part in (0.3, 0.5, 0.9):
-            cut.write_bytes(path.read_bytes()[:int(first.chunk_start_offset
-                                                   + part * first.chunk_length)])
+            cut.write_bytes(
+                path.read_bytes()[: int(first.chunk_start_offset + part * first.chunk_length)]
+            )
             found = survey(cut)
             assert found.unfinished == found.count > part * held - 2**17 / 121 > 1000
             assert write_recovered(found, out) == found.count
-            assert messages_of(out) == rows[:found.count]
+            assert messages_of(out) == rows[: found.count]
             with open(out, "rb") as stream:
                 _, _, message = next(make_reader(stream).iter_messages())
             assert (message.sequence, message.publish_time) == (1, 7)
@@ -139,16 +142,16 @@ def test_any_flipped_bit_is_noticed_and_no_message_is_changed(small, tmp_path):
             write_recovered(found, out)
         except RecordingError as error:
             one_line(error, damaged)
-            assert "not an MCAP file" in str(error)         # the very first bytes
+            assert "not an MCAP file" in str(error)  # the very first bytes
             continue
         assert not found.complete
         rows = messages_of(out)
         assert all(stamps[stamp] == data for stamp, data in rows)
         assert len(rows) + sum(found.lost.values()) <= COUNT
         best += len(rows) == COUNT
-        assert len(rows) >= COUNT / 2       # one chunk of many, at most, is lost
+        assert len(rows) >= COUNT / 2  # one chunk of many, at most, is lost
         out.unlink()
-    assert best > 50                        # where the index or the end was hit, nothing is
+    assert best > 50  # where the index or the end was hit, nothing is
 
 
 def test_readers_open_what_was_recovered_and_it_says_what_is_missing(tmp_path, capsys):
@@ -157,9 +160,9 @@ def test_readers_open_what_was_recovered_and_it_says_what_is_missing(tmp_path, c
     with open(path, "rb") as stream:
         chunks = make_reader(stream).get_summary().chunk_indexes
     data = bytearray(path.read_bytes())
-    data[chunks[1].chunk_start_offset + 100] ^= 1           # one chunk is damaged
+    data[chunks[1].chunk_start_offset + 100] ^= 1  # one chunk is damaged
     last = chunks[-1]
-    path.write_bytes(data[:last.chunk_start_offset + last.chunk_length * 3 // 4])   # the end cut
+    path.write_bytes(data[: last.chunk_start_offset + last.chunk_length * 3 // 4])  # the end cut
     before = path.read_bytes()
     assert main(["recover", str(path)]) == 0
     said = capsys.readouterr().out
@@ -173,8 +176,9 @@ def test_readers_open_what_was_recovered_and_it_says_what_is_missing(tmp_path, c
         reader = make_reader(stream)
         rows = {}
         for _, channel, message in reader.iter_messages(log_time_order=False):
-            rows.setdefault(channel.topic, []).append((message.sequence, message.log_time,
-                                                       message.data))
+            rows.setdefault(channel.topic, []).append(
+                (message.sequence, message.log_time, message.data)
+            )
     with AnyReader([out]) as reader:
         counts = {}
         for connection, _, payload in reader.messages():
@@ -182,8 +186,7 @@ def test_readers_open_what_was_recovered_and_it_says_what_is_missing(tmp_path, c
             counts[connection.topic] = counts.get(connection.topic, 0) + 1
     assert counts == {topic: len(each) for topic, each in rows.items()}
     for topic, each in rows.items():
-        assert all(written[topic][sequence - 1] == (stamp, data)
-                   for sequence, stamp, data in each)
+        assert all(written[topic][sequence - 1] == (stamp, data) for sequence, stamp, data in each)
         assert found.lost.get(topic, 0) == each[-1][0] - len(each)
     assert found.lost["/clock"] > 50
     assert main(["recover", str(path)]) == 2
@@ -199,13 +202,16 @@ def test_readers_open_what_was_recovered_and_it_says_what_is_missing(tmp_path, c
 
 def test_nobody_reads_what_is_said(small):
     """As behind `| head -1`: no traceback, and the exit code of a program that the pipe ended."""
-    for many in (1, 300):                   # less, and more, than Python keeps before it writes
-        child = python("""
+    for many in (1, 300):  # less, and more, than Python keeps before it writes
+        child = python(
+            """
             import sys
             from liegroup_sim_ros.commands.main import main
             sys.stdin.read()
             sys.exit(main(["info", "--json", *sys.argv[1:]]))
-            """, *[small[0]] * many)
+            """,
+            *[small[0]] * many,
+        )
         child.stdout.close()
         child.stdin.close()
         assert (child.wait(60), child.stderr.read()) == (141, "")
@@ -216,61 +222,112 @@ def bomb(size, chunks, noise=0, payload=0):
     data = struct.pack("<BQHIQQ", 5, 22 + noise, 1, 1, 1, 1) + random.Random(3).randbytes(noise)
     message = struct.pack("<BQHIQQ", 5, 22 + payload, 1, 1, 1, 1) + bytes(payload)
     data += message * ((size - len(data)) // len(message))
-    chunk = record(Chunk(compression="zstd", data=zstandard.compress(data, 19),
-                         message_start_time=1, message_end_time=1,
-                         uncompressed_crc=zlib.crc32(data), uncompressed_size=len(data)))
+    chunk = record(
+        Chunk(
+            compression="zstd",
+            data=zstandard.compress(data, 19),
+            message_start_time=1,
+            message_end_time=1,
+            uncompressed_crc=zlib.crc32(data),
+            uncompressed_size=len(data),
+        )
+    )
     return chunk * chunks
 
 
 def claimed_chunk(frame, size):
-    return record(Chunk(compression="zstd", data=frame, message_start_time=0, message_end_time=0,
-                        uncompressed_crc=0, uncompressed_size=size))
+    return record(
+        Chunk(
+            compression="zstd",
+            data=frame,
+            message_start_time=0,
+            message_end_time=0,
+            uncompressed_crc=0,
+            uncompressed_size=size,
+        )
+    )
 
 
 def zeros_that_claim_nothing(size):
     """A zstd stream without its size in front."""
     compressor = zstandard.ZstdCompressor(level=3).compressobj()
-    return b"".join([*(compressor.compress(bytes(2**20)) for _ in range(size // 2**20)),
-                     compressor.flush()])
+    return b"".join(
+        [*(compressor.compress(bytes(2**20)) for _ in range(size // 2**20)), compressor.flush()]
+    )
 
 
 EVIL = "<script>alert(1)</script>\x1b[31m\n[bold red]"
 HOSTILE = {
-    "nothing": b"", "text": b"#!/bin/sh\n", "magic only": MCAP0_MAGIC,
+    "nothing": b"",
+    "text": b"#!/bin/sh\n",
+    "magic only": MCAP0_MAGIC,
     "noise": MCAP0_MAGIC + random.Random(1).randbytes(300_000),
     "huge length": MCAP0_MAGIC + b"\x06" + b"\xff" * 8 + bytes(50),
     "huge attachment": MCAP0_MAGIC + b"\x09" + struct.pack("<Q", 2**62) + bytes(50),
     "many bombs": MCAP0_MAGIC + bomb(LARGEST - 100, 200),
     # Each for itself within what a chunk may claim, all together not.
-    "many chunks that grow": MCAP0_MAGIC + record(
-        Attachment(0, 0, "a", "b", b"")) + bomb(LARGEST - 100, 4, noise=80_000, payload=1000),
-    "length beyond its record": MCAP0_MAGIC + struct.pack(
-        "<BQHIIIH", 3, 16, 1, 0, 0, 2**32 - 1, 0) + record(
-        Channel(id=1, topic="/a", message_encoding="cdr", metadata={}, schema_id=1)),
+    "many chunks that grow": MCAP0_MAGIC
+    + record(Attachment(0, 0, "a", "b", b""))
+    + bomb(LARGEST - 100, 4, noise=80_000, payload=1000),
+    "length beyond its record": MCAP0_MAGIC
+    + struct.pack("<BQHIIIH", 3, 16, 1, 0, 0, 2**32 - 1, 0)
+    + record(Channel(id=1, topic="/a", message_encoding="cdr", metadata={}, schema_id=1)),
     "bomb that claims 2^60": MCAP0_MAGIC + claimed_chunk(zeros_that_claim_nothing(2**28), 2**60),
     "bomb that claims little": MCAP0_MAGIC + claimed_chunk(zeros_that_claim_nothing(2**28), 9),
-    "frame that claims 2^60": MCAP0_MAGIC + claimed_chunk(
-        b"\x28\xb5\x2f\xfd\xe0" + struct.pack("<Q", 2**60) + bytes(100), 100),
+    "frame that claims 2^60": MCAP0_MAGIC
+    + claimed_chunk(b"\x28\xb5\x2f\xfd\xe0" + struct.pack("<Q", 2**60) + bytes(100), 100),
     "cut bomb": MCAP0_MAGIC + claimed_chunk(zeros_that_claim_nothing(2**30), 2**62)[:-9],
-    "chunk marks": MCAP0_MAGIC + (b"\x06" + struct.pack("<Q", 200_000) + bytes(28)
-                                  + b"\x04\0\0\0zstd" + struct.pack("<Q", 199_952)) * 8000,
+    "chunk marks": MCAP0_MAGIC
+    + (
+        b"\x06"
+        + struct.pack("<Q", 200_000)
+        + bytes(28)
+        + b"\x04\0\0\0zstd"
+        + struct.pack("<Q", 199_952)
+    )
+    * 8000,
     "zero records": MCAP0_MAGIC + bytes(2_000_000),
     "many attachments": MCAP0_MAGIC + record(Attachment(0, 0, "a", "b", b"")) * 100_000,
-    "many channels": MCAP0_MAGIC + b"".join(
-        record(Channel(id=i, topic=f"/{i}" + "x" * 300, message_encoding="cdr", metadata={},
-                       schema_id=0)) for i in range(1, 60_000)),
-    "names": MCAP0_MAGIC + record(Schema(id=1, data=b"", encoding="ros2msg", name=EVIL)) + record(
-        Channel(id=1, topic=EVIL, message_encoding="cdr", metadata={}, schema_id=1))
-        + record(Attachment(0, 0, EVIL, EVIL, b"x")) + record(Metadata(EVIL, {EVIL: EVIL})),
+    "many channels": MCAP0_MAGIC
+    + b"".join(
+        record(
+            Channel(
+                id=i, topic=f"/{i}" + "x" * 300, message_encoding="cdr", metadata={}, schema_id=0
+            )
+        )
+        for i in range(1, 60_000)
+    ),
+    "names": MCAP0_MAGIC
+    + record(Schema(id=1, data=b"", encoding="ros2msg", name=EVIL))
+    + record(Channel(id=1, topic=EVIL, message_encoding="cdr", metadata={}, schema_id=1))
+    + record(Attachment(0, 0, EVIL, EVIL, b"x"))
+    + record(Metadata(EVIL, {EVIL: EVIL})),
     "deep JSON": MCAP0_MAGIC + record(Attachment(0, 0, "settings.json", "x", b"[" * 500_000)),
-    "nested JSON": MCAP0_MAGIC + record(Attachment(0, 0, "settings.json", "x",
-                                                   b'{"machine": ' * 400 + b"1" + b"}" * 400)),
-    "numbers of no JSON": MCAP0_MAGIC + record(Attachment(
-        0, 0, "settings.json", "x", b'{"format": 1, "step": NaN, "machine": 1e999}')),
-    "odd JSON": MCAP0_MAGIC + record(Attachment(0, 0, "settings.json", "x", json.dumps(
-        {"format": 1, "scene": EVIL, "step": {}, "sequences": {"/a": -1, "/b": "x"},
-         "part": [1]}).encode())) + record(
-        Attachment(0, 0, "initial_state.json", "x", b'{"steps": "many", "bodies": 7}')),
+    "nested JSON": MCAP0_MAGIC
+    + record(Attachment(0, 0, "settings.json", "x", b'{"machine": ' * 400 + b"1" + b"}" * 400)),
+    "numbers of no JSON": MCAP0_MAGIC
+    + record(
+        Attachment(0, 0, "settings.json", "x", b'{"format": 1, "step": NaN, "machine": 1e999}')
+    ),
+    "odd JSON": MCAP0_MAGIC
+    + record(
+        Attachment(
+            0,
+            0,
+            "settings.json",
+            "x",
+            json.dumps(
+                {
+                    "format": 1,
+                    "scene": EVIL,
+                    "step": {},
+                    "sequences": {"/a": -1, "/b": "x"},
+                    "part": [1],
+                }
+            ).encode(),
+        )
+    )
+    + record(Attachment(0, 0, "initial_state.json", "x", b'{"steps": "many", "bodies": 7}')),
 }
 
 
@@ -278,7 +335,8 @@ def test_hostile_files_take_little_memory_and_time_and_one_line(tmp_path):
     """Each in a process that cannot have more than 1.5 GB of addresses, libraries included."""
     for name, data in HOSTILE.items():
         (tmp_path / f"{name}.mcap").write_bytes(data)
-    child = python("""
+    child = python(
+        """
         import contextlib, io, json, re, resource, sys, time
         from pathlib import Path
         from liegroup_sim_ros.commands.main import main
@@ -299,7 +357,9 @@ def test_hostile_files_take_little_memory_and_time_and_one_line(tmp_path):
                     code, out.getvalue(), err.getvalue(), time.process_time() - start,
                     peak()]
         print(json.dumps(results))
-        """, tmp_path)
+        """,
+        tmp_path,
+    )
     output, errors = child.communicate(timeout=300)
     assert child.returncode == 0, errors[-2000:]
     results = json.loads(output)

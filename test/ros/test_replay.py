@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`liegroup_sim replay` as a process of its own, heard over DDS."""
+
 import signal
 
 import numpy as np
@@ -15,13 +16,17 @@ from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.recording.reader import read_recording
 
-STEPS = 2000                            # 4 s of simulated time, 201 samples
+STEPS = 2000  # 4 s of simulated time, 201 samples
 
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory):
-    return record(tmp_path_factory.mktemp("log") / "run.mcap", scene_from_text(PAIR), STEPS,
-                  pushes=[(20, ("left", (0, 0, 1.0, 0, 0, 0))), (30, ("left", (0,) * 6))])
+    return record(
+        tmp_path_factory.mktemp("log") / "run.mcap",
+        scene_from_text(PAIR),
+        STEPS,
+        pushes=[(20, ("left", (0, 0, 1.0, 0, 0, 0))), (30, ("left", (0,) * 6))],
+    )
 
 
 class Replay:
@@ -31,8 +36,11 @@ class Replay:
         self.client = client
         self.poses = client.listen("/sim_node/left/pose", PoseStamped, 1000)
         self.clock = client.listen("/clock", Clock, 1000)
-        self.events = client.listen("/sim_node/events", Log, QoSProfile(
-            depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+        self.events = client.listen(
+            "/sim_node/events",
+            Log,
+            QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL),
+        )
         self.process = python(PUSH, "replay", log, "--start-paused", *options)
 
     def __enter__(self):
@@ -52,8 +60,9 @@ class Replay:
     def heard(self):
         """Both ends know of each other."""
         self.call("pause")
-        self.client.until(lambda: self.client.node.count_publishers("/sim_node/left/pose"),
-                          what="discovery")
+        self.client.until(
+            lambda: self.client.node.count_publishers("/sim_node/left/pose"), what="discovery"
+        )
         self.client.spin(0.5)
 
 
@@ -97,7 +106,7 @@ def test_seek_step_rate_and_the_end(client, log):
         client.spin(1.0)
         # 50 samples a second at this rate is 25; a busy machine takes longer, never shorter.
         assert 0 < len(replay.poses) - first <= 30
-        replay.call("pause")                # or a busy machine would let it come to its end
+        replay.call("pause")  # or a busy machine would let it come to its end
         assert client.set("/replay", position=0.0).successful
         replay.call("play_next")
         client.until(lambda: replay.stamps()[-1] < 10**9, what="samples of the beginning")
@@ -117,9 +126,11 @@ def test_again_and_again(client, log):
 
 
 def test_wrong_input(log, tmp_path, capsys):
-    for arguments, said in ((["--start", "5"], "the recording has 4 s"),
-                            (["--rate", "-1"], "must be a number, at least 0"),
-                            (["--rate", "nan"], "must be a number, at least 0")):
+    for arguments, said in (
+        (["--start", "5"], "the recording has 4 s"),
+        (["--rate", "-1"], "must be a number, at least 0"),
+        (["--rate", "nan"], "must be a number, at least 0"),
+    ):
         assert main(["replay", str(log), *arguments]) == 2
         assert said in (err := capsys.readouterr().err) and err.count("\n") == 1
     (tmp_path / "x.mcap").write_bytes(b"x")

@@ -4,6 +4,7 @@
 The node's own parts run here without its process: SceneRun with its thread, its topics, its
 pacing and its recorder, which divides the recording.
 """
+
 import os
 import time
 from types import SimpleNamespace
@@ -46,8 +47,9 @@ bodies:
 
 @pytest.fixture(scope="module")
 def node():
-    os.environ.update({key: ENVIRONMENT[key] for key in
-                       ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")})
+    os.environ.update(
+        {key: ENVIRONMENT[key] for key in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")}
+    )
     context = rclpy.Context()
     context.init()
     node = rclpy.create_node("sim_node", context=context)
@@ -69,8 +71,9 @@ def values(path):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_every_bit_again(node, tmp_path, method):
-    run = SceneRun(node, values(tmp_path / "run.mcap"),
-                   Simulation(scene_from_text(TOP), method, STEP))
+    run = SceneRun(
+        node, values(tmp_path / "run.mcap"), Simulation(scene_from_text(TOP), method, STEP)
+    )
     run.start()
 
     def call(*command):
@@ -86,19 +89,23 @@ def test_every_bit_again(node, tmp_path, method):
         push("top", (0, 0, 0, 1.0, 0, 0), axes="world", ahead=0.013, source="other")
         time.sleep(0.03)
         call("pause")
-        call("step", 7)                     # ends between two samples
+        call("step", 7)  # ends between two samples
         call("speed", 0.0)
         call("resume")
         time.sleep(0.02)
         push("top", (0, 0.2, 0, 0, 0, 1.0), duration=None, source="lasting")
         call("speed", 5.0)
         time.sleep(0.02)
-        call("reset")                       # while a wrench acts
+        call("reset")  # while a wrench acts
         push("top", (0, 0, 0.1, 0, 0, 0), duration=0.01)
         time.sleep(0.03)
         call("hold")
-        reloaded = SceneRun(node, values(tmp_path / "run.mcap"),
-                            Simulation(scene_from_text(FREE), method, STEP), run)
+        reloaded = SceneRun(
+            node,
+            values(tmp_path / "run.mcap"),
+            Simulation(scene_from_text(FREE), method, STEP),
+            run,
+        )
         run.close()
         run = reloaded
         run.start()
@@ -119,13 +126,18 @@ def test_every_bit_again(node, tmp_path, method):
         assert figures["must_be_equal"] and figures["missing_samples"] == 0
         samples, resets = samples + figures["samples"], resets + figures["resets"]
     assert samples > 80 and resets <= 1
-    pushed = [change.body for recording in files for change in recording.applied_wrench
-              if any(change.wrench)]
+    pushed = [
+        change.body
+        for recording in files
+        for change in recording.applied_wrench
+        if any(change.wrench)
+    ]
     assert pushed.count("top") > 3 and "box" in pushed
 
 
 def test_a_difference_is_found_and_an_experiment_is_none(tmp_path, capsys):
     """One bit in one message is exit code 1; another step is a difference that may be bounded."""
+
     def flip(topic, k, data):
         last = data[:-8] + bytes([data[-8] ^ 1]) + data[-7:]
         return last if topic.endswith("pose") and k == 30 else data
@@ -142,8 +154,10 @@ def test_a_difference_is_found_and_an_experiment_is_none(tmp_path, capsys):
     assert main(["replay", str(good), "--resimulate", "--step", "1e-3", "--bound", "1e-12"]) == 1
     capsys.readouterr()
     for arguments, said in (
-            (["--step", "3e-3"], "do not lie on steps"), (["--method", "none"], "unknown method"),
-            (["--step", "nan"], "positive number")):
+        (["--step", "3e-3"], "do not lie on steps"),
+        (["--method", "none"], "unknown method"),
+        (["--step", "nan"], "positive number"),
+    ):
         assert main(["replay", str(good), "--resimulate", *arguments]) == 2
         assert said in (err := capsys.readouterr().err) and err.count("\n") == 1
     assert main(["replay", str(good), "--method", "rkmk8"]) == 2

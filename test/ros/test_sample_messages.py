@@ -4,6 +4,7 @@
 ROS leaves alignment gaps as they were in memory, ours are zero. Where the gaps are is found here
 by walking through the message (`gaps`), independently of the code under test.
 """
+
 import math
 
 import numpy as np
@@ -30,8 +31,19 @@ from liegroup_sim_ros.messages.cdr import Template
 from liegroup_sim_ros.messages.codecs import LogCodec
 from liegroup_sim_ros.messages.markers import Markers
 
-SIZES = {"boolean": 1, "octet": 1, "uint8": 1, "int8": 1, "uint16": 2, "int32": 4, "uint32": 4,
-         "float": 4, "double": 8, "int64": 8, "uint64": 8}
+SIZES = {
+    "boolean": 1,
+    "octet": 1,
+    "uint8": 1,
+    "int8": 1,
+    "uint16": 2,
+    "int32": 4,
+    "uint32": 4,
+    "float": 4,
+    "double": 8,
+    "int64": 8,
+    "uint64": 8,
+}
 STAMP = 12_345_678_901
 
 SCENE = """
@@ -61,8 +73,9 @@ def sample(layout):
     """A state that is not the start, nor a motion that the joints allow."""
     random = np.random.default_rng(7)
     rotations = Rotation.random(4, random_state=7).as_matrix().reshape(4, 9)
-    return layout.sample(np.hstack([rotations, random.normal(size=(4, 3))]),
-                         random.normal(size=(4, 6)))
+    return layout.sample(
+        np.hstack([rotations, random.normal(size=(4, 3))]), random.normal(size=(4, 6))
+    )
 
 
 def gaps(message, offset=0):
@@ -107,7 +120,7 @@ def as_ros_serializes(payload, message_class):
     assert 4 + end == len(payload) and 0 <= len(expected) - len(payload) <= 3 * 4
     for offset in found:
         expected[4 + offset] = 0
-    assert payload == bytes(expected[:len(payload)])
+    assert payload == bytes(expected[: len(payload)])
     return message
 
 
@@ -123,7 +136,7 @@ def check_pose(pose, matrix):
 
 
 def only(topics):
-    (topic, message_type, encode), = topics
+    ((topic, message_type, encode),) = topics
     return topic, message_type, encode
 
 
@@ -132,28 +145,35 @@ def test_pose_and_twist_of_every_body(layout, sample):
     messages = encode(STAMP, sample)
     assert len(messages) == 4
     for body, (pose, twist) in zip(layout.body_names, messages):
-        pose, twist = (as_ros_serializes(payload, kind)
-                       for payload, kind in ((pose, PoseStamped), (twist, TwistStamped)))
+        pose, twist = (
+            as_ros_serializes(payload, kind)
+            for payload, kind in ((pose, PoseStamped), (twist, TwistStamped))
+        )
         assert (pose.header.frame_id, twist.header.frame_id) == ("odom", f"left/{body}")
         for header in (pose.header, twist.header):
             assert (header.stamp.sec, header.stamp.nanosec) == divmod(STAMP, 10**9)
         check_pose(pose.pose, sample.poses[body])
         assert numbers(pose.pose.orientation, "xyzw") == sample.quaternions[body].tolist()
-        assert (numbers(twist.twist.angular, "xyz") + numbers(twist.twist.linear, "xyz")
-                == sample.twists[body].tolist())
+        assert (
+            numbers(twist.twist.angular, "xyz") + numbers(twist.twist.linear, "xyz")
+            == sample.twists[body].tolist()
+        )
 
 
 def test_odometry(layout, sample):
     for body, (topic, kind, encode) in zip(
-            layout.body_names, sample_messages.odometry(layout, "map", "left/"), strict=True):
+        layout.body_names, sample_messages.odometry(layout, "map", "left/"), strict=True
+    ):
         assert (topic, kind) == (f"~/{body}/odometry", "nav_msgs/msg/Odometry")
         message = as_ros_serializes(encode(STAMP, sample), Odometry)
         assert (message.header.frame_id, message.child_frame_id) == ("map", f"left/{body}")
         assert (message.header.stamp.sec, message.header.stamp.nanosec) == (12, 345_678_901)
         check_pose(message.pose.pose, sample.poses[body])
         twist = message.twist.twist
-        assert (numbers(twist.angular, "xyz") + numbers(twist.linear, "xyz")
-                == sample.twists[body].tolist())
+        assert (
+            numbers(twist.angular, "xyz") + numbers(twist.linear, "xyz")
+            == sample.twists[body].tolist()
+        )
         assert not message.pose.covariance.any() and not message.twist.covariance.any()
 
 
@@ -161,10 +181,15 @@ def test_velocity(layout, sample):
     topics = sample_messages.velocities(layout, "world", "left_")
     for body, (_, _, encode) in zip(layout.body_names, topics, strict=True):
         message = as_ros_serializes(encode(STAMP, sample), VelocityStamped)
-        assert (message.header.frame_id, message.body_frame_id,
-                message.reference_frame_id) == (f"left_{body}", f"left_{body}", "world")
-        assert (numbers(message.velocity.angular, "xyz") + numbers(message.velocity.linear, "xyz")
-                == sample.twists[body].tolist())
+        assert (message.header.frame_id, message.body_frame_id, message.reference_frame_id) == (
+            f"left_{body}",
+            f"left_{body}",
+            "world",
+        )
+        assert (
+            numbers(message.velocity.angular, "xyz") + numbers(message.velocity.linear, "xyz")
+            == sample.twists[body].tolist()
+        )
 
 
 def test_pose_array(layout, sample):
@@ -180,7 +205,8 @@ def test_joint_states(layout, sample):
     message = as_ros_serializes(encode(STAMP, sample), JointState)
     assert message.name == ["pin", "rail"]
     assert list(zip(message.position, message.velocity)) == [
-        sample.joint_coordinates[name] for name in ("pin", "rail")]
+        sample.joint_coordinates[name] for name in ("pin", "rail")
+    ]
     assert not len(message.effort)
 
 
@@ -202,10 +228,8 @@ def test_transforms_are_what_an_independent_library_serializes(layout, sample):
     for body, transform in zip(layout.body_names, message.transforms, strict=True):
         assert (transform.header.frame_id, transform.child_frame_id) == ("world", f"left/{body}")
         assert transform.header.stamp.nanosec == 345_678_901
-        assert (numbers(transform.transform.translation, "xyz")
-                == sample.positions[body].tolist())
-        assert (numbers(transform.transform.rotation, "xyzw")
-                == sample.quaternions[body].tolist())
+        assert numbers(transform.transform.translation, "xyz") == sample.positions[body].tolist()
+        assert numbers(transform.transform.rotation, "xyzw") == sample.quaternions[body].tolist()
 
 
 def test_markers(layout, sample):
@@ -219,10 +243,15 @@ def test_markers(layout, sample):
     # the edges are 0.4, 0.2 and 0.1 m.
     plain, brick, ball, bar = (found["bodies", i] for i in range(4))
     assert [marker.type for marker in (plain, brick, ball, bar)] == [
-        Marker.CUBE, Marker.CUBE, Marker.SPHERE, Marker.CYLINDER]
+        Marker.CUBE,
+        Marker.CUBE,
+        Marker.SPHERE,
+        Marker.CYLINDER,
+    ]
     assert sorted(numbers(plain.scale, "xyz")) == pytest.approx([0.1, 0.2, 0.4], rel=1e-12)
-    assert (numbers(plain.pose.position, "xyz")
-            == pytest.approx((sample.poses["plain"] @ [0.1, 0.2, 0.3, 1.0])[:3].tolist()))
+    assert numbers(plain.pose.position, "xyz") == pytest.approx(
+        (sample.poses["plain"] @ [0.1, 0.2, 0.3, 1.0])[:3].tolist()
+    )
     axes = Rotation.from_quat(numbers(plain.pose.orientation, "xyzw")).as_matrix()
     longest = axes[:, int(np.argmax(numbers(plain.scale, "xyz")))]
     assert abs(longest @ sample.poses["plain"][:3, 2]) == pytest.approx(1.0, abs=1e-12)
@@ -232,29 +261,39 @@ def test_markers(layout, sample):
     local[2, 3] = 0.2
     check_pose(brick.pose, sample.poses["brick"] @ local)
     assert numbers(ball.scale, "xyz") == [0.6] * 3
-    assert bar.scale.z == 2.0 and bar.scale.x == bar.scale.y == 0.02    # not thinner: 2 mm
+    assert bar.scale.z == 2.0 and bar.scale.x == bar.scale.y == 0.02  # not thinner: 2 mm
     pin = found["joints", 0]
-    assert (numbers(pin.pose.position, "xyz")
-            == pytest.approx((sample.poses["brick"] @ [0, 0, 0.5, 1.0])[:3].tolist()))
+    assert numbers(pin.pose.position, "xyz") == pytest.approx(
+        (sample.poses["brick"] @ [0, 0, 0.5, 1.0])[:3].tolist()
+    )
     force, torque = found["forces", 0], found["torques", 0]
     assert numbers(force.points[1], "xyz") == pytest.approx([0.3, 0.0, -0.1])
     assert numbers(torque.points[1], "xyz") == pytest.approx([0.0, 0.0, 0.2])
     assert (force.action, torque.action) == (Marker.ADD, Marker.ADD)
     assert found["forces", 1].action == found["torques", 3].action == Marker.DELETE
     check_pose(force.pose, sample.poses["plain"])
-    end, = as_ros_serializes(encoder.encode_end(STAMP), MarkerArray).markers
+    (end,) = as_ros_serializes(encoder.encode_end(STAMP), MarkerArray).markers
     assert (end.action, end.header.frame_id) == (Marker.DELETEALL, "world")
 
 
-@given(st.floats(allow_nan=False), st.text(st.characters(codec="utf-8", exclude_characters="\0"),
-                                           max_size=30), st.sampled_from(["running", "faulted"]))
+@given(
+    st.floats(allow_nan=False),
+    st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=30),
+    st.sampled_from(["running", "faulted"]),
+)
 @settings(max_examples=50)
 def test_diagnostics(number, text, state):
-    figures = {"state": state, "real_time_factor_wanted": 1.0, "real_time_factor": 0.5,
-               "number": number, text: text}
-    message = as_ros_serializes(diagnostics.encode(STAMP, "/node: simulation", figures),
-                                DiagnosticArray)
-    status, = message.status
+    figures = {
+        "state": state,
+        "real_time_factor_wanted": 1.0,
+        "real_time_factor": 0.5,
+        "number": number,
+        text: text,
+    }
+    message = as_ros_serializes(
+        diagnostics.encode(STAMP, "/node: simulation", figures), DiagnosticArray
+    )
+    (status,) = message.status
     assert status.name == "/node: simulation"
     assert status.level == (b"\x01" if state == "running" else b"\x02")
     values = {pair.key: pair.value for pair in status.values}
@@ -286,4 +325,5 @@ def test_joint_states_follow_a_simulation():
     sample = simulation.sample()
     message = deserialize_message(encode(simulation.time_ns, sample), JointState)
     assert dict(zip(message.name, zip(message.position, message.velocity))) == (
-        sample.joint_coordinates)
+        sample.joint_coordinates
+    )

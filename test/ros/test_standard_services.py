@@ -4,6 +4,7 @@
 The package is not needed: its messages are made here from their definitions by rosbags, so fields
 that do not exist cannot be set.
 """
+
 from types import SimpleNamespace
 
 import numpy as np
@@ -22,10 +23,9 @@ DEFINITIONS = {
     "TagsFilter": "string[] tags\nuint8 filter_mode\n",
     "Bounds": "uint8 type\ngeometry_msgs/Vector3[] points\n",
     "EntityCategory": "uint8 category\n",
-    "EntityFilters": "string filter\nEntityCategory[] categories\nTagsFilter tags\n"
-                     "Bounds bounds\n",
+    "EntityFilters": "string filter\nEntityCategory[] categories\nTagsFilter tags\nBounds bounds\n",
     "EntityState": "std_msgs/Header header\ngeometry_msgs/Pose pose\ngeometry_msgs/Twist twist\n"
-                   "geometry_msgs/Accel acceleration\n",
+    "geometry_msgs/Accel acceleration\n",
     "ResetSimulationRequest": "uint8 scope\n",
     "StepSimulationRequest": "uint64 steps\n",
     "SetSimulationStateRequest": "SimulationState state\n",
@@ -97,8 +97,9 @@ def services(messages):
         except CommandError as error:
             return False, str(error)
 
-    yield StandardServices(ask, SimpleNamespace(received=False), "map",
-                           lambda: messages.make("EntityState"))
+    yield StandardServices(
+        ask, SimpleNamespace(received=False), "map", lambda: messages.make("EntityState")
+    )
     server.stop()
     assert server.failure is None
 
@@ -119,8 +120,9 @@ def call(services, messages, name, response="ResultResponse", **fields):
 
 
 def state(services, messages):
-    result, response = call(services, messages, "get_simulation_state",
-                            "GetSimulationStateResponse")
+    result, response = call(
+        services, messages, "get_simulation_state", "GetSimulationStateResponse"
+    )
     assert result == 1
     return response.state.state
 
@@ -137,12 +139,12 @@ def test_states_and_steps(services, messages):
     stamp_ns, sample, _ = services._ask("look")[1]
     assert (stamp_ns, sample.steps) == (7_000_000, 7)
     assert go(PLAYING) == 1 and state(services, messages) == PLAYING
-    assert go(PLAYING) == 101                   # already there
-    assert step(1) == 3                         # incorrect state: it runs
+    assert go(PLAYING) == 101  # already there
+    assert step(1) == 3  # incorrect state: it runs
     assert go(PAUSED) == 1 and state(services, messages) == PAUSED
     assert go(STOPPED) == 1 and state(services, messages) == STOPPED
     assert services._ask("look")[1][1].steps == 0
-    assert go(77) == 0                          # not supported
+    assert go(77) == 0  # not supported
     assert not services._signals.received
     assert go(QUITTING) == 1 and services._signals.received
 
@@ -159,9 +161,13 @@ def test_reset_is_of_the_state_not_of_time(services, messages):
 
 def test_entities_are_bodies_in_world_axes(services, messages):
     def entities(**filters):
-        result, response = call(services, messages, "get_entities_states",
-                                "GetEntitiesStatesResponse",
-                                **{f"filters__{name}": value for name, value in filters.items()})
+        result, response = call(
+            services,
+            messages,
+            "get_entities_states",
+            "GetEntitiesStatesResponse",
+            **{f"filters__{name}": value for name, value in filters.items()},
+        )
         return result, response.entities, response.states
 
     assert entities(filter="")[1] == ["arm", "leg"]
@@ -175,7 +181,9 @@ def test_entities_are_bodies_in_world_axes(services, messages):
     # A quarter turn about z: body x is world y, body y is world -x.
     half = np.sqrt(0.5)
     assert [arm.pose.orientation.z, arm.pose.orientation.w] == pytest.approx([half, half])
-    assert ([arm.twist.linear.x, arm.twist.linear.y, arm.twist.linear.z]
-            == pytest.approx([0.0, 1.0, 0.0], abs=1e-15))
-    assert ([arm.twist.angular.x, arm.twist.angular.y, arm.twist.angular.z]
-            == pytest.approx([-2.0, 0.0, 0.0], abs=1e-15))
+    assert [arm.twist.linear.x, arm.twist.linear.y, arm.twist.linear.z] == pytest.approx(
+        [0.0, 1.0, 0.0], abs=1e-15
+    )
+    assert [arm.twist.angular.x, arm.twist.angular.y, arm.twist.angular.z] == pytest.approx(
+        [-2.0, 0.0, 0.0], abs=1e-15
+    )

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`liegroup_sim trade`, `run --accuracy` and the node's `accuracy`, as a user meets them."""
+
 import json
 import os
 import signal
@@ -23,7 +24,7 @@ from liegroup_sim_ros.report.trade_page import make_plot
 
 SCHEMA = Path(__file__).resolve().parents[2] / "config" / "trade.schema.json"
 SCENE = "heavy_top"
-COMPILED = os.environ.get("LIEGROUP_CACHE_DIR", "")     # where this process has its kernels
+COMPILED = os.environ.get("LIEGROUP_CACHE_DIR", "")  # where this process has its kernels
 
 
 @pytest.fixture(scope="module")
@@ -49,27 +50,46 @@ def measured(kept, monkeypatch):
 def test_trade(measured, tmp_path, capsys):
     """Table, JSON as its schema says, page and picture; nothing is measured anew."""
     files = [tmp_path / f"a.{kind}" for kind in ("json", "html", "png")]
-    arguments = ["trade", SCENE, "--horizon", "0.5", "--methods", "rkmk4", "rkmk8", "--groups",
-                 "se3", "--stabilisation", "none", "--budget", "0.01", "--workers", "1"]
-    assert main([*arguments, "--json", str(files[0]), "--html", str(files[1]),
-                 "--png", str(files[2])]) == 0
+    arguments = [
+        "trade",
+        SCENE,
+        "--horizon",
+        "0.5",
+        "--methods",
+        "rkmk4",
+        "rkmk8",
+        "--groups",
+        "se3",
+        "--stabilisation",
+        "none",
+        "--budget",
+        "0.01",
+        "--workers",
+        "1",
+    ]
+    assert (
+        main([*arguments, "--json", str(files[0]), "--html", str(files[1]), "--png", str(files[2])])
+        == 0
+    )
     out = capsys.readouterr().out
     assert "The cheapest for an accuracy" in out and "rkmk8" in out and "below" in out
     document = json.loads(files[0].read_text())
     schema = json.loads(SCHEMA.read_text())
     jsonschema.Draft202012Validator.check_schema(schema)
     jsonschema.Draft202012Validator(schema).validate(document)
-    part, = document["scenes"]
+    (part,) = document["scenes"]
     costs = [part["cells"][k]["cost_us"] for k in part["front"]]
     assert costs == sorted(costs) and len(costs) > 3
     for entry in part["cheapest"]:
         assert entry["cell"] is None or (
-            part["margin"] * part["cells"][entry["cell"]]["error"] <= entry["accuracy"])
+            part["margin"] * part["cells"][entry["cell"]]["error"] <= entry["accuracy"]
+        )
     # A narrower question is answered as if nothing else had been measured.
     narrower = [word for word in arguments if word != "rkmk4"]
     assert main([*narrower, "--json", str(files[0])]) == 0
     assert {cell["method"] for cell in json.loads(files[0].read_text())["scenes"][0]["cells"]} == {
-        "rkmk8"}
+        "rkmk8"
+    }
     page = files[1].read_text()
     assert "Content-Security-Policy" in page and "what accuracy costs" in page
     assert files[2].read_bytes().startswith(b"\x89PNG") and files[2].stat().st_size > 20_000
@@ -79,14 +99,38 @@ def test_trade(measured, tmp_path, capsys):
 def test_the_page_on_a_screen_and_on_a_phone(measured, tmp_path):
     """Words stay whole, a value stands beside its name, nothing is wider than the phone."""
     page = tmp_path / "a.html"
-    assert main(["trade", SCENE, "--horizon", "0.5", "--methods", "rkmk4", "rkmk8", "--groups",
-                 "se3", "--stabilisation", "none", "--budget", "0.01", "--workers", "1", "--html",
-                 str(page)]) == 0
+    assert (
+        main(
+            [
+                "trade",
+                SCENE,
+                "--horizon",
+                "0.5",
+                "--methods",
+                "rkmk4",
+                "rkmk8",
+                "--groups",
+                "se3",
+                "--stabilisation",
+                "none",
+                "--budget",
+                "0.01",
+                "--workers",
+                "1",
+                "--html",
+                str(page),
+            ]
+        )
+        == 0
+    )
     browser = Browser(tmp_path / "browser")
 
     def lines(what):
-        return browser.run(f"[...document.querySelectorAll('{what}')].map(e => "
-                           "e.getClientRects().length ? e.offsetHeight : 0)")
+        return browser.run(
+            f"[...document.querySelectorAll('{what}')].map(e => "
+            "e.getClientRects().length ? e.offsetHeight : 0)"
+        )
+
     try:
         browser.open(page, width=1000)
         assert browser.errors == [] and browser.requests == [f"file://{page}"]
@@ -107,22 +151,44 @@ def test_the_page_on_a_screen_and_on_a_phone(measured, tmp_path):
 
 
 def test_every_method_has_a_line_of_its_own():
-    cells = [{"method": name, "step": 0.01, "group": "se3", "stabilisation": "none", "options": {},
-              "stopped": None, "error": 1e-3, "cost_us": 1.0} for name in METHODS]
+    cells = [
+        {
+            "method": name,
+            "step": 0.01,
+            "group": "se3",
+            "stabilisation": "none",
+            "options": {},
+            "stopped": None,
+            "error": 1e-3,
+            "cost_us": 1.0,
+        }
+        for name in METHODS
+    ]
     plot = make_plot({"cells": cells, "front": [0], "reference": {"known": 1e-12}})
     looks = [(trace["line"]["color"], trace["line"]["dash"]) for trace in plot["data"][:-1]]
     assert len(set(looks)) == len(looks) == len(METHODS)
 
 
-@pytest.mark.parametrize("change, said", [
-    (["--methods", "rk"], "unknown method 'rk'"), (["--groups", "so3"], "unknown group"),
-    (["--stabilisation", "glue"], "unknown stabilisation"), (["--workers", "0"], "--workers"),
-    (["--horizon", "-1"], "horizon"), (["--horizon", "0.12345"], "three digits"),
-    (["--steps", "0.3", "--horizon", "0.5"], "does not fit a horizon"),
-    (["--budget", "0"], "--budget"), (["--json", "none/a.json"], "cannot be written"),
-    (["--png", "a.txt"], "must end with"), (["nope"], "nope"),
-    (["--scheduler", "tcp://127.0.0.1:9", "--horizon", "0.5", "--methods", "rkmk2"],
-     "no dask scheduler")])
+@pytest.mark.parametrize(
+    "change, said",
+    [
+        (["--methods", "rk"], "unknown method 'rk'"),
+        (["--groups", "so3"], "unknown group"),
+        (["--stabilisation", "glue"], "unknown stabilisation"),
+        (["--workers", "0"], "--workers"),
+        (["--horizon", "-1"], "horizon"),
+        (["--horizon", "0.12345"], "three digits"),
+        (["--steps", "0.3", "--horizon", "0.5"], "does not fit a horizon"),
+        (["--budget", "0"], "--budget"),
+        (["--json", "none/a.json"], "cannot be written"),
+        (["--png", "a.txt"], "must end with"),
+        (["nope"], "nope"),
+        (
+            ["--scheduler", "tcp://127.0.0.1:9", "--horizon", "0.5", "--methods", "rkmk2"],
+            "no dask scheduler",
+        ),
+    ],
+)
 def test_wrong_input_is_one_line(measured, tmp_path, monkeypatch, capsys, change, said):
     monkeypatch.chdir(tmp_path)
     assert main(["trade", SCENE, *change]) == 2
@@ -150,16 +216,25 @@ def test_a_run_for_an_accuracy_and_whether_it_was_kept(measured, tmp_path, capsy
     assert main(["analyze", str(log), "--json", str(tmp_path / "a.json"), "--max-error", "1"]) == 0
     schema = SCHEMA.with_name("analysis.schema.json")
     jsonschema.Draft202012Validator(json.loads(schema.read_text())).validate(
-        json.loads((tmp_path / "a.json").read_text()))
+        json.loads((tmp_path / "a.json").read_text())
+    )
 
 
-@pytest.mark.parametrize("push, kept, seconds", [(None, False, 0.5), (25, False, 0.25),
-                                                 (0, None, 0.0)])
+@pytest.mark.parametrize(
+    "push, kept, seconds", [(None, False, 0.5), (25, False, 0.25), (0, None, 0.0)]
+)
 def test_a_broken_promise_is_a_problem(tmp_path, push, kept, seconds):
     """Of a step that is far from it; what comes after a wrench is not held against it."""
     pushes = [] if push is None else [(push, ("top", (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)))]
-    log = record(tmp_path / "a.mcap", load_scene(SCENE), 60, step=1e-2, per_sample=1,
-                 pushes=pushes, promise={"accuracy": 1e-6, "horizon": 0.5, "length": 0.5})
+    log = record(
+        tmp_path / "a.mcap",
+        load_scene(SCENE),
+        60,
+        step=1e-2,
+        per_sample=1,
+        pushes=pushes,
+        promise={"accuracy": 1e-6, "horizon": 0.5, "length": 0.5},
+    )
     figures = analyse(read_recording(log)).figures
     found = figures["promise"]
     assert found["seconds"] == seconds and found["beyond"]
@@ -169,13 +244,34 @@ def test_a_broken_promise_is_a_problem(tmp_path, push, kept, seconds):
     assert "promised accuracy of 1e-06" in figures["verdict"]
 
 
-@pytest.mark.parametrize("more, said", [
-    (["--method", "rkmk4"], "takes the place of --method"),
-    (["--step", "1e-3"], "takes the place of --step"), (["--accuracy", "0"], "above 0"),
-    (["--accuracy", "1e-14"], "cannot be had for heavy_top over 0.5 s on this machine; ")])
+@pytest.mark.parametrize(
+    "more, said",
+    [
+        (["--method", "rkmk4"], "takes the place of --method"),
+        (["--step", "1e-3"], "takes the place of --step"),
+        (["--accuracy", "0"], "above 0"),
+        (["--accuracy", "1e-14"], "cannot be had for heavy_top over 0.5 s on this machine; "),
+    ],
+)
 def test_an_accuracy_that_cannot_be_had_is_one_line(measured, tmp_path, capsys, more, said):
-    assert main(["run", SCENE, "--accuracy", "1e-6", "--horizon", "0.5", "--duration", "0.5",
-                 "--out", str(tmp_path / "a.npz"), *more]) == 2
+    assert (
+        main(
+            [
+                "run",
+                SCENE,
+                "--accuracy",
+                "1e-6",
+                "--horizon",
+                "0.5",
+                "--duration",
+                "0.5",
+                "--out",
+                str(tmp_path / "a.npz"),
+                *more,
+            ]
+        )
+        == 2
+    )
     # The first test of an accuracy measures, and says so first.
     err = capsys.readouterr().err.splitlines()
     assert said in err[-1] and all("measuring" in line for line in err[:-1])
@@ -194,17 +290,30 @@ sys.exit(main(["sim_node", "--ros-args", *sys.argv[2:]]))
 
 
 def node(folder, *parameters):
-    return python(NODE, folder, *(word for entry in (
-        f"scene:={SCENE}", "accuracy_horizon:=0.5", *parameters) for word in ("-p", entry)),
-        env={"LIEGROUP_CACHE_DIR": COMPILED})
+    return python(
+        NODE,
+        folder,
+        *(
+            word
+            for entry in (f"scene:={SCENE}", "accuracy_horizon:=0.5", *parameters)
+            for word in ("-p", entry)
+        ),
+        env={"LIEGROUP_CACHE_DIR": COMPILED},
+    )
 
 
-@pytest.mark.parametrize("more, said", [
-    (["accuracy:=1e-6", "step:=0.001"], "parameter accuracy: takes the place of step"),
-    (["accuracy:=1e-14"], "parameter accuracy: accuracy 1e-14 cannot be had"),
-    (["accuracy:=1e-6", "real_time_factor:=1000000.0"],
-     "at 1e+06 times real time: the cheapest setting that reaches it"),
-    ([], "parameter accuracy_horizon: goes with accuracy")])
+@pytest.mark.parametrize(
+    "more, said",
+    [
+        (["accuracy:=1e-6", "step:=0.001"], "parameter accuracy: takes the place of step"),
+        (["accuracy:=1e-14"], "parameter accuracy: accuracy 1e-14 cannot be had"),
+        (
+            ["accuracy:=1e-6", "real_time_factor:=1000000.0"],
+            "at 1e+06 times real time: the cheapest setting that reaches it",
+        ),
+        ([], "parameter accuracy_horizon: goes with accuracy"),
+    ],
+)
 def test_the_node_refuses_in_one_line(measured, more, said):
     process = node(measured, *more)
     _, err = process.communicate(timeout=COMPILING)

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What wrench messages mean and which are refused, for any message; no ROS node runs here."""
+
 import struct
 
 import pytest
@@ -20,25 +21,33 @@ def read(frame, kind="wrench", body=None, wrench=WRENCH, stamp_ns=0, held=0, pre
     return WrenchInput(["top", "left"], "map/world", prefix).read(payload, kind, body, NOW, held)
 
 
-@pytest.mark.parametrize("kind, body, frame, source, axes", [
-    ("wrench", None, "top", "wrench/top/", "body"),
-    ("wrench", None, "top/a/b", "wrench/top/a/b/", "body"),
-    ("persistent", None, "left/left", "persistent/left/left/", "body"),
-    ("body", "top", "top", "body/top/", "body"),
-    ("body", "top", "map/world", "body/top/", "world"),
-    ("body", "top", "map/world/fan", "body/top/fan/", "world"),
-    ("body", "top", "top/fan", "body/top/fan/", "body")])
+@pytest.mark.parametrize(
+    "kind, body, frame, source, axes",
+    [
+        ("wrench", None, "top", "wrench/top/", "body"),
+        ("wrench", None, "top/a/b", "wrench/top/a/b/", "body"),
+        ("persistent", None, "left/left", "persistent/left/left/", "body"),
+        ("body", "top", "top", "body/top/", "body"),
+        ("body", "top", "map/world", "body/top/", "world"),
+        ("body", "top", "map/world/fan", "body/top/fan/", "world"),
+        ("body", "top", "top/fan", "body/top/fan/", "body"),
+    ],
+)
 def test_frame_id_says_whom_and_in_which_axes(kind, body, frame, source, axes):
     push = read(frame, kind, body)
     assert (push.source, push.axes, push.wrench) == (source, axes, WRENCH)
     assert push.body == (body or frame.partition("/")[0])
 
 
-@pytest.mark.parametrize("kind, body, frame, source, axes", [
-    ("wrench", None, "map/top", "wrench/top/", "body"),
-    ("persistent", None, "map/left/fan", "persistent/left/fan/", "body"),
-    ("body", "top", "map/top/fan", "body/top/fan/", "body"),
-    ("body", "top", "map/world", "body/top/", "world")])
+@pytest.mark.parametrize(
+    "kind, body, frame, source, axes",
+    [
+        ("wrench", None, "map/top", "wrench/top/", "body"),
+        ("persistent", None, "map/left/fan", "persistent/left/fan/", "body"),
+        ("body", "top", "map/top/fan", "body/top/fan/", "body"),
+        ("body", "top", "map/world", "body/top/", "world"),
+    ],
+)
 def test_frames_of_bodies_have_a_prefix(kind, body, frame, source, axes):
     push = read(frame, kind, body, prefix="map/")
     assert (push.source, push.axes) == (source, axes)
@@ -47,24 +56,33 @@ def test_frames_of_bodies_have_a_prefix(kind, body, frame, source, axes):
             read(wrong, kind, body, prefix="map/")
 
 
-@pytest.mark.parametrize("target, ended", [
-    ("", {"top/", "top/a/", "left/"}), ("top", {"top/", "top/a/"}), ("top/a", {"top/a/"})])
+@pytest.mark.parametrize(
+    "target, ended",
+    [("", {"top/", "top/a/", "left/"}), ("top", {"top/", "top/a/"}), ("top/a", {"top/a/"})],
+)
 def test_clear_ends_a_body_a_name_or_all(target, ended):
     prefix = source_prefix("persistent", target)
-    sources = {source_prefix("persistent", t)[len("persistent/"):]
-               for t in ("top", "top/a", "left")}
+    sources = {
+        source_prefix("persistent", t)[len("persistent/") :] for t in ("top", "top/a", "left")
+    }
     assert {s for s in sources if f"persistent/{s}".startswith(prefix)} == ended
 
 
-@pytest.mark.parametrize("changed, reason", [
-    ({"frame": ""}, "no_frame"), ({"frame": "/top"}, "no_frame"),
-    ({"frame": "tops"}, "unknown_frame"), ({"frame": "map/world"}, "unknown_frame"),
-    ({"frame": "left", "kind": "body", "body": "top"}, "unknown_frame"),
-    ({"frame": "map", "kind": "body", "body": "top"}, "unknown_frame"),
-    ({"frame": "top/" + "x" * 65}, "unknown_frame"),
-    ({"frame": "top", "wrench": (*WRENCH[:5], float("nan"))}, "not_finite"),
-    ({"frame": "top", "stamp_ns": NOW + FARTHEST + 1}, "stamp_too_far"),
-    ({"frame": "top", "held": MOST}, "too_many")])
+@pytest.mark.parametrize(
+    "changed, reason",
+    [
+        ({"frame": ""}, "no_frame"),
+        ({"frame": "/top"}, "no_frame"),
+        ({"frame": "tops"}, "unknown_frame"),
+        ({"frame": "map/world"}, "unknown_frame"),
+        ({"frame": "left", "kind": "body", "body": "top"}, "unknown_frame"),
+        ({"frame": "map", "kind": "body", "body": "top"}, "unknown_frame"),
+        ({"frame": "top/" + "x" * 65}, "unknown_frame"),
+        ({"frame": "top", "wrench": (*WRENCH[:5], float("nan"))}, "not_finite"),
+        ({"frame": "top", "stamp_ns": NOW + FARTHEST + 1}, "stamp_too_far"),
+        ({"frame": "top", "held": MOST}, "too_many"),
+    ],
+)
 def test_refusals_are_one_line(changed, reason):
     with pytest.raises(Refusal) as caught:
         read(**changed)
@@ -84,8 +102,11 @@ def test_no_bytes_break_the_reader(payload):
     assert reader.accepted + sum(reader.refused.values()) == 2
 
 
-@given(st.lists(st.floats(), min_size=6, max_size=6), st.integers(0, 2 * 10**18),
-       st.text(st.characters(codec="utf-8", exclude_characters="\0")))
+@given(
+    st.lists(st.floats(), min_size=6, max_size=6),
+    st.integers(0, 2 * 10**18),
+    st.text(st.characters(codec="utf-8", exclude_characters="\0")),
+)
 def test_one_message_is_decoded_as_ros_made_it(values, stamp_ns, frame):
     message = WrenchStamped()
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hundreds of wrong parameter files and scenes: each is one line on stderr and exit code 2."""
+
 import json
 
 import yaml
@@ -30,28 +31,68 @@ print(json.dumps(answers))
 """
 
 SCENE = {
-    "name": "rig", "gravity": [0.0, 0.0, -9.81],
+    "name": "rig",
+    "gravity": [0.0, 0.0, -9.81],
     "bodies": [
-        {"name": "arm", "mass": 1.0, "inertia": [0.1, 0.2, 0.15], "position": [0.5, 0.0, 0.0],
-         "quaternion": [0.0, 0.0, 0.0, 1.0], "angular_velocity": [0.0, 0.0, 1.0]},
-        {"name": "bob", "shape": {"type": "sphere", "radius": 0.1, "mass": 2.0}}],
-    "joints": [{"name": "pin", "type": "revolute", "parent": "world", "child": "arm",
-                "parent_frame": {"position": [0.0, 0.0, 0.0]}}],
-    "forces": [{"name": "spring", "type": "spring_damper", "parent": "arm", "child": "bob",
-                "parent_point": [0.1, 0.0, 0.0], "child_point": [0.0, 0.0, 0.0],
-                "stiffness": 10.0}]}
-NEEDED = {"name", "gravity", "bodies", "mass", "inertia", "type", "parent", "child", "stiffness",
-          "radius", "parent_frame"}
+        {
+            "name": "arm",
+            "mass": 1.0,
+            "inertia": [0.1, 0.2, 0.15],
+            "position": [0.5, 0.0, 0.0],
+            "quaternion": [0.0, 0.0, 0.0, 1.0],
+            "angular_velocity": [0.0, 0.0, 1.0],
+        },
+        {"name": "bob", "shape": {"type": "sphere", "radius": 0.1, "mass": 2.0}},
+    ],
+    "joints": [
+        {
+            "name": "pin",
+            "type": "revolute",
+            "parent": "world",
+            "child": "arm",
+            "parent_frame": {"position": [0.0, 0.0, 0.0]},
+        }
+    ],
+    "forces": [
+        {
+            "name": "spring",
+            "type": "spring_damper",
+            "parent": "arm",
+            "child": "bob",
+            "parent_point": [0.1, 0.0, 0.0],
+            "child_point": [0.0, 0.0, 0.0],
+            "stiffness": 10.0,
+        }
+    ],
+}
+NEEDED = {
+    "name",
+    "gravity",
+    "bodies",
+    "mass",
+    "inertia",
+    "type",
+    "parent",
+    "child",
+    "stiffness",
+    "radius",
+    "parent_frame",
+}
 NO_NUMBER = st.sampled_from([float("nan"), float("inf"), "wide", {"a": 1}, None, [[]], True])
 NO_TEXT = st.sampled_from([3.5, {"a": 1}, None, ["a"], True, ""])
-WORD = st.from_regex(r"[a-z]{3,8}_[0-9]{3}", fullmatch=True)       # none of them means anything
+WORD = st.from_regex(r"[a-z]{3,8}_[0-9]{3}", fullmatch=True)  # none of them means anything
 
 
 def places(node, path=()):
     """Paths of all mappings, lists and values in a scene."""
     yield path
-    items = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(
-        node, list) else ()
+    items = (
+        node.items()
+        if isinstance(node, dict)
+        else enumerate(node)
+        if isinstance(node, list)
+        else ()
+    )
     for key, value in items:
         yield from places(value, (*path, key))
 
@@ -74,8 +115,9 @@ def wrong_scene(draw):
         path = draw(st.sampled_from([p for p in PLACES if isinstance(at(SCENE, p), dict)]))
         at(scene, path)[draw(WORD)] = 1
     elif kind == "wrong value":
-        path = draw(st.sampled_from([p for p in PLACES if p and not isinstance(
-            at(SCENE, p), (dict, list))]))
+        path = draw(
+            st.sampled_from([p for p in PLACES if p and not isinstance(at(SCENE, p), (dict, list))])
+        )
         numeric = isinstance(at(SCENE, path), float)
         at(scene, path[:-1])[path[-1]] = draw(NO_NUMBER if numeric else NO_TEXT)
     elif kind == "key missing":
@@ -85,7 +127,7 @@ def wrong_scene(draw):
         return draw(st.binary(min_size=1, max_size=200))
     text = yaml.dump(scene, default_flow_style=True, width=10**6)
     # The last brace closes the first one: whatever is cut off, it is missing.
-    return (text[:draw(st.integers(1, len(text) - 3))] if kind == "cut" else text).encode()
+    return (text[: draw(st.integers(1, len(text) - 3))] if kind == "cut" else text).encode()
 
 
 @st.composite
@@ -96,10 +138,21 @@ def wrong_parameters(draw):
         return draw(st.binary(min_size=1, max_size=100))
     if kind == 1:
         given = {"scene": "heavy_top"}
-        return yaml.dump(draw(st.sampled_from([
-            given, {"/**": given}, {"ros__parameters": given}, {"/**": {draw(WORD): given}},
-            {draw(WORD): {"ros__parameters": given}}, {"/**": {"ros__parameters": [given]}},
-            [{"/**": {"ros__parameters": given}}]]))).encode()
+        return yaml.dump(
+            draw(
+                st.sampled_from(
+                    [
+                        given,
+                        {"/**": given},
+                        {"ros__parameters": given},
+                        {"/**": {draw(WORD): given}},
+                        {draw(WORD): {"ros__parameters": given}},
+                        {"/**": {"ros__parameters": [given]}},
+                        [{"/**": {"ros__parameters": given}}],
+                    ]
+                )
+            )
+        ).encode()
     if kind < 4:
         name = draw(WORD) if kind == 2 else f"{draw(st.sampled_from(TABLE)).name}.{draw(WORD)}"
         value = draw(st.sampled_from([1, 1.5, "text", True, [], [[]], "x" * 5000]))
@@ -140,8 +193,9 @@ def answers(folder, files, arguments):
     return zip(files, *zip(*json.loads(output)), strict=True)
 
 
-BATCHES = settings(max_examples=4, deadline=None, phases=[Phase.generate],
-                   suppress_health_check=list(HealthCheck))
+BATCHES = settings(
+    max_examples=4, deadline=None, phases=[Phase.generate], suppress_health_check=list(HealthCheck)
+)
 
 
 @BATCHES
@@ -150,7 +204,10 @@ def test_wrong_scene_is_one_line(tmp_path_factory, files):
     folder = tmp_path_factory.mktemp("scenes")
     for text, code, errors in answers(folder, files, ["-p", "scene:={}"]):
         assert code == 2 and errors.count("\n") == 1 and errors.startswith("sim_node: "), (
-            text, code, errors)
+            text,
+            code,
+            errors,
+        )
         assert ".yaml" in errors and len(errors) < 1000
 
 
@@ -160,5 +217,8 @@ def test_wrong_parameter_file_is_one_line(tmp_path_factory, files):
     folder = tmp_path_factory.mktemp("parameters")
     for text, code, errors in answers(folder, files, ["--params-file", "{}"]):
         assert code == 2 and errors.count("\n") == 1 and errors.startswith("sim_node: "), (
-            text, code, errors)
+            text,
+            code,
+            errors,
+        )
         assert len(errors) < 1000

@@ -5,6 +5,7 @@ Each reference is written down from the drawing of the mechanism, with angles an
 integrated by SciPy to 1e-10 or better; it shares nothing with the engine, not even the scene's
 numbers. Tolerances: the error of order 4 at this step, measured, times three.
 """
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -22,8 +23,15 @@ G = 9.81
 
 def solved(rate, start, times, method="DOP853", rtol=1e-12, atol=1e-13):
     """Values (len(times), n) of an initial value problem y' = rate(y)."""
-    solution = solve_ivp(lambda t, y: rate(y), (0.0, times[-1]), start, method=method, rtol=rtol,
-                         atol=atol, t_eval=times)
+    solution = solve_ivp(
+        lambda t, y: rate(y),
+        (0.0, times[-1]),
+        start,
+        method=method,
+        rtol=rtol,
+        atol=atol,
+        t_eval=times,
+    )
     assert solution.success
     return solution.y.T
 
@@ -50,6 +58,7 @@ def turn(difference):
 
 # ---------------------------------------------------------------- planar four-bar
 
+
 def four_bar(q):
     """Pin C of the elbow-up branch and the rates of coupler and rocker at a crank rate of 1.
 
@@ -68,11 +77,15 @@ def four_bar_mass(q):
     """Coefficient a of the kinetic energy a q'^2 / 2: uniform bars of 50 mm square section."""
     C, w2, w3 = four_bar(q)
     B = 0.5 * np.exp(1j * q)
-    about_middle = [m * (length ** 2 + 0.05 ** 2) / 12.0
-                    for m, length in ((0.5, 0.5), (1, 1), (1, 1))]
+    about_middle = [m * (length**2 + 0.05**2) / 12.0 for m, length in ((0.5, 0.5), (1, 1), (1, 1))]
     middle = 1j * B + 1j * w2 * (C - B) / 2.0
-    return (about_middle[0] + 0.5 * 0.25 ** 2 + about_middle[1] * w2 ** 2 + abs(middle) ** 2
-            + (about_middle[2] + 0.25) * w3 ** 2)
+    return (
+        about_middle[0]
+        + 0.5 * 0.25**2
+        + about_middle[1] * w2**2
+        + abs(middle) ** 2
+        + (about_middle[2] + 0.25) * w3**2
+    )
 
 
 def four_bar_reference(times):
@@ -92,8 +105,11 @@ def test_the_four_bar_starts_where_the_loop_closes():
     np.testing.assert_allclose(corner, [C.real, C.imag, 0, 1], atol=2e-15)
     np.testing.assert_allclose(rocker.pose @ (0.5, 0, 0, 1), corner, atol=2e-15)
     rate = 10.0 * np.pi
-    for body, w, v in ((crank, 1.0, 1j * 0.25j), (rocker, w3, 1j * w3 * (C - 1.0) / 2),
-                       (coupler, w2, 1j * 0.5j + 1j * w2 * (C - 0.5j) / 2)):
+    for body, w, v in (
+        (crank, 1.0, 1j * 0.25j),
+        (rocker, w3, 1j * w3 * (C - 1.0) / 2),
+        (coupler, w2, 1j * 0.5j + 1j * w2 * (C - 0.5j) / 2),
+    ):
         velocity = body.rotation @ body.linear_velocity
         expected = [rate * v.real, rate * v.imag, 0.0]
         np.testing.assert_allclose(velocity, expected, atol=1e-13 * rate)
@@ -121,6 +137,7 @@ def test_four_bar_leaves_out_one_row():
 
 
 # ---------------------------------------------------------------- rows of four-bar windows
+
 
 def windows_reference(n, times):
     """Angle and rate of all cranks: n + 1 rods about their ends, n rods that circle with them."""
@@ -167,7 +184,7 @@ def test_each_window_leaves_out_three_rows(n):
 
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [1, -1, 0], [1, -1, 1], [0, -1, 1], [0, 0, 1.0]])
 AXES = np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 0.0]])
-ALONG, ACROSS = 2 * 0.1 ** 2 / 12, (1 + 0.1 ** 2) / 12    # kg m^2, of a box of 1 x 0.1 x 0.1 m
+ALONG, ACROSS = 2 * 0.1**2 / 12, (1 + 0.1**2) / 12  # kg m^2, of a box of 1 x 0.1 x 0.1 m
 
 
 def bricard(a, b):
@@ -193,7 +210,7 @@ def bricard_energies(a, b):
     """Kinetic energy times two, and power of gravity, at unit speed along the tangent."""
     corners, axes = bricard(a, b)
     da, db = bricard_tangent(a, b)
-    omega, velocity = np.zeros(3), np.zeros(3)          # of the last rod, and of its first corner
+    omega, velocity = np.zeros(3), np.zeros(3)  # of the last rod, and of its first corner
     kinetic = power = 0.0
     for i in range(5):
         omega = omega + (db if i % 2 else da) * axes[i]
@@ -201,7 +218,7 @@ def bricard_energies(a, b):
         middle = velocity + np.cross(omega, along / 2)
         velocity = velocity + np.cross(omega, along)
         spin = omega @ along
-        kinetic += middle @ middle + ACROSS * (omega @ omega - spin ** 2) + ALONG * spin ** 2
+        kinetic += middle @ middle + ACROSS * (omega @ omega - spin**2) + ALONG * spin**2
         power -= G * middle[1]
     return kinetic, power
 
@@ -211,11 +228,12 @@ def bricard_rate(y):
     a, b, speed = y
     da, db = bricard_tangent(a, b)
     kinetic, power = bricard_energies(a, b)
-    h = 1e-3                                            # fourth order: right to 1e-12
+    h = 1e-3  # fourth order: right to 1e-12
     ahead, behind, far_ahead, far_behind = (
-        bricard_energies(a + s * h * da, b + s * h * db)[0] for s in (1, -1, 2, -2))
+        bricard_energies(a + s * h * da, b + s * h * db)[0] for s in (1, -1, 2, -2)
+    )
     slope = (8 * (ahead - behind) - (far_ahead - far_behind)) / (12 * h)
-    return [speed * da, speed * db, (power - 0.5 * slope * speed ** 2) / kinetic]
+    return [speed * da, speed * db, (power - 0.5 * slope * speed**2) / kinetic]
 
 
 def test_bricard():
@@ -252,6 +270,7 @@ def test_bricard_leaves_out_a_row_that_can_always_be_spared():
 
 # ---------------------------------------------------------------- Bennett's linkage
 
+
 def test_bennett():
     """Four hinges that move because sin(twist) / length is the same for all links.
 
@@ -261,29 +280,62 @@ def test_bennett():
     lengths = [1.0, 0.7, 1.0, 0.7]
     twists = np.array([0.7, np.arcsin(0.7 * np.sin(0.7))] * 2)
     kept = np.sin((twists[1] + twists[0]) / 2) / np.sin((twists[1] - twists[0]) / 2)
-    near, far = [Frame()] * 4, [Frame(position=(length, 0, 0), rotation_vector=(twist, 0, 0))
-                                for length, twist in zip(lengths, twists)]
+    near, far = (
+        [Frame()] * 4,
+        [
+            Frame(position=(length, 0, 0), rotation_vector=(twist, 0, 0))
+            for length, twist in zip(lengths, twists)
+        ],
+    )
     first = 1.0
     turns = [first, 2.0 * np.arctan(kept / np.tan(first / 2))]
     pose, bodies = far[0].pose, []
     for k, angle_there in ((1, turns[1]), (2, -turns[0]), (3, -turns[1])):
         pose = pose @ Frame(rotation_vector=(0, 0, angle_there)).pose
-        bodies.append(Body(
-            name=f"link{k}", position=pose[:3, 3], quaternion=SO3.to_quaternion(pose[:3, :3]),
-            shape=Rod(axis=(1, 0, 0), length=lengths[k], radius=0.05, mass=1.0,
-                      position=(lengths[k] / 2, 0, 0))))
+        bodies.append(
+            Body(
+                name=f"link{k}",
+                position=pose[:3, 3],
+                quaternion=SO3.to_quaternion(pose[:3, :3]),
+                shape=Rod(
+                    axis=(1, 0, 0),
+                    length=lengths[k],
+                    radius=0.05,
+                    mass=1.0,
+                    position=(lengths[k] / 2, 0, 0),
+                ),
+            )
+        )
         pose = pose @ far[k].pose
     names = ["world", "link1", "link2", "link3"]
-    joints = [Joint(name=f"hinge{k}", type="revolute", parent=names[k], child=names[k + 1],
-                    parent_frame=far[k], child_frame=near[k], rate=None if k else 6.0)
-              for k in range(3)]
-    joints.append(Joint(name="hinge3", type="revolute", parent="world", child="link3",
-                        parent_frame=near[3], child_frame=far[3]))
-    simulation = Simulation(Scene(name="bennett", gravity=(0, 0, 0), assemble=True, bodies=bodies,
-                                  joints=joints))
+    joints = [
+        Joint(
+            name=f"hinge{k}",
+            type="revolute",
+            parent=names[k],
+            child=names[k + 1],
+            parent_frame=far[k],
+            child_frame=near[k],
+            rate=None if k else 6.0,
+        )
+        for k in range(3)
+    ]
+    joints.append(
+        Joint(
+            name="hinge3",
+            type="revolute",
+            parent="world",
+            child="link3",
+            parent_frame=near[3],
+            child_frame=far[3],
+        )
+    )
+    simulation = Simulation(
+        Scene(name="bennett", gravity=(0, 0, 0), assemble=True, bodies=bodies, joints=joints)
+    )
     assert len(simulation.layout.dropped_rows) == 3
     energy = simulation.sample().energy
-    for _ in range(10):                     # half a dozen turns
+    for _ in range(10):  # half a dozen turns
         simulation.advance(200)
         sample = simulation.sample()
         one = angle(inverse(far[0].pose) @ sample.poses["link1"])
@@ -296,6 +348,7 @@ def test_bennett():
 
 # ---------------------------------------------------------------- Andrews' squeezing mechanism
 
+
 def squeezer_chains(q):
     """Where each body's frame, centre of mass and E are: {body: terms [(length, angle index)]}.
 
@@ -304,9 +357,15 @@ def squeezer_chains(q):
     A, B = -0.06934 - 0.00227j, -0.03635 + 0.03273j
     k1, k2, k3, k4, k5, k6, k7 = range(7)
     F, G_, H = (0.007, k1), (0.04, k5), (-0.04j, k7)
-    centres = [[0, (0.00092, k1)], [0, F, (-0.0115, k2)], [B, (0.01043 - 0.01874j, k3)],
-               [A, G_, (-0.00579j, k4)], [A, (0.02308 + 0.00916j, k5)], [A, H, (0.00579, k6)],
-               [A, (-0.00449 - 0.01228j, k7)]]
+    centres = [
+        [0, (0.00092, k1)],
+        [0, F, (-0.0115, k2)],
+        [B, (0.01043 - 0.01874j, k3)],
+        [A, G_, (-0.00579j, k4)],
+        [A, (0.02308 + 0.00916j, k5)],
+        [A, H, (0.00579, k6)],
+        [A, (-0.00449 - 0.01228j, k7)],
+    ]
     E = [[0, F, (-0.028, k2)], [B, (-0.035j, k3)], [A, G_, (-0.02j, k4)], [A, H, (0.02, k6)]]
     D = [B, (0.02 - 0.018j, k3)]
     return centres, E, D
@@ -331,7 +390,7 @@ def squeezer_rate(y):
     for m, terms in zip(mass, centres):
         _, slope, second = place(terms, q)
         M = M + m * (slope.conj()[:, None] * slope).real
-        f -= m * (slope.conj() * (second @ rate ** 2)).real
+        f -= m * (slope.conj() * (second @ rate**2)).real
     f[0] += 0.033
     z, slope, _ = place(D, q)
     line = z - (0.014 + 0.072j)
@@ -339,18 +398,25 @@ def squeezer_rate(y):
     places = [place(terms, q) for terms in ends]
     J, bias = [], []
     for other in places[1:]:
-        gap, curve = places[0][1] - other[1], (places[0][2] - other[2]) @ rate ** 2
+        gap, curve = places[0][1] - other[1], (places[0][2] - other[2]) @ rate**2
         J += [gap.real, gap.imag]
         bias += [-curve.real, -curve.imag]
     J = np.array(J)
     system = np.block([[M, J.T], [J, np.zeros((6, 6))]])
-    scale = np.array([1e3] * 7 + [1e-3] * 6)                # the moments are of 1e-6
+    scale = np.array([1e3] * 7 + [1e-3] * 6)  # the moments are of 1e-6
     solution = np.linalg.solve(scale[:, None] * system * scale, scale * np.concatenate([f, bias]))
     return np.concatenate([rate, (scale * solution)[:7]])
 
 
-SQUEEZER_START = (-0.0617138900142764496, 0.0, 0.455279819163070380, 0.222668390165885885,
-                  0.487364979543842551, -0.222668390165885885, 1.23054744454982119)
+SQUEEZER_START = (
+    -0.0617138900142764496,
+    0.0,
+    0.455279819163070380,
+    0.222668390165885885,
+    0.487364979543842551,
+    -0.222668390165885885,
+    1.23054744454982119,
+)
 
 
 def squeezer_angles(angles):
@@ -361,14 +427,26 @@ def squeezer_angles(angles):
 
 # Test set for initial value problem solvers, problem Andrews, at t = 0.03 s; beta and theta turn
 # two and a half times.
-SQUEEZER_END = (15.81077119629904, -15.75637105984298, 0.04082224013073101, -0.5347301163226948,
-                0.5244099658805304, 0.5347301163226948, 1.048080741042263)
+SQUEEZER_END = (
+    15.81077119629904,
+    -15.75637105984298,
+    0.04082224013073101,
+    -0.5347301163226948,
+    0.5244099658805304,
+    0.5347301163226948,
+    1.048080741042263,
+)
 
 
 def test_andrews_squeezer():
     times = [0.01, 0.02, 0.03]
-    reference = solved(squeezer_rate, np.concatenate(
-        [squeezer_angles(SQUEEZER_START), np.zeros(7)]), times, rtol=1e-11, atol=1e-13)
+    reference = solved(
+        squeezer_rate,
+        np.concatenate([squeezer_angles(SQUEEZER_START), np.zeros(7)]),
+        times,
+        rtol=1e-11,
+        atol=1e-13,
+    )
     np.testing.assert_allclose(reference[-1][:7], squeezer_angles(SQUEEZER_END), atol=1e-6)
     scene = load_scene("andrews_squeezer")
     for body, expected in zip(scene.bodies, squeezer_angles(SQUEEZER_START)):
@@ -381,14 +459,15 @@ def test_andrews_squeezer():
 
 # ---------------------------------------------------------------- spatial slider-crank
 
+
 def slider_crank(q, universal):
     """Place of the slider, its slope, and the rod's angular velocity at unit rate of the crank."""
     B = np.array([0.0, 0.1 - 0.08 * np.sin(q), 0.12 + 0.08 * np.cos(q)])
     dB = np.array([0.0, -0.08 * np.cos(q), -0.08 * np.sin(q)])
-    x = np.sqrt(0.3 ** 2 - B[1] ** 2 - B[2] ** 2)
+    x = np.sqrt(0.3**2 - B[1] ** 2 - B[2] ** 2)
     dx = -(B @ dB) / x
     along = (np.array([x, 0, 0]) - B) / 0.3
-    across = np.cross(along, (np.array([dx, 0, 0]) - dB) / 0.3)      # no turn about the rod itself
+    across = np.cross(along, (np.array([dx, 0, 0]) - dB) / 0.3)  # no turn about the rod itself
     if universal:
         # The slider does not turn and holds the first axis, x; the second one, across x and the
         # rod, is fixed in the rod. It turns about both, and not about their common normal.
@@ -402,15 +481,21 @@ def slider_crank_energies(q, universal):
     x, dx, along, omega, B, dB = slider_crank(q, universal)
     spin = omega @ along
     middle = (dB + np.array([dx, 0, 0])) / 2
-    kinetic = (1e-4 + 0.12 * 0.04 ** 2 + 2.0 * dx ** 2 + 0.5 * middle @ middle
-               + 4e-3 * (omega @ omega - spin ** 2) + 4e-4 * spin ** 2)
+    kinetic = (
+        1e-4
+        + 0.12 * 0.04**2
+        + 2.0 * dx**2
+        + 0.5 * middle @ middle
+        + 4e-3 * (omega @ omega - spin**2)
+        + 4e-4 * spin**2
+    )
     return kinetic, G * (0.12 * (0.12 + 0.04 * np.cos(q)) + 0.5 * B[2] / 2)
 
 
 def slider_crank_reference(times, universal=True):
     """Crank angle; the energy is kept."""
     kinetic, potential = slider_crank_energies(0.0, universal)
-    energy = 0.5 * kinetic * 6.0 ** 2 + potential
+    energy = 0.5 * kinetic * 6.0**2 + potential
 
     def rate(y):
         kinetic, potential = slider_crank_energies(y[0], universal)
@@ -423,8 +508,7 @@ def test_slider_crank():
     scene = load_scene("slider_crank")
     rod, slider = scene.bodies[1:]
     # given with the benchmark for a crank rate of 6 rad/s
-    np.testing.assert_allclose(rod.rotation @ rod.angular_velocity, [1.92, -0.96, 0.48],
-                               atol=1e-12)
+    np.testing.assert_allclose(rod.rotation @ rod.angular_velocity, [1.92, -0.96, 0.48], atol=1e-12)
     np.testing.assert_allclose(rod.rotation @ rod.linear_velocity, [0.12, -0.24, 0.0], atol=1e-12)
     np.testing.assert_allclose(slider.linear_velocity, [0.24, 0.0, 0.0], atol=1e-12)
     times = [0.5, 1.0, 3.0]
@@ -436,6 +520,7 @@ def test_slider_crank():
 
 # ---------------------------------------------------------------- flyball governor
 
+
 def governor_rate(y):
     """(arm's angle below the horizontal, height of the slider)''; the shaft's spin is kept."""
     alpha, s, dalpha, ds = y
@@ -443,36 +528,51 @@ def governor_rate(y):
     across += 0.3 * (com - 0.5) ** 2 + 5.0 * (1.0 - com) ** 2
 
     def about_shaft(alpha):
-        return (0.3 * 2e-4 / 12 + 3.0 * 0.02 / 12 + 2 * (
-            mass * (0.05 + com * np.cos(alpha)) ** 2 + along * np.sin(alpha) ** 2
-            + across * np.cos(alpha) ** 2))
+        return (
+            0.3 * 2e-4 / 12
+            + 3.0 * 0.02 / 12
+            + 2
+            * (
+                mass * (0.05 + com * np.cos(alpha)) ** 2
+                + along * np.sin(alpha) ** 2
+                + across * np.cos(alpha) ** 2
+            )
+        )
 
     spin = about_shaft(np.pi / 6) * 2 * np.pi / about_shaft(alpha)
-    slope = 4 * (-mass * (0.05 + com * np.cos(alpha)) * com * np.sin(alpha)
-                 + (along - across) * np.sin(alpha) * np.cos(alpha))
+    slope = 4 * (
+        -mass * (0.05 + com * np.cos(alpha)) * com * np.sin(alpha)
+        + (along - across) * np.sin(alpha) * np.cos(alpha)
+    )
     line = np.array([0.5 * np.cos(alpha), 1.0 - 0.5 * np.sin(alpha) - s])
     by_alpha = np.array([-0.5 * np.sin(alpha), -0.5 * np.cos(alpha)])
     length = np.hypot(*line)
     stretch = line @ (by_alpha * dalpha - np.array([0.0, ds])) / length
     pull = (8e5 * (length - 0.5) + 4e4 * stretch) * line / length
-    return [dalpha, ds,
-            (0.25 * slope * spin ** 2 + mass * G * com * np.cos(alpha) - pull @ by_alpha)
-            / (across + mass * com ** 2),
-            -G + 2 * pull[1] / 3.0]
+    return [
+        dalpha,
+        ds,
+        (0.25 * slope * spin**2 + mass * G * com * np.cos(alpha) - pull @ by_alpha)
+        / (across + mass * com**2),
+        -G + 2 * pull[1] / 3.0,
+    ]
 
 
 def test_flyball_governor():
     times = [0.5, 1.0, 2.0]
-    reference = solved(governor_rate, [np.pi / 6, 0.5, 0.0, 0.0], times, method="Radau",
-                       rtol=1e-10, atol=1e-12)
+    reference = solved(
+        governor_rate, [np.pi / 6, 0.5, 0.0, 0.0], times, method="Radau", rtol=1e-10, atol=1e-12
+    )
     scene = load_scene("flyball_governor")
     for body in scene.bodies:
-        np.testing.assert_allclose(body.rotation @ body.angular_velocity, [0, 0, 2 * np.pi],
-                                   atol=1e-12)
+        np.testing.assert_allclose(
+            body.rotation @ body.angular_velocity, [0, 0, 2 * np.pi], atol=1e-12
+        )
     for sample, (alpha, s, _, _) in zip(sampled(scene, 5e-5, times), reference):
         height = sample.positions["slider"][2]
         assert height == pytest.approx(s, abs=1e-7)
         for arm in ("arm1", "arm2"):
             assert np.arcsin(-sample.poses[arm][2, 0]) == pytest.approx(alpha, abs=1e-7)
         assert sample.spatial_momentum[2] == pytest.approx(
-            sampled(scene, 5e-5, [0.0])[0].spatial_momentum[2], rel=1e-9)
+            sampled(scene, 5e-5, [0.0])[0].spatial_momentum[2], rel=1e-9
+        )

@@ -3,6 +3,7 @@
 
 Orders without forces of velocity are in test_orders.py.
 """
+
 import engine
 import mechanisms
 import numpy as np
@@ -16,9 +17,9 @@ from liegroup_core.scene.description import Drag, Motor, TorsionalSpringDamper
 from liegroup_core.status import NOT_CONVERGED, ROTATION_TOO_LARGE
 
 CONSTRAINED = [name for name, method in METHODS.items() if method.family == "constrained"]
-UNIT = 2.0 ** -53
+UNIT = 2.0**-53
 # Steps per second by order.
-TIME = 0.5                          # s
+TIME = 0.5  # s
 RATES = {2: (256, 512, 1024), 4: (64, 128, 256), 8: (40, 48, 64)}
 
 
@@ -30,12 +31,18 @@ def slope(rates, errors):
 def driven():
     """A loop in gravity with springs, dampers, drag and a motor, and where it is after TIME."""
     scene = mechanisms.named("loop of hinges and balls")
-    scene = Scene(name="driven", gravity=scene.gravity, bodies=scene.bodies, joints=scene.joints,
-                  forces=[*scene.forces,
-                          Drag(name="air", body="b", linear=0.4, angular=0.2),
-                          TorsionalSpringDamper(name="wound", joint="j0", stiffness=2.0,
-                                                damping=0.5),
-                          Motor(name="drive", joint="j3", torque=0.3, rate_limit=20.0)])
+    scene = Scene(
+        name="driven",
+        gravity=scene.gravity,
+        bodies=scene.bodies,
+        joints=scene.joints,
+        forces=[
+            *scene.forces,
+            Drag(name="air", body="b", linear=0.4, angular=0.2),
+            TorsionalSpringDamper(name="wound", joint="j0", stiffness=2.0, damping=0.5),
+            Motor(name="drive", joint="j3", torque=0.3, rate_limit=20.0),
+        ],
+    )
     trajectory, uncertainty = integrate(scene, *Simulation(scene).state(), [TIME])
     assert uncertainty.attitude.max() < 1e-11
     return scene, trajectory
@@ -50,9 +57,13 @@ def test_order_with_forces_of_velocity(driven, method):
         simulation = Simulation(scene, method=method, step=1 / rate)
         simulation.advance(round(TIME * rate))
         pose, twist = simulation.state()
-        found.append([np.abs(pose[:, :9] - reference.rotation[0].reshape(-1, 9)).max(),
-                      np.abs(pose[:, 9:] - reference.position[0]).max(),
-                      np.abs(twist - reference.twist[0]).max()])
+        found.append(
+            [
+                np.abs(pose[:, :9] - reference.rotation[0].reshape(-1, 9)).max(),
+                np.abs(pose[:, 9:] - reference.position[0]).max(),
+                np.abs(twist - reference.twist[0]).max(),
+            ]
+        )
     for errors in np.transpose(found):
         assert slope(RATES[order], errors) == pytest.approx(order, abs=0.2)
 
@@ -66,7 +77,7 @@ def test_steps_back_undo_steps(method, name):
     1e-14, and a velocity to 2/h times that, 1e-11; three steps each way.
     """
     simulation = Simulation(mechanisms.named(name), method=method, step=2e-3)
-    simulation.advance(2)               # from here on joints are closed as the method closes them
+    simulation.advance(2)  # from here on joints are closed as the method closes them
     pose, twist = simulation.state()
     simulation.advance(3)
     there_pose, there_twist = simulation.state()
@@ -151,7 +162,7 @@ def test_compositions_are_symmetric_and_of_their_order():
         g = SUBSTEPS[name]
         assert (g == g[::-1]).all() and abs(g.sum() - 1.0) <= 4 * UNIT
         for power in range(3, METHODS[name].order, 2):
-            assert abs((g ** power).sum()) <= 10 * UNIT * (np.abs(g) ** power).sum()
+            assert abs((g**power).sum()) <= 10 * UNIT * (np.abs(g) ** power).sum()
 
 
 def test_wrenches_from_outside_and_a_new_start():
@@ -164,8 +175,9 @@ def test_wrenches_from_outside_and_a_new_start():
     mass = simulation.layout.model.bodies["mass"][0]
     moved = simulation.state()[0][0, 9:] - pose[0, 9:]
     # f/m (t1^2/2 + t1 t2), in 100 steps of a rounding
-    assert moved == pytest.approx(pose[0, :9].reshape(3, 3)[:, 0] * 3.0 / mass * 0.375,
-                                  abs=100 * UNIT)
+    assert moved == pytest.approx(
+        pose[0, :9].reshape(3, 3)[:, 0] * 3.0 / mass * 0.375, abs=100 * UNIT
+    )
 
 
 @pytest.mark.parametrize("method", CONSTRAINED)
@@ -185,8 +197,12 @@ def test_damping_that_repetition_cannot_settle_ends_with_a_status():
     """h c / 2 m = 5: every repetition is five times as far off as the one before."""
     free = load_scene("free_body")
     mass = free.bodies[0].mass
-    scene = Scene(name="thick", gravity=(0, 0, -9.81), bodies=free.bodies,
-                  forces=[Drag(name="honey", body="body", linear=1e4 * mass)])
+    scene = Scene(
+        name="thick",
+        gravity=(0, 0, -9.81),
+        bodies=free.bodies,
+        forces=[Drag(name="honey", body="body", linear=1e4 * mass)],
+    )
     simulation = Simulation(scene, method="constrained_rattle", step=1e-3)
     before = simulation.state()
     with pytest.raises(SimulationError, match="smaller step") as failure:

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The exact rotations against end states in 45 digits, Taylor series, and each other."""
+
 import mpmath as mp
 import numpy as np
 import pytest
@@ -11,18 +12,24 @@ TOP = ("15.234375", "0.46875", 15, (0, 1, 0), ("0", "0", "-9.81"))
 TOP_OMEGA = ("0", "150", "-4.61538")
 START = np.eye(3).tolist()
 # Taylor series of the polynomial equations of motion in 45 digits, as rows of R, then w.
-FREE_1 = ("0.67948695072138193 0.15978651402103335 0.71607663956895312 "
-          "0.18508239274714739 0.90710109646680989 -0.37803717897014038 "
-          "-0.70995914790525023 0.3894045078394925 0.5867896876905163 "
-          "0.44832395111839394 0.83054914365814067 -0.0065366678179422367")
-FREE_10 = ("0.19178161690691239 0.77079260376254685 -0.60753483307669178 "
-           "0.85411011090955504 -0.436001649248976 -0.28354625776800601 "
-           "-0.48344154750976658 -0.46452268387789887 -0.74195885755494269 "
-           "0.90423322093210655 -0.092267277872608393 -0.3331830261298791")
-TOP_1 = ("0.22929964080360759 0.17334396409838604 0.95779619170155087 "
-         "-0.76534074220468094 0.64008859207056878 0.067380580456872719 "
-         "-0.60139439891715374 -0.74849079113358131 0.27943928238402867 "
-         "-0.82207810168270446 150.0 -5.9232913481173362")
+FREE_1 = (
+    "0.67948695072138193 0.15978651402103335 0.71607663956895312 "
+    "0.18508239274714739 0.90710109646680989 -0.37803717897014038 "
+    "-0.70995914790525023 0.3894045078394925 0.5867896876905163 "
+    "0.44832395111839394 0.83054914365814067 -0.0065366678179422367"
+)
+FREE_10 = (
+    "0.19178161690691239 0.77079260376254685 -0.60753483307669178 "
+    "0.85411011090955504 -0.436001649248976 -0.28354625776800601 "
+    "-0.48344154750976658 -0.46452268387789887 -0.74195885755494269 "
+    "0.90423322093210655 -0.092267277872608393 -0.3331830261298791"
+)
+TOP_1 = (
+    "0.22929964080360759 0.17334396409838604 0.95779619170155087 "
+    "-0.76534074220468094 0.64008859207056878 0.067380580456872719 "
+    "-0.60139439891715374 -0.74849079113358131 0.27943928238402867 "
+    "-0.82207810168270446 150.0 -5.9232913481173362"
+)
 
 
 def numbers(found):
@@ -38,7 +45,7 @@ def by_series(inertia, omega, time, torque=lambda R: mp.zeros(3, 1)):
     """R and w by mpmath's Taylor series method, in 32 digits; torque of R in body axes."""
     with mp.workdps(32):
         inertia, omega = mp.matrix(inertia), [mp.mpf(c) for c in omega]
-        inverse = inertia ** -1
+        inverse = inertia**-1
 
         def hat(w):
             return mp.matrix([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
@@ -68,9 +75,17 @@ def test_lagrangian_top_at_its_golden_end_state():
         assert max(abs(a - mp.mpf(b)) for a, b in zip(numbers(found), TOP_1.split())) <= 5e-16
 
 
-@pytest.mark.parametrize("omega", [
-    ("0.3", "1.2", "0.1"), ("-0.7", "0.5", "-1.4"), ("2", "-0.4", "0.3"), ("0", "1", "1e-9"),
-    ("1e-25", "1", "0")], ids=["below", "above", "below, fast", "separatrix", "nearer"])
+@pytest.mark.parametrize(
+    "omega",
+    [
+        ("0.3", "1.2", "0.1"),
+        ("-0.7", "0.5", "-1.4"),
+        ("2", "-0.4", "0.3"),
+        ("0", "1", "1e-9"),
+        ("1e-25", "1", "0"),
+    ],
+    ids=["below", "above", "below, fast", "separatrix", "nearer"],
+)
 def test_free_body_in_any_regime_against_taylor_series(omega):
     """Also 1e-9 and 1e-25 from the unstable axis, where the modulus is 1 but for their squares."""
     diagonal = ("0.9144", "1.098", "1.66")
@@ -100,14 +115,21 @@ def test_free_body_with_a_full_inertia_from_any_attitude():
         assert far((mp.matrix(turn) * found[0], found[1]), turned) <= mp.mpf(10) ** -28
 
 
-@pytest.mark.parametrize("inertia, omega", [
-    ((2, 2, 2), (1, 2, 3)), ((2, 3, 4), (0, 5, 0)), ((2, 3, 4), (0, 0, 0)),
-    ((2, 2, 4), (1, 2, 0))])
+@pytest.mark.parametrize(
+    "inertia, omega",
+    [
+        ((2, 2, 2), (1, 2, 3)),
+        ((2, 3, 4), (0, 5, 0)),
+        ((2, 3, 4), (0, 0, 0)),
+        ((2, 2, 4), (1, 2, 0)),
+    ],
+)
 def test_steady_rotations(inertia, omega):
     R, w = free_body(inertia, START, omega, 1)
     with mp.workdps(40):
-        hat = mp.matrix([[0, -omega[2], omega[1]], [omega[2], 0, -omega[0]],
-                         [-omega[1], omega[0], 0]])
+        hat = mp.matrix(
+            [[0, -omega[2], omega[1]], [omega[2], 0, -omega[0]], [-omega[1], omega[0], 0]]
+        )
         assert far((R, w), (mp.expm(hat), omega)) <= mp.mpf(10) ** -28
 
 
@@ -127,8 +149,9 @@ def test_heavy_top_against_taylor_series():
 
     def torque(R):
         f = mp.mpf("0.7") * (R.T * g)
-        return mp.matrix([e[1] * f[2] - e[2] * f[1], e[2] * f[0] - e[0] * f[2],
-                          e[0] * f[1] - e[1] * f[0]])
+        return mp.matrix(
+            [e[1] * f[2] - e[2] * f[1], e[2] * f[0] - e[0] * f[2], e[0] * f[1] - e[1] * f[0]]
+        )
 
     with mp.workdps(40):
         found = heavy_top("1.3", "0.5", "0.7", e, g, START, omega, 1)
@@ -138,7 +161,7 @@ def test_heavy_top_against_taylor_series():
 def test_steady_precession_of_a_heavy_top():
     """Horizontal axis: the precession W with I_3 w_3 W = m g l needs no nutation."""
     spin, precession = mp.mpf(8), mp.mpf(1) / 4
-    gravity = 3 * spin * precession / 2             # I_3 w_3 W / (m l)
+    gravity = 3 * spin * precession / 2  # I_3 w_3 W / (m l)
     R, _ = heavy_top(5, 3, 2, (0, 0, 1), (0, -gravity, 0), START, (0, precession, spin), 2)
     # The axis starts along z, up is y: turned by W t about y. Compared in 15 digits.
     end = (mp.sin(2 * precession), 0, mp.cos(2 * precession))

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Motions under springs, motors, drag and timed wrenches against their closed forms."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -24,10 +25,10 @@ from liegroup_core.scene import (
 from liegroup_core.scene.forces import SLIDING
 from liegroup_core.status import ROTATION_TOO_LARGE, TURNS_NOT_COUNTED
 
-EPS = 2.0 ** -52
+EPS = 2.0**-52
 BOTH = pytest.mark.parametrize("group", ["se3", "so3xr3"])
 AXIS = np.array([1.0, 2.0, 2.0]) / 3.0
-START = {"quaternion": (0.1, -0.5, 0.1, 0.8544003745)}     # of no special direction
+START = {"quaternion": (0.1, -0.5, 0.1, 0.8544003745)}  # of no special direction
 
 
 def slope(errors):
@@ -42,21 +43,50 @@ INERTIA = (0.3, 0.4, 0.5)
 def hinged(*forces, spin=0.0):
     """A body that turns about a ground hinge along AXIS, 0.2 m from its centre of mass."""
     arm = 0.2 * np.cross(AXIS, [1.0, 0.0, 0.0]) / np.linalg.norm(np.cross(AXIS, [1.0, 0.0, 0.0]))
-    scene = Scene(name="hinged", gravity=(0, 0, 0), bodies=[
-        Body(name="arm", mass=2.0, inertia=INERTIA, position=arm,
-             angular_velocity=spin * AXIS, linear_velocity=np.cross(spin * AXIS, arm))],
-        joints=[Joint(name="hinge", type="revolute", parent="world", child="arm",
-                      parent_frame=Frame(axis=AXIS))], forces=forces)
-    return scene, AXIS @ np.diag(INERTIA) @ AXIS + 2.0 * 0.2 ** 2
+    scene = Scene(
+        name="hinged",
+        gravity=(0, 0, 0),
+        bodies=[
+            Body(
+                name="arm",
+                mass=2.0,
+                inertia=INERTIA,
+                position=arm,
+                angular_velocity=spin * AXIS,
+                linear_velocity=np.cross(spin * AXIS, arm),
+            )
+        ],
+        joints=[
+            Joint(
+                name="hinge",
+                type="revolute",
+                parent="world",
+                child="arm",
+                parent_frame=Frame(axis=AXIS),
+            )
+        ],
+        forces=forces,
+    )
+    return scene, AXIS @ np.diag(INERTIA) @ AXIS + 2.0 * 0.2**2
 
 
 def pair(*forces, spin=0.0):
     """Two free bodies with a hinge through both centres of mass; reduced inertia of their turn."""
-    bodies = [Body(name="first", mass=2.0, inertia=INERTIA, angular_velocity=(0, 0, -spin)),
-              Body(name="second", mass=1.0, inertia=(0.1, 0.1, 0.2), position=(0, 0, 0.3))]
-    scene = Scene(name="pair", gravity=(0, 0, 0), bodies=bodies, joints=[
-        Joint(name="hinge", type="revolute", parent="first", child="second",
-              child_frame=Frame())], forces=forces)
+    bodies = [
+        Body(name="first", mass=2.0, inertia=INERTIA, angular_velocity=(0, 0, -spin)),
+        Body(name="second", mass=1.0, inertia=(0.1, 0.1, 0.2), position=(0, 0, 0.3)),
+    ]
+    scene = Scene(
+        name="pair",
+        gravity=(0, 0, 0),
+        bodies=bodies,
+        joints=[
+            Joint(
+                name="hinge", type="revolute", parent="first", child="second", child_frame=Frame()
+            )
+        ],
+        forces=forces,
+    )
     return scene, 1.0 / (1.0 / INERTIA[2] + 1.0 / 0.2)
 
 
@@ -76,8 +106,9 @@ def principal(sample, scene):
 def test_torsional_oscillator_over_many_turns(made, group):
     """theta = theta0 + e^{-d t} (A cos wt + B sin wt) from rest, wound by 6.4 turns."""
     stiffness, damping, rest = 3.0, 0.05, 40.0
-    spring = TorsionalSpringDamper(name="coil", joint="hinge", stiffness=stiffness,
-                                   damping=damping, rest_angle=rest)
+    spring = TorsionalSpringDamper(
+        name="coil", joint="hinge", stiffness=stiffness, damping=damping, rest_angle=rest
+    )
     scene, inertia = made(spring)
     d = damping / (2 * inertia)
     w = np.sqrt(stiffness / inertia - d * d)
@@ -105,30 +136,43 @@ def test_torsional_oscillator_over_many_turns(made, group):
 
 
 def test_the_energy_of_a_wound_spring_is_kept():
-    scene, _ = hinged(TorsionalSpringDamper(name="coil", joint="hinge", stiffness=3.0,
-                                            rest_angle=40.0))
+    scene, _ = hinged(
+        TorsionalSpringDamper(name="coil", joint="hinge", stiffness=3.0, rest_angle=40.0)
+    )
     simulation = Simulation(scene, step=1e-3)
-    assert simulation.sample().energy == pytest.approx(0.5 * 3.0 * 40.0 ** 2, rel=4 * EPS)
+    assert simulation.sample().energy == pytest.approx(0.5 * 3.0 * 40.0**2, rel=4 * EPS)
     simulation.advance(4000)
     # The method loses (h w)^6 / 72 = 3e-18 a step at w = 2.4 / s; rounding a few eps a step.
-    assert simulation.sample().energy == pytest.approx(0.5 * 3.0 * 40.0 ** 2, rel=4 * 4000 * EPS)
+    assert simulation.sample().energy == pytest.approx(0.5 * 3.0 * 40.0**2, rel=4 * 4000 * EPS)
 
 
 def test_a_joint_at_half_a_turn_starts_at_plus_pi():
     """Whichever sign round-off gives to the sine."""
     for turn in (np.pi - 1e-12, np.pi + 1e-12, -np.pi):
-        scene = Scene(name="half", gravity=(0, 0, 0), bodies=[
-            Body(name="a", mass=1, inertia=(1, 1, 1), rotation_vector=(0, 0, turn))], joints=[
-            Joint(name="hinge", type="revolute", parent="world", child="a", parent_frame=Frame(),
-                  child_frame=Frame())],
-            forces=[TorsionalSpringDamper(name="coil", joint="hinge", stiffness=1)])
+        scene = Scene(
+            name="half",
+            gravity=(0, 0, 0),
+            bodies=[Body(name="a", mass=1, inertia=(1, 1, 1), rotation_vector=(0, 0, turn))],
+            joints=[
+                Joint(
+                    name="hinge",
+                    type="revolute",
+                    parent="world",
+                    child="a",
+                    parent_frame=Frame(),
+                    child_frame=Frame(),
+                )
+            ],
+            forces=[TorsionalSpringDamper(name="coil", joint="hinge", stiffness=1)],
+        )
         assert Simulation(scene).sample().angles[0] == pytest.approx(np.pi, abs=2e-12)
 
 
 def test_turns_belong_to_the_state():
     """A pose does not tell them: a state without angles is one that is wound by less than pi."""
-    scene, _ = hinged(TorsionalSpringDamper(name="coil", joint="hinge", stiffness=3.0,
-                                            rest_angle=40.0))
+    scene, _ = hinged(
+        TorsionalSpringDamper(name="coil", joint="hinge", stiffness=3.0, rest_angle=40.0)
+    )
     simulation, other = Simulation(scene), Simulation(scene)
     simulation.advance(700)
     middle = simulation.sample()
@@ -145,7 +189,8 @@ def test_turns_belong_to_the_state():
     assert abs(before.angles[0] - simulation.sample().angles[0]) > np.pi
     other.set_state(middle.pose, middle.twist)
     assert other.sample().angles[0] == pytest.approx(
-        middle.angles[0] - 2 * np.pi * round(middle.angles[0] / (2 * np.pi)), abs=1e-12)
+        middle.angles[0] - 2 * np.pi * round(middle.angles[0] / (2 * np.pi)), abs=1e-12
+    )
     alone = simulation.layout.sample(middle.pose, middle.twist, near=middle.angles + 1.0)
     assert alone.angles[0] == middle.angles[0]
     simulation.reset()
@@ -158,7 +203,8 @@ def test_turns_belong_to_the_state():
 def test_turns_that_cannot_be_counted_stop_the_run():
     """Beyond half a turn a step the nearest angle would be one turn off, and silently so."""
     scene, inertia = hinged(
-        TorsionalSpringDamper(name="coil", joint="hinge", stiffness=1e-3), spin=70.0)
+        TorsionalSpringDamper(name="coil", joint="hinge", stiffness=1e-3), spin=70.0
+    )
     simulation = Simulation(scene, step=0.05)
     with pytest.raises(SimulationError, match="joint of coil turns by half a turn") as failure:
         simulation.advance(10)
@@ -182,8 +228,9 @@ def test_motor_with_a_rate_limit_spins_up_exponentially(made, group):
         simulation = Simulation(scene, step=h, group=group)
         simulation.advance(round(4.8 / h))
         twists = simulation.sample().twists
-        rate = (AXIS @ twists["arm"][:3] if made is hinged
-                else twists["second"][2] - twists["first"][2])
+        rate = (
+            AXIS @ twists["arm"][:3] if made is hinged else twists["second"][2] - twists["first"][2]
+        )
         wanted = -limit * (1.0 - np.exp(-4.8 / constant))
         errors[h] = abs(rate - wanted)
         assert rate > -limit
@@ -203,16 +250,19 @@ def test_a_motor_without_a_limit_gives_constant_torque():
     assert sample.energy == pytest.approx(0.5 * (0.8 * 5.0) ** 2 / inertia, rel=10000 * EPS)
 
 
-@pytest.mark.parametrize("rate, wanted", [(0.0, 2.0), (6.0, 1.0), (12.0, 0.0), (18.0, -1.0),
-                                          (-12.0, 4.0)])
+@pytest.mark.parametrize(
+    "rate, wanted", [(0.0, 2.0), (6.0, 1.0), (12.0, 0.0), (18.0, -1.0), (-12.0, 4.0)]
+)
 def test_the_line_of_a_motor(rate, wanted):
     """Falling to zero at the limit, braking beyond, and more than at rest if turned backwards."""
-    scene, inertia = hinged(Motor(name="drive", joint="hinge", torque=2.0, rate_limit=12.0),
-                            spin=rate)
+    scene, inertia = hinged(
+        Motor(name="drive", joint="hinge", torque=2.0, rate_limit=12.0), spin=rate
+    )
     assert Simulation(scene).sample().power == pytest.approx(wanted * rate, abs=1e-13)
 
 
 # ---------------------------------------------------------------- on sliders
+
 
 def along_z(force, joint_type):
     """A simulation of two bodies that move along the z axis of a joint, and their reduced mass.
@@ -220,26 +270,40 @@ def along_z(force, joint_type):
     joint_type None: two free bodies and the force on a line through their centres of mass, which
     stay on it
     """
-    bodies = [Body(name="first", mass=2.0, inertia=INERTIA, **START),
-              Body(name="second", mass=1.0, inertia=(0.1, 0.1, 0.2), position=0.5 * AXIS, **START)]
+    bodies = [
+        Body(name="first", mass=2.0, inertia=INERTIA, **START),
+        Body(name="second", mass=1.0, inertia=(0.1, 0.1, 0.2), position=0.5 * AXIS, **START),
+    ]
     ground = Frame(axis=bodies[0].rotation.T @ AXIS)
-    joint = Joint(name="slider", type=joint_type or "spherical", parent="first", child="second",
-                  parent_frame=ground,
-                  child_frame=Frame(axis=ground.axis) if joint_type else None)
-    scene = Scene(name="line", gravity=(0, 0, 0), bodies=bodies,
-                  joints=[joint] if joint_type else [], forces=[force] if joint_type else [])
+    joint = Joint(
+        name="slider",
+        type=joint_type or "spherical",
+        parent="first",
+        child="second",
+        parent_frame=ground,
+        child_frame=Frame(axis=ground.axis) if joint_type else None,
+    )
+    scene = Scene(
+        name="line",
+        gravity=(0, 0, 0),
+        bodies=bodies,
+        joints=[joint] if joint_type else [],
+        forces=[force] if joint_type else [],
+    )
     simulation = Simulation(scene, step=0.02)
     if joint_type is None:
         ends = {"slider": (0, 1, ground.pose, ground.pose)}
         forces = kinds.make_forces([force], {"first": 0, "second": 1}, ends)
-        simulation.layout = replace(simulation.layout,
-                                    model=simulation.layout.model.replace(forces=forces))
+        simulation.layout = replace(
+            simulation.layout, model=simulation.layout.model.replace(forces=forces)
+        )
         simulation._integrator._model = simulation.layout.model
     return simulation, 1.0 / (1.0 / 2.0 + 1.0 / 1.0)
 
 
 ON_A_LINE = pytest.mark.parametrize(
-    "joint_type", [None, *(kind for kind in SLIDING if kind in LOWER_PAIRS and kind != "screw")])
+    "joint_type", [None, *(kind for kind in SLIDING if kind in LOWER_PAIRS and kind != "screw")]
+)
 
 
 def separation(sample):
@@ -249,10 +313,13 @@ def separation(sample):
 @ON_A_LINE
 def test_linear_spring_damper(joint_type):
     stiffness, damping, rest = 30.0, 1.0, 0.8
-    simulation, mass = along_z(LinearSpringDamper(
-        name="coil", joint="slider", stiffness=stiffness, damping=damping, rest_position=rest),
-        joint_type)
-    assert simulation.sample().energy == pytest.approx(0.5 * stiffness * 0.3 ** 2, rel=1e-14)
+    simulation, mass = along_z(
+        LinearSpringDamper(
+            name="coil", joint="slider", stiffness=stiffness, damping=damping, rest_position=rest
+        ),
+        joint_type,
+    )
+    assert simulation.sample().energy == pytest.approx(0.5 * stiffness * 0.3**2, rel=1e-14)
     d = damping / (2 * mass)
     w = np.sqrt(stiffness / mass - d * d)
     simulation.advance(100)
@@ -270,8 +337,9 @@ def test_linear_spring_damper(joint_type):
 def test_linear_motor(joint_type, force):
     """v = limit (1 - e^{-t/T}) with T = m limit / |force|, in the direction of the force."""
     limit = 2.0
-    simulation, mass = along_z(LinearMotor(name="drive", joint="slider", force=force,
-                                           speed_limit=limit), joint_type)
+    simulation, mass = along_z(
+        LinearMotor(name="drive", joint="slider", force=force, speed_limit=limit), joint_type
+    )
     constant = mass * limit / abs(force)
     simulation.advance(100)
     wanted = 0.5 + np.sign(force) * limit * (2.0 - constant * (1.0 - np.exp(-2.0 / constant)))
@@ -282,10 +350,15 @@ def test_linear_motor(joint_type, force):
 
 # ---------------------------------------------------------------- drag
 
+
 def dragged(v=(0, 0, 0), w=(0, 0, 0), **drag):
     body = Body(name="b", mass=2.0, inertia=INERTIA, linear_velocity=v, angular_velocity=w)
-    return Scene(name="dragged", gravity=(0, 0, 0), bodies=[body],
-                 forces=[Drag(name="air", body="b", **drag)])
+    return Scene(
+        name="dragged",
+        gravity=(0, 0, 0),
+        bodies=[body],
+        forces=[Drag(name="air", body="b", **drag)],
+    )
 
 
 @BOTH
@@ -293,9 +366,10 @@ def test_linear_drag_decays_exponentially(group):
     """v = v0 e^{-c t / m}; the spin about a principal axis likewise with its moment."""
     simulation = Simulation(dragged(v=(3, -2, 1), linear=4.0), step=0.01, group=group)
     simulation.advance(100)
-    bound = (0.01 * 2.0) ** 4 * 2.0 / 120       # (h c/m)^4 (c/m) t / 120 relative
-    np.testing.assert_allclose(simulation.sample().twists["b"][3:],
-                               np.exp(-2.0) * np.array([3, -2, 1]), rtol=1.1 * bound)
+    bound = (0.01 * 2.0) ** 4 * 2.0 / 120  # (h c/m)^4 (c/m) t / 120 relative
+    np.testing.assert_allclose(
+        simulation.sample().twists["b"][3:], np.exp(-2.0) * np.array([3, -2, 1]), rtol=1.1 * bound
+    )
     travelled = (1.0 - np.exp(-2.0)) / 2.0 * np.array([3, -2, 1])
     np.testing.assert_allclose(simulation.sample().positions["b"], travelled, rtol=1.1 * bound)
     simulation = Simulation(dragged(w=(0, 5, 0), angular=0.8), step=0.01, group=group)
@@ -315,7 +389,8 @@ def test_quadratic_drag_decays_like_a_hyperbola(group):
         sample = simulation.sample()
         errors[h] = abs(np.linalg.norm(sample.twists["b"][3:]) - speed / (1 + 0.5 * speed * 2.4))
         assert np.linalg.norm(sample.positions["b"]) == pytest.approx(
-            np.log(1 + 0.5 * speed * 2.4) / 0.5, rel=1e-4)
+            np.log(1 + 0.5 * speed * 2.4) / 0.5, rel=1e-4
+        )
     assert slope(errors) == pytest.approx(4.0, abs=0.3) and errors[0.02] < 1e-8
     simulation = Simulation(dragged(w=(0, 0, 4), angular_quadratic=0.25), step=0.01, group=group)
     simulation.advance(100)
@@ -324,16 +399,26 @@ def test_quadratic_drag_decays_like_a_hyperbola(group):
 
 # ---------------------------------------------------------------- wrenches with times
 
+
 def pushed(step, start, end, group="se3", spin=(1, 2, -3), **wrench):
     body = Body(name="b", mass=2.0, inertia=INERTIA, angular_velocity=spin, **START)
-    return Simulation(Scene(name="pushed", gravity=(0, 0, 0), bodies=[body], forces=[
-        ConstantWrench(name="push", body="b", start=start, end=end, **wrench)]),
-        step=step, group=group)
+    return Simulation(
+        Scene(
+            name="pushed",
+            gravity=(0, 0, 0),
+            bodies=[body],
+            forces=[ConstantWrench(name="push", body="b", start=start, end=end, **wrench)],
+        ),
+        step=step,
+        group=group,
+    )
 
 
 @pytest.mark.parametrize("group, spin", [("se3", (0, 0, 0)), ("so3xr3", (1, 2, -3))])
-@pytest.mark.parametrize("start, end", [(0.1234567, 0.7654321), (0.0, 0.31), (0.50001, 0.50002),
-                                        (0.1, 0.2), (0.8, None), (2.0, 3.0)])
+@pytest.mark.parametrize(
+    "start, end",
+    [(0.1234567, 0.7654321), (0.0, 0.31), (0.50001, 0.50002), (0.1, 0.2), (0.8, None), (2.0, 3.0)],
+)
 def test_impulse_is_force_times_time(start, end, group, spin):
     """Exact but for rounding, whether or not the times fall on steps.
 
@@ -350,8 +435,15 @@ def test_impulse_is_force_times_time(start, end, group, spin):
 
 
 def test_a_torque_at_rest_gives_its_impulse():
-    simulation = pushed(0.01, 0.1234567, 0.7654321, spin=(0, 0, 0), torque=(0, 0, 2.0),
-                        force=(0, 0, 1.0), point=(0, 0, 4.0))
+    simulation = pushed(
+        0.01,
+        0.1234567,
+        0.7654321,
+        spin=(0, 0, 0),
+        torque=(0, 0, 2.0),
+        force=(0, 0, 1.0),
+        point=(0, 0, 4.0),
+    )
     simulation.advance(100)
     twist = simulation.sample().twists["b"]
     wanted = [0, 0, 2.0 * 0.6419754 / 0.5, 0, 0, 0.6419754 / 2.0]
@@ -366,28 +458,47 @@ def test_a_force_off_the_centre_of_mass_turns_the_body():
     for simulation in (one, two):
         simulation.advance(100)
     np.testing.assert_allclose(one.state()[0], two.state()[0], atol=1e-12)
-    assert not np.allclose(one.state()[0], pushed(
-        0.01, 0.0, 0.55555, force=force).state()[0], atol=1e-3)
+    assert not np.allclose(
+        one.state()[0], pushed(0.01, 0.0, 0.55555, force=force).state()[0], atol=1e-3
+    )
 
 
 def oscillator(step, **times):
     """A mass of 2 kg on a spring of 18 N/m (3 rad/s), pushed with 5 N along x for a while."""
-    forces = [SpringDamper(name="spring", parent="world", child="b", parent_point=(0, 0, 0),
-                           child_point=(0, 0, 0), stiffness=18.0)]
+    forces = [
+        SpringDamper(
+            name="spring",
+            parent="world",
+            child="b",
+            parent_point=(0, 0, 0),
+            child_point=(0, 0, 0),
+            stiffness=18.0,
+        )
+    ]
     if times:
         forces.append(ConstantWrench(name="push", body="b", force=(5.0, 0, 0), **times))
-    return Simulation(Scene(name="oscillator", gravity=(0, 0, 0), bodies=[
-        Body(name="b", mass=2.0, inertia=INERTIA)], forces=forces), step=step)
+    return Simulation(
+        Scene(
+            name="oscillator",
+            gravity=(0, 0, 0),
+            bodies=[Body(name="b", mass=2.0, inertia=INERTIA)],
+            forces=forces,
+        ),
+        step=step,
+    )
 
 
 STEPS = {h: round(4.0 / h) for h in (0.1, 0.025, 0.00625)}
-ON, OFF = 2.0 / 3.0, 7.0 / 3.0              # always at 2/3 and 1/3 of a step
+ON, OFF = 2.0 / 3.0, 7.0 / 3.0  # always at 2/3 and 1/3 of a step
 
 
 def pushed_place(t):
     """f/k (1 - cos w (t - on)) and the same backwards from `off` on."""
-    return 5.0 / 18.0 * ((t > ON) * (1 - np.cos(3.0 * (t - ON)))
-                         - (t > OFF) * (1 - np.cos(3.0 * (t - OFF))))
+    return (
+        5.0
+        / 18.0
+        * ((t > ON) * (1 - np.cos(3.0 * (t - ON))) - (t > OFF) * (1 - np.cos(3.0 * (t - OFF))))
+    )
 
 
 def worst_of_run(simulation, steps):
@@ -453,7 +564,7 @@ def test_timetable():
     rows = np.zeros(3, dtype=kinds.KINDS["applied_wrench"].ROW)
     rows["start"] = 0.0, 0.3, 0.42
     rows["end"] = np.inf, 0.5, 0.44
-    table = Timetable(rows, 0.1)            # 3 * 0.1 is not 0.3 in binary, but it is meant
+    table = Timetable(rows, 0.1)  # 3 * 0.1 is not 0.3 in binary, but it is meant
     changes, step = [], -1
     while (step := table.next_change(step)) < 100:
         changes.append(step)
@@ -462,8 +573,11 @@ def test_timetable():
     assert whole == 0.1 and acting.tolist() == [True, True, False]
     durations, acting = zip(*table.parts(4))
     assert durations == pytest.approx((0.02, 0.02, 0.06), rel=1e-13)
-    assert [a.tolist() for a in acting] == [[True, True, False], [True, True, True],
-                                            [True, True, False]]
+    assert [a.tolist() for a in acting] == [
+        [True, True, False],
+        [True, True, True],
+        [True, True, False],
+    ]
     assert table.parts(5)[0][1].tolist() == [True, False, False]
 
 
@@ -473,9 +587,15 @@ def test_a_time_in_decimals_is_the_step_it_means(steps, step, time, sign):
     assert np.sign(steps * step - time) == sign
     body = Body(name="b", mass=1.0, inertia=INERTIA)
     for key, before, after in (("start", 0.0, 1.0), ("end", 1.0, 0.0)):
-        simulation = Simulation(Scene(name="s", gravity=(0, 0, 0), bodies=[
-            body.model_copy(update={"linear_velocity": (1, 0, 0)})], forces=[
-            ConstantWrench(name="push", body="b", force=(1, 0, 0), **{key: time})]), step=step)
+        simulation = Simulation(
+            Scene(
+                name="s",
+                gravity=(0, 0, 0),
+                bodies=[body.model_copy(update={"linear_velocity": (1, 0, 0)})],
+                forces=[ConstantWrench(name="push", body="b", force=(1, 0, 0), **{key: time})],
+            ),
+            step=step,
+        )
         table = Timetable(simulation.layout.model.forces.applied_wrench, step)
         assert [len(table.parts(k)) for k in (steps - 1, steps)] == [1, 1]
         assert [bool(table.parts(k)[0][1][0]) for k in (steps - 1, steps)] == [before, after]

@@ -5,6 +5,7 @@ It has one freedom and no force, so its crank speed is a function of its angle a
 after one second, the period and the speed follow from integrals in many digits. Bounds of errors
 are those of an independent implementation of the same method with another form of the joint rows.
 """
+
 import numpy as np
 import pytest
 from planar_four_bar import PlanarFourBar
@@ -12,10 +13,10 @@ from planar_four_bar import PlanarFourBar
 from liegroup_core import Simulation
 from liegroup_sim_ros.chapter.joint_runs import CRANK_RATE, four_bar, joint_errors
 
-ANGLE_1 = -0.765225378176                   # rad, modulo a turn: crank after 1 s
-TURNS_1 = 5.628211                          # turns it has made by then
-SPEED_1 = 31.566340728                      # rad/s there
-PERIOD = 0.179647407394                     # s
+ANGLE_1 = -0.765225378176  # rad, modulo a turn: crank after 1 s
+TURNS_1 = 5.628211  # turns it has made by then
+SPEED_1 = 31.566340728  # rad/s there
+PERIOD = 0.179647407394  # s
 ANGLE_ERROR = {5e-3: 2.1e-1, 2e-3: 2.2e-2, 1e-3: 1.7e-3, 1e-4: 1.87e-7}
 GROUPS = ("se3", "so3xr3")
 
@@ -31,8 +32,11 @@ def angle_error(run):
 
 @pytest.fixture(scope="module")
 def runs():
-    return {(group, step): joint_errors(four_bar(), step, group, 1.0)
-            for group in GROUPS for step in ANGLE_ERROR}
+    return {
+        (group, step): joint_errors(four_bar(), step, group, 1.0)
+        for group in GROUPS
+        for step in ANGLE_ERROR
+    }
 
 
 @pytest.mark.parametrize("group", GROUPS)
@@ -40,7 +44,8 @@ def test_crank_angle_after_a_second(runs, group):
     for step, elsewhere in ANGLE_ERROR.items():
         assert angle_error(runs[group, step]) <= 1.1 * elsewhere
     assert crank_angle(runs[group, 1e-4])[-1] == pytest.approx(
-        2.0 * np.pi * (0.25 + TURNS_1), abs=2.0 * np.pi * 1e-6)
+        2.0 * np.pi * (0.25 + TURNS_1), abs=2.0 * np.pi * 1e-6
+    )
 
 
 def test_ground_joints_stay_at_round_off_on_se3(runs):
@@ -93,9 +98,11 @@ def test_period_of_the_crank():
     angle = crank_angle(run)
     wanted = np.pi / 2.0 + 5 * 2.0 * np.pi
     near = np.searchsorted(angle, wanted) + np.arange(-2, 2)
-    time = np.polyval(np.polyfit(angle[near] - wanted, run.times[near] - run.times[near[0]], 3),
-                      0.0) + run.times[near[0]]
-    slowest = 19.6                          # rad/s
+    time = (
+        np.polyval(np.polyfit(angle[near] - wanted, run.times[near] - run.times[near[0]], 3), 0.0)
+        + run.times[near[0]]
+    )
+    slowest = 19.6  # rad/s
     assert abs(time - 5.0 * PERIOD) <= (1.1 * ANGLE_ERROR[1e-4] + 1e-11) / slowest
     speed = speeds(run)
     assert speed.min() == pytest.approx(19.603, abs=1e-3)
@@ -104,13 +111,15 @@ def test_period_of_the_crank():
 
 def test_speed_after_a_second():
     """Along the run the speed changes by at most 40 rad/s per radian of lag, and by half of the
-    relative error of energy."""
+    relative error of energy.
+    """
     simulation = Simulation(four_bar(), step=1e-4)
     start = simulation.energy()
     simulation.advance(10_000)
     lost = abs(simulation.energy() / start - 1.0)
     assert simulation.sample().twists["crank"][2] == pytest.approx(
-        SPEED_1, abs=40.0 * 1.1 * ANGLE_ERROR[1e-4] + SPEED_1 * lost)
+        SPEED_1, abs=40.0 * 1.1 * ANGLE_ERROR[1e-4] + SPEED_1 * lost
+    )
 
 
 def test_energy_drifts_at_order_four(runs):
@@ -120,10 +129,17 @@ def test_energy_drifts_at_order_four(runs):
         for step in ANGLE_ERROR:
             energy = runs[group, step].energy
             # Bars that turn about an end, and the coupler: 1/2 (w I w + v m v) at the start.
-            assert energy[0] == pytest.approx(sum(
-                0.5 * (body.mass * np.dot(body.linear_velocity, body.linear_velocity)
-                       + body.inertia[2] * body.angular_velocity[2] ** 2)
-                for body in scene.bodies), rel=1e-14)
+            assert energy[0] == pytest.approx(
+                sum(
+                    0.5
+                    * (
+                        body.mass * np.dot(body.linear_velocity, body.linear_velocity)
+                        + body.inertia[2] * body.angular_velocity[2] ** 2
+                    )
+                    for body in scene.bodies
+                ),
+                rel=1e-14,
+            )
             drift[step] = np.abs(energy / energy[0] - 1.0).max()
             # What a freedom's speed lacks by it, over 34 rad, is more than the angle's error.
             assert angle_error(runs[group, step]) <= 34.0 * drift[step] / 2.0

@@ -5,6 +5,7 @@ Golden end state: Taylor series of the polynomial equations of motion in 45 digi
 DOP853 run agrees to 1e-10. With zero rest length and the centre of mass at R rc the spring acts as
 a constant field, so this top has a reference without any of our code.
 """
+
 import math
 
 import numpy as np
@@ -12,10 +13,13 @@ import pytest
 
 from liegroup_core import Simulation, load_scene
 
-R_6 = np.array([
-    [0.72338819974053045, -0.25225153160076429, -0.6427119707001131],
-    [-0.18843768873839291, 0.82340059951614024, -0.53525946061643169],
-    [0.66422944073496695, 0.50831153589263489, 0.54810458175368647]])
+R_6 = np.array(
+    [
+        [0.72338819974053045, -0.25225153160076429, -0.6427119707001131],
+        [-0.18843768873839291, 0.82340059951614024, -0.53525946061643169],
+        [0.66422944073496695, 0.50831153589263489, 0.54810458175368647],
+    ]
+)
 R_COM_6 = np.array([0.36169409987026524, -0.09421884436919646, 0.33211472036748346])
 OMEGA_6 = np.array([-0.0041293748192801087, -8.5248086858488045, -0.4237118796976931])
 HORIZON = 6.0

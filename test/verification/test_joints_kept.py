@@ -7,6 +7,7 @@ the direct product's wherever turning moves the centre of mass or along the axis
 sleeve and screw open, at the method's order, while slider, plate and weld stay closed. Between
 two moving bodies, and for joints that are no subgroups, joints open at the method's order on both.
 """
+
 import engine
 import mechanisms
 import numpy as np
@@ -32,31 +33,36 @@ def opening(kind, group, step, seed, method, steps=1000):
     S = J M^-1 J^T, 12 to 99 here; measured: up to 0.5 of that, for nine seeds.
     returns (residual / distance moved, residual / bound), the largest each
     """
-    scene = mechanisms.mechanism(np.random.default_rng([seed, 7]), [("world", "a", kind)],
-                                 springs=0)
+    scene = mechanisms.mechanism(
+        np.random.default_rng([seed, 7]), [("world", "a", kind)], springs=0
+    )
     simulation = Simulation(scene, method=method, step=step, group=group)
     rate = 1e-14
     if group == "so3xr3":
         J = engine.rows(simulation)[0]
-        rate = 0.5 * 2.0 ** -53 * 9.81 * np.linalg.cond(J @ np.linalg.solve(engine.masses(scene), J.T))
+        rate = (
+            0.5 * 2.0**-53 * 9.81 * np.linalg.cond(J @ np.linalg.solve(engine.masses(scene), J.T))
+        )
     simulation.apply_wrench("a", WRENCH, duration=1.0)
     start = simulation.sample().positions["a"]
     moved, of_moved, of_bound = 1.0, 0.0, 0.0
     for _ in range(50):
         try:
             simulation.advance(steps // 50)
-        except SimulationError:         # Euler's method winds the body up: until then it was kept
+        except SimulationError:  # Euler's method winds the body up: until then it was kept
             break
         sample = simulation.sample()
         moved = max(moved, np.linalg.norm(sample.positions["a"] - start))
         of_moved = max(of_moved, sample.constraint_residual / moved)
-        of_bound = max(of_bound,
-                       sample.constraint_residual / (moved * rate * (1.0 + sample.time ** 2)))
+        of_bound = max(
+            of_bound, sample.constraint_residual / (moved * rate * (1.0 + sample.time**2))
+        )
     return of_moved, of_bound
 
 
-@pytest.mark.parametrize("method", [name for name, method in METHODS.items()
-                                    if method.family != "rotation"])
+@pytest.mark.parametrize(
+    "method", [name for name, method in METHODS.items() if method.family != "rotation"]
+)
 @pytest.mark.parametrize("kind", LOWER_PAIRS)
 def test_every_lower_pair_to_ground_is_kept_on_se3(kind, method):
     """And by methods that close joints by themselves, on their own group.
@@ -67,7 +73,7 @@ def test_every_lower_pair_to_ground_is_kept_on_se3(kind, method):
         for seed in SEEDS:
             of_moved, of_bound = opening(kind, "auto", step, seed, method)
             assert of_bound <= 1.0
-            assert of_moved <= 1e-11            # the largest is 4e-12, after a fall of 11 km
+            assert of_moved <= 1e-11  # the largest is 4e-12, after a fall of 11 km
 
 
 @pytest.mark.parametrize("kind", LOWER_PAIRS)
@@ -89,9 +95,16 @@ def drift(name, group, step, time, seed):
     return worst
 
 
-@pytest.mark.parametrize("name", [
-    *(f"{kind} between bodies" for kind in mechanisms.KINDS if kind != "fixed"),
-    "universal to ground", "distance to ground", "every kind", "floating"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *(f"{kind} between bodies" for kind in mechanisms.KINDS if kind != "fixed"),
+        "universal to ground",
+        "distance to ground",
+        "every kind",
+        "floating",
+    ],
+)
 @pytest.mark.parametrize("group", ["se3", "so3xr3"])
 def test_other_joints_open_at_order_four(name, group):
     drifts = {h: drift(name, group, h, 0.4, 1) for h in (4e-3, 2e-3, 1e-3)}

@@ -13,6 +13,7 @@ floor of the problem: rounding and the reference's own error. What they leave ou
         larger one, slope 5.9
     rkmk8 on the heavy top on SE(3): slopes 8.1 to 8.5 down to the floor, the same reason
 """
+
 import mechanisms
 import numpy as np
 import pytest
@@ -63,13 +64,33 @@ class Pair:
     def bodies(cls, place_2, velocity_2):
         def inertia(I):
             return [*np.diag(I), I[0, 1], I[0, 2], I[1, 2]]
-        return [Body(name="first", mass=cls.m1, inertia=inertia(cls.I1), position=cls.a1,
-                     angular_velocity=cls.w1, linear_velocity=np.cross(cls.w1, cls.a1)),
-                Body(name="second", mass=cls.m2, inertia=inertia(cls.I2), position=place_2,
-                     angular_velocity=cls.w2, linear_velocity=velocity_2)]
 
-    root = Joint(name="root", type="spherical", parent="world", child="first",
-                 child_frame=Frame(position=-a1))
+        return [
+            Body(
+                name="first",
+                mass=cls.m1,
+                inertia=inertia(cls.I1),
+                position=cls.a1,
+                angular_velocity=cls.w1,
+                linear_velocity=np.cross(cls.w1, cls.a1),
+            ),
+            Body(
+                name="second",
+                mass=cls.m2,
+                inertia=inertia(cls.I2),
+                position=place_2,
+                angular_velocity=cls.w2,
+                linear_velocity=velocity_2,
+            ),
+        ]
+
+    root = Joint(
+        name="root",
+        type="spherical",
+        parent="world",
+        child="first",
+        child_frame=Frame(position=-a1),
+    )
 
 
 def double_pendulum():
@@ -81,11 +102,21 @@ def double_pendulum():
     """
     p = Pair
     scene = Scene(
-        name="two", gravity=GRAVITY,
+        name="two",
+        gravity=GRAVITY,
         bodies=p.bodies(p.b1 + p.a2, np.cross(p.w1, p.b1) + np.cross(p.w2, p.a2)),
-        joints=[p.root, Joint(name="elbow", type="spherical", parent="first", child="second",
-                              parent_frame=Frame(position=p.b1 - p.a1),
-                              child_frame=Frame(position=-p.a2))])
+        joints=[
+            p.root,
+            Joint(
+                name="elbow",
+                type="spherical",
+                parent="first",
+                child="second",
+                parent_frame=Frame(position=p.b1 - p.a1),
+                child_frame=Frame(position=-p.a2),
+            ),
+        ],
+    )
 
     def rate(_, y):
         R1, R2 = y[:9].reshape(3, 3), y[9:18].reshape(3, 3)
@@ -99,8 +130,9 @@ def double_pendulum():
         mass[3:, 3:] += p.I2
         force = p.m1 * J1.T @ (GRAVITY - g1) + p.m2 * J2.T @ (GRAVITY - g2)
         force -= np.concatenate([np.cross(w1, p.I1 @ w1), np.cross(w2, p.I2 @ w2)])
-        return np.concatenate([(R1 @ hat(w1)).ravel(), (R2 @ hat(w2)).ravel(),
-                               np.linalg.solve(mass, force)])
+        return np.concatenate(
+            [(R1 @ hat(w1)).ravel(), (R2 @ hat(w2)).ravel(), np.linalg.solve(mass, force)]
+        )
 
     start = np.concatenate([np.eye(3).ravel(), np.eye(3).ravel(), p.w1, p.w2])
     end = solve_ivp(rate, (0, 1.25), start, method="DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
@@ -112,12 +144,25 @@ def elastic_rod():
     p = Pair
     stiffness, damping, length = 1e7, 200.0, 0.5
     place = p.b1 + [0.3, -0.4, 0.0] + p.a2
-    velocity = np.cross(p.w1, p.b1) + np.cross(p.w2, p.a2)      # the rod starts without a rate
+    velocity = np.cross(p.w1, p.b1) + np.cross(p.w2, p.a2)  # the rod starts without a rate
     scene = Scene(
-        name="elastic", gravity=GRAVITY, bodies=p.bodies(place, velocity), joints=[p.root],
-        forces=[SpringDamper(name="rod", parent="first", parent_point=p.b1 - p.a1, child="second",
-                             child_point=-p.a2, stiffness=stiffness, damping=damping,
-                             rest_length=length)])
+        name="elastic",
+        gravity=GRAVITY,
+        bodies=p.bodies(place, velocity),
+        joints=[p.root],
+        forces=[
+            SpringDamper(
+                name="rod",
+                parent="first",
+                parent_point=p.b1 - p.a1,
+                child="second",
+                child_point=-p.a2,
+                stiffness=stiffness,
+                damping=damping,
+                rest_length=length,
+            )
+        ],
+    )
     about_origin = p.I1 + p.m1 * (p.a1 @ p.a1 * np.eye(3) - np.outer(p.a1, p.a1))
 
     def rate(_, y):
@@ -127,12 +172,22 @@ def elastic_rod():
         ddot = v2 - R2 @ np.cross(w2, p.a2) - R1 @ np.cross(w1, p.b1)
         now = np.sqrt(d @ d)
         f = -(stiffness * (now - length) + damping * (d @ ddot) / now) * d / now
-        torque1 = (np.cross(p.a1, R1.T @ (p.m1 * GRAVITY)) - np.cross(p.b1, R1.T @ f)
-                   - np.cross(w1, about_origin @ w1))
+        torque1 = (
+            np.cross(p.a1, R1.T @ (p.m1 * GRAVITY))
+            - np.cross(p.b1, R1.T @ f)
+            - np.cross(w1, about_origin @ w1)
+        )
         torque2 = -np.cross(p.a2, R2.T @ f) - np.cross(w2, p.I2 @ w2)
-        return np.concatenate([(R1 @ hat(w1)).ravel(), (R2 @ hat(w2)).ravel(), v2,
-                               np.linalg.solve(about_origin, torque1),
-                               np.linalg.solve(p.I2, torque2), GRAVITY + f / p.m2])
+        return np.concatenate(
+            [
+                (R1 @ hat(w1)).ravel(),
+                (R2 @ hat(w2)).ravel(),
+                v2,
+                np.linalg.solve(about_origin, torque1),
+                np.linalg.solve(p.I2, torque2),
+                GRAVITY + f / p.m2,
+            ]
+        )
 
     start = np.concatenate([np.eye(3).ravel(), np.eye(3).ravel(), place, p.w1, p.w2, velocity])
     end = solve_ivp(rate, (0, 1), start, method="Radau", rtol=1e-6, atol=1e-6).y[:, -1]
@@ -146,51 +201,122 @@ def golden(scene, rows):
 # Problem: (scene and end attitudes of the bodies, time of the end, floor). The floors are what a
 # method of order 8 no longer falls below; golden attitudes are right to 1e-15, DOP853 to 2e-13.
 PROBLEMS = {
-    "heavy top": (golden("heavy_top", [
-        0.72338819974053045, -0.25225153160076429, -0.6427119707001131,
-        -0.18843768873839291, 0.82340059951614024, -0.53525946061643169,
-        0.66422944073496695, 0.50831153589263489, 0.54810458175368647]), 6, 2e-11),
-    "Lagrangian top": (golden("lagrangian_top", [
-        0.22929964080360759, 0.17334396409838604, 0.95779619170155087,
-        -0.76534074220468094, 0.64008859207056878, 0.067380580456872719,
-        -0.60139439891715374, -0.74849079113358131, 0.27943928238402867]), 1, 5e-13),
-    "free body": (golden("free_body", [
-        0.19178161690691239, 0.77079260376254685, -0.60753483307669178,
-        0.85411011090955504, -0.436001649248976, -0.28354625776800601,
-        -0.48344154750976658, -0.46452268387789887, -0.74195885755494269]), 10, 3e-14),
+    "heavy top": (
+        golden(
+            "heavy_top",
+            [
+                0.72338819974053045,
+                -0.25225153160076429,
+                -0.6427119707001131,
+                -0.18843768873839291,
+                0.82340059951614024,
+                -0.53525946061643169,
+                0.66422944073496695,
+                0.50831153589263489,
+                0.54810458175368647,
+            ],
+        ),
+        6,
+        2e-11,
+    ),
+    "Lagrangian top": (
+        golden(
+            "lagrangian_top",
+            [
+                0.22929964080360759,
+                0.17334396409838604,
+                0.95779619170155087,
+                -0.76534074220468094,
+                0.64008859207056878,
+                0.067380580456872719,
+                -0.60139439891715374,
+                -0.74849079113358131,
+                0.27943928238402867,
+            ],
+        ),
+        1,
+        5e-13,
+    ),
+    "free body": (
+        golden(
+            "free_body",
+            [
+                0.19178161690691239,
+                0.77079260376254685,
+                -0.60753483307669178,
+                0.85411011090955504,
+                -0.436001649248976,
+                -0.28354625776800601,
+                -0.48344154750976658,
+                -0.46452268387789887,
+                -0.74195885755494269,
+            ],
+        ),
+        10,
+        3e-14,
+    ),
     "double pendulum": (double_pendulum, 1.25, 1e-12),
 }
 # Steps per second to which the slope is fitted.
 STEPS = {
     "heavy top": {
-        "rkmk2": (2048, 4096, 8192), "rkmk2_heun": (2048, 4096, 8192),
-        "rkmk3": (512, 1024, 2048, 4096), "rkmk4": (512, 1024, 2048, 4096),
-        "rkmk54": {"se3": (64, 128, 256, 512)}, "rkmk8": {"so3xr3": (128, 160, 200, 220)},
-        "generalized_alpha": (1024, 2048, 4096), "constrained_rattle": (1024, 2048, 4096),
-        "constrained_rattle4": (256, 512, 1024), "constrained_rattle8": (64, 96, 128)},
+        "rkmk2": (2048, 4096, 8192),
+        "rkmk2_heun": (2048, 4096, 8192),
+        "rkmk3": (512, 1024, 2048, 4096),
+        "rkmk4": (512, 1024, 2048, 4096),
+        "rkmk54": {"se3": (64, 128, 256, 512)},
+        "rkmk8": {"so3xr3": (128, 160, 200, 220)},
+        "generalized_alpha": (1024, 2048, 4096),
+        "constrained_rattle": (1024, 2048, 4096),
+        "constrained_rattle4": (256, 512, 1024),
+        "constrained_rattle8": (64, 96, 128),
+    },
     "Lagrangian top": {
-        "rkmk1": (2**16, 2**17, 2**18), "rkmk2": (4096, 8192, 2**14),
-        "rkmk2_heun": (4096, 8192, 2**14), "rkmk3": (2048, 4096, 8192, 2**14),
-        "rkmk4": (4096, 8192, 2**14), "rkmk54": (1024, 2048, 4096, 8192),
-        "rkmk8": (512, 724, 1024), "generalized_alpha": (2048, 4096, 8192),
-        "constrained_rattle": (2048, 4096, 8192), "constrained_rattle4": (1024, 2048, 4096),
-        "constrained_rattle8": (160, 192, 224)},
+        "rkmk1": (2**16, 2**17, 2**18),
+        "rkmk2": (4096, 8192, 2**14),
+        "rkmk2_heun": (4096, 8192, 2**14),
+        "rkmk3": (2048, 4096, 8192, 2**14),
+        "rkmk4": (4096, 8192, 2**14),
+        "rkmk54": (1024, 2048, 4096, 8192),
+        "rkmk8": (512, 724, 1024),
+        "generalized_alpha": (2048, 4096, 8192),
+        "constrained_rattle": (2048, 4096, 8192),
+        "constrained_rattle4": (1024, 2048, 4096),
+        "constrained_rattle8": (160, 192, 224),
+    },
     "free body": {
-        "rkmk1": (8, 16, 32, 64), "rkmk2": (8, 16, 32, 64), "rkmk2_heun": (8, 16, 32, 64),
-        "rkmk3": (8, 16, 32, 64), "rkmk4": (8, 16, 32, 64), "rkmk54": (6, 8, 12, 16, 24),
-        "rkmk8": (1, 1.5, 2, 3, 4), "generalized_alpha": (8, 16, 32, 64),
-        "constrained_rattle": (8, 16, 32, 64), "constrained_rattle4": (4, 8, 16, 32),
-        "constrained_rattle8": (1.5, 2, 3)},
+        "rkmk1": (8, 16, 32, 64),
+        "rkmk2": (8, 16, 32, 64),
+        "rkmk2_heun": (8, 16, 32, 64),
+        "rkmk3": (8, 16, 32, 64),
+        "rkmk4": (8, 16, 32, 64),
+        "rkmk54": (6, 8, 12, 16, 24),
+        "rkmk8": (1, 1.5, 2, 3, 4),
+        "generalized_alpha": (8, 16, 32, 64),
+        "constrained_rattle": (8, 16, 32, 64),
+        "constrained_rattle4": (4, 8, 16, 32),
+        "constrained_rattle8": (1.5, 2, 3),
+    },
     "double pendulum": {
-        "rkmk1": (1024, 2048, 4096), "rkmk2": (256, 512, 1024), "rkmk2_heun": (256, 512, 1024),
-        "rkmk3": (64, 128, 256, 512), "rkmk4": (128, 256, 512, 1024),
-        "rkmk54": (256, 360, 512, 724), "rkmk8": (48, 56, 64, 80),
-        "generalized_alpha": (64, 128, 256, 512), "constrained_rattle": (64, 128, 256, 512),
-        "constrained_rattle4": (64, 128, 256, 512), "constrained_rattle8": (48, 56, 64)},
+        "rkmk1": (1024, 2048, 4096),
+        "rkmk2": (256, 512, 1024),
+        "rkmk2_heun": (256, 512, 1024),
+        "rkmk3": (64, 128, 256, 512),
+        "rkmk4": (128, 256, 512, 1024),
+        "rkmk54": (256, 360, 512, 724),
+        "rkmk8": (48, 56, 64, 80),
+        "generalized_alpha": (64, 128, 256, 512),
+        "constrained_rattle": (64, 128, 256, 512),
+        "constrained_rattle4": (64, 128, 256, 512),
+        "constrained_rattle8": (48, 56, 64),
+    },
 }
-CASES = [(problem, method, group) for problem, methods in STEPS.items()
-         for method, counts in methods.items()
-         for group in (counts if isinstance(counts, dict) else groups(method))]
+CASES = [
+    (problem, method, group)
+    for problem, methods in STEPS.items()
+    for method, counts in methods.items()
+    for group in (counts if isinstance(counts, dict) else groups(method))
+]
 
 
 @pytest.fixture(scope="module")
@@ -228,14 +354,17 @@ def slope(counts, found):
 
 def options(method):
     """Settings that make every step a single one."""
-    return {"rtol": 1e9, "atol": 1e9} if METHODS[method].family == "rkmk" and (
-        METHODS[method].tableau.e is not None) else {}
+    return (
+        {"rtol": 1e9, "atol": 1e9}
+        if METHODS[method].family == "rkmk" and (METHODS[method].tableau.e is not None)
+        else {}
+    )
 
 
 def test_every_method_is_measured_on_both_groups_and_between_bodies():
     for method in METHODS:
         if METHODS[method].family == "rotation":
-            continue                    # test_rotation.py
+            continue  # test_rotation.py
         for group in groups(method):
             on = [problem for problem, name, g in CASES if (name, g) == (method, group)]
             assert len(on) >= 3 and "double pendulum" in on, (method, group)
@@ -256,8 +385,12 @@ def test_floors_are_those_of_order_eight(references):
     for problem, (scene, attitudes) in references.items():
         _, time, floor = PROBLEMS[problem]
         for group in GROUPS:
-            step = {"heavy top": 1 / 400, "Lagrangian top": 1 / 2000, "free body": 1 / 8,
-                    "double pendulum": 1 / 240}[problem]
+            step = {
+                "heavy top": 1 / 400,
+                "Lagrangian top": 1 / 2000,
+                "free body": 1 / 8,
+                "double pendulum": 1 / 240,
+            }[problem]
             simulation = Simulation(scene, method="rkmk8", step=step, group=group)
             simulation.advance(round(time / step))
             assert attitude_error(simulation, attitudes) < floor, (problem, group)
@@ -271,8 +404,16 @@ def test_dexpinv_truncated_to_the_order_keeps_it(references, method, group):
     counts = STEPS["double pendulum"][method]
     time = PROBLEMS["double pendulum"][1]
     exact = errors(scene, attitudes, time, counts, method=method, group=group, **options(method))
-    found = errors(scene, attitudes, time, counts, method=method, group=group, dexpinv="truncated",
-                   **options(method))
+    found = errors(
+        scene,
+        attitudes,
+        time,
+        counts,
+        method=method,
+        group=group,
+        dexpinv="truncated",
+        **options(method),
+    )
     assert slope(counts, found) == pytest.approx(METHODS[method].order, abs=0.2)
     assert 0.2 < found[-1] / exact[-1] < 5.0
 
@@ -301,8 +442,9 @@ def test_error_follows_the_tolerance(references, problem, group):
     tolerances = [1e-5, 1e-6, 1e-7, 1e-8, 1e-9]
     found, counts = [], []
     for tolerance in tolerances:
-        simulation = Simulation(scene, method="rkmk54", step=0.25, group=group, rtol=tolerance,
-                                atol=tolerance)
+        simulation = Simulation(
+            scene, method="rkmk54", step=0.25, group=group, rtol=tolerance, atol=tolerance
+        )
         simulation.advance(round(time / 0.25))
         found.append(attitude_error(simulation, attitudes))
         good, attempts = simulation.substeps
@@ -320,8 +462,15 @@ def test_error_follows_the_tolerance(references, problem, group):
 def test_generalized_alpha_is_of_order_two_for_every_damping(references, group, rho_inf):
     scene, attitudes = references["double pendulum"]
     counts = (128, 256, 512)
-    found = errors(scene, attitudes, PROBLEMS["double pendulum"][1], counts,
-                   method="generalized_alpha", group=group, rho_inf=rho_inf)
+    found = errors(
+        scene,
+        attitudes,
+        PROBLEMS["double pendulum"][1],
+        counts,
+        method="generalized_alpha",
+        group=group,
+        rho_inf=rho_inf,
+    )
     assert slope(counts, found) == pytest.approx(2.0, abs=0.2)
 
 
@@ -329,8 +478,9 @@ def test_generalized_alpha_is_of_order_two_for_every_damping(references, group, 
 @pytest.mark.parametrize("group", GROUPS)
 def test_generalized_alpha_keeps_all_joints_closed(name, group):
     """Position level on trees and loops: Newton's method ends at some ten roundings of a pose."""
-    simulation = Simulation(mechanisms.named(name), method="generalized_alpha", step=2e-3,
-                            group=group)
+    simulation = Simulation(
+        mechanisms.named(name), method="generalized_alpha", step=2e-3, group=group
+    )
     for _ in range(10):
         simulation.advance(20)
         assert simulation.sample().constraint_residual <= 1e-12
@@ -359,14 +509,19 @@ def test_generalized_alpha_counts_turns_and_starts_anew_where_a_wrench_does(grou
     """
     I, k, speed, torque, start, end = 0.5, 2.0, 40.0, 30.0, 0.3, 0.9
     scene = Scene(
-        name="wheel", gravity=(0, 0, 0),
-        bodies=[Body(name="wheel", mass=1.0, inertia=(0.3, 0.4, I),
-                     angular_velocity=(0, 0, speed))],
-        joints=[Joint(name="axle", type="revolute", parent="world", child="wheel",
-                      child_frame=Frame())],
-        forces=[TorsionalSpringDamper(name="spring", joint="axle", stiffness=k),
-                ConstantWrench(name="push", body="wheel", torque=(0, 0, torque), start=start,
-                               end=end)])
+        name="wheel",
+        gravity=(0, 0, 0),
+        bodies=[
+            Body(name="wheel", mass=1.0, inertia=(0.3, 0.4, I), angular_velocity=(0, 0, speed))
+        ],
+        joints=[
+            Joint(name="axle", type="revolute", parent="world", child="wheel", child_frame=Frame())
+        ],
+        forces=[
+            TorsionalSpringDamper(name="spring", joint="axle", stiffness=k),
+            ConstantWrench(name="push", body="wheel", torque=(0, 0, torque), start=start, end=end),
+        ],
+    )
     w = np.sqrt(k / I)
     exact = speed / w * np.sin(w) + torque / k * (np.cos(w * (1 - end)) - np.cos(w * (1 - start)))
     assert exact > 8 * np.pi
@@ -392,6 +547,8 @@ def test_generalized_alpha_is_of_order_two_when_wrenches_change_at_every_step(re
         return simulation.state()[0]
 
     counts = (128, 256, 512)
-    found = [np.abs(end("generalized_alpha", count, 1) - end("rkmk4", count, 16)).max()
-             for count in counts]
+    found = [
+        np.abs(end("generalized_alpha", count, 1) - end("rkmk4", count, 16)).max()
+        for count in counts
+    ]
     assert slope(counts, found) == pytest.approx(2.0, abs=0.2), found

@@ -4,6 +4,7 @@
 Two programs that share no formula agree to what each says of its own error. For the engine that is
 the difference of its runs at h and h / 2, which the better one's error is far below.
 """
+
 import mechanisms
 import numpy as np
 import pytest
@@ -39,8 +40,12 @@ def engine(scene, times, step):
         simulation.advance(round(time / step) - simulation.steps)
         samples.append(simulation.sample())
     pose = np.array([sample.pose for sample in samples])
-    return Trajectory(times, pose[..., :9].reshape(*pose.shape[:2], 3, 3), pose[..., 9:],
-                      np.array([sample.twist for sample in samples]))
+    return Trajectory(
+        times,
+        pose[..., :9].reshape(*pose.shape[:2], 3, 3),
+        pose[..., 9:],
+        np.array([sample.twist for sample in samples]),
+    )
 
 
 def reference(scene, times):
@@ -54,17 +59,28 @@ def assert_agreement(scene, times, step, rounding=1e-12):
     own, found = distance(coarse, fine), distance(fine, exact)
     for name in ("position", "attitude", "angular", "linear"):
         speed = 1.0 if name in ("position", "attitude") else 100.0
-        bound = (getattr(own, name).max() + 10.0 * getattr(known, name).max() + speed * rounding)
+        bound = getattr(own, name).max() + 10.0 * getattr(known, name).max() + speed * rounding
         assert getattr(found, name).max() <= bound, name
-        assert bound <= 1e-7 * speed, name           # else it would say nothing
+        assert bound <= 1e-7 * speed, name  # else it would say nothing
     moved = distance(exact, Trajectory(*(part[:1] for part in exact)))
     assert max(moved.position.max(), moved.angle.max()) > 1e-3
 
 
-@pytest.mark.parametrize("name", [
-    *(f"{kind} {where}" for kind in mechanisms.KINDS for where in ("to ground", "between bodies")
-      if (kind, where) != ("fixed", "to ground")), "every kind", "floating", "net",
-    "loop of hinges and balls"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *(
+            f"{kind} {where}"
+            for kind in mechanisms.KINDS
+            for where in ("to ground", "between bodies")
+            if (kind, where) != ("fixed", "to ground")
+        ),
+        "every kind",
+        "floating",
+        "net",
+        "loop of hinges and balls",
+    ],
+)
 def test_every_kind_of_joint(name):
     assert_agreement(mechanisms.named(name), np.linspace(0.0, 0.2, 5), 1e-3)
 
@@ -73,27 +89,66 @@ def test_every_kind_of_joint(name):
 # slider, j7 a hinge between bodies.
 ON_EVERY_KIND = {
     "spring_damper": [
-        SpringDamper(name="s", parent="a", child="c", parent_point=(0.1, 0.2, 0.3),
-                     child_point=(0.4, -0.2, 0.1), stiffness=50, damping=3, rest_length=0.7),
-        SpringDamper(name="t", parent="world", child="h", parent_point=(0, 0, 1),
-                     child_point=(0.4, 0, 0), stiffness=20)],
+        SpringDamper(
+            name="s",
+            parent="a",
+            child="c",
+            parent_point=(0.1, 0.2, 0.3),
+            child_point=(0.4, -0.2, 0.1),
+            stiffness=50,
+            damping=3,
+            rest_length=0.7,
+        ),
+        SpringDamper(
+            name="t",
+            parent="world",
+            child="h",
+            parent_point=(0, 0, 1),
+            child_point=(0.4, 0, 0),
+            stiffness=20,
+        ),
+    ],
     "torsional_spring_damper": [
         TorsionalSpringDamper(name=f"on_{j}", joint=j, stiffness=4, damping=0.3, rest_angle=9)
-        for j in ("j0", "j2", "j3", "j7")],
+        for j in ("j0", "j2", "j3", "j7")
+    ],
     "linear_spring_damper": [
         LinearSpringDamper(name=f"on_{j}", joint=j, stiffness=40, damping=3, rest_position=0.3)
-        for j in ("j0", "j2", "j4")],
-    "motor": [Motor(name="s", joint="j0", torque=-4, rate_limit=3),
-              Motor(name="t", joint="j7", torque=3), Motor(name="u", joint="j2", torque=2)],
-    "linear_motor": [LinearMotor(name="s", joint="j4", force=-4, speed_limit=3),
-                     LinearMotor(name="t", joint="j0", force=3)],
-    "drag": [Drag(name="s", body="a", linear=2, quadratic=3, angular=0.5, angular_quadratic=0.7),
-             Drag(name="t", body="h", quadratic=1)],
+        for j in ("j0", "j2", "j4")
+    ],
+    "motor": [
+        Motor(name="s", joint="j0", torque=-4, rate_limit=3),
+        Motor(name="t", joint="j7", torque=3),
+        Motor(name="u", joint="j2", torque=2),
+    ],
+    "linear_motor": [
+        LinearMotor(name="s", joint="j4", force=-4, speed_limit=3),
+        LinearMotor(name="t", joint="j0", force=3),
+    ],
+    "drag": [
+        Drag(name="s", body="a", linear=2, quadratic=3, angular=0.5, angular_quadratic=0.7),
+        Drag(name="t", body="h", quadratic=1),
+    ],
     "applied_wrench": [
-        ConstantWrench(name="s", body="a", torque=(1, 2, 3), force=(4, 5, -6), point=(1, 0.2, 3),
-                       start=0.0303, end=0.0811),
-        ConstantWrench(name="t", body="g", torque=(1, 2, 3), force=(4, 5, -6), point=(1, 0.2, 3),
-                       axes="world", end=0.0507)],
+        ConstantWrench(
+            name="s",
+            body="a",
+            torque=(1, 2, 3),
+            force=(4, 5, -6),
+            point=(1, 0.2, 3),
+            start=0.0303,
+            end=0.0811,
+        ),
+        ConstantWrench(
+            name="t",
+            body="g",
+            torque=(1, 2, 3),
+            force=(4, 5, -6),
+            point=(1, 0.2, 3),
+            axes="world",
+            end=0.0507,
+        ),
+    ],
 }
 
 
@@ -109,13 +164,31 @@ def test_every_kind_of_force(kind):
 
 
 # Steps that the fastest motion of each asks for; the others take 1 ms.
-STEPS = {"andrews_squeezer": 1e-5, "flyball_governor": 5e-5, "lagrangian_top": 2e-4,
-         "four_bar": 2e-4}
+STEPS = {
+    "andrews_squeezer": 1e-5,
+    "flyball_governor": 5e-5,
+    "lagrangian_top": 2e-4,
+    "four_bar": 2e-4,
+}
 
 
-@pytest.mark.parametrize("name", [
-    "andrews_squeezer", "ball_chain", "bricard", "double_pendulum", "flyball_governor", "four_bar",
-    "free_body", "heavy_top", "hinge_chain", "lagrangian_top", "n_four_bar", "slider_crank"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "andrews_squeezer",
+        "ball_chain",
+        "bricard",
+        "double_pendulum",
+        "flyball_governor",
+        "four_bar",
+        "free_body",
+        "heavy_top",
+        "hinge_chain",
+        "lagrangian_top",
+        "n_four_bar",
+        "slider_crank",
+    ],
+)
 def test_every_scene_that_comes_along(name):
     step = STEPS.get(name, 1e-3)
     assert_agreement(load_scene(name), np.linspace(0.0, 100 * step, 3), step)
@@ -123,14 +196,27 @@ def test_every_scene_that_comes_along(name):
 
 # ---------------------------------------------------------------- closed forms
 
+
 def on_joint(kind, *forces, rate=0.0, **keys):
     """A body at rest but for `rate`, on a joint to ground along AXIS through its centre."""
     turns = kind == "revolute"
     joint = (ScrewJoint if kind == "screw" else Joint)(
-        name="j", type=kind, parent="world", child="a", parent_frame=Frame(axis=AXIS), **keys)
-    return Scene(name="one", gravity=(0, 0, 0), joints=[joint], forces=forces, bodies=[
-        Body(name="a", mass=MASS, inertia=(INERTIA,) * 3,
-             **{("angular" if turns else "linear") + "_velocity": rate * AXIS})])
+        name="j", type=kind, parent="world", child="a", parent_frame=Frame(axis=AXIS), **keys
+    )
+    return Scene(
+        name="one",
+        gravity=(0, 0, 0),
+        joints=[joint],
+        forces=forces,
+        bodies=[
+            Body(
+                name="a",
+                mass=MASS,
+                inertia=(INERTIA,) * 3,
+                **{("angular" if turns else "linear") + "_velocity": rate * AXIS},
+            )
+        ],
+    )
 
 
 def oscillation(t, size, stiffness, damping, rest, start=0.0):
@@ -146,35 +232,56 @@ def approach(t, size, force, limit):
 
 CLOSED_FORMS = {
     "coil over many turns": (
-        on_joint("revolute", TorsionalSpringDamper(name="f", joint="j", stiffness=3, damping=0.05,
-                                                   rest_angle=40)),
-        lambda t: oscillation(t, INERTIA, 3, 0.05, 40)),
+        on_joint(
+            "revolute",
+            TorsionalSpringDamper(name="f", joint="j", stiffness=3, damping=0.05, rest_angle=40),
+        ),
+        lambda t: oscillation(t, INERTIA, 3, 0.05, 40),
+    ),
     "spring on a slider": (
-        on_joint("prismatic", LinearSpringDamper(name="f", joint="j", stiffness=30, damping=0.8,
-                                                 rest_position=0.3)),
-        lambda t: oscillation(t, MASS, 30, 0.8, 0.3)),
+        on_joint(
+            "prismatic",
+            LinearSpringDamper(name="f", joint="j", stiffness=30, damping=0.8, rest_position=0.3),
+        ),
+        lambda t: oscillation(t, MASS, 30, 0.8, 0.3),
+    ),
     "motor with a limit": (
         on_joint("revolute", Motor(name="f", joint="j", torque=-2, rate_limit=9)),
-        lambda t: -approach(t, INERTIA, 2, 9)),
-    "motor": (on_joint("revolute", Motor(name="f", joint="j", torque=2)),
-              lambda t: t * t / INERTIA),
+        lambda t: -approach(t, INERTIA, 2, 9),
+    ),
+    "motor": (
+        on_joint("revolute", Motor(name="f", joint="j", torque=2)),
+        lambda t: t * t / INERTIA,
+    ),
     "linear motor with a limit": (
         on_joint("prismatic", LinearMotor(name="f", joint="j", force=3, speed_limit=2)),
-        lambda t: approach(t, MASS, 3, 2)),
+        lambda t: approach(t, MASS, 3, 2),
+    ),
     "screw that is driven over many turns": (
         on_joint("screw", Motor(name="f", joint="j", torque=5), pitch=0.1),
-        lambda t: 0.1 * 2.5 * t * t / (INERTIA + 0.01 * MASS)),
-    "linear drag": (on_joint("prismatic", Drag(name="f", body="a", linear=3), rate=2.0),
-                    lambda t: 2.0 * MASS / 3 * (1 - np.exp(-3 * t / MASS))),
-    "quadratic drag": (on_joint("prismatic", Drag(name="f", body="a", quadratic=3), rate=2.0),
-                       lambda t: MASS / 3 * np.log(1 + 3 * 2.0 * t / MASS)),
-    "angular drag": (on_joint("revolute", Drag(name="f", body="a", angular_quadratic=0.2),
-                              rate=5.0),
-                     lambda t: INERTIA / 0.2 * np.log(1 + 0.2 * 5.0 * t / INERTIA)),
+        lambda t: 0.1 * 2.5 * t * t / (INERTIA + 0.01 * MASS),
+    ),
+    "linear drag": (
+        on_joint("prismatic", Drag(name="f", body="a", linear=3), rate=2.0),
+        lambda t: 2.0 * MASS / 3 * (1 - np.exp(-3 * t / MASS)),
+    ),
+    "quadratic drag": (
+        on_joint("prismatic", Drag(name="f", body="a", quadratic=3), rate=2.0),
+        lambda t: MASS / 3 * np.log(1 + 3 * 2.0 * t / MASS),
+    ),
+    "angular drag": (
+        on_joint("revolute", Drag(name="f", body="a", angular_quadratic=0.2), rate=5.0),
+        lambda t: INERTIA / 0.2 * np.log(1 + 0.2 * 5.0 * t / INERTIA),
+    ),
     "push for a time": (
-        on_joint("prismatic", ConstantWrench(name="f", body="a", force=3 * AXIS, start=0.317,
-                                             end=1.2345, axes="world")),
-        lambda t: 1.5 / MASS * (np.maximum(t - 0.317, 0) ** 2 - np.maximum(t - 1.2345, 0) ** 2)),
+        on_joint(
+            "prismatic",
+            ConstantWrench(
+                name="f", body="a", force=3 * AXIS, start=0.317, end=1.2345, axes="world"
+            ),
+        ),
+        lambda t: 1.5 / MASS * (np.maximum(t - 0.317, 0) ** 2 - np.maximum(t - 1.2345, 0) ** 2),
+    ),
 }
 
 
@@ -187,8 +294,18 @@ def test_closed_forms(name):
     if scene.joints[0].type == "revolute":
         # the angle goes on: less than half a turn between two times
         turns = np.einsum("kab,kac->kbc", found.rotation[:-1, 0], found.rotation[1:, 0])
-        sine = np.stack([turns[:, 2, 1] - turns[:, 1, 2], turns[:, 0, 2] - turns[:, 2, 0],
-                         turns[:, 1, 0] - turns[:, 0, 1]], axis=1) @ AXIS / 2
+        sine = (
+            np.stack(
+                [
+                    turns[:, 2, 1] - turns[:, 1, 2],
+                    turns[:, 0, 2] - turns[:, 2, 0],
+                    turns[:, 1, 0] - turns[:, 0, 1],
+                ],
+                axis=1,
+            )
+            @ AXIS
+            / 2
+        )
         cosine = (np.trace(turns, axis1=1, axis2=2) - 1) / 2
         found, bound = np.cumsum([0, *np.arctan2(sine, cosine)]), known.angle.max()
     else:
@@ -203,18 +320,40 @@ def parallelogram(angle):
     """Two cranks of 1 m at an angle above the ground, 2 m apart, and a coupler; it turns."""
     arm = np.array([np.cos(angle), np.sin(angle), 0.0])
     rate = np.cross([0, 0, 3.0], arm)
-    turned = {"rotation_vector": (0, 0, angle), "angular_velocity": (0, 0, 3.0),
-              "linear_velocity": (0, 1.5, 0)}
+    turned = {
+        "rotation_vector": (0, 0, angle),
+        "angular_velocity": (0, 0, 3.0),
+        "linear_velocity": (0, 1.5, 0),
+    }
     inertia = (0.01, 0.1, 0.1)
-    return Scene(name="flat", gravity=(0, 0, 0), bodies=[
-        Body(name="left", mass=1, inertia=inertia, position=arm / 2, **turned),
-        Body(name="right", mass=1, inertia=inertia, position=arm / 2 + (2, 0, 0), **turned),
-        Body(name="top", mass=1, inertia=inertia, position=arm + (1, 0, 0),
-             linear_velocity=rate)],
-        joints=[Joint(name=f"j{i}", type="revolute", parent=parent, child=child,
-                      parent_frame=Frame(position=place)) for i, (parent, child, place) in
-                enumerate([("world", "left", (0, 0, 0)), ("world", "right", (2, 0, 0)),
-                           ("left", "top", (0.5, 0, 0)), ("right", "top", (0.5, 0, 0))])])
+    return Scene(
+        name="flat",
+        gravity=(0, 0, 0),
+        bodies=[
+            Body(name="left", mass=1, inertia=inertia, position=arm / 2, **turned),
+            Body(name="right", mass=1, inertia=inertia, position=arm / 2 + (2, 0, 0), **turned),
+            Body(
+                name="top", mass=1, inertia=inertia, position=arm + (1, 0, 0), linear_velocity=rate
+            ),
+        ],
+        joints=[
+            Joint(
+                name=f"j{i}",
+                type="revolute",
+                parent=parent,
+                child=child,
+                parent_frame=Frame(position=place),
+            )
+            for i, (parent, child, place) in enumerate(
+                [
+                    ("world", "left", (0, 0, 0)),
+                    ("world", "right", (2, 0, 0)),
+                    ("left", "top", (0.5, 0, 0)),
+                    ("right", "top", (0.5, 0, 0)),
+                ]
+            )
+        ],
+    )
 
 
 @pytest.mark.parametrize("angle, time", [(-1.5, 1.0), (0.0, 0.1)])

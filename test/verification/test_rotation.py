@@ -4,6 +4,7 @@
 Numbers of independent implementations: liegroup_sim_ros/chapter/rotation_tables.py. With forces and in
 other scenes: test_rotation_forces.py.
 """
+
 import re
 from dataclasses import replace
 
@@ -67,7 +68,8 @@ def slope(steps, errors):
 @pytest.mark.parametrize("method", FREE_ATTITUDE)
 def test_free_body_has_the_attitude_errors_of_the_method(method):
     """To a unit of the fourth digit; 1e-13 more for the rounding of 2560 steps. Order and C too:
-    the latter have three or four digits, the former two decimals."""
+    the latter have three or four digits, the former two decimals.
+    """
     found = [attitude_error(FREE, method, step, 10, FREE_R_10) for step in FREE_STEPS]
     for step, error, expected in zip(FREE_STEPS, found, FREE_ATTITUDE[method]):
         if expected is None:
@@ -95,13 +97,17 @@ def test_lagrangian_top_has_the_attitude_errors_of_the_method(method):
             assert error == pytest.approx(expected, rel=5e-4, abs=1e-11), rate
     order, constant = order_and_constant(steps, found, METHODS[method].order)
     assert order == pytest.approx(TOP_CONSTANTS[method][0], abs=0.02)
-    assert constant == pytest.approx(TOP_CONSTANTS[method][1], rel=0.02 if method == "rkmk4"
-                                     else 5e-4)
+    assert constant == pytest.approx(
+        TOP_CONSTANTS[method][1], rel=0.02 if method == "rkmk4" else 5e-4
+    )
 
 
 # Steps per second for the slope on the free body and on the top, by order.
-RATES = {2: ((8, 16, 32, 64), (2**14, 2**15, 2**16)), 4: ((8, 16, 32, 64), (2**12, 2**13, 2**14)),
-         8: ((1/2, 1, 2, 4), (64, 96, 128, 192))}
+RATES = {
+    2: ((8, 16, 32, 64), (2**14, 2**15, 2**16)),
+    4: ((8, 16, 32, 64), (2**12, 2**13, 2**14)),
+    8: ((1 / 2, 1, 2, 4), (64, 96, 128, 192)),
+}
 
 
 @pytest.mark.parametrize("method", ROTATION)
@@ -139,9 +145,18 @@ def test_the_other_form_of_austin_is_the_mean_of_both_ends():
         R, w, h = np.eye(3), np.array([0.0, 150.0, -4.61538]), 1 / rate
         for _ in range(rate):
             y, middle, apart = I * w + h / 2 * torque(R), w, np.inf
-            while apart > 1e-11:            # of 150 rad/s
-                x = 0.5 * h * np.array([[0, -middle[2], middle[1]], [middle[2], 0, -middle[0]],
-                                        [-middle[1], middle[0], 0]])
+            while apart > 1e-11:  # of 150 rad/s
+                x = (
+                    0.5
+                    * h
+                    * np.array(
+                        [
+                            [0, -middle[2], middle[1]],
+                            [middle[2], 0, -middle[0]],
+                            [-middle[1], middle[0], 0],
+                        ]
+                    )
+                )
                 Q = np.linalg.solve(unit - x, unit + x)
                 end = Q.T @ y + h / 2 * torque(R @ Q)
                 previous, middle = middle, (I * w + end) / 2 / I
@@ -157,7 +172,7 @@ def test_free_body_keeps_its_momentum_at_every_step(method):
     Each step rounds some three times by 1.1e-16 of |Y| = 1; they add up like a random walk, with
     room for twice the deviation that is to be expected.
     """
-    for step in (8, 4, 2, 1, 1/2, 1/4, 1/16, 1/256, 1/4096):
+    for step in (8, 4, 2, 1, 1 / 2, 1 / 4, 1 / 16, 1 / 256, 1 / 4096):
         simulation = Simulation(FREE, method=method, step=step)
         before = simulation.sample().spatial_momentum[:3]
         try:
@@ -169,12 +184,14 @@ def test_free_body_keeps_its_momentum_at_every_step(method):
         assert off <= 2e-15 + 6 * 1.1e-16 * np.sqrt(16 / step), step
 
 
-@pytest.mark.parametrize("method", ["stoermer_verlet", "coadjoint_rkmk4", "rattle",
-                                    "austin_krishnaprasad_wang"])
+@pytest.mark.parametrize(
+    "method", ["stoermer_verlet", "coadjoint_rkmk4", "rattle", "austin_krishnaprasad_wang"]
+)
 def test_rounding_of_the_momentum_is_a_random_walk(method):
     """3e6 steps, bounded as above: 1.1e-12. A body that is brought back to SO(3) in every step was
     seen at 2.6e-12 to 3e-12, as some of the rounding is then the same in every step; with
-    v = R^T P / m the linear momentum, of 0.6 N s, would be off by up to 3.6e-15 in each."""
+    v = R^T P / m the linear momentum, of 0.6 N s, would be off by up to 3.6e-15 in each.
+    """
     simulation = Simulation(FREE, method=method, step=0.05)
     I = FREE.bodies[0].inertia_matrix
     pose, twist = simulation.state()
@@ -186,7 +203,7 @@ def test_rounding_of_the_momentum_is_a_random_walk(method):
     assert np.linalg.norm(R @ I @ twist[:3] - before[0]) <= 6 * 1.1e-16 * np.sqrt(3e6)
     assert np.linalg.norm(R @ twist[3:] - before[1]) <= 6 * 1.1e-16 * np.sqrt(3e6)
     # What is put right is 32 units, and a step takes it there by a few.
-    assert np.abs(R.T @ R - np.eye(3)).max() <= 40 * 2.0 ** -53
+    assert np.abs(R.T @ R - np.eye(3)).max() <= 40 * 2.0**-53
 
 
 @pytest.mark.parametrize("method", ["lie_newmark", "rkmk4"])
@@ -215,8 +232,11 @@ def test_integrals_of_the_top_over_ten_seconds(method, step):
 
 def test_energy_of_stoermer_verlet_drifts_and_that_of_lie_newmark_does_not():
     """(E - E0)/E0 of the free body at 100, 300, 1000 s: h^3 t against bounded."""
-    drift = {0.2: (3.5e-3, 1.0e-2, 3.3e-2), 0.1: (4.6e-4, 1.3e-3, 4.2e-3),
-             0.05: (6.1e-5, 1.6e-4, 5.4e-4)}
+    drift = {
+        0.2: (3.5e-3, 1.0e-2, 3.3e-2),
+        0.1: (4.6e-4, 1.3e-3, 4.2e-3),
+        0.05: (6.1e-5, 1.6e-4, 5.4e-4),
+    }
     for step, expected in drift.items():
         for time, ratio in zip((100, 300, 1000), expected):
             assert _energy_ratio("stoermer_verlet", step, time) == pytest.approx(ratio, rel=0.04)
@@ -281,7 +301,7 @@ def test_stoermer_verlet_is_not_symmetric():
     assert off[0] > 1e-9 and off[0] / off[1] == pytest.approx(16, rel=0.3)
 
 
-@pytest.mark.parametrize("step", [1/64, 1/128])
+@pytest.mark.parametrize("step", [1 / 64, 1 / 128])
 def test_rattle_says_which_step_would_work(step):
     simulation = Simulation(TOP, method="rattle", step=step)
     before = simulation.state()
@@ -305,8 +325,12 @@ def test_rattle_works_up_to_a_turn_of_one_rad_whatever_the_inertia():
         points = rng.normal(size=(4, 3)) * 10 ** rng.uniform(-1, 0, size=3)
         inertia = sum((p @ p) * np.eye(3) - np.outer(p, p) for p in points)
         w = rng.normal(size=3)
-        body = Body(name="b", mass=1.0, angular_velocity=w,
-                    inertia=[*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2]])
+        body = Body(
+            name="b",
+            mass=1.0,
+            angular_velocity=w,
+            inertia=[*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2]],
+        )
         scene = Scene(name="one", gravity=(0, 0, 0), bodies=[body])
         Simulation(scene, method="rattle", step=0.999 / np.linalg.norm(w)).advance(1)
         with pytest.raises(SimulationError, match="RATTLE has no solution"):
@@ -339,18 +363,26 @@ def test_simo_wong_takes_the_solution_that_small_steps_lead_to():
         assert found == 1 or np.abs(equation(x, h)).max() <= 1e-14
     simulation = Simulation(FREE, method="simo_wong", step=4.0)
     simulation.advance(1)
-    assert np.abs(attitude(simulation) - SO3.exp(x)).max() <= 60 * 2.0 ** -52
+    assert np.abs(attitude(simulation) - SO3.exp(x)).max() <= 60 * 2.0**-52
 
 
 def test_figures_use_exact_end_states_and_say_what_elsewhere_was_found(monkeypatch, tmp_path):
     """The scenes' numbers in binary are not the decimal ones: 1e-15 of 150 rad."""
     assert np.abs(end_attitude("free_body", 10) - FREE_R_10).max() <= 1e-15
     assert np.abs(end_attitude("lagrangian_top", 1) - TOP_R_1).max() <= 2e-13
-    short = [replace(panel, steps=panel.steps[2:5], elsewhere={
-        method: values[2:5] for method, values in panel.elsewhere.items()}) for panel in PANELS]
+    short = [
+        replace(
+            panel,
+            steps=panel.steps[2:5],
+            elsewhere={method: values[2:5] for method, values in panel.elsewhere.items()},
+        )
+        for panel in PANELS
+    ]
     monkeypatch.setattr("liegroup_sim_ros.chapter.rotation_figures.PANELS", short)
-    monkeypatch.setattr("liegroup_sim_ros.chapter.rotation_figures.TOP_INTEGRALS",
-                        {("rattle", 1e-3): TOP_INTEGRALS["rattle", 1e-3]})
+    monkeypatch.setattr(
+        "liegroup_sim_ros.chapter.rotation_figures.TOP_INTEGRALS",
+        {("rattle", 1e-3): TOP_INTEGRALS["rattle", 1e-3]},
+    )
     said = []
     paths, tables = make_rotation_figures(tmp_path, said.append)
     assert len(said) == count_runs() and "Fig. 6.7, rattle, 1/512 s" in said

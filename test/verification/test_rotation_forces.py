@@ -4,6 +4,7 @@
 References: the independent integration of liegroup_core.reference, or SciPy's DOP853 on equations
 written here.
 """
+
 import os
 import re
 import subprocess
@@ -63,12 +64,17 @@ def test_order_with_bodies_that_springs_and_dampers_couple(coupled, method):
     errors = []
     for rate in RATES[order]:
         pose, twist = end(scene, method, rate)
-        errors.append([np.abs(pose[:, :9] - reference.rotation[0].reshape(-1, 9)).max(),
-                       np.abs(pose[:, 9:] - reference.position[0]).max(),
-                       np.abs(twist - reference.twist[0]).max()])
+        errors.append(
+            [
+                np.abs(pose[:, :9] - reference.rotation[0].reshape(-1, 9)).max(),
+                np.abs(pose[:, 9:] - reference.position[0]).max(),
+                np.abs(twist - reference.twist[0]).max(),
+            ]
+        )
     for of_one_kind in np.transpose(errors):
-        assert slope(RATES[order], of_one_kind) == pytest.approx(order, abs=1.5 if order == 8
-                                                                 else 0.25), errors
+        assert slope(RATES[order], of_one_kind) == pytest.approx(
+            order, abs=1.5 if order == 8 else 0.25
+        ), errors
 
 
 @pytest.mark.parametrize("held", [False, True])
@@ -80,13 +86,35 @@ def test_order_with_drag(method, held):
     v0 = np.cross(w0, d) if held else np.array([0.4, -0.3, 0.2])
     about = INERTIA + mass * (d @ d * np.eye(3) - np.outer(d, d))
     scene = Scene(
-        name="dragged", gravity=gravity,
-        bodies=[Body(name="a", mass=mass, inertia=SIX, position=d, angular_velocity=w0,
-                     linear_velocity=v0)],
-        joints=[Joint(name="pivot", type="spherical", parent="world", child="a",
-                      child_frame=Frame(position=-d))] if held else [],
-        forces=[Drag(name="air", body="a", linear=0.6, quadratic=0.4, angular=0.5,
-                     angular_quadratic=0.3)])
+        name="dragged",
+        gravity=gravity,
+        bodies=[
+            Body(
+                name="a",
+                mass=mass,
+                inertia=SIX,
+                position=d,
+                angular_velocity=w0,
+                linear_velocity=v0,
+            )
+        ],
+        joints=[
+            Joint(
+                name="pivot",
+                type="spherical",
+                parent="world",
+                child="a",
+                child_frame=Frame(position=-d),
+            )
+        ]
+        if held
+        else [],
+        forces=[
+            Drag(
+                name="air", body="a", linear=0.6, quadratic=0.4, angular=0.5, angular_quadratic=0.3
+            )
+        ],
+    )
 
     def rate(_, y):
         R, w = y[:9].reshape(3, 3), y[12:15]
@@ -110,12 +138,29 @@ def test_order_with_drag(method, held):
 def test_ball_joint_stays_closed_to_rounding(method):
     """Also where the centre of mass is off the body frame, and at steps that are far too large."""
     scene = Scene(
-        name="held", gravity=(0, 0, -9.81),
-        bodies=[Body(name="a", mass=2.0, com=(0.1, 0.2, -0.1), inertia=SIX,
-                     angular_velocity=(3, 1, -2), linear_velocity=(0, -1, -0.5))],
-        joints=[Joint(name="pivot", type="spherical", parent="world", child="a",
-                      parent_frame=Frame(position=(-0.5, 0, 0)),
-                      child_frame=Frame(position=(-0.5, 0, 0)))])
+        name="held",
+        gravity=(0, 0, -9.81),
+        bodies=[
+            Body(
+                name="a",
+                mass=2.0,
+                com=(0.1, 0.2, -0.1),
+                inertia=SIX,
+                angular_velocity=(3, 1, -2),
+                linear_velocity=(0, -1, -0.5),
+            )
+        ],
+        joints=[
+            Joint(
+                name="pivot",
+                type="spherical",
+                parent="world",
+                child="a",
+                parent_frame=Frame(position=(-0.5, 0, 0)),
+                child_frame=Frame(position=(-0.5, 0, 0)),
+            )
+        ],
+    )
     for step in (1e-3, 0.05, 0.1):
         simulation = Simulation(scene, method=method, step=step)
         simulation.advance(200)
@@ -140,20 +185,36 @@ def test_wrenches_that_start_and_end_within_steps_keep_the_order(method):
     torque, force, mass = np.array([0.4, -0.3, 0.5]), np.array([1.0, 2.0, -0.5]), 2.0
     w0 = np.array([0.5, 0.8, 0.1])
     scene = Scene(
-        name="pushed", gravity=(0, 0, 0),
+        name="pushed",
+        gravity=(0, 0, 0),
         bodies=[Body(name="a", mass=mass, inertia=SIX, angular_velocity=w0)],
-        forces=[ConstantWrench(name="push", body="a", torque=torque, force=force, axes="world",
-                               start=0.3, end=0.7137)])
+        forces=[
+            ConstantWrench(
+                name="push",
+                body="a",
+                torque=torque,
+                force=force,
+                axes="world",
+                start=0.3,
+                end=0.7137,
+            )
+        ],
+    )
 
     def rate(_, y, on):
         R, w = y[:9].reshape(3, 3), y[9:]
-        return np.concatenate([(R @ hat(w)).ravel(), np.linalg.solve(
-            INERTIA, on * R.T @ torque - np.cross(w, INERTIA @ w))])
+        return np.concatenate(
+            [
+                (R @ hat(w)).ravel(),
+                np.linalg.solve(INERTIA, on * R.T @ torque - np.cross(w, INERTIA @ w)),
+            ]
+        )
 
     y = np.concatenate([np.eye(3).ravel(), w0])
     for first, last, on in ((0, 0.3, 0), (0.3, 0.7137, 1), (0.7137, 1, 0)):
-        y = solve_ivp(rate, (first, last), y, method="DOP853", rtol=1e-13, atol=1e-13,
-                      args=(on,)).y[:, -1]
+        y = solve_ivp(
+            rate, (first, last), y, method="DOP853", rtol=1e-13, atol=1e-13, args=(on,)
+        ).y[:, -1]
     order = METHODS[method].order
     rates = {2: (32, 64, 128, 256), 4: (8, 16, 32, 64), 8: (1, 2, 4)}[order]
     poses = [end(scene, method, count)[0][0] for count in rates]
@@ -165,14 +226,15 @@ def test_wrenches_that_start_and_end_within_steps_keep_the_order(method):
     # A constant force is integrated exactly by all of them: x = f/m (t1^2/2 + t1 t2).
     held, after = 0.7137 - 0.3, 1 - 0.7137
     for pose in poses:
-        assert np.abs(pose[9:] - force / mass * (held ** 2 / 2 + held * after)).max() <= 1e-14
+        assert np.abs(pose[9:] - force / mass * (held**2 / 2 + held * after)).max() <= 1e-14
 
 
 @pytest.mark.parametrize("method", ROTATION)
 def test_wrenches_from_outside(method):
     """A torque about an axis of inertia for half of the time: w = tau t / I, held constant."""
-    scene = Scene(name="one", gravity=(0, 0, 0),
-                  bodies=[Body(name="a", mass=1.0, inertia=(2, 3, 4))])
+    scene = Scene(
+        name="one", gravity=(0, 0, 0), bodies=[Body(name="a", mass=1.0, inertia=(2, 3, 4))]
+    )
     simulation = Simulation(scene, method=method, step=1e-2)
     simulation.apply_wrench("a", (0, 0, 0.8, 1.0, 0, 0), start=0.2, duration=0.5)
     simulation.advance(100)
@@ -181,21 +243,36 @@ def test_wrenches_from_outside(method):
     assert np.abs(sample.twist[0, :3] - [0, 0, 0.1]).max() <= 1e-14
     angle = 0.1 * 0.5 / 2 + 0.1 * 0.3
     # sin f = h w and 2 tan(f/2) = h w: these two turn by another angle, off by (h w)^2/6 of it.
-    off = 1e-3 ** 2 / 6 * angle if method in ("rattle", "austin_krishnaprasad_wang") else 1e-14
+    off = 1e-3**2 / 6 * angle if method in ("rattle", "austin_krishnaprasad_wang") else 1e-14
     assert sample.pose[0, 3] == pytest.approx(np.sin(angle), abs=off)
     assert [(change.step, change.wrench[2]) for change in simulation.drain_applied()] == [
-        (20, 0.8), (70, 0.0)]
+        (20, 0.8),
+        (70, 0.0),
+    ]
 
 
 @pytest.mark.parametrize("method", ["lie_midpoint", "simo_wong", "bottasso_borri_candidate"])
 def test_a_torque_that_repetition_cannot_settle_ends_with_a_status(method):
     """A spring with h omega far above 2 at both its ends."""
     scene = Scene(
-        name="stiff", gravity=(0, 0, 0),
-        bodies=[Body(name=name, mass=1.0, inertia=(0.1, 0.2, 0.2), position=(x, 0, 0))
-                for name, x in (("a", 0.0), ("b", 1.0))],
-        forces=[SpringDamper(name="rod", parent="a", child="b", stiffness=1e6, rest_length=0.9,
-                             parent_point=(0, 0.1, 0), child_point=(0, 0, 0.1))])
+        name="stiff",
+        gravity=(0, 0, 0),
+        bodies=[
+            Body(name=name, mass=1.0, inertia=(0.1, 0.2, 0.2), position=(x, 0, 0))
+            for name, x in (("a", 0.0), ("b", 1.0))
+        ],
+        forces=[
+            SpringDamper(
+                name="rod",
+                parent="a",
+                child="b",
+                stiffness=1e6,
+                rest_length=0.9,
+                parent_point=(0, 0.1, 0),
+                child_point=(0, 0, 0.1),
+            )
+        ],
+    )
     simulation = Simulation(scene, method=method, step=0.01)
     before = simulation.state()
     with pytest.raises(SimulationError, match="smaller step") as failure:
@@ -214,10 +291,20 @@ def test_drag_that_repetition_cannot_settle_is_solved(method):
     The midpoint rule in world axes, v+ (1 + 5) = v (1 - 5) + h g; turning is as stiff, and stops.
     """
     mass, h = 2.0, 0.01
-    scene = Scene(name="honey", gravity=(0, 0, -9.81), bodies=[
-        Body(name="a", mass=mass, inertia=SIX, angular_velocity=(0.5, 0.8, 0.1),
-             linear_velocity=(0.4, -0.3, 0.2))],
-        forces=[Drag(name="honey", body="a", linear=10 * mass / h, angular=10 * 1.1 / h)])
+    scene = Scene(
+        name="honey",
+        gravity=(0, 0, -9.81),
+        bodies=[
+            Body(
+                name="a",
+                mass=mass,
+                inertia=SIX,
+                angular_velocity=(0.5, 0.8, 0.1),
+                linear_velocity=(0.4, -0.3, 0.2),
+            )
+        ],
+        forces=[Drag(name="honey", body="a", linear=10 * mass / h, angular=10 * 1.1 / h)],
+    )
     simulation = Simulation(scene, method=method, step=h)
     v, r = np.array([0.4, -0.3, 0.2]), np.zeros(3)
     for _ in range(30):
@@ -234,21 +321,41 @@ def test_drag_that_repetition_cannot_settle_is_solved(method):
 
 def pendulum():
     """A body that swings about its lower position with sqrt(m g a / (I + m a^2))."""
-    return Scene(name="pendulum", gravity=(0, 0, -9.81), bodies=[
-        Body(name="a", mass=1.0, inertia=(1, 1, 1), position=(0, 0, -1),
-             angular_velocity=(0.1, 0, 0), linear_velocity=(0, 0.1, 0))], joints=[
-        Joint(name="pivot", type="spherical", parent="world", child="a",
-              child_frame=Frame(position=(0, 0, 1)))])
+    return Scene(
+        name="pendulum",
+        gravity=(0, 0, -9.81),
+        bodies=[
+            Body(
+                name="a",
+                mass=1.0,
+                inertia=(1, 1, 1),
+                position=(0, 0, -1),
+                angular_velocity=(0.1, 0, 0),
+                linear_velocity=(0, 0.1, 0),
+            )
+        ],
+        joints=[
+            Joint(
+                name="pivot",
+                type="spherical",
+                parent="world",
+                child="a",
+                child_frame=Frame(position=(0, 0, 1)),
+            )
+        ],
+    )
 
 
 def limits(caplog):
     """What was said of stability; errors of so large steps are another matter."""
-    return [record.getMessage() for record in caplog.records
-            if "stable up to" in record.getMessage()]
+    return [
+        record.getMessage() for record in caplog.records if "stable up to" in record.getMessage()
+    ]
 
 
-@pytest.mark.parametrize("method", ["stoermer_verlet", "lie_newmark", "rattle",
-                                    "austin_krishnaprasad_wang"])
+@pytest.mark.parametrize(
+    "method", ["stoermer_verlet", "lie_newmark", "rattle", "austin_krishnaprasad_wang"]
+)
 def test_a_step_beyond_the_stability_limit_warns_and_names_it(method, caplog):
     """h omega = 2 for all that are explicit in forces: found to 1 in 64, printed to two digits.
 
@@ -266,19 +373,49 @@ def test_a_step_beyond_the_stability_limit_warns_and_names_it(method, caplog):
 
 def rod_at_rest():
     """A slender rod on a ball joint, let go at 0.5 rad: it stretches errors where it is."""
-    return Scene(name="rod", gravity=(0, 0, -9.81), bodies=[
-        Body(name="a", mass=1.0, inertia=(0.333, 0.34, 0.02), rotation_vector=(0, -0.5, 0),
-             position=(np.sin(0.5), 0, -np.cos(0.5)))], joints=[
-        Joint(name="pivot", type="spherical", parent="world", child="a",
-              child_frame=Frame(position=(0, 0, 1)))])
+    return Scene(
+        name="rod",
+        gravity=(0, 0, -9.81),
+        bodies=[
+            Body(
+                name="a",
+                mass=1.0,
+                inertia=(0.333, 0.34, 0.02),
+                rotation_vector=(0, -0.5, 0),
+                position=(np.sin(0.5), 0, -np.cos(0.5)),
+            )
+        ],
+        joints=[
+            Joint(
+                name="pivot",
+                type="spherical",
+                parent="world",
+                child="a",
+                child_frame=Frame(position=(0, 0, 1)),
+            )
+        ],
+    )
 
 
 def damped(damping):
     """A mass on a spring of 100 N/m with a damper, stretched by 0.2 m."""
-    return Scene(name="damped", gravity=(0, 0, 0), bodies=[
-        Body(name="a", mass=1.0, inertia=(1, 1.5, 2), position=(1.2, 0, 0))], forces=[
-        SpringDamper(name="s", parent="world", child="a", stiffness=100.0, damping=damping,
-                     rest_length=1.0, parent_point=(0, 0, 0), child_point=(0, 0, 0))])
+    return Scene(
+        name="damped",
+        gravity=(0, 0, 0),
+        bodies=[Body(name="a", mass=1.0, inertia=(1, 1.5, 2), position=(1.2, 0, 0))],
+        forces=[
+            SpringDamper(
+                name="s",
+                parent="world",
+                child="a",
+                stiffness=100.0,
+                damping=damping,
+                rest_length=1.0,
+                parent_point=(0, 0, 0),
+                child_point=(0, 0, 0),
+            )
+        ],
+    )
 
 
 @pytest.mark.parametrize("method", ["stoermer_verlet", "rattle", "coadjoint_rkmk2"])
@@ -304,9 +441,13 @@ def test_a_motion_that_stretches_errors_itself_does_not_warn(method, caplog):
 @pytest.mark.parametrize("method", ROTATION)
 def test_steps_that_are_stable_do_not_warn_of_it(method, caplog):
     """Free bodies have no limit, at whatever step; bodies on springs at a small one neither."""
-    for scene, step in ((load_scene("free_body"), 4.0), (load_scene("free_body"), 1.0),
-                        (load_scene("lagrangian_top"), 1 / 64),
-                        (load_scene("lagrangian_top"), 1 / 256), (mechanisms.rotors(), 2e-3)):
+    for scene, step in (
+        (load_scene("free_body"), 4.0),
+        (load_scene("free_body"), 1.0),
+        (load_scene("lagrangian_top"), 1 / 64),
+        (load_scene("lagrangian_top"), 1 / 256),
+        (mechanisms.rotors(), 2e-3),
+    ):
         try:
             Simulation(scene, method=method, step=step).advance(2)
         except SimulationError:
@@ -314,9 +455,13 @@ def test_steps_that_are_stable_do_not_warn_of_it(method, caplog):
     assert not limits(caplog)
 
 
-@pytest.mark.parametrize("name, why", [
-    ("double_pendulum", r"\w+ is a \w+ joint from \w+ to \w+"),
-    ("four_bar", r"is a revolute joint from world to \w+")])
+@pytest.mark.parametrize(
+    "name, why",
+    [
+        ("double_pendulum", r"\w+ is a \w+ joint from \w+ to \w+"),
+        ("four_bar", r"is a revolute joint from world to \w+"),
+    ],
+)
 def test_other_scenes_are_refused_with_the_methods_that_fit(name, why):
     for method in ROTATION:
         with pytest.raises(ValueError, match=why) as refusal:
@@ -328,10 +473,21 @@ def test_other_scenes_are_refused_with_the_methods_that_fit(name, why):
 
 
 def test_two_ball_joints_on_a_body_and_stabilisation_are_refused():
-    scene = Scene(name="twice", gravity=(0, 0, -1), bodies=[
-        Body(name="a", mass=1.0, inertia=(1, 1, 1))], joints=[
-        Joint(name=name, type="spherical", parent="world", child="a",
-              child_frame=Frame(position=(x, 0, 0))) for name, x in (("one", 0.0), ("two", 1.0))])
+    scene = Scene(
+        name="twice",
+        gravity=(0, 0, -1),
+        bodies=[Body(name="a", mass=1.0, inertia=(1, 1, 1))],
+        joints=[
+            Joint(
+                name=name,
+                type="spherical",
+                parent="world",
+                child="a",
+                child_frame=Frame(position=(x, 0, 0)),
+            )
+            for name, x in (("one", 0.0), ("two", 1.0))
+        ],
+    )
     with pytest.raises(ValueError, match="one ball joint a body, and a has more"):
         Simulation(scene, method="rattle")
     for kind in ("projection", "baumgarte"):
@@ -348,26 +504,32 @@ def test_methods_that_fit_a_scene():
 
 def test_steps_allocate_nothing():
     """Numba's own count of allocations, for 10 and for 400 steps in one call, none of them watched."""
-    code = ("import sys; sys.path.insert(0, sys.argv[1]); import mechanisms\n"
-            "from numba.core.runtime import rtsys\n"
-            "from liegroup_core import Simulation\n"
-            "from liegroup_core.integrators.methods import METHODS\n"
-            "from liegroup_core.monitor.step_watch import StepWatch\n"
-            "from liegroup_core.forces.schedule import NEVER\n"
-            "StepWatch.begins = lambda *_: False\n"        # looks allocate: some, in 400 steps more
-            "StepWatch.next_look = lambda *_: NEVER\n"
-            "for name, method in METHODS.items():\n"
-            "    if method.family != 'rotation': continue\n"
-            "    s, counts = Simulation(mechanisms.rotors(), method=name, step=1e-3), []\n"
-            "    for steps in (10, 10, 400):\n"
-            "        before = rtsys.get_allocation_stats().alloc\n"
-            "        s.advance(steps)\n"
-            "        counts.append(rtsys.get_allocation_stats().alloc - before)\n"
-            "    print(*counts)")
+    code = (
+        "import sys; sys.path.insert(0, sys.argv[1]); import mechanisms\n"
+        "from numba.core.runtime import rtsys\n"
+        "from liegroup_core import Simulation\n"
+        "from liegroup_core.integrators.methods import METHODS\n"
+        "from liegroup_core.monitor.step_watch import StepWatch\n"
+        "from liegroup_core.forces.schedule import NEVER\n"
+        "StepWatch.begins = lambda *_: False\n"  # looks allocate: some, in 400 steps more
+        "StepWatch.next_look = lambda *_: NEVER\n"
+        "for name, method in METHODS.items():\n"
+        "    if method.family != 'rotation': continue\n"
+        "    s, counts = Simulation(mechanisms.rotors(), method=name, step=1e-3), []\n"
+        "    for steps in (10, 10, 400):\n"
+        "        before = rtsys.get_allocation_stats().alloc\n"
+        "        s.advance(steps)\n"
+        "        counts.append(rtsys.get_allocation_stats().alloc - before)\n"
+        "    print(*counts)"
+    )
     here = os.path.dirname(os.path.dirname(__file__))
     lines = subprocess.run(
-        [sys.executable, "-c", code, here], capture_output=True, text=True, check=True,
-        env={**os.environ, "NUMBA_NRT_STATS": "1"}).stdout.split("\n")
+        [sys.executable, "-c", code, here],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, "NUMBA_NRT_STATS": "1"},
+    ).stdout.split("\n")
     counts = [list(map(int, line.split())) for line in lines if line]
     assert len(counts) == len(ROTATION)
     for _, few, many in counts:

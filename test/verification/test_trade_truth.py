@@ -7,6 +7,7 @@ crank angle by quadrature of its energy, and errors of an implementation with ot
 Heavy top, double pendulum, four-bar: motions by accelerations of other software, made and kept by
 benchmarks/trade_truth_peers.py.
 """
+
 import json
 from pathlib import Path
 
@@ -20,26 +21,54 @@ from liegroup_core.study.trade import reference_solution as truth
 from liegroup_core.study.trade.configurations import as_time
 from liegroup_core.study.trade.reference_solution import find_truth, scaled
 
-HEAVY_R_6 = [[0.72338819974053045, -0.25225153160076429, -0.6427119707001131],
-             [-0.18843768873839291, 0.82340059951614024, -0.53525946061643169],
-             [0.66422944073496695, 0.50831153589263489, 0.54810458175368647]]
+HEAVY_R_6 = [
+    [0.72338819974053045, -0.25225153160076429, -0.6427119707001131],
+    [-0.18843768873839291, 0.82340059951614024, -0.53525946061643169],
+    [0.66422944073496695, 0.50831153589263489, 0.54810458175368647],
+]
 PEERS = json.loads(Path(__file__).with_name("peers.json").read_text())
 MEASURED = Path(__file__).resolve().parents[2] / "docs" / "which_method.json"
-CRANK_ANGLE_1 = -0.765225378176             # rad, modulo a turn
+CRANK_ANGLE_1 = -0.765225378176  # rad, modulo a turn
 # scene, horizon s, what the closed form is called, [(method, group, step s, |R - R_true|_2 there)]
 ELSEWHERE = [
-    ("free_body", 10.0, "free bodies", [
-        ("stoermer_verlet", "auto", 0.25, 1.8392e-2), ("lie_newmark", "auto", 0.25, 1.2714e-3),
-        ("coadjoint_rkmk2", "auto", 0.25, 6.6897e-3), ("rattle", "auto", 0.25, 9.5058e-2),
-        ("simo_wong", "auto", 0.25, 1.0676e-2), ("coadjoint_rkmk4", "auto", 0.25, 7.3253e-6),
-        ("rkmk4", "se3", 0.25, 3.4191e-6), ("lie_midpoint", "auto", 0.25, 4.2340e-3)]),
-    ("lagrangian_top", 1.0, "symmetric heavy top", [
-        ("stoermer_verlet", "auto", 2.0 ** -12, 1.1404e-3),
-        ("rattle", "auto", 2.0 ** -12, 3.3614e-2), ("lie_newmark", "auto", 2.0 ** -12, 8.0759e-3),
-        ("lie_midpoint", "auto", 2.0 ** -12, 9.0806e-4)]),
-    ("heavy_top", 6.0, "integration", [
-        ("rkmk4", "se3", 1e-3, 3.623e-7), ("rkmk4", "se3", 5e-4, 2.294e-8),
-        ("rkmk4", "so3xr3", 1e-3, 5.771e-6), ("rkmk4", "so3xr3", 5e-4, 3.608e-7)])]
+    (
+        "free_body",
+        10.0,
+        "free bodies",
+        [
+            ("stoermer_verlet", "auto", 0.25, 1.8392e-2),
+            ("lie_newmark", "auto", 0.25, 1.2714e-3),
+            ("coadjoint_rkmk2", "auto", 0.25, 6.6897e-3),
+            ("rattle", "auto", 0.25, 9.5058e-2),
+            ("simo_wong", "auto", 0.25, 1.0676e-2),
+            ("coadjoint_rkmk4", "auto", 0.25, 7.3253e-6),
+            ("rkmk4", "se3", 0.25, 3.4191e-6),
+            ("lie_midpoint", "auto", 0.25, 4.2340e-3),
+        ],
+    ),
+    (
+        "lagrangian_top",
+        1.0,
+        "symmetric heavy top",
+        [
+            ("stoermer_verlet", "auto", 2.0**-12, 1.1404e-3),
+            ("rattle", "auto", 2.0**-12, 3.3614e-2),
+            ("lie_newmark", "auto", 2.0**-12, 8.0759e-3),
+            ("lie_midpoint", "auto", 2.0**-12, 9.0806e-4),
+        ],
+    ),
+    (
+        "heavy_top",
+        6.0,
+        "integration",
+        [
+            ("rkmk4", "se3", 1e-3, 3.623e-7),
+            ("rkmk4", "se3", 5e-4, 2.294e-8),
+            ("rkmk4", "so3xr3", 1e-3, 5.771e-6),
+            ("rkmk4", "so3xr3", 5e-4, 3.608e-7),
+        ],
+    ),
+]
 
 
 @pytest.fixture(autouse=True)
@@ -54,7 +83,7 @@ def test_errors_are_those_found_elsewhere(name, horizon, kind, runs):
     found = find_truth(make_layout(load_scene(name)), as_time(horizon))
     assert found.kind == kind and found.known <= 1e-10
     if kind != "integration":
-        assert found.agrees <= 2e-11            # two roads that share nothing
+        assert found.agrees <= 2e-11  # two roads that share nothing
     end = found.motion.rotation[-1, 0]
     if name == "heavy_top":
         assert np.linalg.norm(end - HEAVY_R_6, 2) <= 1e-10
@@ -83,10 +112,14 @@ def test_the_four_bar():
 
 def error_against(peer, rows, rotation, position):
     """As the trade measures it, of (k, n, 3, 3) and (k, n, 3) at these of the peer's instants."""
+
     def motion(turns, places):
         return Trajectory(None, turns, places, np.zeros((*places.shape[:2], 6)))
-    off = distance(motion(rotation, position), motion(
-        np.array(peer["rotation"])[rows], np.array(peer["position"])[rows]))
+
+    off = distance(
+        motion(rotation, position),
+        motion(np.array(peer["rotation"])[rows], np.array(peer["position"])[rows]),
+    )
     return scaled(off.position, off.angle, peer["length"])
 
 
@@ -99,29 +132,40 @@ def test_the_truth_is_that_of_other_software(peer, monkeypatch):
     assert found.length == pytest.approx(peer["length"]) and len(times) >= 10
     assert max(found.known, peer["known"]) <= 1e-9
     assert error_against(peer, slice(None), found.motion.rotation, found.motion.position) <= (
-        found.known + peer["known"])
+        found.known + peer["known"]
+    )
 
 
 @pytest.mark.parametrize("peer", PEERS, ids=lambda peer: peer["scene"])
 def test_the_cheapest_settings_are_as_good_as_they_are_said_to_be(peer):
     """By the motion of the other software, at those of its instants that are whole steps; the
-    errors that are said are the largest of more instants, and measured against our truth."""
-    part, = (part for part in json.loads(MEASURED.read_text())["scenes"]
-             if part["scene"] == peer["scene"])
+    errors that are said are the largest of more instants, and measured against our truth.
+    """
+    (part,) = (
+        part
+        for part in json.loads(MEASURED.read_text())["scenes"]
+        if part["scene"] == peer["scene"]
+    )
     assert part["horizon"] == peer["horizon"]
     for entry in part["cheapest"]:
         cell = part["cells"][entry["cell"]]
         step = as_time(cell["step"])
         rows = [row for row, at in enumerate(peer["times"]) if as_time(at) % step == 0]
-        simulation = Simulation(load_scene(peer["scene"]), cell["method"], cell["step"],
-                                cell["group"], stabilisation=cell["stabilisation"],
-                                **cell["options"])
+        simulation = Simulation(
+            load_scene(peer["scene"]),
+            cell["method"],
+            cell["step"],
+            cell["group"],
+            stabilisation=cell["stabilisation"],
+            **cell["options"],
+        )
         poses = []
         for row in rows:
             simulation.advance(round(as_time(peer["times"][row]) / step) - simulation.steps)
             poses.append(simulation.sample().pose)
         poses = np.array(poses)
-        error = error_against(peer, rows, poses[..., :9].reshape(*poses.shape[:2], 3, 3),
-                              poses[..., 9:])
+        error = error_against(
+            peer, rows, poses[..., :9].reshape(*poses.shape[:2], 3, 3), poses[..., 9:]
+        )
         assert len(rows) >= 5 and part["margin"] * cell["error"] <= entry["accuracy"]
         assert error <= cell["error"] + part["reference"]["known"] + peer["known"]

@@ -5,6 +5,7 @@ A block begins at a place in the array, here `solve`, and holds its entries row 
 a place in an array too. Sizes are arguments: where callers hand on constants the loops are
 unrolled, since all of this is inlined.
 """
+
 from liegroup_core.compiling.kernels import kernel
 
 
@@ -23,8 +24,9 @@ def invert_diagonal(solve, place, k, sign, floor, first, shift):
             if c == r:
                 total += shift * floor[first + r]
             for q in range(c):
-                total -= solve[place + r * k + q] * (solve[place + c * k + q]
-                                                     * solve[place + q * k + q])
+                total -= solve[place + r * k + q] * (
+                    solve[place + c * k + q] * solve[place + q * k + q]
+                )
             if c < r:
                 solve[place + r * k + c] = total
             else:
@@ -36,8 +38,9 @@ def invert_diagonal(solve, place, k, sign, floor, first, shift):
         for c in range(r):
             total = solve[place + r * k + c] * solve[place + c * k + c]
             for q in range(c + 1, r):
-                total += (solve[place + r * k + q] * solve[place + q * k + q]
-                          * solve[place + q * k + c])
+                total += (
+                    solve[place + r * k + q] * solve[place + q * k + q] * solve[place + q * k + c]
+                )
             solve[place + r * k + c] = -total
     return True
 

@@ -18,6 +18,7 @@ every time, and the bias has the term -Jdot_b (V_b - W) more.
 Baumgarte's terms make an error g of position and velocity die out, gddot + 2 a gdot + a^2 g = 0:
 the bias gets -2 a J V - a^2 g.
 """
+
 from liegroup_core.compiling.kernels import kernel, subroutine
 from liegroup_core.compiling.structs import borrowed
 from liegroup_core.joints.distance import distance_rate, distance_residual, distance_row
@@ -68,10 +69,18 @@ def position_residuals(model, pose, residual_out):
         element = model.elements[e]
         kind = element["kind"]
         first = element["row_start"]
-        rot_a, at_a = _frame(pose, element["parent"], matrix3(element["parent_rotation"]),
-                             vector3(element["parent_point"]))
-        rot_b, at_b = _frame(pose, element["child"], matrix3(element["child_rotation"]),
-                             vector3(element["child_point"]))
+        rot_a, at_a = _frame(
+            pose,
+            element["parent"],
+            matrix3(element["parent_rotation"]),
+            vector3(element["parent_point"]),
+        )
+        rot_b, at_b = _frame(
+            pose,
+            element["child"],
+            matrix3(element["child_rotation"]),
+            vector3(element["child_point"]),
+        )
         rot = tmatmul3(rot_a, rot_b)
         p = tmatvec3(rot_a, sub3(at_b, at_a))
         if kind == PERPENDICULAR:
@@ -79,14 +88,16 @@ def position_residuals(model, pose, residual_out):
         elif kind == DISTANCE:
             residual_out[first] = distance_residual(p, element["length"])
         else:
-            angular, linear = pair_coordinates(rot, p, element["turns_freely"] == 1,
-                                               element["pitch"])
+            angular, linear = pair_coordinates(
+                rot, p, element["turns_freely"] == 1, element["pitch"]
+            )
             forbidden = element["forbidden"]
             for r in range(element["rows"]):
                 total = 0.0
                 for c in range(3):
-                    total += (forbidden[6 * r + c] * angular[c]
-                              + forbidden[6 * r + 3 + c] * linear[c])
+                    total += (
+                        forbidden[6 * r + c] * angular[c] + forbidden[6 * r + 3 + c] * linear[c]
+                    )
                 residual_out[first + r] = total
 
 
@@ -142,7 +153,8 @@ def _set_bias(model, work, j, omega, bracket_w, bracket_v, error_w, error_v, rat
     for r in range(rows):
         work.solution[start + r] = -rate - (
             dot3(load3(work.child_jacobian, first + r, 0), bracket_w)
-            + dot3(load3(work.child_jacobian, first + r, 3), bracket_v))
+            + dot3(load3(work.child_jacobian, first + r, 3), bracket_v)
+        )
 
 
 @kernel
@@ -211,8 +223,9 @@ def clear_ground_slip(model, twist):
             b = model.joints[j]["child"]
             w, v = load3(twist, b, 0), load3(twist, b, 3)
             for r in range(6):
-                twist[b, r] -= (dot3(load3(model.ground_projector, j, 6 * r), w)
-                                + dot3(load3(model.ground_projector, j, 6 * r + 3), v))
+                twist[b, r] -= dot3(load3(model.ground_projector, j, 6 * r), w) + dot3(
+                    load3(model.ground_projector, j, 6 * r + 3), v
+                )
 
 
 @kernel
@@ -249,4 +262,5 @@ def add_baumgarte(model, work, pose):
         for r in range(model.joints[j]["rows"]):
             g = work.gap[model.row_residual[first + r]]
             work.solution[model.joints[j]["start"] + r] -= rate * (
-                2.0 * work.slip[first + r] + rate * g)
+                2.0 * work.slip[first + r] + rate * g
+            )

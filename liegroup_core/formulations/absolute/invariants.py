@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Energy and spatial momentum of a state."""
+
 from liegroup_core.compiling.kernels import kernel
 from liegroup_core.forces import kinds
 from liegroup_core.forces.gravity import energy as gravity_energy
@@ -16,8 +17,10 @@ def energy(model, angle, pose, twist):
     for i in range(len(model.bodies)):
         w = load3(twist, i, 0)
         v = load3(twist, i, 3)
-        total += 0.5 * (dot3(w, matvec3(matrix3(model.bodies[i]["inertia"]), w))
-                        + model.bodies[i]["mass"] * dot3(v, v))
+        total += 0.5 * (
+            dot3(w, matvec3(matrix3(model.bodies[i]["inertia"]), w))
+            + model.bodies[i]["mass"] * dot3(v, v)
+        )
     return total
 
 

@@ -6,6 +6,7 @@ Solves (6.22)
 In body frames at the centre of mass M is block diagonal (Theta, m I). Q holds the gyroscopic
 terms with the sign that (6.30) misses: torque -w x Theta w, force -m w x v.
 """
+
 from liegroup_core.compiling.kernels import kernel
 from liegroup_core.forces import gravity
 from liegroup_core.forces.kinds import add_wrenches

@@ -13,6 +13,7 @@ so kinetic energy and linear momentum stay. Displacements are the least ones up 
 
 Source: Terze, Mueller and Zlatar, ref. [34] of the chapter, with the mass matrix as the weight.
 """
+
 from liegroup_core.compiling.kernels import kernel, shared
 from liegroup_core.compiling.structs import borrowed
 from liegroup_core.joints.elements import WORLD
@@ -26,7 +27,7 @@ from .saddle_point import solve
 # Newton's method doubles the digits: a gap of a tenth of the mechanism takes four or five rounds.
 MOST_ROUNDS = 20
 # A residual is a sum of some ten products, each right to half of 2^-52 of the lengths in it.
-ROUND_OFF = 16 * 2.0 ** -52
+ROUND_OFF = 16 * 2.0**-52
 
 
 @kernel
@@ -42,8 +43,12 @@ def is_closed(model, work, pose):
         a = model.joints[j]["parent"]
         b = model.joints[j]["child"]
         element = model.elements[model.joints[j]["element"]]
-        length = (_largest3(load3(pose, b, 9)) + _largest3(element["child_point"])
-                  + _largest3(element["parent_point"]) + abs(element["pitch"]))
+        length = (
+            _largest3(load3(pose, b, 9))
+            + _largest3(element["child_point"])
+            + _largest3(element["parent_point"])
+            + abs(element["pitch"])
+        )
         if a != WORLD:
             length += _largest3(load3(pose, a, 9))
         for r in range(model.joints[j]["rows"]):
@@ -97,8 +102,9 @@ def project(model, work, pose, twist):
                 for c in range(6):
                     twist[i, c] += work.acceleration[i, c]
             else:
-                _displace(pose, twist, i, load3(work.acceleration, i, 0),
-                          load3(work.acceleration, i, 3))
+                _displace(
+                    pose, twist, i, load3(work.acceleration, i, 0), load3(work.acceleration, i, 3)
+                )
         if closed:
             return rounds, OK
     return MOST_ROUNDS, NOT_PROJECTED

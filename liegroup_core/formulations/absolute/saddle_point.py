@@ -17,6 +17,7 @@ The usual sizes (of a body, 6 scalars or 3 in a plane, and of two kinds of joint
 constants: the compiler then unrolls the loops over a block, which was measured to take a quarter
 to a third of the time.
 """
+
 from liegroup_core.compiling.kernels import kernel, shared
 from liegroup_core.joints.elements import WORLD
 
@@ -32,9 +33,9 @@ from .blocks import (
 
 # Scalars of a body, and of the joints that are most frequent. Where these are constants LLVM
 # unrolls the loops over a block: they take a third less time.
-SPATIAL_SIZES = (6, 3, 5)           # ball; hinge, slider
-PLANAR_SIZES = (3, 2, 1)            # hinge, slider; what is left of a loop
-NONE = 0                            # no usual size
+SPATIAL_SIZES = (6, 3, 5)  # ball; hinge, slider
+PLANAR_SIZES = (3, 2, 1)  # hinge, slider; what is left of a loop
+NONE = 0  # no usual size
 
 # A row that depends on others is given this many times its pivot floor instead of nothing.
 REGULARISATION = 1e2
@@ -72,9 +73,9 @@ def _eliminate(model, solve, v, k, sign, usual, other, shift):
     """Eliminate vertex v of k scalars; False when one of its pivots is too small."""
     vertices = model.vertices
     place = vertices[v]["diagonal"]
-    if (vertices[v]["is_constant"] == 0
-            and not invert_diagonal(solve, place, k, sign, model.pivot_floor,
-                                     vertices[v]["start"], shift)):
+    if vertices[v]["is_constant"] == 0 and not invert_diagonal(
+        solve, place, k, sign, model.pivot_floor, vertices[v]["start"], shift
+    ):
         return False
     for b in range(vertices[v]["column_fresh"], vertices[v]["column_end"]):
         rows = vertices[model.columns[b, 0]]["size"]
@@ -95,8 +96,14 @@ def _eliminate_mass(model, solve, v, body, usual, other):
     vertices = model.vertices
     for b in range(vertices[v]["column_fresh"], vertices[v]["column_end"]):
         for r in range(vertices[model.columns[b, 0]]["size"]):
-            over_mass(solve, vertices[v]["diagonal"], solve, model.columns[b, 1] + r * body,
-                      model.columns[b, 2] + r * body, body)
+            over_mass(
+                solve,
+                vertices[v]["diagonal"],
+                solve,
+                model.columns[b, 1] + r * body,
+                model.columns[b, 2] + r * body,
+                body,
+            )
     _update(model, solve, v, body, usual, other)
 
 
@@ -159,8 +166,14 @@ def _take_mass(model, solve, x, v, body, usual, other, fresh):
     if fresh:
         _eliminate_mass(model, solve, v, body, usual, other)
     _push(model, solve, x, v, body, usual, other)
-    over_mass(solve, model.vertices[v]["diagonal"], x, model.vertices[v]["start"],
-              len(model.constant), body)
+    over_mass(
+        solve,
+        model.vertices[v]["diagonal"],
+        x,
+        model.vertices[v]["start"],
+        len(model.constant),
+        body,
+    )
 
 
 @kernel
@@ -253,12 +266,29 @@ def _subtract_image(model, matrix, x, y_out, body):
         b = model.joints[j]["child"]
         rows = model.joints[j]["rows"]
         start = model.joints[j]["start"]
-        _subtract_rows(matrix, model.joints[j]["child_place"], model.joints[j]["child_turned"],
-                       rows, body, x, start, body * b, y_out)
+        _subtract_rows(
+            matrix,
+            model.joints[j]["child_place"],
+            model.joints[j]["child_turned"],
+            rows,
+            body,
+            x,
+            start,
+            body * b,
+            y_out,
+        )
         if a != WORLD:
-            _subtract_rows(matrix, model.joints[j]["parent_place"],
-                           model.joints[j]["parent_turned"], rows, body, x, start,
-                           body * a, y_out)
+            _subtract_rows(
+                matrix,
+                model.joints[j]["parent_place"],
+                model.joints[j]["parent_turned"],
+                rows,
+                body,
+                x,
+                start,
+                body * a,
+                y_out,
+            )
 
 
 @kernel

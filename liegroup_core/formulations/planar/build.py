@@ -10,6 +10,7 @@ other joints, which close loops, are left with what their rows say of motions in
 Axes must be those of the world and, in each body, of the body: then the plane's numbers are those
 of space in another order, and nothing is rounded on the way.
 """
+
 from functools import lru_cache
 
 import numpy as np
@@ -73,8 +74,9 @@ def _body_axes(world, pose):
 def _is_held(normal, pose, elements):
     """True when pairs that move in the plane connect every body with the world."""
     reached, last = {WORLD}, 0
-    links = [(int(e["parent"]), int(e["child"])) for e in elements
-             if _moves_in_plane(normal, pose, e)]
+    links = [
+        (int(e["parent"]), int(e["child"])) for e in elements if _moves_in_plane(normal, pose, e)
+    ]
     while len(reached) > last:
         last = len(reached)
         for pair in links:
@@ -86,10 +88,12 @@ def _is_held(normal, pose, elements):
 def _moves_in_plane(normal, pose, element):
     """True when a pair allows nothing but turns about the normal and shifts across it."""
     R = pose[element["child"], :9].reshape(3, 3) @ element["child_rotation"].reshape(3, 3)
-    free = scipy.linalg.null_space(element["forbidden"][:6 * element["rows"]].reshape(-1, 6))
+    free = scipy.linalg.null_space(element["forbidden"][: 6 * element["rows"]].reshape(-1, 6))
     turns, shifts = R @ free[:3], R @ free[3:]
-    return (np.abs(np.cross(normal, turns.T)).max(initial=0.0) <= IN_PLANE
-            and np.abs(normal @ shifts).max(initial=0.0) <= IN_PLANE)
+    return (
+        np.abs(np.cross(normal, turns.T)).max(initial=0.0) <= IN_PLANE
+        and np.abs(normal @ shifts).max(initial=0.0) <= IN_PLANE
+    )
 
 
 def _build(scene, model, world, axes):
@@ -103,14 +107,25 @@ def _build(scene, model, world, axes):
     jacobians = [rows[e] for e in solved]
     ends = [(int(model.elements[e]["parent"]), int(model.elements[e]["child"])) for e in solved]
     n, m = len(axes), len(solved)
-    inertias = np.array([axis[2] @ body["inertia"].reshape(3, 3) @ axis[2]
-                         for axis, body in zip(axes, model.bodies)])
-    masses = [np.diag([inertia, body["mass"], body["mass"]])
-              for inertia, body in zip(inertias, model.bodies)]
-    unlike = are_unlike(model.bodies["mass"], inertias, ends,
-                        _turned(model.elements, axes, model.bodies["mass"], inertias))
-    structure = cheapest_structure(3, n, [len(jacobian) for jacobian in jacobians], ends,
-                                   [False] * m, not unlike)
+    inertias = np.array(
+        [
+            axis[2] @ body["inertia"].reshape(3, 3) @ axis[2]
+            for axis, body in zip(axes, model.bodies)
+        ]
+    )
+    masses = [
+        np.diag([inertia, body["mass"], body["mass"]])
+        for inertia, body in zip(inertias, model.bodies)
+    ]
+    unlike = are_unlike(
+        model.bodies["mass"],
+        inertias,
+        ends,
+        _turned(model.elements, axes, model.bodies["mass"], inertias),
+    )
+    structure = cheapest_structure(
+        3, n, [len(jacobian) for jacobian in jacobians], ends, [False] * m, not unlike
+    )
     joints = structure.joints()
     joints["element"] = solved
     projectors = np.zeros((m, 9))
@@ -120,22 +135,34 @@ def _build(scene, model, world, axes):
     for j, ((parent, child), jacobian) in enumerate(zip(ends, jacobians)):
         mobility = jacobian / np.diag(masses[child])
         if solved[j] in loops:
-            floor[joints[j]["start"]:joints[j]["start"] + len(jacobian)] = SMALLEST_PIVOT * (
-                jacobian * mobility).sum(axis=1)
+            floor[joints[j]["start"] : joints[j]["start"] + len(jacobian)] = SMALLEST_PIVOT * (
+                jacobian * mobility
+            ).sum(axis=1)
         if parent == WORLD:
             projectors[j] = (mobility.T @ np.linalg.solve(jacobian @ mobility.T, jacobian)).ravel()
     alike = not unlike and _are_alike(model.bodies["mass"], inertias)
     links = tree_links(len(axes), ends, jacobians if alike else [])
     return PlanarModel(
-        space=model, has_forces=any(map(len, model.forces.values())), world=world.reshape(1, 9),
+        space=model,
+        has_forces=any(map(len, model.forces.values())),
+        world=world.reshape(1, 9),
         gravity=model.gravity @ world[:2].T,
-        bodies=np.array([(body["mass"], inertia, axis.ravel())
-                         for body, inertia, axis in zip(model.bodies, inertias, axes)],
-                        dtype=PLANAR_BODY),
-        joints=joints, child_jacobian=np.concatenate([np.zeros((0, 3)), *jacobians]),
+        bodies=np.array(
+            [
+                (body["mass"], inertia, axis.ravel())
+                for body, inertia, axis in zip(model.bodies, inertias, axes)
+            ],
+            dtype=PLANAR_BODY,
+        ),
+        joints=joints,
+        child_jacobian=np.concatenate([np.zeros((0, 3)), *jacobians]),
         ground_projector=projectors,
-        pivot_floor=floor, refinements=int(unlike), projects=model.projects, links=links,
-        **structure.arrays(masses, jacobians))
+        pivot_floor=floor,
+        refinements=int(unlike),
+        projects=model.projects,
+        links=links,
+        **structure.arrays(masses, jacobians),
+    )
 
 
 def _turned(elements, axes, masses, inertias):
@@ -145,7 +172,7 @@ def _turned(elements, axes, masses, inertias):
         held = elements[elements[end] != WORLD]
         body = held[end]
         points = np.einsum("erc,ec->er", axes[body, :2], held[f"{end}_point"])
-        turned.extend(masses[body] * (points ** 2).sum(axis=1) / inertias[body])
+        turned.extend(masses[body] * (points**2).sum(axis=1) / inertias[body])
     return turned
 
 
@@ -161,7 +188,7 @@ def _kept_rows(scene, elements, lift):
         frame = np.eye(4)
         frame[:3, :3] = element["child_rotation"].reshape(3, 3)
         frame[:3, 3] = element["child_point"]
-        matrix = element["forbidden"][:6 * element["rows"]].reshape(-1, 6)
+        matrix = element["forbidden"][: 6 * element["rows"]].reshape(-1, 6)
         matrix = matrix @ SE3.Ad(SE3.inverse(frame)) @ lift[element["child"]]
         rows.append(_independent(matrix))
     loops = loop_joints([(joint.parent, joint.child) for joint in scene.joints])
@@ -170,13 +197,19 @@ def _kept_rows(scene, elements, lift):
         return rows
     linkage = Linkage(scene, resolve_frames(scene), resolve_elements(scene), loops)
     index = {body.name: i for i, body in enumerate(scene.bodies)}
-    chosen = _chosen(linkage, *(
-        tuple(matrix.tobytes() for matrix in matrices) for matrices in (
-            [rows[j] @ lift[elements[j]["child"]].T for j in loops],
-            [lift[index[name]] for name in linkage.bodies])))
+    chosen = _chosen(
+        linkage,
+        *(
+            tuple(matrix.tobytes() for matrix in matrices)
+            for matrices in (
+                [rows[j] @ lift[elements[j]["child"]].T for j in loops],
+                [lift[index[name]] for name in linkage.bodies],
+            )
+        ),
+    )
     at = 0
     for j in loops:
-        rows[j], at = rows[j][chosen[at:at + len(rows[j])]], at + len(rows[j])
+        rows[j], at = rows[j][chosen[at : at + len(rows[j])]], at + len(rows[j])
     return rows
 
 
@@ -190,8 +223,10 @@ def _chosen(linkage, in_space, lifts):
     for poses in generic_poses(linkage):
         matrix = linkage.velocity_rows(poses, in_space) @ flat
         matrices.append(matrix / np.linalg.norm(matrix, axis=1, keepdims=True))
-    chosen, _ = independent_rows(matrices, [
-        joint.parent == "world" for joint, rows in zip(linkage.joints, in_space) for _ in rows])
+    chosen, _ = independent_rows(
+        matrices,
+        [joint.parent == "world" for joint, rows in zip(linkage.joints, in_space) for _ in rows],
+    )
     chosen.flags.writeable = False
     return chosen
 

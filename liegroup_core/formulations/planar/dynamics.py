@@ -8,6 +8,7 @@ the parent at the child is W = (omega_a, R v_a - omega_a J p), and (alpha, beta)
     acceleration  bias = -beta . (omega_b J W_v - omega_a J v_b + omega_b J e)
 e is the velocity error of the joint, as in dynamics.constraints.
 """
+
 from liegroup_core.compiling.kernels import kernel
 from liegroup_core.formulations.absolute.newton_euler import REFINEMENTS_WHEN_SINGULAR
 from liegroup_core.formulations.absolute.saddle_point import REGULARISATION, solve_in_plane
@@ -56,8 +57,9 @@ def _set_bias(model, work, j, w, error, bracket_x, bracket_y):
     bracket_x -= w * ey
     bracket_y += w * ex
     for r in range(rows):
-        work.solution[start + r] = -(jacobian[first + r, 1] * bracket_x
-                                     + jacobian[first + r, 2] * bracket_y)
+        work.solution[start + r] = -(
+            jacobian[first + r, 1] * bracket_x + jacobian[first + r, 2] * bracket_y
+        )
 
 
 @kernel
@@ -97,8 +99,7 @@ def assemble(model, work):
         px, py = cb * dx + sb * dy, cb * dy - sb * dx
         wa, ax, ay = twist[a, 0], twist[a, 1], twist[a, 2]
         wx, wy = c * ax - s * ay + wa * py, s * ax + c * ay - wa * px
-        _set_bias(model, work, j, w, (w - wa, vx - wx, vy - wy),
-                  wa * vy - w * wy, w * wx - wa * vx)
+        _set_bias(model, work, j, w, (w - wa, vx - wx, vy - wy), wa * vy - w * wy, w * wx - wa * vx)
         _set_parent_rows(model, work, j, c, s, px, py)
 
 
@@ -133,6 +134,8 @@ def clear_ground_slip(model, twist):
             b = model.joints[j]["child"]
             w, vx, vy = twist[b, 0], twist[b, 1], twist[b, 2]
             for r in range(3):
-                twist[b, r] -= (model.ground_projector[j, 3 * r] * w
-                                + model.ground_projector[j, 3 * r + 1] * vx
-                                + model.ground_projector[j, 3 * r + 2] * vy)
+                twist[b, r] -= (
+                    model.ground_projector[j, 3 * r] * w
+                    + model.ground_projector[j, 3 * r + 1] * vx
+                    + model.ground_projector[j, 3 * r + 2] * vy
+                )

@@ -4,6 +4,7 @@
 Planar axes are axes of the world and of the bodies (arrays.py), so that products with them are
 exact, and a state goes to the plane and back without a change.
 """
+
 from liegroup_core.compiling.kernels import kernel
 from liegroup_core.forces.kinds import add_wrenches
 from liegroup_core.lie.vec3 import (
@@ -39,9 +40,12 @@ def to_plane(model, pose, twist, pose_out, twist_out):
         rot = matmul3(matmul3(world, load9(pose, i, 0)), transpose3(axes))
         tilt = abs(rot[2]) + abs(rot[5]) + abs(rot[6]) + abs(rot[7])
         w, v = matvec3(axes, load3(twist, i, 0)), matvec3(axes, load3(twist, i, 3))
-        if not (tilt <= IN_PLANE and rot[8] > 0.0
-                and abs(w[0]) + abs(w[1]) <= IN_PLANE * (1.0 + abs(w[2]))
-                and abs(v[2]) <= IN_PLANE * (1.0 + abs(v[0]) + abs(v[1]))):
+        if not (
+            tilt <= IN_PLANE
+            and rot[8] > 0.0
+            and abs(w[0]) + abs(w[1]) <= IN_PLANE * (1.0 + abs(w[2]))
+            and abs(v[2]) <= IN_PLANE * (1.0 + abs(v[0]) + abs(v[1]))
+        ):
             status = OFF_PLANE
         r = matvec3(world, load3(pose, i, 9))
         pose_out[i, 0], pose_out[i, 1], pose_out[i, 2], pose_out[i, 3] = rot[0], rot[3], r[0], r[1]
@@ -85,6 +89,12 @@ def add_forces(model, work, wrench_out):
     for i in range(len(model.bodies)):
         for c in range(6):
             space.wrench[i, c] = 0.0
-    add_wrenches(model.space.forces, space.angle, space.acting, space.stage_pose,
-                 space.stage_twist, space.wrench)
+    add_wrenches(
+        model.space.forces,
+        space.angle,
+        space.acting,
+        space.stage_pose,
+        space.stage_twist,
+        space.wrench,
+    )
     wrench_to_plane(model, space.wrench, wrench_out)

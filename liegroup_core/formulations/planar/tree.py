@@ -12,16 +12,21 @@ loses as many digits as neighbouring masses differ by, so such mechanisms are le
 
 Source: Featherstone, Rigid Body Dynamics Algorithms, section 7.3.
 """
+
 import numpy as np
 
 from liegroup_core.compiling.kernels import kernel
 from liegroup_core.joints.elements import WORLD
 
-LINK = np.dtype([                   # a joint of a tree, from the leaves to the ground
-    ("parent", "i8"), ("child", "i8"),
-    ("free", "f8", (3,)),           # s: (omega, v_1, v_2) that it leaves to the child; 0: fixed
-    ("point", "f8", (6,)),          # (2, 3) velocity error of its point, of that of the twist
-], align=True)
+LINK = np.dtype(
+    [  # a joint of a tree, from the leaves to the ground
+        ("parent", "i8"),
+        ("child", "i8"),
+        ("free", "f8", (3,)),  # s: (omega, v_1, v_2) that it leaves to the child; 0: fixed
+        ("point", "f8", (6,)),  # (2, 3) velocity error of its point, of that of the twist
+    ],
+    align=True,
+)
 
 # A row of PlanarWork.links: I (ww, w1, w2, 11, 12, 22), U, 1 / D, u, turn and place of the parent
 # seen from the child, linear part of c (its angular part is 0).
@@ -87,8 +92,11 @@ def _gather(model, work, pose, twist):
         q2 = force[at + 2] - (XY * bx + YY * by)
         free = links[k]["free"]
         f0, f1, f2 = free[0], free[1], free[2]
-        u0, u1, u2 = (ww * f0 + wX * f1 + wY * f2, wX * f0 + XX * f1 + XY * f2,
-                      wY * f0 + XY * f1 + YY * f2)
+        u0, u1, u2 = (
+            ww * f0 + wX * f1 + wY * f2,
+            wX * f0 + XX * f1 + XY * f2,
+            wY * f0 + XY * f1 + YY * f2,
+        )
         d = f0 * u0 + f1 * u1 + f2 * u2
         inverse = 1.0 / d if d > 0.0 else 0.0
         u = f0 * q0 + f1 * q1 + f2 * q2

@@ -3,6 +3,7 @@
 
 In place and without allocation, as kernels need it.
 """
+
 import math
 
 from liegroup_core.compiling.kernels import kernel

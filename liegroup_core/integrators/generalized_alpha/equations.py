@@ -5,6 +5,7 @@ Unknowns x = (Vdot_1, lambda). They give the end of the step, `move`, and what i
     Vdot_1 - M^-1 (Q - J^T lambda) = 0 ,   g / sigma = 0
 in m/s^2 and rad/s^2, `residual`; g are the position residuals of all rows that are solved for.
 """
+
 import numpy as np
 
 from liegroup_core.compiling.kernels import kernel, subroutine
@@ -45,19 +46,19 @@ class Coefficients(Struct):
 class Memory(Struct):
     """What the method holds beside pose, twist and Work; N = 6 n + rows."""
 
-    rate: np.ndarray        # (n, 6) Vdot_0 on the group
-    mean: np.ndarray        # (n, 6) a_0
-    old: np.ndarray         # (n, 6) (alpha_f Vdot_0 - alpha_m a_0) / (1 - alpha_m)
-    body_rate: np.ndarray   # (n, 6) Vdot_1 in body axes
-    x: np.ndarray           # (N,) Vdot_1, then lambda
-    start: np.ndarray       # (N,) x before the first iteration
-    residual: np.ndarray    # (N,)
-    base: np.ndarray        # (N,) residual that differences are taken from
+    rate: np.ndarray  # (n, 6) Vdot_0 on the group
+    mean: np.ndarray  # (n, 6) a_0
+    old: np.ndarray  # (n, 6) (alpha_f Vdot_0 - alpha_m a_0) / (1 - alpha_m)
+    body_rate: np.ndarray  # (n, 6) Vdot_1 in body axes
+    x: np.ndarray  # (N,) Vdot_1, then lambda
+    start: np.ndarray  # (N,) x before the first iteration
+    residual: np.ndarray  # (N,)
+    base: np.ndarray  # (N,) residual that differences are taken from
     correction: np.ndarray  # (N,) by which x was corrected last
-    next: np.ndarray        # (N,) residual, then the next correction
-    matrix: np.ndarray      # (N, N) factors of the derivative of the residual
-    pivots: np.ndarray      # (N,) row that was exchanged with each
-    factored: np.ndarray    # (1,) bool: `matrix` holds factors
+    next: np.ndarray  # (N,) residual, then the next correction
+    matrix: np.ndarray  # (N, N) factors of the derivative of the residual
+    pivots: np.ndarray  # (N,) row that was exchanged with each
+    factored: np.ndarray  # (1,) bool: `matrix` holds factors
 
 
 @kernel
@@ -79,10 +80,20 @@ def move(model, work, memory, numbers, group, h, pose):
             a0 = load3(memory.mean, i, c)
             a1 = axpy3(part, rate, load3(memory.old, i, c))
             v0 = load3(work.velocity, i, c)
-            store3(axpy3(h, v0, axpy3(h * h * (0.5 - numbers.beta), a0,
-                                      scale3(h * h * numbers.beta, a1))), work.slopes, i, c)
-            store3(axpy3(h * (1.0 - numbers.gamma), a0, axpy3(h * numbers.gamma, a1, v0)),
-                   work.stage_twist, i, c)
+            store3(
+                axpy3(
+                    h, v0, axpy3(h * h * (0.5 - numbers.beta), a0, scale3(h * h * numbers.beta, a1))
+                ),
+                work.slopes,
+                i,
+                c,
+            )
+            store3(
+                axpy3(h * (1.0 - numbers.gamma), a0, axpy3(h * numbers.gamma, a1, v0)),
+                work.stage_twist,
+                i,
+                c,
+            )
             store3(rate, memory.body_rate, i, c)
         xi, eta = load3(work.slopes, i, 0), load3(work.slopes, i, 3)
         rotation = dot3(xi, xi)
@@ -121,10 +132,10 @@ def residual(model, work, memory, numbers, group, h, pose, external):
         inverse_mass = model.bodies[i]["inverse_mass"]
         for c in range(3):
             memory.residual[6 * i + c] = memory.body_rate[i, c] - angular[c]
-            memory.residual[6 * i + 3 + c] = (memory.body_rate[i, 3 + c]
-                                              - inverse_mass * work.wrench[i, 3 + c])
+            memory.residual[6 * i + 3 + c] = (
+                memory.body_rate[i, 3 + c] - inverse_mass * work.wrench[i, 3 + c]
+            )
     position_residuals(model, work.stage_pose, work.gap)
     for row in range(len(model.row_residual)):
-        memory.residual[6 * n + row] = (work.gap[model.row_residual[row]]
-                                        / sigma(numbers, h))
+        memory.residual[6 * n + row] = work.gap[model.row_residual[row]] / sigma(numbers, h)
     return OK

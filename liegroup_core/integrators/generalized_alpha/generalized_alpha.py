@@ -24,6 +24,7 @@ steps as long as the iteration converges quickly.
 Source: Bruels, Cardona and Arnold, Mech. Mach. Theory 48 (2012) 121-137, table 1; the scaling
 after Bottasso, Bauchau and Cardona, J. Comput. Nonlinear Dyn. 2 (2007).
 """
+
 import math
 
 import numpy as np
@@ -50,7 +51,7 @@ TOLERANCE, STUCK = 2e-15, 100.0
 # spring that the first guess stretches pulls so hard that corrections grow before they shrink.
 SLOW, GROWTH = 0.1, 10.0
 MOST_ITERATIONS = 50
-DISPLACEMENT = 1e-7         # rad and m, of a pose for differences: half the digits are right
+DISPLACEMENT = 1e-7  # rad and m, of a pose for differences: half the digits are right
 
 
 @kernel
@@ -91,8 +92,10 @@ def _tolerance(model, pose):
         r = load3(pose, i, 9)
         largest = max(largest, math.sqrt(dot3(r, r)))
     for e in range(len(model.elements)):
-        for r in (vector3(model.elements[e]["parent_point"]),
-                  vector3(model.elements[e]["child_point"])):
+        for r in (
+            vector3(model.elements[e]["parent_point"]),
+            vector3(model.elements[e]["child_point"]),
+        ):
             largest = max(largest, math.sqrt(dot3(r, r)))
     return TOLERANCE * largest
 
@@ -162,8 +165,9 @@ def advance(model, work, memory, numbers, group, h, steps, pose, twist, external
         for i in range(n):
             group_velocity(group, pose, twist, i, work.velocity)
             for c in range(6):
-                memory.old[i, c] = inverse * (numbers.alpha_f * memory.rate[i, c]
-                                              - numbers.alpha_m * memory.mean[i, c])
+                memory.old[i, c] = inverse * (
+                    numbers.alpha_f * memory.rate[i, c] - numbers.alpha_m * memory.mean[i, c]
+                )
         status = _newton(model, work, memory, numbers, group, h, pose, external)
         work.report[1] = 0.0
         if status == OK:
@@ -179,8 +183,9 @@ def advance(model, work, memory, numbers, group, h, steps, pose, twist, external
             store9(orthonormal(load9(work.stage_pose, i, 0)), work.stage_pose, i, 0)
             for c in range(6):
                 memory.rate[i, c] = memory.x[6 * i + c]
-                memory.mean[i, c] = (memory.old[i, c] + inverse * (1.0 - numbers.alpha_f)
-                                     * memory.rate[i, c])
+                memory.mean[i, c] = (
+                    memory.old[i, c] + inverse * (1.0 - numbers.alpha_f) * memory.rate[i, c]
+                )
         count_turns(model.forces, work.stage_pose, work.angle)
         copy_state(work.stage_pose, work.stage_twist, pose, twist)
         work.report[0] = max(work.report[0], work.report[1])
@@ -214,12 +219,20 @@ class GeneralizedAlpha:
         n, rows = len(model.bodies), len(model.row_residual)
         size = 6 * n + rows
         self._memory = Memory(
-            rate=np.zeros((n, 6)), mean=np.zeros((n, 6)), old=np.zeros((n, 6)),
-            body_rate=np.zeros((n, 6)), x=np.zeros(size), start=np.zeros(size),
-            residual=np.zeros(size), base=np.zeros(size), correction=np.zeros(size),
+            rate=np.zeros((n, 6)),
+            mean=np.zeros((n, 6)),
+            old=np.zeros((n, 6)),
+            body_rate=np.zeros((n, 6)),
+            x=np.zeros(size),
+            start=np.zeros(size),
+            residual=np.zeros(size),
+            base=np.zeros(size),
+            correction=np.zeros(size),
             next=np.zeros(size),
-            matrix=np.zeros((size, size)), pivots=np.zeros(size, dtype=np.int64),
-            factored=np.zeros(1, dtype=bool))
+            matrix=np.zeros((size, size)),
+            pivots=np.zeros(size, dtype=np.int64),
+            factored=np.zeros(1, dtype=bool),
+        )
         self._model, self._group = model, GROUPS[group]
         self.work = make_work(model, 1)
         self._advance = SameTypes(advance)
@@ -249,8 +262,18 @@ class GeneralizedAlpha:
             if dependent >= 0:
                 return 0, DEPENDENT_ROWS + (self._model.joints[dependent]["element"] << 8)
             self._started_for[:] = now
-        done, status = self._advance(self._model, self.work, self._memory, self._numbers,
-                                     self._group, h, steps, pose, twist, external)
+        done, status = self._advance(
+            self._model,
+            self.work,
+            self._memory,
+            self._numbers,
+            self._group,
+            h,
+            steps,
+            pose,
+            twist,
+            external,
+        )
         if status != OK:
             self.restart()
         return done, status
@@ -267,7 +290,7 @@ class GeneralizedAlpha:
                 memory.rate[:, 3:] = np.einsum("nij,nj->ni", turn, linear)
             memory.mean[:] = memory.rate
             memory.x[:] = work.solution
-            memory.x[:memory.rate.size] = memory.rate.ravel()
+            memory.x[: memory.rate.size] = memory.rate.ravel()
             memory.factored[0] = False
             self._shift_mean(h, pose, twist, external)
         return dependent
@@ -280,8 +303,18 @@ class GeneralizedAlpha:
         """
         memory, angle = self._memory, self.work.angle.copy()
         rate, x = memory.rate.copy(), memory.x.copy()
-        _, status = self._advance(self._model, self.work, memory, self._numbers, self._group, h, 1,
-                                  pose.copy(), twist.copy(), external)
+        _, status = self._advance(
+            self._model,
+            self.work,
+            memory,
+            self._numbers,
+            self._group,
+            h,
+            1,
+            pose.copy(),
+            twist.copy(),
+            external,
+        )
         # A trial that fails leaves the rate as it is.
         shift = self._numbers.alpha_m - self._numbers.alpha_f
         memory.mean[:] = rate + shift * (memory.rate - rate)

@@ -26,6 +26,7 @@ whichever group the simulation names.
 Source: Andersen, J. Comput. Phys. 52 (1983) 24-34; Marsden and West, Acta Numerica 2001, 3.5.2;
 Bou-Rabee and Marsden, Found. Comput. Math. 9 (2009) 197-219 for the turn.
 """
+
 import math
 
 import numpy as np
@@ -72,9 +73,16 @@ SUBSTEPS = {
     "constrained_rattle": np.ones(1),
     "constrained_rattle4": _mirrored(_SUZUKI, _SUZUKI, 1.0 - 4.0 * _SUZUKI),
     "constrained_rattle8": _mirrored(
-        0.13020248308889008, 0.56116298177510838, -0.38947496264484729, 0.15884190655515560,
-        -0.39590389413323758, 0.18453964097831571, 0.25837438768632205, 0.29501172360931030,
-        -0.60550853383003451),
+        0.13020248308889008,
+        0.56116298177510838,
+        -0.38947496264484729,
+        0.15884190655515560,
+        -0.39590389413323758,
+        0.18453964097831571,
+        0.25837438768632205,
+        0.29501172360931030,
+        -0.60550853383003451,
+    ),
 }
 
 MOST_ITERATIONS = 50
@@ -89,15 +97,15 @@ MOST_REPEATS = 100
 class Memory(Struct):
     """What the method holds beside pose, twist and Work; the last three make first guesses."""
 
-    half: np.ndarray        # (n, 6) V', then V'+
-    turn: np.ndarray        # (n, 3) rad, x
-    load: np.ndarray        # (n, 6) Q at the start of a substep, then at its end
-    impulse: np.ndarray     # (n, 6) right-hand side of the bodies, N m s and N s
-    target: np.ndarray      # (rows,) right-hand side of the rows: change of J V wanted
-    corrections: np.ndarray # (REMEMBERED, rows) of J V' in this substep
-    bias: np.ndarray        # (rows,) (2/h) J V' of the last substep
-    growth: np.ndarray      # (rows,) its rate
-    size: np.ndarray        # (1,) s, the last substep; 0: there is none
+    half: np.ndarray  # (n, 6) V', then V'+
+    turn: np.ndarray  # (n, 3) rad, x
+    load: np.ndarray  # (n, 6) Q at the start of a substep, then at its end
+    impulse: np.ndarray  # (n, 6) right-hand side of the bodies, N m s and N s
+    target: np.ndarray  # (rows,) right-hand side of the rows: change of J V wanted
+    corrections: np.ndarray  # (REMEMBERED, rows) of J V' in this substep
+    bias: np.ndarray  # (rows,) (2/h) J V' of the last substep
+    growth: np.ndarray  # (rows,) its rate
+    size: np.ndarray  # (1,) s, the last substep; 0: there is none
 
 
 @kernel
@@ -106,8 +114,16 @@ def _place(model, work, memory, h):
     for i in range(len(model.bodies)):
         inertia = matrix3(model.bodies[i]["inertia"])
         momentum = matvec3(inertia, load3(memory.half, i, 0))
-        x, found = newton(EXPONENTIAL, inertia, h, load3(memory.turn, i, 0), ZERO3, ZERO3, ZERO3,
-                          scale3(h, momentum))
+        x, found = newton(
+            EXPONENTIAL,
+            inertia,
+            h,
+            load3(memory.turn, i, 0),
+            ZERO3,
+            ZERO3,
+            ZERO3,
+            scale3(h, momentum),
+        )
         status = turn_status(dot3(x, x))
         if status != OK:
             return status
@@ -116,8 +132,12 @@ def _place(model, work, memory, h):
         store3(x, memory.turn, i, 0)
         rot = load9(work.start_pose, i, 0)
         store9(orthonormal(matmul3(rot, turn(x))), work.stage_pose, i, 0)
-        store3(axpy3(h, matvec3(rot, load3(memory.half, i, 3)), load3(work.start_pose, i, 9)),
-               work.stage_pose, i, 9)
+        store3(
+            axpy3(h, matvec3(rot, load3(memory.half, i, 3)), load3(work.start_pose, i, 9)),
+            work.stage_pose,
+            i,
+            9,
+        )
     return OK
 
 
@@ -172,8 +192,17 @@ def _first_half(model, work, memory, h, fresh):
         for c in range(3):
             memory.turn[i, c] = h * work.start_twist[i, c]
     copy_state(work.start_pose, work.start_twist, work.stage_pose, memory.half)
-    status = respond(model, work, memory.impulse, memory.target, fresh, 0.0, work.start_pose,
-                     work.start_twist, memory.half)
+    status = respond(
+        model,
+        work,
+        memory.impulse,
+        memory.target,
+        fresh,
+        0.0,
+        work.start_pose,
+        work.start_twist,
+        memory.half,
+    )
     for i in range(n):
         for c in range(6):
             memory.impulse[i, c] = 0.0
@@ -193,8 +222,17 @@ def _first_half(model, work, memory, h, fresh):
         _correct(model, work, memory, h, k)
         for r in range(rows):
             memory.target[r] += memory.corrections[k, r]
-        status = respond(model, work, memory.impulse, memory.corrections[k], False, 0.0,
-                         work.stage_pose, memory.half, memory.half)
+        status = respond(
+            model,
+            work,
+            memory.impulse,
+            memory.corrections[k],
+            False,
+            0.0,
+            work.stage_pose,
+            memory.half,
+            memory.half,
+        )
     return NOT_CONVERGED
 
 
@@ -253,15 +291,22 @@ def _second_half(model, work, memory, h, external):
         apart, speed = _new_impulse(model, work, memory, h)
         if repeat == 0:
             copy_state(work.stage_pose, memory.half, work.stage_pose, work.stage_twist)
-        elif apart <= TOLERANCE * speed or (
-                0.5 * previous < apart <= STUCK * TOLERANCE * speed):
+        elif apart <= TOLERANCE * speed or (0.5 * previous < apart <= STUCK * TOLERANCE * speed):
             return OK
         else:
             previous = apart
         # The first brings J V+ to zero, the others change it no more.
-        status = respond(model, work, memory.impulse, memory.target, repeat == 0,
-                         1.0 if repeat == 0 else 0.0, work.stage_pose, memory.half,
-                         work.stage_twist)
+        status = respond(
+            model,
+            work,
+            memory.impulse,
+            memory.target,
+            repeat == 0,
+            1.0 if repeat == 0 else 0.0,
+            work.stage_pose,
+            memory.half,
+            work.stage_twist,
+        )
         if status != OK:
             return status
     return NOT_CONVERGED
@@ -276,8 +321,12 @@ def advance(model, work, memory, parts, h, steps, pose, twist, external):
     returns (steps done, status), as rkmk.advance does; when status is not OK, the guesses in
     memory are of no use
     """
-    pose, twist, external, parts = (borrowed(pose), borrowed(twist), borrowed(external),
-                                    borrowed(parts))
+    pose, twist, external, parts = (
+        borrowed(pose),
+        borrowed(twist),
+        borrowed(external),
+        borrowed(parts),
+    )
     for done in range(steps):
         copy_state(pose, twist, work.start_pose, work.start_twist)
         loads(model, work, pose, twist, external)
@@ -322,10 +371,16 @@ class Constrained:
         n, rows = len(model.bodies), len(model.row_residual)
         self._model, self._parts = model, SUBSTEPS[method.name]
         self._memory = Memory(
-            half=np.zeros((n, 6)), turn=np.zeros((n, 3)), load=np.zeros((n, 6)),
-            impulse=np.zeros((n, 6)), target=np.zeros(rows),
-            corrections=np.zeros((REMEMBERED, rows)), bias=np.zeros(rows), growth=np.zeros(rows),
-            size=np.zeros(1))
+            half=np.zeros((n, 6)),
+            turn=np.zeros((n, 3)),
+            load=np.zeros((n, 6)),
+            impulse=np.zeros((n, 6)),
+            target=np.zeros(rows),
+            corrections=np.zeros((REMEMBERED, rows)),
+            bias=np.zeros(rows),
+            growth=np.zeros(rows),
+            size=np.zeros(1),
+        )
         self.work = make_work(model, 1)
         self._advance = SameTypes(advance)
 
@@ -346,8 +401,9 @@ class Constrained:
 
     def advance(self, h, steps, pose, twist, external):
         """Take steps of size h in place; returns (steps done, status)."""
-        done, status = self._advance(self._model, self.work, self._memory, self._parts, h, steps,
-                                     pose, twist, external)
+        done, status = self._advance(
+            self._model, self.work, self._memory, self._parts, h, steps, pose, twist, external
+        )
         if status != OK:
             self.restart()
         return done, status

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a step of constrained.py asks of forces and joints, each compiled once."""
+
 from liegroup_core.compiling.kernels import subroutine
 from liegroup_core.compiling.structs import borrowed
 from liegroup_core.forces.gravity import add_wrench as add_gravity

@@ -18,6 +18,7 @@ in rad, m, rad/s and m/s. A pose has no natural size (where the world's origin i
 so its error is held absolutely. The largest body counts and not a mean, which would let a single
 fast body hide among many slow ones.
 """
+
 import math
 
 import numpy as np
@@ -42,11 +43,11 @@ MOST_SUBSTEPS = 100_000
 class Scheme(Struct):
     """A tableau of s stages and what else tells one Munthe-Kaas method from another."""
 
-    a: np.ndarray           # (s + 1, s) the tableau's a, below it its b
-    error: np.ndarray       # (1, s + 1) weights of the error estimate, or (0, s + 1): none
-    highest: int            # last power of ad in dexpinv, or EXACT
-    rtol: float             # of velocities
-    atol: float             # rad, m, rad/s, m/s
+    a: np.ndarray  # (s + 1, s) the tableau's a, below it its b
+    error: np.ndarray  # (1, s + 1) weights of the error estimate, or (0, s + 1): none
+    highest: int  # last power of ad in dexpinv, or EXACT
+    rtol: float  # of velocities
+    atol: float  # rad, m, rad/s, m/s
 
 
 @kernel
@@ -123,7 +124,7 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
         return 0, status
     stages = scheme.a.shape[1]
     controlled = len(scheme.error) > 0
-    first = 0       # 1: slopes of the first stage are there, the last ones of the substep before
+    first = 0  # 1: slopes of the first stage are there, the last ones of the substep before
     done = 0
     while done < steps and status == OK:
         if controlled:
@@ -142,8 +143,9 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
             # The end is one more stage: nothing to evaluate there but for an error estimate.
             for stage in range(first, stages + 1):
                 if stage > 0:
-                    status = spaces.move(model, work, scheme, group, size, stage, stage == stages,
-                                         pose)
+                    status = spaces.move(
+                        model, work, scheme, group, size, stage, stage == stages, pose
+                    )
                     if status != OK:
                         break
                 if stage < stages or controlled:
@@ -200,10 +202,15 @@ class MuntheKaas:
         stages = len(tableau.b)
         error = np.zeros((0, stages + 1)) if tableau.e is None else tableau.e.reshape(1, -1)
         self.controlled = tableau.e is not None
-        self._schemes = {1.0: Scheme(
-            np.vstack([tableau.a, tableau.b]), error,
-            EXACT if options["dexpinv"] == "exact" else max(method.order - 2, 0),
-            float(options.get("rtol", 0.0)), float(options.get("atol", 1.0)))}
+        self._schemes = {
+            1.0: Scheme(
+                np.vstack([tableau.a, tableau.b]),
+                error,
+                EXACT if options["dexpinv"] == "exact" else max(method.order - 2, 0),
+                float(options.get("rtol", 0.0)),
+                float(options.get("atol", 1.0)),
+            )
+        }
         self.tighten(1.0)
         self._model, self._group, self._longest = layout.model, GROUPS[group], step
         self.work = make_work(layout.model, stages)
@@ -221,8 +228,10 @@ class MuntheKaas:
         """{name: (default, what it may be, check)} of the options this method takes."""
         kinds = ("exact", "truncated")
         spaces = ("auto", "space")
-        found = {"dexpinv": (kinds[0], " or ".join(map(repr, kinds)), kinds.__contains__),
-                 "space": (spaces[0], " or ".join(map(repr, spaces)), spaces.__contains__)}
+        found = {
+            "dexpinv": (kinds[0], " or ".join(map(repr, kinds)), kinds.__contains__),
+            "space": (spaces[0], " or ".join(map(repr, spaces)), spaces.__contains__),
+        }
         if method.tableau.e is not None:
             found["rtol"] = found["atol"] = (1e-6, "a positive number", is_positive)
         return found
@@ -252,8 +261,17 @@ class MuntheKaas:
         """Take steps of size h in place; returns (steps done, status)."""
         if self._plane is not None:
             done, status = self._advance_planar(
-                self._plane, self._planar_work, self._scheme, self._group, h, steps, pose, twist,
-                external, self._control)
+                self._plane,
+                self._planar_work,
+                self._scheme,
+                self._group,
+                h,
+                steps,
+                pose,
+                twist,
+                external,
+                self._control,
+            )
             if status != OFF_PLANE:
                 return done, status
             if not self._left_plane:
@@ -262,5 +280,15 @@ class MuntheKaas:
         return self._in_space(h, steps, pose, twist, external)
 
     def _in_space(self, h, steps, pose, twist, external):
-        return self._advance(self._model, self.work, self._scheme, self._group, h, steps, pose,
-                             twist, external, self._control)
+        return self._advance(
+            self._model,
+            self.work,
+            self._scheme,
+            self._group,
+            h,
+            steps,
+            pose,
+            twist,
+            external,
+            self._control,
+        )

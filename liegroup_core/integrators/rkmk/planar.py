@@ -5,6 +5,7 @@ The same steps as integrators.spatial takes, written for a rotation axis that st
 the same numbers but for rounding (test/core/test_planar.py). On SO(2) x R^2, which is
 commutative, exp is a turn and a shift, and dexp the identity.
 """
+
 import math
 
 from liegroup_core.compiling.kernels import kernel
@@ -170,15 +171,19 @@ def error_norm(model, work, scheme, h, twist):
     n = len(model.bodies)
     largest = 0.0
     for i in range(n):
-        xi, ex, ey, dw, dx, dy = _increment(h, scheme.error, 0, scheme.error.shape[1],
-                                            work.slopes, n, i)
+        xi, ex, ey, dw, dx, dy = _increment(
+            h, scheme.error, 0, scheme.error.shape[1], work.slopes, n, i
+        )
         w0, w1 = twist[i, 0], work.stage_twist[i, 0]
         x0, y0 = twist[i, 1], twist[i, 2]
         x1, y1 = work.stage_twist[i, 1], work.stage_twist[i, 2]
         tol_w = scheme.atol + scheme.rtol * max(abs(w0), abs(w1))
         tol_v = scheme.atol + scheme.rtol * math.sqrt(max(x0 * x0 + y0 * y0, x1 * x1 + y1 * y1))
-        error = ((xi * xi + ex * ex + ey * ey) / (scheme.atol * scheme.atol)
-                 + dw * dw / (tol_w * tol_w) + (dx * dx + dy * dy) / (tol_v * tol_v))
+        error = (
+            (xi * xi + ex * ex + ey * ey) / (scheme.atol * scheme.atol)
+            + dw * dw / (tol_w * tol_w)
+            + (dx * dx + dy * dy) / (tol_v * tol_v)
+        )
         if not error < math.inf:
             return math.inf
         largest = max(largest, error)

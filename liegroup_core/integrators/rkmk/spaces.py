@@ -28,6 +28,7 @@ Model and in integrators/rkmk/planar.py for a PlanarModel; the type of the model
     count_turns(model, work)
                             angles of torsional springs at the end of the step
 """
+
 from liegroup_core.compiling.kernels import Choice
 from liegroup_core.formulations.planar.arrays import PlanarModel
 from liegroup_core.formulations.planar.dynamics import accelerations

@@ -4,6 +4,7 @@
 The functions of this file stand in `spaces`, where planar.motion has the same for motions in a
 plane. Their model is a Model, their work a Work.
 """
+
 import math
 
 from liegroup_core.compiling.kernels import kernel
@@ -189,8 +190,11 @@ def error_norm(model, work, scheme, h, twist):
         v0, v1 = load3(twist, i, 3), load3(work.stage_twist, i, 3)
         tol_w = scheme.atol + scheme.rtol * math.sqrt(max(dot3(w0, w0), dot3(w1, w1)))
         tol_v = scheme.atol + scheme.rtol * math.sqrt(max(dot3(v0, v0), dot3(v1, v1)))
-        error = ((dot3(xi, xi) + dot3(eta, eta)) / (scheme.atol * scheme.atol)
-                 + dot3(dw, dw) / (tol_w * tol_w) + dot3(dv, dv) / (tol_v * tol_v))
+        error = (
+            (dot3(xi, xi) + dot3(eta, eta)) / (scheme.atol * scheme.atol)
+            + dot3(dw, dw) / (tol_w * tol_w)
+            + dot3(dv, dv) / (tol_v * tol_v)
+        )
         if not error < math.inf:
             return math.inf
         largest = max(largest, error)

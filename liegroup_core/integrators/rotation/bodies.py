@@ -5,6 +5,7 @@ A body turns about its centre of mass where it is free, about the ball joint whe
 I = I_com + m (|d|^2 1 - d d^T), d from the joint to the centre of mass. A held body's centre of
 mass is where R puts it, r = pivot + R d, v = w x d: the joint is closed to rounding in every step.
 """
+
 import numpy as np
 
 from liegroup_core.compiling.kernels import kernel
@@ -24,13 +25,17 @@ from liegroup_core.lie.vec3 import (
     vector3,
 )
 
-SPINNER = np.dtype([
-    ("held", "i8"),                                             # 1: by a ball joint
-    ("inertia", "f8", (9,)), ("inverse_inertia", "f8", (9,)),   # kg m^2, about its point
-    ("arm", "f8", (3,)),                    # m, from the joint to the centre of mass, body axes
-    ("pivot", "f8", (3,)),                  # m, the joint in the world
-    ("mass", "f8"),                         # kg
-], align=True)
+SPINNER = np.dtype(
+    [
+        ("held", "i8"),  # 1: by a ball joint
+        ("inertia", "f8", (9,)),
+        ("inverse_inertia", "f8", (9,)),  # kg m^2, about its point
+        ("arm", "f8", (3,)),  # m, from the joint to the centre of mass, body axes
+        ("pivot", "f8", (3,)),  # m, the joint in the world
+        ("mass", "f8"),  # kg
+    ],
+    align=True,
+)
 
 
 @kernel
@@ -43,8 +48,7 @@ def place(spinner, i, rot, w, r, linear, pose_out, twist_out):
     else:
         # Not R^T alone: R is a rotation to some roundings, the same ones for many steps.
         v = tmatvec3(rot, linear)
-        v = scale3(1.0 / spinner["mass"],
-                   add3(v, tmatvec3(rot, sub3(linear, matvec3(rot, v)))))
+        v = scale3(1.0 / spinner["mass"], add3(v, tmatvec3(rot, sub3(linear, matvec3(rot, v)))))
     store9(rot, pose_out, i, 0)
     store3(r, pose_out, i, 9)
     store3(w, twist_out, i, 0)
@@ -73,8 +77,10 @@ def misfit(layout):
     for element, owner in zip(layout.model.elements, layout.owners):
         joint = layout.scene.joints[owner]
         if element["parent"] != WORLD or element["kind"] != PAIR or not element["turns_freely"]:
-            return ("it takes bodies that are free or held by one ball joint to the ground, and "
-                    f"{joint.name} is a {joint.type} joint from {joint.parent} to {joint.child}")
+            return (
+                "it takes bodies that are free or held by one ball joint to the ground, and "
+                f"{joint.name} is a {joint.type} joint from {joint.parent} to {joint.child}"
+            )
         if element["child"] in held:
             return f"it takes one ball joint a body, and {joint.child} has more"
         held.add(element["child"])
@@ -90,7 +96,8 @@ def make_spinners(model):
         spinner = spinners[element["child"]]
         d = -element["child_point"]
         inertia = spinner["inertia"].reshape(3, 3) + spinner["mass"] * (
-            d @ d * np.eye(3) - np.outer(d, d))
+            d @ d * np.eye(3) - np.outer(d, d)
+        )
         spinner["held"], spinner["arm"], spinner["pivot"] = 1, d, element["parent_point"]
         spinner["inertia"] = inertia.ravel()
         spinner["inverse_inertia"] = np.linalg.inv(inertia).ravel()

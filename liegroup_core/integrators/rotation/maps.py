@@ -20,6 +20,7 @@ ITERATED, with a torque that depends on the step itself and is found by repeatin
     BOTTASSO_BORRI   Q = exp(Psi) ,  Psi = (h/2) (w + dexpinv_{-Psi} w+) ,
                      y+ = Q^T (y + (h/2) T) + (h/2) T+
 """
+
 from liegroup_core.compiling.kernels import kernel, subroutine
 from liegroup_core.lie.so3 import so3_exp
 from liegroup_core.lie.vec3 import (
@@ -42,7 +43,7 @@ RUNGE_KUTTA, STOERMER_VERLET, LIE_NEWMARK, RATTLE, AUSTIN = 0, 1, 2, 3, 4
 LIE_MIDPOINT, SIMO_WONG, BOTTASSO_BORRI = 5, 6, 7
 FIRST_ITERATED = LIE_MIDPOINT
 
-OFF = 32 * 2.0 ** -53       # of R^T R from 1: reached in about a thousand steps
+OFF = 32 * 2.0**-53  # of R^T R from 1: reached in about a thousand steps
 
 
 @subroutine
@@ -80,9 +81,20 @@ def kept(rot):
     xy, xz, yz = dot3(x, y), dot3(x, z), dot3(y, z)
     if max(abs(xx), abs(yy), abs(zz), abs(xy), abs(xz), abs(yz)) <= OFF:
         return rot
-    return matmul3(rot, (1.0 + 0.5 * xx, -0.5 * xy, -0.5 * xz,
-                         -0.5 * xy, 1.0 + 0.5 * yy, -0.5 * yz,
-                         -0.5 * xz, -0.5 * yz, 1.0 + 0.5 * zz))
+    return matmul3(
+        rot,
+        (
+            1.0 + 0.5 * xx,
+            -0.5 * xy,
+            -0.5 * xz,
+            -0.5 * xy,
+            1.0 + 0.5 * yy,
+            -0.5 * yz,
+            -0.5 * xz,
+            -0.5 * yz,
+            1.0 + 0.5 * zz,
+        ),
+    )
 
 
 @kernel
@@ -90,9 +102,17 @@ def cayley(x):
     """Rotation (1 - x^/2)^-1 (1 + x^/2), by the angle 2 arctan(|x|/2) about x."""
     u, v, w = 0.5 * x[0], 0.5 * x[1], 0.5 * x[2]
     s = 2.0 / (1.0 + u * u + v * v + w * w)
-    return (1.0 - s * (v * v + w * w), s * (u * v - w), s * (u * w + v),
-            s * (u * v + w), 1.0 - s * (u * u + w * w), s * (v * w - u),
-            s * (u * w - v), s * (v * w + u), 1.0 - s * (u * u + v * v))
+    return (
+        1.0 - s * (v * v + w * w),
+        s * (u * v - w),
+        s * (u * w + v),
+        s * (u * v + w),
+        1.0 - s * (u * u + w * w),
+        s * (v * w - u),
+        s * (u * w - v),
+        s * (v * w + u),
+        1.0 - s * (u * u + v * v),
+    )
 
 
 @kernel
@@ -112,8 +132,16 @@ def kicked_turn(rule, inertia, inverse, h, w, torque):
         a = matvec3(inverse, sub3(torque, cross3(w, y)))
         x = axpy3(h, w, scale3(0.5 * h * h, a))
     elif rule == RATTLE:
-        x, found = newton(RATTLE_EQUATION, inertia, h, scale3(h, matvec3(inverse, p)), ZERO3,
-                          ZERO3, ZERO3, scale3(h, p))
+        x, found = newton(
+            RATTLE_EQUATION,
+            inertia,
+            h,
+            scale3(h, matvec3(inverse, p)),
+            ZERO3,
+            ZERO3,
+            ZERO3,
+            scale3(h, p),
+        )
     else:
         x, found = newton(GYROSCOPIC, inertia, h, matvec3(inverse, p), ZERO3, ZERO3, ZERO3, p)
         x = scale3(h, x)
@@ -146,8 +174,7 @@ def iterated_step(rule, inertia, inverse, h, guess, w, first, torque):
         return follow(inertia, h, guess, ZERO3, y, ZERO3, scale3(0.5 * h, torque))
     if rule == SIMO_WONG:
         return follow(inertia, h, guess, ZERO3, y, scale3(h, torque), y)
-    return follow(inertia, h, guess, w, axpy3(0.5 * h, first, y), ZERO3,
-                  scale3(0.5 * h, torque))
+    return follow(inertia, h, guess, w, axpy3(0.5 * h, first, y), ZERO3, scale3(0.5 * h, torque))
 
 
 @kernel

@@ -8,6 +8,7 @@ Vectors in body axes, I the inertia about the centre of mass or the fixed point,
     INCREMENT   (2/h) I x - I dexp_{-x} v - exp(-x) a - exp(-x/2) b = c               x in rad
 All are smooth, so Newton's method doubles the digits once it is near.
 """
+
 import math
 
 from liegroup_core.compiling.kernels import kernel, subroutine
@@ -42,9 +43,17 @@ MOST_ITERATIONS = 60
 @kernel
 def _combine(s, m, t, n):
     """s m + t n of two matrices."""
-    return (s * m[0] + t * n[0], s * m[1] + t * n[1], s * m[2] + t * n[2],
-            s * m[3] + t * n[3], s * m[4] + t * n[4], s * m[5] + t * n[5],
-            s * m[6] + t * n[6], s * m[7] + t * n[7], s * m[8] + t * n[8])
+    return (
+        s * m[0] + t * n[0],
+        s * m[1] + t * n[1],
+        s * m[2] + t * n[2],
+        s * m[3] + t * n[3],
+        s * m[4] + t * n[4],
+        s * m[5] + t * n[5],
+        s * m[6] + t * n[6],
+        s * m[7] + t * n[7],
+        s * m[8] + t * n[8],
+    )
 
 
 @kernel
@@ -62,8 +71,17 @@ def _size(x):
 @kernel
 def _outer(a, b):
     """a b^T"""
-    return (a[0] * b[0], a[0] * b[1], a[0] * b[2], a[1] * b[0], a[1] * b[1], a[1] * b[2],
-            a[2] * b[0], a[2] * b[1], a[2] * b[2])
+    return (
+        a[0] * b[0],
+        a[0] * b[1],
+        a[0] * b[2],
+        a[1] * b[0],
+        a[1] * b[1],
+        a[1] * b[2],
+        a[2] * b[0],
+        a[2] * b[1],
+        a[2] * b[2],
+    )
 
 
 @kernel
@@ -101,27 +119,39 @@ def _equation(kind, inertia, h, x, v, a, b, c):
     gyration = cross3(x, turned)
     gyration_slope = _combine(1.0, matmul3(_hat(x), inertia), -1.0, _hat(turned))
     if kind == GYROSCOPIC:
-        return (sub3(axpy3(0.5 * h, gyration, turned), c),
-                _combine(1.0, inertia, 0.5 * h, gyration_slope))
+        return (
+            sub3(axpy3(0.5 * h, gyration, turned), c),
+            _combine(1.0, inertia, 0.5 * h, gyration_slope),
+        )
     squared = dot3(x, x)
     if kind == EXPONENTIAL:
         b, u = dexpinv_coefficients(squared)
         twice = cross3(x, gyration)
         # x x (x x a) = (x x^T - x^2) a, differentiated by both x in it
         both = _combine(1.0, _outer(x, x), -squared, IDENTITY3)
-        twice_slope = _combine(1.0, _combine(1.0, matmul3(both, inertia), 1.0, _outer(x, turned)),
-                               1.0, _combine(dot3(x, turned), IDENTITY3, -2.0,
-                                             _outer(turned, x)))
-        return (sub3(axpy3(b, twice, axpy3(0.5, gyration, turned)), c),
-                _combine(1.0, _combine(1.0, inertia, 0.5, gyration_slope), 1.0,
-                         _combine(b, twice_slope, u, _outer(twice, x))))
+        twice_slope = _combine(
+            1.0,
+            _combine(1.0, matmul3(both, inertia), 1.0, _outer(x, turned)),
+            1.0,
+            _combine(dot3(x, turned), IDENTITY3, -2.0, _outer(turned, x)),
+        )
+        return (
+            sub3(axpy3(b, twice, axpy3(0.5, gyration, turned)), c),
+            _combine(
+                1.0,
+                _combine(1.0, inertia, 0.5, gyration_slope),
+                1.0,
+                _combine(b, twice_slope, u, _outer(twice, x)),
+            ),
+        )
     sinc, versinc, cubic = exp_coefficients(squared)
     versinc_slope, _ = dexp_slopes(squared)
     # (1/t) d/dt sin t/t = (t - sin t)/t^3 - (1 - cos t)/t^2
     by_length = axpy3(cubic - versinc, turned, scale3(versinc_slope, gyration))
-    return (sub3(axpy3(sinc, turned, scale3(versinc, gyration)), c),
-            _combine(1.0, _combine(sinc, inertia, versinc, gyration_slope), 1.0,
-                     _outer(by_length, x)))
+    return (
+        sub3(axpy3(sinc, turned, scale3(versinc, gyration)), c),
+        _combine(1.0, _combine(sinc, inertia, versinc, gyration_slope), 1.0, _outer(by_length, x)),
+    )
 
 
 @subroutine

@@ -23,6 +23,7 @@ Orders under such forces: test/verification/test_rotation_forces.py.
 
 Poses move on SO(3) x R^3 whichever group the simulation names.
 """
+
 import math
 
 import numpy as np
@@ -82,11 +83,18 @@ from .maps import (
 from .stability import stability_limit
 
 RULES = {
-    "stoermer_verlet": STOERMER_VERLET, "lie_newmark": LIE_NEWMARK, "rattle": RATTLE,
-    "austin_krishnaprasad_wang": AUSTIN, "lie_midpoint": LIE_MIDPOINT, "simo_wong": SIMO_WONG,
+    "stoermer_verlet": STOERMER_VERLET,
+    "lie_newmark": LIE_NEWMARK,
+    "rattle": RATTLE,
+    "austin_krishnaprasad_wang": AUSTIN,
+    "lie_midpoint": LIE_MIDPOINT,
+    "simo_wong": SIMO_WONG,
     "bottasso_borri_candidate": BOTTASSO_BORRI,
-} | {name: RUNGE_KUTTA for name, method in METHODS.items()
-     if method.family == "rotation" and method.coefficients}
+} | {
+    name: RUNGE_KUTTA
+    for name, method in METHODS.items()
+    if method.family == "rotation" and method.coefficients
+}
 
 # An ITERATED step is repeated with other loads until that moves no body by more than this, rad
 # and part of the largest coordinate or of 1 m; where rounding is larger, until it moves them by so
@@ -130,16 +138,38 @@ def _kicked(rule, spinners, work, memory, h, evaluation, pose, twist):
             store3(linear, memory, i, LINEAR)
             rot = kept(matmul3(load9(pose, i, 0), change))
             r = axpy3(h / spinner["mass"], linear, load3(pose, i, 9))
-            place(spinner, i, rot, guess, r, axpy3(0.5 * h, force, linear), work.stage_pose,
-                  work.stage_twist)
+            place(
+                spinner,
+                i,
+                rot,
+                guess,
+                r,
+                axpy3(0.5 * h, force, linear),
+                work.stage_pose,
+                work.stage_twist,
+            )
         else:
-            w, found = kicked_end(rule, inertia, inverse, h, load3(memory, i, VELOCITY),
-                                  load3(memory, i, MOMENTUM), torque)
+            w, found = kicked_end(
+                rule,
+                inertia,
+                inverse,
+                h,
+                load3(memory, i, VELOCITY),
+                load3(memory, i, MOMENTUM),
+                torque,
+            )
             if not found:
                 return NOT_CONVERGED, True
-            place(spinner, i, load9(work.stage_pose, i, 0), w, load3(work.stage_pose, i, 9),
-                  axpy3(0.5 * h, force, load3(memory, i, LINEAR)), work.stage_pose,
-                  work.stage_twist)
+            place(
+                spinner,
+                i,
+                load9(work.stage_pose, i, 0),
+                w,
+                load3(work.stage_pose, i, 9),
+                axpy3(0.5 * h, force, load3(memory, i, LINEAR)),
+                work.stage_pose,
+                work.stage_twist,
+            )
     return OK, evaluation == 1
 
 
@@ -194,10 +224,16 @@ def _iterated(rule, spinners, work, memory, loads, h, evaluation, pose, twist):
         spinner = spinners[i]
         inertia, inverse = matrix3(spinner["inertia"]), matrix3(spinner["inverse_inertia"])
         by_torque, by_force = _rates(spinner)
-        torque = (loads[6 * i] / by_torque, loads[6 * i + 1] / by_torque,
-                  loads[6 * i + 2] / by_torque)
-        force = (loads[6 * i + 3] / by_force, loads[6 * i + 4] / by_force,
-                 loads[6 * i + 5] / by_force)
+        torque = (
+            loads[6 * i] / by_torque,
+            loads[6 * i + 1] / by_torque,
+            loads[6 * i + 2] / by_torque,
+        )
+        force = (
+            loads[6 * i + 3] / by_force,
+            loads[6 * i + 4] / by_force,
+            loads[6 * i + 5] / by_force,
+        )
         w = load3(twist, i, 0)
         before = load3(memory, i, TURN)
         if evaluation == 0:
@@ -229,14 +265,24 @@ def _iterated(rule, spinners, work, memory, loads, h, evaluation, pose, twist):
         length = 1.0
         for c in range(3):
             length = max(length, abs(there[c]))
-        apart = max(_moved(u, before), _moved(there, load3(work.stage_pose, i, 9)) / length
-                    if spinner["held"] == 0 else 0.0)
+        apart = max(
+            _moved(u, before),
+            _moved(there, load3(work.stage_pose, i, 9)) / length if spinner["held"] == 0 else 0.0,
+        )
         if evaluation == 0:
             apart = math.inf
         if not apart <= largest:
             largest = apart
-        place(spinner, i, matmul3(load9(pose, i, 0), turn(at)), w_at, there, moving,
-              work.stage_pose, work.stage_twist)
+        place(
+            spinner,
+            i,
+            matmul3(load9(pose, i, 0), turn(at)),
+            w_at,
+            there,
+            moving,
+            work.stage_pose,
+            work.stage_twist,
+        )
     return OK, largest
 
 
@@ -245,8 +291,16 @@ def _iterated_finish(spinners, work, memory, pose):
     """Place the bodies at the end of an ITERATED step."""
     for i in range(len(spinners)):
         rot = kept(matmul3(load9(pose, i, 0), load9(memory, i, Q)))
-        place(spinners[i], i, rot, load3(memory, i, VELOCITY), load3(memory, i, PLACE),
-              load3(memory, i, LINEAR), work.stage_pose, work.stage_twist)
+        place(
+            spinners[i],
+            i,
+            rot,
+            load3(memory, i, VELOCITY),
+            load3(memory, i, PLACE),
+            load3(memory, i, LINEAR),
+            work.stage_pose,
+            work.stage_twist,
+        )
 
 
 @kernel
@@ -285,8 +339,7 @@ def _staged(spinners, work, memory, weights, h, stage, pose, twist):
         store3(matvec3(rot, torque), work.slopes, row, 6)
         store3(force, work.slopes, row, 9)
 
-        turned, moved, torques, forces = _weighted(work.slopes, weights, stage + 1, stage + 1, n,
-                                                   i)
+        turned, moved, torques, forces = _weighted(work.slopes, weights, stage + 1, stage + 1, n, i)
         psi = scale3(h, turned)
         squared = dot3(psi, psi)
         if not squared < math.inf:
@@ -303,14 +356,35 @@ def _staged(spinners, work, memory, weights, h, stage, pose, twist):
         rot = matmul3(start, change)
         if end:
             rot = kept(rot)
-        place(spinner, i, rot, velocity(inertia, matrix3(spinner["inverse_inertia"]), y), r,
-              linear, work.stage_pose, work.stage_twist)
+        place(
+            spinner,
+            i,
+            rot,
+            velocity(inertia, matrix3(spinner["inverse_inertia"]), y),
+            r,
+            linear,
+            work.stage_pose,
+            work.stage_twist,
+        )
     return OK, end
 
 
 @stepper
-def advance(model, work, spinners, memory, loads, corrections, rule, weights, h, steps, pose,
-            twist, external):
+def advance(
+    model,
+    work,
+    spinners,
+    memory,
+    loads,
+    corrections,
+    rule,
+    weights,
+    h,
+    steps,
+    pose,
+    twist,
+    external,
+):
     """Take `steps` steps of size h in place of pose (n, 12) and twist (n, 6).
 
     external (n, 6) : applied wrenches in body axes, constant over these steps
@@ -334,19 +408,28 @@ def advance(model, work, spinners, memory, loads, corrections, rule, weights, h,
                 for c in range(6):
                     work.wrench[i, c] = external[i, c]
             add_gravity(model, work.stage_pose, work.wrench)
-            add_wrenches(model.forces, work.angle, work.acting, work.stage_pose, work.stage_twist,
-                         work.wrench)
+            add_wrenches(
+                model.forces,
+                work.angle,
+                work.acting,
+                work.stage_pose,
+                work.stage_twist,
+                work.wrench,
+            )
             if rule == RUNGE_KUTTA:
-                status, ended = _staged(spinners, work, memory, weights, h, evaluation, pose,
-                                        twist)
+                status, ended = _staged(spinners, work, memory, weights, h, evaluation, pose, twist)
             elif rule < FIRST_ITERATED:
                 status, ended = _kicked(rule, spinners, work, memory, h, evaluation, pose, twist)
             else:
                 _expect(spinners, work, loads, corrections, evaluation)
-                status, apart = _iterated(rule, spinners, work, memory, loads, h, evaluation, pose,
-                                          twist)
-                ended = status != OK or apart <= TOLERANCE or (
-                    0.5 * max(previous, earlier) < apart <= STUCK * TOLERANCE)
+                status, apart = _iterated(
+                    rule, spinners, work, memory, loads, h, evaluation, pose, twist
+                )
+                ended = (
+                    status != OK
+                    or apart <= TOLERANCE
+                    or (0.5 * max(previous, earlier) < apart <= STUCK * TOLERANCE)
+                )
                 previous, earlier = apart, previous
                 if ended and status == OK:
                     _iterated_finish(spinners, work, memory, pose)
@@ -377,12 +460,11 @@ class Rotation:
         model = layout.model
         refuse_stabilisation(method, model)
         self._model, self._name, self._rule = model, method.name, RULES[method.name]
-        self._looked = False        # for steps that are too large at the start
-        self.doubt = None           # what that look has found, one line
+        self._looked = False  # for steps that are too large at the start
+        self.doubt = None  # what that look has found, one line
         self._spinners = make_spinners(model)
         tableau = method.tableau if method.coefficients else None
-        self._weights = (np.zeros((1, 0)) if tableau is None
-                         else np.vstack([tableau.a, tableau.b]))
+        self._weights = np.zeros((1, 0)) if tableau is None else np.vstack([tableau.a, tableau.b])
         self._memory = np.zeros((len(model.bodies), COLUMNS))
         self._loads = np.zeros(6 * len(model.bodies))
         self._corrections = np.zeros((REMEMBERED, 6 * len(model.bodies)))
@@ -410,12 +492,25 @@ class Rotation:
         return self._take(h, steps, pose, twist, external)
 
     def _take(self, h, steps, pose, twist, external):
-        return self._advance(self._model, self.work, self._spinners, self._memory, self._loads,
-                             self._corrections, self._rule, self._weights, h, steps, pose, twist,
-                             external)
+        return self._advance(
+            self._model,
+            self.work,
+            self._spinners,
+            self._memory,
+            self._loads,
+            self._corrections,
+            self._rule,
+            self._weights,
+            h,
+            steps,
+            pose,
+            twist,
+            external,
+        )
 
     def _look(self, h, pose, twist, external):
         """Doubt a step that is beyond what is stable at a state."""
+
         def step(size, steps, pose, twist):
             _, status = self._take(size, steps, pose, twist, external)
             return (pose, twist) if status == OK else None
@@ -425,6 +520,8 @@ class Rotation:
         limit = stability_limit(step, self._spinners, h, pose, twist)
         self.work.report[:] = report
         if limit is not None:
-            self.doubt = (f"{self._name}, step {h:g} s: errors grow from step to step, as an "
-                          "oscillation or a damper is too fast for it; at the start of this run "
-                          f"steps are stable up to {limit:.2g} s, take a smaller one")
+            self.doubt = (
+                f"{self._name}, step {h:g} s: errors grow from step to step, as an "
+                "oscillation or a damper is too fast for it; at the start of this run "
+                f"steps are stable up to {limit:.2g} s, take a smaller one"
+            )

@@ -9,6 +9,7 @@ in that of the same method in many parts of the step, both taken by differences 
 free bodies have constant attitudes and momenta. Errors that grow in the first and not in the
 second are those of the method. What a step does elsewhere in the motion is not seen.
 """
+
 import numpy as np
 
 from liegroup_core.lie.groups import SO3
@@ -19,10 +20,10 @@ OSCILLATING, ANY = 1.05, 1.2
 # Parts of a step that show the motion: so many, and so many for each unit of h times the largest
 # rate; beyond the most there is no explicit method that is stable.
 PARTS, PARTS_BY_RATE, MOST_PARTS = 16, 4, 2000
-DIFFERENCE = 1e-6           # rad, m, and times the fastest motion or 1 rad/s, m/s
+DIFFERENCE = 1e-6  # rad, m, and times the fastest motion or 1 rad/s, m/s
 # rad; where a body turns by more within a step, growth need not be that of an oscillation.
 LARGEST_TURN = 0.5 * np.pi
-MOST_BODIES = 30           # the cost grows with the square of their number and more
+MOST_BODIES = 30  # the cost grows with the square of their number and more
 HALVINGS = 6
 
 
@@ -52,8 +53,9 @@ def _grows(step, spinners, h, pose, twist):
     """Whether errors grow in a step that do not in the motion."""
     values = _eigenvalues(step, spinners, h, 1, pose, twist)
     sizes = np.abs(values)
-    growth = max(sizes.max(initial=0.0) / ANY,
-                 sizes[values.real < 0.0].max(initial=0.0) / OSCILLATING)
+    growth = max(
+        sizes.max(initial=0.0) / ANY, sizes[values.real < 0.0].max(initial=0.0) / OSCILLATING
+    )
     if growth <= 1.0:
         return False
     tiny = 1e-4 * h
@@ -66,16 +68,18 @@ def _grows(step, spinners, h, pose, twist):
 
 
 def _eigenvalues(step, spinners, h, parts, pose, twist):
-    """Those of the derivative of the end of a step, taken in parts, by its start; none if it fails.
-    """
+    """Those of the derivative of the end of a step, taken in parts, by its start; none if it fails."""
     size = DIFFERENCE * max(1.0, np.abs(twist).max())
     columns = []
     for i, spinner in enumerate(spinners):
-        for kind in ("turn", "momentum") if spinner["held"] else (
-                "turn", "momentum", "place", "velocity"):
+        for kind in (
+            ("turn", "momentum") if spinner["held"] else ("turn", "momentum", "place", "velocity")
+        ):
             for axis in size * np.eye(3):
-                ends = [step(h / parts, parts, *_displaced(spinners, pose, twist, i, kind,
-                                                           sign * axis)) for sign in (1, -1)]
+                ends = [
+                    step(h / parts, parts, *_displaced(spinners, pose, twist, i, kind, sign * axis))
+                    for sign in (1, -1)
+                ]
                 if None in ends:
                     return np.zeros(0)
                 columns.append(_difference(spinners, *ends) / (2.0 * size))
@@ -112,8 +116,10 @@ def _difference(spinners, one, other):
         inertia = spinner["inertia"].reshape(3, 3)
         R, S = pose[:9].reshape(3, 3), pose_2[:9].reshape(3, 3)
         turn = R @ S.T
-        found += [(turn - turn.T)[[2, 0, 1], [1, 2, 0]] / 2.0,
-                  (R @ inertia @ twist[:3] - S @ inertia @ twist_2[:3]) * 3.0 / inertia.trace()]
+        found += [
+            (turn - turn.T)[[2, 0, 1], [1, 2, 0]] / 2.0,
+            (R @ inertia @ twist[:3] - S @ inertia @ twist_2[:3]) * 3.0 / inertia.trace(),
+        ]
         if not spinner["held"]:
             found += [pose[9:] - pose_2[9:], R @ twist[3:] - S @ twist_2[3:]]
     return np.concatenate(found)

@@ -1,3 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stress tests: where each method fails, and whether it reports so.
-"""
+"""Stress tests: where each method fails, and whether it reports so."""

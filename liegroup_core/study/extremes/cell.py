@@ -13,6 +13,7 @@ The size of a motion is how far it goes from its start over the horizon: rad, bu
 counts, and m, for which one radian is the problem's length. An error is the largest distance from
 the true motion at the samples, of attitudes in rad over the one, of positions in m over the other.
 """
+
 import logging
 import time
 from collections.abc import Callable
@@ -26,7 +27,13 @@ from liegroup_core.engine import Engine
 from liegroup_core.errors import SceneError, SimulationError
 
 ACCURATE, FLAGGED, REFUSED, STOPPED, UNJUDGED, SILENT = VERDICTS = (
-    "accurate", "flagged", "refused", "stopped", "unjudged", "silent")
+    "accurate",
+    "flagged",
+    "refused",
+    "stopped",
+    "unjudged",
+    "silent",
+)
 # What is wrong by more than this part of the motion is plainly wrong.
 BOUND = 0.05
 # Of an axis along which problems are the same but for their scale: errors may grow by this factor
@@ -57,8 +64,9 @@ class Problem:
 
     def samples(self):
         """(k,) step counts at which the motion is compared."""
-        return np.unique(np.linspace(0, self.steps, min(self.steps, MOST_SAMPLES) + 1)
-                         .round().astype(int))
+        return np.unique(
+            np.linspace(0, self.steps, min(self.steps, MOST_SAMPLES) + 1).round().astype(int)
+        )
 
 
 def run_cell(problem, truth, method, make=Engine):
@@ -67,9 +75,17 @@ def run_cell(problem, truth, method, make=Engine):
     truth    : Truth at the samples of the problem
     make     : what makes the simulation
     """
-    cell = {"method": method, "step": problem.step, "steps": problem.steps, "error": None,
-            "uncertainty": None, "wrong_from_s": None, "flagged_at_s": None, "says": [],
-            "seconds": 0.0}
+    cell = {
+        "method": method,
+        "step": problem.step,
+        "steps": problem.steps,
+        "error": None,
+        "uncertainty": None,
+        "wrong_from_s": None,
+        "flagged_at_s": None,
+        "says": [],
+        "seconds": 0.0,
+    }
     began = time.process_time()
     with _listening() as said:
         try:
@@ -96,8 +112,9 @@ def _run(simulation, problem, truth, cell, said):
         except SimulationError as error:
             return str(error)
         pose = simulation.sample().pose[rows]
-        angle, way = apart(pose[:, :9].reshape(-1, 3, 3), pose[:, 9:],
-                           truth.rotation[k], truth.position[k])
+        angle, way = apart(
+            pose[:, :9].reshape(-1, 3, 3), pose[:, 9:], truth.rotation[k], truth.position[k]
+        )
         error = max(angle / angle_size, way / length_size)
         cell["error"] = float(max(cell["error"] or 0.0, error))
         if cell["error"] > BOUND and cell["wrong_from_s"] is None:
@@ -124,12 +141,14 @@ def judged(cell, bound):
 
 def judge_alike(cells, natural):
     """Judge the cells of an axis by those at its natural scale: errors must be alike."""
-    errors = {cell["method"]: cell["error"] for cell in cells if cell["value"] == natural
-              and cell["verdict"] == ACCURATE}
+    errors = {
+        cell["method"]: cell["error"]
+        for cell in cells
+        if cell["value"] == natural and cell["verdict"] == ACCURATE
+    }
     for cell in cells:
         if cell["verdict"] == ACCURATE and cell["method"] in errors:
-            cell["verdict"] = judged(cell, min(BOUND, max(NO_LOSS,
-                                                          ALIKE * errors[cell["method"]])))
+            cell["verdict"] = judged(cell, min(BOUND, max(NO_LOSS, ALIKE * errors[cell["method"]])))
 
 
 def sizes(truth, length, turns=0.0):
@@ -145,8 +164,14 @@ def apart(rotation, position, rotation_2, position_2):
     Angles of 1e-300 are told from each other too.
     """
     turn = rotation @ np.swapaxes(rotation_2, -1, -2)
-    sine = 0.5 * np.stack([turn[..., 2, 1] - turn[..., 1, 2], turn[..., 0, 2] - turn[..., 2, 0],
-                           turn[..., 1, 0] - turn[..., 0, 1]], axis=-1)
+    sine = 0.5 * np.stack(
+        [
+            turn[..., 2, 1] - turn[..., 1, 2],
+            turn[..., 0, 2] - turn[..., 2, 0],
+            turn[..., 1, 0] - turn[..., 0, 1],
+        ],
+        axis=-1,
+    )
     cosine = 0.5 * (np.trace(turn, axis1=-2, axis2=-1) - 1.0)
     angle = np.arctan2(_norm(sine), cosine)
     return float(angle.max(initial=0.0)), float(_norm(position - position_2).max(initial=0.0))
@@ -166,7 +191,7 @@ def _listening():
 
     class Listener(logging.Handler):
         def emit(self, record):
-            if record.funcName != "warm_up":        # compiling is no doubt
+            if record.funcName != "warm_up":  # compiling is no doubt
                 said.append(record.getMessage())
 
     logger, listener = logging.getLogger("liegroup_core"), Listener(logging.WARNING)

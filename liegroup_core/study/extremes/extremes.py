@@ -6,6 +6,7 @@
 
 See extremes_axes.py for what is driven to its limit, extremes_cell.py for how a cell is judged.
 """
+
 from collections import Counter
 from functools import partial
 from pathlib import Path
@@ -34,11 +35,24 @@ def axes_of(scene=None, horizon=8.0, long=False):
     if scene is None:
         return tuple(axis for axis in AXES if long or not axis.long)
     steps = tuple(step for step in _STEPS if step <= horizon)
-    axes = (Axis("step", f"step, {horizon:g} s", "s", steps,
-                 partial(problems.of_scene_step, scene, horizon), quick=steps[::3]),
-            Axis("speed", f"velocities at the start at 1 ms, {horizon:g} s", "times",
-                 _powers(-6, 5), partial(problems.of_scene_speed, scene, horizon),
-                 quick=(1e-3, 1.0, 1e3)))
+    axes = (
+        Axis(
+            "step",
+            f"step, {horizon:g} s",
+            "s",
+            steps,
+            partial(problems.of_scene_step, scene, horizon),
+            quick=steps[::3],
+        ),
+        Axis(
+            "speed",
+            f"velocities at the start at 1 ms, {horizon:g} s",
+            "times",
+            _powers(-6, 5),
+            partial(problems.of_scene_speed, scene, horizon),
+            quick=(1e-3, 1.0, 1e3),
+        ),
+    )
     return axes if problems.moves(load_scene(scene)) else axes[:1]
 
 
@@ -68,8 +82,7 @@ class Kept:
 
     def missing(self, axis, value, methods):
         """Those of the methods that have not been run there."""
-        return tuple(name for name in methods
-                     if name not in self._known.get((axis, value), ()))
+        return tuple(name for name in methods if name not in self._known.get((axis, value), ()))
 
     def cells(self, axis, value, methods):
         """Cells of those that have been, and are for the problem."""
@@ -93,9 +106,12 @@ def survey(axes, quick=False, methods=tuple(METHODS), scheduler=None, workers=No
     along which only the scale changes come together, as they are judged together.
     """
     kept = kept or Kept()
-    columns = [(axis, value, group) for axis in axes
-               for value in (axis.quick if quick else axis.values)
-               for group in ([(name,) for name in methods] if axis.long else [tuple(methods)])]
+    columns = [
+        (axis, value, group)
+        for axis in axes
+        for value in (axis.quick if quick else axis.values)
+        for group in ([(name,) for name in methods] if axis.long else [tuple(methods)])
+    ]
     waiting = {axis.name: [] for axis in axes}
     left = Counter(axis.name for axis, _, _ in columns)
 
@@ -136,19 +152,23 @@ def column(item):
     try:
         layout = make_layout(problem.scene)
     except SceneError as error:
-        refused = [where | {"method": method, "verdict": REFUSED, "says": [str(error)]}
-                   for method in methods]
+        refused = [
+            where | {"method": method, "verdict": REFUSED, "says": [str(error)]}
+            for method in methods
+        ]
         if axis.alike is None:
             return refused
-        layout = make_layout(axis.problem(axis.alike).scene)    # the same joints
+        layout = make_layout(axis.problem(axis.alike).scene)  # the same joints
         return [cell for cell in refused if not misfit(cell["method"], layout)]
     # What a method is not for is not judged.
     methods = [method for method in methods if not misfit(method, layout)]
     try:
         truth = problem.motion(problem.samples() * problem.step)
     except (SimulationError, ValueError) as error:
-        return [where | {"method": method, "verdict": UNJUDGED, "says": [str(error)]}
-                for method in methods]
+        return [
+            where | {"method": method, "verdict": UNJUDGED, "says": [str(error)]}
+            for method in methods
+        ]
     return [where | run_cell(problem, truth, method) for method in methods]
 
 

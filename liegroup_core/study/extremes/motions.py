@@ -6,6 +6,7 @@ symmetric tops are Jacobi's elliptic functions (reference/elliptic.py), mechanis
 an equation in one angle; for all others the independent integration of reference/trajectory.py is
 taken, with its own uncertainty.
 """
+
 from typing import NamedTuple
 
 import numpy as np
@@ -24,9 +25,9 @@ TIGHT, ANGLE_ERROR = 1e-13, 1e-9
 class Truth(NamedTuple):
     """A true motion of n bodies at k times."""
 
-    rotation: np.ndarray    # (k, n, 3, 3) body -> world
-    position: np.ndarray    # (k, n, 3) m, world, of the body frames
-    uncertainty: float      # rad, and of the length positions are compared with
+    rotation: np.ndarray  # (k, n, 3, 3) body -> world
+    position: np.ndarray  # (k, n, 3) m, world, of the body frames
+    uncertainty: float  # rad, and of the length positions are compared with
 
 
 def free_body(inertia, omega):
@@ -34,11 +35,14 @@ def free_body(inertia, omega):
     from liegroup_core.reference import elliptic
 
     def motion(times):
-        R = [elliptic.to_floats(elliptic.free_body(inertia, np.eye(3), omega, t, DIGITS)[0])
-             for t in times.tolist()]
+        R = [
+            elliptic.to_floats(elliptic.free_body(inertia, np.eye(3), omega, t, DIGITS)[0])
+            for t in times.tolist()
+        ]
         # Times and the start are rounded; elliptic functions are not.
         turned = np.linalg.norm(omega) * times[-1]
         return Truth(np.array(R)[:, None], np.zeros((len(times), 1, 3)), 1e-15 * (1.0 + turned))
+
     return motion
 
 
@@ -51,6 +55,7 @@ def spinning(axis, rate):
         angle = (rate * times)[:, None, None]
         R = np.eye(3) + np.sin(angle) * skew + 2.0 * np.sin(0.5 * angle) ** 2 * skew @ skew
         return Truth(R[:, None], np.zeros((len(times), 1, 3)), 1e-15 * (1.0 + rate * times[-1]))
+
     return motion
 
 
@@ -69,13 +74,28 @@ def top(body, field, rotation=np.eye(3)):
     across = 0.5 * (np.trace(body.inertia_matrix) - spin)
 
     def motion(times):
-        R = np.array([elliptic.to_floats(elliptic.heavy_top(
-            across + body.mass * length ** 2, spin, body.mass * length, axis,
-            np.asarray(field) / body.mass, rotation, body.angular_velocity, t, DIGITS)[0])
-            for t in times.tolist()])
+        R = np.array(
+            [
+                elliptic.to_floats(
+                    elliptic.heavy_top(
+                        across + body.mass * length**2,
+                        spin,
+                        body.mass * length,
+                        axis,
+                        np.asarray(field) / body.mass,
+                        rotation,
+                        body.angular_velocity,
+                        t,
+                        DIGITS,
+                    )[0]
+                )
+                for t in times.tolist()
+            ]
+        )
         turned = np.linalg.norm(body.angular_velocity) * times[-1]
         # Next to an unstable motion rounding of the start grows; see the horizons of the axes.
         return Truth(R[:, None], (R @ arm)[:, None], 1e-12 * (1.0 + turned))
+
     return motion
 
 
@@ -84,9 +104,11 @@ def one_angle(acceleration, start, rate, place):
 
     place : function of angles (k,) -> (rotation (k, n, 3, 3), position (k, n, 3))
     """
+
     def motion(times):
         found = _solved(lambda t, y: (y[1], acceleration(y[0])), times, (start, rate))
         return Truth(*place(found[0]), ANGLE_ERROR * min(1.0, np.abs(found[0]).max()))
+
     return motion
 
 
@@ -96,7 +118,7 @@ def two_rods(rods, gravity):
     rods : (mass, moment of inertia about the middle, across) of each; frames at the near ends
     """
     (m1, I1), (m2, I2) = rods
-    A, B, C = I1 + 0.25 * m1 + m2, I2 / m2 + 0.25, 0.5      # the second equation over m2
+    A, B, C = I1 + 0.25 * m1 + m2, I2 / m2 + 0.25, 0.5  # the second equation over m2
 
     def rate(t, y):
         a, b, da, db = y
@@ -112,6 +134,7 @@ def two_rods(rods, gravity):
         zero = np.zeros_like(a)
         far = np.stack([np.cos(a), zero, np.sin(a)], axis=-1)
         return Truth(R, np.stack([np.zeros_like(far), far], axis=1), ANGLE_ERROR)
+
     return motion
 
 
@@ -142,19 +165,32 @@ def four_bar(crank, rate, bars, length):
         turn = along[0] * (dB - dA)[1] - along[1] * (dB - dA)[0]
         swing = rocker[0] * dB[1] - rocker[1] * dB[0]
         middle = 0.5 * (dA + dB)
-        return (np.sqrt(2.0 * energy / (I1 + 0.25 * m1 * crank ** 2 + m2 * middle @ middle
-                                        + I2 * turn ** 2 + (I3 + 0.25 * m3) * swing ** 2)),)
+        return (
+            np.sqrt(
+                2.0
+                * energy
+                / (
+                    I1
+                    + 0.25 * m1 * crank**2
+                    + m2 * middle @ middle
+                    + I2 * turn**2
+                    + (I3 + 0.25 * m3) * swing**2
+                )
+            ),
+        )
+
     energy = 0.5
     energy = 0.5 * (rate / speed(0.0, (0.5 * np.pi,))[0]) ** 2
 
     def motion(times):
-        angle, = _solved(speed, times, (0.5 * np.pi,))
+        (angle,) = _solved(speed, times, (0.5 * np.pi,))
         A, B, D = places(angle)
         links = A, B - A, B - D
         middles = 0.5 * A, 0.5 * (A + B), 0.5 * (B + D)
         R = np.stack([about(2, np.arctan2(x[:, 1], x[:, 0])) for x in links], axis=1)
         position = np.stack([np.pad(x, ((0, 0), (0, 1))) for x in middles], axis=1)
         return Truth(R, length * position, ANGLE_ERROR)
+
     return motion
 
 
@@ -163,14 +199,23 @@ def _solved(rate, times, start):
     start = np.asarray(start, dtype=float)
     if not times[-1] > 0.0:
         return np.repeat(start[:, None], len(times), axis=1)
-    return solve_ivp(rate, (0.0, times[-1]), start, "DOP853", times, rtol=TIGHT,
-                     atol=TIGHT * (np.abs(start).max() or 1.0)).y
+    return solve_ivp(
+        rate,
+        (0.0, times[-1]),
+        start,
+        "DOP853",
+        times,
+        rtol=TIGHT,
+        atol=TIGHT * (np.abs(start).max() or 1.0),
+    ).y
 
 
 def linear_swing(amplitude, frequency, place):
     """A mechanism of one freedom, from rest, that swings so little that it is linear."""
+
     def motion(times):
         return Truth(*place(amplitude * np.cos(frequency * times)), 1e-13 * amplitude)
+
     return motion
 
 
@@ -186,6 +231,7 @@ def integrated(scene, length, scale=1.0, time_scale=1.0, shown=None):
         found, apart = integrate(scene, *initial_state(centred), times / time_scale)
         uncertainty = max(apart.angle[:, rows].max(), apart.position[:, rows].max() / length)
         return Truth(found.rotation[:, rows], scale * found.position[:, rows], uncertainty)
+
     return motion
 
 

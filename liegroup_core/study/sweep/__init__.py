@@ -1,3 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many runs of a scene with sampled parameters.
-"""
+"""Many runs of a scene with sampled parameters."""

@@ -7,6 +7,7 @@ pandas, pyarrow, Dask and Spark read the folder as one table, in the order of th
 says in its metadata which sweep it is of. It is there as a whole or not at all, so that whatever
 ends a sweep leaves finished runs behind, and the same call goes on with the others.
 """
+
 import fcntl
 import json
 import os
@@ -42,19 +43,24 @@ class SweepFile:
 
     def __init__(self, path, description=None):
         if find_spec("pyarrow") is None:
-            raise SweepFileError("Parquet files need the package pyarrow: "
-                                 "pip install 'liegroup_sim_ros[many]'")
+            raise SweepFileError(
+                "Parquet files need the package pyarrow: pip install 'liegroup_sim_ros[many]'"
+            )
         self.path = Path(path)
         if self.path.suffix != ".parquet":
             raise SweepFileError(f"{path}: the name must end in .parquet")
         if self.path.exists() and not self.path.is_dir():
-            raise SweepFileError(f"{path}: is a file, not the folder of a sweep; choose another "
-                                 "name")
+            raise SweepFileError(
+                f"{path}: is a file, not the folder of a sweep; choose another name"
+            )
         self._parts = self._found()
         if not self._parts and description is None:
             raise SweepFileError(f"{path}: there is no sweep")
-        self.description = (self._description(self._parts[0][2]) if description is None
-                            else json.loads(json.dumps(description)))
+        self.description = (
+            self._description(self._parts[0][2])
+            if description is None
+            else json.loads(json.dumps(description))
+        )
         for _, _, part in self._parts:
             self._check(part)
 
@@ -64,22 +70,24 @@ class SweepFile:
         try:
             return sweeps.described(self.description)
         except (KeyError, TypeError, ValueError) as error:
-            raise SweepFileError(f"{self.path}: cannot be understood, it is of another version: "
-                                 f"{error}") from None
+            raise SweepFileError(
+                f"{self.path}: cannot be understood, it is of another version: {error}"
+            ) from None
 
     @property
     def missing(self):
         """Numbers of the runs that are not there, ascending."""
         runs = np.ones(self.description["samples"], dtype=bool)
         for first, last, _ in self._parts:
-            runs[first:last + 1] = False
+            runs[first : last + 1] = False
         return np.flatnonzero(runs)
 
     def table(self, columns=None):
         """pyarrow.Table of all runs that are there, in their order."""
         dataset = import_module("pyarrow.dataset")
-        return dataset.dataset([part for *_, part in self._parts],
-                               format="parquet").to_table(columns=columns)
+        return dataset.dataset([part for *_, part in self._parts], format="parquet").to_table(
+            columns=columns
+        )
 
     @contextmanager
     def writing(self):
@@ -94,7 +102,7 @@ class SweepFile:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 raise SweepFileError(f"{self.path}: another process is writing there") from None
-            self._parts = self._found()     # again: it may just have ended
+            self._parts = self._found()  # again: it may just have ended
             for left in self.path.glob(".runs-*.part"):
                 left.unlink()
             yield self
@@ -104,19 +112,24 @@ class SweepFile:
     def add(self, columns):
         """Write the runs that sweep.Sweep.run yielded. Raises SweepFileError."""
         pa, parquet = import_module("pyarrow"), import_module("pyarrow.parquet")
-        kinds = {"int": pa.int64(), "float": pa.float64(), "text": pa.string(),
-                 "list": pa.list_(pa.float64())}
-        schema = pa.schema([(name, kinds[kind]) for name, kind in self.sweep.columns.items()],
-                           {KEY: json.dumps(self.description, allow_nan=False).encode()})
+        kinds = {
+            "int": pa.int64(),
+            "float": pa.float64(),
+            "text": pa.string(),
+            "list": pa.list_(pa.float64()),
+        }
+        schema = pa.schema(
+            [(name, kinds[kind]) for name, kind in self.sweep.columns.items()],
+            {KEY: json.dumps(self.description, allow_nan=False).encode()},
+        )
         first, last = int(columns["run"][0]), int(columns["run"][-1])
         part = self.path / f"runs-{first:09d}-{last:09d}.parquet"
-        hidden = self.path / f".{part.name}.part"       # readers of the folder pass over it
+        hidden = self.path / f".{part.name}.part"  # readers of the folder pass over it
         try:
             parquet.write_table(pa.table(columns, schema), hidden)
             hidden.replace(part)
         except OSError as error:
-            raise SweepFileError(f"{part}: cannot be written: {error.strerror or error}"
-                                 ) from None
+            raise SweepFileError(f"{part}: cannot be written: {error.strerror or error}") from None
         self._parts = sorted([*self._parts, (first, last, part)])
 
     def _found(self):
@@ -141,24 +154,34 @@ class SweepFile:
             metadata = parquet.read_metadata(part)
             found = json.loads((metadata.metadata or {})[KEY])
         except (pa.ArrowException, OSError, KeyError, ValueError):
-            raise SweepFileError(f"{part}: is damaged, or not of a sweep; take it away, and the "
-                                 "same call makes its runs again") from None
+            raise SweepFileError(
+                f"{part}: is damaged, or not of a sweep; take it away, and the "
+                "same call makes its runs again"
+            ) from None
         first, last = map(int, PART.fullmatch(part.name).groups())
         if metadata.num_rows != last - first + 1:
-            raise SweepFileError(f"{part}: does not have the runs of its name; take it away, and "
-                                 "the same call makes them again")
+            raise SweepFileError(
+                f"{part}: does not have the runs of its name; take it away, and "
+                "the same call makes them again"
+            )
         return found
 
     def _check(self, part):
         found = self._description(part)
         if found == self.description:
             return
-        other = [key for key in {**self.description, **found}
-                 if self.description.get(key) != found.get(key)]
-        shown = ", ".join(f"{key} {_short(found.get(key))} there and "
-                          f"{_short(self.description.get(key))} here" for key in other[:3])
-        raise SweepFileError(f"{self.path}: has another sweep: {shown}; choose another name, or "
-                             "take it away")
+        other = [
+            key
+            for key in {**self.description, **found}
+            if self.description.get(key) != found.get(key)
+        ]
+        shown = ", ".join(
+            f"{key} {_short(found.get(key))} there and {_short(self.description.get(key))} here"
+            for key in other[:3]
+        )
+        raise SweepFileError(
+            f"{self.path}: has another sweep: {shown}; choose another name, or take it away"
+        )
 
 
 def _short(value):

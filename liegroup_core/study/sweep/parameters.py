@@ -7,6 +7,7 @@ Bodies, joints and forces are named, components of vectors numbered from 0. The 
 path do where no other path ends with them: `mass` in a scene with one body, `spring.stiffness`. A
 rotation is its rotation vector, however the scene gives it.
 """
+
 import difflib
 import math
 from dataclasses import dataclass
@@ -22,7 +23,7 @@ from liegroup_core.scene.description import RATES, Body
 from liegroup_core.scene.frames import ROTATIONS, Placed
 from liegroup_core.scene.values import Described, Number
 
-SHOWN = 12                  # names in a message
+SHOWN = 12  # names in a message
 # Made from others, or bound together by more than their own rules.
 OF_SHAPE = ("mass", "inertia", "com")
 
@@ -54,8 +55,7 @@ def _is_parameter(model, key):
         return False
     if key == "rate":
         return model.type in RATES
-    return key != "quaternion" and (key == "length" or isinstance(
-        entry, (float, tuple, Described)))
+    return key != "quaternion" and (key == "length" or isinstance(entry, (float, tuple, Described)))
 
 
 def _entry(model, key):
@@ -83,8 +83,9 @@ def path_of(scene, name):
     close = [ends[end] for end in difflib.get_close_matches(name, list(ends), n=3, cutoff=0.7)]
     close += difflib.get_close_matches(name, list(known), n=3, cutoff=0.6)
     meant = f"did you mean {_listed(list(dict.fromkeys(close)), 3, 'or')}? " if close else ""
-    raise ParameterError(f"the scene has no parameter {name[:60]}; {meant}there are "
-                         f"{_listed(list(known))}")
+    raise ParameterError(
+        f"the scene has no parameter {name[:60]}; {meant}there are {_listed(list(known))}"
+    )
 
 
 def _listed(names, most=SHOWN, word="and"):
@@ -110,8 +111,10 @@ def _changed(value, tree):
         return tree
     if isinstance(value, tuple):
         labels = [getattr(entry, "name", str(i)) for i, entry in enumerate(value)]
-        return [_changed(entry, tree[label]) if label in tree else entry
-                for label, entry in zip(labels, value)]
+        return [
+            _changed(entry, tree[label]) if label in tree else entry
+            for label, entry in zip(labels, value)
+        ]
     update = {key: _changed(_entry(value, key), branch) for key, branch in tree.items()}
     other = [key for key in ROTATIONS if key != "rotation_vector"]
     return value.remade(other if "rotation_vector" in tree else (), **update)
@@ -137,14 +140,16 @@ class Range:
         if self.kind == "normal":
             tiny = np.finfo(float).eps
             return first + second * ndtri(np.clip(u, tiny, 1.0 - tiny))
-        values = (first * (second / first) ** u if self.kind == "log"
-                  else first + u * (second - first))
+        values = (
+            first * (second / first) ** u if self.kind == "log" else first + u * (second - first)
+        )
         return np.clip(values, first, second)
 
     def __str__(self):
         mark = {"choice": ",", "normal": "~"}.get(self.kind, ":")
-        return (f"{self.path}={mark.join(map(repr, self.numbers))}"
-                + (":log" if self.kind == "log" else ""))
+        return f"{self.path}={mark.join(map(repr, self.numbers))}" + (
+            ":log" if self.kind == "log" else ""
+        )
 
 
 def range_of(scene, text):
@@ -154,8 +159,9 @@ def range_of(scene, text):
     """
     name, equals, rest = text.partition("=")
     if not equals or not name.strip() or not rest.strip():
-        raise _refused(text, "must be NAME=LOW:HIGH, NAME=LOW:HIGH:log, NAME=A,B,C or "
-                             "NAME=MEAN~DEVIATION")
+        raise _refused(
+            text, "must be NAME=LOW:HIGH, NAME=LOW:HIGH:log, NAME=A,B,C or NAME=MEAN~DEVIATION"
+        )
     path = path_of(scene, name.strip())
     log = rest.endswith(":log")
     rest = rest.removesuffix(":log")
@@ -198,8 +204,9 @@ def _rule(scene, path):
             model = _entry(model, key)
         elif isinstance(model, Described):
             field = type(model).model_fields[key]
-            return TypeAdapter(Annotated[field.annotation, *field.metadata]
-                               if field.metadata else field.annotation)
+            return TypeAdapter(
+                Annotated[field.annotation, *field.metadata] if field.metadata else field.annotation
+            )
     return TypeAdapter(Number)
 
 

@@ -9,6 +9,7 @@
 Run k depends on the sweep and on k alone: not on the other runs, on workers, or on how the runs
 are handed out to these. A run that cannot be made or has to stop is a row that says why.
 """
+
 import math
 import time
 from dataclasses import dataclass
@@ -28,20 +29,20 @@ from liegroup_core.study.trade.measure import listening
 
 from .parameters import ParameterError, changed, parameters, range_of
 
-FORMAT = 1                  # of the description and of the columns
+FORMAT = 1  # of the description and of the columns
 POSE, TWIST = ("x", "y", "z", "qx", "qy", "qz", "qw"), ("wx", "wy", "wz", "vx", "vy", "vz")
-CHECKS = 10                 # times in a run at which energy and joints are looked at, if not told
+CHECKS = 10  # times in a run at which energy and joints are looked at, if not told
 # A piece of work takes so long, CPU s: far above what handing it out costs, short enough that few
 # are lost when a run is interrupted. There are at most so many pieces, for each is a file.
 PIECE, MOST_PIECES = 0.5, 1000
-MOST_VALUES = 2_000_000     # in the results of a piece
-MOST_DRAWS = 100_000_000    # numbers, 0.8 GB
-FIRST = 0.2                 # CPU s of runs that are made first, to see what one costs
-SMALL = 5.0                 # CPU s in all: below it workers take longer to start than to work
+MOST_VALUES = 2_000_000  # in the results of a piece
+MOST_DRAWS = 100_000_000  # numbers, 0.8 GB
+FIRST = 0.2  # CPU s of runs that are made first, to see what one costs
+SMALL = 5.0  # CPU s in all: below it workers take longer to start than to work
 OK = "ok"
-VELOCITIES = {"angular_velocity": 0, "linear_velocity": 3}      # first component in a twist
+VELOCITIES = {"angular_velocity": 0, "linear_velocity": 3}  # first component in a twist
 PLACES = (["position"], ["rotation_vector"])
-NEAR = 1e-9                 # what assembly may do to a drawn pose without a word: its round-off
+NEAR = 1e-9  # what assembly may do to a drawn pose without a word: its round-off
 
 
 @dataclass(frozen=True)
@@ -80,8 +81,12 @@ class Sweep:
         every : None: a tenth of the run, and no states are kept
         raises ParameterError, SceneError, ValueError for settings that do not fit the scene
         """
-        for number, least, what in ((samples, 1, "samples"), (steps, 1, "steps"),
-                                    (seed, 0, "the seed"), (every or 1, 1, "every")):
+        for number, least, what in (
+            (samples, 1, "samples"),
+            (steps, 1, "steps"),
+            (seed, 0, "the seed"),
+            (every or 1, 1, "every"),
+        ):
             if number < least:
                 raise ParameterError(f"{what} must be at least {least}, got {number}")
         written = scene_as_written(scene.text, scene.source)
@@ -93,13 +98,25 @@ class Sweep:
             if paths.count(path) > 1:
                 raise ParameterError(f"--vary: {path} is given twice")
         if samples * len(ranges) > MOST_DRAWS:
-            raise ParameterError(f"{samples} samples of {len(ranges)} parameters are more numbers "
-                                 f"than {MOST_DRAWS:.0e}: make several sweeps, with other seeds")
-        simulation = Engine(scene, **(settings or {}))      # compiles, and refuses settings
+            raise ParameterError(
+                f"{samples} samples of {len(ranges)} parameters are more numbers "
+                f"than {MOST_DRAWS:.0e}: make several sweeps, with other seeds"
+            )
+        simulation = Engine(scene, **(settings or {}))  # compiles, and refuses settings
         settings = {"method": simulation.method, "step": simulation.step, **(settings or {})}
-        return cls(scene.text, scene.name, ranges, samples, seed, steps,
-                   every or max(1, math.ceil(steps / CHECKS)), bool(every), assemble,
-                   tuple(sorted(settings.items())), source_digest())
+        return cls(
+            scene.text,
+            scene.name,
+            ranges,
+            samples,
+            seed,
+            steps,
+            every or max(1, math.ceil(steps / CHECKS)),
+            bool(every),
+            assemble,
+            tuple(sorted(settings.items())),
+            source_digest(),
+        )
 
     @property
     def paths(self):
@@ -124,14 +141,19 @@ class Sweep:
         found = parameters(scene) if self._places else {}
         for path, value in zip(self.paths, values):
             if path in self._places and abs(found[path] - value) > NEAR * max(1.0, abs(value)):
-                return (f"the joints close with {path} {found[path]:.6g} in place of {value:.6g}: "
-                        "give that body initial: fixed, or draw a joint frame that places it")
+                return (
+                    f"the joints close with {path} {found[path]:.6g} in place of {value:.6g}: "
+                    "give that body initial: fixed, or draw a joint frame that places it"
+                )
         return None
 
     @cached_property
     def _places(self):
-        return {path for path in self.paths if path.split(".")[2:3] in PLACES
-                } if _base(self.text, self.name, self.assemble).assemble else set()
+        return (
+            {path for path in self.paths if path.split(".")[2:3] in PLACES}
+            if _base(self.text, self.name, self.assemble).assemble
+            else set()
+        )
 
     def simulation(self, k):
         """Simulation of run k, at its start. Raises as Simulation does."""
@@ -144,9 +166,14 @@ class Sweep:
         state = [f"{body}.{part}" for body in bodies for part in POSE + TWIST]
         kept = [f"samples.{name}" for name in ("time", *state)] if self.keep else []
         floats = ("time", *state, "energy_start", "energy_drift", "joints")
-        return ({"run": "int"} | dict.fromkeys(self.paths, "float")
-                | {"status": "text", "warning": "text"} | dict.fromkeys(floats, "float")
-                | dict.fromkeys(kept, "list") | {"cpu_s": "float"})
+        return (
+            {"run": "int"}
+            | dict.fromkeys(self.paths, "float")
+            | {"status": "text", "warning": "text"}
+            | dict.fromkeys(floats, "float")
+            | dict.fromkeys(kept, "list")
+            | {"cpu_s": "float"}
+        )
 
     def run(self, runs, scheduler=None, workers=None):
         """Make runs, ascending numbers; yields {column: (k,) values} of pieces as they are done.
@@ -158,12 +185,12 @@ class Sweep:
         if not len(runs):
             return
         try:
-            self.simulation(int(runs[0]))       # what has not been compiled is no part of the cost
+            self.simulation(int(runs[0]))  # what has not been compiled is no part of the cost
         except (LieGroupSimError, ValueError, ArithmeticError):
             pass
-        first = simulate((self, int(runs[0]), self._given(runs[:_together(runs)])), FIRST)
+        first = simulate((self, int(runs[0]), self._given(runs[: _together(runs)])), FIRST)
         yield first
-        rest = runs[len(first["run"]):]
+        rest = runs[len(first["run"]) :]
         costs = first["cpu_s"]
         cost = max(float(np.mean(costs[1:] if len(costs) > 1 else costs)), 1e-6)
         total = cost * len(rest)
@@ -187,15 +214,18 @@ class Sweep:
         return len(kinds) + kinds.count("list") * (2 + self.steps // self.every)
 
     def _given(self, runs):
-        return self.values[runs[0]:runs[0] + len(runs)]
+        return self.values[runs[0] : runs[0] + len(runs)]
 
 
 @lru_cache(maxsize=4)
 def _velocities_in(paths):
     """(body, component) of all velocities among these: assembly keeps them as they are drawn."""
     steps = [path.split(".") for path in paths]
-    return tuple((step[1], VELOCITIES[step[2]] + int(step[3])) for step in steps
-                 if step[0] == "bodies" and step[2] in VELOCITIES)
+    return tuple(
+        (step[1], VELOCITIES[step[2]] + int(step[3]))
+        for step in steps
+        if step[0] == "bodies" and step[2] in VELOCITIES
+    )
 
 
 def _together(runs):
@@ -235,9 +265,12 @@ def simulate(work, limit=math.inf):
         if spent > limit:
             break
     kinds = {"int": np.int64, "float": float}
-    return {name: np.array([row.get(name, math.nan) for row in rows], dtype=kinds[kind])
-            if kind in kinds else [row.get(name) for row in rows]
-            for name, kind in sweep.columns.items()}
+    return {
+        name: np.array([row.get(name, math.nan) for row in rows], dtype=kinds[kind])
+        if kind in kinds
+        else [row.get(name) for row in rows]
+        for name, kind in sweep.columns.items()
+    }
 
 
 def _run(sweep, values):
@@ -262,11 +295,15 @@ def _run(sweep, values):
         energy = np.array([sample.energy for sample in looks])
         found |= {
             "warning": simulation.doubt or next(iter(said), None),
-            "energy_start": energy[0], "energy_drift": np.abs(energy - energy[0]).max(),
-            "joints": max(sample.constraint_residual for sample in looks)}
+            "energy_start": energy[0],
+            "energy_drift": np.abs(energy - energy[0]).max(),
+            "joints": max(sample.constraint_residual for sample in looks),
+        }
         states = np.array([_state(sample) for sample in (looks if sweep.keep else looks[-1:])])
-        names = ["time", *(f"{body}.{part}" for body in looks[0].body_names
-                           for part in POSE + TWIST)]
+        names = [
+            "time",
+            *(f"{body}.{part}" for body in looks[0].body_names for part in POSE + TWIST),
+        ]
         found |= dict(zip(names, states[-1]))
         if sweep.keep:
             found |= {f"samples.{name}": column for name, column in zip(names, states.T.copy())}
@@ -282,24 +319,45 @@ def _look(simulation):
 
 def _state(sample):
     """Time, and position, quaternion and twist of each body, in a row."""
-    return np.concatenate([[sample.time], np.concatenate(
-        [sample.pose[:, 9:], sample.orientation, sample.twist], axis=1).ravel()])
+    return np.concatenate(
+        [
+            [sample.time],
+            np.concatenate([sample.pose[:, 9:], sample.orientation, sample.twist], axis=1).ravel(),
+        ]
+    )
 
 
 def describe(sweep):
     """A sweep as JSON types; `described` makes it again."""
-    return {"format": FORMAT, "scene": sweep.name, "text": sweep.text,
-            "vary": [str(entry) for entry in sweep.ranges], "samples": sweep.samples,
-            "seed": sweep.seed, "steps": sweep.steps, "every": sweep.every, "keep": sweep.keep,
-            "assemble": sweep.assemble, "settings": dict(sweep.settings),
-            "sources": sweep.sources}
+    return {
+        "format": FORMAT,
+        "scene": sweep.name,
+        "text": sweep.text,
+        "vary": [str(entry) for entry in sweep.ranges],
+        "samples": sweep.samples,
+        "seed": sweep.seed,
+        "steps": sweep.steps,
+        "every": sweep.every,
+        "keep": sweep.keep,
+        "assemble": sweep.assemble,
+        "settings": dict(sweep.settings),
+        "sources": sweep.sources,
+    }
 
 
 def described(entries):
     """Sweep of what `describe` made of it. Raises KeyError, ValueError."""
     scene = scene_as_written(entries["text"], entries["scene"])
-    return Sweep(entries["text"], entries["scene"],
-                 tuple(range_of(scene, text) for text in entries["vary"]), entries["samples"],
-                 entries["seed"], entries["steps"], entries["every"], entries["keep"],
-                 entries["assemble"], tuple(sorted(entries["settings"].items())),
-                 entries["sources"])
+    return Sweep(
+        entries["text"],
+        entries["scene"],
+        tuple(range_of(scene, text) for text in entries["vary"]),
+        entries["samples"],
+        entries["seed"],
+        entries["steps"],
+        entries["every"],
+        entries["keep"],
+        entries["assemble"],
+        tuple(sorted(entries["settings"].items())),
+        entries["sources"],
+    )

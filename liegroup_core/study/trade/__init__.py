@@ -1,3 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Accuracy against cost: configurations measured against a reference solution.
-"""
+"""Accuracy against cost: configurations measured against a reference solution."""

@@ -7,6 +7,7 @@
 The accuracy is promised over a horizon, without wrenches from outside: docs/trade.md says what it
 means. What is not known yet is measured first, in this process, and kept.
 """
+
 import logging
 from dataclasses import dataclass
 
@@ -47,13 +48,14 @@ class Choice:
         return simulation
 
     def __str__(self):
-        return (f"accuracy {self.promise['accuracy']:g} over {self.promise['horizon']:g} s: "
-                f"{_shown(self.settings)}, measured error {self.promise['error']:.2g}, "
-                f"{self.promise['cost_us'] * 1e-6:.2g} s of CPU time per simulated second")
+        return (
+            f"accuracy {self.promise['accuracy']:g} over {self.promise['horizon']:g} s: "
+            f"{_shown(self.settings)}, measured error {self.promise['error']:.2g}, "
+            f"{self.promise['cost_us'] * 1e-6:.2g} s of CPU time per simulated second"
+        )
 
 
-def choose(scene, accuracy, horizon=None, usable=lambda step: True, factor=None,
-           tell=log.warning):
+def choose(scene, accuracy, horizon=None, usable=lambda step: True, factor=None, tell=log.warning):
     """Choice of the cheapest setting that keeps an accuracy; measures the scene when need be.
 
     scene    : Scene
@@ -65,8 +67,9 @@ def choose(scene, accuracy, horizon=None, usable=lambda step: True, factor=None,
     raises AccuracyError, SceneError, ValueError
     """
     if not (is_positive(accuracy) and accuracy <= 1.0):
-        raise AccuracyError(f"the accuracy must be a number above 0 and at most 1, "
-                            f"got {accuracy!r}")
+        raise AccuracyError(
+            f"the accuracy must be a number above 0 and at most 1, got {accuracy!r}"
+        )
     try:
         trade = measured(scene, horizon, tell)
     except SimulationError as error:
@@ -82,10 +85,19 @@ def choose(scene, accuracy, horizon=None, usable=lambda step: True, factor=None,
     if cell is None:
         raise AccuracyError(_refusal(trade, accuracy, fits, in_time, factor))
     settings = {key: cell[key] for key in ("method", "step", "group", "stabilisation")}
-    return Choice(scene, settings | cell["options"], {
-        "accuracy": float(accuracy), "horizon": trade.horizon, "length": trade.truth.length,
-        "error": max(cell["error"], trade.truth.known), "cost_us": cell["cost_us"],
-        "cpu": cell["cpu"], "reference": trade.truth.kind})
+    return Choice(
+        scene,
+        settings | cell["options"],
+        {
+            "accuracy": float(accuracy),
+            "horizon": trade.horizon,
+            "length": trade.truth.length,
+            "error": max(cell["error"], trade.truth.known),
+            "cost_us": cell["cost_us"],
+            "cpu": cell["cpu"],
+            "reference": trade.truth.kind,
+        },
+    )
 
 
 def measured(scene, horizon=None, tell=log.warning):
@@ -95,8 +107,10 @@ def measured(scene, horizon=None, tell=log.warning):
     def once(text):
         if not told:
             told.append(text)
-            tell(f"measuring what {scene.name} costs and how wrong it is, once for this scene on "
-                 "this machine (a minute or two, kept for the next start)")
+            tell(
+                f"measuring what {scene.name} costs and how wrong it is, once for this scene on "
+                "this machine (a minute or two, kept for the next start)"
+            )
 
     trade = Trade(scene, horizon, tell=once)
     for _ in trade.measure(SHORTLIST, budget=BUDGET, workers=1, tell=once):
@@ -115,16 +129,23 @@ def _refusal(trade, accuracy, fits, in_time, factor):
     else:
         can = "no setting that was measured is fast enough"
     if reaching is None:
-        return (f"accuracy {accuracy:g} cannot be had for {name} {over}; "
-                + (f"at {factor:g} times real time " if factor and trade.best(fits) else "") + can)
-    return (f"accuracy {accuracy:g} cannot be had for {name} {over} at {factor:g} times real time:"
-            f" the cheapest setting that reaches it, {_shown(reaching)}, leaves a factor of "
-            f"{SHARE * 1e6 / reaching['cost_us']:.2g} with half of a core; at {factor:g} times "
-            f"{can}")
+        return (
+            f"accuracy {accuracy:g} cannot be had for {name} {over}; "
+            + (f"at {factor:g} times real time " if factor and trade.best(fits) else "")
+            + can
+        )
+    return (
+        f"accuracy {accuracy:g} cannot be had for {name} {over} at {factor:g} times real time:"
+        f" the cheapest setting that reaches it, {_shown(reaching)}, leaves a factor of "
+        f"{SHARE * 1e6 / reaching['cost_us']:.2g} with half of a core; at {factor:g} times "
+        f"{can}"
+    )
 
 
 def _shown(cell):
-    more = "".join(f", {name} {value:g}" for name, value in cell.get("options", cell).items()
-                   if name == "rtol")
-    return (f"{cell['method']} at {cell['step'] * 1e3:g} ms on {cell['group']}{more}"
-            + (f", {cell['stabilisation']}" if cell["stabilisation"] != "none" else ""))
+    more = "".join(
+        f", {name} {value:g}" for name, value in cell.get("options", cell).items() if name == "rtol"
+    )
+    return f"{cell['method']} at {cell['step'] * 1e3:g} ms on {cell['group']}{more}" + (
+        f", {cell['stabilisation']}" if cell["stabilisation"] != "none" else ""
+    )

@@ -10,6 +10,7 @@ KEY is of the scene's text, of our sources and of the versions that numbers depe
 another scene or version finds nothing. The processor stands in each cell. A cell is written as
 soon as it is measured, so whatever ends a run loses none. All of it may be deleted at any time.
 """
+
 import hashlib
 import json
 import logging
@@ -68,7 +69,7 @@ class Folder:
         for line in lines:
             try:
                 entry = json.loads(line)
-            except ValueError:              # cut off when a process was killed, or damaged
+            except ValueError:  # cut off when a process was killed, or damaged
                 continue
             if isinstance(entry, dict):
                 found.append(entry)
@@ -76,13 +77,14 @@ class Folder:
 
     def keep_line(self, name, entry):
         """Write a dict of JSON types to the end of a file, at once and as a whole."""
-        line = "\n" + json.dumps(entry)     # first: the last one may be cut
+        line = "\n" + json.dumps(entry)  # first: the last one may be cut
 
         def write():
             path = self.folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
             with open(path, "ab", buffering=0) as stream:
                 stream.write(line.encode())
+
         self._try(write)
 
     def _try(self, write):
@@ -92,8 +94,11 @@ class Folder:
         try:
             write()
         except OSError as error:
-            log.warning("what is measured cannot be kept: %s: %s",
-                        error.filename or self.folder, error.strerror)
+            log.warning(
+                "what is measured cannot be kept: %s: %s",
+                error.filename or self.folder,
+                error.strerror,
+            )
             self.folder = None
 
 
@@ -121,17 +126,22 @@ class Store(Folder):
 
     def keep_truth(self, truth, suits):
         """Keep a Truth; suits : its horizon is that which suits the scene."""
+
         def write():
             self._of(truth.horizon).mkdir(parents=True, exist_ok=True)
             _write(self._of(truth.horizon) / "truth.npz", as_bytes(truth))
             if suits:
                 _write(self.folder / "horizon.json", str(float(truth.horizon)).encode())
+
         self._try(write)
 
     def cells(self, horizon):
         """Cells that were measured on this processor, in the order in which they were."""
-        return [cell for cell in self.lines(f"{_name(horizon)}/cells.jsonl")
-                if is_whole(cell) and cell["cpu"] == cpu_name()]
+        return [
+            cell
+            for cell in self.lines(f"{_name(horizon)}/cells.jsonl")
+            if is_whole(cell) and cell["cpu"] == cpu_name()
+        ]
 
     def keep_cell(self, horizon, cell):
         """Write a cell, at once and as a whole."""

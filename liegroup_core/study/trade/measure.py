@@ -5,6 +5,7 @@ The run is judged at those samples of the horizon that are whole steps. Its cost
 its thread over native loops, so that what else the machine does counts little; the fastest of
 several runs, for anything else only adds.
 """
+
 import logging
 import math
 import threading
@@ -27,17 +28,17 @@ from liegroup_core.study.tasks import TasksError
 from .configurations import as_time, sample_times
 from .reference_solution import Truth, momentum_drift, scaled
 
-LONG = 0.2                  # CPU s: a run of so much is timed once
-SHORTEST, LEAST_RUNS = 0.02, 3      # CPU s of a timing, and how many of them there are at least
+LONG = 0.2  # CPU s: a run of so much is timed once
+SHORTEST, LEAST_RUNS = 0.02, 3  # CPU s of a timing, and how many of them there are at least
 MOST_STEPS_AT_ONCE = 100_000
 
 
 class Study(NamedTuple):
     """A scene and what its runs are judged by: all that a worker must know."""
 
-    text: str               # of the scene file
+    text: str  # of the scene file
     truth: Truth
-    sources: str            # digest of the sources, which a worker must have too
+    sources: str  # digest of the sources, which a worker must have too
 
 
 def measure(work):
@@ -61,15 +62,21 @@ def measure(work):
     study, setting = work
     if study.sources != source_digest():
         raise TasksError("a worker has another version of liegroup_core: install the same on all")
-    cell = {"method": setting.method, "step": setting.step, "group": setting.group,
-            "stabilisation": setting.stabilisation, "options": dict(setting.options),
-            "cpu": cpu_name()}
+    cell = {
+        "method": setting.method,
+        "step": setting.step,
+        "group": setting.group,
+        "stabilisation": setting.stabilisation,
+        "options": dict(setting.options),
+        "cpu": cpu_name(),
+    }
     try:
         simulation = Engine(_scene(study.text), **setting.arguments())
         with listening() as said:
             found = _judge(simulation, study, setting)
             found["cost_us"], found["timings"] = _cost(
-                simulation, float(study.truth.horizon), found.pop("cpu"))
+                simulation, float(study.truth.horizon), found.pop("cpu")
+            )
     except (SimulationError, ValueError) as error:
         return cell | {"stopped": str(error)}
     if not all(math.isfinite(value) for value in found.values() if isinstance(value, float)):
@@ -79,12 +86,24 @@ def measure(work):
 
 
 # What a cell always has, and what it has when its run came to its end.
-ALWAYS = {"method": str, "step": float, "group": str, "stabilisation": str, "options": dict,
-          "cpu": str, "stopped": (str, type(None))}
-FINISHED = {**dict.fromkeys(("error", "position", "attitude", "angular", "linear", "energy",
-                             "joints", "cost_us"), float),
-            "momentum": (float, type(None)), "flagged": (str, type(None)), "samples": int,
-            "timings": int}
+ALWAYS = {
+    "method": str,
+    "step": float,
+    "group": str,
+    "stabilisation": str,
+    "options": dict,
+    "cpu": str,
+    "stopped": (str, type(None)),
+}
+FINISHED = {
+    **dict.fromkeys(
+        ("error", "position", "attitude", "angular", "linear", "energy", "joints", "cost_us"), float
+    ),
+    "momentum": (float, type(None)),
+    "flagged": (str, type(None)),
+    "samples": int,
+    "timings": int,
+}
 
 
 def is_whole(cell):
@@ -118,19 +137,26 @@ def _judge(simulation, study, setting):
         samples.append(simulation.sample())
     poses = np.array([sample.pose for sample in samples])
     k, n = poses.shape[:2]
-    motion = Trajectory(true.times, poses[..., :9].reshape(k, n, 3, 3), poses[..., 9:],
-                        np.array([sample.twist for sample in samples]))
+    motion = Trajectory(
+        true.times,
+        poses[..., :9].reshape(k, n, 3, 3),
+        poses[..., 9:],
+        np.array([sample.twist for sample in samples]),
+    )
     off = distance(motion, true)
     energy = np.array([sample.energy for sample in samples])
-    return {"error": scaled(off.position, off.angle, truth.length),
-            "position": float(off.position.max()), "attitude": float(off.angle.max()),
-            "angular": float(off.angular.max()), "linear": float(off.linear.max()),
-            "energy": float(np.abs(energy - truth.energy[rows]).max()
-                            / (truth.kinetic or 1.0)),
-            "momentum": momentum_drift(simulation.scene, _kept_momentum(study.text), truth,
-                                       motion),
-            "joints": max(sample.constraint_residual for sample in samples),
-            "samples": k - 1, "cpu": cpu}
+    return {
+        "error": scaled(off.position, off.angle, truth.length),
+        "position": float(off.position.max()),
+        "attitude": float(off.angle.max()),
+        "angular": float(off.angular.max()),
+        "linear": float(off.linear.max()),
+        "energy": float(np.abs(energy - truth.energy[rows]).max() / (truth.kinetic or 1.0)),
+        "momentum": momentum_drift(simulation.scene, _kept_momentum(study.text), truth, motion),
+        "joints": max(sample.constraint_residual for sample in samples),
+        "samples": k - 1,
+        "cpu": cpu,
+    }
 
 
 def _cost(simulation, horizon, cpu):

@@ -5,6 +5,7 @@ By the closed form where the scene has one, else by the independent integration 
 liegroup_core.reference, whose uncertainty is its distance to one ten times looser. That one is
 made in either case, and what the two differ by is kept.
 """
+
 import io
 import json
 import time
@@ -27,23 +28,24 @@ from .configurations import sample_times
 # knows the motion to KNOWN (of lengths in parts of the scene's, and in rad), and that takes it no
 # more than STEPS steps. So it is some hundred motions of fast scenes, and of chaotic ones as long
 # as 1e-9 can be promised at all.
-HORIZONS = tuple(digit * Fraction(10) ** power for power in range(-5, 1) for digit in (1, 2, 5)
-                 ) + (Fraction(10),)
+HORIZONS = tuple(digit * Fraction(10) ** power for power in range(-5, 1) for digit in (1, 2, 5)) + (
+    Fraction(10),
+)
 KNOWN, STEPS = 1e-10, 10_000
 
 
 class Truth(NamedTuple):
     """A motion at k times, and what it is judged by."""
 
-    horizon: Fraction       # s
-    kind: str               # "integration", or the name of the closed form
-    length: float           # m, of the scene: what positions are compared with
-    motion: Trajectory      # of n bodies
-    uncertainty: tuple      # position m, angle rad, angular rad/s, linear m/s: the largest ones
-    energy: np.ndarray      # (k,) J
-    kinetic: float          # J, the largest
-    agrees: float | None    # error, see `scaled`, of the integration against the closed form
-    seconds: float          # that it took
+    horizon: Fraction  # s
+    kind: str  # "integration", or the name of the closed form
+    length: float  # m, of the scene: what positions are compared with
+    motion: Trajectory  # of n bodies
+    uncertainty: tuple  # position m, angle rad, angular rad/s, linear m/s: the largest ones
+    energy: np.ndarray  # (k,) J
+    kinetic: float  # J, the largest
+    agrees: float | None  # error, see `scaled`, of the integration against the closed form
+    seconds: float  # that it took
 
     @property
     def known(self):
@@ -81,9 +83,19 @@ def find_truth(layout, horizon=None, tell=lambda text: None):
     k, n = motion.position.shape[:2]
     poses = np.concatenate([motion.rotation.reshape(k, n, 9), motion.position], axis=2)
     energy, kinetic, *_ = Along(layout).follow(poses, motion.twist)
-    return Truth(horizon, kind, length, motion, tuple(float(part.max()) for part in (
-        apart.position, apart.angle, apart.angular, apart.linear)), energy,
-        float(kinetic.max()), agrees, time.perf_counter() - began)
+    return Truth(
+        horizon,
+        kind,
+        length,
+        motion,
+        tuple(
+            float(part.max()) for part in (apart.position, apart.angle, apart.angular, apart.linear)
+        ),
+        energy,
+        float(kinetic.max()),
+        agrees,
+        time.perf_counter() - began,
+    )
 
 
 def _as_far_as_known(layout, pose, twist, length, tell):
@@ -100,30 +112,44 @@ def _as_far_as_known(layout, pose, twist, length, tell):
         except SimulationError as error:
             failure = error
             break
-        kept |= {at: (*(part[i] for part in motion[1:]), *(part[i] for part in apart))
-                 for i, at in enumerate(times)}
+        kept |= {
+            at: (*(part[i] for part in motion[1:]), *(part[i] for part in apart))
+            for i, at in enumerate(times)
+        }
         last = [part[-1] for part in apart]
-        if best is not None and (scaled(last[0], last[2], length) > KNOWN
-                                 or reference.steps > STEPS):
+        if best is not None and (
+            scaled(last[0], last[2], length) > KNOWN or reference.steps > STEPS
+        ):
             break
         best = horizon
     if best is None:
-        raise SimulationError(f"{failure}; the scene moves too fast for a horizon to be found: "
-                              "give one")
+        raise SimulationError(
+            f"{failure}; the scene moves too fast for a horizon to be found: give one"
+        )
     times = sample_times(best)
     columns = [np.array(column) for column in zip(*(kept[at] for at in times))]
-    return (best, Trajectory(np.array([float(at) for at in times]), *columns[:3]),
-            Distance(*columns[3:]))
+    return (
+        best,
+        Trajectory(np.array([float(at) for at in times]), *columns[:3]),
+        Distance(*columns[3:]),
+    )
 
 
 def as_bytes(truth):
     """A Truth as the bytes of a NumPy file *.npz; `truth_from` is the way back."""
     stream = io.BytesIO()
-    facts = {"horizon": str(truth.horizon), "kind": truth.kind, "length": truth.length,
-             "uncertainty": truth.uncertainty, "kinetic": truth.kinetic, "agrees": truth.agrees,
-             "seconds": truth.seconds}
-    np.savez(stream, facts=np.array(json.dumps(facts)), energy=truth.energy,
-             **truth.motion._asdict())
+    facts = {
+        "horizon": str(truth.horizon),
+        "kind": truth.kind,
+        "length": truth.length,
+        "uncertainty": truth.uncertainty,
+        "kinetic": truth.kinetic,
+        "agrees": truth.agrees,
+        "seconds": truth.seconds,
+    }
+    np.savez(
+        stream, facts=np.array(json.dumps(facts)), energy=truth.energy, **truth.motion._asdict()
+    )
     return stream.getvalue()
 
 
@@ -131,9 +157,13 @@ def truth_from(path):
     """The Truth in a file. Raises OSError, ValueError, KeyError, BadZipFile."""
     with np.load(path, allow_pickle=False) as found:
         facts = json.loads(str(found["facts"]))
-        return Truth(Fraction(facts.pop("horizon")), motion=Trajectory(
-            *(found[name] for name in Trajectory._fields)), energy=found["energy"],
-            uncertainty=tuple(facts.pop("uncertainty")), **facts)
+        return Truth(
+            Fraction(facts.pop("horizon")),
+            motion=Trajectory(*(found[name] for name in Trajectory._fields)),
+            energy=found["energy"],
+            uncertainty=tuple(facts.pop("uncertainty")),
+            **facts,
+        )
 
 
 def momentum_drift(scene, kept, truth, motion):
@@ -148,8 +178,10 @@ def momentum_drift(scene, kept, truth, motion):
     arm = np.linalg.norm(true.position, axis=2)
     spin = np.linalg.norm(np.einsum("nij,knj->kni", inertia, true.twist[..., :3]), axis=2)
     # What also a component that is zero compares with: the sum over the bodies.
-    size = {"N m s": float((arm * linear + spin).sum(axis=1).max()),
-            "N s": float(linear.sum(axis=1).max())}
+    size = {
+        "N m s": float((arm * linear + spin).sum(axis=1).max()),
+        "N s": float(linear.sum(axis=1).max()),
+    }
     worst = None
     for group in kept:
         values = momentum_values(scene, group, motion.rotation, motion.position, motion.twist)

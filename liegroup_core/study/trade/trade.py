@@ -9,6 +9,7 @@
 Each ladder is climbed from its coarsest step to finer ones, until its error is that of rounding or
 of the reference, or the next step would take too long. How it is measured: docs/trade.md.
 """
+
 from liegroup_core.compiling.kernels import source_digest
 from liegroup_core.engine import Engine
 from liegroup_core.integrators.families import fitting_methods
@@ -25,14 +26,14 @@ ACCURACIES = (1e-3, 1e-6, 1e-9)
 # Of an accuracy that is promised, the measured error may be this part: between the samples of the
 # measurement, and at times that are no samples of it, the error may be a little larger.
 MARGIN = 3.0
-BUDGET = 1.0                # CPU s of a run, at most
-ENOUGH = 1e-11              # error that need not be smaller: 1e-9 with its margin, and some more
+BUDGET = 1.0  # CPU s of a run, at most
+ENOUGH = 1e-11  # error that need not be smaller: 1e-9 with its margin, and some more
 # Errors that two further steps do not bring down by as much are those of rounding; above the
 # second number they are those of steps that are too large altogether.
 BETTER, ROUGH = 0.5, 1e-2
-DEARER = 1.5                # as far as these steps have cost so many times more
-SETTLING = 2                # finer rungs that must not be worse
-MOST_STEPS = 1_000_000      # in a horizon, of a ladder of which no run has come to its end
+DEARER = 1.5  # as far as these steps have cost so many times more
+SETTLING = 2  # finer rungs that must not be worse
+MOST_STEPS = 1_000_000  # in a horizon, of a ladder of which no run has come to its end
 
 
 class Trade:
@@ -66,8 +67,17 @@ class Trade:
         """All that was measured, see measure.measure, by ladders and from coarse to fine."""
         return sorted(self._cells.values(), key=lambda cell: (_ladder(cell), _coarseness(cell)))
 
-    def measure(self, methods=None, groups=None, stabilisations=None, steps=None, budget=BUDGET,
-                scheduler=None, workers=None, tell=lambda text: None):
+    def measure(
+        self,
+        methods=None,
+        groups=None,
+        stabilisations=None,
+        steps=None,
+        budget=BUDGET,
+        scheduler=None,
+        workers=None,
+        tell=lambda text: None,
+    ):
         """Measure what is not known; yields (cell, (ladders done, ladders)) as results come.
 
         methods, groups, stabilisations : names; None: all that fit the scene, all, and none and
@@ -82,8 +92,10 @@ class Trade:
             steps = [_fitting(step, self.truth.horizon) for step in sorted(steps, reverse=True)]
         chosen = ladders(self.layout, methods, groups, stabilisations)
         if not chosen:
-            raise ValueError(f"{self.scene.name}: none of the methods that were asked for fits; "
-                             f"these do: {', '.join(fitting_methods(self.layout))}")
+            raise ValueError(
+                f"{self.scene.name}: none of the methods that were asked for fits; "
+                f"these do: {', '.join(fitting_methods(self.layout))}"
+            )
         climbs = [_Climb(ladder, self.truth, budget, steps) for ladder in chosen]
         owners = [climb for climb in climbs if climb.next(self._cells) is not None]
         if not owners:
@@ -105,16 +117,21 @@ class Trade:
             owners.append(climb)
             return [(study, setting)]
 
-        for _, cell in run(measure, [(study, climb.setting) for climb in owners], scheduler,
-                           workers, follow):
+        for _, cell in run(
+            measure, [(study, climb.setting) for climb in owners], scheduler, workers, follow
+        ):
             yield cell, (done[0], len(climbs))
 
     def keep_only(self, methods=None, groups=None, stabilisations=None, steps=None):
         """Leave out what was measured and is not of these, as of `measure`; it stays in the store,
-        so that the same question has the same answer whatever else was asked before."""
+        so that the same question has the same answer whatever else was asked before.
+        """
         chosen = set(ladders(self.layout, methods, groups, stabilisations))
-        self._cells = {key: cell for key, cell in self._cells.items() if _ladder(cell) in chosen
-                       and (steps is None or cell["step"] in steps)}
+        self._cells = {
+            key: cell
+            for key, cell in self._cells.items()
+            if _ladder(cell) in chosen and (steps is None or cell["step"] in steps)
+        }
 
     def _compile(self, climbs):
         """Compile here what the workers would compile all at once."""
@@ -122,22 +139,22 @@ class Trade:
         for setting in families.values():
             try:
                 Engine(self.scene, **setting.arguments())
-            except ValueError:              # the run will say why
+            except ValueError:  # the run will say why
                 pass
 
     def settled(self):
         """[(cell, error)]: of finished runs, each with the largest error of it, of the next finer
-        ones of its ladder, and of the reference. What is right by chance alone does not count."""
+        ones of its ladder, and of the reference. What is right by chance alone does not count.
+        """
         found = []
         by_ladder = {}
         for cell in self.cells:
             by_ladder.setdefault(_ladder(cell), []).append(cell)
         for cells in by_ladder.values():
             for i, cell in enumerate(cells):
-                near = cells[i:i + 1 + SETTLING]
+                near = cells[i : i + 1 + SETTLING]
                 if not any(other["stopped"] for other in near):
-                    found.append((cell, max(self.truth.known,
-                                            *(other["error"] for other in near))))
+                    found.append((cell, max(self.truth.known, *(other["error"] for other in near))))
         return found
 
     def front(self):
@@ -151,8 +168,9 @@ class Trade:
 
     def cheapest(self, accuracy, usable=lambda cell: True):
         """The cheapest cell that keeps an accuracy with its margin, or None."""
-        kept = [cell for cell, error in self.settled()
-                if MARGIN * error <= accuracy and usable(cell)]
+        kept = [
+            cell for cell, error in self.settled() if MARGIN * error <= accuracy and usable(cell)
+        ]
         return min(kept, key=lambda cell: cell["cost_us"], default=None)
 
     def best(self, usable=lambda cell: True):
@@ -166,8 +184,11 @@ class _Climb:
 
     def __init__(self, ladder, truth, budget, steps=None):
         self.ladder, self.setting = ladder, None
-        self._rungs = rungs(ladder, truth.horizon) if steps is None else (
-            Setting(*ladder[:1], step, *ladder[1:]) for step in steps)
+        self._rungs = (
+            rungs(ladder, truth.horizon)
+            if steps is None
+            else (Setting(*ladder[:1], step, *ladder[1:]) for step in steps)
+        )
         self._all = steps is not None
         self._known, self._horizon, self._budget = truth.known, float(truth.horizon), budget
         self._cells = []
@@ -200,8 +221,12 @@ class _Climb:
             return True
         last = good[-1]
         # A tolerance that costs nothing is not yet what sets the error.
-        if (len(good) > 2 and min(errors) < ROUGH and min(errors[-2:]) > BETTER * min(errors[:-2])
-                and last["cost_us"] > DEARER * good[-3]["cost_us"]):
+        if (
+            len(good) > 2
+            and min(errors) < ROUGH
+            and min(errors[-2:]) > BETTER * min(errors[:-2])
+            and last["cost_us"] > DEARER * good[-3]["cost_us"]
+        ):
             return True
         growth = last["step"] / following.step
         if len(good) > 1 and growth == 1.0:
@@ -211,10 +236,15 @@ class _Climb:
 
 def _fitting(step, horizon):
     """A step as float. Raises ValueError where the samples of a horizon cannot be met."""
-    if not is_positive(step) or horizon % as_time(step) or (
-            horizon / sample_spacing(as_time(step), horizon) < LEAST_SAMPLES):
-        raise ValueError(f"a step of {step:g} s does not fit a horizon of {float(horizon):g} s: "
-                         f"{LEAST_SAMPLES} or more of its {SAMPLES} samples must be whole steps")
+    if (
+        not is_positive(step)
+        or horizon % as_time(step)
+        or (horizon / sample_spacing(as_time(step), horizon) < LEAST_SAMPLES)
+    ):
+        raise ValueError(
+            f"a step of {step:g} s does not fit a horizon of {float(horizon):g} s: "
+            f"{LEAST_SAMPLES} or more of its {SAMPLES} samples must be whole steps"
+        )
     return float(step)
 
 
@@ -231,18 +261,26 @@ def _key(cell):
 
 
 def _key_of(setting):
-    return (setting.method, setting.group, setting.stabilisation, setting.step,
-            tuple(sorted(setting.options)))
+    return (
+        setting.method,
+        setting.group,
+        setting.stabilisation,
+        setting.step,
+        tuple(sorted(setting.options)),
+    )
 
 
 def _checked(horizon):
     """A horizon as Fraction. Raises ValueError."""
     if not (isinstance(horizon, (int, float)) and 1e-9 <= horizon <= 1e6):
-        raise ValueError(f"the horizon must be a number of seconds from 1e-9 to 1e6, "
-                         f"got {horizon!r}")
+        raise ValueError(
+            f"the horizon must be a number of seconds from 1e-9 to 1e6, got {horizon!r}"
+        )
     found = as_time(horizon)
     # Its samples and the steps between them are to be decimal numbers of a few digits.
     if as_time(float(f"{horizon:.3g}")) != found:
-        raise ValueError(f"the horizon must have at most three digits, got {horizon!r}; take "
-                         f"{float(f'{horizon:.3g}'):g}")
+        raise ValueError(
+            f"the horizon must have at most three digits, got {horizon!r}; take "
+            f"{float(f'{horizon:.3g}'):g}"
+        )
     return found
