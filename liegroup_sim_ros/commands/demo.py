@@ -103,7 +103,7 @@ def _simulate(seconds, log, output, console):
     processes = []
     try:
         with open(output, "w", encoding="utf-8") as stream:
-            node = _start("sim_node", ["--ros-args", *arguments], stream, processes)
+            node = _start("node.entry", ["--ros-args", *arguments], stream, processes)
             with console.status("starting (the first time on a machine compiles for some 20 s)"):
                 _wait_until(log.exists, STARTING, node, output)
             _watch(seconds, node, output, processes, console)
@@ -150,7 +150,7 @@ def _watch(seconds, node, output, processes, console):
                     highlight=False,
                     soft_wrap=True,
                 )
-                push = _start("main", PUSH, subprocess.PIPE, processes)
+                push = _start("commands.main", PUSH, subprocess.PIPE, processes)
             if push is not None and push.poll() is not None and not answered:
                 answered = True
                 answer = push.communicate()[0].strip()

@@ -25,7 +25,7 @@ from liegroup_sim_ros.analysis.drift import Drift, thinned
 from liegroup_sim_ros.commands.analyze import find_exceeded
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.recording.reader import RecordingError, read_recording
-from liegroup_sim_ros.report import summary
+from liegroup_sim_ros.numbers import error_text
 
 SCHEMA = Path(__file__).resolve().parents[2] / "config" / "analysis.schema.json"
 FREE = """
@@ -276,10 +276,10 @@ def test_long_runs_are_judged_as_short_ones(tmp_path, monkeypatch):
     )
     whole = analyse(read_recording(log))
     for name, value in (
-        ("recording.PIECE", 130),
-        ("report.motion.KEPT", 500),
-        ("report.motion.LEAST_KEPT", 500),
-        ("report.drift.MOST_POINTS", 300),
+        ("recording.reader.PIECE", 130),
+        ("recording.motion.KEPT", 500),
+        ("recording.motion.LEAST_KEPT", 500),
+        ("analysis.drift.MOST_POINTS", 300),
     ):
         monkeypatch.setattr(f"liegroup_sim_ros.{name}", value)
     pieces = analyse(read_recording(log))
@@ -352,7 +352,7 @@ def test_a_bound_that_the_reference_cannot_judge_is_not_kept():
 )
 def test_an_error_is_told_with_what_is_known_of_it(error, uncertainty, said):
     entry = {"max": error, "uncertainty": uncertainty, "unit": "m"}
-    assert summary._error(entry) == said
+    assert error_text(entry) == said
 
 
 class _Web(SimpleHTTPRequestHandler):

@@ -113,7 +113,7 @@ def test_launch_file_is_python_and_its_preset_is_there():
     used = set(re.findall(r'LaunchConfiguration\("(\w+)"\)', text)) - {"params_file"}
     assert used == set(arguments) - set(parameters) and set(parameters) < set(arguments)
     assert set(parameters) <= {entry.name for entry in TABLE if type(entry.default) is str}
-    (node,) = re.findall(r'package=PACKAGE, executable="(\w+)", name="(\w+)"', text)
+    (node,) = re.findall(r'package=PACKAGE,\s+executable="(\w+)",\s+name="(\w+)"', text)
     assert node == ("sim_node", "sim_node") and (SOURCE / "liegroup_sim_ros/node/entry.py").exists()
     remapped = re.findall(r'\("/(\w+)", LaunchConfiguration', text)
     assert remapped == ["clock", "tf"]
@@ -124,7 +124,7 @@ def test_node_is_found_and_answers(start):
     command = (
         [Path(get_package_prefix(NAME), "lib", NAME, "sim_node")]
         if start == "ros2 run"
-        else [sys.executable, "-P", "-m", f"{NAME}.sim_node"]
+        else [sys.executable, "-P", "-m", f"{NAME}.node.entry"]
     )
     ended = subprocess.run(
         [*command, "--ros-args", "-p", "scene:=no_such_scene"],
@@ -148,16 +148,8 @@ def test_core_imports_no_ros():
 
 def test_analysis_does_without_rclpy():
     assert "rclpy" not in imported_by(
-        *(
-            f"{NAME}.{part}"
-            for part in (
-                "messages",
-                "recording",
-                "analyze",
-                "analyze_logs",
-                "resimulate",
-                "player_file",
-                "report",
-            )
-        )
+        *(f"{NAME}.{part}" for part in ("messages", "recording", "analysis", "report")),
+        f"{NAME}.commands.analyze",
+        f"{NAME}.playback.resimulate",
+        f"{NAME}.playback.player_file",
     )

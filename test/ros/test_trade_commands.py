@@ -281,7 +281,7 @@ def test_an_accuracy_that_cannot_be_had_is_one_line(measured, tmp_path, capsys, 
 # The compiled code stays where it is; the trade is looked for in the folder of these tests.
 NODE = """
 import os, sys
-from liegroup_core.study import accuracy
+from liegroup_core.study.trade import accuracy
 os.environ["LIEGROUP_CACHE_DIR"] = sys.argv[1]
 accuracy.SHORTLIST = ("rkmk4",)
 from liegroup_sim_ros.node.entry import main
