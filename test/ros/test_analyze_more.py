@@ -24,8 +24,8 @@ from liegroup_sim_ros.analysis.comparison import compare
 from liegroup_sim_ros.analysis.drift import Drift, thinned
 from liegroup_sim_ros.commands.analyze import find_exceeded
 from liegroup_sim_ros.commands.main import main
-from liegroup_sim_ros.recording.reader import RecordingError, read_recording
 from liegroup_sim_ros.numbers import error_text
+from liegroup_sim_ros.recording.reader import RecordingError, read_recording
 
 SCHEMA = Path(__file__).resolve().parents[2] / "config" / "analysis.schema.json"
 FREE = """
