@@ -17,16 +17,26 @@ endif
 # Changes with either of the two, and .venv is made anew.
 MADE = .venv/$(VERSION)-$(ROS)
 
-help: ## say what there is; ARGS="..." is handed on to demo, test and bench
+help: ## say what there is; ARGS="..." is passed on to demo, test, quick and bench
 	@sed -n 's/^\([a-z]*\):.*## /make \1 \t/p' Makefile
 
 demo: .venv/installed ## simulate, record, analyse
 	@.venv/bin/liegroup_sim demo $(ARGS)
 
 # Safe path: neither pytest nor a process that a test starts imports this folder in place of the
-# installed package.
-test: .venv/installed ## run the tests against the installed package
-	@PYTHONSAFEPATH=1 .venv/bin/python -m pytest $(ARGS)
+# installed package. Two processes: more of them disturb the tests that watch the clock.
+PYTEST = PYTHONSAFEPATH=1 .venv/bin/python -m pytest -n 2 --dist loadfile
+
+test: .venv/installed ## run all tests against the installed package (about 6 min on two cores)
+	@$(PYTEST) $(ARGS)
+
+quick: .venv/installed ## run the quick tests of the core (below 60 s once the kernels are compiled)
+	@$(PYTEST) -m "not slow" test/contract test/core $(ARGS)
+
+lint: .venv/lint ## check format, style, docstrings and types
+	@.venv/bin/ruff format --check .
+	@.venv/bin/ruff check .
+	@.venv/bin/mypy -p liegroup_core -p liegroup_sim_ros
 
 bench: .venv/peers ## measure, side by side with other software; ARGS=--quick is shorter
 	@set -e; for script in peers growth; do \
@@ -71,6 +81,9 @@ SOURCES = setup.py setup.cfg package.xml \
 	@find liegroup_core -name '*.py' -exec touch -r {} .venv/lib/$(VERSION)/site-packages/{} \;
 	@rm -rf build *.egg-info && mv $@.started $@
 
+.venv/lint: .venv/installed
+	@$(PIP) ruff mypy && touch $@
+
 # Without them the benchmarks still run, and say what is left out.
 .venv/peers: .venv/installed
 	@echo "Installing the software to compare with into .venv (once; 0.5 GB)"
@@ -82,7 +95,7 @@ constraints: | check
 	@$(PYTHON) -m venv --clear build/resolve
 	@build/resolve/bin/python -m pip install -q --dry-run --ignore-installed --only-binary :all: \
 	    --no-binary empy --report build/report.json \
-	    setuptools colcon-common-extensions $(ROS_WHEELS) '.[test,bench]'
+	    setuptools colcon-common-extensions $(ROS_WHEELS) '.[test,lint,bench]'
 	@grep '^#' config/constraints.txt > build/header
 	@$(PYTHON) -c 'import json; found = json.load(open("build/report.json"))["install"]; \
 	    print(*sorted("{name}=={version}".format(**each["metadata"]).lower().replace("_", "-") \
@@ -90,4 +103,4 @@ constraints: | check
 	    | grep -v ^liegroup | cat build/header - > config/constraints.txt
 	@rm -rf build *.egg-info
 
-.PHONY: help demo test bench clean check constraints
+.PHONY: help demo test quick lint bench clean check constraints

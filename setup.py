@@ -9,7 +9,7 @@ NAME = "liegroup_sim_ros"
 
 setup(
     name=NAME,
-    version="0.1.0",
+    version="0.2.0",
     description="Multibody dynamics on Lie groups, simulated in real time, served to ROS 2 and "
     "recorded.",
     maintainer="liegroup_sim_ros developers",
@@ -62,8 +62,10 @@ setup(
             "pandas",
             "pyarrow",
             "pytest",
+            "pytest-xdist",
             "rosbags",
         ],
+        "lint": ["mypy", "ruff"],
         # What benchmarks/ compares with; Eigen's headers, for the loop around Pinocchio.
         "bench": ["cmeel-eigen", "exudyn", "mujoco", "pin"],
     },

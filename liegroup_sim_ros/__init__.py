@@ -5,4 +5,4 @@ No mechanics here: that is `liegroup_core`. `messages`, `schemas`, `recorder`, `
 `analyze` and `report` do not import rclpy.
 """
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"

@@ -279,6 +279,7 @@ def busy_scene():
     return scene.model_copy(update={"forces": tuple(forces)})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("group", ["se3", "so3xr3"])
 def test_energy_changes_by_the_power(group):
     """E(T) - E(0) = integral of the power; step and Simpson's rule are both of order 4."""
@@ -311,6 +312,7 @@ def test_the_same_bits_however_the_steps_are_asked_for(group):
         assert whole.sample().angles.tobytes() == pieces.sample().angles.tobytes()
 
 
+@pytest.mark.slow
 def test_without_the_compiler_the_same_numbers():
     """Plain Python rounds as machine code does; libm's last bit may differ."""
     code = (

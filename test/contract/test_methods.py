@@ -148,6 +148,7 @@ def test_entry_is_complete(name):
     assert set(check_options(name, {})) == set(FAMILIES[method.family].options(method))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name, group", ON_GROUPS)
 def test_the_same_bits_however_the_steps_are_asked_for(name, group):
     """Also with a wrench that starts and ends in between, and again after a reset."""
@@ -371,6 +372,7 @@ def test_a_tolerance_out_of_reach_ends_with_a_status():
     assert simulation.state()[0].tobytes() == before and simulation.steps == 0
 
 
+@pytest.mark.slow
 def test_without_the_compiler_the_same_numbers():
     """Plain Python rounds as machine code does: no fast-math. libm's last bit may differ."""
     code = (

@@ -273,6 +273,7 @@ def test_guesses_from_anywhere_close_or_are_refused_in_one_line():
     assert closed >= 5
 
 
+@pytest.mark.slow
 def test_the_same_text_gives_the_same_bits_and_is_kept():
     text = load_scene("four_bar").text
     one, other = scene_from_text(text), scene_from_text(text)

@@ -144,6 +144,7 @@ def test_a_recorded_pose_makes_the_sample_it_came_from():
     np.testing.assert_allclose(again.pose, sample.pose, atol=1e-15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["chain of hinges", "tree"])
 def test_the_reference_integration_means_the_same_frames(name):
     """What recordings are judged against takes a state and wrenches, and gives body frames."""

@@ -139,6 +139,7 @@ def test_truths_agree_with_the_independent_integration():
         assert max(angle, way) < 1e-8
 
 
+@pytest.mark.slow
 def test_no_answer_of_the_quick_map_is_silently_wrong():
     cells = []
     for columns, _, found, _ in survey(axes_of(), quick=True, methods=METHODS, workers=1):
@@ -150,6 +151,7 @@ def test_no_answer_of_the_quick_map_is_silently_wrong():
     assert all(found[name] > 5 for name in (ACCURATE, FLAGGED, REFUSED)) and found[STOPPED] > 0
 
 
+@pytest.mark.slow
 def test_what_was_run_is_not_run_again(tmp_path, monkeypatch):
     """A map that is ended goes on where it was, with the same cells, and judges them the same."""
     axes = [axis for axis in AXES if axis.name in ("angle", "step_free")]

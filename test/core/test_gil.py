@@ -10,6 +10,7 @@ from liegroup_core import Simulation, load_scene
 from liegroup_core.compiling.kernels import compiled
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not compiled(), reason="nothing is compiled")
 def test_other_threads_run_while_steps_are_taken():
     """With the lock held, this thread would stand still for as long as the steps take."""

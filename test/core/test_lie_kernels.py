@@ -183,6 +183,7 @@ json.dump(bits, sys.stdout)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not compiled(), reason="compares machine code with plain Python")
 def test_plain_python_gives_the_same_bits():
     def run(disable):

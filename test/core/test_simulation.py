@@ -154,6 +154,7 @@ def test_what_is_no_scene_or_method_is_refused(given, message):
         Simulation(*given)
 
 
+@pytest.mark.slow
 def test_without_the_compiler_the_same_numbers():
     """Plain Python rounds as machine code does: no fast-math. libm's last bit may differ."""
     code = (

@@ -190,6 +190,7 @@ def test_what_is_next_to_zero_is_zero_in_steps_and_nowhere_else(numbers, ended):
     assert (array * 0.5).tolist() == [2.0**-1024, 2.0**-1032]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("harm", ["nothing", "index", "code", "full"])
 def test_kernels_out_of_the_cache(tmp_path, harm):
     """Also where a file of it is damaged, or no file can be written, as on a full disk; the caller
@@ -325,6 +326,7 @@ def test_what_is_no_field():
         Inner(rows=np.zeros((2, 2)), shift="0.1")
 
 
+@pytest.mark.slow
 def test_a_sample_in_another_process(tmp_path):
     """Pickled here and read there: what follows from it is computed there."""
     sample = Simulation(load_scene("four_bar")).sample()

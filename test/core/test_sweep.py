@@ -183,6 +183,7 @@ def test_closed_form_of_all_runs():
         assert columns["samples.ball.y"][i][-1] == columns["ball.y"][i]
 
 
+@pytest.mark.slow
 def test_the_same_bits_with_other_workers_and_pieces_and_a_death(monkeypatch, tmp_path):
     """One of two workers is killed over run 5, once."""
     died = tmp_path / "died"

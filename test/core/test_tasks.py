@@ -107,6 +107,7 @@ def test_what_the_function_raises_ends_the_run():
             list(tasks.run(fail, [1, 2], workers=workers))
 
 
+@pytest.mark.slow
 def test_no_scheduler():
     with pytest.raises(tasks.TasksError, match="no dask scheduler at tcp://127.0.0.1:9") as error:
         list(tasks.run(square, [1], scheduler="tcp://127.0.0.1:9"))

@@ -49,6 +49,7 @@ def trade(scene, tmp_path_factory):
     return trade
 
 
+@pytest.mark.slow
 def test_errors_are_the_same_bits_with_two_workers(scene, trade, tmp_path):
     """How far ladders are climbed depends on costs: those cells are compared that both have."""
     other = made(scene, tmp_path)
@@ -247,6 +248,7 @@ def test_the_accuracy_is_kept(name, tmp_path, monkeypatch):
     assert (direct.method, direct.step) == (simulation.method, simulation.step)
 
 
+@pytest.mark.slow
 def test_refusals_say_what_can_be_had(tmp_path, monkeypatch):
     monkeypatch.setenv("LIEGROUP_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(accuracy, "SHORTLIST", ("rkmk2",))
