@@ -29,7 +29,7 @@ from geometry_msgs.msg import TwistStamped, WrenchStamped  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 
 from liegroup_core.scene.library import chain  # noqa: E402
-from liegroup_sim_ros.recording.reader import read_recording  # noqa: E402
+from liegroup_sim_ros.recording.read import read_recording  # noqa: E402
 
 BARE = Path(__file__).parent / "node_side" / "bare.py"
 NODE = "import sys; from liegroup_sim_ros.node.entry import main; sys.exit(main())"

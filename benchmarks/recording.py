@@ -28,9 +28,9 @@ from mcap.writer import CompressionType, Writer
 from liegroup_sim_ros.commands.recover import write_recovered
 from liegroup_sim_ros.messages import schemas
 from liegroup_sim_ros.messages.codecs import PoseStampedCodec
-from liegroup_sim_ros.recording.reader import RecordingError
-from liegroup_sim_ros.recording.recorder import Recorder
-from liegroup_sim_ros.recording.survey import survey
+from liegroup_sim_ros.recording.damaged_survey import survey
+from liegroup_sim_ros.recording.read import RecordingError
+from liegroup_sim_ros.recording.write import Recorder
 
 SIDE = Path(__file__).parent / "recording_side"
 FLUSH = 0.2  # s, of the processes that are killed

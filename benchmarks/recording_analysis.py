@@ -31,7 +31,7 @@ CHILD = """
 import json, sys, time
 start = time.perf_counter()
 from liegroup_sim_ros.analysis.analyse import analyse
-from liegroup_sim_ros.recording.reader import read_recording
+from liegroup_sim_ros.recording.read import read_recording
 read = lambda: read_recording(sys.argv[1])
 started = time.perf_counter(), time.process_time()
 {code}
@@ -52,7 +52,7 @@ def make(path, seconds):
         WrenchStampedCodec,
     )
     from liegroup_sim_ros.recording import attachments
-    from liegroup_sim_ros.recording.recorder import Recorder
+    from liegroup_sim_ros.recording.write import Recorder
 
     simulation = Simulation(load_scene("heavy_top"), "rkmk4", STEP)
     topics = {
@@ -117,7 +117,7 @@ def main():
         if not path.exists():
             make(path, args.seconds)
             print(f"recorded in {time.perf_counter() - start:.0f} s")
-        from liegroup_sim_ros.recording.reader import read_recording
+        from liegroup_sim_ros.recording.read import read_recording
 
         million = sum(read_recording(path).topics.values()) / 1e6
         print(f"{million:.3f} million messages, {path.stat().st_size / 2**20:.0f} MiB\n")

@@ -8,7 +8,7 @@ import sys
 import time
 
 from liegroup_sim_ros.messages.codecs import PoseStampedCodec
-from liegroup_sim_ros.recording.recorder import Recorder
+from liegroup_sim_ros.recording.write import Recorder
 
 path, flush_interval, rate = sys.argv[1], float(sys.argv[2]), float(sys.argv[3])
 recorder = Recorder(

@@ -24,7 +24,7 @@ from liegroup_sim_ros.playback.repeat import (
 )
 from liegroup_sim_ros.recording.check import check_settings
 from liegroup_sim_ros.recording.motion import Motion
-from liegroup_sim_ros.recording.reader import RecordingError
+from liegroup_sim_ros.recording.read import RecordingError
 
 from .invariants import Energy, Joints, Momentum
 from .local_error import local_error

@@ -5,7 +5,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from liegroup_core.reference import Trajectory, distance
-from liegroup_sim_ros.recording.reader import RecordingError
+from liegroup_sim_ros.recording.read import RecordingError
 
 from .drift import MOST_POINTS, thinned
 

@@ -19,7 +19,7 @@ from liegroup_core.study import tasks
 from liegroup_sim_ros.analysis.analyse import REFERENCE_SECONDS, analyse, plain
 from liegroup_sim_ros.analysis.comparison import differences
 from liegroup_sim_ros.recording.addresses import AddressError, expand
-from liegroup_sim_ros.recording.reader import RecordingError, read_recording
+from liegroup_sim_ros.recording.read import RecordingError, read_recording
 from liegroup_sim_ros.report.terminal import print_comparison, print_overview, print_table
 
 FORMAT = 1  # of the JSON document, config/analysis.schema.json

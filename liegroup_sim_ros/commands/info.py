@@ -12,8 +12,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from liegroup_sim_ros.recording.reader import RecordingError
-from liegroup_sim_ros.recording.survey import clean, survey
+from liegroup_sim_ros.recording.damaged_survey import clean, survey
+from liegroup_sim_ros.recording.read import RecordingError
 
 
 def add_parser(subparsers):

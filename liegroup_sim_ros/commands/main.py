@@ -16,8 +16,8 @@ from liegroup_core.errors import LieGroupSimError
 from liegroup_sim_ros import __version__
 from liegroup_sim_ros.playback.player_file import PlayError
 from liegroup_sim_ros.playback.repeat import ReplayError
-from liegroup_sim_ros.recording.reader import RecordingError
-from liegroup_sim_ros.recording.run_files import OutputError
+from liegroup_sim_ros.recording.read import RecordingError
+from liegroup_sim_ros.recording.write_run import OutputError
 
 from . import analyze as analyze_logs
 from . import demo, describe, extremes, figures, info, push, recover, replay, sweep, trade

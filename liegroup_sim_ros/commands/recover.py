@@ -14,11 +14,11 @@ import yaml
 from rich.console import Console
 
 from liegroup_sim_ros.recording import bag_metadata
+from liegroup_sim_ros.recording.damaged_survey import Survey, clean, open_file, survey, walk
 from liegroup_sim_ros.recording.mcap_records import Damaged
-from liegroup_sim_ros.recording.mcap_writer import Chunk, McapFile
-from liegroup_sim_ros.recording.reader import RecordingError
-from liegroup_sim_ros.recording.recorder import CHUNK_SIZE, LIBRARY
-from liegroup_sim_ros.recording.survey import Survey, clean, open_file, survey, walk
+from liegroup_sim_ros.recording.read import RecordingError
+from liegroup_sim_ros.recording.write import CHUNK_SIZE, LIBRARY
+from liegroup_sim_ros.recording.write_mcap import Chunk, McapFile
 
 from .info import topics_table
 

@@ -9,7 +9,7 @@ from rich.console import Console
 from liegroup_sim_ros.playback.player_file import PlayError, PlayFile
 from liegroup_sim_ros.playback.repeat import ReplayError
 from liegroup_sim_ros.playback.resimulate import resimulate, told
-from liegroup_sim_ros.recording.reader import read_recording
+from liegroup_sim_ros.recording.read import read_recording
 
 EXIT_DIFFERENT = 1
 

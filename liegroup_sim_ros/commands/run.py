@@ -17,7 +17,7 @@ from liegroup_core import Simulation, SimulationError, load_scene
 from liegroup_core.engine import METHOD, STABILISATIONS, STEP
 from liegroup_core.integrators.methods import GROUPS, METHODS
 from liegroup_core.study.trade.accuracy import choose
-from liegroup_sim_ros.recording.run_files import ArrayFile, LogFile
+from liegroup_sim_ros.recording.write_run import ArrayFile, LogFile
 
 EXIT_STOPPED = 1
 AT_ONCE = 10_000  # steps between two looks at the clock, at most

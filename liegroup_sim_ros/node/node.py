@@ -22,7 +22,7 @@ from rclpy.utilities import remove_ros_args
 from std_srvs.srv import Trigger
 
 from liegroup_core import SceneError
-from liegroup_sim_ros.recording.recorder import RecorderError
+from liegroup_sim_ros.recording.write import RecorderError
 
 from . import standard_services
 from .parameters import ParameterError, read_parameters, watch_parameters

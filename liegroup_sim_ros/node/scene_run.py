@@ -7,7 +7,7 @@ from concurrent.futures import Future, wait
 from liegroup_core import SceneError, Simulation, load_scene
 from liegroup_core.study.trade.accuracy import choose
 from liegroup_sim_ros.recording import attachments
-from liegroup_sim_ros.recording.recorder import Recorder
+from liegroup_sim_ros.recording.write import Recorder
 
 from .outputs import Outputs
 from .parameters import ParameterError, set_step, step_fits

@@ -8,8 +8,8 @@ import numpy as np
 import yaml
 
 from liegroup_sim_ros.recording.mcap_records import AttachmentPiece
-from liegroup_sim_ros.recording.mcap_stream import McapStream
-from liegroup_sim_ros.recording.recording_file import TellPath
+from liegroup_sim_ros.recording.read_file import TellPath
+from liegroup_sim_ros.recording.read_mcap import McapStream
 
 _TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
 LONGEST_QOS = 65536  # bytes of YAML

@@ -9,7 +9,7 @@ from liegroup_core.model.build import initial_state as state_of_scene
 from liegroup_core.observables.along import quaternions
 from liegroup_core.reference import Trajectory, distance
 from liegroup_sim_ros.recording.attachments import restore
-from liegroup_sim_ros.recording.reader import RecordingError
+from liegroup_sim_ros.recording.read import RecordingError
 
 # A simulation takes a microsecond a step or more: what a damaged file may ask for is bounded.
 MOST_STEPS = 10**9

@@ -5,7 +5,7 @@ In: encoded messages with time stamps and the attachments that make a recording 
 Out: the same as arrays, tracks and events. Knows no rclpy, no analysis and no display.
 """
 
-from .reader import read_recording
+from .read import read_recording
 from .tracks import RecordingError
 
 __all__ = ["RecordingError", "read_recording"]

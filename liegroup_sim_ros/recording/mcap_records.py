@@ -2,8 +2,8 @@
 """Single records of an MCAP file that may be damaged, or made to do harm; for all who read one.
 
 What their check sums do not confirm is refused; no size that they claim is believed, so memory is
-bounded by LARGEST. mcap_scan.py looks with them for all that is good in a damaged file,
-mcap_stream.py gives the messages of a recording as arrays.
+bounded by LARGEST. damaged_scan.py looks with them for all that is good in a damaged file,
+read_mcap.py gives the messages of a recording as arrays.
 
 Source: mcap.dev specification, version 0.
 """

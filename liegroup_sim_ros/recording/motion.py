@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from .reader import RecordingError
+from .read import RecordingError
 
 # Samples that are kept for plots and for a closer look, of all bodies together and at least.
 KEPT, LEAST_KEPT = 40_000, 2000

@@ -19,7 +19,7 @@ from liegroup_sim_ros.messages.codecs import (
     TwistStampedCodec,
     WrenchStampedCodec,
 )
-from liegroup_sim_ros.recording.recorder import Recorder
+from liegroup_sim_ros.recording.write import Recorder
 
 BODIES = ("top", "arm_2")
 TOPICS = {

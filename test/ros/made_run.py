@@ -6,7 +6,7 @@ from example_run import diagnostics_message, log_message
 from liegroup_core import Simulation
 from liegroup_sim_ros.messages.codecs import PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec
 from liegroup_sim_ros.recording import attachments
-from liegroup_sim_ros.recording.recorder import Recorder
+from liegroup_sim_ros.recording.write import Recorder
 
 PACING = {
     "ticks": 100,

@@ -15,7 +15,7 @@ from liegroup_core import load_scene
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.analysis.analyse import analyse
 from liegroup_sim_ros.commands.main import main
-from liegroup_sim_ros.recording.reader import read_recording
+from liegroup_sim_ros.recording.read import read_recording
 
 
 def figures_of(path, **options):

@@ -25,7 +25,7 @@ from liegroup_sim_ros.analysis.drift import Drift, thinned
 from liegroup_sim_ros.commands.analyze import find_exceeded
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.numbers import error_text
-from liegroup_sim_ros.recording.reader import RecordingError, read_recording
+from liegroup_sim_ros.recording.read import RecordingError, read_recording
 
 SCHEMA = Path(__file__).resolve().parents[2] / "config" / "analysis.schema.json"
 FREE = """
@@ -50,7 +50,7 @@ joints:
 
 def run(path, scene, method="rkmk4", step=2e-3, duration=1.0, every=10, **options):
     """Record a run of the engine without a clock."""
-    from liegroup_sim_ros.recording.run_files import LogFile
+    from liegroup_sim_ros.recording.write_run import LogFile
 
     simulation = Simulation(scene, method, step, **options)
     with LogFile(path, simulation, every, 0) as file:
@@ -276,7 +276,7 @@ def test_long_runs_are_judged_as_short_ones(tmp_path, monkeypatch):
     )
     whole = analyse(read_recording(log))
     for name, value in (
-        ("recording.reader.PIECE", 130),
+        ("recording.read.PIECE", 130),
         ("recording.motion.KEPT", 500),
         ("recording.motion.LEAST_KEPT", 500),
         ("analysis.drift.MOST_POINTS", 300),
@@ -407,7 +407,7 @@ import sys
 for name in ("rclpy", "rosgraph_msgs", "geometry_msgs", "rcl_interfaces", "diagnostic_msgs",
              "builtin_interfaces", "std_msgs", "sensor_msgs"):
     sys.modules[name] = None
-from liegroup_sim_ros.recording.reader import read_recording
+from liegroup_sim_ros.recording.read import read_recording
 recording = read_recording(sys.argv[1])
 pose, wrench = recording.pose["left"], recording.wrench["left"]
 frame = recording.to_pandas()
@@ -441,7 +441,7 @@ def test_joint_states_are_read(tmp_path):
     """Coordinates and rates of every joint that has one, as the node writes them."""
     from liegroup_sim_ros.messages import samples as sample_messages
     from liegroup_sim_ros.recording import attachments
-    from liegroup_sim_ros.recording.recorder import Recorder
+    from liegroup_sim_ros.recording.write import Recorder
 
     simulation = Simulation(load_scene("double_pendulum"), "rkmk4", 1e-3)
     bodies = simulation.layout.body_names

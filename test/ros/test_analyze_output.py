@@ -21,8 +21,8 @@ from liegroup_sim_ros.analysis.verdict import find_problems
 from liegroup_sim_ros.commands.analyze import document
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.recording import attachments
-from liegroup_sim_ros.recording.reader import read_recording
-from liegroup_sim_ros.recording.recorder import Recorder
+from liegroup_sim_ros.recording.read import read_recording
+from liegroup_sim_ros.recording.write import Recorder
 from liegroup_sim_ros.report import plots, view
 from liegroup_sim_ros.report.terminal import print_table
 

@@ -20,8 +20,8 @@ from liegroup_sim_ros.analysis.analyse import analyse
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.playback.repeat import ReplayError
 from liegroup_sim_ros.playback.resimulate import resimulate
-from liegroup_sim_ros.recording.mcap_stream import McapStream
-from liegroup_sim_ros.recording.reader import RecordingError, read_recording
+from liegroup_sim_ros.recording.read import RecordingError, read_recording
+from liegroup_sim_ros.recording.read_mcap import McapStream
 
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK, ATTACHMENT = 6, 9

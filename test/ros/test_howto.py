@@ -11,7 +11,7 @@ from node_process import COMPILING, NODE, NodeProcess, python
 from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from liegroup_sim_ros.recording.reader import read_recording
+from liegroup_sim_ros.recording.read import read_recording
 
 SOURCE = Path(__file__).resolve().parents[2]
 PAGE = (SOURCE / "docs" / "howto.md").read_text()

@@ -12,7 +12,7 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from liegroup_sim_ros.playback.resimulate import resimulate
-from liegroup_sim_ros.recording.reader import read_recording
+from liegroup_sim_ros.recording.read import read_recording
 
 NODE = "/ordered"
 COMMANDS = ["pause", "resume", "step", "reset", "reload"]

@@ -17,7 +17,7 @@ from liegroup_core import Simulation
 from liegroup_core.compiling.kernels import compiled
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.messages.codecs import PoseStampedCodec, TwistStampedCodec
-from liegroup_sim_ros.recording.reader import read_recording
+from liegroup_sim_ros.recording.read import read_recording
 
 
 def repeat(recording):

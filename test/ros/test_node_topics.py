@@ -21,7 +21,7 @@ from sensor_msgs.msg import JointState
 from visualization_msgs.msg import Marker, MarkerArray
 
 from liegroup_sim_ros.playback.resimulate import resimulate
-from liegroup_sim_ros.recording.reader import read_recording
+from liegroup_sim_ros.recording.read import read_recording
 
 STEP_NS = 1_000_000
 NODE, PREFIX = "/shown", "robot1/"

@@ -14,7 +14,7 @@ from liegroup_core import Simulation, load_scene
 from liegroup_sim_ros.analysis.analyse import analyse
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.messages.codecs import LogCodec
-from liegroup_sim_ros.recording.reader import read_recording
+from liegroup_sim_ros.recording.read import read_recording
 
 
 def test_arrays_are_those_of_the_simulation(tmp_path, capsys):

@@ -14,7 +14,7 @@ from liegroup_core import load_scene
 from liegroup_core.scene import values
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.commands.main import main
-from liegroup_sim_ros.recording.reader import read_recording
+from liegroup_sim_ros.recording.read import read_recording
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
 DARK_CARD, LIGHT_CARD = "rgb(29, 33, 39)", "rgb(255, 255, 255)"

@@ -21,8 +21,8 @@ from liegroup_sim_ros.messages.codecs import (
     WrenchStampedCodec,
 )
 from liegroup_sim_ros.recording import attachments
-from liegroup_sim_ros.recording.recorder import Recorder, RecorderError
-from liegroup_sim_ros.recording.survey import survey
+from liegroup_sim_ros.recording.damaged_survey import survey
+from liegroup_sim_ros.recording.write import Recorder, RecorderError
 
 # Turns are counted, a motor depends on time, and a method keeps the size of its substep.
 SCENE = """

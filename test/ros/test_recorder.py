@@ -12,8 +12,8 @@ from example_run import SCENE, python
 from mcap.reader import make_reader
 
 from liegroup_sim_ros.messages.codecs import ClockCodec, PoseStampedCodec
-from liegroup_sim_ros.recording.reader import RecordingError, read_recording
-from liegroup_sim_ros.recording.recorder import Recorder, RecorderError
+from liegroup_sim_ros.recording.read import RecordingError, read_recording
+from liegroup_sim_ros.recording.write import Recorder, RecorderError
 
 
 def test_a_killed_process_loses_at_most_the_flush_interval(tmp_path):
@@ -221,7 +221,7 @@ def test_an_unknown_type_is_one_clear_line(tmp_path):
 def test_reading_and_recording_import_no_ros():
     child = python("""
         import sys
-        import liegroup_sim_ros.messages.codecs, liegroup_sim_ros.recording.recorder, liegroup_sim_ros.recording.reader
+        import liegroup_sim_ros.messages.codecs, liegroup_sim_ros.recording.write, liegroup_sim_ros.recording.read
         print([name for name in sys.modules if name.split(".")[0] in
                ("rclpy", "geometry_msgs", "std_msgs", "rosidl_parser", "ament_index_python")])
         """)

@@ -23,8 +23,8 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 from liegroup_sim_ros.messages.codecs import PoseStampedCodec, TwistStampedCodec
-from liegroup_sim_ros.recording.reader import RecordingError, read_recording
-from liegroup_sim_ros.recording.recorder import Recorder
+from liegroup_sim_ros.recording.read import RecordingError, read_recording
+from liegroup_sim_ros.recording.write import Recorder
 
 
 @pytest.fixture(scope="module")

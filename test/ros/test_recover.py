@@ -19,11 +19,11 @@ from rosbags.highlevel import AnyReader
 from liegroup_sim_ros.commands.info import as_json
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.commands.recover import write_recovered
-from liegroup_sim_ros.recording import recorder
+from liegroup_sim_ros.recording import write as recorder
+from liegroup_sim_ros.recording.damaged_survey import survey
 from liegroup_sim_ros.recording.mcap_records import LARGEST
-from liegroup_sim_ros.recording.reader import RecordingError
-from liegroup_sim_ros.recording.recorder import Recorder
-from liegroup_sim_ros.recording.survey import survey
+from liegroup_sim_ros.recording.read import RecordingError
+from liegroup_sim_ros.recording.write import Recorder
 
 COUNT = 60  # messages of the small file
 

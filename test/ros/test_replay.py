@@ -14,7 +14,7 @@ from rosgraph_msgs.msg import Clock
 
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.commands.main import main
-from liegroup_sim_ros.recording.reader import read_recording
+from liegroup_sim_ros.recording.read import read_recording
 
 STEPS = 2000  # 4 s of simulated time, 201 samples
 

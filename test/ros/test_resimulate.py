@@ -22,7 +22,7 @@ from liegroup_sim_ros.node.parameters import TABLE
 from liegroup_sim_ros.node.scene_run import SceneRun
 from liegroup_sim_ros.node.wrench_input import Push
 from liegroup_sim_ros.playback.resimulate import resimulate, told
-from liegroup_sim_ros.recording.reader import read_recording
+from liegroup_sim_ros.recording.read import read_recording
 
 STEP = 1e-3
 # What all methods can simulate: a top on a ball joint, with a centre of mass off its frame's

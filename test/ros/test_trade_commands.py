@@ -19,7 +19,7 @@ from liegroup_core.study.trade import accuracy
 from liegroup_core.study.trade.trade import Trade
 from liegroup_sim_ros.analysis.analyse import analyse
 from liegroup_sim_ros.commands.main import main
-from liegroup_sim_ros.recording.reader import read_recording
+from liegroup_sim_ros.recording.read import read_recording
 from liegroup_sim_ros.report.trade_page import make_plot
 
 SCHEMA = Path(__file__).resolve().parents[2] / "config" / "trade.schema.json"

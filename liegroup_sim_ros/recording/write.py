@@ -28,7 +28,7 @@ from liegroup_sim_ros import __version__
 from liegroup_sim_ros.messages import schemas
 
 from .bag_metadata import FILE_NAME, Bag, as_yaml, record_of_file, topic_info
-from .mcap_writer import Chunk, McapFile
+from .write_mcap import Chunk, McapFile
 
 CHUNK_SIZE = 128 * 1024  # bytes before compression; more than nearly all messages have
 QUEUE_BYTES = 64 * 2**20  # that may wait, for messages so large that few fit

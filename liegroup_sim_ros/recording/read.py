@@ -25,7 +25,7 @@ from liegroup_sim_ros.messages.codecs import (
 )
 
 from .addresses import is_remote
-from .recording_file import Attachments, Scan, Source, TellPath, decode
+from .read_file import Attachments, Scan, Source, TellPath, decode
 from .tracks import (
     AppliedWrench,
     Event,
@@ -71,7 +71,7 @@ class Recording:
     complete: bool  # the file was finished and no part of it is damaged
     lost: dict  # {topic: messages missing by sequence number}; empty if none
     problem: str | None  # None or one line for the user
-    channels: dict = field(repr=False)  # {id: mcap_stream.Channel}
+    channels: dict = field(repr=False)  # {id: read_mcap.Channel}
     _source: object = field(repr=False)  # Source
 
     @property

@@ -11,7 +11,7 @@ from liegroup_sim_ros.messages.codecs import LogCodec, MessageError, WrenchStamp
 
 from .addresses import AddressError, fetch, is_remote
 from .mcap_records import AttachmentPiece, Damaged
-from .mcap_stream import McapStream
+from .read_mcap import McapStream
 from .tracks import Event, RecordingError, WrenchTrack
 
 MOST_EVENTS = 10**6  # of events and of diagnostics; a run has some, once a second

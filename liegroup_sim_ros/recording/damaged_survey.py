@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is in an MCAP file and what is missing: counts, gaps in the sequence numbers, problems.
 
-Read from front to back in bounded memory (mcap_scan.py). For `info` and `recover`.
+Read from front to back in bounded memory (damaged_scan.py). For `info` and `recover`.
 """
 
 import json
@@ -12,9 +12,9 @@ from pathlib import Path
 
 from mcap.records import Channel, Header, Metadata, Schema
 
+from .damaged_scan import Damage, End, pieces, summary_of
 from .mcap_records import AttachmentPiece, Block, Damaged
-from .mcap_scan import Damage, End, pieces, summary_of
-from .reader import RecordingError
+from .read import RecordingError
 
 MOST_DEFINITIONS = 8 * 2**20  # bytes of all names and schemas
 MOST_EXTRAS = 10_000  # attachments and metadata records

@@ -21,7 +21,7 @@ from liegroup_sim_ros.messages.codecs import (
 from liegroup_sim_ros.messages.samples import poses_and_twists
 
 from . import attachments
-from .recorder import Recorder, RecorderError
+from .write import Recorder, RecorderError
 
 NODE = "/sim_node"  # names the topics, as a run of the node would
 WORLD_FRAME = "world"
