@@ -1,10 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CDR of messages that are the same from one time to the next but for some numbers.
+"""CDR messages in which only some numbers change from one message to the next.
 
-A Template is built once, field by field in the order of the .msg file; what changes is left as
-slots, and `pack` writes the numbers of all slots into the bytes that are ready. Plain CDR,
-little endian; alignment counts from behind the 4-byte encapsulation, gaps are zero
-(test_sample_messages.py compares every type with rclpy's serialization).
+A Template is built once, field by field in the order of the .msg file. Fields that change are
+slots. `pack` writes the numbers of all slots into the prepared bytes. The encoding is plain CDR,
+little endian. Alignment counts from the end of the 4-byte encapsulation header; padding is zero.
+
+The bytes equal those of rclpy.serialization.serialize_message (test_sample_messages.py), including
+the length. rclpy reserves padding for an empty sequence of numbers, but its serializer does not
+insert it. A message with empty sequences therefore ends in unused bytes, and some readers need
+them.
 
 Source: OMG DDS-RTPS 2.3 section 10 (encapsulation), CORBA 3.3 part 2, section 9.3 (CDR).
 """
@@ -15,43 +19,46 @@ ENCAPSULATION = b"\x00\x01\x00\x00"  # plain CDR, little endian
 
 
 class Template:
-    """A message under construction, then the function that completes it."""
+    """Builder of a message; `pack` completes one message."""
 
     def __init__(self):
         self._data = bytearray(ENCAPSULATION)
+        self._end = 0  # where the next field begins, behind the encapsulation
+        self._reserved = 0  # bytes that rclpy reserves for the fields so far
         self._slots = []
 
-    def _align(self, size):
-        self._data += bytes((len(ENCAPSULATION) - len(self._data)) % size)
+    def _place(self, form):
+        """(layout, offset) of a new field; an empty one takes no padding, but reserves it."""
+        layout, item = struct.Struct("<" + form), struct.calcsize("<" + form[-1])
+        start = self._end + (-self._end % item if layout.size else 0)
+        self._end = start + layout.size
+        self._reserved += -self._reserved % item + layout.size
+        self._data += bytes(len(ENCAPSULATION) + self._reserved - len(self._data))
+        return layout, len(ENCAPSULATION) + start
 
     def put(self, form, *values):
-        """Constant numbers of one size: `form` as in struct, such as "36d"; no number, no gap."""
-        layout = struct.Struct("<" + form)
-        if layout.size:
-            self._align(struct.calcsize("<" + form[-1]))
-            self._data += layout.pack(*values)
+        """Append constant numbers of one type; `form` as in struct, such as "36d"."""
+        layout, offset = self._place(form)
+        layout.pack_into(self._data, offset, *values)
 
     def string(self, text):
-        """Constant text."""
+        """Append a constant string."""
         characters = text.encode() + b"\0"
         self.put("I", len(characters))
-        self._data += characters
+        self.put(f"{len(characters)}s", characters)
 
     def slot(self, form):
-        """Numbers of one size that `pack` will be given as one sequence."""
-        layout = struct.Struct("<" + form)
-        if layout.size:
-            self._align(struct.calcsize("<" + form[-1]))
-        self._slots.append((layout.pack_into, len(self._data)))
-        self._data += bytes(layout.size)
+        """Append numbers of one type that `pack` takes as one sequence."""
+        layout, offset = self._place(form)
+        self._slots.append((layout.pack_into, offset))
 
     def header(self, frame_id):
-        """std_msgs/Header; its slot is the stamp, (s, ns)."""
+        """Append a std_msgs/Header; its slot is the stamp, (s, ns)."""
         self.slot("iI")
         self.string(frame_id)
 
     def pack(self, *values):
-        """The message, with a sequence of numbers for every slot, in their order."""
+        """Serialized message; values: one sequence of numbers for each slot, in order."""
         data = self._data
         for (pack_into, offset), numbers in zip(self._slots, values, strict=True):
             pack_into(data, offset, *numbers)
@@ -59,5 +66,5 @@ class Template:
 
 
 def stamp(stamp_ns):
-    """(s, ns) of builtin_interfaces/Time."""
+    """(s, ns) of a builtin_interfaces/Time."""
     return divmod(stamp_ns, 1_000_000_000)

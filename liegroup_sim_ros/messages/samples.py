@@ -95,7 +95,8 @@ def joint_states(layout, world_frame, frame_prefix=""):
     for _ in ("position", "velocity"):
         template.put("I", len(names))
         template.slot(f"{len(names)}d")
-    template.put("I", 0)
+    template.put("I", 0)  # effort: empty
+    template.put("0d")
 
     def encode(stamp_ns, sample):
         coordinates = sample.joint_coordinates

@@ -6,11 +6,13 @@ by walking through the message (`gaps`), independently of the code under test.
 """
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseArray, PoseStamped, TwistStamped, VelocityStamped
+from builtin_interfaces.msg import Duration
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import Point, PoseArray, PoseStamped, TwistStamped, VelocityStamped
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from nav_msgs.msg import Odometry
@@ -19,6 +21,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Float32MultiArray, Float64MultiArray, Int64MultiArray
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from visualization_msgs.msg import Marker, MarkerArray
 
 from liegroup_core import load_scene
@@ -113,15 +117,92 @@ def gaps(message, offset=0):
 def as_ros_serializes(payload, message_class):
     """The message in a payload; asserts that ROS serializes it to the same bytes."""
     message = deserialize_message(payload, message_class)
+    assert_same_bytes(payload, message)
+    return message
+
+
+def assert_same_bytes(payload, message):
+    """Same length, and same bytes but for gaps: within the message, and reserved behind its end."""
     expected = bytearray(serialize_message(message))
     found, end = gaps(message)
-    # ROS makes room at the end for the gap before the numbers of each empty sequence: JointState
-    # has three, 4 bytes each at most.
-    assert 4 + end == len(payload) and 0 <= len(expected) - len(payload) <= 3 * 4
-    for offset in found:
+    assert len(payload) == len(expected)
+    for offset in (*found, *range(end, len(expected) - 4)):
         expected[4 + offset] = 0
-    assert payload == bytes(expected[: len(payload)])
-    return message
+    assert payload == bytes(expected)
+
+
+FORMS = {
+    "boolean": "B",
+    "octet": "c",
+    "uint8": "B",
+    "int8": "b",
+    "uint16": "H",
+    "int32": "i",
+    "uint32": "I",
+    "float": "f",
+    "double": "d",
+    "int64": "q",
+    "uint64": "Q",
+}
+
+
+def template_of(message, template=None):
+    """Template with the fields of any message, as constants."""
+    template = template or Template()
+
+    def put(kind, items):
+        if kind in FORMS:
+            template.put(f"{len(items)}{FORMS[kind]}", *items)
+            return
+        for item in items:
+            if kind == "string":
+                template.string(item)
+            else:
+                template_of(item, template)
+
+    for name, kind in message.get_fields_and_field_types().items():
+        content = getattr(message, name)
+        if kind.startswith("sequence<"):
+            template.put("I", len(content))
+            put(kind[9:-1], content)
+        elif kind.endswith("]"):
+            put(kind.partition("[")[0], content)
+        else:
+            put(kind, [content])
+    return template
+
+
+TEXT = st.text("ab", max_size=9)
+SOME = st.lists(st.floats(-9, 9), max_size=2)
+POINTS = st.builds(
+    JointTrajectoryPoint,
+    positions=SOME,
+    velocities=SOME,
+    accelerations=SOME,
+    effort=SOME,
+    time_from_start=st.builds(Duration, sec=st.integers(0, 9)),
+)
+
+
+@given(
+    st.one_of(
+        st.builds(
+            JointState, name=st.lists(TEXT, max_size=3), position=SOME, velocity=SOME, effort=SOME
+        ),
+        st.builds(
+            JointTrajectory,
+            joint_names=st.lists(TEXT, max_size=2),
+            points=st.lists(POINTS, max_size=3),
+        ),
+        st.builds(Float64MultiArray, data=SOME),
+        st.builds(Int64MultiArray, data=st.lists(st.integers(-9, 9), max_size=2)),
+        st.builds(Float32MultiArray, data=SOME),
+        st.builds(DiagnosticStatus, name=TEXT, message=TEXT, hardware_id=TEXT),
+        st.builds(Marker, ns=TEXT, text=TEXT, points=st.lists(st.builds(Point), max_size=2)),
+    )
+)
+def test_templates_of_any_message_with_empty_sequences_and_texts(message):
+    assert_same_bytes(template_of(message).pack(), message)
 
 
 def numbers(message, names):
@@ -216,6 +297,38 @@ def test_joint_states_of_a_scene_without_such_joints():
     pose, twist = np.eye(4)[:3, :3].ravel(), np.zeros((1, 6))
     sample = layout.sample(np.hstack([pose, np.zeros(3)])[None], twist)
     assert as_ros_serializes(encode(STAMP, sample), JointState).name == []
+
+
+@pytest.mark.parametrize("length", range(9))
+def test_names_of_every_length(layout, sample, length):
+    """Frame ids, namespaces and joint names end at every offset to the next number."""
+    world, prefix = "w" * length, "p" * length
+    for pose, twist in sample_messages.poses_and_twists(layout.body_names, world, prefix)(
+        STAMP, sample
+    ):
+        as_ros_serializes(pose, PoseStamped)
+        as_ros_serializes(twist, TwistStamped)
+    for topics, message_class in (
+        (sample_messages.odometry, Odometry),
+        (sample_messages.velocities, VelocityStamped),
+        (sample_messages.pose_array, PoseArray),
+    ):
+        for _, _, encode in topics(layout, world, prefix):
+            as_ros_serializes(encode(STAMP, sample), message_class)
+    encoder = Markers(layout, world, 0.1, {})
+    as_ros_serializes(encoder.encode(STAMP, sample), MarkerArray)
+    as_ros_serializes(encoder.encode_end(STAMP), MarkerArray)
+    store = get_typestore(Stores.ROS2_JAZZY)
+    _, kind, encode = only(sample_messages.transforms(layout, world, prefix))
+    payload = encode(STAMP, sample)
+    assert bytes(store.serialize_cdr(store.deserialize_cdr(payload, kind), kind)) == payload
+    for count in range(4):
+        names = ["j" * length + str(k) for k in range(count)]
+        joints = SimpleNamespace(coordinates=SimpleNamespace(names=names))
+        _, _, encode = only(sample_messages.joint_states(joints, world))
+        state = SimpleNamespace(joint_coordinates={name: (0.5, 2.0) for name in names})
+        message = as_ros_serializes(encode(STAMP, state), JointState)
+        assert (message.name, message.velocity.tolist()) == (names, [2.0] * count)
 
 
 def test_transforms_are_what_an_independent_library_serializes(layout, sample):
