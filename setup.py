@@ -61,9 +61,11 @@ setup(
             "mpmath",
             "pandas",
             "pyarrow",
+            "pybag-sdk",
             "pytest",
             "pytest-xdist",
             "rosbags",
+            "small-mcap",
         ],
         "lint": ["mypy", "ruff"],
         # What benchmarks/ compares with; Eigen's headers, for the loop around Pinocchio.

@@ -17,7 +17,7 @@ from liegroup_sim_ros.recording import bag_metadata
 from liegroup_sim_ros.recording.damaged_survey import Survey, clean, open_file, survey, walk
 from liegroup_sim_ros.recording.mcap_records import Damaged
 from liegroup_sim_ros.recording.read import RecordingError
-from liegroup_sim_ros.recording.write import CHUNK_SIZE, LIBRARY
+from liegroup_sim_ros.recording.write import LIBRARY
 from liegroup_sim_ros.recording.write_mcap import Chunk, McapFile
 
 from .info import topics_table
@@ -133,6 +133,8 @@ def _copy(found, file, name):
         data = block.data
         for number, sequence, log_time, publish_time, start, end in block.messages():
             if number in found.channels:
+                if chunk.ends_before(log_time):
+                    end_chunk()
                 chunk.add(
                     channels.get(number) or channel(number),
                     log_time,
@@ -140,8 +142,6 @@ def _copy(found, file, name):
                     sequence,
                     publish_time,
                 )
-                if chunk.size > CHUNK_SIZE:
-                    end_chunk()
 
     def copy_attachment(piece):
         end_chunk()

@@ -6,9 +6,8 @@ slots. `pack` writes the numbers of all slots into the prepared bytes. The encod
 little endian. Alignment counts from the end of the 4-byte encapsulation header; padding is zero.
 
 The bytes equal those of rclpy.serialization.serialize_message (test_sample_messages.py), including
-the length. rclpy reserves padding for an empty sequence of numbers, but its serializer does not
-insert it. A message with empty sequences therefore ends in unused bytes, and some readers need
-them.
+the length: rclpy reserves the padding of an empty sequence of numbers, which its serializer does
+not insert, so a message with such a sequence ends in unused bytes.
 
 Source: OMG DDS-RTPS 2.3 section 10 (encapsulation), CORBA 3.3 part 2, section 9.3 (CDR).
 """

@@ -7,6 +7,8 @@ sample)` gives the serialized message. Poses are in the world frame, twists are
 body twists: components in body axes, of the body frame's origin.
 """
 
+import math
+
 from .cdr import Template, stamp
 from .codecs import PoseStampedCodec, TwistStampedCodec, pack_stamp
 
@@ -85,7 +87,12 @@ def pose_array(layout, world_frame, frame_prefix=""):
 
 
 def joint_states(layout, world_frame, frame_prefix=""):
-    """sensor_msgs/JointState of the revolute and prismatic joints; no efforts."""
+    """sensor_msgs/JointState of the revolute and prismatic joints; every effort is NaN.
+
+    NaN as of an effort that is not known (ros2_control's joint_state_broadcaster does so, too). An
+    empty sequence would end the message, and readers differ in the padding that they accept there:
+    rosbags takes at most 3 bytes more than ROS sends, pybag-sdk needs up to 4.
+    """
     names = layout.coordinates.names
     template = Template()
     template.header("")
@@ -95,8 +102,8 @@ def joint_states(layout, world_frame, frame_prefix=""):
     for _ in ("position", "velocity"):
         template.put("I", len(names))
         template.slot(f"{len(names)}d")
-    template.put("I", 0)  # effort: empty
-    template.put("0d")
+    template.put("I", len(names))  # effort
+    template.put(f"{len(names)}d", *[math.nan] * len(names))
 
     def encode(stamp_ns, sample):
         coordinates = sample.joint_coordinates

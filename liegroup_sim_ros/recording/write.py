@@ -1,17 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recorder of a simulation run: self-contained MCAP files that `ros2 bag` and others open.
+"""Recorder of a simulation run: self-contained MCAP files that `ros2 bag` and other tools open.
 
-Messages are packed into chunks by the caller; the recorder's own thread, the only one to touch the
-file, compresses and writes whole chunks. So the two seldom wait for each other: a thread that had
-to do something for every message took the interpreter from the simulation a thousand times a
-second, which cost more than the recording. A chunk is closed when it reaches CHUNK_SIZE and, if
-messages are in it, when `flush_interval` seconds of wall time have passed; every write goes
-straight to the operating system. So a process that is killed loses at most that interval
-(test_recorder.py), and what is in closed chunks can be read without the file's end.
+The caller's thread packs messages into chunks. The recorder's own thread compresses and writes
+whole chunks; no other thread touches the file. The two threads therefore seldom wait for each
+other: handing over every message interrupted the simulation a thousand times a second, which cost
+more than the recording.
 
-log_time = publish_time = the message's stamp, simulation time in ns; sequence numbers count from 1
-in every channel, on and on over the parts of a recording. A full disk ends the recording, not the
-simulation: `failure` says it, `lost` counts.
+A chunk ends when it reaches CHUNK_SIZE, and `flush_interval` seconds of wall time after the last
+flush. Every write goes straight to the operating system. A killed process loses at most that
+interval (test_recorder.py), and closed chunks are readable without the end of the file. Chunks
+end between two instants, so they do not overlap in time.
+
+log_time = publish_time = the stamp of the message, simulated time in ns. Sequence numbers count
+from 1 in each channel and continue over the parts of a recording. A full disk ends the recording,
+not the simulation: `failure` holds the error, `lost` counts the messages.
 
 Source: mcap.dev specification, profile "ros2"; rosbag2 bag metadata version 9.
 """
@@ -28,39 +30,38 @@ from liegroup_sim_ros import __version__
 from liegroup_sim_ros.messages import schemas
 
 from .bag_metadata import FILE_NAME, Bag, as_yaml, record_of_file, topic_info
-from .write_mcap import Chunk, McapFile
+from .write_mcap import Chunk, McapFile, UnbufferedFile
 
-CHUNK_SIZE = 128 * 1024  # bytes before compression; more than nearly all messages have
-QUEUE_BYTES = 64 * 2**20  # that may wait, for messages so large that few fit
+QUEUE_BYTES = 64 * 2**20  # largest size of the queue; limits it if messages are large
 LIBRARY = f"liegroup_sim_ros/{__version__}"
-_IDLE = 5e-3  # s between looks at the queue
+_IDLE = 5e-3  # s between two checks of the queue
+_INSTANT = 20e-3  # s of wall time in which all messages of an instant arrive
 
 _log = logging.getLogger(__name__)
 
 
 class RecorderError(Exception):
-    """The recording cannot be started; one line of text for the user, exit code 2."""
+    """The recording cannot start; one line of text, exit code 2."""
 
 
 class Recorder:
-    """Writes messages to a new MCAP file, or to one after the other.
+    """Writer of messages to one new MCAP file, or to several in sequence.
 
-    path           : *.mcap, must not exist, its folder is made; or an existing folder, in which
-                     the file gets a name with the wall time. `.path` is the present file
-    attachments    : {name: (media_type, bytes)}, the first things in the file
-    metadata       : {name: {key: text}}, in every file
-    queue_size     : messages that may wait before `write` waits; QUEUE_BYTES bounds them, too
-    flush_interval : s of wall time that a killed process can lose
-    max_size       : bytes after which a part is due to end, 0: never
-    max_duration   : ns of stamps after which it is, 0: never
+    path           : new file *.mcap, whose folder is created; or an existing folder, in which the
+                     file is named by the wall time. `.path` is the current file
+    attachments    : {name: (media_type, bytes)}, written first
+    metadata       : {name: {key: text}}, written to every file
+    queue_size     : messages that may be queued before `write` blocks; QUEUE_BYTES also applies
+    flush_interval : s of wall time, the most that a killed process loses
+    max_size       : bytes after which a part is due to end, 0: no limit
+    max_duration   : ns of stamps after which a part is due to end, 0: no limit
     part           : number of the first part; part 2 of run.mcap is run_part2.mcap
-    bag            : Bag that the files are added to, and whose metadata.yaml is kept beside them;
-                     True: a new one; None: no metadata.yaml
+    bag            : Bag that the files are added to and whose metadata.yaml is written beside
+                     them; True: a new bag; None: no metadata.yaml
 
-    Counters: `written` messages in closed chunks of the files, `queued` waiting, `lost` not in a
-    file (0 unless there was a failure), `bytes` in the present file. `failure`: None or one line
-    of text, also logged once. `with Recorder(...) as recorder:` closes it at the end. Raises
-    RecorderError.
+    Counters: `written` messages in closed chunks of the files, `queued` messages, `lost` messages
+    (0 unless there was a failure), `bytes` in the current file. `failure`: None or one line of
+    text, also logged once. A `with` block closes the recorder. Raises RecorderError.
     """
 
     def __init__(
@@ -83,8 +84,8 @@ class Recorder:
             self._refuse_old_parts()
         if bag is True and (self.path.parent / FILE_NAME).exists():
             raise RecorderError(
-                f"cannot record to {self.path}: its folder is a bag already, it "
-                f"has a {FILE_NAME}; choose another folder"
+                f"cannot record to {self.path}: the folder already contains a rosbag2 bag "
+                f"({FILE_NAME}); choose another folder"
             )
         self.written = 0
         self.lost = 0
@@ -93,12 +94,14 @@ class Recorder:
         self._channels, self._registered = [], []
         self._schema_ids = {}  # message type -> schema id in the present file
         self._chunk = Chunk()  # under construction
-        self._queue = deque()  # chunks, and functions that add a channel or so
-        self._lock = threading.Lock()  # of the chunk and of those who fill the queue
+        self._queue = deque()  # chunks, and functions for the recorder's thread
+        self._lock = threading.Lock()  # of the chunk and of the end of the queue
         self._queue_size = queue_size
-        self._given = 0  # messages that came so far
-        self._bytes_in = self._bytes_out = 0  # of chunks that went into the queue, and out
+        self._given = 0  # messages passed to `write` so far
+        self._bytes_in = self._bytes_out = 0  # of all chunks queued, and taken from the queue
         self._flush_interval = flush_interval
+        self._flush_at = time.monotonic() + flush_interval
+        self._flushing = None  # the chunk that is to end with the current instant
         self._max_size, self._max_duration = max_size, max_duration
         self._part_since = None  # stamp, ns; None: no sample of this part yet
         self._dividing = False
@@ -108,13 +111,14 @@ class Recorder:
             self._open(self.path, attachments or {})
         except FileExistsError:
             raise RecorderError(
-                f"cannot record to {self.path}: it exists already; remove it or choose another name"
+                f"cannot record to {self.path}: the file already exists; remove it or choose "
+                "another name"
             ) from None
         except OSError as error:
             raise RecorderError(f"cannot record to {self.path}: {_reason(error)}") from None
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
-        atexit.register(self.close)  # a program that ends by an exception, too
+        atexit.register(self.close)  # also if the program ends by an exception
 
     def __enter__(self):
         return self
@@ -131,8 +135,8 @@ class Recorder:
         )
         if old:
             raise RecorderError(
-                f"cannot record to {self.path}: {old[0]} is in the way of its "
-                f"parts; remove it or choose another name"
+                f"cannot record to {self.path}: {old[0]} already exists and could be a part of "
+                f"this recording; remove it or choose another name"
             )
 
     @property
@@ -145,17 +149,17 @@ class Recorder:
 
     @property
     def sequences(self):
-        """{topic: sequence number of its last message so far}."""
+        """{topic: sequence number of its last message}."""
         return {channel.info["name"]: channel.sequence for channel in self._channels}
 
     def part_path(self, part):
-        """Path of a part."""
+        """Path of a part of the recording."""
         return self.path.with_name(
             f"{self._stem}_part{part}.mcap" if part > 1 else f"{self._stem}.mcap"
         )
 
     def add_channel(self, topic, msg_type, qos="reliable", depth=10):
-        """Number of a new channel, for `write`; at any time, from one thread.
+        """Add a channel; returns its number for `write`. Only one thread may add channels.
 
         msg_type such as "geometry_msgs/msg/PoseStamped"; qos and depth as in schemas.qos_profile.
         Raises RecorderError if the type is not installed.
@@ -176,44 +180,51 @@ class Recorder:
             return channel.id - 1
 
     def write(self, channel, stamp_ns, data):
-        """Take in one serialized message, from any thread.
+        """Record one serialized message, from any thread.
 
-        Waits while the queue is full, but not after a failure. Never raises for the disk.
+        Blocks while the queue is full, unless the recording has failed. Raises no disk errors.
         """
         if self._is_full():
-            with self._lock:
-                self._close_chunk()
-            while self._is_full() and not self._closed:
-                time.sleep(_IDLE)
+            self._wait_for_queue(stamp_ns)
         channel = self._channels[channel]
-        with self._lock:  # numbers in the order of the chunks
+        with self._lock:  # sequence numbers in the order of the chunks
             self._given += 1
             if self._closed or self.failure is not None:
                 self.lost += 1
                 return
-            channel.sequence += 1
-            self._chunk.add(channel.id, stamp_ns, data, channel.sequence & 0xFFFFFFFF)
-            if self._chunk.size > CHUNK_SIZE:
+            chunk = self._chunk
+            if chunk.size > chunk.limit and chunk.may_end_before(stamp_ns):
                 self._close_chunk()
+                chunk = self._chunk
+            channel.sequence += 1
+            chunk.add(channel.id, stamp_ns, data, channel.sequence & 0xFFFFFFFF)
+
+    def _wait_for_queue(self, stamp_ns):
+        with self._lock:
+            if self._chunk.count and not self._chunk.may_end_before(stamp_ns):
+                return  # an instant is not divided
+            self._close_chunk()
+        while self._is_full() and not self._closed:
+            time.sleep(_IDLE)
 
     def _is_full(self):
         return self.queued >= self._queue_size or self._bytes_in - self._bytes_out > QUEUE_BYTES
 
     def _close_chunk(self):
-        """What comes next goes into another chunk. The caller has the lock."""
+        """Queue the current chunk and begin another one. The caller holds the lock."""
         if self._chunk.count:
             self._bytes_in += self._chunk.size
             self._queue.append(self._chunk)
             self._chunk = Chunk()
 
     def _in_order(self, action):
-        """Do something behind all that came so far, in the recorder's thread."""
+        """Run a function in the recorder's thread, after all messages so far are written."""
         with self._lock:
             self._close_chunk()
             self._queue.append(action)
 
     def add_attachment(self, name, media_type, data):
-        """Attach a file, usually at the end of a part or a run."""
+        """Add an attachment, usually at the end of a part or of the run."""
         self._in_order(
             lambda: self._mcap.add_attachment(
                 time.time_ns(), self._mcap.stamps[1], name, media_type, data
@@ -221,7 +232,7 @@ class Recorder:
         )
 
     def is_part_due(self, stamp_ns):
-        """Whether the present part has reached its size or, at this stamp, its duration."""
+        """Whether the current part has reached its size or, at this stamp, its duration."""
         if self._part_since is None:
             self._part_since = stamp_ns
         if self._dividing or self.failure or not (self._max_size or self._max_duration):
@@ -234,7 +245,7 @@ class Recorder:
         )
 
     def divide(self, attachments):
-        """What is written from now on goes to a new file: the next part, with its attachments."""
+        """Continue in a new file: the next part, with its attachments."""
         self._dividing, self._part_since = True, None
         self.part += 1
         path = self.part_path(self.part)
@@ -244,26 +255,28 @@ class Recorder:
             self._file.close()
             self._open(path, attachments)
             self.path = path
-            for channel in self._registered:  # others come out of the queue yet
+            for channel in self._registered:  # the others are still in the queue
                 self._add_to_file(channel)
             self._dividing = False
 
         self._in_order(open_next)
 
     def close(self):
-        """Write everything queued and finish the file; may be called again, from any thread.
+        """Write all queued messages and finish the file. Further calls do nothing.
 
-        Messages that come later are not in the file and count as `lost`.
+        Messages passed to `write` later are not in the file and count as `lost`.
         """
         self._closing.set()
         self._thread.join()
         atexit.unregister(self.close)
-        self.lost = self._given - self.written  # with those that came while the thread was ending
+        self.lost = (
+            self._given - self.written
+        )  # including those that arrived while the thread ended
 
-    # What follows runs in the recorder's thread.
+    # The methods below run in the recorder's thread.
 
     def _open(self, path, attachments):
-        self._file = _File(path)
+        self._file = UnbufferedFile(path)
         self._mcap = McapFile(self._file, LIBRARY)
         self._earlier, self._schema_ids = self.written, {}
         for name, (media_type, data) in attachments.items():
@@ -276,7 +289,7 @@ class Recorder:
         self._add_to_file(channel)
 
     def _add_to_file(self, channel):
-        """Its number in the file is the same in every part: they are added in their order."""
+        """Define a channel in the file; the order, and so its id, is the same in every part."""
         info = channel.info
         if info["type"] not in self._schema_ids:
             self._schema_ids[info["type"]] = self._mcap.add_schema(
@@ -293,13 +306,13 @@ class Recorder:
         )
 
     def _run(self):
-        flushed = time.monotonic()
         while True:
-            closing = self._closing.is_set()  # asked first: then all there was is written below
-            if closing or time.monotonic() - flushed > self._flush_interval:
+            closing = self._closing.is_set()  # checked first, so all messages are written below
+            if closing:
                 with self._lock:
                     self._close_chunk()
-                flushed = time.monotonic()
+            else:
+                self._flush(time.monotonic())
             self._write_queued()
             if closing:
                 break
@@ -308,6 +321,22 @@ class Recorder:
         self._attempt(self._finish)
         self._file.close()
         self._closed = True
+
+    def _flush(self, now):
+        """End the chunk with the current instant if a flush is due.
+
+        `write` ends it at the next stamp. If none arrives within _INSTANT, it ends here.
+        """
+        if now >= self._flush_at:
+            self._flush_at, self._flush_by = now + self._flush_interval, now + _INSTANT
+            if self._chunk.count:
+                self._flushing = self._chunk
+                self._flushing.limit = 0
+        if self._flushing is not None and now >= self._flush_by:
+            with self._lock:
+                if self._chunk is self._flushing:
+                    self._close_chunk()
+            self._flushing = None
 
     def _write_queued(self):
         for _ in range(len(self._queue)):
@@ -332,7 +361,7 @@ class Recorder:
             self.bag.write(self.path.parent)
 
     def _attempt(self, action):
-        """Run one step unless the recording has failed."""
+        """Run a function unless the recording has failed."""
         if self.failure is None:
             try:
                 action()
@@ -340,13 +369,13 @@ class Recorder:
                 self._fail(error)
 
     def _fail(self, error):
-        """End the recording. Whatever the error is, the simulation goes on without it."""
+        """End the recording. Whatever the error is, the simulation continues."""
         with self._lock:
-            # A chunk whose index did not go into the file is there for a reader all the same.
+            # A chunk is readable even if its index did not reach the file.
             self.written = self._earlier + sum(self._mcap.counts.values())
             self.failure = (
                 f"recording to {self.path} stopped after {self.written} messages: "
-                f"{_reason(error)}{_where(error)}; the simulation goes on unrecorded"
+                f"{_reason(error)}{_where(error)}; the simulation continues without recording"
             )
             self._chunk = Chunk()
             self.lost = self._given - self.written
@@ -354,34 +383,12 @@ class Recorder:
 
 
 class _Channel:
-    """A topic: its number, its last sequence number, what is known of it."""
+    """A topic: id, last sequence number, metadata and message definition."""
 
     def __init__(self, info, definition):
-        self.id = None  # in every file
+        self.id = None  # the same in every file
         self.sequence = 0
         self.info, self.definition = info, definition
-
-
-class _File:
-    """A new file without a buffer: what `write` returned from survives the process."""
-
-    def __init__(self, path):
-        self._raw = open(path, "xb", buffering=0)
-        self._size = 0
-        self.close = self._raw.close
-
-    def write(self, data):
-        rest = memoryview(data)
-        while rest:  # the system may take a part, and refuse the next
-            taken = self._raw.write(rest)
-            self._size += taken
-            rest = rest[taken:]
-
-    def tell(self):
-        return self._size
-
-    def flush(self):
-        """Nothing waits here."""
 
 
 def _new_file_path(path):
@@ -391,7 +398,7 @@ def _new_file_path(path):
             path /= time.strftime("recording_%Y_%m_%d-%H_%M_%S.mcap")
         elif path.suffix != ".mcap":
             raise RecorderError(
-                f"cannot record to {path}: the name must end in .mcap, or be an existing folder"
+                f"cannot record to {path}: the path must end in .mcap or be an existing folder"
             )
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An MCAP file that is written chunk by chunk, with messages packed in about a microsecond each.
+"""MCAP files written chunk by chunk; packing a message takes about a microsecond.
 
-The records of the library `mcap` are used for all that is rare. Its Writer makes an object of
-every message and writes it field by field, which costs more than simulating a small scene; here a
-message is one struct and the index of a chunk one array. test_recorder.py reads the files with the
-readers of mcap and of rosbags.
+The library `mcap` encodes all rare records. Its Writer creates an object for each message and
+writes it field by field, which costs more than simulating a small scene. Here a message is one
+struct and the index of a chunk is one array. test_recording.py reads the files with the readers of
+other authors.
 
 Source: mcap.dev specification, version 0.
 """
@@ -36,21 +36,40 @@ from mcap.writer import MCAP0_MAGIC
 _MESSAGE = struct.Struct("<BQHIQQ")  # opcode, size, channel, sequence, log and publish time
 _MESSAGE_FIELDS = _MESSAGE.size - 9  # without opcode and size
 _INDEX = struct.Struct("<BQHI")  # opcode, size, channel, size of the array
-_FOOTER_START = struct.Struct("<BQQQ")  # what its check sum covers of a footer
+_FOOTER_START = struct.Struct("<BQQQ")  # the part of a footer that its checksum covers
+
+
+CHUNK_SIZE = 128 * 1024  # bytes before compression
+LARGEST_CHUNK = 2**20  # bytes; beyond them a chunk ends within an instant
 
 
 class Chunk:
-    """Messages packed as they will stand in a file; one thread at a time may add.
+    """Messages packed as they stand in a file. Only one thread at a time may add to it.
+
+    A chunk ends between two instants, so chunks do not overlap in time if the stamps increase
+    monotonically. Only an instant with more than LARGEST_CHUNK bytes is divided.
 
     size, count : bytes before compression, and messages
+    limit       : size from which on the chunk ends with the current instant
     index       : {channel id: array of stamp, offset of each message}
     """
 
     def __init__(self):
         self.parts, self.size, self.count, self.index = [], 0, 0, {}
+        self.limit, self._last_ns = CHUNK_SIZE, None
+
+    def ends_before(self, stamp_ns):
+        """Whether a message with this stamp belongs in the next chunk; if not, it must be added."""
+        return self.size > self.limit and self.may_end_before(stamp_ns)
+
+    def may_end_before(self, stamp_ns):
+        """Whether no message has this stamp or a later one; if not, the message must be added."""
+        if self._last_ns is None:  # computed here, once: `add` is called much more often
+            self._last_ns = max(max(each[::2]) for each in self.index.values())
+        return stamp_ns > self._last_ns or self.size > LARGEST_CHUNK
 
     def add(self, channel, stamp_ns, data, sequence, publish_ns=None):
-        """A message whose log time, and publish time if none is given, is its stamp."""
+        """Append a message. Its log time, and by default its publish time, is the stamp."""
         if channel not in self.index:
             self.index[channel] = array("Q")
         self.index[channel].extend((stamp_ns, self.size))
@@ -69,12 +88,32 @@ class Chunk:
         self.count += 1
 
 
-class McapFile:
-    """A file under construction: zstd, with message index, statistics and check sums.
+class UnbufferedFile:
+    """A new file without a buffer: data from a completed `write` survives the process."""
 
-    stream  : has write(bytes) and tell()
-    library : free text, who wrote the file
-    Errors of the stream are passed on.
+    def __init__(self, path):
+        self._raw = open(path, "xb", buffering=0)
+        self._size = 0
+        self.close = self._raw.close
+
+    def write(self, data):
+        """Write all bytes, or raise OSError."""
+        rest = memoryview(data)
+        while rest:  # the system may accept a part of them and refuse the rest
+            taken = self._raw.write(rest)
+            self._size += taken
+            rest = rest[taken:]
+
+    def tell(self):
+        """Bytes written so far."""
+        return self._size
+
+
+class McapFile:
+    """An MCAP file under construction: zstd chunks, message index, statistics, checksums.
+
+    stream  : object with write(bytes) and tell(); its errors are passed on
+    library : name and version of the writer
     """
 
     def __init__(self, stream, library, profile="ros2"):
@@ -84,7 +123,7 @@ class McapFile:
         self._chunks, self._attachments, self._metadata = [], [], []
         self.counts = {}  # channel id -> messages
         self._first_ns = self._last_ns = None
-        self._checksum = 0  # of all written so far
+        self._checksum = 0  # CRC-32 of all bytes written so far
         self._put(MCAP0_MAGIC)
         self._write(Header(profile, library))
 
@@ -93,7 +132,7 @@ class McapFile:
         self._stream.write(data)
 
     def _write(self, record):
-        """Write one record; (its offset, its length)."""
+        """Write one record; returns its offset and length."""
         builder = RecordBuilder()
         record.write(builder)
         data, offset = builder.end(), self._stream.tell()
@@ -101,13 +140,13 @@ class McapFile:
         return offset, len(data)
 
     def _define(self, record):
-        """Into the next chunk: its check sum covers it, and its readers need no other place."""
+        """Add a definition to the next chunk, so that a checksum covers it."""
         builder = RecordBuilder()
         record.write(builder)
         self._definitions += builder.end()
 
     def add_schema(self, name, encoding, data):
-        """Number of a new schema."""
+        """Add a schema; returns its id."""
         self._schemas.append(
             Schema(id=len(self._schemas) + 1, data=data, encoding=encoding, name=name)
         )
@@ -115,7 +154,7 @@ class McapFile:
         return self._schemas[-1].id
 
     def add_channel(self, topic, encoding, schema, metadata):
-        """Number of a new channel."""
+        """Add a channel; returns its id."""
         channel = Channel(
             id=len(self._channels) + 1,
             topic=topic,
@@ -129,7 +168,7 @@ class McapFile:
         return channel.id
 
     def add_attachment(self, create_ns, stamp_ns, name, media_type, data):
-        """A file within the file."""
+        """Add an attachment."""
         offset, length = self._write(
             Attachment(
                 create_time=create_ns,
@@ -152,17 +191,17 @@ class McapFile:
         )
 
     def add_metadata(self, name, entries):
-        """{key: text} under a name."""
+        """Add a metadata record {key: text}."""
         offset, length = self._write(Metadata(name=name, metadata=entries))
         self._metadata.append(MetadataIndex(offset=offset, length=length, name=name))
 
     @property
     def stamps(self):
-        """Least and largest stamp in closed chunks, ns; zeros without messages."""
+        """Smallest and largest stamp in written chunks, ns; zeros without messages."""
         return (0, 0) if self._first_ns is None else (self._first_ns, self._last_ns)
 
     def write_chunk(self, chunk):
-        """Write a chunk with its index; nothing for one without a message."""
+        """Write a chunk and its index; an empty chunk is omitted."""
         if not chunk.count:
             return
         front, index = bytes(self._definitions), chunk.index
@@ -209,7 +248,7 @@ class McapFile:
         self._first_ns, self._last_ns = min(self._first_ns, first), max(self._last_ns, last)
 
     def finish(self):
-        """Write the summary and the end."""
+        """Write the summary and the footer."""
         self._write(DataEnd(self._checksum))
         start, (first, last) = self._stream.tell(), self.stamps
         statistics = Statistics(

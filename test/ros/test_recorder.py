@@ -189,9 +189,9 @@ def test_a_run_that_dies_by_an_exception_is_finished(tmp_path):
 @pytest.mark.parametrize(
     "name, said",
     [
-        ("there.mcap", "it exists already; remove it or choose another name"),
+        ("there.mcap", "already exists; remove it or choose another name"),
         ("there.mcap/run.mcap", "exists|Not a directory"),
-        ("run.bag", "must end in .mcap, or be an existing folder"),
+        ("run.bag", "must end in .mcap or be an existing folder"),
         ("x" * 300 + ".mcap", "File name too long"),
         ("/proc/run.mcap", "cannot record to /proc/run.mcap: "),
     ],
@@ -221,7 +221,8 @@ def test_an_unknown_type_is_one_clear_line(tmp_path):
 def test_reading_and_recording_import_no_ros():
     child = python("""
         import sys
-        import liegroup_sim_ros.messages.codecs, liegroup_sim_ros.recording.write, liegroup_sim_ros.recording.read
+        import liegroup_sim_ros.messages.codecs, liegroup_sim_ros.recording.write
+        import liegroup_sim_ros.recording.read
         print([name for name in sys.modules if name.split(".")[0] in
                ("rclpy", "geometry_msgs", "std_msgs", "rosidl_parser", "ament_index_python")])
         """)

@@ -19,7 +19,7 @@ from rosbags.highlevel import AnyReader
 from liegroup_sim_ros.commands.info import as_json
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.commands.recover import write_recovered
-from liegroup_sim_ros.recording import write as recorder
+from liegroup_sim_ros.recording import write_mcap
 from liegroup_sim_ros.recording.damaged_survey import survey
 from liegroup_sim_ros.recording.mcap_records import LARGEST
 from liegroup_sim_ros.recording.read import RecordingError
@@ -34,7 +34,7 @@ def small(tmp_path_factory):
     path = tmp_path_factory.mktemp("small") / "run.mcap"
     written = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(recorder, "CHUNK_SIZE", 600)
+        patch.setattr(write_mcap, "CHUNK_SIZE", 600)
         settings = json.dumps({"format": 1}).encode()
         with Recorder(path, {"settings.json": ("application/json", settings)}) as log:
             channel = log.add_channel("/clock", ClockCodec.TYPE)
