@@ -90,7 +90,9 @@ def write_recovered(found, out):
     try:
         file = open(out, "xb")
     except FileExistsError:
-        raise RecordingError(f"{out}: exists already; choose another name with -o") from None
+        raise RecordingError(
+            f"{out}: the file already exists; choose another name with -o"
+        ) from None
     except (OSError, ValueError) as error:
         raise RecordingError(
             f"{out}: cannot be written: {getattr(error, 'strerror', None) or error}"

@@ -59,7 +59,9 @@ class ArrayFile:
                 "take fewer, --every, or write *.mcap"
             ) from None
         except FileExistsError:
-            raise OutputError(f"{path}: exists already; remove it or choose another name") from None
+            raise OutputError(
+                f"{path}: the file already exists; remove it or choose another name"
+            ) from None
         except OSError as error:
             raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
 

@@ -257,7 +257,7 @@ def test_reload_takes_a_new_scene_with_new_topics_and_a_new_file(client, node, f
     (folder / "run_part2.mcap").touch()  # in the way of the next part
     assert client.set(NODE, scene=str(scene)).successful
     refused = client.call(f"{NODE}/reload")
-    assert not refused.success and "exists already" in refused.message
+    assert not refused.success and "already exists" in refused.message
     (folder / "run_part2.mcap").unlink()
     count = len(node.messages["publish_rate"])
     client.until(lambda: len(node.messages["publish_rate"]) > count + 5)  # goes on

@@ -149,7 +149,7 @@ def test_no_file_is_overwritten(tmp_path, capsys):
         path = tmp_path / f"a.{suffix}"
         path.write_bytes(b"mine")
         assert main(["run", "heavy_top", "--duration", "0.01", "--out", str(path)]) == 2
-        assert "exists already" in capsys.readouterr().err and path.read_bytes() == b"mine"
+        assert "already exists" in capsys.readouterr().err and path.read_bytes() == b"mine"
 
 
 def test_a_recording_needs_interface_packages_but_not_rclpy(tmp_path):

@@ -190,7 +190,7 @@ def test_readers_open_what_was_recovered_and_it_says_what_is_missing(tmp_path, c
         assert found.lost.get(topic, 0) == each[-1][0] - len(each)
     assert found.lost["/clock"] > 50
     assert main(["recover", str(path)]) == 2
-    assert "exists already; choose another name" in capsys.readouterr().err
+    assert "already exists; choose another name" in capsys.readouterr().err
     assert main(["recover", str(out)]) == 0
     assert "there is nothing to recover" in capsys.readouterr().out
     assert main(["recover", str(path), "-o", str(path)]) == 2 and path.read_bytes() == before
