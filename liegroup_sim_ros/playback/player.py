@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Publishing a recording: node `replay` with the recorded topics, /clock, pause and seek.
+"""Node `replay`: publishes the topics of a recording and /clock, with pause and seek.
 
-Services, std_srvs/Trigger, under the names of `ros2 bag play`: ~/pause ~/resume ~/toggle_paused
-~/play_next. Parameters: `rate`, and `position`, which goes to a time in s after the first message.
+Services (std_srvs/Trigger) have the names of `ros2 bag play`: ~/pause ~/resume ~/toggle_paused
+~/play_next. Parameters: `rate` in simulated seconds per second; setting `position` seeks to a time
+in s after the first message.
 """
 
 import importlib
@@ -33,9 +34,9 @@ try:
 except ImportError:
     Executor = SingleThreadedExecutor
 
-ATTENTION = 0.01  # s between looks at services and keys
-ACKNOWLEDGED = 2.0  # s that the last messages may take to arrive
-BACK = 5.0  # s, of the cursor key
+POLL = 0.01  # s between two checks of services and keys
+ACKNOWLEDGED = 2.0  # s to wait for the acknowledgement of the last messages
+BACK = 5.0  # s that the left cursor key goes back
 FASTER = 1.1
 LARGEST_RATE = 1e6
 _KEYS = {
@@ -50,9 +51,12 @@ _KEYS = {
 def play(file, args):
     """Publish a PlayFile; returns the exit code. Raises PlayError, RecordingError."""
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         player = Player(file, args.rate, args.start, args.loop, args.start_paused, args.clock_rate)
+        # A flag, as an exception may be lost in a callback. SIGINT too: a shell starts background
+        # processes with SIGINT ignored.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, player.interrupt)
         with Keys(player):
             code = player.run()
         print(f"{file.path}: {player.published} messages of {len(player.topics)} topics published")
@@ -62,7 +66,7 @@ def play(file, args):
 
 
 class Player:
-    """The node and its way through the file."""
+    """The node and its position in the file."""
 
     def __init__(self, file, rate, start, loop, paused, clock_rate):
         self._file, self._loop = file, loop
@@ -76,17 +80,17 @@ class Player:
         if not file.has_clock and clock_rate > 0.0:
             self._clock = self._node.create_publisher(Clock, "/clock", 1)
             self._clock_period = max(1, round(1e9 / clock_rate))
-        self.published, self.paused = 0, paused
+        self.published, self.paused, self._interrupted = 0, paused, False
         self._pacer = Pacer(rate)
         self._go_to = file.first_ns + round(start * 1e9)
-        self._next = None  # (stamp, messages) that come next
+        self._next = None  # (stamp, messages) to publish next
         self._now_ns = self._go_to
-        self._looked = 0.0
+        self._polled = 0.0
         for name in ("pause", "resume", "toggle_paused", "play_next"):
             self._node.create_service(Trigger, f"~/{name}", self._serve(name))
         for name, value, text in (
-            ("rate", rate, "simulated seconds per second; 0: as fast as it goes"),
-            ("position", start, "go to this time, s after the first message"),
+            ("rate", rate, "simulated seconds per second; 0: as fast as possible"),
+            ("position", start, "seek to this time, s after the first message"),
         ):
             self._node.declare_parameter(
                 name, float(value), ParameterDescriptor(description=text, dynamic_typing=True)
@@ -100,7 +104,7 @@ class Player:
             message = getattr(importlib.import_module(f"{package}.msg"), name)
         except (ImportError, AttributeError):
             print(
-                f"liegroup_sim: {topic.name} is left out: {topic.type} is not installed here",
+                f"liegroup_sim: {topic.name} is omitted: {topic.type} is not installed",
                 file=sys.stderr,
             )
             return
@@ -117,12 +121,12 @@ class Player:
             self._publishers[topic] = self._node.create_publisher(message, topic.name, profile)
         except (InvalidTopicNameException, ValueError, RuntimeError) as error:
             raise PlayError(
-                f"{self._file.path}: topic {topic.name!r:.60} cannot be published: "
+                f"{self._file.path}: cannot publish topic {topic.name!r:.60}: "
                 f"{' '.join(str(error).split())[:120]}"
             ) from None
         self.topics.append(topic.name)
 
-    # Commands, between two messages:
+    # Commands, executed between two messages:
 
     def _serve(self, name):
         def serve(_, response):
@@ -132,7 +136,7 @@ class Player:
         return serve
 
     def command(self, name):
-        """Do what a key or a service asks for; returns one line of text."""
+        """Execute the command of a key or a service; returns one line of text."""
         if name == "toggle_paused":
             name = "resume" if self.paused else "pause"
         if name in ("pause", "resume"):
@@ -140,7 +144,7 @@ class Player:
             self._begin()
         elif name == "play_next":
             if not self.paused:
-                return "playing: pause first"
+                return "not paused: call pause first"
             self._publish_next()
         elif name == "back":
             self.seek((self._now_ns - self._file.first_ns) * 1e-9 - BACK)
@@ -154,7 +158,7 @@ class Player:
         )
 
     def seek(self, position):
-        """Go on from a time, s after the first message."""
+        """Continue from a time, s after the first message."""
         self._go_to = self._file.first_ns + round(max(0.0, position) * 1e9)
         self._now_ns = self._go_to
 
@@ -182,39 +186,43 @@ class Player:
             elif parameter.name == "position":
                 self.seek(float(parameter.value))
 
-    # The way:
+    # Publishing:
+
+    def interrupt(self, *_):
+        """Handle SIGINT and SIGTERM: `run` returns soon."""
+        self._interrupted = True
 
     def run(self):
-        """Publish to the end; returns the exit code."""
-        try:
-            while self._go_to is not None:
-                since, self._go_to = self._go_to, None
-                self._messages = self._file.messages(since)
-                self._take()
-                self._begin()
-                self._run_on()
-                if self._go_to is None and self._loop and self._next is None:
-                    self._go_to = self._file.first_ns
-            for publisher in self._publishers.values():
+        """Publish to the end; returns the exit code, 130 after a signal."""
+        while self._go_to is not None:
+            since, self._go_to = self._go_to, None
+            self._messages = self._file.messages(since)
+            self._take()
+            self._begin()
+            self._publish_all()
+            if self._go_to is None and self._loop and self._next is None:
+                self._go_to = self._file.first_ns
+            if self._interrupted:
+                return 130
+        for publisher in self._publishers.values():
+            if not self._interrupted:
                 publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGED))
-            return 0
-        except KeyboardInterrupt:
-            return 130
+        return 130 if self._interrupted else 0
 
-    def _run_on(self):
-        """Publish until the end of the file, or until a seek."""
-        while self._next is not None and self._go_to is None:
+    def _publish_all(self):
+        """Publish until the end of the file, a seek or a signal."""
+        while self._next is not None and self._go_to is None and not self._interrupted:
             now = time.monotonic()
-            if self.paused or now - self._looked > ATTENTION:
-                self._looked = now
-                self._executor.spin_once(timeout_sec=ATTENTION if self.paused else 0.0)
-                self.keys.look()
+            if self.paused or now - self._polled > POLL:
+                self._polled = now
+                self._executor.spin_once(timeout_sec=POLL if self.paused else 0.0)
+                self.keys.poll()
                 continue
-            if self._pacer.wait(self._due() * 1e-9, ATTENTION):
+            if self._pacer.wait(self._due() * 1e-9, POLL):
                 self._publish_next()
 
     def _due(self):
-        """Stamp of what comes next: a clock of ours, or messages."""
+        """Stamp of the next output: /clock of this node, or recorded messages."""
         stamp = self._next[0]
         if self._clock is None:
             return stamp
@@ -240,7 +248,7 @@ class Player:
         self._next = next(self._messages, None)
 
     def _begin(self):
-        """Pace from here on."""
+        """Start pacing at the current position."""
         if self.paused:
             self._pacer.stop()
         else:
@@ -248,7 +256,7 @@ class Player:
 
 
 class Keys:
-    """Keys of a terminal, if there is one; `with` gives it back as it was."""
+    """Keys of a terminal, if there is one; a `with` block restores its settings."""
 
     def __init__(self, player):
         self._player, self._before = player, None
@@ -269,8 +277,8 @@ class Keys:
 
             termios.tcsetattr(sys.stdin, termios.TCSADRAIN, self._before)
 
-    def look(self):
-        """Do what was pressed since the last look."""
+    def poll(self):
+        """Execute the command of a pressed key."""
         if self._before is None or not select.select([sys.stdin], [], [], 0)[0]:
             return
         pressed = os.read(sys.stdin.fileno(), 64)

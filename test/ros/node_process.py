@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulation nodes as processes of their own, and a client in this one, for the tests.
 
-Everything runs in one ROS domain that no other test run is likely to have.
+Everything runs in one ROS domain that no other test run on this machine has.
 """
 
+import fcntl
 import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
+from pathlib import Path
 
 import rclpy
 from geometry_msgs.msg import WrenchStamped
@@ -29,7 +32,22 @@ bodies:
 
 PATIENCE = 30.0  # s; for what takes at most 3 s on an idle machine
 COMPILING = 180.0  # s; the first start on a machine compiles
-DOMAIN = 1 + os.getpid() % 100
+
+
+def _free_domain():
+    """(ROS domain, its lock file) that no other test run on this machine has."""
+    for k in range(100):
+        number = 1 + (os.getpid() + k) % 100
+        try:
+            lock = open(Path(tempfile.gettempdir()) / f"liegroup_sim_ros_domain_{number}", "w")
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return number, lock
+        except OSError:  # taken; or the file of another user
+            continue
+    raise RuntimeError("all ROS domains from 1 to 100 are used by other test runs")
+
+
+DOMAIN, _LOCK = _free_domain()
 ENVIRONMENT = {
     **os.environ,
     "ROS_DOMAIN_ID": str(DOMAIN),

@@ -41,7 +41,9 @@ class Replay:
             Log,
             QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL),
         )
-        self.process = python(PUSH, "replay", log, "--start-paused", *options)
+        # SIGINT ignored, as a shell starts a process in the background.
+        under = ("sh", "-c", "trap '' INT; exec \"$@\"", "sh")
+        self.process = python(PUSH, "replay", log, "--start-paused", *options, under=under)
 
     def __enter__(self):
         return self
