@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulation: a mechanism integrated with a given method and step, or to a given accuracy."""
 
-from liegroup_core.study.trade.accuracy import choose
-
 from .engine import Engine
 from .scene.description import Scene
 
@@ -55,6 +53,8 @@ class Simulation(Engine):
                 "accuracy takes the place of method, step, group, stabilisation "
                 "and their options: leave them away"
             )
+        from .study.trade.accuracy import choose  # not needed otherwise, and slow to import
+
         choice = choose(scene, accuracy, horizon)
         super().__init__(scene, watch=watch, **choice.settings)
         self.promise = choice.promise

@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass
 
 from liegroup_core import SimulationError
+from liegroup_core.errors import LieGroupSimError
 from liegroup_core.layout import make_layout
 from liegroup_core.monitor.joint_watch import mechanism_size
 from liegroup_core.observables.along import Along
@@ -37,7 +38,7 @@ REFERENCE_SECONDS = 60.0
 MOST_PUSHES = 1000  # of which the figures tell the times
 
 
-class AnalysisError(Exception):
+class AnalysisError(LieGroupSimError):
     """The analysis cannot be written; one line of text, exit code 2."""
 
 

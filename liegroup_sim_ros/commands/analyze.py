@@ -26,20 +26,20 @@ FORMAT = 1  # of the JSON document, config/analysis.schema.json
 EXIT_EXCEEDED, EXIT_WRONG_INPUT = 1, 2
 
 
-class AnalysisError(Exception):
+class AnalysisError(LieGroupSimError):
     """The analysis cannot be made or written; one line of text, exit code 2."""
 
 
-def add_parser(subparsers):
-    """Add `analyze` to the subcommands of a command line."""
-    parser = subparsers.add_parser(
-        "analyze",
-        help="say how wrong recorded runs are",
-        description="Analyse recordings: error against the exact solution or an independent "
-        "integration, drift of energy, momentum and joints, bit-for-bit repetition, real-time "
-        "figures, lost messages.",
-        epilog="Exit code: 0; 1 when a bound that was given is exceeded or cannot be judged; 2 "
-        "for a log that cannot be read.",
+def add_arguments(parser):
+    """Arguments of the subcommand."""
+    parser.description = (
+        "Analyse recordings: error against the exact solution or an independent integration, "
+        "drift of energy and momentum, constraint residuals, bitwise re-simulation, real-time "
+        "figures, lost messages."
+    )
+    parser.epilog = (
+        "Exit code: 0; 1 if a given bound is exceeded or cannot be judged; 2 if a recording "
+        "cannot be read."
     )
     parser.add_argument(
         "logs",
@@ -86,7 +86,6 @@ def add_parser(subparsers):
         metavar="ADDRESS",
         help="scheduler of a dask cluster to work on, such as tcp://host:8786",
     )
-    parser.set_defaults(run=run)
 
 
 def _bound(text):

@@ -19,6 +19,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+from liegroup_core.errors import LieGroupSimError
+
 SCENE, BODY = "heavy_top", "top"
 STEP, PUBLISH_RATE = 1e-3, 500.0  # s, Hz
 PUSH = ("push", BODY, "--force", "0", "250", "0", "--duration", "0.4")  # N in body axes, s
@@ -28,17 +30,15 @@ STARTING = 240.0  # s; the first start on a machine compiles
 PUSHING = ENDING = 10.0  # s
 
 
-class DemoError(Exception):
+class DemoError(LieGroupSimError):
     """The demo cannot go on; one line of text, exit code 2."""
 
 
-def add_parser(subparsers):
-    """Add `demo` to the subcommands of a command line."""
-    parser = subparsers.add_parser(
-        "demo",
-        help="simulate a heavy top in real time, push it, and analyse the recording",
-        description=f"Simulate the scene {SCENE} in real time, push it from another process, "
-        "record everything and analyse the recording.",
+def add_arguments(parser):
+    """Arguments of the subcommand."""
+    parser.description = (
+        f"Simulate the scene {SCENE} in real time, apply a force from a second process, record "
+        "everything and analyse the recording."
     )
     parser.add_argument(
         "--out",
@@ -54,7 +54,6 @@ def add_parser(subparsers):
         metavar="S",
         help="length of the run (default: %(default)g)",
     )
-    parser.set_defaults(run=run)
 
 
 def run(args):

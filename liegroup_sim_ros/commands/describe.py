@@ -22,20 +22,17 @@ STEP = 1e-5  # s: small, so that no scene gets into trouble
 MOST_ROWS = 40  # of a list on the terminal; JSON has all
 
 
-def add_parser(subparsers):
-    """Add `describe` to the subcommands of a command line."""
-    parser = subparsers.add_parser(
-        "describe",
-        help="say what a scene is made of, what it keeps and what a step costs",
-        description="Bodies, joints and forces of a scene, its degrees of freedom, the rows left "
-        "out in closed loops, the structure of the solve, the momentum it keeps, and the measured "
-        "cost of a step on this machine.",
+def add_arguments(parser):
+    """Arguments of the subcommand."""
+    parser.description = (
+        "Summarise a scene: bodies, joints, forces, degrees of freedom, redundant constraint "
+        "equations, structure of the solve, conserved quantities, and the measured cost of a "
+        "step on this machine."
     )
     parser.add_argument(
         "scene", metavar="SCENE", help="scene file, or name of one that comes along"
     )
     parser.add_argument("--json", action="store_true", help="as JSON, on stdout")
-    parser.set_defaults(run=run)
 
 
 def run(args):

@@ -15,6 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from liegroup_core import load_scene
+from liegroup_core.errors import LieGroupSimError
 from liegroup_core.integrators.methods import METHODS
 from liegroup_core.study.extremes.extremes import VERDICTS, Kept, axes_of, counts, silent, survey
 from liegroup_sim_ros.report.extremes_page import SIGNS, shown, write_page
@@ -30,19 +31,17 @@ NOTE = (
 )
 
 
-class ExtremesError(Exception):
+class ExtremesError(LieGroupSimError):
     """The map cannot be made; one line of text, exit code 2."""
 
 
-def add_parser(subparsers):
-    """Add `extremes` to the subcommands of a command line."""
-    parser = subparsers.add_parser(
-        "extremes",
-        help="map where each method stops, and whether it says so",
-        description="Drive every method to its limits, on scenes made for it or on a scene of "
-        "yours, and judge every run against the true motion.",
-        epilog="What was run is kept at once: after Ctrl-C the same call goes on.",
+def add_arguments(parser):
+    """Arguments of the subcommand."""
+    parser.description = (
+        "Stress-test every method on built-in problems or on your scene, and compare each run "
+        "with a reference solution."
     )
+    parser.epilog = "Results are cached as they come: after Ctrl-C the same command continues."
     parser.add_argument(
         "scene",
         metavar="SCENE",
@@ -67,7 +66,6 @@ def add_parser(subparsers):
     parser.add_argument("--png", metavar="FILE", help="write the heat map")
     parser.add_argument("--json", metavar="FILE", help="write all cells")
     parser.add_argument("--markdown", metavar="FILE", help="write the map as tables of signs")
-    parser.set_defaults(run=run)
 
 
 def run(args):

@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from liegroup_core.errors import LieGroupSimError
 from liegroup_core.integrators.methods import GROUPS
 from liegroup_sim_ros.chapter.joint_runs import STEPS, four_bar_runs, heavy_top_runs
 from liegroup_sim_ros.chapter.rotation_figures import count_runs, make_rotation_figures
@@ -46,18 +47,17 @@ NOTE = (
 )
 
 
-class FiguresError(Exception):
+class FiguresError(LieGroupSimError):
     """The figures cannot be made; one line of text, exit code 2."""
 
 
-def add_parser(subparsers):
-    """Add `figures` to the subcommands of a command line."""
-    parser = subparsers.add_parser(
-        "figures",
-        help="draw the chapter's Figs. 6.2 and 6.4 to 6.9",
-        description="Integrate the heavy top and the planar four-bar with three step sizes on "
-        "both groups, draw how far their joints open, and print the largest errors; integrate "
-        "the free body and the Lagrangian top by the rotation methods and draw their errors.",
+def add_arguments(parser):
+    """Arguments of the subcommand."""
+    parser.description = (
+        "Compute and draw Figs. 6.2 and 6.4 to 6.9 of the chapter: the constraint residuals "
+        "of the heavy top and the planar four-bar for three step sizes on both groups, and "
+        "the errors of the rotation methods for the free body and the Lagrangian top. Print "
+        "the largest errors."
     )
     parser.add_argument(
         "--out",
@@ -65,7 +65,6 @@ def add_parser(subparsers):
         metavar="DIR",
         help="folder for the pictures; earlier ones are overwritten (default: %(default)s)",
     )
-    parser.set_defaults(run=run)
 
 
 def run(args):

@@ -16,17 +16,15 @@ from liegroup_sim_ros.recording.damaged_survey import clean, survey
 from liegroup_sim_ros.recording.read import RecordingError
 
 
-def add_parser(subparsers):
-    """Add `info` to the subcommands of a command line."""
-    parser = subparsers.add_parser(
-        "info",
-        help="say what is in a recording and whether it is complete",
-        description="Say what is in recordings: duration, scene, settings, topics, attachments, "
-        "messages lost. Any MCAP file will do; it is read from front to back, however damaged.",
+def add_arguments(parser):
+    """Arguments of the subcommand."""
+    parser.description = (
+        "Show the contents of recordings: duration, scene, configuration, topics, "
+        "attachments, lost messages. Reads any MCAP file from front to back, damaged ones "
+        "too."
     )
     parser.add_argument("logs", metavar="FILE", nargs="+", help="recording (*.mcap)")
     parser.add_argument("--json", action="store_true", help="as JSON, a list with one per file")
-    parser.set_defaults(run=run)
 
 
 def run(args):

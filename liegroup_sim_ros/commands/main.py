@@ -1,91 +1,77 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command `liegroup_sim`: describe, measure and run scenes, analyse recordings, push, demo.
+"""The command `liegroup_sim`: its subcommands, and how their errors become exit codes.
 
-Exit code 0 when it is done, 2 and one line on stderr when something given to it is wrong, 1 when a
-simulation had to stop, 130 after Ctrl-C, 141 when nobody reads what it says.
+A subcommand is a module of this folder, named as the subcommand, with
+
+    add_arguments(parser)   fills an argparse parser
+    run(args)               runs it and returns the exit code
+
+and a line in COMMANDS. Only the module of the chosen subcommand is imported.
+
+Exit code 0 on success, 2 and one line on stderr for wrong input, 1 if a simulation had to stop,
+130 after Ctrl-C, 141 if the reader of stdout is gone.
 """
 
 import argparse
 import os
 import sys
+from importlib import import_module
+
+from liegroup_core.errors import LieGroupSimError
+from liegroup_sim_ros import __version__
 
 # Before NumPy is loaded: threads make small solves slower, on a busy machine many times.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from liegroup_core.errors import LieGroupSimError
-from liegroup_sim_ros import __version__
-from liegroup_sim_ros.playback.player_file import PlayError
-from liegroup_sim_ros.playback.repeat import ReplayError
-from liegroup_sim_ros.recording.read import RecordingError
-from liegroup_sim_ros.recording.write_run import OutputError
-
-from . import analyze as analyze_logs
-from . import demo, describe, extremes, figures, info, push, recover, replay, sweep, trade
-from . import run as offline
-from .analyze import AnalysisError
-from .demo import DemoError
-from .extremes import ExtremesError
-from .figures import FiguresError
-from .push import PushError
-from .run import RunError
-from .trade import TradeError
-
-WRONG_INPUT = (
-    LieGroupSimError,
-    RecordingError,
-    AnalysisError,
-    DemoError,
-    ExtremesError,
-    FiguresError,
-    OutputError,
-    PlayError,
-    PushError,
-    ReplayError,
-    RunError,
-    TradeError,
-)
+COMMANDS = {
+    "demo": "simulate a heavy top in real time, push it, and analyse the recording",
+    "describe": "summarise a scene: bodies, joints, degrees of freedom, cost per step",
+    "trade": "measure accuracy against cost for a scene on this machine",
+    "extremes": "stress-test the methods and report where they fail",
+    "sweep": "run a scene with many sampled parameters, into Parquet",
+    "run": "simulate offline and write the trajectory to a file (no ROS needed)",
+    "analyze": "report the numerical error of recordings",
+    "replay": "publish a recording again, or simulate it again and compare",
+    "info": "show the contents of a recording and whether it is complete",
+    "recover": "repair a truncated or damaged recording",
+    "push": "apply a wrench to a body of a running simulation",
+    "figures": "draw Figs. 6.2 and 6.4 to 6.9 of the chapter",
+}
 EXIT_WRONG_INPUT, EXIT_INTERRUPTED, EXIT_UNREAD = 2, 130, 141
 
 
-def make_parser():
-    """The command line; ROS is imported by the subcommands that need it, when they run."""
+def make_parser(chosen=None):
+    """Parser of the command line; `chosen` is the subcommand whose arguments it reads."""
     parser = argparse.ArgumentParser(
         prog="liegroup_sim",
         description="Multibody dynamics on Lie groups for ROS 2.",
-        epilog="The simulation itself is a node: sim_node --ros-args -p scene:=heavy_top, or with "
-        "a ROS installation: ros2 run liegroup_sim_ros sim_node --ros-args -p scene:=heavy_top",
+        epilog="The simulation node is a program of its own: sim_node --ros-args -p "
+        "scene:=heavy_top, or with a ROS installation: ros2 run liegroup_sim_ros sim_node "
+        "--ros-args -p scene:=heavy_top",
     )
     parser.add_argument("--version", action="version", version=f"liegroup_sim {__version__}")
     subparsers = parser.add_subparsers(metavar="COMMAND", required=True)
-    for command in (
-        demo,
-        describe,
-        trade,
-        extremes,
-        sweep,
-        offline,
-        analyze_logs,
-        replay,
-        info,
-        recover,
-        push,
-        figures,
-    ):
-        command.add_parser(subparsers)
+    for name, text in COMMANDS.items():
+        subparser = subparsers.add_parser(name, help=text)
+        if name == chosen:
+            module = import_module(f"liegroup_sim_ros.commands.{name}")
+            module.add_arguments(subparser)
+            subparser.set_defaults(run=module.run)
     return parser
 
 
 def main(args=None):
     """Run the command; returns the exit code."""
-    arguments = make_parser().parse_args(args)
+    args = sys.argv[1:] if args is None else args
     try:
+        arguments = make_parser(args[0] if args else None).parse_args(args)
         code = arguments.run(arguments)
         sys.stdout.flush()
         return code
-    except WRONG_INPUT as error:
-        print(f"liegroup_sim: {' '.join(str(error).split())}", file=sys.stderr)
+    except LieGroupSimError as error:
+        print(f"liegroup_sim: {error}", file=sys.stderr)
         return EXIT_WRONG_INPUT
-    except BrokenPipeError:  # whoever reads, as head does, has read enough
+    except BrokenPipeError:  # the reader, such as head, has ended
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_UNREAD
     except KeyboardInterrupt:

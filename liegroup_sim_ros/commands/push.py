@@ -9,21 +9,21 @@ import math
 import sys
 import time
 
+from liegroup_core.errors import LieGroupSimError
+
 DISCOVERY = 10.0  # s; processes see each other after 0.05 to 2.5 s
 ANSWER = 2.0  # s that a running simulation needs at most to follow
 
 
-class PushError(Exception):
+class PushError(LieGroupSimError):
     """The push cannot be made; one line of text, exit code 2."""
 
 
-def add_parser(subparsers):
-    """Add `push` to the subcommands of a command line."""
-    parser = subparsers.add_parser(
-        "push",
-        help="push a body of a running simulation",
-        description="Apply a wrench to a body of a running simulation node. Force and torque are "
-        "in the axes of the body, the torque about the origin of its frame.",
+def add_arguments(parser):
+    """Arguments of the subcommand."""
+    parser.description = (
+        "Apply a wrench to a body of a running simulation node. Force and torque are in body "
+        "axes, the torque is about the origin of the body frame."
     )
     parser.add_argument("body", metavar="BODY", help="name of the body")
     for name, unit in (("force", "N"), ("torque", "N m")):
@@ -55,7 +55,6 @@ def add_parser(subparsers):
         metavar="NAME",
         help="the simulation node (default: %(default)s)",
     )
-    parser.set_defaults(run=run)
 
 
 def run(args):

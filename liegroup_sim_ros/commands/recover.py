@@ -25,14 +25,12 @@ from .info import topics_table
 NOTE = "recovered"  # metadata record of a file that was made here
 
 
-def add_parser(subparsers):
-    """Add `recover` to the subcommands of a command line."""
-    parser = subparsers.add_parser(
-        "recover",
-        help="make a cut or damaged recording readable",
-        description="Out of a recording that was never finished (killed process, power failure, "
-        "full disk) or is damaged, make a new one that every reader opens, and say what is "
-        "missing. The file itself is not touched.",
+def add_arguments(parser):
+    """Arguments of the subcommand."""
+    parser.description = (
+        "Write a complete recording from one that is truncated (killed process, power "
+        "failure, full disk) or damaged, and report what is missing. The file itself stays "
+        "unchanged."
     )
     parser.add_argument("log", metavar="FILE", help="recording (*.mcap)")
     parser.add_argument(
@@ -41,7 +39,6 @@ def add_parser(subparsers):
         metavar="OUT",
         help="new file (default: beside FILE, with _recovered in its name)",
     )
-    parser.set_defaults(run=run)
 
 
 def run(args):

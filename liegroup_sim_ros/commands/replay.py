@@ -14,18 +14,18 @@ from liegroup_sim_ros.recording.read import read_recording
 EXIT_DIFFERENT = 1
 
 
-def add_parser(subparsers):
-    """Add `replay` to the subcommands of a command line."""
-    parser = subparsers.add_parser(
-        "replay",
-        help="publish a recording again, or simulate it again and compare",
-        description="Publish the topics of a recording with its own stamps and /clock. On a "
-        "terminal: space pauses and goes on, cursor up and down change the rate, right publishes "
-        "the next sample while paused, left goes back 5 s. With --resimulate nothing is "
-        "published: the run is simulated again from its recorded start and wrenches and compared "
-        "bit for bit.",
-        epilog="Exit code: 0; 1 when --resimulate finds a difference where there must be none, or "
-        "one above --bound; 2 for a file that cannot be read.",
+def add_arguments(parser):
+    """Arguments of the subcommand."""
+    parser.description = (
+        "Publish the topics of a recording with their own time stamps and /clock. Keys on a "
+        "terminal: space pauses and resumes, up and down change the rate, right publishes the "
+        "next sample while paused, left goes back 5 s. With --resimulate nothing is "
+        "published: the run is simulated again from its recorded initial state and wrenches, "
+        "and compared bit for bit."
+    )
+    parser.epilog = (
+        "Exit code: 0; 1 if --resimulate finds a difference where there must be none, or one "
+        "above --bound; 2 if a file cannot be read."
     )
     parser.add_argument("file", metavar="FILE", help="recording (*.mcap), or an address of one")
     parser.add_argument(
@@ -63,7 +63,6 @@ def add_parser(subparsers):
     parser.add_argument(
         "--bound", type=float, metavar="X", help="largest difference that passes, m and rad"
     )
-    parser.set_defaults(run=run)
 
 
 def run(args):

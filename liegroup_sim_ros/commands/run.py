@@ -15,6 +15,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from liegroup_core import Simulation, SimulationError, load_scene
 from liegroup_core.engine import METHOD, STABILISATIONS, STEP
+from liegroup_core.errors import LieGroupSimError
 from liegroup_core.integrators.methods import GROUPS, METHODS
 from liegroup_core.study.trade.accuracy import choose
 from liegroup_sim_ros.recording.write_run import ArrayFile, LogFile
@@ -37,17 +38,15 @@ SETTINGS = (
 )
 
 
-class RunError(Exception):
+class RunError(LieGroupSimError):
     """The run cannot be made; one line of text, exit code 2."""
 
 
-def add_parser(subparsers):
-    """Add `run` to the subcommands of a command line."""
-    parser = subparsers.add_parser(
-        "run",
-        help="simulate as fast as it goes, into a file, without ROS",
-        description="Simulate a scene as fast as it goes and write the motion to a file: arrays "
-        "(*.npz) or a recording (*.mcap) that `liegroup_sim analyze` and other tools read.",
+def add_arguments(parser):
+    """Arguments of the subcommand."""
+    parser.description = (
+        "Simulate a scene as fast as possible and write the trajectory to a file: arrays "
+        "(*.npz) or a recording (*.mcap) for `liegroup_sim analyze` and other tools."
     )
     parser.add_argument(
         "scene", metavar="SCENE", help="scene file, or name of one that comes along"
@@ -71,7 +70,6 @@ def add_parser(subparsers):
         "(default: %(default)s)",
     )
     add_settings(parser)
-    parser.set_defaults(run=run)
 
 
 def add_settings(parser):

@@ -28,16 +28,14 @@ EXIT_ALL_FAILED, EXIT_INTERRUPTED = 1, 130
 CLOSING = "velocities violate the joint", "does not close at the initial poses"
 
 
-def add_parser(subparsers):
-    """Add `sweep` to the subcommands of a command line."""
-    parser = subparsers.add_parser(
-        "sweep",
-        help="many runs of a scene with drawn parameters, into Parquet",
-        description="Draw parameters and initial states of a scene from ranges, by a Latin "
-        "hypercube; make all runs, in parallel; write what came of each to Parquet, and show how "
-        "the results spread and what they depend on.",
-        epilog="What is finished is kept at once: after Ctrl-C the same call goes on.",
+def add_arguments(parser):
+    """Arguments of the subcommand."""
+    parser.description = (
+        "Sample parameters and initial states of a scene from ranges (Latin hypercube), run "
+        "all samples in parallel, write the results to Parquet, and show how they vary and "
+        "what they depend on."
     )
+    parser.epilog = "Finished runs are saved as they come: after Ctrl-C the same command continues."
     parser.add_argument(
         "scene", metavar="SCENE", help="scene file, or name of one that comes along"
     )
@@ -92,7 +90,6 @@ def add_parser(subparsers):
         "bodies, the energy and the joints)",
     )
     add_settings(parser)
-    parser.set_defaults(run=run)
 
 
 def run(args):

@@ -14,6 +14,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from liegroup_core import SimulationError, load_scene
 from liegroup_core.engine import STABILISATIONS
+from liegroup_core.errors import LieGroupSimError
 from liegroup_core.integrators.methods import GROUPS, METHODS
 from liegroup_core.study.trade.trade import BUDGET, Trade
 from liegroup_sim_ros.report.trade_figures import document_part, print_trade
@@ -21,20 +22,18 @@ from liegroup_sim_ros.report.trade_figures import document_part, print_trade
 FORMAT = 1  # of the JSON document, config/trade.schema.json
 
 
-class TradeError(Exception):
+class TradeError(LieGroupSimError):
     """The trade cannot be measured or written; one line of text, exit code 2."""
 
 
-def add_parser(subparsers):
-    """Add `trade` to the subcommands of a command line."""
-    parser = subparsers.add_parser(
-        "trade",
-        help="measure what accuracy costs for a scene on this machine",
-        description="Run a scene with methods, steps, groups and stabilisations; measure the true "
-        "error of each against an independent reference, and its cost in CPU time; name the "
-        "settings that no other beats, and the cheapest one for 1e-3, 1e-6 and 1e-9.",
-        epilog="What is measured is kept at once: after Ctrl-C the same call goes on.",
+def add_arguments(parser):
+    """Arguments of the subcommand."""
+    parser.description = (
+        "Run a scene with many methods, steps, groups and stabilisations. Measure the error "
+        "of each against an independent reference solution and its cost in CPU time. Report "
+        "the Pareto front, and the cheapest configuration for errors of 1e-3, 1e-6 and 1e-9."
     )
+    parser.epilog = "Measurements are cached as they come: after Ctrl-C the same command continues."
     parser.add_argument(
         "scenes", metavar="SCENE", nargs="+", help="scene file, or name of one that comes along"
     )
@@ -82,7 +81,6 @@ def add_parser(subparsers):
         metavar="FILE",
         help="write the plot of one scene as a picture: *.png, *.pdf or *.svg (needs matplotlib)",
     )
-    parser.set_defaults(run=run)
 
 
 def run(args):

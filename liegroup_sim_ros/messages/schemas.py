@@ -16,6 +16,8 @@ from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 
+from liegroup_core.errors import LieGroupSimError
+
 _SEPARATOR = "=" * 80
 _FIELD_TYPE = re.compile(r"^\s*([A-Za-z][\w/]*)(?:<=\d+)?(?:\[[^\]]*\])?\s+\w", re.MULTILINE)
 _PRIMITIVES = frozenset(
@@ -25,7 +27,7 @@ _PRIMITIVES = frozenset(
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}  # RMW_DURATION_INFINITE
 
 
-class SchemaError(Exception):
+class SchemaError(LieGroupSimError):
     """A message type that is not installed here; one line of text."""
 
 

@@ -20,6 +20,7 @@ from rcl_interfaces.msg import (
 from rclpy.parameter import Parameter
 
 from liegroup_core.engine import METHOD, STABILISATIONS, STEP
+from liegroup_core.errors import LieGroupSimError
 from liegroup_core.integrators.methods import GROUPS, METHODS
 
 QOS_PREFIX = "qos_overrides."
@@ -30,7 +31,7 @@ HOLDS = ("one_step", "timeout", "until_replaced")
 CHOSEN = ("method", "stabilisation", "group", "step")  # what an accuracy takes the place of
 
 
-class ParameterError(Exception):
+class ParameterError(LieGroupSimError):
     """A parameter that cannot be used; one line of text for the user, exit code 2."""
 
 

@@ -13,13 +13,14 @@ import time
 from concurrent.futures import Future
 
 from liegroup_core import SimulationError
+from liegroup_core.errors import LieGroupSimError
 from liegroup_core.pacing import Pacer
 
 DIAGNOSTICS_PERIOD = 1.0  # s of wall time
 IDLE_TICK = 0.01  # s of simulated time, where nothing is put out by time
 
 
-class CommandError(Exception):
+class CommandError(LieGroupSimError):
     """A command that makes no sense in the present state; one line of text."""
 
 

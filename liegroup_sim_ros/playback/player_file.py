@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import yaml
 
+from liegroup_core.errors import LieGroupSimError
 from liegroup_sim_ros.recording.mcap_records import AttachmentPiece
 from liegroup_sim_ros.recording.read_file import TellPath
 from liegroup_sim_ros.recording.read_mcap import McapStream
@@ -15,7 +16,7 @@ _TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
 LONGEST_QOS = 65536  # bytes of YAML
 
 
-class PlayError(Exception):
+class PlayError(LieGroupSimError):
     """The recording cannot be published; one line of text, exit code 2."""
 
 

@@ -5,6 +5,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from liegroup_core import Simulation, SimulationError
+from liegroup_core.errors import LieGroupSimError
 from liegroup_core.model.build import initial_state as state_of_scene
 from liegroup_core.observables.along import quaternions
 from liegroup_core.reference import Trajectory, distance
@@ -17,7 +18,7 @@ MOST_STEPS = 10**9
 ROUNDING = 1e-6
 
 
-class ReplayError(Exception):
+class ReplayError(LieGroupSimError):
     """The run cannot be repeated like this; one line of text, exit code 2."""
 
 

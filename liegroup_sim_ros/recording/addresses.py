@@ -11,8 +11,10 @@ import shutil
 import tempfile
 from pathlib import Path
 
+from liegroup_core.errors import LieGroupSimError
 
-class AddressError(Exception):
+
+class AddressError(LieGroupSimError):
     """Nothing can be read there; one line of text."""
 
 

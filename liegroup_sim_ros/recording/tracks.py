@@ -5,8 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from liegroup_core.errors import LieGroupSimError
 
-class RecordingError(Exception):
+
+class RecordingError(LieGroupSimError):
     """The file is not a recording that can be read; one line of text, exit code 2."""
 
 

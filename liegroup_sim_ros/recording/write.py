@@ -26,6 +26,7 @@ import time
 from collections import deque
 from pathlib import Path
 
+from liegroup_core.errors import LieGroupSimError
 from liegroup_sim_ros import __version__
 from liegroup_sim_ros.messages import schemas
 
@@ -40,7 +41,7 @@ _INSTANT = 20e-3  # s of wall time in which all messages of an instant arrive
 _log = logging.getLogger(__name__)
 
 
-class RecorderError(Exception):
+class RecorderError(LieGroupSimError):
     """The recording cannot start; one line of text, exit code 2."""
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from liegroup_core.errors import LieGroupSimError
 from liegroup_sim_ros.messages import schemas
 from liegroup_sim_ros.messages.codecs import (
     LogCodec,
@@ -27,7 +28,7 @@ NODE = "/sim_node"  # names the topics, as a run of the node would
 WORLD_FRAME = "world"
 
 
-class OutputError(Exception):
+class OutputError(LieGroupSimError):
     """The file cannot be written; one line of text, exit code 2."""
 
 

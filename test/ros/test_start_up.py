@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a start imports: seconds of a user's time, so modules that are not needed stay out."""
+
+import subprocess
+import sys
+
+import pytest
+
+from liegroup_sim_ros.commands.main import COMMANDS, make_parser
+
+HEAVY = ("numba", "numpy", "scipy", "pydantic", "rich", "rclpy", "plotly", "pandas", "dask")
+
+
+def imported(code):
+    """Heavy packages that a process has imported after some code."""
+    printed = subprocess.run(
+        [sys.executable, "-P", "-c", f"{code}\nimport sys\nprint('\\n', *sys.modules)"],
+        check=True,
+        stdout=subprocess.PIPE,
+        text=True,
+    ).stdout
+    return set(printed.splitlines()[-1].split()).intersection(HEAVY)
+
+
+def test_help_and_the_bare_core_import_nothing_heavy():
+    assert not imported("import liegroup_core")
+    assert not imported(
+        "from contextlib import suppress\n"
+        "from liegroup_sim_ros.commands.main import main\n"
+        "with suppress(SystemExit): main(['--help'])"
+    )
+
+
+def test_a_simulation_needs_no_more_than_its_solver():
+    found = imported("from liegroup_core import Simulation, load_scene")
+    assert "numba" in found and found.isdisjoint({"rich", "rclpy", "plotly", "pandas", "dask"})
+
+
+def test_the_integration_module_of_scipy_is_only_for_references():
+    code = "import sys\nfrom liegroup_core import Simulation\nassert 'scipy.integrate' not in sys.modules"
+    assert imported(code)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_its_arguments(name, capsys):
+    with pytest.raises(SystemExit) as ended:
+        make_parser(name).parse_args([name, "--help"])
+    said = capsys.readouterr().out
+    assert ended.value.code == 0 and f"liegroup_sim {name}" in said and len(said) > 200
+
+
+def test_all_names_of_the_core_are_there():
+    import liegroup_core
+
+    for name in liegroup_core.__all__:
+        assert getattr(liegroup_core, name).__name__ == name
+    with pytest.raises(AttributeError, match="no attribute 'Simulator'"):
+        liegroup_core.Simulator  # noqa: B018
