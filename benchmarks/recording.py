@@ -25,9 +25,9 @@ import numpy as np
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from liegroup_sim_ros.commands.recover import write_recovered
 from liegroup_sim_ros.messages import schemas
 from liegroup_sim_ros.messages.codecs import PoseStampedCodec
+from liegroup_sim_ros.recording.damaged_recover import write_recovered
 from liegroup_sim_ros.recording.damaged_survey import survey
 from liegroup_sim_ros.recording.read import RecordingError
 from liegroup_sim_ros.recording.write import Recorder

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`liegroup_sim info`: what is in a recording, and whether it is all there.
+"""`liegroup_sim info`: contents of recordings, and whether they are complete.
 
-Exit code 0, also for a recording that is not complete: it says so; 2 and one line for a file that
-is none.
+Exit code 0, also for an incomplete recording, which is reported; 2 with one line of text for a file
+that is not a recording.
 """
 
 import json
@@ -12,23 +12,24 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from liegroup_sim_ros.recording import RecordingError
 from liegroup_sim_ros.recording.damaged_survey import clean, survey
-from liegroup_sim_ros.recording.read import RecordingError
 
 
 def add_arguments(parser):
     """Arguments of the subcommand."""
     parser.description = (
-        "Show the contents of recordings: duration, scene, configuration, topics, "
-        "attachments, lost messages. Reads any MCAP file from front to back, damaged ones "
-        "too."
+        "Show the contents of recordings: duration, scene, configuration, topics, attachments, "
+        "dropped messages. Reads any MCAP file, also a truncated or damaged one."
     )
     parser.add_argument("logs", metavar="FILE", nargs="+", help="recording (*.mcap)")
-    parser.add_argument("--json", action="store_true", help="as JSON, a list with one per file")
+    parser.add_argument(
+        "--json", action="store_true", help="print JSON: a list with one entry per file"
+    )
 
 
 def run(args):
-    """Run the subcommand; returns the exit code. Raises RecordingError, after the other files."""
+    """Run the subcommand; returns the exit code. Raises RecordingError after all files are read."""
     surveys, failures = [], []
     for path in args.logs:
         try:
@@ -122,21 +123,14 @@ def print_survey(found, console):
             + (f", recovered from {said['recovered_from']}" if said["recovered_from"] else ""),
         )
     else:
-        row(
-            "complete",
-            "no: "
-            + "; ".join(
-                text + (f" ({times} times)" if times > 1 else "")
-                for text, times in found.problems.items()
-            ),
-        )
-        row("", "liegroup_sim recover makes a readable file out of it")
+        row("complete", "no: " + "; ".join(listed(found.problems)))
+        row("", "use `liegroup_sim recover` to make it readable")
     row(
         "duration",
         f"{said['duration_s']:.9g} s, from {said['start_ns'] * 1e-9:.9g} s to "
         f"{said['end_ns'] * 1e-9:.9g} s",
     )
-    row("messages", f"{found.count}, lost: {said['lost']}")
+    row("messages", f"{found.count}, dropped: {said['lost']}")
     if said["scene"] is not None:
         row(
             "scene",
@@ -148,9 +142,9 @@ def print_survey(found, console):
             f"{said['part']}, from step {said['start_step']}"
             + (f", after {said['previous']}" if said["previous"] else ""),
         )
-        row("made", f"{said['wall_start']}, {found.library}")
+        row("created", f"{said['wall_start']}, {found.library}")
     else:
-        row("made by", found.library or "nobody who says so")
+        row("created by", found.library or "unknown")
     row(
         "attachments",
         ", ".join(f"{name} ({size} bytes)" for name, _, size in found.attachments[:20]) or "none",
@@ -161,15 +155,20 @@ def print_survey(found, console):
         console.print(topics_table(found))
 
 
+def listed(problems):
+    """Texts of {problem: number of occurrences}."""
+    return [text + (f" ({n} times)" if n > 1 else "") for text, n in problems.items()]
+
+
 def topics_table(found):
-    """Table of the topics of a Survey: messages, rates, losses."""
+    """Table of the topics of a Survey: messages, rates, dropped messages."""
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for name, side in (
         ("topic", "left"),
         ("type", "left"),
         ("messages", "right"),
         ("per s", "right"),
-        ("lost", "right"),
+        ("dropped", "right"),
     ):
         table.add_column(name, justify=side, overflow="fold", no_wrap=side == "right")
     for each in _in_order(found)[:MOST_ROWS]:

@@ -9,15 +9,9 @@ import importlib
 
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-from liegroup_sim_ros.messages import diagnostics
+from liegroup_sim_ros.messages import diagnostics, topics
 from liegroup_sim_ros.messages import samples as sample_messages
-from liegroup_sim_ros.messages.codecs import (
-    ClockCodec,
-    LogCodec,
-    PoseStampedCodec,
-    TwistStampedCodec,
-    WrenchStampedCodec,
-)
+from liegroup_sim_ros.messages.codecs import ClockCodec, LogCodec, WrenchStampedCodec
 from liegroup_sim_ros.messages.markers import Markers, markers
 
 from .parameters import ParameterError
@@ -122,23 +116,22 @@ class Outputs:
             self._add_samples(
                 bodies, world_frame, values.frame_prefix, values.steps["publish_rate"]
             )
-        # Many bodies may be pushed at one step.
-        self._applied = self._stream("~/applied_wrench", WrenchStampedCodec.TYPE, depth=100)
+        self._applied = self._stream(*topics.APPLIED_WRENCH)
         self._encode_wrench = {
             body: WrenchStampedCodec(frame).encode for body, frame in self._frames.items()
         }
-        self._events = self._stream("~/events", LogCodec.TYPE, qos="transient_local")
-        self._diagnostics = self._stream("/diagnostics", diagnostics.TYPE)
+        self._events = self._stream(*topics.EVENTS)
+        self._diagnostics = self._stream(*topics.DIAGNOSTICS)
         self._clock = self._state = self._marked = None
         if self.clock_steps:
-            self._clock = self._stream("/clock", ClockCodec.TYPE, depth=1)
+            self._clock = self._stream(*topics.CLOCK)
         if self.state_steps:
-            self._state = self._stream("~/state", diagnostics.TYPE)
+            self._state = self._stream(*topics.STATE)
         self._markers = Markers(layout, world_frame, values.arrow_scale, self.acting)
-        for name, topics in {**OPTIONAL, "marker_rate": lambda *_: markers(self._markers)}.items():
+        for name, make in {**OPTIONAL, "marker_rate": lambda *_: markers(self._markers)}.items():
             if values.steps[name]:
                 self._add_optional(
-                    name, topics(layout, world_frame, values.frame_prefix), values.steps[name]
+                    name, make(layout, world_frame, values.frame_prefix), values.steps[name]
                 )
 
     def _stream(self, *arguments, **options):
@@ -149,8 +142,8 @@ class Outputs:
         encode = sample_messages.poses_and_twists(bodies, world_frame, frame_prefix)
         table = []
         for body in bodies:
-            pose = self._stream(f"~/{body}/pose", PoseStampedCodec.TYPE)
-            twist = self._stream(f"~/{body}/twist", TwistStampedCodec.TYPE)
+            pose = self._stream(*topics.pose(body))
+            twist = self._stream(*topics.twist(body))
             self._topics["pose"][body], self._topics["twist"][body] = pose.topic, twist.topic
             table.append((pose.send, twist.send))
 
@@ -161,8 +154,8 @@ class Outputs:
 
         self.timed.append((steps, send))
 
-    def _add_optional(self, parameter, topics, steps):
-        for topic, message_type, encode in topics:
+    def _add_optional(self, parameter, entries, steps):
+        for topic, message_type, encode in entries:
             # A viewer that comes while the time stands still shall see the scene, too.
             qos = "transient_local" if parameter == "marker_rate" else "reliable"
             try:

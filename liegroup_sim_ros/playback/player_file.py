@@ -9,7 +9,7 @@ import yaml
 
 from liegroup_core.errors import LieGroupSimError
 from liegroup_sim_ros.recording.mcap_records import AttachmentPiece
-from liegroup_sim_ros.recording.read_file import TellPath
+from liegroup_sim_ros.recording.read_file import ErrorsWithPath
 from liegroup_sim_ros.recording.read_mcap import McapStream
 
 _TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
@@ -71,7 +71,7 @@ class PlayFile:
         """
         wanted = {offset for offset, _, last in self._chunks if last >= since_ns}
         reached = since_ns
-        with TellPath(self.path), open(self._source.path, "rb") as file:
+        with ErrorsWithPath(self.path), open(self._source.path, "rb") as file:
             stream = McapStream(file, self._source.size, lambda at, *_: at in wanted)
             stream.channels.update(self._recording.channels)
             for item in stream:

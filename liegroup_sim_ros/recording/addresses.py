@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where recordings are: paths, globs, and addresses such as s3://bucket/run.mcap.
+"""Addresses of recordings: paths, globs, and URLs such as s3://bucket/run.mcap.
 
-Addresses are read by fsspec, an optional package, with what it knows and what is installed for it
-(aiohttp for http://, s3fs for s3://, and so on); a file behind one is copied to a temporary file
-first, because a recording is gone through more than once.
+URLs are read by fsspec, an optional package, and its file systems (aiohttp for http://, s3fs for
+s3://, and so on). The file is copied to a temporary file first, because a recording is read more
+than once.
 """
 
 import glob
@@ -11,23 +11,19 @@ import shutil
 import tempfile
 from pathlib import Path
 
-from liegroup_core.errors import LieGroupSimError
-
-
-class AddressError(LieGroupSimError):
-    """Nothing can be read there; one line of text."""
+from .errors import AddressError
 
 
 def is_remote(address):
-    """Whether an address is one for fsspec."""
+    """Whether an address is a URL for fsspec."""
     return "://" in str(address)
 
 
 def expand(addresses):
-    """Paths and addresses, with what matches in place of every pattern, sorted.
+    """Paths and URLs, with the sorted matches in place of each pattern.
 
-    A folder stands for the *.mcap in it; any other name that exists is taken as it is. Raises
-    AddressError for a pattern without a match.
+    A folder stands for the *.mcap files in it. A name that exists is not treated as a pattern.
+    Raises AddressError for a pattern without a match.
     """
     found = []
     for address in map(str, addresses):
@@ -49,7 +45,7 @@ def expand(addresses):
 
 
 def fetch(address):
-    """A temporary file with what is at a remote address, open for reading; closing removes it.
+    """Temporary copy of a remote file, open for reading; closing removes it.
 
     Raises AddressError.
     """
@@ -60,7 +56,7 @@ def fetch(address):
             shutil.copyfileobj(stream, copy, 2**20)
         copy.flush()
         return copy
-    except Exception as error:  # every file system has its own; none of them is known here
+    except Exception as error:  # each file system raises its own errors
         copy.close()
         raise AddressError(f"{address}: cannot be read: {_reason(error)}") from None
 
@@ -71,7 +67,7 @@ def _remote_matches(address):
         system, path = fsspec.core.url_to_fs(address)
         matches = sorted(map(str, system.glob(path)))
         matches = [system.unstrip_protocol(match) for match in matches]
-    except Exception as error:  # likewise
+    except Exception as error:  # as in `fetch`
         raise AddressError(f"{address}: cannot be read: {_reason(error)}") from None
     if not matches:
         raise AddressError(f"{address}: no file matches")
@@ -90,9 +86,9 @@ def _fsspec(address):
 
 
 def _reason(error):
-    """What went wrong at the bottom of it, one line."""
+    """Text of the root cause, one line."""
     while error.__cause__ is not None:
         error = error.__cause__
-    if isinstance(error, FileNotFoundError):  # has the address as its text, or part of it
+    if isinstance(error, FileNotFoundError):  # its text is the address, or a part of it
         return "no such file"
     return " ".join(str(error).split())[:200] or type(error).__name__

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a recording carries besides messages, so that it can be simulated again from itself.
+"""Attachments of a recording: scene, settings and state, from which the run can be repeated.
 
 docs/recording.md describes every entry.
 """
@@ -18,16 +18,16 @@ import numpy as np
 from liegroup_core.study.machine import cpu_name
 from liegroup_sim_ros import __version__
 
-# Packages whose versions may matter to the numbers or to the file.
+# Packages whose versions may affect the numbers or the file.
 _PACKAGES = ("numpy", "scipy", "numba", "llvmlite", "mcap", "zstandard", "ros-jazzy-rclpy")
 
 
 def at_start(simulation, node, world_frame, sample_steps, topics, stamp_ns=0, **more):
-    """{name: (media type, bytes)}: scene, settings and the present state of a simulation.
+    """{name: (media type, bytes)}: scene, settings and current state of a simulation.
 
     node         : fully qualified name
     sample_steps : steps between two samples
-    topics       : as Outputs.topics()
+    topics       : {kind: resolved topic name, or {body: name} for "pose" and "twist"}
     stamp_ns     : of the state
     more         : further entries of settings.json, JSON types
     """
@@ -44,9 +44,9 @@ def at_start(simulation, node, world_frame, sample_steps, topics, stamp_ns=0, **
 
 
 def state(simulation, stamp_ns):
-    """The present state of a simulation as JSON types; `restore` is the way back."""
+    """Current state of a simulation as JSON types; `restore` is the inverse."""
     pose, twist = simulation.state()
-    # JSON writes the shortest text that reads back to the same float64: the state is exact.
+    # JSON writes the shortest text that is read as the same float64: the state is exact.
     return {
         "bodies": list(simulation.layout.body_names),
         "pose": pose.tolist(),
@@ -62,9 +62,9 @@ def state(simulation, stamp_ns):
 def restore(simulation, entries):
     """Set a simulation to the state in an initial_state.json.
 
-    returns True if it goes on from there to the bit, False if what its method keeps between steps
-    is of another version, so that it starts anew from this state
-    raises ValueError, KeyError, TypeError for entries that are no state of it
+    returns True if it continues bit-identically; False if the memory of its method is that of
+    another version, so that the method restarts from this state
+    raises ValueError, KeyError, TypeError for entries that are not a state of the simulation
     """
     arguments = (
         np.array(entries["pose"], dtype=float),
@@ -82,7 +82,7 @@ def restore(simulation, entries):
 
 
 def settings(simulation, sample_steps):
-    """What a run was made with, and on what, as JSON types."""
+    """Configuration of a run, versions and machine, as JSON types."""
     return {
         "format": 1,
         "scene": simulation.scene.name,
@@ -108,7 +108,7 @@ def as_json(data):
 
 @lru_cache(maxsize=None)
 def versions():
-    """{package: version}; None for one that is not installed, as numba: a run in plain Python."""
+    """{package: version}; None if not installed, such as numba in a run in plain Python."""
     found = {"liegroup_sim_ros": __version__, "python": platform.python_version()}
     for package in _PACKAGES:
         try:
@@ -120,7 +120,7 @@ def versions():
 
 @lru_cache(maxsize=None)
 def machine():
-    """What else decides on the bits of a run: system, C library, processor and what it can do."""
+    """Properties that affect the bits of a run: system, C library, processor, its features."""
     return {
         "system": platform.platform(),
         "libc": " ".join(platform.libc_ver()),
@@ -132,7 +132,7 @@ def machine():
 
 
 def _compiled_for():
-    """Processor and features that numba compiles for; nothing without numba."""
+    """Processor and features that numba compiles for; None without numba."""
     try:
         from llvmlite import binding
 

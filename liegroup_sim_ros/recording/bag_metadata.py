@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What rosbag2 says about a bag: as a record in every file, and as metadata.yaml of a folder.
+"""Metadata of rosbag2: a record in each file, and the metadata.yaml of a folder.
 
 Source: rosbag2 bag metadata version 9.
 """
@@ -12,17 +12,17 @@ FILE_NAME = "metadata.yaml"
 
 
 class Bag:
-    """The files of a bag, one added after the other."""
+    """The files of a bag, added one by one."""
 
     def __init__(self):
         self._files = []
-        self._topics = {}  # name -> what topics_with_message_count has
+        self._topics = {}  # name -> entry of topics_with_message_count
 
     def add_file(self, name, stamps, topics):
-        """A file that is complete.
+        """Add a complete file.
 
-        name   : of the file, without folder
-        stamps : least and largest stamp, ns; zeros without messages
+        name   : file name without folder
+        stamps : smallest and largest stamp, ns; zeros without messages
         topics : [(topic_info(...), number of messages)]
         """
         first, last = stamps
@@ -41,7 +41,7 @@ class Bag:
             entry["message_count"] += count
 
     def description(self):
-        """The metadata, to be written as YAML."""
+        """The metadata as plain types, for YAML."""
         files = [file for file in self._files if file["message_count"]] or self._files
         starts = [file["starting_time"]["nanoseconds_since_epoch"] for file in files]
         ends = [start + file["duration"]["nanoseconds"] for start, file in zip(starts, files)]
@@ -61,7 +61,7 @@ class Bag:
         }
 
     def write(self, folder):
-        """Write metadata.yaml, whole or not at all. Raises OSError."""
+        """Write metadata.yaml atomically. Raises OSError."""
         path = folder / FILE_NAME
         new = path.with_suffix(".yaml.new")
         new.write_text(
@@ -71,14 +71,14 @@ class Bag:
 
 
 def record_of_file(name, stamps, topics):
-    """{key: text} of the metadata record `rosbag2` of a file; arguments as of Bag.add_file."""
+    """{key: text} of the metadata record `rosbag2` of a file; arguments as in Bag.add_file."""
     bag = Bag()
     bag.add_file(name, stamps, topics)
     return {"serialized_metadata": as_yaml(bag.description())}
 
 
 def topic_info(topic, msg_type, qos, type_hash):
-    """What rosbag2 keeps of a topic; qos: as of schemas.qos_profile, a list of them."""
+    """rosbag2's description of a topic; qos: list of schemas.qos_profile."""
     return {
         "name": topic,
         "type": msg_type,
@@ -94,5 +94,5 @@ class _Dumper(yaml.SafeDumper):
 
 
 def as_yaml(data):
-    """Text in the form that rosbag2 reads."""
+    """YAML text as rosbag2 reads it: values, no references."""
     return yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True)

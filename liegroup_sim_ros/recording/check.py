@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the parts of a recording belong together: settings, scene and initial state."""
+"""Consistency of a recording: settings, scene and initial state."""
 
 import math
 
 from liegroup_core.integrators.methods import GROUPS
 
-from .tracks import RecordingError
+from .errors import RecordingError
 
 
 def is_promise(entry):
-    """Whether an entry of a recording's settings can be judged."""
+    """Whether the `promise` entry of a recording's settings is valid."""
     return isinstance(entry, dict) and all(
         isinstance(entry.get(key), (int, float)) and math.isfinite(entry[key]) and entry[key] > 0.0
         for key in ("accuracy", "horizon", "length")
@@ -17,7 +17,7 @@ def is_promise(entry):
 
 
 def check_settings(recording, scene):
-    """Raise RecordingError where parts of a recording do not belong together."""
+    """Raise RecordingError if settings, scene and initial state are inconsistent."""
     settings, path = recording.settings, recording.path
     lacking = [
         key
@@ -46,11 +46,11 @@ def check_settings(recording, scene):
     }
     for name, good in checks.items():
         if not good:
-            raise RecordingError(
-                f"{path}: its setting {name} makes no sense: {settings.get(name)!r:.60}"
-            )
+            raise RecordingError(f"{path}: invalid setting {name}: {settings.get(name)!r:.60}")
     if recording.bodies != tuple(body.name for body in scene.bodies):
-        raise RecordingError(f"{path}: its initial state is for other bodies than its scene has")
+        raise RecordingError(
+            f"{path}: the bodies of its initial state differ from those of its scene"
+        )
     pacing = recording.pacing
     if pacing is not None and not isinstance(pacing.get("lateness_us"), dict):
         raise RecordingError(f"{path}: its pacing has no lateness_us")

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is good in an MCAP file, wherever it is cut or damaged: piece by piece, front to back.
+"""Intact records of a truncated or damaged MCAP file, from front to back.
 
-Only what its check sum confirms is handed out, and, marked as such, the beginning of a chunk that
-the file ends in. After damage the next chunk is searched for whose check sum is right. Nothing a
-file claims about its sizes is believed: memory is bounded by LARGEST, time by LARGEST_RATIO times
-the size of the file.
+Records are returned if their checksum is correct. The beginning of a truncated chunk at the end of
+the file is also returned, marked as such. After damage, the scan continues at the next chunk with a
+correct checksum. Sizes claimed by the file are not trusted: memory is bounded by LARGEST, time by
+LARGEST_RATIO times the size of the file.
 
 Source: mcap.dev specification, version 0.
 """
@@ -34,38 +34,38 @@ from .mcap_records import (
     parsed,
 )
 
-_TRIES = 16  # times the size of the file may be read in search of a chunk
+_TRIES = 16  # the search for chunks reads at most so many times the file size
 
 _FOOTER = RECORD.size + 20
-_ZSTD = struct.pack("<I", 4) + b"zstd"  # in every chunk that is searched for
+_ZSTD = struct.pack("<I", 4) + b"zstd"  # present in every chunk of the recorder
 
 
 class Damage(NamedTuple):
-    """Something that is left out."""
+    """A damaged part, which is omitted."""
 
     text: str
 
 
 class End(NamedTuple):
-    """The end of a file that was finished."""
+    """The end of a finished file."""
 
     definitions: list  # Schema and Channel of the summary
     statistics: object  # Statistics, or None
 
 
 def pieces(stream, size):
-    """Generator of the good pieces of an MCAP file, in file order.
+    """Generator of the intact records of an MCAP file, in file order.
 
-    stream : of the file, can seek; size: its bytes
+    stream : seekable binary stream of `size` bytes
     yields Header, Metadata, AttachmentPiece, Block, Damage and, last, End if the file is finished
-    raises Damaged when the file is no MCAP file
+    raises Damaged if the file is not an MCAP file
     """
     stream.seek(0)
     if stream.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
         raise Damaged("not an MCAP file")
     search = _Search(stream, size)
     budget = LARGEST + LARGEST_RATIO * size
-    good_end = at = len(MCAP0_MAGIC)  # all before good_end is known to be right
+    good_end = at = len(MCAP0_MAGIC)  # everything before good_end is intact
     while True:
         try:
             opcode, length, is_cut = _next_record(stream, at, size)
@@ -75,7 +75,7 @@ def pieces(stream, size):
                 if at < size:
                     yield Damage(str(damage))
                 return
-            yield Damage("damage between two chunks")
+            yield Damage("damaged bytes between two chunks")
             good_end = at = found
             continue
         start, end = at + RECORD.size, at + RECORD.size + length
@@ -120,23 +120,23 @@ def pieces(stream, size):
 
 
 def _next_record(stream, at, size):
-    """(opcode, length, whether the file ends within) of the record at an offset."""
+    """(opcode, length, whether it is truncated) of the record at an offset."""
     stream.seek(at)
     head = stream.read(RECORD.size)
     if len(head) < RECORD.size:
         return 0, 0, True
     opcode, length = RECORD.unpack(head)
     if opcode == 0 or Opcode.DATA_END < opcode < 0x80 or opcode == Opcode.DATA_END and length != 4:
-        raise Damaged("bytes that are no record")
+        raise Damaged("bytes that are not a record")
     return opcode, length, at + RECORD.size + length > size
 
 
 def _piece(stream, opcode, start, length):
-    """The piece in a record, or None for one that can be spared. Raises Damaged."""
+    """Content of a record, or None for an index record. Raises Damaged."""
     if opcode not in KINDS:
         return None
     if length > LARGEST:
-        raise Damaged(f"a record of {length} bytes, the largest that is read has {LARGEST}")
+        raise Damaged(f"a record of {length} bytes; the limit is {LARGEST}")
     stream.seek(start)
     body = stream.read(length)
     if opcode == Opcode.CHUNK:
@@ -154,8 +154,9 @@ def _chunk_data(body):
 
 
 def _fits_itself(stream, opcode, start, length):
-    """Whether the sizes within a damaged record agree with its length, so that the next one is
-    where the length says.
+    """Whether the sizes in a damaged record agree with its length.
+
+    The next record then follows where the length says.
     """
     stream.seek(start)
     if opcode != Opcode.CHUNK:
@@ -168,7 +169,7 @@ def _fits_itself(stream, opcode, start, length):
 
 
 def summary_of(stream, size):
-    """End of a file whose summary can be read, whatever is in front of it. Raises Damaged."""
+    """End of a file with a readable summary; the rest may be damaged. Raises Damaged."""
     stream.seek(max(0, size - len(MCAP0_MAGIC) - _FOOTER))
     footer = stream.read(_FOOTER)
     if len(footer) < _FOOTER:
@@ -180,7 +181,7 @@ def summary_of(stream, size):
 
 
 def _end(stream, at, size, check_data=True):
-    """End of a file whose data end at an offset, if all there is from there on is right."""
+    """End of a file whose data end at an offset. Raises Damaged if anything after it is."""
     stream.seek(at + RECORD.size)
     tail_start = size - len(MCAP0_MAGIC) - _FOOTER
     summary_start = at + RECORD.size + 4
@@ -190,13 +191,14 @@ def _end(stream, at, size, check_data=True):
     summary, footer = stream.read(tail_start - summary_start), stream.read(_FOOTER)
     if stream.read() != MCAP0_MAGIC or RECORD.unpack_from(footer) != (Opcode.FOOTER, 20):
         raise Damaged("the end of the file is damaged")
-    told = parsed(Footer, footer[RECORD.size :])
-    if told.summary_crc and zlib.crc32(summary + footer[:-4]) != told.summary_crc:
+    footer_record = parsed(Footer, footer[RECORD.size :])
+    checksum = footer_record.summary_crc
+    if checksum and zlib.crc32(summary + footer[:-4]) != checksum:
         raise Damaged("the summary is damaged")
-    if summary and told.summary_start != summary_start:
-        raise Damaged("the summary is not where it should be")
+    if summary and footer_record.summary_start != summary_start:
+        raise Damaged("the footer does not point to the summary")
     if check_data and data_checksum and _checksum(stream, at) != data_checksum:
-        raise Damaged("the check sum of the data is wrong")
+        raise Damaged("wrong checksum of the data")
     definitions, statistics, place = [], None, 0
     while place + RECORD.size <= len(summary):
         opcode, length = RECORD.unpack_from(summary, place)
@@ -223,15 +225,15 @@ def _checksum(stream, end):
 
 
 class _Search:
-    """Looks for chunks whose check sums are right, compressed with zstd as ours are."""
+    """Search for chunks with correct checksums, compressed with zstd as the recorder's are."""
 
     def __init__(self, stream, size):
         self._stream, self._size = stream, size
-        self._left = _TRIES * size + 2**20  # bytes that may be read in vain
-        self.done = 0  # there is none before this offset
+        self._left = _TRIES * size + 2**20  # bytes that the search may read
+        self.done = 0  # no chunk begins before this offset
 
     def next_chunk(self, at):
-        """Offset of the next one that begins at an offset or behind it, or None."""
+        """Offset of the first chunk at or after an offset, or None."""
         stream, lead = self._stream, RECORD.size + CHUNK.size - 4
         at += lead
         while at < self._size and self._left > 0:

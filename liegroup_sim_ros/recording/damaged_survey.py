@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is in an MCAP file and what is missing: counts, gaps in the sequence numbers, problems.
+"""Contents of an MCAP file and what is missing: counts, gaps in sequence numbers, problems.
 
-Read from front to back in bounded memory (damaged_scan.py). For `info` and `recover`.
+The file may be truncated, damaged or hostile; it is read once, in bounded memory (damaged_scan.py).
+For `info` and `recover`.
 """
 
 import json
@@ -13,34 +14,34 @@ from pathlib import Path
 from mcap.records import Channel, Header, Metadata, Schema
 
 from .damaged_scan import Damage, End, pieces, summary_of
+from .errors import RecordingError
 from .mcap_records import AttachmentPiece, Block, Damaged
-from .read import RecordingError
 
 MOST_DEFINITIONS = 8 * 2**20  # bytes of all names and schemas
 MOST_EXTRAS = 10_000  # attachments and metadata records
-MOST_PROBLEMS = 20  # different ones that are listed
+MOST_PROBLEMS = 20  # different problems that are listed
 NO_END = (
-    "its end is missing: it is still being recorded, the run was ended hard, the disk was "
-    "full or the file was cut"
+    "its end is missing: it is still being recorded, the process was killed, the disk was full "
+    "or the file is truncated"
 )
-_KEPT = ("settings.json", "initial_state.json")  # attachments whose content is looked at
+_KEPT = ("settings.json", "initial_state.json")  # attachments whose content is kept
 _PLAIN = frozenset(string.printable) - frozenset("\t\n\r\x0b\x0c")
 
 
 @dataclass
 class ChannelFigures:
-    """One channel of the file."""
+    """Counts of one channel."""
 
     topic: str
     type: str  # of its messages; empty without a schema
     count: int = 0
-    lost: int = 0  # missing before the last one there is, by sequence number
-    expected: int | None = None  # that of the next one; None: not known, or not numbered
+    lost: int = 0  # messages missing before the last one, by sequence number
+    expected: int | None = None  # next sequence number; None: unknown, or not numbered
     first_ns: int | None = None
     last_ns: int | None = None
 
     def expect(self, before):
-        """Say which numbers the channels had before this file; None: not known."""
+        """Set the sequence numbers {topic: last one} before this file; None: unknown."""
         if before is not None and self.count == 0:
             self.expected = (before.get(self.topic, 0) + 1) % 2**32
 
@@ -48,10 +49,10 @@ class ChannelFigures:
         """Count one message."""
         expected = self.expected
         if expected is not None and sequence != expected:
-            # Numbers have 32 bits and go round; one from before is no gap.
+            # Numbers have 32 bits and wrap around; a smaller one is not a gap.
             ahead = (sequence - expected) % 2**32
             self.lost += ahead if ahead < 2**31 else 0
-        # All zero: whoever wrote the file does not number messages.
+        # All zero: the writer of the file does not number messages.
         self.expected = (sequence + 1) % 2**32 if sequence or expected else None
         self.count += 1
         if self.first_ns is None:
@@ -63,14 +64,14 @@ class ChannelFigures:
 
     @property
     def rate(self):
-        """Messages per second of their stamps, or None."""
+        """Messages per second by their stamps, or None."""
         span = self.last_ns - self.first_ns if self.count > 1 else 0
         return (self.count - 1) / (span * 1e-9) if span > 0 else None
 
 
 @dataclass
 class Survey:
-    """What was found in a file."""
+    """Contents of a file."""
 
     path: Path
     size: int  # bytes
@@ -82,21 +83,21 @@ class Survey:
     attachments: list = field(default_factory=list)  # (name, media type, bytes)
     metadata: dict = field(default_factory=dict)  # name -> {key: text}
     contents: dict = field(default_factory=dict)  # name -> parsed JSON of _KEPT
-    before: dict | None = None  # topic -> sequence number before the first one; None: not known
-    problems: dict = field(default_factory=dict)  # text -> how often
+    before: dict | None = None  # topic -> last sequence number before the file; None: unknown
+    problems: dict = field(default_factory=dict)  # text -> number of occurrences
     chunks: int = 0
-    unfinished: int = 0  # messages out of a chunk that the file ends in
-    stray: int = 0  # messages of channels that the file does not describe
-    finished: bool = False  # it has its end: summary, index and statistics
+    unfinished: int = 0  # messages from a truncated chunk at the end
+    stray: int = 0  # messages of undefined channels
+    finished: bool = False  # summary, index and statistics are present
 
     @property
     def complete(self):
-        """Whether it was finished, and nothing in it is damaged."""
+        """Whether the file is finished and undamaged."""
         return self.finished and not self.problems
 
     @property
     def count(self):
-        """Messages in all."""
+        """Number of messages."""
         return sum(each.count for each in self.figures.values())
 
     @property
@@ -106,7 +107,7 @@ class Survey:
 
     @property
     def stamps(self):
-        """(least, largest) stamp in ns, zeros without messages."""
+        """(smallest, largest) stamp in ns, zeros without messages."""
         known = [each for each in self.figures.values() if each.count]
         return (
             (min(each.first_ns for each in known), max(each.last_ns for each in known))
@@ -115,7 +116,7 @@ class Survey:
         )
 
     def problem(self, text):
-        """Note a problem."""
+        """Count a problem."""
         text = clean(text)
         if text in self.problems or len(self.problems) < MOST_PROBLEMS:
             self.problems[text] = self.problems.get(text, 0) + 1
@@ -129,12 +130,12 @@ def open_file(path):
         raise RecordingError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
     if not stream.seekable():
         stream.close()
-        raise RecordingError(f"{path}: is no file that can be read from any place")
+        raise RecordingError(f"{path}: not a seekable file")
     return stream, stream.seek(0, os.SEEK_END)
 
 
 def survey(path):
-    """Survey of an MCAP file. Raises RecordingError if it is none, or cannot be read."""
+    """Survey of an MCAP file. Raises RecordingError if it cannot be read or is not MCAP."""
     path = Path(path)
     stream, size = open_file(path)
     with stream:
@@ -150,23 +151,23 @@ def survey(path):
         raise RecordingError(
             f"{path}: "
             + (
-                "an MCAP file without any content"
+                "an MCAP file without content"
                 if found.complete
-                else f"nothing in it can be read: {reasons[0]}"
+                else f"has no readable content: {reasons[0]}"
                 if reasons
-                else "ends before anything was written to it"
+                else "truncated before the first content"
             )
         )
     return found
 
 
 def walk(stream, found, on_block=None, on_attachment=None, on_metadata=None):
-    """Go through a file and fill in a Survey; what else is to be done is done by functions.
+    """Read a file and fill in a Survey; the functions receive each block and record.
 
-    raises Damaged when it is no MCAP file
+    raises Damaged if it is not an MCAP file
     """
     definitions, extras = _Definitions(found), 0
-    try:  # definitions in front may be damaged
+    try:  # the definitions before the messages may be damaged
         for each in summary_of(stream, found.size).definitions:
             definitions.add(each)
     except Damaged:
@@ -180,7 +181,7 @@ def walk(stream, found, on_block=None, on_attachment=None, on_metadata=None):
         elif isinstance(piece, (AttachmentPiece, Metadata)):
             extras += 1
             if extras > MOST_EXTRAS:
-                found.problem(f"more than {MOST_EXTRAS} attachments; the rest is left out")
+                found.problem(f"more than {MOST_EXTRAS} attachments; the rest is omitted")
             elif isinstance(piece, AttachmentPiece):
                 _attachment(found, piece)
                 if on_attachment:
@@ -196,7 +197,7 @@ def walk(stream, found, on_block=None, on_attachment=None, on_metadata=None):
         elif isinstance(piece, End):
             _end(found, piece)
     if found.stray:
-        found.problem("messages of a channel that is not described")
+        found.problem("messages of an undefined channel")
     if not found.finished:
         found.problem(NO_END)
 
@@ -222,7 +223,7 @@ def _attachment(found, piece):
             content = json.loads(piece.data)
             json.dumps(content, allow_nan=False)
         except (ValueError, RecursionError):
-            return  # of other software, then
+            return  # written by other software
         if isinstance(content, dict) and _is_flat(content):
             found.contents[piece.name] = content
             if piece.name == "settings.json":
@@ -230,13 +231,13 @@ def _attachment(found, piece):
 
 
 def _is_flat(value, levels=20):
-    """Whether a JSON value has at most so many levels."""
+    """Whether a JSON value has at most this many levels."""
     inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
     return levels > 0 and all(_is_flat(each, levels - 1) for each in inner)
 
 
 def _first_numbers(found, settings):
-    """Our own recordings say with which numbers their parts begin; the first one is 1."""
+    """Take the last sequence numbers of the previous part from our own settings; none: zeros."""
     if settings.get("format") != 1:
         return
     before = settings.get("sequences")
@@ -250,20 +251,20 @@ def _first_numbers(found, settings):
 
 
 def _end(found, end):
-    told = end.statistics
-    if told is not None and (
-        told.message_count != found.count
+    statistics = end.statistics
+    if statistics is not None and (
+        statistics.message_count != found.count
         or any(
-            told.channel_message_counts.get(each, 0) != figures.count
+            statistics.channel_message_counts.get(each, 0) != figures.count
             for each, figures in found.figures.items()
         )
     ):
-        found.problem("its statistics do not agree with its messages")
+        found.problem("its statistics contradict its messages")
     found.finished = True
 
 
 class _Definitions:
-    """Schemas and channels into a Survey."""
+    """Adds schemas and channels to a Survey."""
 
     def __init__(self, found):
         self._found, self._size = found, 0
@@ -273,11 +274,11 @@ class _Definitions:
         kept = found.schemas if isinstance(each, Schema) else found.channels
         if each.id in kept:
             if kept[each.id] != each:
-                found.problem("two definitions of one channel or schema contradict each other")
+                found.problem("contradictory definitions of a channel or schema")
             return
         self._size += len(str(each))
         if self._size > MOST_DEFINITIONS:
-            raise Damaged(f"its names and schemas have more than {MOST_DEFINITIONS} bytes")
+            raise Damaged(f"its definitions exceed {MOST_DEFINITIONS} bytes")
         kept[each.id] = each
         if isinstance(each, Channel):
             schema = found.schemas.get(each.schema_id)
@@ -287,6 +288,6 @@ class _Definitions:
 
 
 def clean(text, longest=200):
-    """Text that may be shown in a terminal: names in a file may hold anything."""
+    """Text without control characters, for a terminal: names in a file are arbitrary bytes."""
     text = "".join(c if c in _PLAIN or c.isprintable() else "\ufffd" for c in text)
     return text if len(text) <= longest else text[: longest - 3] + "..."

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Single records of an MCAP file that may be damaged, or made to do harm; for all who read one.
+"""Single records of an MCAP file that may be damaged or hostile, for all readers of this room.
 
-What their check sums do not confirm is refused; no size that they claim is believed, so memory is
-bounded by LARGEST. damaged_scan.py looks with them for all that is good in a damaged file,
-read_mcap.py gives the messages of a recording as arrays.
+Records with a wrong checksum are refused. Claimed sizes are not trusted, so memory is bounded by
+LARGEST. damaged_scan.py uses these functions to find intact records, read_mcap.py to read the
+messages of a recording as arrays.
 
 Source: mcap.dev specification, version 0.
 """
@@ -19,48 +19,48 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Metadata, Schema
 
-# Bytes of a record, and of a chunk when it is decompressed. Chunks of the recorder have 128 KiB,
-# those of other tools up to some MiB.
+# Bytes of a record, and of a decompressed chunk. Chunks of the recorder have 128 KiB, those of
+# other tools some MiB.
 LARGEST = 64 * 2**20
-# Messages carry a stamp and a number each, which do not shrink so much; bombs do.
+# Each message has a stamp and a sequence number, so only a zip bomb exceeds this expansion.
 MOST_EXPANSION = 1000
-# A file that grows more than this, and LARGEST, is none of a log: bodies at rest reach 6.
+# Decompressed bytes over file size, beyond LARGEST; recordings of bodies at rest reach 6.
 LARGEST_RATIO = 100
-GROWS = f"it claims to hold more than {LARGEST_RATIO} times its size; the rest is left out"
+GROWS = f"it claims to contain more than {LARGEST_RATIO} times its size; the rest is omitted"
 
-RECORD = struct.Struct("<BQ")  # opcode, size of what follows
+RECORD = struct.Struct("<BQ")  # opcode, length of the content
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
-CHUNK = struct.Struct("<QQQII")  # times, size, check sum, length of the compression
+CHUNK = struct.Struct("<QQQII")  # times, size, checksum, length of the compression name
 _ATTACHMENT = struct.Struct("<QQI")  # log time, create time, length of the name
 
 
 class Damaged(Exception):
-    """Bytes that are not what they should be."""
+    """Bytes that violate the format or its checksums."""
 
 
 class Block(NamedTuple):
     """Records of schemas, channels and messages."""
 
     definitions: list  # Schema and Channel
-    starts: array  # where in `data` the messages begin, and
-    ends: array  # where they end
+    starts: array  # offsets in `data` at which messages begin
+    ends: array  # and end
     data: bytes
-    is_whole: bool  # False: the beginning of a chunk that the file ends in
+    is_whole: bool  # False: the beginning of a truncated chunk
 
     def messages(self):
-        """Generator of (channel, sequence, log time, publish time, offset of its bytes, end)."""
+        """Generator of (channel, sequence, log time, publish time, start and end of the bytes)."""
         data, unpack, size = self.data, _MESSAGE.unpack_from, _MESSAGE.size
         for start, end in zip(self.starts, self.ends):
             yield (*unpack(data, start), start + size, end)
 
 
 class ChunkHead(NamedTuple):
-    """What a chunk says of itself."""
+    """Head of a chunk: what the chunk claims to contain."""
 
     first_ns: int  # stamps
     last_ns: int
     size: int  # bytes, decompressed
-    checksum: int  # of these; 0: none
+    checksum: int  # CRC-32 of the decompressed bytes; 0: none
     compression: bytes
     data_start: int  # offset in the record
     length: int  # bytes, in the file
@@ -74,7 +74,7 @@ class AttachmentPiece(NamedTuple):
     data: bytes
 
 
-# Records that are read; those that the library parses with its class.
+# Records that are read, and the class of the library that parses them.
 KINDS = {
     Opcode.HEADER: Header,
     Opcode.SCHEMA: Schema,
@@ -87,7 +87,7 @@ KINDS = {
 
 
 class _Fields(ReadDataStream):
-    """The library's own gives fewer bytes than a length says, without a word."""
+    """ReadDataStream that raises Damaged; the library returns fewer bytes without an error."""
 
     def read(self, length):
         data = super().read(length)
@@ -97,17 +97,17 @@ class _Fields(ReadDataStream):
 
 
 def parsed(kind, body):
-    """Record of a class of the library, or Damaged."""
+    """Record parsed by a class of the library. Raises Damaged."""
     try:
         return kind.read(_Fields(BytesIO(body)))
     except Damaged:
         raise
-    except Exception as error:  # damaged bytes can make a parser raise anything
+    except Exception as error:  # a parser may raise any exception for damaged bytes
         raise Damaged(f"a damaged record ({kind.__name__})") from error
 
 
 def chunk_head(body):
-    """ChunkHead of a chunk, of which the first 56 bytes are enough, or Damaged."""
+    """ChunkHead of a chunk; its first 56 bytes suffice. Raises Damaged."""
     if len(body) < CHUNK.size:
         raise Damaged("a damaged chunk")
     first_ns, last_ns, size, checksum, name_length = CHUNK.unpack_from(body)
@@ -120,7 +120,7 @@ def chunk_head(body):
 
 
 def chunk_data(head, packed):
-    """Records of a chunk that is whole, out of its bytes in the file, or Damaged."""
+    """Decompressed records of a whole chunk. Raises Damaged."""
     if len(packed) != head.length:
         raise Damaged("a damaged chunk")
     check_claim(head)
@@ -131,16 +131,16 @@ def chunk_data(head, packed):
 
 
 def check_claim(head):
-    """Raise Damaged for a chunk that claims to hold more than one of messages can."""
+    """Raise Damaged if a chunk claims to contain more than messages can."""
     if head.size > LARGEST or head.size > MOST_EXPANSION * max(head.length, 64):
-        raise Damaged(f"a chunk of {head.length} bytes that claims to hold {head.size}")
+        raise Damaged(f"a chunk of {head.length} bytes that claims to contain {head.size}")
 
 
 def _decompressed(compression, data, size):
-    """The bytes of a chunk, at most one more than its size."""
+    """Decompressed bytes of a chunk, at most one more than its size."""
     if compression == b"zstd":
         try:
-            # Not decompress(), which believes the size that the data claim.
+            # Not decompress(), which trusts the size claimed in the data.
             return (
                 zstandard.ZstdDecompressor(max_window_size=LARGEST)
                 .stream_reader(data)
@@ -152,7 +152,9 @@ def _decompressed(compression, data, size):
         try:
             from lz4.frame import LZ4FrameDecompressor
         except ImportError:
-            raise Damaged("a chunk compressed with lz4: pip install lz4") from None
+            raise Damaged(
+                "a chunk compressed with lz4, which is not installed: pip install lz4"
+            ) from None
         try:
             return LZ4FrameDecompressor().decompress(data, size + 1)
         except (RuntimeError, EOFError, MemoryError) as error:
@@ -163,7 +165,7 @@ def _decompressed(compression, data, size):
 
 
 def beginning(body):
-    """Block of what can be had of a chunk whose end is missing, or None."""
+    """Block of the readable beginning of a truncated chunk, or None."""
     try:
         head = chunk_head(body)
     except Damaged:
@@ -176,7 +178,7 @@ def beginning(body):
         decompress = zstandard.ZstdDecompressor(max_window_size=LARGEST).decompressobj().decompress
         try:
             while left > 0 and start < len(body):
-                # A little at a time: a byte may become 32 KiB.
+                # In small steps: one byte may expand to 32 KiB.
                 parts.append(decompress(body[start : start + 64]))
                 left -= len(parts[-1])
                 start += 64
@@ -191,7 +193,7 @@ def beginning(body):
 
 
 def block_of(data, is_whole=True):
-    """Block of uncompressed records; what follows the last whole one is left out, or Damaged."""
+    """Block of uncompressed records; bytes after the last whole one are omitted. Raises Damaged."""
     definitions, starts, ends, at, size = [], array("I"), array("I"), 0, len(data)
     while at + RECORD.size <= size:
         opcode, length = RECORD.unpack_from(data, at)
@@ -206,15 +208,15 @@ def block_of(data, is_whole=True):
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             definitions.append(parsed(KINDS[opcode], data[start:end]))
         elif opcode < 0x80:
-            raise Damaged("a chunk with a record that does not belong in it")
+            raise Damaged("a chunk with a record of a wrong kind")
         at = end
     if is_whole and at != size:
-        raise Damaged("a chunk whose last record is not whole")
+        raise Damaged("a chunk with a truncated record")
     return Block(definitions, starts, ends, data, is_whole)
 
 
 def attachment_of(body):
-    """AttachmentPiece of a record, or Damaged."""
+    """AttachmentPiece of a record. Raises Damaged."""
     if len(body) < _ATTACHMENT.size + 4:
         raise Damaged("a damaged attachment")
     log_time, create_time, at = _ATTACHMENT.unpack_from(body)
@@ -222,7 +224,7 @@ def attachment_of(body):
     try:
         name, media_type = stream.read_prefixed_string(), stream.read_prefixed_string()
         length = stream.read8()
-    except Exception as error:  # likewise
+    except Exception as error:  # as in `parsed`
         raise Damaged("a damaged attachment") from error
     at = 16 + stream.count
     if at + length + 4 != len(body):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The motion in a recording: stretches between resets, piece by piece, in bounded memory."""
+"""Motion in a recording: blocks of samples between two resets, in bounded memory."""
 
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -7,30 +7,30 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from .read import RecordingError
+from .errors import RecordingError
 
-# Samples that are kept for plots and for a closer look, of all bodies together and at least.
+# Samples kept for plots and details: of all bodies together, and at least.
 KEPT, LEAST_KEPT = 40_000, 2000
-LATEST = 2**62  # ns; stamps beyond are no times
+LATEST = 2**62  # ns; larger stamps are invalid
 
 
 @dataclass(eq=False)
 class Stretch:
     """The run from its start, or from a reset, to the next reset; n bodies.
 
-    steps, rotation, position, twist and angles are of k samples, evenly taken from all of them.
+    steps, rotation, position, twist and angles are those of k kept samples, evenly distributed.
     """
 
     base_ns: int  # stamp of step 0
     end_ns: float  # stamp of the reset that ends it, or infinity
     step: float  # s
     bodies: tuple  # names
-    is_first: bool  # it begins with the file, the others with a reset
+    is_first: bool  # begins with the file; the others begin with a reset
     start: int  # number of its first step
-    change_steps: np.ndarray  # (m,) steps from which on the total wrench on a body is another
+    change_steps: np.ndarray  # (m,) steps at which the total wrench on a body changes
     change_bodies: np.ndarray  # (m,) index of the body
     change_wrenches: np.ndarray  # (m, 6) body axes
-    samples: int = 0  # all there are
+    samples: int = 0  # number of all samples
     first_step: int = 0  # of a sample
     last_step: int = 0
     kept: list = field(default_factory=list, repr=False)
@@ -58,7 +58,7 @@ class Stretch:
         return (self.last_step - self.first_step) * self.step
 
     def pushes_on(self, body):
-        """(p, 2) first step and end of the intervals with a wrench; the last may be infinite."""
+        """(p, 2) first and end step of the intervals with a wrench; the last may be infinite."""
         mine = self.change_bodies == self.bodies.index(body)
         steps = self.change_steps[mine]
         acts = self.change_wrenches[mine].any(axis=1)
@@ -79,7 +79,7 @@ class Stretch:
     def free(self, bodies):
         """(m, 2) first and last step of intervals in which no wrench acts on any of the bodies.
 
-        The state at the step where a wrench begins is still untouched by it, the state at the step
+        The state at the step where a wrench begins is not yet affected by it; the state at the step
         where it ends is the first of the next interval.
         """
         pushes = np.concatenate([self.pushes_on(body) for body in bodies])
@@ -116,7 +116,7 @@ class Block(NamedTuple):
 
     @property
     def pose(self):
-        """(k, n, 12) as the core has it."""
+        """(k, n, 12) in the layout of the core."""
         k, n = self.position.shape[:2]
         return np.concatenate([self.rotation.reshape(k, n, 9), self.position], axis=2)
 
@@ -133,14 +133,14 @@ _KEPT = _Kept._fields
 
 
 class Motion:
-    """All stretches of a recording, and what is missing in it; `blocks` goes through it once.
+    """All stretches of a recording, and the samples missing in it; `blocks` reads it once.
 
-    stretches        : those with samples, as far as they are read
-    samples          : complete ones: pose and twist of all bodies
-    missing          : samples that should lie between the first and the last one
-    gaps, largest_gap_s, largest_gap_at_s : places where some are missing
-    not_finite, first_not_finite : samples with NaN, infinity or a quaternion of no length, which
-                       are left out; s of the recording
+    stretches        : stretches with samples, as far as they are read
+    samples          : number of complete samples: pose and twist of all bodies
+    missing          : number of samples missing between the first and the last one
+    gaps, largest_gap_s, largest_gap_at_s : intervals with missing samples
+    not_finite, first_not_finite : omitted samples with NaN, infinity or a zero quaternion; s of
+                       the recording
     """
 
     def __init__(self, recording):
@@ -158,8 +158,8 @@ class Motion:
         start = state.get("steps", 0)
         stamp = state.get("stamp_ns", 0)
         if not all(isinstance(value, int) and abs(value) < LATEST for value in (start, stamp)):
-            raise RecordingError(f"{recording.path}: its initial state has no step and no stamp")
-        bases = [stamp - round(start * step * 1e9)]  # of a part, it went on before
+            raise RecordingError(f"{recording.path}: its initial state has no valid step and stamp")
+        bases = [stamp - round(start * step * 1e9)]  # a part continues a run
         bases += [event.stamp_ns for event in recording.events if event.name == "reset"]
         if any(b <= a for a, b in zip(bases, bases[1:])):
             raise RecordingError(f"{recording.path}: the stamps of its resets do not increase")
@@ -195,14 +195,14 @@ class Motion:
         )
 
     def blocks(self, angles=None):
-        """Block after block. Raises RecordingError for settings that contradict the messages.
+        """Generator of Blocks. Raises RecordingError if settings contradict the messages.
 
-        angles : function of a Block that returns (k, t) numbers that are kept with the samples
+        angles : function Block -> (k, t) numbers to keep with the samples
         """
-        since = None  # of the samples, the number of the next one that is kept
+        since = None  # index of the next kept sample
         for found in self._recording.samples():
             if abs(int(found.stamp_ns[0])) > LATEST or abs(int(found.stamp_ns[-1])) > LATEST:
-                raise RecordingError(f"{self._recording.path}: its stamps are no times")
+                raise RecordingError(f"{self._recording.path}: its stamps are out of range")
             number = np.searchsorted(self._bases, found.stamp_ns, "right") - 1
             edges = [0, *(np.flatnonzero(np.diff(number)) + 1).tolist(), len(number)]
             for a, b in zip(edges, edges[1:]):
@@ -233,13 +233,13 @@ class Motion:
                 yield block
         if not self.samples:
             raise RecordingError(
-                f"{self._recording.path}: holds no complete sample: the run "
+                f"{self._recording.path}: contains no complete sample: the run "
                 "ended before one was written"
             )
         self.stretches = [stretch for stretch in self.stretches if stretch.kept]
 
     def _block(self, stretch, found, part):
-        """Block of the usable samples of a part, or None; counts what is wrong with it."""
+        """Block of the finite samples of a part, or None; counts missing and non-finite ones."""
         stamps = found.stamp_ns[part]
         unit = stretch.step * 1e9
         steps = np.rint((stamps - stretch.base_ns) / unit).astype(np.int64)
@@ -275,7 +275,7 @@ class Motion:
         )
 
     def _count(self, stretch, steps):
-        """Samples that are there, and those on the grid between them that are not."""
+        """Count samples, and missing ones on the grid between them."""
         self.samples += len(steps)
         per_sample = self._recording.settings["steps_per_sample"]
         before = getattr(self, "_last", None)

@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Read a recording back: what the run was started with, and all that happened in it, as arrays.
+"""Reader of recordings: settings and initial state of a run, and its messages as arrays.
 
-The file is read from front to back, chunk by chunk, so one that was never finished (killed
-process, full disk) gives everything up to its last flush without being repaired first; `complete`
-and `problem` say so. Damaged parts are skipped and told; `lost` counts what is missing by
-sequence number. No ROS is needed. Every failure is a RecordingError, one line of text.
+The file is read from front to back, chunk by chunk. An unfinished file (killed process, full disk)
+is read up to its last flush without repair; `complete` and `problem` report it. Damaged chunks are
+skipped and reported; `lost` counts missing messages by sequence number. No ROS is needed. Every
+failure is a RecordingError, one line of text.
 
-Reading keeps what is rare (events, wrenches, diagnostics). Poses and twists are loaded when they
-are asked for, 64 and 56 bytes a message; `samples` gives them piece by piece instead, in memory
-that does not grow with the recording.
+Events, wrenches and diagnostics are kept in memory. Poses and twists are loaded on first access, 64
+and 56 bytes a message. `samples` returns them in pieces instead, in bounded memory.
 """
 
 from dataclasses import dataclass, field
@@ -25,17 +24,9 @@ from liegroup_sim_ros.messages.codecs import (
 )
 
 from .addresses import is_remote
-from .read_file import Attachments, Scan, Source, TellPath, decode
-from .tracks import (
-    AppliedWrench,
-    Event,
-    JointTrack,
-    PoseTrack,
-    RecordingError,
-    Samples,
-    TwistTrack,
-    WrenchTrack,
-)
+from .errors import RecordingError
+from .read_file import Attachments, ErrorsWithPath, Scan, Source, decode
+from .tracks import AppliedWrench, Event, JointTrack, PoseTrack, Samples, TwistTrack, WrenchTrack
 
 __all__ = [
     "AppliedWrench",
@@ -50,25 +41,27 @@ __all__ = [
     "read_recording",
 ]
 
-FORMAT = 1  # of settings.json and all that goes with it
+FORMAT = 1  # of settings.json and the other attachments
 JOINT_STATE = "sensor_msgs/msg/JointState"
-# Numbers of a piece of `samples`, and how many samples the topics of a file may lie apart.
+# Numbers in a piece of `samples`, and the largest offset between two topics of a file in samples.
 PIECE, MOST_APART = 200_000, 100_000
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    path: Path | str  # a text if it is an address
+    """Contents of a recording, from `read_recording`."""
+
+    path: Path | str  # str: an address
     scene_text: str
     settings: dict  # settings.json
     initial_state: dict  # initial_state.json
-    pacing: dict | None  # pacing.json; None if the run did not come to its end
+    pacing: dict | None  # pacing.json; None if the run did not end normally
     bodies: tuple  # names, in the order of initial_state
     wrench: dict  # {body: WrenchTrack}
     events: list  # Event
-    diagnostics: list  # (stamp_ns, {key: text}), all statuses of an array together
+    diagnostics: list  # (stamp_ns, {key: text}), the values of all statuses of a message
     topics: dict  # {topic: message count}
-    complete: bool  # the file was finished and no part of it is damaged
+    complete: bool  # the file is finished and undamaged
     lost: dict  # {topic: messages missing by sequence number}; empty if none
     problem: str | None  # None or one line for the user
     channels: dict = field(repr=False)  # {id: read_mcap.Channel}
@@ -76,7 +69,7 @@ class Recording:
 
     @property
     def pose(self):
-        """{body: PoseTrack}, loaded when asked for."""
+        """{body: PoseTrack}, loaded on first access."""
         return {
             body: PoseTrack(stamps, values[:, :3], values[:, 3:])
             for body, (stamps, values) in self._tracks["pose"].items()
@@ -84,12 +77,12 @@ class Recording:
 
     @property
     def twist(self):
-        """{body: TwistTrack}, loaded when asked for."""
+        """{body: TwistTrack}, loaded on first access."""
         return {body: TwistTrack(*track) for body, track in self._tracks["twist"].items()}
 
     @property
     def applied_wrench(self):
-        """The changes of the wrenches on all bodies, [AppliedWrench] in the order of stamps."""
+        """Changes of the wrenches on all bodies: [AppliedWrench] in the order of stamps."""
         found = [
             AppliedWrench(stamp, body, tuple(wrench))
             for body, track in self.wrench.items()
@@ -120,9 +113,9 @@ class Recording:
 
     @cached_property
     def joint_states(self):
-        """JointTrack of the topic with joint states, or None if it was not recorded."""
+        """JointTrack of ~/joint_states, or None if the topic was not recorded."""
         names, stamps, numbers = None, [], []
-        with TellPath(self.path):
+        with ErrorsWithPath(self.path):
             for messages, channels in self._source.messages(self.channels):
                 for channel, index in channels:
                     if channel.type != JOINT_STATE:
@@ -131,7 +124,7 @@ class Recording:
                         found, stamp_ns, values = _joint_state(messages.payload(k))
                         if found != (names or found):
                             raise RecordingError(
-                                "its joint states are not always of the same joints"
+                                "its joint states name different joints in different messages"
                             )
                         names = found
                         stamps.append(stamp_ns)
@@ -145,10 +138,10 @@ class Recording:
         )
 
     def samples(self):
-        """Samples of all bodies, piece by piece in the order of time: [Samples], an iterator.
+        """Iterator over the samples of all bodies in the order of time: Samples in pieces.
 
-        A sample has the pose and the twist of every body, at one stamp; what is not complete is
-        left out. Raises RecordingError
+        A sample is the pose and twist of every body at one stamp; incomplete samples are omitted.
+        Raises RecordingError.
         """
         wanted = self._motion_topics()
         waiting = {topic: [[], []] for topic in wanted}  # stamps, values
@@ -162,13 +155,13 @@ class Recording:
                 yield from self._merged(wanted, waiting, counts)
             if counts[topic] > MOST_APART + 4 * least:
                 raise RecordingError(
-                    f"{self.path}: the topics of one sample lie more than "
-                    f"{MOST_APART} samples apart in it"
+                    f"{self.path}: the poses and twists of one sample are more than "
+                    f"{MOST_APART} samples apart in the file"
                 )
         yield from self._merged(wanted, waiting, counts)
 
     def _merged(self, wanted, waiting, counts):
-        """Take the complete samples out of what waits."""
+        """Yield the complete samples and remove them from the waiting messages."""
         tracks = {
             topic: (np.concatenate(stamps), np.concatenate(values))
             if stamps
@@ -212,9 +205,9 @@ class Recording:
         }
 
     def _decoded(self, wanted):
-        """(topic, stamps, values) of the messages of poses and twists, piece by piece."""
+        """(topic, stamps, values) of the poses and twists in each chunk."""
         last = {}
-        with TellPath(self.path):
+        with ErrorsWithPath(self.path):
             world, prefix = (
                 self.settings.get(key, default)
                 for key, default in (("world_frame", "world"), ("frame_prefix", ""))
@@ -242,13 +235,13 @@ class Recording:
                         yield channel.topic, stamps, values
 
     def to_pandas(self, what="motion"):
-        """A pandas DataFrame over the time in s.
+        """pandas DataFrame with the time in s as index.
 
         what : "motion"  columns (body, quantity): x, y, z, qx, qy, qz, qw, wx, wy, wz, vx, vy, vz
-               "wrench"  columns body, tx, ty, tz, fx, fy, fz: the total from this time on
+               "wrench"  columns body, tx, ty, tz, fx, fy, fz: the total wrench from this time on
                "joints"  columns (joint, "position" or "velocity")
                "events"  columns name, text
-        raises ImportError without pandas, ValueError for another `what`
+        raises ImportError without pandas, ValueError for any other `what`
         """
         import pandas
 
@@ -306,9 +299,9 @@ class Recording:
 
 
 def read_recording(path):
-    """Recording in a *.mcap file, or at an address of fsspec. Raises RecordingError."""
+    """Recording of a *.mcap file, a path or an fsspec URL. Raises RecordingError."""
     path = str(path) if is_remote(path) else Path(path)
-    with TellPath(path):
+    with ErrorsWithPath(path):
         source = Source(path)
         attachments, stream = source.attachments()
         names = Attachments(attachments, stream)
@@ -323,7 +316,7 @@ def read_recording(path):
         if len(set(bodies)) < len(bodies) or not all(
             isinstance(topics[kind][body], str) for body in bodies for kind in ("pose", "twist")
         ):
-            raise RecordingError("its settings do not name a topic for each of its bodies")
+            raise RecordingError("its settings lack the topics of a body")
         scene_text = names["scene.yaml"].decode()
         scan = Scan(source, settings, bodies)
         problem = scan.problem(source, attachments)
@@ -354,5 +347,5 @@ def _joint_state(payload):
     names = tuple(fields.text() for _ in range(fields.number("I")))
     values = [fields.numbers("d", fields.number("I")) for _ in range(2)]
     if any(len(part) != len(names) for part in values):
-        raise MessageError(f"{JOINT_STATE}: not as many numbers as joints")
+        raise MessageError(f"{JOINT_STATE}: the number of values differs from the number of joints")
     return names, stamp_ns, sum(values, ())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The file of a recording: its attachments, its messages, what is rare in it, what is missing."""
+"""One pass over the file of a recording: attachments, rare messages, counts, missing messages."""
 
 import json
 from pathlib import Path
@@ -9,16 +9,17 @@ import numpy as np
 from liegroup_sim_ros.messages import diagnostics
 from liegroup_sim_ros.messages.codecs import LogCodec, MessageError, WrenchStampedCodec, decode_rows
 
-from .addresses import AddressError, fetch, is_remote
+from .addresses import fetch, is_remote
+from .errors import AddressError, RecordingError
 from .mcap_records import AttachmentPiece, Damaged
 from .read_mcap import McapStream
-from .tracks import Event, RecordingError, WrenchTrack
+from .tracks import Event, WrenchTrack
 
-MOST_EVENTS = 10**6  # of events and of diagnostics; a run has some, once a second
+MOST_EVENTS = 10**6  # limit of events and of diagnostics; a run has about one a second
 
 
-class TellPath:
-    """Makes one RecordingError that begins with the path of all that reading may raise."""
+class ErrorsWithPath:
+    """Context that converts all errors of reading to a RecordingError that begins with the path."""
 
     def __init__(self, path):
         self._path = path
@@ -56,7 +57,7 @@ class Attachments:
             raise RecordingError(
                 f"damaged: {stream.remarks[0]}"
                 if stream.remarks
-                else "ends before anything was written to it"
+                else "truncated before the first attachment"
                 if not (self._found or stream.finished)
                 else f'no attachment "{name}": not a recording of this simulator'
             )
@@ -68,21 +69,21 @@ class Attachments:
         except (ValueError, RecursionError) as error:
             raise RecordingError(f'its attachment "{name}" is damaged: {error}') from None
         if not isinstance(data, dict):
-            raise RecordingError(f'its attachment "{name}" is damaged: it is no JSON object')
+            raise RecordingError(f'its attachment "{name}" is damaged: it is not a JSON object')
         return data
 
 
 class Source:
-    """The bytes of a recording, which may be gone through several times."""
+    """The bytes of a recording, which can be read several times."""
 
     def __init__(self, path):
         self._copy = fetch(path) if is_remote(path) else None
         self.path = Path(self._copy.name) if self._copy else path
         with open(self.path, "rb") as file:
-            self.size = file.seek(0, 2)  # one that is being written may grow meanwhile
+            self.size = file.seek(0, 2)  # the file may grow while it is read
 
     def attachments(self):
-        """({name: bytes}, McapStream); no chunk is unpacked for them."""
+        """({name: bytes}, McapStream); chunks are not decompressed."""
         found = {}
         with open(self.path, "rb") as file:
             stream = McapStream(file, self.size, wanted=lambda *_: False)
@@ -92,9 +93,9 @@ class Source:
         return found, stream
 
     def messages(self, channels=None):
-        """(Messages, [(Channel, indices of its messages)]) of every chunk; `stream` is the reader.
+        """(Messages, [(Channel, indices of its messages)]) of each chunk; `stream` is the reader.
 
-        channels : those that are known, if any
+        channels : channels already known, if any
         """
         with open(self.path, "rb") as file:
             self.stream = stream = McapStream(file, self.size)
@@ -116,16 +117,18 @@ class Source:
 
 
 class Scan:
-    """One pass over a file: what is rare, and what can be counted."""
+    """One pass over a file: events, diagnostics, wrenches and counts."""
 
     def __init__(self, source, settings, bodies):
         topics, before = settings["topics"], settings.get("sequences")
-        before = before if isinstance(before, dict) else {}  # of the part before this one
+        before = before if isinstance(before, dict) else {}  # of the previous part
         self.events, self.diagnostics = [], []
         self._tallies = {}  # channel id -> _Tally
         self._wrenches = {body: ([], []) for body in bodies}
         self._prefix = settings.get("frame_prefix", "")
-        events, told, applied = (topics[key] for key in ("events", "diagnostics", "applied_wrench"))
+        events, figures, applied = (
+            topics[key] for key in ("events", "diagnostics", "applied_wrench")
+        )
         for messages, channels in source.messages():
             for channel, index in channels:
                 if channel.id not in self._tallies:
@@ -138,12 +141,12 @@ class Scan:
                             LogCodec.decode_one(messages.payload(k)) for k in index
                         )
                     ]
-                elif channel.topic == told:
+                elif channel.topic == figures:
                     self.diagnostics += [diagnostics.decode(messages.payload(k)) for k in index]
                 elif channel.topic == applied:
                     self._add_wrenches(messages, index)
             if max(len(self.events), len(self.diagnostics)) > MOST_EVENTS:
-                raise RecordingError(f"holds more than {MOST_EVENTS} events or diagnostics")
+                raise RecordingError(f"contains more than {MOST_EVENTS} events or diagnostics")
         self.channels = source.stream.channels
         for channel in self.channels.values():
             self._tallies.setdefault(channel.id, _Tally(channel.topic))
@@ -157,7 +160,7 @@ class Scan:
                 body = frame.removeprefix(self._prefix)
                 if body not in self._wrenches or self._prefix + body != frame:
                     raise RecordingError(
-                        f"a wrench is on {frame!r:.60}, which is none of its bodies"
+                        f"a wrench acts on {frame!r:.60}, which is not a body of the scene"
                     )
                 self._wrenches[body][0].append(stamps[which == k])
                 self._wrenches[body][1].append(values[which == k])
@@ -180,26 +183,28 @@ class Scan:
         return {tally.topic: tally.lost for tally in self._tallies.values()}
 
     def problem(self, source, attachments):
-        """None, or what is wrong with the file."""
-        stream, said = source.stream, []
+        """What is wrong with the file, or None."""
+        stream, problems = source.stream, []
         if stream.damaged:
-            said.append(f"{stream.damaged} damaged part(s) skipped: {', '.join(stream.remarks)}")
+            problems.append(
+                f"{stream.damaged} damaged part(s) skipped: {', '.join(stream.remarks)}"
+            )
         if not stream.finished:
-            said.append(
-                "not finished: it is still being recorded, the run was ended hard or the "
-                "disk was full; everything up to the last flush is read"
+            problems.append(
+                "not finished: it is still being recorded, the process was killed or the "
+                "disk was full; it is read up to the last flush"
             )
         elif stream.statistics is None:
-            said.append("it has no summary")
+            problems.append("it has no summary")
         elif any(tally.count != tally.written for tally in self._tallies.values()):
-            said.append("its messages are not as many as its summary says")
+            problems.append("the number of messages differs from its summary")
         elif len(attachments) < stream.attachments_indexed:
-            said.append("an attachment is missing")
-        return "; ".join(said) or None
+            problems.append("an attachment is missing")
+        return "; ".join(problems) or None
 
 
 class _Tally:
-    """Counts the messages of a channel, and by their numbers what is missing."""
+    """Counts the messages of a channel, and the missing ones by sequence number."""
 
     def __init__(self, topic, before=None):
         self.topic, self.count, self.written = topic, 0, 0
@@ -214,12 +219,12 @@ class _Tally:
 
     @property
     def lost(self):
-        """Messages missing; sequences count from 1, or on from the part before, or are all 0."""
+        """Missing messages; sequence numbers begin with 1, or continue a part, or are all 0."""
         return max(self._largest - self._different, self.written - self.count, 0)
 
 
 def decode(codec, messages, index):
-    """What decode_rows returns, for messages of one size at a time, in file order."""
+    """Results of decode_rows for runs of messages of one size, in file order."""
     sizes = messages.size[index]
     edges = np.flatnonzero(np.diff(sizes)) + 1
     for part in np.split(index, edges):

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An MCAP file from front to back, chunk by chunk, with the messages of a chunk as arrays.
+"""Sequential reader of MCAP files that returns the messages of a chunk as arrays.
 
-Made for files that nobody vouches for: every length is checked before anything of that size is
-read, unpacked or allocated; check sums are compared wherever the format has them; what is damaged
-is skipped and told. So memory is that of one chunk, and time is linear in the file's size.
-A file that was never finished gives all its closed chunks.
+The file is not trusted: every length is checked before anything of that size is read, decompressed
+or allocated, and all checksums of the format are compared. Damaged chunks are skipped and reported.
+Memory is that of one chunk, time is linear in the size of the file. An unfinished file is read up
+to its last closed chunk.
 
-The library `mcap` makes an object of every message, some 5 us; here a compiled loop finds the
-messages of a chunk, some 10 ns each (benchmarks/recording_analysis.py).
+The library `mcap` creates an object per message, about 5 us. Here a compiled loop finds the
+messages of a chunk, about 10 ns each (benchmarks/recording_analysis.py).
 
 Source: mcap.dev specification, version 0.
 """
@@ -35,7 +35,7 @@ from .mcap_records import (
     parsed,
 )
 
-# Messages outside of chunks are put together to pieces of this size.
+# Messages outside of chunks are collected to pieces of this size.
 PIECE = 2**20  # bytes
 
 _CHUNK_HEAD = 56  # bytes, at most
@@ -55,12 +55,12 @@ class Channel(NamedTuple):
 class Messages(NamedTuple):
     """The messages of a chunk, in file order."""
 
-    data: np.ndarray  # (bytes,) uint8, the unpacked chunk
+    data: np.ndarray  # (bytes,) uint8, the decompressed chunk
     channel: np.ndarray  # (m,) channel id
     sequence: np.ndarray  # (m,)
     log_time: np.ndarray  # (m,) ns
-    start: np.ndarray  # (m,) where in data its payload begins
-    size: np.ndarray  # (m,) bytes of its payload
+    start: np.ndarray  # (m,) offset of the payload in data
+    size: np.ndarray  # (m,) bytes of the payload
 
     def payload(self, k):
         """Bytes of message k."""
@@ -74,9 +74,9 @@ class Messages(NamedTuple):
 
 @subroutine
 def _find_messages(data, channel, sequence, log_time, start, size, other):
-    """Fill the arrays; (messages, other records, bytes walked).
+    """Fill the arrays; returns (number of messages, of other records, bytes read).
 
-    other : (., 3) opcode, start and size of every record that is no message
+    other : (., 3) opcode, start and size of every record that is not a message
     """
     at, end, found, others = 0, len(data), 0, 0
     while at + 9 <= end:
@@ -114,16 +114,16 @@ def _find_messages(data, channel, sequence, log_time, start, size, other):
 
 
 class McapStream:
-    """Reads a file once: `for item in stream` gives AttachmentPiece and Messages.
+    """One pass over a file: `for item in stream` yields AttachmentPiece and Messages.
 
-    file : binary file object that can seek
-    size : bytes of it that count
+    file   : seekable binary file
+    size   : bytes to read
+    wanted : function (offset, start_ns, end_ns) -> whether to read a chunk; None: all chunks
 
-    After that, or on the way, for what came so far: `channels` {id: Channel}, `finished` True when
-    the file's end was reached as it should be, `damaged` parts that were skipped, `remarks` on
-    them, `statistics` {channel id: message count} of the summary or None, `attachments_indexed`
-    number of them there or None. With `wanted`, a function of (offset, start_ns, end_ns), only the
-    chunks are given for which it is true.
+    During and after the pass: `channels` {id: Channel}; `finished` whether the end of the file is
+    intact; `damaged` number of skipped parts and `remarks` on them; `statistics` {channel id:
+    message count} of the summary or None; `attachments_indexed` their number in the summary or
+    None; `offset` of the record of the last item.
     """
 
     def __init__(self, file, size, wanted=None):
@@ -178,7 +178,7 @@ class McapStream:
         if opcode not in _READ:
             return
         if length > LARGEST:
-            self._skip(f"a record of {length} bytes, the largest that is read has {LARGEST}")
+            self._skip(f"a record of {length} bytes; the limit is {LARGEST}")
             return
         try:
             if opcode == Opcode.CHUNK:
@@ -190,9 +190,9 @@ class McapStream:
             if opcode == Opcode.ATTACHMENT:
                 yield attachment_of(data)
             elif opcode == Opcode.STATISTICS:
-                told = parsed(Statistics, data)
-                self.statistics = told.channel_message_counts
-                self.attachments_indexed = told.attachment_count
+                statistics = parsed(Statistics, data)
+                self.statistics = statistics.channel_message_counts
+                self.attachments_indexed = statistics.attachment_count
             else:
                 self._take_names(opcode, data)
         except Damaged as damage:
@@ -204,7 +204,7 @@ class McapStream:
             self.remarks.append(remark)
 
     def _chunk(self, length, at):
-        """Messages of the chunk that begins here, or None for one that is not wanted."""
+        """Messages of the chunk at an offset, or None if it is not wanted."""
         body = self._file.read(min(length, _CHUNK_HEAD))
         head = chunk_head(body)
         if head.data_start + head.length != length:
@@ -231,7 +231,7 @@ class McapStream:
             if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 self._take_names(opcode, data[begin : begin + length].tobytes())
         if walked != len(data):
-            self._skip("a chunk whose records do not fit")
+            self._skip("a chunk with inconsistent record lengths")
         return Messages(
             data, channel[:found], sequence[:found], log_time[:found], start[:found], size[:found]
         )
@@ -241,16 +241,16 @@ class McapStream:
             schema = parsed(Schema, data)
             self._schemas[schema.id] = schema
             return
-        told = parsed(ChannelRecord, data)
-        schema = self._schemas.get(told.schema_id)
+        record = parsed(ChannelRecord, data)
+        schema = self._schemas.get(record.schema_id)
         found = Channel(
-            told.id,
-            told.topic,
-            told.message_encoding,
+            record.id,
+            record.topic,
+            record.message_encoding,
             schema.name if schema else "",
             schema.data if schema else b"",
-            told.metadata,
+            record.metadata,
         )
-        before = self.channels.setdefault(told.id, found)
+        before = self.channels.setdefault(record.id, found)
         if before[:3] != found[:3]:
-            raise Damaged(f"channel {told.id} is said to be two different ones")
+            raise Damaged(f"channel {record.id} has two different definitions")

@@ -1,15 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a recording is made of, as arrays: tracks of bodies and joints, wrenches, events."""
+"""Contents of a recording as arrays: tracks of bodies and joints, wrenches, events."""
 
 from typing import NamedTuple
 
 import numpy as np
-
-from liegroup_core.errors import LieGroupSimError
-
-
-class RecordingError(LieGroupSimError):
-    """The file is not a recording that can be read; one line of text, exit code 2."""
 
 
 class _Timed:

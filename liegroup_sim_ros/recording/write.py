@@ -26,11 +26,11 @@ import time
 from collections import deque
 from pathlib import Path
 
-from liegroup_core.errors import LieGroupSimError
 from liegroup_sim_ros import __version__
 from liegroup_sim_ros.messages import schemas
 
 from .bag_metadata import FILE_NAME, Bag, as_yaml, record_of_file, topic_info
+from .errors import RecorderError
 from .write_mcap import Chunk, McapFile, UnbufferedFile
 
 QUEUE_BYTES = 64 * 2**20  # largest size of the queue; limits it if messages are large
@@ -39,10 +39,6 @@ _IDLE = 5e-3  # s between two checks of the queue
 _INSTANT = 20e-3  # s of wall time in which all messages of an instant arrive
 
 _log = logging.getLogger(__name__)
-
-
-class RecorderError(LieGroupSimError):
-    """The recording cannot start; one line of text, exit code 2."""
 
 
 class Recorder:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of a run without a clock: arrays for NumPy, or a recording like that of the node.
+"""Files of an offline run: arrays for NumPy, or a recording in the format of the node.
 
-Both have sample(sample), finish(simulation, stopped, failed, wall_seconds), `count`, `last_step`,
-and are closed at the end of their `with` block; `stopped` is why the run came to no end, or None.
-They are new files: none is overwritten.
+Both classes have sample(sample), finish(simulation, stopped, failed, wall_seconds), `count` and
+`last_step`. The `with` block closes the file. `stopped` is the reason why the run ended early,
+or None. Existing files are never overwritten.
 """
 
 import json
@@ -11,25 +11,16 @@ from pathlib import Path
 
 import numpy as np
 
-from liegroup_core.errors import LieGroupSimError
-from liegroup_sim_ros.messages import schemas
-from liegroup_sim_ros.messages.codecs import (
-    LogCodec,
-    PoseStampedCodec,
-    TwistStampedCodec,
-    WrenchStampedCodec,
-)
+from liegroup_sim_ros.messages import schemas, topics
+from liegroup_sim_ros.messages.codecs import LogCodec
 from liegroup_sim_ros.messages.samples import poses_and_twists
 
 from . import attachments
-from .write import Recorder, RecorderError
+from .errors import OutputError, RecorderError
+from .write import Recorder
 
-NODE = "/sim_node"  # names the topics, as a run of the node would
+NODE = "/sim_node"  # the topics have the names that they have in a run of the node
 WORLD_FRAME = "world"
-
-
-class OutputError(LieGroupSimError):
-    """The file cannot be written; one line of text, exit code 2."""
 
 
 class ArrayFile:
@@ -56,8 +47,8 @@ class ArrayFile:
             self._stream = open(self._path, "xb")
         except MemoryError:
             raise OutputError(
-                f"{path}: {samples} samples of {n} bodies do not fit into memory: "
-                "take fewer, --every, or write *.mcap"
+                f"{path}: {samples} samples of {n} bodies do not fit into memory; "
+                "take fewer with --every, or write *.mcap"
             ) from None
         except FileExistsError:
             raise OutputError(
@@ -73,7 +64,7 @@ class ArrayFile:
         self._stream.close()
 
     def sample(self, sample):
-        """Take up a sample."""
+        """Append a sample."""
         for name, value in (
             ("time", sample.time),
             ("steps", sample.steps),
@@ -107,36 +98,30 @@ class LogFile:
     def __init__(self, path, simulation, every, _samples):
         self.count, self.last_step = 0, -1
         bodies = simulation.layout.body_names
-        topics = {
-            "pose": {b: f"{NODE}/{b}/pose" for b in bodies},
-            "twist": {b: f"{NODE}/{b}/twist" for b in bodies},
-            "applied_wrench": f"{NODE}/applied_wrench",
-            "events": f"{NODE}/events",
+        pairs = [(topics.pose(body), topics.twist(body)) for body in bodies]
+        names = {
+            "pose": {b: pose.resolved(NODE) for b, (pose, _) in zip(bodies, pairs)},
+            "twist": {b: twist.resolved(NODE) for b, (_, twist) in zip(bodies, pairs)},
+            "applied_wrench": topics.APPLIED_WRENCH.resolved(NODE),
+            "events": topics.EVENTS.resolved(NODE),
             "clock": None,
-            "diagnostics": "/diagnostics",
+            "diagnostics": topics.DIAGNOSTICS.resolved(NODE),
         }
         try:
-            for codec in (PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec, LogCodec):
-                schemas.definition(codec.TYPE)
-                schemas.type_hash(codec.TYPE)
+            for topic in (*sum(pairs, ()), topics.APPLIED_WRENCH, topics.EVENTS):
+                schemas.definition(topic.type)
+                schemas.type_hash(topic.type)
             self._recorder = Recorder(
-                path, attachments.at_start(simulation, NODE, WORLD_FRAME, every, topics)
+                path, attachments.at_start(simulation, NODE, WORLD_FRAME, every, names)
             )
         except schemas.SchemaError as error:
             raise OutputError(f"{path}: {error}; *.npz needs no ROS") from None
         except RecorderError as error:
             raise OutputError(str(error)) from None
-        add = self._recorder.add_channel
         self._encode = poses_and_twists(bodies, WORLD_FRAME)
-        self._channels = [
-            (
-                add(topics["pose"][b], PoseStampedCodec.TYPE),
-                add(topics["twist"][b], TwistStampedCodec.TYPE),
-            )
-            for b in bodies
-        ]
-        add(topics["applied_wrench"], WrenchStampedCodec.TYPE)
-        self._events = add(topics["events"], LogCodec.TYPE, "transient_local")
+        self._channels = [tuple(map(self._channel, pair)) for pair in pairs]
+        self._channel(topics.APPLIED_WRENCH)
+        self._events = self._channel(topics.EVENTS)
         self._event(0, "start", f"{simulation.scene.name} at step 0, without a clock")
 
     def __enter__(self):
@@ -144,9 +129,12 @@ class LogFile:
 
     def __exit__(self, *exception):
         self._recorder.close()
-        # A failure of the disk is no exception there: a simulation in real time goes on.
+        # The recorder raises no disk errors, so that a simulation in real time continues.
         if exception[0] is None and self._recorder.failure:
             raise OutputError(self._recorder.failure)
+
+    def _channel(self, topic):
+        return self._recorder.add_channel(topic.resolved(NODE), topic.type, topic.qos, topic.depth)
 
     def _event(self, stamp_ns, name, text, level=LogCodec.INFO):
         self._recorder.write(self._events, stamp_ns, LogCodec.encode(stamp_ns, level, name, text))
@@ -160,7 +148,7 @@ class LogFile:
         self.count, self.last_step = self.count + 1, sample.steps
 
     def finish(self, simulation, stopped, failed, wall_seconds):
-        """Say how the run ended, and how fast it was."""
+        """Record how the run ended, and its speed."""
         stamp = simulation.time_ns
         if failed:
             self._event(stamp, "fault", stopped, LogCodec.ERROR)

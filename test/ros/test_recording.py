@@ -221,7 +221,7 @@ def test_what_is_no_recording_is_one_clear_line(tmp_path, content, said):
         ("settings.json", b"{}", "it has format None, this version reads format 1"),
         ("settings.json", b"{", 'its attachment "settings.json" is damaged'),
         ("settings.json", b'{"format": 1}', "lack an entry: KeyError"),
-        ("initial_state.json", b"[]", "is damaged: it is no JSON object"),
+        ("initial_state.json", b"[]", "is damaged: it is not a JSON object"),
         ("scene.yaml", None, 'no attachment "scene.yaml"'),
     ],
 )

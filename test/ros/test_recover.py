@@ -18,8 +18,8 @@ from rosbags.highlevel import AnyReader
 
 from liegroup_sim_ros.commands.info import as_json
 from liegroup_sim_ros.commands.main import main
-from liegroup_sim_ros.commands.recover import write_recovered
 from liegroup_sim_ros.recording import write_mcap
+from liegroup_sim_ros.recording.damaged_recover import write_recovered
 from liegroup_sim_ros.recording.damaged_survey import survey
 from liegroup_sim_ros.recording.mcap_records import LARGEST
 from liegroup_sim_ros.recording.read import RecordingError
@@ -167,7 +167,7 @@ def test_readers_open_what_was_recovered_and_it_says_what_is_missing(tmp_path, c
     assert main(["recover", str(path)]) == 0
     said = capsys.readouterr().out
     out = tmp_path / "run_recovered.mcap"
-    assert "a damaged chunk" in said and "what came after is lost" in said
+    assert "a damaged chunk" in said and "the end of the run is missing" in said
     assert "its end is missing" in said
     assert path.read_bytes() == before
     found = survey(out)
@@ -364,7 +364,7 @@ def test_hostile_files_take_little_memory_and_time_and_one_line(tmp_path):
     assert child.returncode == 0, errors[-2000:]
     results = json.loads(output)
     assert "more than 100 times its size" in results["many chunks that grow: recover"][1]
-    assert "claims to hold" in results["bomb that claims 2^60: info"][2]
+    assert "claims to contain" in results["bomb that claims 2^60: info"][2]
     assert "beyond the end of its record" in results["length beyond its record: info"][2]
     for name, (code, out, err, seconds, megabytes) in results.items():
         assert code in (0, 2), name

@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Topics that are in every recording of a run: name, message type, quality of service.
+
+The node publishes and records them; `liegroup_sim run` records the same ones, without those that
+need a clock. Optional topics, each made by one function: samples.py, markers.py.
+"""
+
+from typing import NamedTuple
+
+from . import diagnostics
+from .codecs import ClockCodec, LogCodec, PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec
+
+
+class Topic(NamedTuple):
+    """A topic; a name that begins with "~/" is relative to the node."""
+
+    name: str
+    type: str
+    qos: str = "reliable"  # as in schemas.qos_profile
+    depth: int = 10
+
+    def resolved(self, node):
+        """Fully qualified name for a node with the given fully qualified name."""
+        return node + self.name[1:] if self.name.startswith("~") else self.name
+
+
+def pose(body):
+    """Pose of a body in the world frame."""
+    return Topic(f"~/{body}/pose", PoseStampedCodec.TYPE)
+
+
+def twist(body):
+    """Body twist of a body."""
+    return Topic(f"~/{body}/twist", TwistStampedCodec.TYPE)
+
+
+# Many wrenches may change at one step.
+APPLIED_WRENCH = Topic("~/applied_wrench", WrenchStampedCodec.TYPE, depth=100)
+EVENTS = Topic("~/events", LogCodec.TYPE, "transient_local")
+CLOCK = Topic("/clock", ClockCodec.TYPE, depth=1)
+STATE = Topic("~/state", diagnostics.TYPE)
+DIAGNOSTICS = Topic("/diagnostics", diagnostics.TYPE)

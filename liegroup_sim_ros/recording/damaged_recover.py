@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A readable file from the intact records of a truncated or damaged one, for `recover`."""
+
+import json
+import os
+from pathlib import Path
+
+import yaml
+
+from . import bag_metadata
+from .damaged_survey import Survey, clean, open_file, walk
+from .errors import RecordingError
+from .mcap_records import Damaged
+from .write import LIBRARY
+from .write_mcap import Chunk, McapFile
+
+NOTE = "recovered"  # metadata record of a recovered file
+
+
+def write_recovered(found, out):
+    """Write all intact records of a surveyed file to a new one; returns the number of messages.
+
+    Raises RecordingError; the new file is then removed.
+    """
+    out = Path(out)
+    if out.suffix != ".mcap":
+        raise RecordingError(f"{out}: the file name must end in .mcap")
+    try:
+        file = open(out, "xb")
+    except FileExistsError:
+        raise RecordingError(
+            f"{out}: the file already exists; choose another name with -o"
+        ) from None
+    except (OSError, ValueError) as error:
+        raise RecordingError(
+            f"{out}: cannot be written: {getattr(error, 'strerror', None) or error}"
+        ) from None
+    try:
+        with file:
+            return _copy(found, file, out.name)
+    except BaseException as error:
+        os.unlink(out)
+        if isinstance(error, OSError):
+            raise RecordingError(f"{out}: cannot be written: {error.strerror or error}") from None
+        if isinstance(error, Damaged):
+            raise RecordingError(
+                f"{found.path}: {error}: the file changed while it was read"
+            ) from None
+        raise
+
+
+def _copy(found, file, name):
+    new = McapFile(file, LIBRARY, clean(found.profile))
+    schemas, channels = {}, {}  # ids in the old file -> in the new one
+    chunk = Chunk()
+
+    def end_chunk():
+        nonlocal chunk
+        new.write_chunk(chunk)
+        chunk = Chunk()
+
+    def channel(number):
+        """New id of a channel; its definitions are written when first needed."""
+        if number not in channels:
+            old = found.channels[number]
+            schema = found.schemas.get(old.schema_id)
+            if schema is not None and schema.id not in schemas:
+                schemas[schema.id] = new.add_schema(schema.name, schema.encoding, schema.data)
+            channels[number] = new.add_channel(
+                old.topic, old.message_encoding, schemas.get(old.schema_id, 0), old.metadata
+            )
+        return channels[number]
+
+    def copy_block(block):
+        data = block.data
+        for number, sequence, log_time, publish_time, start, end in block.messages():
+            if number in found.channels:
+                if chunk.ends_before(log_time):
+                    end_chunk()
+                chunk.add(
+                    channels.get(number) or channel(number),
+                    log_time,
+                    data[start:end],
+                    sequence,
+                    publish_time,
+                )
+
+    def copy_attachment(piece):
+        end_chunk()
+        new.add_attachment(
+            piece.create_time, piece.log_time, piece.name, piece.media_type, piece.data
+        )
+
+    def copy_metadata(piece):
+        if piece.name not in (NOTE, "rosbag2"):
+            new.add_metadata(piece.name, piece.metadata)
+
+    stream, size = open_file(found.path)
+    with stream:
+        walk(stream, Survey(found.path, size), copy_block, copy_attachment, copy_metadata)
+    for number in found.channels:  # including topics without messages
+        channel(number)
+    end_chunk()
+    new.add_metadata(
+        NOTE,
+        {
+            "from": found.path.name,
+            "problems": json.dumps(list(found.problems)),
+            "lost": json.dumps(found.lost),
+            "unfinished": str(found.unfinished),
+        },
+    )
+    topics = [
+        (_topic_info(found, old), new.counts[channels[number]])
+        for number, old in found.channels.items()
+    ]
+    new.add_metadata("rosbag2", bag_metadata.record_of_file(name, new.stamps, topics))
+    new.finish()
+    file.flush()
+    return sum(new.counts.values())
+
+
+def _topic_info(found, channel):
+    """rosbag2's description of a topic, from the metadata of its channel."""
+    try:
+        qos = yaml.safe_load(channel.metadata.get("offered_qos_profiles", ""))
+    except (yaml.YAMLError, RecursionError, ValueError):
+        qos = None
+    schema = found.schemas.get(channel.schema_id)
+    return bag_metadata.topic_info(
+        channel.topic,
+        schema.name if schema else "",
+        qos if isinstance(qos, list) else [],
+        channel.metadata.get("topic_type_hash", ""),
+    )
