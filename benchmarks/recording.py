@@ -229,7 +229,7 @@ def readers(folder, _):
     counts = {each.topic: each.count for each in found.figures.values()}
     check(all(counts.values()), "a topic has no message")
     print(f"\na log of the node with all its {len(counts)} topics, {found.count} messages")
-    for name in ("mcap_ros2", "rosbags"):
+    for name in ("mcap_ros2", "rosbags", "pybag", "small_mcap"):
         answer = json.loads(
             subprocess.run(
                 [sys.executable, SIDE / "decode.py", name, path],

@@ -8,7 +8,7 @@ from rich.console import Console
 
 from liegroup_sim_ros.playback.player_file import PlayError, PlayFile
 from liegroup_sim_ros.playback.repeat import ReplayError
-from liegroup_sim_ros.playback.resimulate import resimulate, told
+from liegroup_sim_ros.playback.resimulate import report, resimulate
 from liegroup_sim_ros.recording.read import read_recording
 
 EXIT_DIFFERENT = 1
@@ -27,41 +27,50 @@ def add_arguments(parser):
         "Exit code: 0; 1 if --resimulate finds a difference where there must be none, or one "
         "above --bound; 2 if a file cannot be read."
     )
-    parser.add_argument("file", metavar="FILE", help="recording (*.mcap), or an address of one")
+    parser.add_argument("file", metavar="FILE", help="recording (*.mcap): a path or URL")
     parser.add_argument(
         "--rate",
         type=float,
         default=1.0,
         metavar="X",
-        help="simulated seconds per second; 0: as fast as it goes (default: 1)",
+        help="simulated seconds per second; 0: as fast as possible (default: 1)",
     )
     parser.add_argument(
         "--start",
         type=float,
         default=0.0,
         metavar="S",
-        help="begin so many seconds after the first message",
+        help="start time, s after the first message (default: 0)",
     )
-    parser.add_argument("--loop", action="store_true", help="begin anew at the end")
-    parser.add_argument("--start-paused", action="store_true", help="wait for ~/resume")
+    parser.add_argument("--loop", action="store_true", help="start again at the end")
+    parser.add_argument(
+        "--start-paused", action="store_true", help="start paused, until ~/resume is called"
+    )
     parser.add_argument(
         "--clock-rate",
         type=float,
         default=100.0,
         metavar="HZ",
-        help="of /clock, if it was not recorded (default: %(default)g)",
+        help="rate of /clock if it was not recorded (default: %(default)g)",
     )
     parser.add_argument(
         "--resimulate",
         action="store_true",
-        help="simulate it again and compare; nothing is published",
+        help="simulate the run again and compare; publish nothing",
     )
-    parser.add_argument("--method", metavar="NAME", help="another method: an experiment")
-    parser.add_argument("--step", type=float, metavar="S", help="another step, s: an experiment")
-    parser.add_argument("--group", metavar="NAME", help="another group: an experiment")
-    parser.add_argument("--stabilisation", metavar="KIND", help="another one: an experiment")
+    parser.add_argument("--method", metavar="NAME", help="with --resimulate: use another method")
     parser.add_argument(
-        "--bound", type=float, metavar="X", help="largest difference that passes, m and rad"
+        "--step", type=float, metavar="S", help="with --resimulate: use another step, s"
+    )
+    parser.add_argument("--group", metavar="NAME", help="with --resimulate: use another group")
+    parser.add_argument(
+        "--stabilisation", metavar="KIND", help="with --resimulate: use another stabilisation"
+    )
+    parser.add_argument(
+        "--bound",
+        type=float,
+        metavar="X",
+        help="with --resimulate: largest accepted difference, m and rad",
     )
 
 
@@ -76,7 +85,7 @@ def run(args):
         return _resimulate(args.file, other, args.bound)
     if other or args.bound is not None:
         raise ReplayError(
-            "--method, --step, --group, --stabilisation and --bound go with --resimulate"
+            "--method, --step, --group, --stabilisation and --bound require --resimulate"
         )
     for name in ("rate", "start", "clock_rate"):
         value = getattr(args, name)
@@ -86,22 +95,26 @@ def run(args):
             )
     file = PlayFile(read_recording(args.file))
     if args.start > file.seconds:
-        raise PlayError(f"--start {args.start:g}: the recording has {file.seconds:.6g} s")
+        raise PlayError(
+            f"--start {args.start:g}: the recording has {file.seconds:.6g} s; start earlier"
+        )
     try:
         from liegroup_sim_ros.playback.player import play
     except ImportError as error:
         if (error.name or "").startswith("liegroup"):
             raise
-        raise PlayError(f"ROS 2 is needed to publish: {error}; --resimulate needs none") from None
+        raise PlayError(
+            f"publishing requires ROS 2: {error}; --resimulate works without it"
+        ) from None
     return play(file, args)
 
 
 def _resimulate(path, other, bound):
     with Console(stderr=True).status("simulating again") as status:
         figures = resimulate(read_recording(path), status.update, **other)
-    lines, wrong = told(figures, bound)
+    lines, failure = report(figures, bound)
     print("\n".join(lines))
-    if wrong:
-        print(f"liegroup_sim: {wrong}", file=sys.stderr)
+    if failure:
+        print(f"liegroup_sim: {failure}", file=sys.stderr)
         return EXIT_DIFFERENT
     return 0

@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """ROS messages as bytes: samples of the core to CDR, and back.
 
-In: Samples, numbers, time stamps in nanoseconds. Out: CDR bytes and schemas. No ROS is imported;
-no file, topic or clock is known here.
+In: Samples, numbers, time stamps in nanoseconds. Out: CDR bytes, message definitions, topics. This
+folder imports no ROS and knows no files and no clocks.
+
+A message has one place, which names its type and encodes it: a function of samples.py for what a
+Sample gives, markers.py, diagnostics.py, or a class of codecs.py for the messages that are also
+decoded. schemas.py finds the definition of any type. topics.py names the topics of every recording.
 """

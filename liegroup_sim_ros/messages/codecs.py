@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CDR of the few ROS messages that leave at simulation rate; no ROS is imported here.
+"""CDR codecs of the ROS messages that are sent at simulation rate or decoded; imports no ROS.
 
 Plain CDR (encapsulation 00 01, little endian): stamp and frame id of std_msgs/Header, then float64
-values on the next multiple of 8 bytes, counted from behind the 4-byte encapsulation. For one frame
-id every offset is fixed, so a message is a few pieces of bytes and a list of messages is one numpy
-view; both come from `_offset_of_values`. `encode` gives the bytes of
-rclpy.serialization.serialize_message (test_messages.py), but for the gap behind the frame id: Fast
-CDR leaves there what was in memory, here it is zero, so that equal messages are equal bytes and
+values at the next multiple of 8 bytes after the 4-byte encapsulation. For one frame id every
+offset is fixed, so a message is a few pieces of bytes and a list of messages is one numpy view;
+both use `_offset_of_values`. `encode` returns the bytes of
+rclpy.serialization.serialize_message (test_messages.py), except for the padding after the frame
+id: Fast CDR leaves it uninitialised, here it is zero. Equal messages are therefore equal bytes, and
 recordings can be compared.
 
-Numbers may come as any sequence; an array's .tolist() packs three times faster than the array.
-Stamps are int nanoseconds. Quaternions are x, y, z, w. Six-vectors are angular first here,
-(omega, v) and (torque, force), and linear first in the messages: the swap is made in this file
-only. Decoding also takes big-endian messages and mixed frame ids, as other recorders may write
-them; anything else raises MessageError, one line of text.
+Numbers are any sequence; an array's .tolist() packs three times faster than the array. Stamps are
+int nanoseconds. Quaternions are x, y, z, w. Six-vectors are angular first here, (omega, v) and
+(torque, force), and linear first in the messages; only this file and samples.py swap them. Decoders
+also accept big-endian messages and mixed frame ids, as other recorders may write them. Anything
+else raises MessageError, one line of text.
 
 Source: OMG DDS-RTPS 2.3 section 10 (encapsulation), CORBA 3.3 part 2, section 9.3 (CDR).
 """
@@ -32,7 +32,7 @@ _ANGULAR_FIRST = [3, 4, 5, 0, 1, 2]  # linear first <-> angular first; its own i
 
 
 class MessageError(ValueError):
-    """A payload that is not a message of the expected type; one line of text."""
+    """The payload is not a message of the expected type; one line of text."""
 
 
 class Poses(NamedTuple):
@@ -55,10 +55,10 @@ class Wrenches(NamedTuple):
 
 
 class Fields:
-    """The fields of a message one after the other, for those that are rare.
+    """Sequential decoder of the fields of a message, for rare messages.
 
-    name, payload : type of the message and its bytes, plain CDR
-    All methods raise MessageError where the bytes end too early.
+    name, payload : message type and its bytes in plain CDR
+    All methods raise MessageError if the bytes end too early.
     """
 
     def __init__(self, name, payload):
@@ -77,7 +77,7 @@ class Fields:
         self._at += (len(_LITTLE_ENDIAN) - self._at) % size if count else 0
         if count * size > len(self._payload) - self._at:
             raise MessageError(
-                f"{self._name}: a message is cut short or of another type: "
+                f"{self._name}: a message is truncated or of another type: "
                 f"{len(self._payload)} bytes"
             )
         values = struct.unpack_from(f"{self._order}{count}{form}", self._payload, self._at)
@@ -89,7 +89,7 @@ class Fields:
         size = self.number("I")
         if size > len(self._payload) - self._at:
             raise MessageError(
-                f"{self._name}: a message is cut short or of another type: "
+                f"{self._name}: a message is truncated or of another type: "
                 f"{len(self._payload)} bytes"
             )
         self._at += size
@@ -101,7 +101,7 @@ class Fields:
 
 
 def pack_stamp(stamp_ns):
-    """The 8 bytes of a stamp, for `encode_packed`: the same for all messages of an instant."""
+    """The 8 bytes of a stamp, for `encode_packed`: once for all messages of an instant."""
     return _STAMP(*divmod(stamp_ns, 1_000_000_000))
 
 
@@ -172,19 +172,19 @@ class WrenchStampedCodec:
 
     @classmethod
     def decode_one(cls, payload):
-        """(stamp in ns, frame id, (torque, force)) of one message, a tenth of the time."""
+        """(stamp in ns, frame id, (torque, force)) of one message; ten times faster than `decode`."""
         try:
             order = _BYTE_ORDER[payload[:2]]
             sec, nanosec, frame_size = struct.unpack_from(f"{order}iII", payload, 4)
             values = struct.unpack_from(f"{order}6d", payload, _offset_of_values(frame_size))
         except (KeyError, struct.error):
-            raise MessageError(f"{cls.TYPE}: not plain CDR, cut short or of another type") from None
+            raise MessageError(f"{cls.TYPE}: not plain CDR, truncated or of another type") from None
         frame_id = payload[_FRAME_ID : _FRAME_ID + frame_size - 1].decode(errors="replace")
         return sec * 1_000_000_000 + nanosec, frame_id, values[3:] + values[:3]
 
 
 class ClockCodec:
-    """rosgraph_msgs/msg/Clock: a stamp and nothing else.
+    """rosgraph_msgs/msg/Clock, which contains only a stamp.
 
     ClockCodec.encode(stamp_ns) -> bytes
     """
@@ -223,9 +223,9 @@ class LogCodec:
 
 
 def _offset_of_values(frame_size):
-    """Where the float64 values start in the payload; frame_size counts the closing NUL."""
+    """Offset of the float64 values in the payload; frame_size includes the closing NUL."""
     end = _FRAME_ID + frame_size
-    return end + (4 - end) % 8  # alignment counts from behind the encapsulation
+    return end + (4 - end) % 8  # alignment counts from the end of the encapsulation
 
 
 def _packer(frame_id):
@@ -291,7 +291,7 @@ def _decode_same(type_name, rows, nvalues):
     )
     start = _offset_of_values(frame_size)
     if frame_size < 1 or size < start + 8 * nvalues:
-        raise MessageError(f"{type_name}: a message is cut short or of another type: {size} bytes")
+        raise MessageError(f"{type_name}: a message is truncated or of another type: {size} bytes")
     rows = np.ascontiguousarray(rows).view(
         np.dtype(
             {

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""diagnostic_msgs/DiagnosticArray of a simulation: its figures, and what to think of them."""
+"""diagnostic_msgs/DiagnosticArray of a simulation: its figures and their severity."""
 
 import sys
 
@@ -19,7 +19,7 @@ def encode(stamp_ns, name, figures):
     template.header("")
     template.put("I", 1)
     template.put("B", level)
-    for string in (name, text, ""):  # the last one is the hardware's
+    for string in (name, text, ""):  # the last one is the hardware id
         template.string(string)
     template.put("I", len(figures))
     for key, value in figures.items():
@@ -29,7 +29,7 @@ def encode(stamp_ns, name, figures):
 
 
 def decode(payload):
-    """(stamp in ns, {key: text}) of a message, all its statuses together. Raises MessageError."""
+    """(stamp in ns, {key: text} of all statuses) of a message. Raises MessageError."""
     fields, values = Fields(TYPE, payload), {}
     stamp_ns = fields.stamp_ns()
     fields.text()
@@ -44,7 +44,7 @@ def decode(payload):
 
 
 def judge(figures):
-    """Level and one line about the state."""
+    """(severity, one line of text) for the state of a simulation."""
     if figures["state"] == "faulted":
         return ERROR, "stopped by an error: see ~/events, call ~/reset"
     if figures.get("recorder_failure"):

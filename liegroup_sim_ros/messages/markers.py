@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""visualization_msgs/MarkerArray of a scene for RViz and Foxglove. No ROS is imported here.
+"""visualization_msgs/MarkerArray of a scene for RViz and Foxglove. Imports no ROS.
 
-Bodies are drawn as their shapes, and those without one as the homogeneous box of the same mass and
-inertia: its edges are x^2 = 6 (I_y + I_z - I_x) / m about the principal axes. Joints are small
-balls at the child's joint frame. What is applied to a body from outside is an arrow at its origin
-for the force, and one for the torque, as long as `arrow_scale` says.
+A body is drawn as its shape. A body without a shape is drawn as the homogeneous box of the same
+mass and inertia, with edges x^2 = 6 (I_y + I_z - I_x) / m about the principal axes. A joint is a
+small sphere at the child's joint frame. An applied wrench is drawn as two arrows at the body's
+origin, one for the force and one for the torque; `arrow_scale` sets their length.
 """
 
 import math
@@ -20,19 +20,19 @@ ADD, DELETE, DELETE_ALL = 0, 2, 3
 BODY_COLOR = (0.35, 0.55, 0.8, 0.9)
 JOINT_COLOR = (0.9, 0.6, 0.1, 1.0)
 FORCE_COLOR, TORQUE_COLOR = (0.8, 0.1, 0.1, 1.0), (0.5, 0.1, 0.7, 1.0)
-# Parts of the size of the scene's largest body.
+# Relative to the size of the largest body of the scene.
 JOINT_SIZE, SHAFT, HEAD = 0.08, 0.03, 0.06
-THINNEST = 0.01  # RViz draws nothing of size 0
+THINNEST = 0.01  # smallest size of a marker; RViz does not draw size 0
 TYPES = {"box": CUBE, "cylinder": CYLINDER, "rod": CYLINDER, "sphere": SPHERE}
 
 
 class Markers:
-    """Encodes all markers of a scene.
+    """Encoder of all markers of a scene.
 
     layout      : Layout of the scene
     world_frame : frame id of the poses
     arrow_scale : m per N and per N m; may be changed
-    wrenches    : {body: (torque, force)} in body axes, what acts; kept by the caller
+    wrenches    : {body: (torque, force)} in body axes, the acting wrenches; updated by the caller
     """
 
     def __init__(self, layout, world_frame, arrow_scale, wrenches):
@@ -47,7 +47,7 @@ class Markers:
         self._end = Template()
         self._end.put("I", 1)
         _add(self._end, "", 0, CUBE, world_frame, (0.0,) * 3, (0.0,) * 4)
-        self._owner, self._local = [], []  # body and pose in it, of each marker but the arrows
+        self._owner, self._local = [], []  # body, and pose in it, of each marker except arrows
         template.put("I", len(solids) + len(scene.joints) + 2 * len(solids))
         for i, (kind, size, local) in enumerate(solids):
             _add(
@@ -66,7 +66,7 @@ class Markers:
             _add(
                 template, "joints", i, SPHERE, world_frame, (JOINT_SIZE * largest,) * 3, JOINT_COLOR
             )
-            local = frame.copy()  # in the frame at the centre of mass
+            local = frame.copy()  # relative to the frame at the centre of mass
             local[:3, 3] += offsets[joint.child]
             self._owner.append(place[joint.child])
             self._local.append(local)
@@ -100,12 +100,12 @@ class Markers:
         return self._template.pack(*slots)
 
     def encode_end(self, stamp_ns):
-        """The serialized message that takes all markers away; viewers keep them otherwise."""
+        """The serialized message that deletes all markers; viewers keep them otherwise."""
         return self._end.pack(stamp(stamp_ns), (DELETE_ALL,), (0.0,) * 6 + (1.0,))
 
 
 def _add(template, namespace, number, kind, frame, size, color):
-    """One visualization_msgs/Marker; slots: stamp, action, pose, and of arrows the points."""
+    """Append a visualization_msgs/Marker; slots: stamp, action, pose, and for arrows the points."""
     template.header(frame)
     template.string(namespace)
     template.put("2i", number, kind)
@@ -113,7 +113,7 @@ def _add(template, namespace, number, kind, frame, size, color):
     template.slot("7d")
     template.put("3d", *size)
     template.put("4f", *color)
-    template.put("iI", 0, 0)  # lifetime: for ever
+    template.put("iI", 0, 0)  # lifetime: unlimited
     template.put("B", False)  # not locked to the frame
     template.put("I", 2 if kind == ARROW else 0)
     if kind == ARROW:
@@ -132,12 +132,12 @@ def _add(template, namespace, number, kind, frame, size, color):
 
 
 def markers(encoder):
-    """[(topic, type, encode)] as in sample_messages.py."""
+    """[(topic, type, encode)] as in samples.py."""
     return [("~/markers", "visualization_msgs/msg/MarkerArray", encoder.encode)]
 
 
 def solid(body):
-    """(kind of marker, sizes (3,) in m, pose (4, 4) in the body frame) that a body is drawn as."""
+    """(kind of marker, sizes (3,) in m, pose (4, 4) in the body frame) that represent a body."""
     local = np.eye(4)
     shape = body.shape
     if shape is None:

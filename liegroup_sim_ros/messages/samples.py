@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages about all bodies or joints at one instant, made from a Sample. No ROS is imported here.
+"""Messages with the state of all bodies or joints at one instant, from a Sample. Imports no ROS.
 
-Each function but the first takes a scene's Layout, the world's frame id and what those of bodies
-begin with. It returns [(topic, type, encode)], one entry for a topic, and `encode(stamp_ns,
-sample)` gives the serialized message. Poses are in the world frame, twists are
-body twists: components in body axes, of the body frame's origin.
+Each function except the first takes a scene's Layout, the frame id of the world and the prefix of
+the frame ids of bodies. It returns [(topic, type, encode)], one entry per topic;
+`encode(stamp_ns, sample)` returns the serialized message. Poses are in the world frame. Twists are
+body twists: the velocity of the body frame's origin and the angular velocity, in body axes.
 """
 
 import math
@@ -16,13 +16,13 @@ _POSE, _BODY = 7 * 8, 13 * 8  # bytes of a pose, and of a body, in Sample.rows
 
 
 def poses_and_twists(body_names, world_frame, frame_prefix=""):
-    """Function (stamp_ns, sample) -> [(PoseStamped, TwistStamped)] of all bodies, serialized."""
+    """Function (stamp_ns, sample) -> serialized [(PoseStamped, TwistStamped)] of all bodies."""
     encode_pose = PoseStampedCodec(world_frame).encode_packed
     encoders = [TwistStampedCodec(frame_prefix + body).encode_packed for body in body_names]
     places = [(k * _BODY, k * _BODY + _POSE, (k + 1) * _BODY) for k in range(len(body_names))]
 
     def encode(stamp_ns, sample):
-        # Bytes of all bodies at once: numbers one by one cost several times more.
+        # Bytes of all bodies at once: single numbers cost several times more.
         time, rows = pack_stamp(stamp_ns), sample.rows.tobytes()
         return [
             (encode_pose(time, rows[first:middle]), encode_twist(time, rows[middle:end]))
@@ -33,7 +33,7 @@ def poses_and_twists(body_names, world_frame, frame_prefix=""):
 
 
 def odometry(layout, world_frame, frame_prefix=""):
-    """nav_msgs/Odometry of every body: pose and body twist in one; covariances are zero."""
+    """nav_msgs/Odometry of every body: pose and body twist; covariances are zero."""
 
     def of_body(body):
         template = Template()
@@ -52,7 +52,7 @@ def odometry(layout, world_frame, frame_prefix=""):
 
 
 def velocities(layout, world_frame, frame_prefix=""):
-    """geometry_msgs/VelocityStamped of every body: its body twist, relative to the world."""
+    """geometry_msgs/VelocityStamped of every body: body twist relative to the world."""
 
     def of_body(body):
         template = Template()
@@ -117,7 +117,7 @@ def joint_states(layout, world_frame, frame_prefix=""):
 
 
 def transforms(layout, world_frame, frame_prefix=""):
-    """tf2_msgs/TFMessage: world frame to every body frame."""
+    """tf2_msgs/TFMessage: transforms from the world frame to every body frame."""
     bodies = layout.body_names
     template = Template()
     template.put("I", len(bodies))

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an MCAP channel of profile `ros2` says about its messages: definition, type hash, QoS.
+"""Description of messages in an MCAP channel of profile `ros2`: definition, type hash, QoS.
 
 Definitions and hashes are read from the installed interface packages,
-`<prefix>/share/<package>/msg`, the files that rosbag2 reads. The prefix is found from where the
-package's Python module is, so it works alike for an apt or colcon installation and for wheels in a
-virtual environment, with or without AMENT_PREFIX_PATH, and imports no ROS library.
+`<prefix>/share/<package>/msg`, as rosbag2 does. The prefix is derived from the location of the
+package's Python module. This works for apt and colcon installations and for wheels in a virtual
+environment, with or without AMENT_PREFIX_PATH, and imports no ROS library.
 
 Source: mcap.dev specification, appendix "ros2msg" and profile "ros2"; REP 2011 (type hash);
 rosbag2 bag metadata version 9 (QoS by name).
@@ -28,7 +28,7 @@ _FOREVER = {"sec": 9223372036, "nsec": 854775807}  # RMW_DURATION_INFINITE
 
 
 class SchemaError(LieGroupSimError):
-    """A message type that is not installed here; one line of text."""
+    """The message type is not installed; one line of text."""
 
 
 @lru_cache(maxsize=None)
@@ -67,9 +67,9 @@ def type_hash(msg_type):
 
 
 def qos_profile(kind="reliable", depth=10):
-    """What the publisher offered, as rosbag2 keeps it; `ros2 bag play` publishes with it again.
+    """QoS that the publisher offered, as rosbag2 stores it; `ros2 bag play` publishes with it.
 
-    kind: "reliable", "best_effort" or "transient_local" (reliable, and kept for late subscribers).
+    kind: "reliable", "best_effort" or "transient_local" (reliable, and stored for late subscribers).
     """
     reliability, durability = {
         "reliable": ("reliable", "volatile"),
@@ -95,7 +95,7 @@ def _split(msg_type):
 
 
 def _share_file(package, name, suffix):
-    """share/<package>/msg/<name><suffix> of the installation the Python package belongs to."""
+    """share/<package>/msg/<name><suffix> of the installation of the Python package."""
     spec = find_spec(package)
     if spec is not None and spec.origin:
         for prefix in Path(spec.origin).parents:

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings played back: published again on topics, or simulated again and compared.
+"""Playback of recordings: publish the messages again, or repeat the simulation and compare.
 
-In: a recording. Out: topics, or the states of a second run. Knows no analysis and no display.
+In: a recording. Out: topics, or the states of a second run. This folder imports no analysis and no
+display.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recording to publish again: its topics, and its messages from any time on."""
+"""A recording to publish: its topics, and its messages from a given time on."""
 
 import re
 from typing import NamedTuple
@@ -31,8 +31,8 @@ class Topic(NamedTuple):
 class PlayFile:
     """Topics and messages of a Recording.
 
-    topics : {channel id: Topic}, without messages that are no plain ROS 2 ones
-    first_ns, last_ns, seconds : of its messages
+    topics : {channel id: Topic}, of channels with ROS 2 messages in CDR
+    first_ns, last_ns, seconds : first and last stamp, and duration, of the messages
     """
 
     def __init__(self, recording):
@@ -46,7 +46,7 @@ class PlayFile:
         self._chunks = self._index()
         edges = [edge for _, *pair in self._chunks for edge in pair]
         if not self.topics or not edges:
-            raise PlayError(f"{self.path}: holds no message to publish")
+            raise PlayError(f"{self.path}: contains no message to publish")
         self.first_ns, self.last_ns = min(edges), max(edges)
         self.seconds = (self.last_ns - self.first_ns) * 1e-9
         self.has_clock = any(
@@ -55,7 +55,7 @@ class PlayFile:
         )
 
     def _index(self):
-        """(offset, first, last stamp) of all chunks that can be read."""
+        """(offset, first, last stamp) of all readable chunks."""
         found = []
         for messages, _ in self._source.messages(self._recording.channels):
             offset = self._source.stream.offset
@@ -63,11 +63,11 @@ class PlayFile:
         return found
 
     def messages(self, since_ns):
-        """(stamp ns, [(Topic, payload)]) of all messages from a stamp on, in the order of stamps.
+        """Generator of (stamp ns, [(Topic, payload)]) from a stamp on, in the order of stamps.
 
-        What has the same stamp comes together. Messages that lie after later ones in the file,
-        such as wrenches that were told at the end of a publishing period, come with those.
-        Raises RecordingError
+        Messages with the same stamp are returned together. A message that follows later ones in
+        the file, as in recordings of other software, is returned together with those. Raises
+        RecordingError.
         """
         wanted = {offset for offset, _, last in self._chunks if last >= since_ns}
         reached = since_ns
@@ -92,7 +92,7 @@ class PlayFile:
 
 
 def _qos(channel):
-    """(reliable, latched, depth) of what the publisher offered."""
+    """(reliable, latched, depth) of the QoS that the publisher offered."""
     text = channel.metadata.get("offered_qos_profiles", "")
     try:
         offered = yaml.safe_load(text) if len(text) <= LONGEST_QOS else None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The run once more from its own initial state and wrenches: bit for bit, or as an experiment."""
+"""Repetition of a recorded run from its initial state and wrenches, compared bit for bit."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -12,9 +12,9 @@ from liegroup_core.reference import Trajectory, distance
 from liegroup_sim_ros.recording.attachments import restore
 from liegroup_sim_ros.recording.read import RecordingError
 
-# A simulation takes a microsecond a step or more: what a damaged file may ask for is bounded.
+# Limit of the steps that a damaged file can request; a step takes a microsecond or more.
 MOST_STEPS = 10**9
-# Samples between two are a whole number of steps of an experiment up to this part of one.
+# Tolerance, in steps, for samples to lie on whole steps of another step size.
 ROUNDING = 1e-6
 
 
@@ -23,7 +23,7 @@ class ReplayError(LieGroupSimError):
 
 
 def make_simulation(scene, settings, **other):
-    """Simulation with the settings of a recording; other : settings to replace.
+    """Simulation with the settings of a recording; other: settings that replace them.
 
     Raises ValueError, one line, for settings that this version cannot simulate.
     """
@@ -36,15 +36,15 @@ def make_simulation(scene, settings, **other):
         **(settings.get("options") or {}),
     }
     if other.get("method", settings["method"]) != settings["method"]:
-        for name in settings.get("options") or {}:  # they were of the recorded method
+        for name in settings.get("options") or {}:  # they belong to the recorded method
             del chosen[name]
     return Simulation(scene, **(chosen | other))
 
 
 class Repeat:
-    """Simulates along with the recording, and compares every number of every sample.
+    """Repeats the simulation of a recording and compares every number of every sample.
 
-    simulation : at the recorded settings; or with others, then the difference is the result
+    simulation : Simulation with the recorded settings, or with others to measure the difference
     """
 
     def __init__(self, recording, simulation):
@@ -62,7 +62,7 @@ class Repeat:
         self._largest = np.zeros(4)  # m, rad, rad/s, m/s
 
     def add(self, block):
-        """Take up a Block."""
+        """Simulate and compare the samples of a Block."""
         if block.stretch is not self._stretch:
             self._begin(block.stretch)
         self._samples += len(block.steps)
@@ -71,7 +71,7 @@ class Repeat:
         pose, twist = self._states(block)
         k = len(pose)
         offsets = self._simulation.layout.offsets
-        if not offsets.none:  # one by one, as it was when they were recorded
+        if not offsets.none:  # one by one, as in the recorded run
             for row in range(k):
                 pose[row], twist[row] = offsets.to_bodies(pose[row], twist[row])
         turned = quaternions(pose)
@@ -102,12 +102,12 @@ class Repeat:
 
     def _begin(self, stretch):
         self._stretch, self._broken, self._next = stretch, False, 0
-        # Seldom more than rounding; of an experiment, wrenches begin with its next step.
+        # With another step size, wrenches begin with the next step.
         self._changes = np.ceil(stretch.change_steps * self._ratio - ROUNDING).astype(np.int64)
         start = stretch.start * self._ratio
         if start != round(start):
             raise ReplayError(
-                "the start of the recording is no whole number of steps of "
+                "the start of the recording is not a whole number of steps of "
                 f"{self._simulation.step:g} s"
             )
         try:
@@ -117,7 +117,7 @@ class Repeat:
                 pose, twist, angles = self._starts.of(stretch)
                 self._simulation.set_state(pose, twist, round(start), angles)
         except (ValueError, KeyError, TypeError, OverflowError) as error:
-            raise ReplayError(f"the start of the recording does not fit: {error}") from None
+            raise ReplayError(f"invalid initial state in the recording: {error}") from None
 
     def _states(self, block):
         """States of the simulation at the samples of a block, (k, n, 12) and (k, n, 6)."""
@@ -126,8 +126,8 @@ class Repeat:
         steps = np.rint(wanted).astype(np.int64)
         if np.abs(wanted - steps).max() > ROUNDING * max(1.0, self._ratio):
             raise ReplayError(
-                f"the samples do not lie on steps of {simulation.step:g} s: the "
-                "time between two must be a whole number of steps"
+                f"the samples do not lie on steps of {simulation.step:g} s: their "
+                "period must be a whole number of steps"
             )
         n = len(stretch.bodies)
         pose, twist = np.empty((len(steps), n, 12)), np.empty((len(steps), n, 6))
@@ -136,7 +136,7 @@ class Repeat:
             for step in steps.tolist():
                 self._steps += step - simulation.steps
                 if self._steps > MOST_STEPS:
-                    raise SimulationError(f"would take more than {MOST_STEPS} steps")
+                    raise SimulationError(f"needs more than {MOST_STEPS} steps")
                 while self._next < len(self._changes) and self._changes[self._next] <= step:
                     self._advance_to(int(self._changes[self._next]))
                     simulation.apply_wrench(
@@ -153,12 +153,12 @@ class Repeat:
         return pose[:done], twist[:done]
 
     def _advance_to(self, step):
-        # Not by no step: that would start a method anew that minds which wrenches act.
+        # Not by zero steps: that would restart a method whose memory depends on the wrenches.
         if step > self._simulation.steps:
             self._simulation.advance(step - self._simulation.steps)
 
     def figures(self):
-        """How many samples have the same bits in every number, and how far the others are off."""
+        """Number of bit-identical samples, and the largest differences of the others."""
         return {
             "samples": self._samples,
             "identical": self._identical,
@@ -174,14 +174,14 @@ class Repeat:
 
 
 def _same(one, other):
-    """(k, n) whether all numbers of a body are the same bits."""
+    """(k, n) whether all numbers of a body are bit-identical."""
     return (
         np.ascontiguousarray(one).view(np.int64) == np.ascontiguousarray(other).view(np.int64)
     ).all(axis=2)
 
 
 class Starts:
-    """The states with which stretches begin: that of the file, or after a reset that of the scene.
+    """Initial states of stretches: that of the file, or after a reset that of the scene.
 
     `of(stretch)` is pose (n, 12), twist (n, 6) of the frames at the centres of mass, and angles
     (t,) of the torsional springs or None.

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`liegroup_sim replay --resimulate`: run a recording again and compare, sample by sample.
+"""`liegroup_sim replay --resimulate`: repeat a recorded run and compare all samples.
 
-From the recorded start, wrenches and resets. With the recorded method and step on the same kind of
-machine with the same versions every bit must be the same; elsewhere, or with other settings, the
-difference is the result, and may be held against a bound. No ROS is needed.
+The run is repeated from the recorded initial state, wrenches and resets. With the recorded settings
+and versions, on the same kind of machine, all samples must be bit-identical. Otherwise the
+difference is the result; it can be compared with a bound. No ROS is needed.
 """
 
 from liegroup_core.scene.load import scene_from_text
@@ -14,17 +14,18 @@ from liegroup_sim_ros.recording.motion import Motion
 
 from .repeat import Repeat, ReplayError, make_simulation
 
-# What may change the bits, as far as a recording says it: older ones say less.
+# Entries that may affect the bits; older recordings lack some of them.
 _VERSIONS = ("liegroup_sim_ros", "numpy", "scipy", "numba", "llvmlite")
 _MACHINE = ("processor", "libc", "target", "features")
 
 
-def resimulate(recording, tell=lambda text: None, **other):
-    """Figures of a Recording run again; other : settings in place of the recorded ones.
+def resimulate(recording, progress=lambda text: None, **other):
+    """Figures of a repeated Recording; other: settings that replace the recorded ones.
 
-    tell : function that is told what is done now
-    returns what Repeat.figures has, and "experiment": {setting: [recorded, now]}, "platform":
-    {what: [recorded, here]} of what is not the same here, "must_be_equal": neither has an entry
+    progress : function of one line of text
+    returns the entries of Repeat.figures, "experiment": {setting: [recorded, now]}, "platform":
+    {entry: [recorded, here]} of differing versions and machine properties, "must_be_equal":
+    whether both are empty
     raises RecordingError, SceneError, ReplayError
     """
     scene = scene_from_text(recording.scene_text, source=f"{recording.path}: scene.yaml")
@@ -38,13 +39,13 @@ def resimulate(recording, tell=lambda text: None, **other):
     repeat = Repeat(recording, simulation)
     for block in motion.blocks():
         repeat.add(block)
-        tell(f"{motion.samples} of {motion.expected} samples")
+        progress(f"{motion.samples} of {motion.expected} samples")
     experiment = {
         key: [settings.get(key), value]
         for key, value in other.items()
         if settings.get(key) != value
     }
-    elsewhere = _elsewhere(settings)
+    platform = _platform_changes(settings)
     return {
         "log": str(recording.path),
         **repeat.figures(),
@@ -52,13 +53,13 @@ def resimulate(recording, tell=lambda text: None, **other):
         "missing_samples": motion.missing,
         "not_finite_samples": motion.not_finite,
         "experiment": experiment,
-        "platform": elsewhere,
-        "must_be_equal": not (experiment or elsewhere),
+        "platform": platform,
+        "must_be_equal": not (experiment or platform),
     }
 
 
-def _elsewhere(settings):
-    """{what: [recorded, here]} of what may change the bits."""
+def _platform_changes(settings):
+    """{entry: [recorded, here]} of versions and machine properties that differ."""
     found = {}
     for key, names, here in (("versions", _VERSIONS, versions()), ("machine", _MACHINE, machine())):
         recorded = settings.get(key)
@@ -71,25 +72,25 @@ def _elsewhere(settings):
     return found
 
 
-def told(figures, bound=None):
-    """(lines for the user, None or what is wrong in one line)."""
+def report(figures, bound=None):
+    """(lines for the user, the failure in one line or None)."""
     log, samples, identical = (figures[key] for key in ("log", "samples", "identical"))
     lines = [
-        f"{key}: {now!r} in place of {before!r}"
+        f"{key}: {now!r} instead of {before!r}"
         for key, (before, now) in figures["experiment"].items()
     ]
     lines += [
-        f"{key} here: {now}, recorded with {before}"
+        f"{key}: {now} here, {before} in the recording"
         for key, (before, now) in figures["platform"].items()
     ]
     apart = figures["largest_difference"]
     if identical == samples:
-        lines.append(f"{log}: the same bit for bit in {samples} samples")
+        lines.append(f"{log}: all {samples} samples are bit-identical")
     else:
         at = figures["first_difference"]
         lines.append(
-            f"{log}: {identical} of {samples} samples are the same bit for bit"
-            + (f"; {at['body']} differs from {shown(at['at_s'], 's')} on" if at else "")
+            f"{log}: {identical} of {samples} samples are bit-identical"
+            + (f"; {at['body']} differs from t = {shown(at['at_s'], 's')} on" if at else "")
         )
         lines.append(
             "largest difference: "
@@ -106,13 +107,16 @@ def told(figures, bound=None):
     if figures["not_finite_samples"]:
         return lines, f"{log}: {figures['not_finite_samples']} samples are not finite"
     if figures["stopped"]:
-        return lines, f"{log}: simulated again it {figures['stopped']}"
+        return lines, f"{log}: the repeated simulation {figures['stopped']}"
     if bound is not None:
         worst = max((apart["position_m"], apart["angle_rad"]), key=lambda x: (x != x, x))
         if not worst <= bound:
             return lines, (
-                f"{log}: the difference of {shown(worst)} m or rad is more than {bound:g}"
+                f"{log}: the difference of {shown(worst)} m or rad exceeds the bound {bound:g}"
             )
     elif figures["must_be_equal"] and identical < samples:
-        return lines, f"{log}: simulated again it is not the same"
+        return lines, (
+            f"{log}: the repeated simulation differs although settings, versions and machine are "
+            "those of the recording; the file was changed"
+        )
     return lines, None

@@ -152,11 +152,11 @@ def test_decode_takes_big_endian_and_trailing_bytes():
 @pytest.mark.parametrize(
     "damage, said",
     [
-        (lambda data: data[:-1], "a message is cut short or of another type"),
-        (lambda data: data[:10], "a message is cut short"),
+        (lambda data: data[:-1], "a message is truncated or of another type"),
+        (lambda data: data[:10], "a message is truncated"),
         (lambda data: b"", "a message is not plain CDR"),
         (lambda data: b"\x00\x07" + data[2:], "a message is not plain CDR: it starts with 0x0007"),
-        (lambda data: data[:12] + b"\xff\xff\xff\xff" + data[16:], "a message is cut short"),
+        (lambda data: data[:12] + b"\xff\xff\xff\xff" + data[16:], "a message is truncated"),
     ],
 )
 def test_damaged_payload_is_one_clear_line(damage, said):

@@ -21,7 +21,7 @@ from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.node.parameters import TABLE
 from liegroup_sim_ros.node.scene_run import SceneRun
 from liegroup_sim_ros.node.wrench_input import Push
-from liegroup_sim_ros.playback.resimulate import resimulate, told
+from liegroup_sim_ros.playback.resimulate import report, resimulate
 from liegroup_sim_ros.recording.read import read_recording
 
 STEP = 1e-3
@@ -145,9 +145,9 @@ def test_a_difference_is_found_and_an_experiment_is_none(tmp_path, capsys):
     good = record(tmp_path / "good.mcap", load_scene("heavy_top"), 400)
     wrong = record(tmp_path / "wrong.mcap", load_scene("heavy_top"), 400, spoil=flip)
     assert main(["replay", str(good), "--resimulate"]) == 0
-    assert "the same bit for bit in 41 samples" in capsys.readouterr().out
+    assert "all 41 samples are bit-identical" in capsys.readouterr().out
     assert main(["replay", str(wrong), "--resimulate"]) == 1
-    assert "simulated again it is not the same" in capsys.readouterr().err
+    assert "of the recording; the file was changed" in capsys.readouterr().err
     # Half the step: the error of order 4 of the run itself, 8e-6 rad within 6 s (test_analyze.py).
     assert main(["replay", str(good), "--resimulate", "--step", "1e-3"]) == 0
     assert main(["replay", str(good), "--resimulate", "--step", "1e-3", "--bound", "1e-5"]) == 0
@@ -161,7 +161,7 @@ def test_a_difference_is_found_and_an_experiment_is_none(tmp_path, capsys):
         assert main(["replay", str(good), "--resimulate", *arguments]) == 2
         assert said in (err := capsys.readouterr().err) and err.count("\n") == 1
     assert main(["replay", str(good), "--method", "rkmk8"]) == 2
-    assert "go with --resimulate" in capsys.readouterr().err
+    assert "require --resimulate" in capsys.readouterr().err
 
 
 def test_another_platform_need_not_be_equal(tmp_path):
@@ -170,5 +170,5 @@ def test_another_platform_need_not_be_equal(tmp_path):
     figures = resimulate(recording)
     assert figures["platform"]["numpy"][0] == "1.0" and not figures["must_be_equal"]
     figures["identical"] -= 1
-    assert told(figures)[1] is None
-    assert told(figures | {"must_be_equal": True})[1] is not None
+    assert report(figures)[1] is None
+    assert report(figures | {"must_be_equal": True})[1] is not None
