@@ -172,7 +172,7 @@ class WrenchStampedCodec:
 
     @classmethod
     def decode_one(cls, payload):
-        """(stamp in ns, frame id, (torque, force)) of one message; ten times faster than `decode`."""
+        """(stamp in ns, frame id, (torque, force)) of one message; ten times faster."""
         try:
             order = _BYTE_ORDER[payload[:2]]
             sec, nanosec, frame_size = struct.unpack_from(f"{order}iII", payload, 4)
