@@ -69,7 +69,7 @@ def type_hash(msg_type):
 def qos_profile(kind="reliable", depth=10):
     """QoS that the publisher offered, as rosbag2 stores it; `ros2 bag play` publishes with it.
 
-    kind: "reliable", "best_effort" or "transient_local" (reliable, and stored for late subscribers).
+    kind: "reliable", "best_effort" or "transient_local" (reliable, stored for late subscribers).
     """
     reliability, durability = {
         "reliable": ("reliable", "volatile"),

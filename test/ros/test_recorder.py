@@ -19,7 +19,7 @@ from liegroup_sim_ros.recording.write import Recorder, RecorderError
 def test_a_killed_process_loses_at_most_the_flush_interval(tmp_path):
     """Stamps are the machine's monotonic clock, so the parent knows how much is missing."""
     path = tmp_path / "killed.mcap"
-    flush_interval, duration = 0.2, 2.0
+    flush_interval, duration = 0.2, 1.0
     child = python(
         """
         import sys, time
@@ -117,22 +117,22 @@ def test_a_fast_producer_waits_and_nothing_is_lost(tmp_path):
     longest = 0
     with Recorder(path, queue_size=1000) as recorder:
         channel = recorder.add_channel("/pose", codec.TYPE)
-        for i in range(200_000):
+        for i in range(50_000):
             recorder.write(channel, i, payload)
             longest = max(longest, recorder.queued)
-    assert recorder.written == 200_000 and recorder.lost == 0
+    assert recorder.written == 50_000 and recorder.lost == 0
     assert 900 < longest <= 1000  # the queue did fill, and its bound held
     with open(path, "rb") as stream:
         sequences = [
             message.sequence
             for _, _, message in make_reader(stream).iter_messages(log_time_order=False)
         ]
-    assert sequences == list(range(1, 200_001))
+    assert sequences == list(range(1, 50_001))
 
 
 def test_many_threads_share_one_recorder(tmp_path):
     path = tmp_path / "threads.mcap"
-    with Recorder(path, queue_size=100) as recorder:
+    with Recorder(path, queue_size=400) as recorder:
         shared = recorder.add_channel("/clock", ClockCodec.TYPE)
 
         def produce():
