@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The recorder beside a bare mcap.Writer, killed, on a full disk, cut at every byte; its readers.
+"""Recorder compared with a bare mcap.Writer; killed processes, a full disk, truncation; readers.
 
     python benchmarks/recording.py               all parts, short
-    python benchmarks/recording.py --long        as figures are quoted from
+    python benchmarks/recording.py --long        the configuration of the published figures
     python benchmarks/recording.py killed disk   some parts
 
-Each part ends the program with a line if something is not as it should be.
+Each part ends the program with one line of text if a check fails.
 """
 
 import argparse
@@ -47,7 +47,7 @@ def check(condition, text):
 
 
 def poses(count):
-    """Serialized poses of a body that moves, ready to be written."""
+    """Serialized poses of a moving body."""
     codec, t = PoseStampedCodec("world"), np.arange(count) * 1e-3
     q = np.stack([np.sin(3 * t), np.cos(3 * t), np.sin(t), np.cos(t)], axis=1)
     q /= np.linalg.norm(q, axis=1)[:, None]
@@ -77,7 +77,7 @@ def bare(path, messages):
 
 
 def speed(folder, count):
-    """Messages per second of wall time and of CPU time, in turns."""
+    """Messages per second of wall time and of CPU time, alternating."""
     messages, found = poses(count), {ours: [], bare: []}
     path = folder / "speed.mcap"
     for _ in range(5):
@@ -104,7 +104,7 @@ def speed(folder, count):
 
 
 def killed(folder, count):
-    """Processes that record 10 kHz of messages, killed at random instants, then recovered."""
+    """Processes that record 10 000 messages/s, killed at random instants; their files recovered."""
     lags, salvaged, sizes, done = [], 0, [], 0
     path, out = folder / "killed.mcap", folder / "out.mcap"
     random.seed(5)
@@ -148,19 +148,19 @@ def killed(folder, count):
         f"{statistics.median(lags):.3f} s; {sum(sizes)} messages recovered, no gap, {salvaged} "
         "of them out of unfinished chunks; every file opens"
     )
-    # The recorder's thread looks every 5 ms; other work on the machine delays it.
+    # The recorder's thread checks every 5 ms; other processes delay it.
     check(max(lags) < FLUSH + 0.25, "something older than the flush interval is lost")
 
 
 def cut(folder, _):
-    """A small recording cut at every byte: surveyed, recovered and read."""
+    """A small recording truncated at every byte: surveyed, recovered and read."""
     path, part, out = folder / "small.mcap", folder / "part.mcap", folder / "out.mcap"
     messages = poses(60)
     with Recorder(path, {"settings.json": ("application/json", b'{"format": 1}')}) as recorder:
         channel = recorder.add_channel("/pose", PoseStampedCodec.TYPE)
         for k, data in enumerate(messages):
             recorder.write(channel, k, data)
-            if k % 15 == 14:  # a chunk of its own for every fifteen
+            if k % 15 == 14:  # ends the chunk
                 recorder.add_attachment(f"mark{k}", "text/plain", b"x")
     whole, refused, counts = path.read_bytes(), 0, set()
     for size in range(len(whole)):
@@ -221,7 +221,7 @@ def disk(folder, _):
 
 
 def readers(folder, _):
-    """Every message of a log with all topics, decoded by readers of other authors."""
+    """Every message of a recording with all topics, decoded by readers of other authors."""
     path = folder / "all_topics.mcap"
     subprocess.run([sys.executable, SIDE / "all_topics.py", path], check=True)
     found = survey(path)
@@ -275,7 +275,7 @@ def main():
         "parts",
         nargs="*",
         metavar="PART",
-        help="speed, killed, cut, disk or readers; all if left out",
+        help="speed, killed, cut, disk or readers (default: all)",
     )
     parser.add_argument("--long", action="store_true", help="a million messages, 200 kills")
     args = parser.parse_args()

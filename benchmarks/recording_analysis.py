@@ -3,10 +3,9 @@
 
     python benchmarks/recording_analysis.py [--seconds 3600] [--keep FILE]
 
-The recording is made as fast as it goes, with pose, twist and clock of every step and a push every
-ten minutes. Then each part is a process of its own, so that its peak memory (VmHWM, which unlike
-ru_maxrss knows nothing of its parent) is its own; that of the imports is subtracted in the last
-column.
+The recording is written as fast as possible, with pose, twist and clock of every step and an
+applied wrench every ten minutes. Each part then runs in its own process. Peak memory is VmHWM
+(ru_maxrss includes that of the parent); the last column excludes the memory of the imports.
 """
 
 import argparse

@@ -34,7 +34,12 @@ schemas, channels, attachments, metadata, statistics, indexes, footer. Three tas
   compressed size (test_hostile_logs.py, test_recover.py).
 """
 
+from typing import TYPE_CHECKING
+
 from .errors import RecordingError
+
+if TYPE_CHECKING:
+    from .read import read_recording
 
 __all__ = ["RecordingError", "read_recording"]
 

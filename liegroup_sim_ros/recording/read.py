@@ -10,6 +10,7 @@ Events, wrenches and diagnostics are kept in memory. Poses and twists are loaded
 and 56 bytes a message. `samples` returns them in pieces instead, in bounded memory.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -65,10 +66,10 @@ class Recording:
     lost: dict  # {topic: messages missing by sequence number}; empty if none
     problem: str | None  # None or one line for the user
     channels: dict = field(repr=False)  # {id: read_mcap.Channel}
-    _source: object = field(repr=False)  # Source
+    _source: Source = field(repr=False)
 
     @property
-    def pose(self):
+    def pose(self) -> dict[str, PoseTrack]:
         """{body: PoseTrack}, loaded on first access."""
         return {
             body: PoseTrack(stamps, values[:, :3], values[:, 3:])
@@ -76,12 +77,12 @@ class Recording:
         }
 
     @property
-    def twist(self):
+    def twist(self) -> dict[str, TwistTrack]:
         """{body: TwistTrack}, loaded on first access."""
         return {body: TwistTrack(*track) for body, track in self._tracks["twist"].items()}
 
     @property
-    def applied_wrench(self):
+    def applied_wrench(self) -> list[AppliedWrench]:
         """Changes of the wrenches on all bodies: [AppliedWrench] in the order of stamps."""
         found = [
             AppliedWrench(stamp, body, tuple(wrench))
@@ -112,7 +113,7 @@ class Recording:
         return found
 
     @cached_property
-    def joint_states(self):
+    def joint_states(self) -> JointTrack | None:
         """JointTrack of ~/joint_states, or None if the topic was not recorded."""
         names, stamps, numbers = None, [], []
         with ErrorsWithPath(self.path):
@@ -137,14 +138,14 @@ class Recording:
             *np.array(numbers).reshape(-1, 2, len(names)).transpose(1, 0, 2),
         )
 
-    def samples(self):
+    def samples(self) -> Iterator[Samples]:
         """Iterator over the samples of all bodies in the order of time: Samples in pieces.
 
         A sample is the pose and twist of every body at one stamp; incomplete samples are omitted.
         Raises RecordingError.
         """
         wanted = self._motion_topics()
-        waiting = {topic: [[], []] for topic in wanted}  # stamps, values
+        waiting: dict = {topic: [[], []] for topic in wanted}  # stamps, values
         counts = dict.fromkeys(wanted, 0)
         least = max(64, PIECE // (13 * max(1, len(self.bodies))))
         for topic, stamps, values in self._decoded(wanted):
@@ -234,7 +235,7 @@ class Recording:
                         last[channel.topic] = stamps[-1]
                         yield channel.topic, stamps, values
 
-    def to_pandas(self, what="motion"):
+    def to_pandas(self, what: str = "motion"):
         """pandas DataFrame with the time in s as index.
 
         what : "motion"  columns (body, quantity): x, y, z, qx, qy, qz, qw, wx, wy, wz, vx, vy, vz
@@ -298,7 +299,7 @@ class Recording:
         return frame
 
 
-def read_recording(path):
+def read_recording(path: str | Path) -> Recording:
     """Recording of a *.mcap file, a path or an fsspec URL. Raises RecordingError."""
     path = str(path) if is_remote(path) else Path(path)
     with ErrorsWithPath(path):
