@@ -6,10 +6,12 @@ Out: arrays, tracks and events. This folder imports no rclpy, no analysis and no
 
 Write    write.py        Recorder: queue, flushing, parts, failures of the disk
          write_mcap.py   chunks, message index, summary
+         write_files.py  names of files and parts
          write_run.py    the files of `liegroup_sim run`
 Read     read.py         Recording, read_recording: settings, tracks, events
          read_file.py    attachments, and one pass over the messages of the file
          read_mcap.py    the messages of a chunk as arrays
+         frames.py       pandas DataFrames
          motion.py       blocks of samples between two resets
          check.py        whether settings, scene and state belong together
          tracks.py       array types of the results; addresses.py: paths, globs and URLs

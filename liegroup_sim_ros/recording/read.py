@@ -26,6 +26,7 @@ from liegroup_sim_ros.messages.codecs import (
 
 from .addresses import is_remote
 from .errors import RecordingError
+from .frames import data_frame
 from .read_file import Attachments, ErrorsWithPath, Scan, Source, decode
 from .tracks import AppliedWrench, Event, JointTrack, PoseTrack, Samples, TwistTrack, WrenchTrack
 
@@ -244,59 +245,7 @@ class Recording:
                "events"  columns name, text
         raises ImportError without pandas, ValueError for any other `what`
         """
-        import pandas
-
-        if what == "motion":
-            parts = {}
-            for body in self.bodies:
-                pose, twist = self.pose[body], self.twist[body]
-                parts[body] = pandas.concat(
-                    [
-                        pandas.DataFrame(
-                            np.hstack(pose[1:]), pose.time, ["x", "y", "z", "qx", "qy", "qz", "qw"]
-                        ),
-                        pandas.DataFrame(
-                            twist.twist, twist.time, ["wx", "wy", "wz", "vx", "vy", "vz"]
-                        ),
-                    ],
-                    axis=1,
-                )
-            frame = pandas.concat(parts, axis=1)
-        elif what == "wrench":
-            changes = self.applied_wrench
-            frame = pandas.DataFrame(
-                [change.wrench for change in changes],
-                [c.stamp_ns * 1e-9 for c in changes],
-                ["tx", "ty", "tz", "fx", "fy", "fz"],
-                dtype=float,
-            )
-            frame.insert(0, "body", [change.body for change in changes])
-        elif what == "joints":
-            states = self.joint_states
-            frame = (
-                pandas.DataFrame()
-                if states is None
-                else pandas.concat(
-                    {
-                        name: pandas.DataFrame(
-                            {"position": states.position[:, k], "velocity": states.velocity[:, k]},
-                            states.time,
-                        )
-                        for k, name in enumerate(states.names)
-                    },
-                    axis=1,
-                )
-            )
-        elif what == "events":
-            frame = pandas.DataFrame(
-                [event[1:] for event in self.events],
-                [event.stamp_ns * 1e-9 for event in self.events],
-                ["name", "text"],
-            )
-        else:
-            raise ValueError(f"what must be motion, wrench, joints or events, got {what!r}")
-        frame.index.name = "time_s"
-        return frame
+        return data_frame(self, what)
 
 
 def read_recording(path: str | Path) -> Recording:

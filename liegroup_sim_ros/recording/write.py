@@ -20,17 +20,16 @@ Source: mcap.dev specification, profile "ros2"; rosbag2 bag metadata version 9.
 
 import atexit
 import logging
-import re
 import threading
 import time
 from collections import deque
-from pathlib import Path
 
 from liegroup_sim_ros import __version__
 from liegroup_sim_ros.messages import schemas
 
 from .bag_metadata import FILE_NAME, Bag, as_yaml, record_of_file, topic_info
 from .errors import RecorderError
+from .write_files import new_file_path, part_path, reason, refuse_old_parts
 from .write_mcap import Chunk, McapFile, UnbufferedFile
 
 QUEUE_BYTES = 64 * 2**20  # largest size of the queue; limits it if messages are large
@@ -73,12 +72,11 @@ class Recorder:
         part=1,
         bag=None,
     ):
-        self.path = _new_file_path(path)
-        self.part = part
-        self._stem = self.path.stem if part == 1 else self.path.stem.removesuffix(f"_part{part}")
+        self.path = new_file_path(path)
+        self.part, self._first_path = part, part_path(self.path, part, 1)
         self.bag = Bag() if bag is True else bag
         if max_size or max_duration:
-            self._refuse_old_parts()
+            refuse_old_parts(self.path, part)
         if bag is True and (self.path.parent / FILE_NAME).exists():
             raise RecorderError(
                 f"cannot record to {self.path}: the folder already contains a rosbag2 bag "
@@ -112,7 +110,7 @@ class Recorder:
                 "another name"
             ) from None
         except OSError as error:
-            raise RecorderError(f"cannot record to {self.path}: {_reason(error)}") from None
+            raise RecorderError(f"cannot record to {self.path}: {reason(error)}") from None
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
         atexit.register(self.close)  # also if the program ends by an exception
@@ -122,19 +120,6 @@ class Recorder:
 
     def __exit__(self, *exception):
         self.close()
-
-    def _refuse_old_parts(self):
-        pattern = re.compile(re.escape(self._stem) + r"_part[0-9]+\.mcap")
-        old = sorted(
-            entry.name
-            for entry in self.path.parent.iterdir()
-            if pattern.fullmatch(entry.name) and self.part == 1
-        )
-        if old:
-            raise RecorderError(
-                f"cannot record to {self.path}: {old[0]} already exists and could be a part of "
-                f"this recording; remove it or choose another name"
-            )
 
     @property
     def queued(self):
@@ -151,9 +136,7 @@ class Recorder:
 
     def part_path(self, part):
         """Path of a part of the recording."""
-        return self.path.with_name(
-            f"{self._stem}_part{part}.mcap" if part > 1 else f"{self._stem}.mcap"
-        )
+        return part_path(self._first_path, 1, part)
 
     def add_channel(self, topic, msg_type, qos="reliable", depth=10):
         """Add a channel; returns its number for `write`. Only one thread may add channels.
@@ -370,9 +353,10 @@ class Recorder:
         with self._lock:
             # A chunk is readable even if its index did not reach the file.
             self.written = self._earlier + sum(self._mcap.counts.values())
+            name = getattr(error, "filename", None)
             self.failure = (
-                f"recording to {self.path} stopped after {self.written} messages: "
-                f"{_reason(error)}{_where(error)}; the simulation continues without recording"
+                f"recording to {self.path} stopped after {self.written} messages: {reason(error)}"
+                f"{f': {name}' if name else ''}; the simulation continues without recording"
             )
             self._chunk = Chunk()
             self.lost = self._given - self.written
@@ -386,26 +370,3 @@ class _Channel:
         self.id = None  # the same in every file
         self.sequence = 0
         self.info, self.definition = info, definition
-
-
-def _new_file_path(path):
-    path = Path(path).expanduser()
-    try:
-        if path.is_dir():
-            path /= time.strftime("recording_%Y_%m_%d-%H_%M_%S.mcap")
-        elif path.suffix != ".mcap":
-            raise RecorderError(
-                f"cannot record to {path}: the path must end in .mcap or be an existing folder"
-            )
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RecorderError(f"cannot record to {path}: {_reason(error)}") from None
-    return path
-
-
-def _where(error):
-    return f": {error.filename}" if getattr(error, "filename", None) else ""
-
-
-def _reason(error):
-    return getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"

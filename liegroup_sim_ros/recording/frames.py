@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Contents of a recording as pandas DataFrames; pandas is an optional package."""
+
+import numpy as np
+
+
+def data_frame(recording, what):
+    """DataFrame with the time in s as index; see Recording.to_pandas."""
+    import pandas
+
+    if what == "motion":
+        parts = {}
+        for body in recording.bodies:
+            pose, twist = recording.pose[body], recording.twist[body]
+            parts[body] = pandas.concat(
+                [
+                    pandas.DataFrame(
+                        np.hstack(pose[1:]), pose.time, ["x", "y", "z", "qx", "qy", "qz", "qw"]
+                    ),
+                    pandas.DataFrame(twist.twist, twist.time, ["wx", "wy", "wz", "vx", "vy", "vz"]),
+                ],
+                axis=1,
+            )
+        frame = pandas.concat(parts, axis=1)
+    elif what == "wrench":
+        changes = recording.applied_wrench
+        frame = pandas.DataFrame(
+            [change.wrench for change in changes],
+            [c.stamp_ns * 1e-9 for c in changes],
+            ["tx", "ty", "tz", "fx", "fy", "fz"],
+            dtype=float,
+        )
+        frame.insert(0, "body", [change.body for change in changes])
+    elif what == "joints":
+        states = recording.joint_states
+        frame = (
+            pandas.DataFrame()
+            if states is None
+            else pandas.concat(
+                {
+                    name: pandas.DataFrame(
+                        {"position": states.position[:, k], "velocity": states.velocity[:, k]},
+                        states.time,
+                    )
+                    for k, name in enumerate(states.names)
+                },
+                axis=1,
+            )
+        )
+    elif what == "events":
+        frame = pandas.DataFrame(
+            [event[1:] for event in recording.events],
+            [event.stamp_ns * 1e-9 for event in recording.events],
+            ["name", "text"],
+        )
+    else:
+        raise ValueError(f"what must be motion, wrench, joints or events, got {what!r}")
+    frame.index.name = "time_s"
+    return frame
