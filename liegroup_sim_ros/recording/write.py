@@ -183,8 +183,9 @@ class Recorder:
         with self._lock:
             if self._chunk.count and not self._chunk.may_end_before(stamp_ns):
                 return  # an instant is not divided
-            self._close_chunk()
         while self._is_full() and not self._closed:
+            with self._lock:  # in each turn: another thread may have filled the next chunk
+                self._close_chunk()
             time.sleep(_IDLE)
 
     def _is_full(self):

@@ -14,6 +14,7 @@ from mcap.reader import make_reader
 from liegroup_sim_ros.messages.codecs import ClockCodec, PoseStampedCodec
 from liegroup_sim_ros.recording.read import RecordingError, read_recording
 from liegroup_sim_ros.recording.write import Recorder, RecorderError
+from liegroup_sim_ros.recording.write_mcap import CHUNK_SIZE, LARGEST_CHUNK
 
 
 def test_a_killed_process_loses_at_most_the_flush_interval(tmp_path):
@@ -132,7 +133,8 @@ def test_a_fast_producer_waits_and_nothing_is_lost(tmp_path):
 
 def test_many_threads_share_one_recorder(tmp_path):
     path = tmp_path / "threads.mcap"
-    with Recorder(path, queue_size=400) as recorder:
+    started = time.monotonic()
+    with Recorder(path, queue_size=100, flush_interval=60.0) as recorder:
         shared = recorder.add_channel("/clock", ClockCodec.TYPE)
 
         def produce():
@@ -146,6 +148,7 @@ def test_many_threads_share_one_recorder(tmp_path):
         recorder.write(late, 7, ClockCodec.encode(7))
         for thread in threads:
             thread.join()
+    assert time.monotonic() - started < 30.0  # no thread waits for the flush
     with open(path, "rb") as stream:
         messages = [
             (channel.topic, message.sequence)
@@ -227,3 +230,41 @@ def test_reading_and_recording_import_no_ros():
                ("rclpy", "geometry_msgs", "std_msgs", "rosidl_parser", "ament_index_python")])
         """)
     assert child.communicate(timeout=20) == ("[]\n", "")
+
+
+def chunks_of(path):
+    """[(start, end, bytes before compression)] of all chunks, in file order."""
+    with open(path, "rb") as stream:
+        chunks = make_reader(stream).get_summary().chunk_indexes
+    return [
+        (chunk.message_start_time, chunk.message_end_time, chunk.uncompressed_size)
+        for chunk in sorted(chunks, key=lambda chunk: chunk.chunk_start_offset)
+    ]
+
+
+def test_chunks_end_between_two_instants(tmp_path):
+    """Also where they end because the queue is full, or because a flush is due."""
+    path = tmp_path / "run.mcap"
+    payload = PoseStampedCodec("world").encode(0, (1, 2, 3), (0, 0, 0, 1))
+    with Recorder(path, queue_size=2000, flush_interval=0.03) as recorder:
+        channels = [recorder.add_channel(f"/{k}", PoseStampedCodec.TYPE) for k in range(7)]
+        for stamp in range(6000):
+            for channel in channels:
+                recorder.write(channel, stamp, payload)
+    chunks = chunks_of(path)
+    assert len(chunks) >= 6000 * 7 * len(payload) / CHUNK_SIZE
+    gaps = [start - end for (_, end, _), (start, _, _) in zip(chunks, chunks[1:])]
+    # A busy machine may stop this thread within an instant for so long that the flush divides it.
+    assert min(gaps) >= 0 and gaps.count(0) <= 2
+    assert max(size for _, _, size in chunks) < CHUNK_SIZE + 7 * (len(payload) + 31) + 5000
+
+
+def test_an_instant_that_no_chunk_can_hold_is_divided(tmp_path):
+    path = tmp_path / "run.mcap"
+    with Recorder(path) as recorder:
+        channel = recorder.add_channel("/clock", ClockCodec.TYPE)
+        for _ in range(4 * LARGEST_CHUNK // 1000):
+            recorder.write(channel, 5, bytes(1000))
+    chunks = chunks_of(path)
+    assert 3 <= len(chunks) <= 5 and {chunk[:2] for chunk in chunks} == {(5, 5)}
+    assert max(size for _, _, size in chunks) < LARGEST_CHUNK + 5000
