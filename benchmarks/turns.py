@@ -31,7 +31,7 @@ SAMPLES = 2000
 
 def put(turn):
     """Let the method make another turn; before anything is compiled."""
-    from liegroup_core.compiling.kernels import subroutine
+    from liegroup_core.compiling import subroutine
     from liegroup_core.integrators.rattle import rattle as constrained
     from liegroup_core.integrators.rotation.newton import INCREMENT, RATTLE, newton
     from liegroup_core.lie.vec3 import ZERO3

@@ -9,7 +9,7 @@ from numbers import Integral, Real
 
 import numpy as np
 
-from liegroup_core.compiling.kernels import warm_up
+from liegroup_core.compiling import warm_up
 from liegroup_core.forces.schedule import NEVER, AppliedWrench, WrenchSchedule
 from liegroup_core.forces.timetable import Timetable
 from liegroup_core.integrators.methods import METHODS, is_positive

@@ -1,6 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compilation of the numerical kernels by Numba.
+"""Compilation of the numerical kernels by Numba. See README.md in this folder for the contract.
 
-In: plain Python functions and classes of arrays (structs). Out: machine code, cached on disk; without
-Numba the same functions as they are. It knows nothing of mechanics.
+In: plain Python functions and classes of arrays (Structs). Out: machine code, cached on disk, or
+the functions themselves without Numba. This package knows nothing of mechanics.
 """
+
+from .backend import compiled
+from .cache import cache_root, source_digest
+from .kernels import Choice, Kernel, SameTypes, kernel, shared, stepper, subroutine, warm_up
+from .structs import Struct, borrowed
+
+__all__ = [
+    "Choice",
+    "Kernel",
+    "SameTypes",
+    "Struct",
+    "borrowed",
+    "cache_root",
+    "compiled",
+    "kernel",
+    "shared",
+    "source_digest",
+    "stepper",
+    "subroutine",
+    "warm_up",
+]

@@ -1,29 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How Numba compiles functions within functions: optimised, and made into machine code, once.
+"""Kernels compiled with inner parts of Numba replaced: optimised and translated once.
 
-Left alone, Numba optimises every function and makes machine code of it before a caller takes it
-in, and does all of that again with the caller. For kernels ten deep that was two thirds of the time
-of a compilation. Here a function that others take in stays LLVM code, made smaller and no more, and
-only the outermost one, which Python calls, is optimised with all that is in it. Nor is a function
-compiled anew for every constant that it is called with: LLVM knows it where it inlines the call.
+By default, Numba optimises every function and translates it to machine code before a caller inlines
+it, and repeats both with the caller. For kernels ten calls deep, that was two thirds of the compile
+time. Here an inlined function stays LLVM code that is only simplified. Only the outermost function,
+which Python calls, is optimised, together with all functions inlined in it. A function is also not
+compiled again for every constant argument: LLVM sees the constant where it inlines the call.
 
-A function that is long and called by several of those, the solve, is made into machine code of its
-own, which they find under a name.
+A long function with several callers (the linear solver) becomes machine code of its own. Its
+callers call it by a symbol.
 
-Of Numba's inner parts this replaces three steps of a code library, one compiler pass, the type of a
-function, and what is done when the cache on the disk is damaged.
+Replaced: three steps of a code library, one compiler pass, the type of a function, and the handling
+of damaged cache files. The package's README.md states what is assumed of Numba.
 """
 
 import hashlib
+import inspect
 import logging
 from contextlib import contextmanager
 from dataclasses import dataclass
 
+import numba
 from llvmlite import binding, ir
 from numba import njit
 from numba.core import cgutils, types
+from numba.core.base import BaseContext
 from numba.core.caching import FunctionCache
-from numba.core.codegen import JITCodeLibrary
+from numba.core.codegen import CPUCodegen, JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.compiler_machinery import register_pass
 from numba.core.datamodel import models
@@ -31,12 +34,18 @@ from numba.core.imputils import lower_constant
 from numba.core.ir import Return
 from numba.core.lowering import Lower
 from numba.core.typed_passes import NativeLowering
-from numba.extending import intrinsic, register_model
+from numba.extending import intrinsic, register_model, typeof_impl
+from numba.np import arrayobj
 
-from .structs import StructType
+from . import borrowed_arrays, struct_types
+from .cache import cache_folder
+from .kernels import Choice, Kernel
+from .struct_types import StructType
 
 log = logging.getLogger("liegroup_core")
 
+name = "inlining"
+words = struct_types.words
 OPTIONS = {"nogil": True, "error_model": "numpy"}
 
 X86 = binding.get_process_triple().split("-")[0] in ("x86_64", "i686", "i386")
@@ -45,9 +54,9 @@ FLUSH_TO_ZERO_AND_DENORMALS_ARE_ZERO = ir.Constant(WORD32, 0x8040)  # bits of MX
 
 
 class _Library(JITCodeLibrary):
-    """A function whose LLVM code is made smaller, and no more, before callers take it in.
+    """Function whose LLVM code is only simplified before callers inline it.
 
-    What is done to loops while a caller's constants are not known yet is done in vain.
+    Optimising its loops is useless while the constants of the callers are unknown.
     """
 
     def _optimize_functions(self, ll_module):
@@ -61,10 +70,10 @@ class _Library(JITCodeLibrary):
 
 
 class _InnerLibrary(_Library):
-    """LLVM code for callers."""
+    """LLVM code for callers, without machine code."""
 
     def _optimize_final_module(self):
-        """The outermost function does it."""
+        """Left to the outermost function."""
 
     def _finalize_final_module(self):
         self._finalize_dynamic_globals()
@@ -72,10 +81,10 @@ class _InnerLibrary(_Library):
 
 
 class _OuterLibrary(_Library):
-    """Machine code of a function with all that it has taken in.
+    """Machine code of a function with all functions inlined in it.
 
-    Inlined first: optimised before that, functions would be optimised over and over. Once and not
-    twice as usual: no references are counted that could be pruned in between.
+    Inlining comes first, otherwise functions are optimised repeatedly. The optimiser runs once.
+    Numba runs it twice to prune reference counts in between, but kernels have none.
     """
 
     def _optimize_final_module(self):
@@ -88,7 +97,7 @@ class _OuterLibrary(_Library):
 
 
 class _Lower(Lower):
-    """Says of Structs that they can be read at any time, so that loads are moved out of loops."""
+    """Mark Structs as dereferenceable, so that LLVM moves loads out of loops."""
 
     def setup_function(self, fndesc):
         super().setup_function(fndesc)
@@ -104,9 +113,9 @@ class _Lower(Lower):
 
 
 class _FlushingLower(_Lower):
-    """While the function runs, x86 takes numbers below 2.2e-308 for zero: see _compile.stepper.
+    """Flush subnormal numbers to zero on x86 while the function runs (kernels.stepper).
 
-    An exception would leave it so; kernels raise none, but for NUMBA_BOUNDSCHECK=1.
+    An exception would leave the mode on. Kernels raise none, except with NUMBA_BOUNDSCHECK=1.
     """
 
     def pre_lower(self):
@@ -128,7 +137,7 @@ class _FlushingLower(_Lower):
         super().lower_inst(inst)
 
     def _control(self, instruction, place):
-        """Store or load the control word of the floating-point unit."""
+        """Store or load the control word of the floating-point unit (MXCSR)."""
         byte = ir.IntType(8).as_pointer()
         function = cgutils.get_or_insert_function(
             self.module, ir.FunctionType(ir.VoidType(), [byte]), f"llvm.x86.sse.{instruction}"
@@ -147,7 +156,7 @@ class _InnerLowering(NativeLowering):
         state.flags.no_compile = True
         super().run_pass(state)
         lowered = state["cr"]
-        entry = [].append  # there is none; a key of its own, of the type that Numba expects
+        entry = [].append  # no entry point: a unique key of the type that Numba expects
         state.targetctx.insert_user_function(entry, lowered.fndesc, [state.library])
         state["cr"] = lowered._replace(cfunc=entry)
         return True
@@ -192,8 +201,8 @@ class _Flushing(_Inner):
     lowering = _FlushingLowering
 
 
-def inner(function, always):
-    """Dispatcher of a function for compiled callers; always: it is inlined into them."""
+def _inner(function, always):
+    """Dispatcher of a function for compiled callers; always: inline it into them."""
     return njit(
         **OPTIONS,
         forceinline=always,
@@ -204,16 +213,14 @@ def inner(function, always):
 
 
 class _Cache(FunctionCache):
-    """Machine code on the disk; what cannot be read is made anew, what cannot be written is not
-    kept.
-    """
+    """Disk cache: unreadable files are replaced, files that cannot be written are omitted."""
 
-    told = False
+    warned = False
 
     def load_overload(self, *arguments):
         try:
             return super().load_overload(*arguments)
-        except Exception:  # whatever a file that was cut or garbled leads to
+        except Exception:  # a truncated or corrupt file can raise any exception
             with self._forgiving():
                 self.flush()
             return None
@@ -227,33 +234,24 @@ class _Cache(FunctionCache):
         try:
             yield
         except OSError as error:
-            if not _Cache.told:
-                _Cache.told = True
+            if not _Cache.warned:
+                _Cache.warned = True
                 log.warning(
-                    "compiled kernels cannot be kept, so that every start compiles them "
-                    "again: %s: %s",
+                    "Compiled kernels cannot be cached, so every start compiles them again: %s: %s",
                     self.cache_path,
                     error.strerror,
                 )
 
 
-def outer(function, cache, flushes):
-    """Dispatcher of the same function for Python; flushes: see _compile.stepper."""
-    dispatcher = njit(**OPTIONS, pipeline_class=_Flushing if flushes else _Outer)(function)
-    if cache:
-        dispatcher._cache = _Cache(function)
-    return dispatcher
-
-
 @dataclass(frozen=True)
 class _Symbol:
-    """Machine code that kernels call by a name: a function for arguments of these types.
+    """Symbol of the machine code of a function, for arguments of these types.
 
-    Calling this compiles it, or loads it, and makes the name known. Numba does so before it loads a
-    kernel out of the cache that calls it.
+    Calling this object compiles or loads the function and defines the symbol. Numba does so before
+    it loads a cached kernel that calls the function.
     """
 
-    function: object  # a kernel, with the dispatcher of the function for Python
+    function: object  # Kernel
     arguments: tuple
 
     @property
@@ -264,23 +262,21 @@ class _Symbol:
     def __call__(self):
         dispatcher = self.function.dispatcher
         dispatcher.compile(self.arguments)
-        found = dispatcher.overloads[self.arguments]
-        if found.signature.return_type != types.int64:
+        compiled = dispatcher.overloads[self.arguments]
+        if compiled.signature.return_type != types.int64:
             raise TypeError(f"{dispatcher.__qualname__} must return an integer")
         binding.add_symbol(
-            self.name, found.library.get_pointer_to_function(found.fndesc.llvm_cfunc_wrapper_name)
+            self.name,
+            compiled.library.get_pointer_to_function(compiled.fndesc.llvm_cfunc_wrapper_name),
         )
 
 
-def shared_inner(outer_kernel):
-    """Dispatcher for compiled callers that call the machine code which Python calls, too.
-
-    outer_kernel : picklable, with a dispatcher; it returns an int64
-    """
+def _shared(kernel):
+    """Dispatcher for compiled callers that calls the machine code of the function for Python."""
 
     @intrinsic
     def call(typing_context, given):
-        symbol = _Symbol(outer_kernel, tuple(map(types.unliteral, given)))
+        symbol = _Symbol(kernel, tuple(map(types.unliteral, given)))
         symbol()
 
         def codegen(context, builder, signature, values):
@@ -303,28 +299,28 @@ def shared_inner(outer_kernel):
     def stub(*given):
         return call(given)
 
-    return inner(stub, True)
+    return _inner(stub, True)
 
 
 class InnerFunction(types.Dispatcher):
-    """Type of a function for compiled callers: for all numbers of a type it is compiled once.
+    """Type of a function for compiled callers: constant arguments do not compile it again.
 
-    LLVM sees the constants among them, where it is inlined.
+    LLVM sees the constants where it inlines the function.
     """
 
     def get_call_type(self, context, args, kws):
         return super().get_call_type(context, tuple(map(types.unliteral, args)), kws)
 
 
-class Chosen(types.Callable, types.Dummy):
-    """Type of a function that stands for one of several, as the type of its first argument says.
+class ChoiceType(types.Callable, types.Dummy):
+    """Type of a function that calls one of several, selected by the type of its first argument.
 
     table : {class of Struct: inner dispatcher}
     """
 
     def __init__(self, name, table):
         self._table = table
-        super().__init__(f"chosen({name})")
+        super().__init__(f"choice({name})")
 
     def _type(self, arguments):
         return InnerFunction(self._table[arguments[0].instance_class])
@@ -340,9 +336,123 @@ class Chosen(types.Callable, types.Dummy):
 
 
 register_model(InnerFunction)(models.OpaqueModel)
-register_model(Chosen)(models.OpaqueModel)
+register_model(ChoiceType)(models.OpaqueModel)
 
 
-@lower_constant(Chosen)
-def _nothing(context, builder, kind, value):
+@lower_constant(ChoiceType)
+def _no_value(context, builder, kind, value):
     return context.get_dummy_value()
+
+
+def cache():
+    """Cache folder of this compiler; None if nothing can be cached."""
+    return cache_folder(f"{name} {numba.__version__} {numba.config.BOUNDSCHECK}")
+
+
+def for_python(kernel):
+    """Dispatcher of a kernel for Python."""
+    # The setting of other packages in the process is restored: they have their own cache folder.
+    before = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = str(cache() or "")
+    try:
+        pipeline = _Flushing if kernel.role == "stepper" else _Outer
+        dispatcher = njit(**OPTIONS, pipeline_class=pipeline)(kernel.function)
+        if cache() is not None:
+            dispatcher._cache = _Cache(kernel.function)
+        return dispatcher
+    finally:
+        numba.config.CACHE_DIR = before
+
+
+def for_kernels(kernel):
+    """Dispatcher of a kernel for compiled callers."""
+    if kernel.role == "shared":
+        return _shared(kernel)
+    return _inner(kernel.function, always=kernel.role != "subroutine")
+
+
+def callable(kernel):
+    return kernel.dispatcher
+
+
+def entry(kernel, arguments):
+    """Machine code of a kernel for arguments of the types of these."""
+    return kernel.dispatcher.compile(tuple(map(numba.typeof, arguments)))
+
+
+struct_types.array_type = borrowed_arrays.BorrowedArray
+
+
+@typeof_impl.register(Kernel)
+def _type_of_kernel(kernel, context):
+    return InnerFunction(kernel.inner)
+
+
+@typeof_impl.register(Choice)
+def _type_of_choice(choice, context):
+    return ChoiceType(choice.name, {cls: each.inner for cls, each in choice.table.items()})
+
+
+# Inner parts that are overridden or called, with their parameters.
+ASSUMED = {
+    JITCodeLibrary: {
+        "__init__": "self codegen name",
+        "_optimize_functions": "self ll_module",
+        "_optimize_final_module": "self",
+        "_finalize_final_module": "self",
+        "_finalize_dynamic_globals": "self",
+        "enable_object_caching": "self",
+        "get_pointer_to_function": "self name",
+    },
+    CPUCodegen: {"_module_pass_manager": "self kwargs", "_pass_builder": "self kwargs"},
+    Lower: {"setup_function": "self fndesc", "pre_lower": "self", "lower_inst": "self inst"},
+    NativeLowering: {"run_pass": "self state"},
+    Compiler: {"define_pipelines": "self"},
+    BaseContext: {
+        "insert_user_function": "self func fndesc libs",
+        "get_dummy_value": "self",
+        "cast": "self builder val fromty toty",
+    },
+    types.Dispatcher: {
+        "get_call_type": "self context args kws",
+        "get_call_signatures": "self",
+        "get_impl_key": "self sig",
+    },
+    FunctionCache: {
+        "__init__": "self py_func",
+        "load_overload": "self sig target_context",
+        "save_overload": "self sig data",
+        "flush": "self",
+    },
+    cgutils: {
+        "get_or_insert_function": "module fnty name",
+        "unpack_tuple": "builder tup count",
+        "alloca_once": "builder ty size name zfill",
+        "do_boundscheck": "context builder ind dimlen axis",
+    },
+    arrayobj: {
+        "getitem_array_tuple": "context builder sig args",
+        "getitem_arraynd_intp": "context builder sig args",
+        "setitem_array": "context builder sig args",
+        "load_item": "context builder arrayty ptr",
+        "store_item": "context builder arrayty val ptr",
+    },
+    binding: {
+        "create_new_function_pass_manager": "",
+        "create_new_module_pass_manager": "",
+        "add_symbol": "name address",
+    },
+}
+
+
+def check_signatures():
+    """Raise TypeError if a part in ASSUMED is missing or has other parameters."""
+    for owner, parts in ASSUMED.items():
+        for part, expected in parts.items():
+            function = getattr(owner, part, None)
+            text = f"{owner.__name__}.{part}"
+            if function is None:
+                raise TypeError(f"{text} is missing")
+            parameters = " ".join(inspect.signature(function).parameters)
+            if parameters != expected:
+                raise TypeError(f"{text} takes ({parameters}), expected ({expected})")

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from liegroup_core.compiling.kernels import kernel
+from liegroup_core.compiling import kernel
 from liegroup_core.lie.vec3 import add3, cross3, dot3, load3, load9, tmatvec3, vector3
 
 ROW = np.dtype(

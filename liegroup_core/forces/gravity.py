@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Uniform gravity."""
 
-from liegroup_core.compiling.kernels import kernel
+from liegroup_core.compiling import kernel
 from liegroup_core.lie.vec3 import dot3, load3, load9, scale3, tmatvec3
 
 

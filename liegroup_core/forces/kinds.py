@@ -14,8 +14,7 @@ for every kind. Gravity acts on all bodies and stands apart (gravity.py).
 
 import numpy as np
 
-from liegroup_core.compiling.kernels import kernel, subroutine
-from liegroup_core.compiling.structs import Struct, borrowed
+from liegroup_core.compiling import Struct, borrowed, kernel, subroutine
 
 from . import (
     applied_wrench,

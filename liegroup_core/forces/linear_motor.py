@@ -6,7 +6,7 @@ The line of motor.py, with force and speed in place of torque and rate.
 
 import numpy as np
 
-from liegroup_core.compiling.kernels import kernel
+from liegroup_core.compiling import kernel
 
 from . import slide
 

@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from liegroup_core.compiling.kernels import kernel
+from liegroup_core.compiling import kernel
 
 from . import slide
 

@@ -9,7 +9,7 @@ order.
 
 import numpy as np
 
-from liegroup_core.compiling.kernels import kernel
+from liegroup_core.compiling import kernel
 
 from . import turn
 

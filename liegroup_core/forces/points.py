@@ -5,7 +5,7 @@ body  : body index, or WORLD
 place : (3,) m, the point in the frame of the body
 """
 
-from liegroup_core.compiling.kernels import kernel
+from liegroup_core.compiling import kernel
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.vec3 import add3, cross3, load3, load9, matvec3, sub3, tmatvec3
 

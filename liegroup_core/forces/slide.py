@@ -9,7 +9,7 @@ every point, and their work is f ds exactly, also where a method lets the joint 
 (test/contract/test_forces.py).
 """
 
-from liegroup_core.compiling.kernels import kernel
+from liegroup_core.compiling import kernel
 from liegroup_core.lie.vec3 import dot3, scale3, sub3, vector3
 
 from .points import apply_force, place_of, point, point_velocity, world_axes

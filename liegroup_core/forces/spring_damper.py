@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from liegroup_core.compiling.kernels import kernel
+from liegroup_core.compiling import kernel
 from liegroup_core.lie.vec3 import dot3, scale3, sub3, vector3
 
 from .points import apply_force, point, point_velocity

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from liegroup_core.compiling.kernels import kernel
+from liegroup_core.compiling import kernel
 
 from . import turn
 

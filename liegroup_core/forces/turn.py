@@ -15,7 +15,7 @@ step.
 
 import math
 
-from liegroup_core.compiling.kernels import kernel
+from liegroup_core.compiling import kernel
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.vec3 import (
     add3,

@@ -4,7 +4,7 @@
 Source: Kelley, Iterative Methods for Linear and Nonlinear Equations, 1995, 7.3.
 """
 
-from liegroup_core.compiling.kernels import kernel
+from liegroup_core.compiling import kernel
 
 
 @kernel

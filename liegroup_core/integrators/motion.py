@@ -3,7 +3,7 @@
 
 import math
 
-from liegroup_core.compiling.kernels import kernel
+from liegroup_core.compiling import kernel
 from liegroup_core.lie.se3 import se3_compose, se3_exp
 from liegroup_core.lie.so3 import so3_exp
 from liegroup_core.lie.vec3 import add3, dot3, load3, load9, matmul3, matvec3, store3

@@ -13,7 +13,7 @@ Where the points coincide there is no direction: the row is then zero, which the
 
 import math
 
-from liegroup_core.compiling.kernels import kernel
+from liegroup_core.compiling import kernel
 from liegroup_core.lie.vec3 import ZERO3, add3, axpy3, cross3, dot3, scale3, sub3
 
 

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from liegroup_core.compiling.kernels import kernel
+from liegroup_core.compiling import kernel
 from liegroup_core.lie.vec3 import tmatvec3
 
 _COORDINATES = ("wx", "wy", "wz", "vx", "vy", "vz")

@@ -10,7 +10,7 @@ body axes, where y is constant and xdot = -w x x with the relative twist (w, v) 
 
 import math
 
-from liegroup_core.compiling.kernels import kernel
+from liegroup_core.compiling import kernel
 from liegroup_core.lie.vec3 import cross3, dot3
 
 

@@ -15,7 +15,7 @@ each switch: test/core/test_coefficients.py.
 """
 import math
 
-from liegroup_core.compiling.kernels import kernel
+from liegroup_core.compiling import kernel
 
 EXP_SERIES_BELOW = 4.0      # x = t^2, rad^2: series below, half-angle form from it on
 DEXPINV_SERIES_BELOW = 1.0  # x = t^2, rad^2: series below, halved angles from it on

@@ -9,7 +9,7 @@ Xdot = dexpinv_{-X} V. All 6x6 operators are applied by cross products and never
 Arguments that are not finite raise nothing; exp, dexp and dexpinv of them are not finite.
 """
 
-from liegroup_core.compiling.kernels import kernel
+from liegroup_core.compiling import kernel
 
 from .coefficients import dexp_slopes, dexpinv_coefficients, exp_coefficients
 from .so3 import so3_dexp, so3_dexpinv, so3_exp, so3_log

@@ -10,7 +10,7 @@ Arguments that are not finite raise nothing; exp, dexp and dexpinv of them are n
 
 import math
 
-from liegroup_core.compiling.kernels import kernel
+from liegroup_core.compiling import kernel
 
 from .coefficients import dexpinv_coefficients, exp_coefficients
 from .vec3 import cross3, dot3

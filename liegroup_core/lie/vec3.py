@@ -8,7 +8,7 @@ column, never through a slice: a slice costs two atomic operations on a referenc
 
 import math
 
-from liegroup_core.compiling.kernels import kernel
+from liegroup_core.compiling import kernel
 
 ZERO3 = (0.0, 0.0, 0.0)
 IDENTITY3 = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)

@@ -15,7 +15,7 @@ A kind of thing is one structured array, a record per thing.
 """
 import numpy as np
 
-from liegroup_core.compiling.structs import Struct
+from liegroup_core.compiling import Struct
 
 # Work.report[3], an input of a call: WAIT ends it, with fewer steps than asked, before a step in
 # which a spring may turn over (forces/kinds.py); then it is MET.

@@ -24,7 +24,7 @@ import math
 
 import numpy as np
 
-from liegroup_core.compiling.kernels import SameTypes
+from liegroup_core.compiling import SameTypes
 from liegroup_core.forces.schedule import NEVER
 from liegroup_core.formulations.absolute.invariants import energy
 from liegroup_core.integrators.methods import METHODS

@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from liegroup_core.compiling.kernels import SameTypes, kernel
+from liegroup_core.compiling import SameTypes, kernel
 from liegroup_core.forces import kinds
 from liegroup_core.forces.gravity import energy as gravity_energy
 from liegroup_core.formulations.absolute.constraints import position_residuals

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from liegroup_core.compiling.kernels import subroutine
+from liegroup_core.compiling import subroutine
 
 GROUND = -1  # index of the world where a body is meant
 STATE = 13  # numbers per body: quaternion, position, velocity, angular velocity

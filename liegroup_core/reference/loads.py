@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from liegroup_core.compiling.kernels import subroutine
+from liegroup_core.compiling import subroutine
 
 from .equations import GROUND, direction, point, rotate, rotate_back, turning
 

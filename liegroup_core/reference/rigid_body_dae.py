@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from liegroup_core.compiling.kernels import subroutine
+from liegroup_core.compiling import subroutine
 
 from .equations import STATE, Equations, joint_equations
 from .loads import Loads, add_loads

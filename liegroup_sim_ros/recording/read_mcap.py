@@ -20,7 +20,7 @@ from mcap.records import Channel as ChannelRecord
 from mcap.records import Schema, Statistics
 from mcap.writer import MCAP0_MAGIC
 
-from liegroup_core.compiling.kernels import subroutine
+from liegroup_core.compiling import subroutine
 
 from .mcap_records import (
     GROWS,

@@ -7,7 +7,7 @@ import time
 import pytest
 
 from liegroup_core import Simulation, load_scene
-from liegroup_core.compiling.kernels import compiled
+from liegroup_core.compiling import compiled
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from liegroup_core.compiling.kernels import compiled
+from liegroup_core.compiling import compiled
 from liegroup_core.lie import SE3, SO3, se3, so3
 
 UNIT = 2.0**-53

@@ -164,7 +164,7 @@ def test_nothing_is_compiled_on_the_way():
     code = """if True:
         import gc
         from liegroup_core import Simulation, load_scene
-        from liegroup_core.compiling.kernels import Kernel, compiled
+        from liegroup_core.compiling import Kernel, compiled
         kernels = [each for each in gc.get_objects() if isinstance(each, Kernel)]
         for scene in ("heavy_top", "four_bar"):
             simulation = Simulation(load_scene(scene))

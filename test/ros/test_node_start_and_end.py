@@ -14,7 +14,7 @@ from node_process import COMPILING, NodeProcess, stamp_ns
 from rclpy.qos import ReliabilityPolicy
 
 from liegroup_core import Simulation
-from liegroup_core.compiling.kernels import compiled
+from liegroup_core.compiling import compiled
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.messages.codecs import PoseStampedCodec, TwistStampedCodec
 from liegroup_sim_ros.recording.read import read_recording

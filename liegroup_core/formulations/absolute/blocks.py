@@ -6,7 +6,7 @@ a place in an array too. Sizes are arguments: where callers hand on constants th
 unrolled, since all of this is inlined.
 """
 
-from liegroup_core.compiling.kernels import kernel
+from liegroup_core.compiling import kernel
 
 
 @kernel

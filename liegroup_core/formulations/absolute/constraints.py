@@ -19,8 +19,7 @@ Baumgarte's terms make an error g of position and velocity die out, gddot + 2 a 
 the bias gets -2 a J V - a^2 g.
 """
 
-from liegroup_core.compiling.kernels import kernel, subroutine
-from liegroup_core.compiling.structs import borrowed
+from liegroup_core.compiling import borrowed, kernel, subroutine
 from liegroup_core.joints.distance import distance_rate, distance_residual, distance_row
 from liegroup_core.joints.elements import DISTANCE, PAIR, PERPENDICULAR, WORLD
 from liegroup_core.joints.pairs import pair_coordinates

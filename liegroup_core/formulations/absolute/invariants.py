@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Energy and spatial momentum of a state."""
 
-from liegroup_core.compiling.kernels import kernel
+from liegroup_core.compiling import kernel
 from liegroup_core.forces import kinds
 from liegroup_core.forces.gravity import energy as gravity_energy
 from liegroup_core.lie.vec3 import add3, cross3, dot3, load3, load9, matrix3, matvec3, scale3

@@ -7,7 +7,7 @@ In body frames at the centre of mass M is block diagonal (Theta, m I). Q holds t
 terms with the sign that (6.30) misses: torque -w x Theta w, force -m w x v.
 """
 
-from liegroup_core.compiling.kernels import kernel
+from liegroup_core.compiling import kernel
 from liegroup_core.forces import gravity
 from liegroup_core.forces.kinds import add_wrenches
 from liegroup_core.lie.vec3 import cross3, load3, matrix3, matvec3

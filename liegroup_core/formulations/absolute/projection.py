@@ -14,8 +14,7 @@ so kinetic energy and linear momentum stay. Displacements are the least ones up 
 Source: Terze, Mueller and Zlatar, ref. [34] of the chapter, with the mass matrix as the weight.
 """
 
-from liegroup_core.compiling.kernels import kernel, shared
-from liegroup_core.compiling.structs import borrowed
+from liegroup_core.compiling import borrowed, kernel, shared
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.se3 import se3_compose, se3_exp
 from liegroup_core.lie.vec3 import dot3, load3, load9, store3, store9, tmatvec3

@@ -18,7 +18,7 @@ constants: the compiler then unrolls the loops over a block, which was measured 
 to a third of the time.
 """
 
-from liegroup_core.compiling.kernels import kernel, shared
+from liegroup_core.compiling import kernel, shared
 from liegroup_core.joints.elements import WORLD
 
 from .blocks import (

@@ -9,7 +9,7 @@ force_2). The rows of a joint are rows for (omega, v_1, v_2).
 """
 import numpy as np
 
-from liegroup_core.compiling.structs import Struct
+from liegroup_core.compiling import Struct
 from liegroup_core.model.arrays import Model, Work
 
 from .tree import COLUMNS

@@ -9,7 +9,7 @@ the parent at the child is W = (omega_a, R v_a - omega_a J p), and (alpha, beta)
 e is the velocity error of the joint, as in dynamics.constraints.
 """
 
-from liegroup_core.compiling.kernels import kernel
+from liegroup_core.compiling import kernel
 from liegroup_core.formulations.absolute.newton_euler import REFINEMENTS_WHEN_SINGULAR
 from liegroup_core.formulations.absolute.saddle_point import REGULARISATION, solve_in_plane
 from liegroup_core.joints.elements import WORLD

@@ -5,7 +5,7 @@ Planar axes are axes of the world and of the bodies (arrays.py), so that product
 exact, and a state goes to the plane and back without a change.
 """
 
-from liegroup_core.compiling.kernels import kernel
+from liegroup_core.compiling import kernel
 from liegroup_core.forces.kinds import add_wrenches
 from liegroup_core.lie.vec3 import (
     dot3,

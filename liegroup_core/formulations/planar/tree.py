@@ -15,7 +15,7 @@ Source: Featherstone, Rigid Body Dynamics Algorithms, section 7.3.
 
 import numpy as np
 
-from liegroup_core.compiling.kernels import kernel
+from liegroup_core.compiling import kernel
 from liegroup_core.joints.elements import WORLD
 
 LINK = np.dtype(

@@ -6,7 +6,7 @@ In place and without allocation, as kernels need it.
 
 import math
 
-from liegroup_core.compiling.kernels import kernel
+from liegroup_core.compiling import kernel
 
 
 @kernel

@@ -8,8 +8,7 @@ in m/s^2 and rad/s^2, `residual`; g are the position residuals of all rows that 
 
 import numpy as np
 
-from liegroup_core.compiling.kernels import kernel, subroutine
-from liegroup_core.compiling.structs import Struct, borrowed
+from liegroup_core.compiling import Struct, borrowed, kernel, subroutine
 from liegroup_core.formulations.absolute.constraints import (
     assemble,
     position_residuals,

@@ -29,8 +29,7 @@ import math
 
 import numpy as np
 
-from liegroup_core.compiling.kernels import SameTypes, kernel, stepper
-from liegroup_core.compiling.structs import borrowed
+from liegroup_core.compiling import SameTypes, borrowed, kernel, stepper
 from liegroup_core.forces.kinds import count_turns, too_fast, turns_over
 from liegroup_core.formulations.absolute.newton_euler import accelerations
 from liegroup_core.integrators.methods import GROUPS, SE3, refuse_stabilisation

@@ -31,8 +31,7 @@ import math
 
 import numpy as np
 
-from liegroup_core.compiling.kernels import SameTypes, kernel, stepper
-from liegroup_core.compiling.structs import Struct, borrowed
+from liegroup_core.compiling import SameTypes, Struct, borrowed, kernel, stepper
 from liegroup_core.forces.kinds import count_turns, too_fast, turns_over
 from liegroup_core.formulations.absolute.constraints import position_residuals
 from liegroup_core.formulations.absolute.projection import is_closed

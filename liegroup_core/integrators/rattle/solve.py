@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a step of constrained.py asks of forces and joints, each compiled once."""
 
-from liegroup_core.compiling.kernels import subroutine
-from liegroup_core.compiling.structs import borrowed
+from liegroup_core.compiling import borrowed, subroutine
 from liegroup_core.forces.gravity import add_wrench as add_gravity
 from liegroup_core.forces.kinds import add_wrenches
 from liegroup_core.formulations.absolute.constraints import assemble

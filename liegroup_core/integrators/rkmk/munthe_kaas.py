@@ -23,8 +23,7 @@ import math
 
 import numpy as np
 
-from liegroup_core.compiling.kernels import SameTypes, kernel, stepper, warm_up
-from liegroup_core.compiling.structs import Struct, borrowed
+from liegroup_core.compiling import SameTypes, Struct, borrowed, kernel, stepper, warm_up
 from liegroup_core.formulations.planar.arrays import make_planar_work
 from liegroup_core.integrators.methods import EXACT, GROUPS, is_positive
 from liegroup_core.integrators.motion import copy_state

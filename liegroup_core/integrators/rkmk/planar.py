@@ -8,7 +8,7 @@ commutative, exp is a turn and a shift, and dexp the identity.
 
 import math
 
-from liegroup_core.compiling.kernels import kernel
+from liegroup_core.compiling import kernel
 from liegroup_core.forces import kinds
 from liegroup_core.formulations.absolute.projection import close_joints
 from liegroup_core.formulations.planar.dynamics import clear_ground_slip

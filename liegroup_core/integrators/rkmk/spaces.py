@@ -29,7 +29,7 @@ Model and in integrators/rkmk/planar.py for a PlanarModel; the type of the model
                             angles of torsional springs at the end of the step
 """
 
-from liegroup_core.compiling.kernels import Choice
+from liegroup_core.compiling import Choice
 from liegroup_core.formulations.planar.arrays import PlanarModel
 from liegroup_core.formulations.planar.dynamics import accelerations
 from liegroup_core.model.arrays import Model

@@ -7,7 +7,7 @@ plane. Their model is a Model, their work a Work.
 
 import math
 
-from liegroup_core.compiling.kernels import kernel
+from liegroup_core.compiling import kernel
 from liegroup_core.forces import kinds
 from liegroup_core.formulations.absolute.constraints import clear_ground_slip
 from liegroup_core.formulations.absolute.newton_euler import accelerations

@@ -8,7 +8,7 @@ mass is where R puts it, r = pivot + R d, v = w x d: the joint is closed to roun
 
 import numpy as np
 
-from liegroup_core.compiling.kernels import kernel
+from liegroup_core.compiling import kernel
 from liegroup_core.joints.elements import PAIR, WORLD
 from liegroup_core.lie.vec3 import (
     ZERO3,

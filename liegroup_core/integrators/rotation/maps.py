@@ -21,7 +21,7 @@ ITERATED, with a torque that depends on the step itself and is found by repeatin
                      y+ = Q^T (y + (h/2) T) + (h/2) T+
 """
 
-from liegroup_core.compiling.kernels import kernel, subroutine
+from liegroup_core.compiling import kernel, subroutine
 from liegroup_core.lie.so3 import so3_exp
 from liegroup_core.lie.vec3 import (
     ZERO3,

@@ -11,7 +11,7 @@ All are smooth, so Newton's method doubles the digits once it is near.
 
 import math
 
-from liegroup_core.compiling.kernels import kernel, subroutine
+from liegroup_core.compiling import kernel, subroutine
 from liegroup_core.lie.coefficients import dexp_slopes, dexpinv_coefficients, exp_coefficients
 from liegroup_core.lie.so3 import so3_dexp, so3_exp
 from liegroup_core.lie.vec3 import (

@@ -28,8 +28,7 @@ import math
 
 import numpy as np
 
-from liegroup_core.compiling.kernels import SameTypes, kernel, stepper
-from liegroup_core.compiling.structs import borrowed
+from liegroup_core.compiling import SameTypes, borrowed, kernel, stepper
 from liegroup_core.forces.gravity import add_wrench as add_gravity
 from liegroup_core.forces.kinds import add_wrenches, turns_over
 from liegroup_core.integrators.broyden import broyden

@@ -18,7 +18,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy.stats.qmc import LatinHypercube
 
-from liegroup_core.compiling.kernels import source_digest
+from liegroup_core.compiling import source_digest
 from liegroup_core.engine import Engine
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.scene.assembly import assembled

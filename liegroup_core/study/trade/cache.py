@@ -21,7 +21,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from zipfile import BadZipFile
 
-from liegroup_core.compiling.kernels import cache_root, source_digest
+from liegroup_core.compiling import cache_root, source_digest
 from liegroup_core.integrators.methods import is_positive
 from liegroup_core.study.machine import cpu_name
 

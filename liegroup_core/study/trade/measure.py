@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from liegroup_core.compiling.kernels import source_digest
+from liegroup_core.compiling import source_digest
 from liegroup_core.engine import Engine
 from liegroup_core.errors import SimulationError
 from liegroup_core.model.symmetry import conserved_momentum

@@ -10,7 +10,7 @@ Each ladder is climbed from its coarsest step to finer ones, until its error is 
 of the reference, or the next step would take too long. How it is measured: docs/trade.md.
 """
 
-from liegroup_core.compiling.kernels import source_digest
+from liegroup_core.compiling import source_digest
 from liegroup_core.engine import Engine
 from liegroup_core.integrators.families import fitting_methods
 from liegroup_core.integrators.methods import METHODS, is_positive

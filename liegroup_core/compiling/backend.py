@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Selection of the compiler: with Numba's inner parts replaced, plain Numba, or none.
+
+The selection takes place at the first use of a kernel, so that importing kernels does not import
+Numba. Each compiler is a module with the functions
+
+    cache() -> folder of compiled code, or None
+    for_python(kernel), for_kernels(kernel) -> Numba's dispatcher
+    callable(kernel) -> callable for Python
+    entry(kernel, arguments) -> callable for arguments of the types of these
+    words(struct) -> Numba type and words of a Struct
+"""
+
+import logging
+import os
+import threading
+from contextlib import suppress
+from importlib import import_module
+
+log = logging.getLogger("liegroup_core")
+
+TESTED = "0.63 to 0.68"  # releases of Numba whose inner parts are as expected
+PLAIN = "LIEGROUP_PLAIN_NUMBA"  # environment variable; 1: plain Numba
+
+_lock = threading.RLock()
+_chosen = None
+
+
+def chosen():
+    """Module of the compiler of this process: inlining, plain or python."""
+    global _chosen
+    if _chosen is None:
+        with _lock:
+            if _chosen is None:
+                _choose()
+    return _chosen
+
+
+def _choose():
+    global _chosen
+    try:
+        import numba
+        import numba.extending
+    except ImportError:
+        numba = None
+    if numba is None or numba.config.DISABLE_JIT:
+        _chosen = _module("python")
+        return
+    try:
+        if os.environ.get(PLAIN, "0") in ("", "0"):
+            _chosen = _inlining()
+            return
+    except Exception as error:  # a changed inner part can raise any exception
+        log.warning(
+            "Numba %s is not as expected: %s. Kernels are compiled by plain numba.njit: the "
+            "results are the same, compiling takes 4 times and steps 5 times as long. Tested "
+            "releases of Numba: %s.",
+            numba.__version__,
+            _line(error),
+            TESTED,
+        )
+    try:
+        _chosen = _module("plain")
+    except Exception as error:
+        _chosen = _module("python")
+        log.warning(
+            "Numba %s cannot compile the kernels: %s. The simulation runs as plain Python, some "
+            "hundred times slower. Tested releases of Numba: %s.",
+            numba.__version__,
+            _line(error),
+            TESTED,
+        )
+
+
+def _inlining():
+    """Module inlining, if all parts of Numba that it replaces are as expected."""
+    global _chosen
+    inlining = _module("inlining")
+    inlining.check_signatures()
+    folder = inlining.cache()
+    done = None if folder is None else folder / "checked"
+    if done is None or not done.exists():
+        _chosen = inlining  # it compiles the kernels of the check
+        _module("check").check()
+        if done is not None:
+            with suppress(OSError):
+                done.touch()
+    return inlining
+
+
+def _module(name):
+    """Module of this package, loaded by name: it imports `kernels`, which imports this module."""
+    return import_module(f"{__package__}.{name}")
+
+
+def _line(error):
+    """First line of an error, with its type."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return f"{type(error).__name__}: {lines[0] if lines else ''}"
+
+
+def compiled():
+    """True if kernels run as machine code, False if they run as plain Python."""
+    return chosen().name != "python"
