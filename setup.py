@@ -32,7 +32,7 @@ setup(
     install_requires=[
         "mcap>=1.5",
         "mcap-ros2-support",
-        "numba>=0.62",
+        "numba>=0.63",
         "numpy>=1.26",
         "plotly",
         "pydantic>=2",

@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scalar functions of the rotation angle that exp, dexp and dexpinv of SO(3) and SE(3) consist of.
 
-All take x = t^2 with t = |xi| in rad, so that no root is needed where a series is summed. The
-closed forms lose digits towards t = 0, up to all of them; there the power series in x is
-summed, twelve terms, truncated by less than 3e-18 relative. Outside it exp uses the half angle,
-dexpinv the formula for the doubled angle, both without cancellation.
+The argument of all is x = t^2 with t = |xi| in rad, so the series need no square root. The closed
+forms cancel near t = 0. There, twelve terms of the power series in x are summed, with a relative
+truncation error below 3e-18. Elsewhere exp uses the half angle and dexpinv the formula for the
+doubled angle. Neither cancels.
 
-t = 0, and x underflowed to 0, give the limit; x not finite (|xi| beyond 1e154) gives NaN. The
+t = 0, or x underflowed to 0, gives the limit. Non-finite x (|xi| beyond 1e154) gives NaN. The
 coefficients of dexpinv have poles at t = 2 pi k, k > 0; all others are smooth everywhere.
-Up to t = 2 only + - * / are used: the same bits on every machine.
+Up to t = 2 only + - * / are used: results are bit-identical on every machine.
 
-Errors are relative, in units of 2^-53, against 50 digits, on a dense grid with both sides of
-each switch: test/core/test_coefficients.py.
+Errors are relative, in units of 2^-53, compared with 50 digits on a dense grid that includes both
+sides of each switch: test/core/test_coefficients.py.
 """
 import math
 
@@ -109,7 +109,7 @@ def exp_coefficients(x):
 
 @kernel
 def dexp_slopes(x):
-    """Slopes of the two coefficients of dexp: what its lower left block on SE(3) is made of.
+    """Derivatives of the two coefficients of dexp, for its lower left block on SE(3).
 
     x : t^2, rad^2
     returns (1/t d/dt (1 - cos t)/t^2, 1/t d/dt (t - sin t)/t^3)
@@ -131,8 +131,8 @@ def dexpinv_coefficients(x):
     returns (b, u), b = (1 - gamma)/t^2, u = (1/beta + gamma - 2)/t^4 = 1/t db/dt with
         gamma = (t/2) cot(t/2), beta = (sin(t/2)/(t/2))^2; NaN exactly at a pole
 
-    Error for t <= pi: 4 and 10 units. Beyond: times pi/(2 pi - t), as the rounding of t^2 alone
-    changes the values near the pole.
+    Error for t <= pi: 4 and 10 units. Beyond: times pi/(2 pi - t), because the
+    round-off of t^2 alone changes the values near the pole.
     Source: (6.12), (6.13) with gamma and h_X corrected; u is the last term's whole factor.
     """
     if not x < math.inf:
@@ -160,7 +160,7 @@ def dexpinv_coefficients(x):
 def truncated_dexpinv_coefficients(highest, x):
     """Coefficients of the series of dexpinv, sum of (B_j / j!) ad^j, up to a power of ad.
 
-    highest : last power j of the sum, 0 or more; beyond 7 nothing is added
+    highest : last power j of the sum, 0 or more; terms beyond 7 are omitted
     x       : t^2, rad^2
     returns (first, b, u): factor of -ad, and b and u as above
 

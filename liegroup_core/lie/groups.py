@@ -8,8 +8,8 @@ d/dt exp(X) exp(X)^-1 = hat(dexp(X) Xdot), so the body-fixed twist is dexp(-X) X
 
 Every function takes arrays with any leading dimensions. A wrong shape, a number that is not
 finite and a matrix that is not in the group raise ValueError. Accuracy: see the kernels and
-test/contract/test_lie_groups.py. A call costs microseconds an item: in loops over steps, call
-the kernels from a kernel.
+test/contract/test_lie_groups.py. A call takes microseconds per element. In loops
+over steps, call the kernels from a kernel.
 """
 
 import numpy as np
@@ -18,8 +18,8 @@ from .se3 import se3_Ad, se3_ad, se3_dexp, se3_dexpinv, se3_exp, se3_inverse, se
 from .so3 import so3_dexp, so3_dexpinv, so3_exp, so3_from_quaternion, so3_log, so3_to_quaternion
 from .vec3 import cross3, transpose3
 
-# Largest entry of R^T R - I in a matrix still taken for a rotation: one rounded to single
-# precision (a few 6e-8) passes, a scaled one does not.
+# Largest entry of R^T R - I that is accepted: a rotation rounded to single precision (a few 6e-8)
+# passes, a scaled one does not.
 ROTATION_TOLERANCE = 1e-6
 
 UNIT3 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -111,7 +111,7 @@ class SO3:
 
     @staticmethod
     def log(R):
-        """Rotation vector of a rotation matrix, |xi| <= pi; at pi either sign may come."""
+        """Rotation vector of a rotation matrix, |xi| <= pi; at pi the sign is undefined."""
         return _each(so3_log, (3,), _rotation(R, "R"))
 
     @staticmethod
@@ -179,7 +179,7 @@ class SE3:
 
     @staticmethod
     def log(C):
-        """Screw of a pose, |xi| <= pi; at pi either sign of xi may come."""
+        """Screw of a pose, |xi| <= pi; at pi the sign of xi is undefined."""
         return _each(lambda R, r: np.concatenate(se3_log(R, r)), (6,), *_pose(C, "C"))
 
     @staticmethod

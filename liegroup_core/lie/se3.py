@@ -6,7 +6,7 @@ Screw X = (xi, eta), twist V = (w, v), wrench (torque, force): angular part firs
 right-translated, Cdot C^-1 = dexp_X Xdot, so the body-fixed twist is V = dexp_{-X} Xdot and
 Xdot = dexpinv_{-X} V. All 6x6 operators are applied by cross products and never formed.
 
-Arguments that are not finite raise nothing; exp, dexp and dexpinv of them are not finite.
+Non-finite arguments raise no exception: exp, dexp and dexpinv of them are not finite.
 """
 
 from liegroup_core.compiling import kernel
@@ -49,7 +49,7 @@ def se3_log(R, r):
 
 @kernel
 def se3_Ad(R, r, w, v):
-    """Ad_C V: a twist of the body frame in the frame C leads to. (R w, r x R w + R v)"""
+    """Ad_C V: a body-frame twist in the frame that C maps to: (R w, r x R w + R v)."""
     Rw = matvec3(R, w)
     return Rw, add3(cross3(r, Rw), matvec3(R, v))
 
@@ -76,7 +76,7 @@ def se3_ad_transpose(xi, eta, torque, force):
 def se3_dexp(xi, eta, w, v):
     """Right-translated differential of exp, dexp_X applied to (w, v).
 
-    The lower left block is the derivative of dexp_xi in the direction eta, hence the slopes.
+    The lower left block is the derivative of dexp_xi in the direction eta, hence the derivatives.
     Error of an entry of the matrix: 5e-16 (1 + |eta|), for t <= 2 pi.
     """
     x = dot3(xi, xi)
@@ -117,7 +117,7 @@ def se3_dexpinv(xi, eta, w, v):
 def se3_dexpinv_of(first, b, u, xi, eta, w, v):
     """w - first ad_X + b ad_X^2 + ... applied to (w, v), see `dexpinv_coefficients`.
 
-    Of the even powers of ad_X, all are multiples of the second; on SE(3) their slope u enters too.
+    All even powers of ad_X are multiples of the second. On SE(3) their derivative u also enters.
     """
     q = dot3(xi, eta) * u
     a = cross3(xi, w)

@@ -5,7 +5,7 @@ Kernels on tuples: xi rotation vector (3), rad; R rotation matrix (9, row by row
 (x, y, z, w). dexp is right-translated, Rdot R^T = hat(dexp_xi xidot), so the body-fixed angular
 velocity is omega = dexp_{-xi} xidot, and xidot = dexpinv_{-xi} omega.
 
-Arguments that are not finite raise nothing; exp, dexp and dexpinv of them are not finite.
+Non-finite arguments raise no exception: exp, dexp and dexpinv of them are not finite.
 """
 
 import math
@@ -42,8 +42,8 @@ def so3_exp(xi):
 def so3_to_quaternion(R):
     """Unit quaternion (x, y, z, w), w >= 0, of a rotation matrix (Shepperd's choice of the root).
 
-    The largest of the four components comes from a root of a number >= 1, whatever R is;
-    the others are divided by it. At a half turn, w = 0, either sign of the axis may come.
+    The largest component is the square root of a number >= 1 for every R. The others are divided
+    by it. At a rotation by pi (w = 0) the sign of the axis is undefined.
     """
     trace = R[0] + R[4] + R[8]
     if trace >= R[0] and trace >= R[4] and trace >= R[8]:
@@ -90,13 +90,13 @@ def so3_from_quaternion(q):
 def so3_log(R):
     """Rotation vector of a rotation matrix, |xi| <= pi: the inverse of exp.
 
-    By the quaternion and atan2, so no digits are lost near 0 or near pi (trace and arccos lose
-    half of them at both ends). At a half turn either sign of the axis may come.
+    The quaternion and atan2 lose no digits near 0 and pi. Trace and arccos lose half of them
+    at both ends. At a rotation by pi the sign of the axis is undefined.
     Error: 10 units of 2^-53 of t, after the error of exp, down to t = 1e-300.
     """
     x, y, z, w = so3_to_quaternion(R)
     n = math.sqrt(x * x + y * y + z * z)
-    # n = 0 where the squares underflow: then the limit is exact. A coarse n cancels.
+    # If the squares underflow, n = 0 and the limit is exact. The error of a coarse n cancels.
     f = 2.0 * math.atan2(n, w) / n if n > 0.0 else 2.0 / w
     return (f * x, f * y, f * z)
 
@@ -119,7 +119,7 @@ def so3_dexp(xi, w):
 def so3_dexpinv(xi, w):
     """Inverse of dexp_xi applied to w, |xi| < 2 pi: w - 1/2 xi x w + b xi x (xi x w).
 
-    Grows like 1 / (2 pi - t) towards a full turn, where dexp_xi is singular.
+    Grows like 1 / (2 pi - t) near a rotation by 2 pi, where dexp_xi is singular.
     Error of an entry of the matrix: 5e-16 for t <= pi; beyond, times (pi / (2 pi - t))^3.
     """
     b, _ = dexpinv_coefficients(dot3(xi, xi))

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Vectors and matrices of R^3 as tuples: the arithmetic every kernel is written in.
 
-A vector is (x, y, z), a matrix its nine entries row by row. Tuples live in registers: a cross
-product of tuples costs about 1 ns, of arrays 15 ns and an allocation. Arrays are read by row and
-column, never through a slice: a slice costs two atomic operations on a reference count.
+A vector is (x, y, z), a matrix its nine entries row by row. Tuples stay in registers: a cross
+product of tuples takes about 1 ns, of arrays 15 ns and an allocation. Arrays are indexed by row and
+column, never sliced: a slice costs two atomic operations on a reference count.
 """
 
 import math
@@ -161,7 +161,7 @@ def tmatmul3(m, n):
 def solve3(m, b):
     """x with m x = b, by Cramer's rule; not finite where m is singular.
 
-    For Newton's method: good for a matrix whose condition number is far from 1/eps.
+    For Newton's method: accurate if the condition number of m is far below 1/eps.
     """
     r0, r1, r2 = (m[0], m[1], m[2]), (m[3], m[4], m[5]), (m[6], m[7], m[8])
     c0, c1, c2 = cross3(r1, r2), cross3(r2, r0), cross3(r0, r1)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mechanisms whose joints hold every body in a plane: three scalars a body, on SE(2)^n."""
+"""Planar mechanisms: equations of motion on SE(2)^n, three coordinates per body."""

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The arrays that planar kernels see: what Model and Work are for motions in space.
 
-World axes are renamed so that the plane is that of the first two, and body axes likewise: both by
-turns that take axes to axes, so that numbers are only moved and their signs changed. In these
-axes a body turns by an angle theta about the third. Its pose is (cos theta, sin theta, x, y), of
+World and body axes are permuted so that the first two span the plane. These rotations only move
+numbers and change their signs. In these axes a body rotates by an angle theta about the third.
+Its pose is (cos theta, sin theta, x, y), of
 the centre of mass; its twist (omega, v_1, v_2), v in body axes; a wrench (torque, force_1,
 force_2). The rows of a joint are rows for (omega, v_1, v_2).
 """
@@ -21,10 +21,10 @@ PLANAR_BODY = np.dtype([
 
 
 class PlanarModel(Struct):
-    """What does not change while a planar mechanism is integrated; fields as those of Model."""
+    """Constants of a planar mechanism; fields as in Model."""
 
     space: Model                   # the same mechanism in space
-    has_forces: bool               # there is one besides gravity
+    has_forces: bool               # any force other than gravity
     world: np.ndarray              # (1, 9) rows: the planar axes in world axes
     gravity: np.ndarray            # (1, 2) m/s^2
     bodies: np.ndarray             # (n,) of PLANAR_BODY
@@ -45,7 +45,7 @@ class PlanarModel(Struct):
 
 
 class PlanarWork(Struct):
-    """Scratch memory of one simulation; fields as those of Work, of which it shares some."""
+    """Scratch memory of one simulation; fields as in Work, some of them shared with it."""
 
     space: Work
     angle: np.ndarray              # shared

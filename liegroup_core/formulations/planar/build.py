@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which mechanisms live in a plane, and their PlanarModel.
+"""Detection of planar mechanisms, and their PlanarModel.
 
-A lower pair moves in the plane when all that it allows does: a hinge along the normal, a slider
-across it, a plate on the plane. Where such pairs connect every body with the world, no body can
-leave the plane, whatever acts on it and whatever its inertia is: they take up all that pushes
-across. Then three scalars a body are enough, the in-plane part of (6.22), to the last digit; all
-other joints, which close loops, are left with what their rows say of motions in the plane.
+A lower pair is planar if all motions that it allows are planar: a revolute joint along the normal,
+a prismatic joint in the plane, a planar joint. If such pairs connect every body to the world, no
+body can leave the plane for any wrench and any inertia: their constraint wrenches balance all
+out-of-plane loads. The in-plane part of (6.22) with three coordinates per body is then exact. The
+other joints close loops and keep only the in-plane part of their rows.
 
-Axes must be those of the world and, in each body, of the body: then the plane's numbers are those
-of space in another order, and nothing is rounded on the way.
+The normal must be a world axis and an axis of each body. The planar numbers are then a permutation
+of the spatial ones, without round-off.
 """
 
 from functools import lru_cache
@@ -30,12 +30,12 @@ from .tree import tree_links
 
 # Planar axes in world axes, as rows, for a normal along z, y and x.
 PLANES = (np.eye(3), np.eye(3)[[2, 0, 1]], np.eye(3)[[1, 2, 0]])
-# In-plane part of a unit row below which it says nothing new.
+# Smallest in-plane part of a unit row that is independent of the others.
 ROW_TOLERANCE = 1e-6
 
 
 def planar_model(scene, model):
-    """PlanarModel of a mechanism, or None when its joints do not hold it in a plane.
+    """PlanarModel of a mechanism, or None if it is not planar.
 
     scene : its body frames at the centres of mass; model : the Model made of it
     """
@@ -50,9 +50,9 @@ def planar_model(scene, model):
 
 
 def _body_axes(world, pose):
-    """(n, 3, 3) rows: planar axes of every body in its body axes, or None when they are none.
+    """(n, 3, 3) rows: planar axes of every body in its body axes, or None if there are none.
 
-    Along the normal a body axis must lie; the two others then do for planar axes.
+    A body axis must be parallel to the normal; the two others are then the planar axes.
     """
     axes = []
     for R in pose[:, :9].reshape(-1, 3, 3):
@@ -72,7 +72,7 @@ def _body_axes(world, pose):
 
 
 def _is_held(normal, pose, elements):
-    """True when pairs that move in the plane connect every body with the world."""
+    """True if planar pairs connect every body to the world."""
     reached, last = {WORLD}, 0
     links = [
         (int(e["parent"]), int(e["child"])) for e in elements if _moves_in_plane(normal, pose, e)
@@ -86,7 +86,7 @@ def _is_held(normal, pose, elements):
 
 
 def _moves_in_plane(normal, pose, element):
-    """True when a pair allows nothing but turns about the normal and shifts across it."""
+    """True if a pair allows only rotations about the normal and translations in the plane."""
     R = pose[element["child"], :9].reshape(3, 3) @ element["child_rotation"].reshape(3, 3)
     free = scipy.linalg.null_space(element["forbidden"][: 6 * element["rows"]].reshape(-1, 6))
     turns, shifts = R @ free[:3], R @ free[3:]
@@ -97,7 +97,7 @@ def _moves_in_plane(normal, pose, element):
 
 
 def _build(scene, model, world, axes):
-    """PlanarModel of a mechanism that is held in the plane."""
+    """PlanarModel of a planar mechanism."""
     # (6, 3): twist of space of a planar one
     lift = np.zeros((len(axes), 6, 3))
     lift[:, :3, 0] = axes[:, 2]
@@ -177,7 +177,7 @@ def _turned(elements, axes, masses, inertias):
 
 
 def _are_alike(*sizes):
-    """True when no mass or inertia is far from any other: tree.py loses digits where they are."""
+    """True if no mass or inertia is far from the others: otherwise tree.py loses digits."""
     return all(np.ptp(np.log(size)) <= np.log(LARGE_RATIO) for size in sizes)
 
 
@@ -232,7 +232,7 @@ def _chosen(linkage, in_space, lifts):
 
 
 def _independent(matrix):
-    """Those rows of a joint that say something of motions in the plane, each something new."""
+    """Linearly independent rows of a joint for motions in the plane."""
     _, R, order = scipy.linalg.qr(matrix.T, mode="economic", pivoting=True)
     size = np.abs(np.diag(R))
     count = int((size > ROW_TOLERANCE * max(size.max(initial=0.0), 1.0)).sum())

@@ -21,7 +21,7 @@ from .tree import solve_tree
 
 @kernel
 def _wrenches(model, work, external):
-    """Applied wrenches, gravity, forces and gyroscopic terms into work.solution."""
+    """Write applied wrenches, gravity, forces and gyroscopic terms into work.solution."""
     if model.has_forces:
         add_forces(model, work, work.wrench)
     gx, gy = model.gravity[0, 0], model.gravity[0, 1]
@@ -64,7 +64,10 @@ def _set_bias(model, work, j, w, error, bracket_x, bracket_y):
 
 @kernel
 def _set_parent_rows(model, work, j, c, s, px, py):
-    """Rows of joint j for its parent into K; turn (c, s) and place p: the parent's from the child."""
+    """Write the rows of joint j for its parent into K.
+
+    c, s, px, py : rotation and position of the parent relative to the child
+    """
     rows, first = model.joints[j]["rows"], model.joints[j]["first"]
     place = model.joints[j]["parent_place"]
     row_step, step = 3, 1
@@ -81,7 +84,7 @@ def _set_parent_rows(model, work, j, c, s, px, py):
 
 @kernel
 def assemble(model, work):
-    """K of the stage into work.matrix, the bias of the rows into work.solution."""
+    """Write K of the stage into work.matrix and the bias of the rows into work.solution."""
     for i in range(model.summed):
         work.matrix[i] = model.matrix[i]
     pose, twist = work.stage_pose, work.stage_twist
@@ -107,7 +110,7 @@ def assemble(model, work):
 def accelerations(model, work, external):
     """Accelerations of the stage and multipliers into work.solution; external (n, 3).
 
-    returns -1, or the joint whose rows depend on others, which a regularised solve could not mend
+    returns -1, or the joint whose rows are dependent if the regularised solve fails
     """
     if len(model.links) > 0:
         _wrenches(model, work, external)
@@ -128,7 +131,7 @@ def accelerations(model, work, external):
 
 @kernel
 def clear_ground_slip(model, twist):
-    """Take from the twists (n, 3) what rounding has left of the slip of joints to ground."""
+    """Remove the round-off in velocities across joints to ground from the twists (n, 3)."""
     for j in range(len(model.joints)):
         if model.joints[j]["parent"] == WORLD:
             b = model.joints[j]["child"]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""States in space <-> states in the plane, to the bit, and forces by way of space.
+"""Conversion between spatial and planar states, bit-identical, and forces computed in space.
 
-Planar axes are axes of the world and of the bodies (arrays.py), so that products with them are
-exact, and a state goes to the plane and back without a change.
+Planar axes are axes of the world and of the bodies (arrays.py). Products with them are exact, so a
+state that is converted to the plane and back does not change.
 """
 
 from liegroup_core.compiling import kernel
@@ -22,16 +22,16 @@ from liegroup_core.lie.vec3 import (
 )
 from liegroup_core.status import OFF_PLANE, OK
 
-# A direction, or a part of a twist, this small is what rounding has made of zero.
+# A direction or a component of a twist below this is zero up to round-off.
 IN_PLANE = 1e-13
 
 
 @kernel
 def to_plane(model, pose, twist, pose_out, twist_out):
-    """Pose (n, 12) and twist (n, 6) of space into those of the plane, (n, 4) and (n, 3).
+    """Convert spatial pose (n, 12) and twist (n, 6) to planar ones, (n, 4) and (n, 3).
 
-    returns OK, or OFF_PLANE when a body is tilted out of the plane or moves out of it. Its place
-    along the normal does not matter.
+    returns OK, or OFF_PLANE if a body is tilted or moves out of the plane. Its position along the
+    normal is arbitrary.
     """
     world = load9(model.world, 0, 0)
     status = OK
@@ -55,7 +55,7 @@ def to_plane(model, pose, twist, pose_out, twist_out):
 
 @kernel
 def wrench_to_plane(model, wrench, wrench_out):
-    """Wrenches (n, 6) of space into those of the plane, (n, 3): joints hold what is across it."""
+    """Convert spatial wrenches (n, 6) to planar ones (n, 3): joints balance the rest."""
     for i in range(len(model.bodies)):
         axes = matrix3(model.bodies[i]["axes"])
         torque = matvec3(axes, load3(wrench, i, 0))
@@ -65,9 +65,9 @@ def wrench_to_plane(model, wrench, wrench_out):
 
 @kernel
 def to_space(model, pose, twist, pose_out, twist_out):
-    """Pose (n, 4) and twist (n, 3) of the plane into those of space, (n, 12) and (n, 6).
+    """Convert planar pose (n, 4) and twist (n, 3) to spatial ones, (n, 12) and (n, 6).
 
-    pose_out : what stands there is kept of a body's place along the normal
+    pose_out : keeps its values of the positions along the normal
     """
     world = load9(model.world, 0, 0)
     for i in range(len(model.bodies)):

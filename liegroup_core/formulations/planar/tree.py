@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Accelerations of planar trees: every body on one hinge or slider, articulated bodies in O(n).
+"""Accelerations of planar trees in O(n) by articulated bodies.
+
+Each body has one revolute or prismatic joint to its parent.
 
 With X = Ad(C_ba), s the free direction of a joint in the axes of its child b, and c the part of
-the relative acceleration that the velocities decide, V'_b = X V'_a + c + s q''. From the leaves
-to the ground each joint hands on to its parent the inertia and the wrench of what moves with it,
+the relative acceleration that depends on velocities only, V'_b = X V'_a + c + s q''. From the
+leaves to the ground, each joint passes inertia and wrench of its articulated body to its parent,
     I_a += X^T (I - U U^T / D) X ,   Q_a += X^T (Q - I c - U u / D)
     U = I s ,   D = s . U ,   u = s . (Q - I c)
 and back from the ground q'' = (u - U . X V'_a) / D. It is the elimination of K (planar.dynamics)
-with a joint and its child taken together: one division a body in place of five. What is subtracted
-loses as many digits as neighbouring masses differ by, so such mechanisms are left to K.
+with a joint and its child combined: one division per body instead of five. The subtraction loses as
+many digits as neighbouring masses differ by, so mechanisms with large mass ratios are solved by K.
 
 Source: Featherstone, Rigid Body Dynamics Algorithms, section 7.3.
 """
@@ -34,7 +36,7 @@ COLUMNS = 17
 
 
 def tree_links(n, ends, jacobians):
-    """(n,) of LINK, or none where the joints do not form a tree of hinges, sliders and welds.
+    """(n,) of LINK; empty if the joints are not a tree of revolute, prismatic and fixed joints.
 
     n : number of bodies; ends : (parent, child) of each joint; jacobians : their (k, 3)
     """
@@ -60,7 +62,7 @@ def tree_links(n, ends, jacobians):
 
 @kernel
 def _gather(model, work, pose, twist):
-    """From the leaves to the ground: what every joint hands on to its parent."""
+    """From the leaves to the ground: articulated inertia and wrench of every joint."""
     links, rows, force = model.links, work.links, work.solution
     for i in range(len(model.bodies)):
         inertia, mass = model.bodies[i]["inertia"], model.bodies[i]["mass"]
@@ -127,7 +129,7 @@ def _gather(model, work, pose, twist):
 
 @kernel
 def solve_tree(model, work, pose, twist):
-    """Accelerations of all bodies in place of the wrenches in work.solution, (3 n,)."""
+    """Replace the wrenches in work.solution (3 n,) by the accelerations of all bodies."""
     _gather(model, work, pose, twist)
     links, rows, x = model.links, work.links, work.solution
     for k in range(len(links) - 1, -1, -1):
