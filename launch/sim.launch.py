@@ -17,17 +17,20 @@ from launch import LaunchDescription
 PACKAGE = "liegroup_sim_ros"
 
 ARGUMENTS = {
-    "scene": ("", "scene file, or name of a scene that comes along; empty: that of the preset"),
-    "record": ("", "file to record to, *.mcap, or an existing folder; empty: as in the preset"),
+    "scene": (
+        "",
+        "path of a scene file, or name of an example scene; empty: the scene of the preset",
+    ),
+    "record": ("", "recording file (*.mcap) or existing folder; empty: as in the preset"),
     "frame_prefix": (
         "",
-        "what the frames of the bodies begin with, as robot1/; empty: as in the preset",
+        "prefix of the body frame names, such as robot1/; empty: as in the preset",
     ),
-    "preset": ("default", "which file of config/ has the other parameters, such as show"),
+    "preset": ("default", "name of the file in config/ with the other parameters, such as show"),
     "namespace": ("", "namespace of the node"),
-    "clock_topic": ("/clock", "where /clock goes: a second simulation needs another name"),
-    "tf_topic": ("/tf", "where /tf goes"),
-    "rviz": ("false", "true: start RViz with config/scene.rviz; give preset:=show, too"),
+    "clock_topic": ("/clock", "topic of the clock; a second simulation needs another name"),
+    "tf_topic": ("/tf", "topic of the transforms"),
+    "rviz": ("false", "true: start RViz with config/scene.rviz; use it with preset:=show"),
     "foxglove": ("false", "true: start foxglove_bridge; the layout is config/foxglove.json"),
 }
 # Of these, the parameters of the node, which win over the preset where they are given.
@@ -75,7 +78,7 @@ def generate_launch_description():
             DeclareLaunchArgument(
                 "params_file",
                 default_value=preset,
-                description="file with all other parameters, in place of preset",
+                description="parameter file that replaces the preset",
             ),
             OpaqueFunction(function=_simulation),
             Node(

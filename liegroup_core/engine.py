@@ -48,15 +48,17 @@ METHOD, STEP = "rkmk4", 1e-3  # if none is given; s
 def _stabilised(model, kind, time, step):
     """The model with a stabilisation switched on; ValueError for a wrong setting."""
     if kind not in STABILISATIONS:
-        raise ValueError(f"unknown stabilisation {kind!r}; there are: {', '.join(STABILISATIONS)}")
+        raise ValueError(
+            f"unknown stabilisation {kind!r}; choose one of: {', '.join(STABILISATIONS)}"
+        )
     if time is None:
         time = BAUMGARTE_STEPS * step
     elif kind != "baumgarte":
-        raise ValueError(f"baumgarte_time goes with stabilisation 'baumgarte', not with {kind!r}")
+        raise ValueError(f"baumgarte_time requires stabilisation 'baumgarte', got {kind!r}")
     if not (isinstance(time, (int, float)) and math.isfinite(time) and time >= step):
         raise ValueError(
-            "baumgarte_time must be a number of seconds, at least the step of "
-            f"{step:g} s, got {time!r}"
+            f"baumgarte_time must be a number of seconds and at least one step ({step:g} "
+            f"s), got {time!r}"
         )
     return model.replace(
         projects=kind == "projection", baumgarte_rate=1.0 / time if kind == "baumgarte" else 0.0
@@ -105,11 +107,13 @@ class Engine:
         **options,
     ):
         if not isinstance(scene, Scene):
-            raise ValueError(f"expected a Scene, got {scene!r}: load_scene reads one from a file")
+            raise ValueError(
+                f"expected a Scene, got {scene!r}; use load_scene to read one from a file"
+            )
         method = METHOD if method is None else method
         step = STEP if step is None else step
         if not isinstance(method, str) or method not in METHODS:
-            raise ValueError(f"unknown method {method!r}; there are: {', '.join(METHODS)}")
+            raise ValueError(f"unknown method {method!r}; choose one of: {', '.join(METHODS)}")
         if not is_positive(step):
             raise ValueError(f"the step must be a positive number of seconds, got {step!r}")
         self.scene, self.method, self.step = scene, method, float(step)
@@ -170,13 +174,13 @@ class Engine:
                 f"got {pose.shape} and {twist.shape}"
             )
         if not (np.isfinite(pose).all() and np.isfinite(twist).all()):
-            raise ValueError("the state has a number that is not finite")
+            raise ValueError("the state contains NaN or infinity")
         turned = pose[:, :9].reshape(n, 3, 3)
         off = np.abs(turned @ turned.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
         for i in np.flatnonzero((off > NO_ROTATION) | (np.linalg.det(turned) < 0.0)):
             raise ValueError(
-                f"the first nine numbers of the pose of {self.layout.body_names[i]} "
-                "are no rotation matrix"
+                f"pose of {self.layout.body_names[i]}: the first nine numbers are not a "
+                "rotation matrix"
             )
         k = len(self._work.angle)
         if angles is not None and (np.shape(angles) != (k,) or not np.isfinite(angles).all()):
@@ -197,8 +201,8 @@ class Engine:
         arrays = self._integrator.memory
         if len(memory) != (size := sum(array.nbytes for array in arrays)):
             raise ValueError(
-                f"expected {size} bytes of memory of the method, got {len(memory)}: "
-                "they are of another method or of another version"
+                f"expected {size} bytes of method memory, got {len(memory)}: it belongs to "
+                "another method or version"
             )
         at = 0
         for array in arrays:
@@ -260,14 +264,14 @@ class Engine:
         if axes not in ("body", "world"):
             raise ValueError(f"axes must be 'body' or 'world', got {axes!r}")
         if body not in self._body:
-            raise ValueError(f"unknown body {body!r}; there are: {', '.join(self._body)}")
+            raise ValueError(f"unknown body {body!r}; choose one of: {', '.join(self._body)}")
         given = wrench
         try:
             wrench = np.asarray(given, dtype=float)
         except (TypeError, ValueError):
             wrench = np.zeros(0)
         if wrench.shape != (6,) or not np.isfinite(wrench).all():
-            raise ValueError(f"a wrench is six finite numbers (torque, force), got {given!r}")
+            raise ValueError(f"a wrench must be six finite numbers (torque, force), got {given!r}")
         for name, value in (("start", start), ("duration", duration)):
             if value is not None and not (isinstance(value, Real) and math.isfinite(value)):
                 raise ValueError(f"{name} must be finite, or None, got {value!r}")
@@ -375,19 +379,18 @@ class Engine:
         if self._work.report[2] and not self._warned_singular:
             self._warned_singular = True
             log.warning(
-                "a singular pose was met before t = %g s, where rows of joints depend on "
-                "each other: what they leave open the masses decide. Where a mechanism only "
-                "passes such a pose, stabilisation projection keeps its joints closed; "
-                "where it always has one, take a redundant joint away",
+                "Singular configuration before t = %g s: some constraint equations are "
+                "redundant there, and the mass distribution decides the remaining motion. If "
+                "the mechanism only passes this configuration, use stabilisation projection. "
+                "If it is always in one, remove a redundant joint",
                 self.time,
             )
         if not self._warned and self._work.report[0] > LARGE_ROTATION**2:
             self._warned = True
             turned = math.sqrt(self._work.report[0])
             log.warning(
-                "%s, step %g s: a body turned by more than pi within one step (%.3g rad "
-                "before t = %g s): the result is hardly accurate; that limit is at a step "
-                "of %.2g s, take a smaller one",
+                "%s, step %g s: a body rotated by more than pi within one step (%.3g rad "
+                "before t = %g s), so the result is inaccurate. Use a step below %.2g s",
                 self.method,
                 self.step,
                 turned,
@@ -440,7 +443,7 @@ class Engine:
             and len(self._timetable.parts(self.steps)) == 1
         ):
             works = step_that_works(self._integrator, self.step, *self.state(), self._external)
-            hint = f": from here {works:g} s works" if works else ""
+            hint = f": {works:g} s works from here" if works else ""
         if status & 0xFF == DEPENDENT_ROWS:
             joint = self._joint_name(status >> 8)
         if status & 0xFF == TURNS_NOT_COUNTED:

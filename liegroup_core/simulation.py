@@ -34,13 +34,15 @@ class Simulation(Engine):
     ):
         if accuracy is None:
             if horizon is not None:
-                raise ValueError("horizon goes with accuracy")
+                raise ValueError("horizon requires accuracy")
             super().__init__(
                 scene, method, step, group, stabilisation, baumgarte_time, watch, **options
             )
             return
         if not isinstance(scene, Scene):
-            raise ValueError(f"expected a Scene, got {scene!r}: load_scene reads one from a file")
+            raise ValueError(
+                f"expected a Scene, got {scene!r}; use load_scene to read one from a file"
+            )
         if (method, step, group, stabilisation, baumgarte_time, options) != (
             None,
             None,
@@ -50,8 +52,8 @@ class Simulation(Engine):
             {},
         ):
             raise ValueError(
-                "accuracy takes the place of method, step, group, stabilisation "
-                "and their options: leave them away"
+                "accuracy cannot be combined with method, step, group, stabilisation or their "
+                "options: remove them"
             )
         from .study.trade.accuracy import choose  # not needed otherwise, and slow to import
 

@@ -25,25 +25,25 @@ LARGE_ROTATION = math.pi
 HOPELESS_ROTATION = 1e3
 
 MESSAGES = {
-    NOT_FINITE: "the state is no longer finite: the step is too large for this motion, or a force "
-    "is; take a smaller step",
-    ROTATION_TOO_LARGE: "a body would turn by nearly a full turn within one step, where the method "
-    "has no solution; take a smaller step, or, where joints are next to a "
-    "singular pose, stabilisation projection",
-    DEPENDENT_ROWS: "the rows of joint {joint} depend on those of other joints at this pose "
-    "(a singular pose or a redundant joint)",
-    TURNS_NOT_COUNTED: "the joint of {force} turns by half a turn or more within one step, where "
-    "its turns cannot be counted; take a smaller step",
-    SUBSTEP_TOO_SMALL: "the tolerance cannot be met by any substep: a force jumps, or the "
-    "tolerance is below rounding; raise atol and rtol",
-    TOO_MANY_SUBSTEPS: "the tolerance asks for too many substeps within one step: take a smaller "
-    "step or larger tolerances; for a stiff scene another method",
-    NOT_CONVERGED: "Newton's method does not solve the equations of an implicit step: it is too "
-    "large for this motion, or the pose is singular; take a smaller step{hint}",
-    NOT_PROJECTED: "the joints cannot be closed again by small displacements: the step is too "
-    "large for this motion; take a smaller step",
-    DIVERGED: "a body turns by more than a thousand rad within one step: the motion grows without "
-    "bound, the step is too large for its forces; take a smaller step",
-    NO_RATTLE_STEP: "RATTLE has no solution for body {body}, which turns by {angle:.3g} rad in a "
-    "step: that must stay below 1 rad; take a smaller step{hint}",
+    NOT_FINITE: "the state is not finite any more: the step is too large for this motion, or a "
+    "force is too large; use a smaller step",
+    ROTATION_TOO_LARGE: "a body would rotate by almost 2 pi within one step, beyond the method's "
+    "limit; use a smaller step, or stabilisation projection if the mechanism is "
+    "close to a singular configuration",
+    DEPENDENT_ROWS: "the constraint equations of joint {joint} are redundant in this configuration "
+    "(a singular configuration or a redundant joint)",
+    TURNS_NOT_COUNTED: "the joint of {force} rotates by pi or more within one step, so its angle "
+    "cannot be unwrapped; use a smaller step",
+    SUBSTEP_TOO_SMALL: "no substep meets the tolerance: a force is discontinuous, or the tolerance is "
+    "below round-off; increase atol and rtol",
+    TOO_MANY_SUBSTEPS: "the tolerance requires too many substeps within one step; use a smaller step, "
+    "larger tolerances, or another method if the scene is stiff",
+    NOT_CONVERGED: "Newton's method does not converge in an implicit step: the step is too large "
+    "for this motion, or the configuration is singular; use a smaller step{hint}",
+    NOT_PROJECTED: "projection onto the constraints does not converge: the step is too large for "
+    "this motion; use a smaller step",
+    DIVERGED: "a body rotates by more than 1000 rad within one step: the integration is "
+    "unstable, the step is too large for the forces; use a smaller step",
+    NO_RATTLE_STEP: "RATTLE has no solution for body {body}: it rotates by {angle:.3g} rad in a "
+    "step, and the limit is 1 rad; use a smaller step{hint}",
 }

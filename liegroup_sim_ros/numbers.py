@@ -26,7 +26,7 @@ def error_text(entry):
     """Size of an error; where the reference is not sure of as much, what it is sure of."""
     size, uncertainty = entry["max"], entry["uncertainty"]
     if 0.0 < uncertainty >= size:
-        return f"{shown(uncertainty, entry['unit'])} (all the reference can tell)"
+        return f"{shown(uncertainty, entry['unit'])} (the reference uncertainty)"
     return shown(size, entry["unit"]) + (
         f" (± {shown(uncertainty, entry['unit'])})" if uncertainty > UNSURE * size else ""
     )

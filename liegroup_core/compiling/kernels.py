@@ -133,14 +133,11 @@ def warm_up(call, name):
     done = None if folder is None else folder / f"complete-{name}"
     if compiler.name == "python":
         log.warning(
-            "numba is not installed or is disabled: the simulation runs as plain Python, "
-            "some hundred times slower (pip install numba)"
+            "Numba is not installed or is disabled. The simulation runs as plain Python, "
+            "about a hundred times slower. Install it: pip install numba"
         )
     elif done is None or not done.exists():
-        log.warning(
-            "compiling the kernels for their first use on this machine "
-            "(some twenty seconds, kept for the next start)"
-        )
+        log.warning("first start on this machine: compiling (about 20 s). The result is cached")
     start = time.perf_counter()
     call()
     if done is not None:

@@ -45,14 +45,14 @@ def check_options(method, options):
 def check_group(method, group):
     """Name of the group that a method moves poses on. Raises ValueError, one line."""
     if group not in ("auto", *GROUPS):
-        raise ValueError(f"unknown group {group!r}; there are: auto, {', '.join(GROUPS)}")
+        raise ValueError(f"unknown group {group!r}; choose one of: auto, {', '.join(GROUPS)}")
     alone = METHODS[method].family in NOT_ON_SE3
     if group == "auto":
         return "so3xr3" if alone else "se3"
     if alone and group != "so3xr3":
         raise ValueError(
-            f"method {method} moves poses on SO(3) x R^3 alone: group must be "
-            f"'so3xr3' or 'auto', got {group!r}"
+            f"method {method} integrates on SO(3) x R^3 only: group must be 'so3xr3' or "
+            f"'auto', got {group!r}"
         )
     return group
 
@@ -76,7 +76,7 @@ def make_integrator(method, layout, group, step, options):
     why = misfit(method, layout)
     if why:
         raise ValueError(
-            f"method {method} does not fit this scene: {why}; "
-            f"these do: {', '.join(fitting_methods(layout))}"
+            f"method {method} cannot integrate this scene: {why}. Use one of: "
+            f"{', '.join(fitting_methods(layout))}"
         )
     return FAMILIES[entry.family](entry, layout, group, step, options)

@@ -49,7 +49,7 @@ def is_positive(value):
 def refuse_stabilisation(method, model):
     """ValueError where a method that closes the joints by itself meets a stabilised model."""
     if model.projects or model.baumgarte_rate > 0.0:
-        raise ValueError(f"{method.name} closes the joints by itself: stabilisation must be 'none'")
+        raise ValueError(f"{method.name} satisfies the constraints itself: stabilisation must be 'none'")
 
 
 @dataclass(frozen=True)

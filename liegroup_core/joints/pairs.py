@@ -56,31 +56,32 @@ class LowerPair:
 LOWER_PAIRS = {
     "spherical": LowerPair(
         ("vx", "vy", "vz"),
-        "ball joint: the frames share their origin, the child turns freely about it",
+        "the frames share their origin; the child rotates freely about it (ball joint)",
     ),
     "revolute": LowerPair(
         ("wx", "wy", "vx", "vy", "vz"),
-        "hinge: the frames share origin and z axis, the child turns about z",
+        "the frames share origin and z axis; the child rotates about z (hinge)",
     ),
     "prismatic": LowerPair(
         ("wx", "wy", "wz", "vx", "vy"),
-        "slider: the frames share their axes, the child slides along z",
+        "the frames share their axes; the child translates along z (slider)",
     ),
     "cylindrical": LowerPair(
         ("wx", "wy", "vx", "vy"),
-        "shaft in a sleeve: the frames share the z axis, the child turns about it and slides",
+        "the frames share the z axis; the child rotates about it and translates along "
+        "it (shaft in a sleeve)",
     ),
     "planar": LowerPair(
         ("wx", "wy", "vz"),
-        "plate on a plate: the frames share the x-y plane, the child slides and turns in it",
+        "the frames share the x-y plane; the child translates and rotates in it (plate on a plate)",
     ),
     "screw": LowerPair(
         ("wx", "wy", "vx", "vy", "vz"),
-        "nut on a bolt: the frames share the z axis, the child turns about z and moves along it "
-        "by pitch for every radian",
+        "the frames share the z axis; the child rotates about z and translates along "
+        "it by pitch per radian (nut on a bolt)",
         has_pitch=True,
     ),
-    "fixed": LowerPair(("wx", "wy", "wz", "vx", "vy", "vz"), "weld: the frames stay together"),
+    "fixed": LowerPair(("wx", "wy", "wz", "vx", "vy", "vz"), "the frames coincide (weld)"),
 }
 
 

@@ -150,7 +150,7 @@ class SO3:
         q = _checked(quaternion, (4,), "quaternion")
         norm = np.linalg.norm(q, axis=-1)
         if ((norm < 1e-100) | (norm > 1e100)).any():
-            raise ValueError("quaternion must not be zero, and its norm within 1e-100 ... 1e100")
+            raise ValueError("the norm of a quaternion must be between 1e-100 and 1e100")
         return _each(so3_from_quaternion, (3, 3), q)
 
 

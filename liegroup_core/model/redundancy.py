@@ -80,9 +80,9 @@ def kept_rows(scene, frames, parts):
         numbers = np.repeat(loops, [len(keep[j]) for j in loops])
         joint = int(numbers[np.argmin(chosen)])
         raise SceneError(
-            f'joints[{joint}] "{scene.joints[joint].name}": the loop it closes is stretched or '
-            "folded to a pose that it cannot leave, or its axes are nearly but not quite parallel; "
-            "start from another pose, change a length, or make the axes equal to the last digit",
+            f'joints[{joint}] "{scene.joints[joint].name}": its loop is fully stretched or '
+            "folded and cannot move, or its axes are almost but not exactly parallel; "
+            "start from another pose, change a length, or make the axes exactly parallel",
             ("joints", joint),
         )
     at = 0

@@ -100,7 +100,7 @@ def heavy_top(inertia, spin_inertia, moment, axis, gravity, rotation, omega, tim
         u_rate = (S.T * R * _cross(w, e))[2]
         u1, u2, u3 = _cubic_roots(beta, -(alpha + a * a), 2 * a * b - beta, alpha - b * b)
         if 1 - u2 <= mp.mpf(10) ** (-digits) or 1 + u1 <= mp.mpf(10) ** (-digits):
-            raise ValueError("the axis of the top gets vertical")
+            raise ValueError("the axis of the top becomes vertical")
         rate = mp.sqrt(beta * (u3 - u1)) / 2
         k2 = (u2 - u1) / (u3 - u1)
         part = mp.sqrt(min(max((u - u1) / (u2 - u1), 0), 1)) if u2 > u1 else mp.mpf(0)

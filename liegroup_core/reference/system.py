@@ -27,7 +27,9 @@ def build_system(scene, pose):
     known = {*JOINTS, "spring_damper", *TURNING, *SLIDING, "drag", "applied_wrench"}
     for entry in (*scene.joints, *scene.forces):
         if entry.type not in known:
-            raise SimulationError(f"the reference integration has no {entry.type} ({entry.name})")
+            raise SimulationError(
+                f"the reference integration does not support {entry.type} ({entry.name})"
+            )
     frames = {joint.name: pair for joint, pair in zip(scene.joints, resolve_frames(scene))}
     relative = _relative(
         scene,

@@ -92,7 +92,7 @@ def integrate(scene, pose, twist, times, changes=(), start=0.0, rtol=TIGHT):
     """
     times = np.asarray(times, dtype=float)
     if len(times) and (times[0] < start or np.any(np.diff(times) < 0.0)):
-        raise ValueError("times must increase and not lie before start")
+        raise ValueError("times must increase and must not be before start")
     end = times[-1] if len(times) else start
     return Reference(scene, pose, twist, changes, start, end, rtol).at(times)
 
@@ -239,21 +239,21 @@ class _Run:
         self.taken += 1
         if self.taken > MOST_STEPS:
             raise SimulationError(
-                f"the reference integration stopped at {solver.t:.6g} s: it has "
-                f"taken {MOST_STEPS} steps; compare a shorter time"
+                f"the reference integration stopped at t = {solver.t:.6g} s after {MOST_STEPS} "
+                "steps; compare a shorter time"
             )
         message = solver.step()
         if solver.status == "failed":
             raise SimulationError(
-                f"the reference integration stopped at {solver.t:.6g} s: {message}"
+                f"the reference integration stopped at t = {solver.t:.6g} s: {message}"
             )
         self._steps.append(solver.step_size)
         # A step ends with the rate at its end; those before may be of poses far off.
         least, left_out = self._singular
         if least < SINGULAR or left_out > SINGULAR:
             raise SimulationError(
-                f"the reference integration stopped at {solver.t:.6g} s: "
-                "at a singular pose, where the joints leave the motion open"
+                "the reference integration reached a singular configuration at t = "
+                f"{solver.t:.6g} s, where the constraints do not determine the motion"
             )
         self._dense, self._reached, self._state = None, solver.t, solver.y
         if solver.status == "finished":
@@ -269,8 +269,8 @@ class _Run:
             self._singular[:] = rate(self._system, self._rank, y, wrench, acting, slope)
             if not np.isfinite(slope).all():  # DOP853 would look for a step for ever
                 raise SimulationError(
-                    f"the reference integration stopped at {t:.6g} s: "
-                    "the state or a wrench is not finite"
+                    f"the reference integration stopped at t = {t:.6g} s: the state or a wrench is "
+                    "not finite"
                 )
             return slope
 

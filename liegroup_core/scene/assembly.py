@@ -85,15 +85,15 @@ def _with_bodies_placed(scene):
         else:
             i = next(i for i, name in enumerate(names) if name not in poses)
             raise SceneError(
-                f'bodies[{i}] "{names[i]}": has no position, no rotation and no '
-                "joint to a body that has: give a position",
+                f'bodies[{i}] "{names[i]}": cannot be placed, it has no position, no rotation '
+                "and no joint to a placed body; give a position",
                 ("bodies", i),
             )
         if joint.parent_frame is None or joint.child_frame is None:
             name = joint.child if joint.parent in poses else joint.parent
             raise SceneError(
-                f'joints[{j}] "{joint.name}": needs both frames: it puts "{name}", '
-                "which has no position and no rotation, where they meet",
+                f'joints[{j}] "{joint.name}": must have both frames, because they determine the '
+                f'pose of "{name}", which has no position and no rotation',
                 ("joints", j),
             )
         between = joint.parent_frame.pose @ SE3.inverse(joint.child_frame.pose)
@@ -226,9 +226,9 @@ def _open(linkage, poses):
     j = int(np.argmax([max(gap / linkage.length, tilt) for gap, tilt in gaps]))
     gap, tilt = gaps[j]
     return SceneError(
-        f'joints[{j}] "{linkage.joints[j].name}": cannot be closed: where assembly ends it has a '
-        f"gap of {gap:.3g} m and a tilt of {tilt:.3g} rad; start from poses nearer to closed "
-        "ones, check the lengths, or fix fewer bodies",
+        f'joints[{j}] "{linkage.joints[j].name}": cannot be assembled, the remaining '
+        f"constraint violation is {gap:.3g} m and {tilt:.3g} rad; check the lengths, "
+        "start from poses closer to the assembled ones, or fix fewer bodies",
         ("joints", j),
     )
 
@@ -242,8 +242,8 @@ def _contradiction(scene, J, owner, miss):
         for kind in (False, True)
     )
     return SceneError(
-        f'joints[{j}] "{scene.joints[j].name}": rates of joints and velocities of fixed bodies '
-        f"contradict each other: the nearest motion misses this joint by {slip:.3g} m/s and "
-        f"{turn:.3g} rad/s; give fewer of them",
+        f'joints[{j}] "{scene.joints[j].name}": the given joint velocities and '
+        "velocities of fixed bodies contradict each other, the closest motion violates "
+        f"this joint by {slip:.3g} m/s and {turn:.3g} rad/s; give fewer velocities",
         ("joints", j),
     )

@@ -102,18 +102,18 @@ def _open(joint, elements, rows, C_rel, poses):
     if max(gap, tilt) <= TOLERANCE * (1.0 + size):
         if joint.type == "distance" and np.linalg.norm(C_rel[:3, 3]) <= TOLERANCE * (1.0 + size):
             return (
-                "holds two points together that are at the same place, so that it has no "
-                "direction; use a spherical joint, or move one of the frames"
+                "the two points coincide, so the distance has no direction; use a spherical "
+                "joint, or move one of the frames"
             )
         return None
     remedy = (
-        "leave out length to keep the distance there is"
+        "omit length to keep the initial distance"
         if joint.type == "distance"
-        else "leave out parent_frame or child_frame to put the joint where the other one is"
+        else "omit parent_frame or child_frame to place it where the other one is"
     )
     return (
-        f"does not close at the initial poses: gap {gap:.3g} m, tilt {tilt:.3g} rad; "
-        f'{remedy}, or move "{joint.child}" or the frames'
+        f"is violated at the initial poses by {gap:.3g} m and {tilt:.3g} rad; {remedy}, "
+        f'or move "{joint.child}" or the frames'
     )
 
 
@@ -130,9 +130,9 @@ def _moving(joint, A, C_rel, F_a, F_b, V_a, V_b):
     # The shortest change of V_rel to what the joint allows.
     V_ok = to_child @ (V_rel - np.linalg.pinv(A) @ (A @ V_rel) + from_parent @ V_a)
     return (
-        f"the initial velocities violate the joint by {slip:.3g} m/s and {turn:.3g} rad/s; "
-        f'"{joint.child}" would follow it with angular_velocity {_written(V_ok[:3], size)} '
-        f"and linear_velocity {_written(V_ok[3:], size)}"
+        f"the initial velocities violate the joint by {slip:.3g} m/s and {turn:.3g} "
+        f'rad/s; consistent values for "{joint.child}" are angular_velocity '
+        f"{_written(V_ok[:3], size)} and linear_velocity {_written(V_ok[3:], size)}"
     )
 
 

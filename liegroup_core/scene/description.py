@@ -68,37 +68,36 @@ class Body(Placed):
     )
     com: Vector3 = Field((0.0, 0.0, 0.0), description="centre of mass in m, in the body frame")
     shape: one_of(SHAPES) | None = Field(
-        None, description="solid that gives mass, inertia and com, in place of them"
+        None, description="solid that defines mass, inertia and com; replaces them"
     )
     position: Vector3 = Field(
-        (0.0, 0.0, 0.0), description="origin of the body frame at the start in m, world axes"
+        (0.0, 0.0, 0.0), description="initial position of the body frame origin in m, world axes"
     )
     quaternion: Quaternion | None = Field(
         None,
-        description="rotation from body to world axes at the start as unit quaternion "
-        "x, y, z, w; no rotation if left out",
+        description="initial rotation from body to world axes as unit quaternion x, y, z, w; "
+        "default: no rotation",
     )
     rotation_vector: RotationVector | None = Field(
-        None, description="the same rotation as rotation vector in rad, in place of quaternion"
+        None, description="the same rotation as rotation vector in rad; replaces quaternion"
     )
     angular_velocity: Vector3 = Field(
-        (0.0, 0.0, 0.0), description="angular velocity at the start in rad/s, body axes"
+        (0.0, 0.0, 0.0), description="initial angular velocity in rad/s, body axes"
     )
     linear_velocity: Vector3 = Field(
-        (0.0, 0.0, 0.0),
-        description="velocity of the origin of the body frame at the start in m/s, body axes",
+        (0.0, 0.0, 0.0), description="initial velocity of the body frame origin in m/s, body axes"
     )
     initial: Literal["guess", "fixed"] = Field(
         "guess",
-        description="what assembly makes of the pose, and of the velocities, that are "
-        "given here: guess, it starts from them; fixed, it keeps them",
+        description="use of the given pose and velocities in assembly: guess (starting values) or "
+        "fixed (kept)",
     )
 
     @model_validator(mode="after")
     def _check(self):
         if self.name == WORLD:
             raise SceneError(
-                f'name "{WORLD}" is taken by the fixed frame: choose another', place=("name",)
+                f'name "{WORLD}" is reserved for the fixed frame: choose another', place=("name",)
             )
         if self.shape is None:
             for key in ("mass", "inertia"):
@@ -111,7 +110,7 @@ class Body(Placed):
         for key in ("mass", "inertia", "com"):
             if key in self.model_fields_set:
                 raise SceneError(
-                    f"{key} and shape both give the {key}: keep one of them", place=(key,)
+                    f"{key} and shape both define the {key}: keep one of them", place=(key,)
                 )
         try:
             self.__dict__.update(self.shape.body)
@@ -148,27 +147,23 @@ class _Joint(Described):
     parent: Text = Field(description="name of a body, or world")
     child: Text = Field(description="name of a body")
     parent_frame: Frame | None = Field(
-        None,
-        description="joint frame in the frame of the parent; if left out, it is where "
-        "child_frame is at the start",
+        None, description="joint frame in the parent frame; default: where child_frame is initially"
     )
     child_frame: Frame | None = Field(
-        None,
-        description="joint frame in the frame of the child; if left out, it is where "
-        "parent_frame is at the start",
+        None, description="joint frame in the child frame; default: where parent_frame is initially"
     )
     rate: Number | None = Field(
         None,
-        description="rate at the start, for assembly: of the turn about z in rad/s, or of "
-        "the slide along z in m/s if the joint does not turn",
+        description="initial joint velocity for assembly: about z in rad/s, or along z in m/s if "
+        "the joint does not rotate",
     )
 
     @model_validator(mode="after")
     def _check(self):
         if self.rate is not None and self.type not in RATES:
             raise SceneError(
-                f"rate is not for a {self.type} joint, which has no single one: "
-                f"it goes with {', '.join(RATES)}",
+                f"rate cannot be given for a {self.type} joint, which has no single joint "
+                f"velocity; use it with {', '.join(RATES)}",
                 place=("rate",),
             )
         if self.parent_frame is None and self.child_frame is None:
@@ -189,7 +184,7 @@ class ScrewJoint(_Joint):
 
     type: Literal["screw"] = Field("screw", description="screw")
     pitch: Number = Field(
-        description="way along z in m for every radian, positive for a right-handed thread"
+        description="displacement along z in m per radian, positive for a right-handed thread"
     )
 
 
@@ -197,12 +192,11 @@ class DistanceJoint(_Joint):
     """Massless rod between the origins of two frames."""
 
     type: Literal["distance"] = Field("distance", description="distance")
-    parent_frame: Frame = Field(description="frame in the frame of the parent; its origin counts")
-    child_frame: Frame = Field(description="frame in the frame of the child; its origin counts")
+    parent_frame: Frame = Field(description="frame in the parent frame; only its origin is used")
+    child_frame: Frame = Field(description="frame in the child frame; only its origin is used")
     length: Positive | None = Field(
         None,
-        description="distance of the origins in m, greater than 0; if left out, it is the "
-        "one at the start",
+        description="distance of the origins in m, greater than 0; default: the initial distance",
     )
 
 
@@ -235,8 +229,8 @@ class Scene(Described):
     gravity: Vector3 = Field(description="gravity in m/s^2, world axes, such as [0, 0, -9.81]")
     assemble: Flag = Field(
         False,
-        description="true: the joints close the poses and velocities that the bodies have "
-        "here; false: these are those of the start",
+        description="true: assemble, correct the given poses and velocities until they satisfy the "
+        "joints; false: use them as given",
     )
     bodies: Annotated[tuple[Body, ...], BeforeValidator(listed)] = Field(
         description="list of bodies, at least one"
@@ -288,8 +282,8 @@ class Scene(Described):
             for i, entry in enumerate(getattr(self, key)):
                 if not self.assemble and name in entry.model_fields_set:
                     raise SceneError(
-                        f'{key}[{i}] "{entry.name}": {name} is for assembly: leave '
-                        "it out, or give the scene assemble: true",
+                        f'{key}[{i}] "{entry.name}": {name} is only used in assembly: omit it, or add '
+                        "assemble: true to the scene",
                         place=(key, i, name),
                     )
         return self
@@ -301,7 +295,7 @@ def _refuse_twins(entries):
     for key, i, name in entries:
         if name in first:
             raise SceneError(
-                f'{key}[{i}] "{name}": name is already that of {first[name]}: give each its own',
+                f'{key}[{i}] "{name}": this name is already used by {first[name]}: choose another',
                 place=(key, i, "name"),
             )
         first[name] = f"{key}[{i}]"
@@ -319,7 +313,7 @@ def _refuse_ends(link, bodies, key, i):
     _refuse_unknown("child", link, bodies, key, i)
     if link.parent == link.child:
         raise SceneError(
-            f'{where}parent and child are both "{link.child}": name two different ones',
+            f'{where}parent and child are both "{link.child}": they must differ',
             place=(key, i, "child"),
         )
 
@@ -329,7 +323,8 @@ def _refuse_unknown(end, link, known, key, i):
     name = getattr(link, end)
     if name not in known:
         raise SceneError(
-            f'{key}[{i}] "{link.name}": {end} {name!r:.40} is no body; {suggestion(name, known)}',
+            f'{key}[{i}] "{link.name}": {end} {name!r:.40} is not a body; '
+            f"{suggestion(name, known)}",
             place=(key, i, end),
         )
 
@@ -339,11 +334,11 @@ def _refuse_joint(force, kinds, i):
     where, place = f'forces[{i}] "{force.name}": ', ("forces", i, "joint")
     if force.joint not in kinds:
         hint = suggestion(force.joint, list(kinds)) if kinds else "the scene has no joints"
-        raise SceneError(f"{where}joint {force.joint!r:.40} is no joint; {hint}", place=place)
+        raise SceneError(f"{where}joint {force.joint!r:.40} is not a joint; {hint}", place=place)
     if kinds[force.joint] not in force.joint_types:
         raise SceneError(
             f'{where}joint "{force.joint}" is {kinds[force.joint]}, but {force.type} '
-            f"needs one that is {' or '.join(force.joint_types)}",
+            f"requires a joint that is {' or '.join(force.joint_types)}",
             place=place,
         )
 

@@ -24,14 +24,14 @@ class SpringDamper(Described):
     name: Name = Field(description="name, unique among joints and forces")
     type: Literal["spring_damper"] = Field("spring_damper", description="spring_damper")
     parent: Text = Field(description="name of a body, or world")
-    parent_point: Vector3 = Field(description="attachment point in m, in the frame of the parent")
+    parent_point: Vector3 = Field(description="attachment point in m, in the parent frame")
     child: Text = Field(description="name of a body")
-    child_point: Vector3 = Field(description="attachment point in m, in the frame of the child")
+    child_point: Vector3 = Field(description="attachment point in m, in the child frame")
     stiffness: NotNegative = Field(description="stiffness in N/m, not negative")
     damping: NotNegative = Field(
         0.0, description="damping along the line between the points in N s/m, not negative"
     )
-    rest_length: NotNegative = Field(0.0, description="length without force in m, not negative")
+    rest_length: NotNegative = Field(0.0, description="rest length in m, not negative")
 
 
 class TorsionalSpringDamper(Described):
@@ -42,12 +42,10 @@ class TorsionalSpringDamper(Described):
     type: Literal["torsional_spring_damper"] = Field(
         "torsional_spring_damper", description="torsional_spring_damper"
     )
-    joint: Text = Field(description="name of a joint that turns about its z axis")
+    joint: Text = Field(description="name of a joint that rotates about its z axis")
     stiffness: NotNegative = Field(description="stiffness in N m/rad, not negative")
     damping: NotNegative = Field(0.0, description="damping in N m s/rad, not negative")
-    rest_angle: Number = Field(
-        0.0, description="angle without torque in rad, may be more than a turn"
-    )
+    rest_angle: Number = Field(0.0, description="rest angle in rad, may exceed 2 pi")
 
 
 class LinearSpringDamper(Described):
@@ -58,10 +56,10 @@ class LinearSpringDamper(Described):
     type: Literal["linear_spring_damper"] = Field(
         "linear_spring_damper", description="linear_spring_damper"
     )
-    joint: Text = Field(description="name of a joint that slides along its z axis")
+    joint: Text = Field(description="name of a joint that translates along its z axis")
     stiffness: NotNegative = Field(description="stiffness in N/m, not negative")
     damping: NotNegative = Field(0.0, description="damping in N s/m, not negative")
-    rest_position: Number = Field(0.0, description="coordinate without force in m")
+    rest_position: Number = Field(0.0, description="rest position in m")
 
 
 class Motor(Described):
@@ -70,12 +68,12 @@ class Motor(Described):
     joint_types: ClassVar = TURNING
     name: Name = Field(description="name, unique among joints and forces")
     type: Literal["motor"] = Field("motor", description="motor")
-    joint: Text = Field(description="name of a joint that turns about its z axis")
-    torque: Number = Field(description="torque on the child at rest in N m")
+    joint: Text = Field(description="name of a joint that rotates about its z axis")
+    torque: Number = Field(description="stall torque on the child in N m")
     rate_limit: Positive | None = Field(
         None,
-        description="rate in rad/s at which the torque has fallen to zero, greater than 0; "
-        "constant torque if left out",
+        description="no-load speed in rad/s, greater than 0: the torque falls linearly to zero "
+        "there; default: constant torque",
     )
 
 
@@ -85,12 +83,12 @@ class LinearMotor(Described):
     joint_types: ClassVar = SLIDING
     name: Name = Field(description="name, unique among joints and forces")
     type: Literal["linear_motor"] = Field("linear_motor", description="linear_motor")
-    joint: Text = Field(description="name of a joint that slides along its z axis")
-    force: Number = Field(description="force on the child at rest in N")
+    joint: Text = Field(description="name of a joint that translates along its z axis")
+    force: Number = Field(description="stall force on the child in N")
     speed_limit: Positive | None = Field(
         None,
-        description="speed in m/s at which the force has fallen to zero, greater than 0; "
-        "constant force if left out",
+        description="no-load speed in m/s, greater than 0: the force falls linearly to zero there; "
+        "default: constant force",
     )
 
 
@@ -101,16 +99,16 @@ class Drag(Described):
     type: Literal["drag"] = Field("drag", description="drag")
     body: Text = Field(description="name of a body")
     linear: NotNegative = Field(
-        0.0, description="force per speed of the centre of mass in N s/m, not negative"
+        0.0, description="linear drag of the centre of mass in N s/m, not negative"
     )
     quadratic: NotNegative = Field(
-        0.0, description="force per square of that speed in N s^2/m^2, not negative"
+        0.0, description="quadratic drag of the centre of mass in N s^2/m^2, not negative"
     )
     angular: NotNegative = Field(
-        0.0, description="torque per angular speed in N m s/rad, not negative"
+        0.0, description="linear rotational drag in N m s/rad, not negative"
     )
     angular_quadratic: NotNegative = Field(
-        0.0, description="torque per square of angular speed in N m s^2/rad^2, not negative"
+        0.0, description="quadratic rotational drag in N m s^2/rad^2, not negative"
     )
 
 
@@ -123,22 +121,20 @@ class ConstantWrench(Described):
     torque: Vector3 = Field((0.0, 0.0, 0.0), description="torque in N m")
     force: Vector3 = Field((0.0, 0.0, 0.0), description="force in N")
     point: Vector3 = Field(
-        (0.0, 0.0, 0.0), description="where the force acts in m, in the frame of the body"
+        (0.0, 0.0, 0.0), description="point of application in m, in the body frame"
     )
     axes: Literal["body", "world"] = Field(
-        "body", description="axes of torque and force, in which they are constant: body or world"
+        "body", description="axes in which torque and force are constant: body or world"
     )
-    start: NotNegative = Field(0.0, description="time in s from which it acts, not negative")
-    end: Positive | None = Field(
-        None, description="time in s until which it acts, after start; for ever if left out"
-    )
+    start: NotNegative = Field(0.0, description="start time in s, not negative")
+    end: Positive | None = Field(None, description="end time in s, after start; default: no end")
 
     @model_validator(mode="after")
     def _check(self):
         if self.end is not None and self.end <= self.start:
             raise SceneError(
-                f"end {self.end:g} must be later than start {self.start:g}: "
-                "give a later end or leave it out",
+                f"end {self.end:g} must be later than start {self.start:g}: give a later end or "
+                "omit it",
                 place=("end",),
             )
         return self

@@ -24,7 +24,8 @@ class Placed(Described):
         given = [key for key in ROTATIONS if getattr(self, key, None) is not None]
         if len(given) > 1:
             raise SceneError(
-                f"{' and '.join(given)} both give the rotation: keep one of them", place=(given[1],)
+                f"{' and '.join(given)} both define the rotation: keep one of them",
+                place=(given[1],),
             )
         return self
 
@@ -51,16 +52,16 @@ class Frame(Placed):
     """Joint frame in the frame of the body (or world) it is fixed to."""
 
     position: Vector3 = Field(
-        (0.0, 0.0, 0.0), description="origin in m, in the frame it is fixed to"
+        (0.0, 0.0, 0.0), description="origin in m, in the frame to which it is fixed"
     )
     quaternion: Quaternion | None = Field(
-        None, description="rotation as unit quaternion x, y, z, w; no rotation if left out"
+        None, description="rotation as unit quaternion x, y, z, w; default: no rotation"
     )
     rotation_vector: RotationVector | None = Field(
-        None, description="rotation as rotation vector in rad, in place of quaternion"
+        None, description="rotation as rotation vector in rad; replaces quaternion"
     )
     axis: Direction | None = Field(
         None,
-        description="direction of the joint axis, of any length, in place of quaternion: "
-        "the shortest rotation that turns z to it",
+        description="direction of the joint axis, of any length; replaces quaternion by the "
+        "smallest rotation from z to this direction",
     )

@@ -227,7 +227,7 @@ def _root(events, last_line, most):
     for event in events:
         line = min(event.start_mark.line + 1, last_line)
         if isinstance(event, yaml.DocumentStartEvent) and root:
-            raise _Refused(line, "a second YAML document begins here: keep one")
+            raise _Refused(line, "a second YAML document starts here: keep one")
         if isinstance(event, yaml.NodeEvent) and getattr(event, "tag", None):
             raise _Refused(line, f"the tag {shown(event.tag)} is not used in scenes: remove it")
         if isinstance(event, yaml.CollectionStartEvent):
@@ -277,8 +277,7 @@ def _repeated(anchor, anchors, line):
     target = anchors.get(anchor)
     if target is None or not target.done:
         raise _Refused(
-            line,
-            f"the alias *{anchor:.40} stands for nothing that ends before it: write the value out",
+            line, f"the alias *{anchor:.40} has no anchor before it: write the value out"
         )
     entry = _Entry(target.value, line)
     entry.parts, entry.size = target.parts, target.size

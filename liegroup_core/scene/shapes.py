@@ -40,22 +40,22 @@ class _Solid(Placed):
     )
     quaternion: Quaternion | None = Field(
         None,
-        description="rotation from axes of the solid to body axes as unit quaternion "
-        "x, y, z, w; no rotation if left out",
+        description="rotation from axes of the solid to body axes as unit quaternion x, y, z, w; "
+        "default: no rotation",
     )
     rotation_vector: RotationVector | None = Field(
-        None, description="that rotation as rotation vector in rad, in place of quaternion"
+        None, description="that rotation as rotation vector in rad; replaces quaternion"
     )
     axis: Direction | None = Field(
         None,
-        description="direction of the solid's z axis in the body, of any length, in place "
-        "of quaternion: the shortest rotation that turns z to it",
+        description="direction of the solid's z axis in the body, of any length; replaces "
+        "quaternion by the smallest rotation from z to this direction",
     )
     mass: Positive | None = Field(
-        None, description="mass in kg, greater than 0; it or density is given"
+        None, description="mass in kg, greater than 0; give either mass or density"
     )
     density: Positive | None = Field(
-        None, description="density in kg/m^3, greater than 0, in place of mass"
+        None, description="density in kg/m^3, greater than 0; replaces mass"
     )
 
     @model_validator(mode="after")
@@ -64,7 +64,7 @@ class _Solid(Placed):
             raise SceneError(
                 "mass is missing: give mass or density"
                 if self.mass is None
-                else "mass and density both give the mass: keep one of them",
+                else "mass and density both define the mass: keep one of them",
                 place=("mass",) if self.mass else None,
             )
         return self
@@ -138,7 +138,7 @@ class Rod(_Round):
 
     type: Literal["rod"] = Field("rod", description="rod")
     radius: Positive | None = Field(
-        None, description="radius in m, greater than 0; a thousandth of the length if left out"
+        None, description="radius in m, greater than 0; default: a thousandth of the length"
     )
 
     @model_validator(mode="after")
@@ -146,7 +146,8 @@ class Rod(_Round):
         if self.radius is None:
             if self.density is not None:
                 raise SceneError(
-                    "radius is missing: give it, or mass in place of density", place=("density",)
+                    "radius is missing: give a radius, or mass instead of density",
+                    place=("density",),
                 )
             self.__dict__["radius"] = THIN * self.length
         return self

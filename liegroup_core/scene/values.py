@@ -54,7 +54,7 @@ def suggestion(word, options):
     """What can be meant by an unknown word: the one it resembles, if any, and all there are."""
     close = difflib.get_close_matches(str(word), options, n=1, cutoff=0.7)
     meant = f'did you mean "{close[0]}"? ' if close else ""
-    return f"{meant}known are {', '.join(options[:12])}{', ...' if len(options) > 12 else ''}"
+    return f"{meant}choose one of: {', '.join(options[:12])}{', ...' if len(options) > 12 else ''}"
 
 
 def _number(value):
@@ -67,7 +67,7 @@ def _number(value):
     if not math.isfinite(number):
         raise ValueError("must be finite")
     if abs(number) > LARGEST_NUMBER:
-        raise ValueError(f"must be at most {LARGEST_NUMBER:g} in size")
+        raise ValueError(f"must be at most {LARGEST_NUMBER:g} in magnitude")
     return number
 
 
@@ -118,7 +118,7 @@ def _unit(quaternion):
 
 def _sizes(vector):
     if not min(vector) > 0.0:
-        raise ValueError("must be three sizes greater than 0")
+        raise ValueError("must be three lengths greater than 0")
     return vector
 
 
@@ -126,8 +126,8 @@ def _within_a_turn(vector):
     angle = math.hypot(*vector)
     if angle > 2.0 * math.pi:
         raise ValueError(
-            f"must be at most one turn (2 pi) long, but is {angle:.6g}; "
-            "it is in radians, not in degrees"
+            f"must have a magnitude of at most 2 pi, but has {angle:.6g}; the unit is rad, "
+            "not degrees"
         )
     return vector
 
@@ -150,8 +150,8 @@ def real_inertia(moments):
     # as 1e-16; a real rod of diameter d and length L has the ratio (d / L)^2, above 1e-12.
     if not small > 1e-12:
         hint = (
-            "a rod without thickness has none about its own axis: give it a small one, 1e-6 "
-            "of the largest"
+            "a rod without thickness has no inertia about its own axis: give a small "
+            "value, 1e-6 of the largest"
             if small > -1e-12 and middle > 1e-12
             else "check order and signs"
         )
@@ -162,7 +162,7 @@ def real_inertia(moments):
     # sum, 2 large: together 1e-6 large. A flat plate is allowed to sit on the bound.
     if large > small + middle + 1e-6 * large:
         raise ValueError(
-            f"must be that of a real body: the largest of its principal moments {principal} "
+            f"must belong to a physical body: the largest principal moment of {principal} "
             "must not exceed the sum of the other two; check units, order and signs"
         )
     return moments
@@ -188,7 +188,9 @@ def _flag(value):
 
 def _name(value):
     if not isinstance(value, str) or not _NAME.fullmatch(value):
-        raise ValueError("must be a name: a letter, then letters, digits or _, 64 at most")
+        raise ValueError(
+            "must be a name: a letter, then letters, digits or _, at most 64 characters"
+        )
     return str(value)
 
 

@@ -90,12 +90,11 @@ def _on(client, function, items, follow):
             yield k, result
     except KilledWorker:
         raise TasksError(
-            f"{MOST_DEATHS} workers have died over the same piece of work: is there "
-            "enough memory? take fewer workers"
+            f"{MOST_DEATHS} workers died in the same task: check the memory, or use fewer workers"
         ) from None
     except (CancelledError, CommClosedError):
         raise TasksError(
-            "the connection to the dask scheduler is lost; what is done is kept"
+            "the connection to the dask scheduler is lost; finished results are saved"
         ) from None
 
 
@@ -132,8 +131,8 @@ def _this_machine(workers):
                 )
         except (OSError, RuntimeError, TimeoutError) as error:
             raise TasksError(
-                f"{workers} workers cannot be started, or died at once ({error}): is "
-                "there enough memory? take fewer workers"
+                f"{workers} workers could not be started or died immediately ({error}): check "
+                "the memory, or use fewer workers"
             ) from None
         yield stack.enter_context(Client(cluster))
 

@@ -101,8 +101,8 @@ class _Parts:
         angles = self._starts.of(motion.first)[2]
         if angles is not None and len(angles) != len(layout.model.forces.torsional_spring_damper):
             raise RecordingError(
-                f"{recording.path}: its initial state has {len(angles)} angles, "
-                "not those of its torsional springs"
+                f"{recording.path}: its initial state has {len(angles)} angles, which do not "
+                "match its torsional springs"
             )
         self._energy, self._joints = Energy(layout, expected), Joints(layout, expected)
         self._momentum = Momentum(scene, expected)

@@ -38,7 +38,7 @@ def differences(one, other):
     """
     bodies = [body for body in one.bodies if body in other.bodies]
     if not bodies:
-        raise RecordingError(f"{one.path} and {other.path} have no body of the same name")
+        raise RecordingError(f"{one.path} and {other.path} have no body name in common")
     tracks = [_Track(recording, bodies) for recording in (one, other)]
     largest = {name: {"unit": unit, "max": 0.0, "at_s": None} for name, unit in QUANTITIES}
     expected = min(
@@ -69,7 +69,7 @@ def differences(one, other):
             if not values[at] <= entry["max"]:
                 entry["max"], entry["at_s"] = float(values[at]), float(stamps[at] * 1e-9)
     if not samples:
-        raise RecordingError(f"{one.path} and {other.path} have no sample at the same time")
+        raise RecordingError(f"{one.path} and {other.path} have no sample time in common")
     figures = {
         "logs": [str(one.path), str(other.path)],
         "bodies": bodies,

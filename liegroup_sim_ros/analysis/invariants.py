@@ -50,7 +50,7 @@ class Energy:
             "relative_drift": worst / self._kinetic if kept and self._kinetic > 0.0 else None,
             "intervals": drift.intervals,
             "seconds": drift.seconds,
-            "left_out": "forces feed or take energy: " + ", ".join(self._feeding)
+            "left_out": "non-conservative forces: " + ", ".join(self._feeding)
             if self._feeding
             else _pushed_text(motion, self._bodies),
         }, drift.curves[0]

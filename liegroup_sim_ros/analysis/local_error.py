@@ -49,11 +49,11 @@ def local_error(scene, recording, motion, layout):
     share = 1.0 - 0.5**method.order
     remark = None
     if method.name == "rkmk54":
-        remark, orders = "its error is set by tolerances, not by the step", []
+        remark, orders = "its error depends on the tolerances, not on the step", []
     elif not orders:
-        remark = "differences are as small as rounding, or not yet in proportion to the step"
+        remark = "differences are at round-off, or not yet proportional to a power of the step"
     elif largest.max() < FLOOR:
-        remark = "of the size of rounding"
+        remark = "at round-off"
     return {
         "windows": looked,
         "position_m": float(largest[0] / share) if looked else None,

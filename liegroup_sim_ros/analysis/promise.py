@@ -68,22 +68,22 @@ class Promise:
 
 def told(found):
     """What became of a promise, in words; found : figures of one."""
-    accuracy = f"the promised accuracy of {found['accuracy']:g}"
+    accuracy = f"the guaranteed accuracy of {found['accuracy']:g}"
     if found["seconds"] is None:
         return (
-            f"{accuracy} cannot be judged: nothing was recorded between the start of the "
-            "scene and the first wrench"
+            f"{accuracy} cannot be checked: nothing was recorded between the initial state "
+            "and the first wrench"
         )
     error = (
         f"below {found['uncertainty']:.3g}"
         if found["error"] <= found["uncertainty"]
         else f"{found['error']:.3g}"
     )
-    said = {True: "is kept", False: "is not kept", None: "cannot be judged by this reference"}
+    said = {True: "is kept", False: "is not kept", None: "cannot be checked with this reference"}
     text = f"{accuracy} {said[found['kept']]}: {error} in the first {found['seconds']:.4g} s"
     if found["beyond"]:
         text += (
-            ", nothing is promised beyond (a longer time, or a wrench): "
-            f"{found['error_of_all']:.3g} in all"
+            ". Nothing is guaranteed after that (longer time, or a wrench): error "
+            f"{found['error_of_all']:.3g} over the whole run"
         )
     return text

@@ -27,11 +27,11 @@ def find_problems(figures):
             "missing from the recording: " + counted(figures["missing_samples"], "sample")
         )
     if figures["recorder_lost"]:
-        problems.append(f"the recorder lost {counted(figures['recorder_lost'], 'message')}")
+        problems.append(f"the recorder dropped {counted(figures['recorder_lost'], 'message')}")
     if figures["not_finite_samples"]:
         problems.append(
             f"NaN or infinity in {counted(figures['not_finite_samples'], 'sample')}, from "
-            f"{shown(figures['first_not_finite_s'], 's')} on: left out of all figures"
+            f"{shown(figures['first_not_finite_s'], 's')} on: excluded from all figures"
         )
     problems += [f"the run stopped with an error: {text}" for text in figures["faults"]]
     problems += _open_joints(figures)
@@ -42,12 +42,12 @@ def find_problems(figures):
     timing = figures["timing"]
     factor, wanted = timing.get("real_time_factor"), timing["factor_wanted"]
     if wanted and factor is not None and not factor >= SLOW * wanted:
-        problems.append(f"too slow: real-time factor {shown(factor)} of {shown(wanted)}")
+        problems.append(f"too slow: real-time factor {shown(factor)}, requested {shown(wanted)}")
     if timing.get("reanchored"):
         problems.append(
             "more than 0.1 s behind the wall clock, "
-            f"{counted(timing['reanchored'], 'time')}: it went on from there, without "
-            "catching up"
+            f"{counted(timing['reanchored'], 'time')}; the simulation continued from there "
+            "without catching up"
         )
     wrong = [name for name, value in _numbers(figures) if not math.isfinite(value)]
     if wrong:
@@ -63,9 +63,9 @@ def _open_joints(figures):
     if not worst["largest"] > OPEN * figures["mechanism_size"]:
         return []
     return [
-        f"joint {name} is open by {shown(worst['largest'], worst['unit'])}, at "
-        f"{shown(worst['at_s'], 's')}: that is not the motion of this mechanism; use "
-        "stabilisation projection or a smaller step"
+        f"constraint violation of joint {name} reaches "
+        f"{shown(worst['largest'], worst['unit'])} at {shown(worst['at_s'], 's')}: the "
+        "motion is not valid; use stabilisation projection or a smaller step"
     ]
 
 
@@ -73,7 +73,7 @@ def _replay_problems(figures):
     repeat, reference = figures.get("repeat", {}), figures.get("reference", {})
     problems = []
     if "failed" in repeat:
-        problems.append(f"it cannot be simulated again: {repeat['failed']}")
+        problems.append(f"re-simulation is not possible: {repeat['failed']}")
     elif repeat and repeat["identical"] < repeat["samples"]:
         at = repeat["first_difference"]
         where = (
@@ -86,7 +86,7 @@ def _replay_problems(figures):
             "another version of the software may round differently)"
         )
     if "failed" in reference:
-        problems.append(f"no independent integration: {reference['failed']}")
+        problems.append(f"no reference integration: {reference['failed']}")
     return problems
 
 
@@ -122,22 +122,22 @@ def verdict(figures):
             else f" in the first {shown(reference['seconds'], 's')}"
         )
         said.append(
-            f"off by at most {error_text(reference['position'])} and "
+            f"error at most {error_text(reference['position'])} and "
             f"{error_text(reference['angle'])}{part}"
         )
     if figures.get("promise"):
         said.append(told(figures["promise"]))
     if figures.get("joints"):
         worst = max(figures["joints"].values(), key=lambda joint: joint["largest"])
-        said.append(f"joints closed to {shown(worst['largest'], worst['unit'])}")
+        said.append(f"constraint residual at most {shown(worst['largest'], worst['unit'])}")
     if figures.get("energy") and figures["energy"]["relative_drift"] is not None:
         said.append(
-            f"energy kept to {shown(figures['energy']['relative_drift'])} of the largest "
+            f"energy drift {shown(figures['energy']['relative_drift'])} of the largest "
             "kinetic energy"
         )
     repeat = figures.get("repeat", {})
     if repeat and repeat.get("identical") == repeat.get("samples"):
-        said.append("simulated again it is the same bit for bit")
+        said.append("re-simulation bit-identical")
     if figures["timing"].get("real_time_factor"):
         said.append(f"real-time factor {figures['timing']['real_time_factor']:.3f}")
-    return f"{head}: {'; '.join(said) or 'nothing could be judged'}."
+    return f"{head}: {'; '.join(said) or 'nothing could be checked'}."

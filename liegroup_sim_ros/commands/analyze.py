@@ -47,44 +47,47 @@ def add_arguments(parser):
         nargs="+",
         help="recording (*.mcap), folder of them, pattern, or address such as s3://bucket/*.mcap",
     )
-    parser.add_argument("--compare", metavar="LOG", help="say how far it is from this one, too")
-    parser.add_argument("--html", metavar="PAGE", help="write a self-contained page")
+    parser.add_argument(
+        "--compare", metavar="LOG", help="also report the distance to this recording"
+    )
+    parser.add_argument("--html", metavar="PAGE", help="write a self-contained HTML report")
     parser.add_argument(
         "--png",
         metavar="FILE",
-        help="write the plots of one log as a picture: *.png, *.pdf or *.svg (needs matplotlib)",
+        help="write the plots of one recording as an image: *.png, *.pdf or *.svg (needs "
+        "matplotlib)",
     )
-    parser.add_argument("--json", metavar="FILE", help="write all figures")
+    parser.add_argument("--json", metavar="FILE", help="write all figures as JSON")
     parser.add_argument(
         "--max-error",
         type=_bound,
         metavar="X",
-        help="largest error that passes, of positions in m and of attitudes in rad",
+        help="fail if an error is larger: position in m, attitude in rad",
     )
     parser.add_argument(
         "--max-drift",
         type=_bound,
         metavar="X",
-        help="largest drift that passes: "
-        "of the energy in parts of the largest kinetic energy, of momenta in "
-        "parts of the sum of the bodies' largest momenta",
+        help="fail if a drift is larger: energy relative to the largest kinetic energy, "
+        "momenta relative to the sum of the bodies' largest momenta",
     )
     parser.add_argument(
         "--no-reference",
         action="store_true",
-        help="leave out the comparison with an independent integration",
+        help="skip the comparison with a reference integration",
     )
     parser.add_argument(
         "--reference-seconds",
         type=_bound,
         default=REFERENCE_SECONDS,
         metavar="S",
-        help="simulated time it covers; inf: all (default: %(default)g)",
+        help="simulated time covered by the reference integration in s; inf: all (default: "
+        "%(default)g)",
     )
     parser.add_argument(
         "--scheduler",
         metavar="ADDRESS",
-        help="scheduler of a dask cluster to work on, such as tcp://host:8786",
+        help="scheduler of a Dask cluster, such as tcp://host:8786",
     )
 
 
@@ -102,11 +105,11 @@ def run(args):
     except AddressError as error:
         raise AnalysisError(str(error)) from None
     if args.no_reference and args.max_error is not None:
-        raise AnalysisError("--max-error needs the reference: leave --no-reference away")
+        raise AnalysisError("--max-error requires the reference: remove --no-reference")
     if args.compare and (len(logs) > 1 or args.scheduler):
-        raise AnalysisError("--compare goes with one log, and without --scheduler")
+        raise AnalysisError("--compare requires exactly one recording and no --scheduler")
     if args.png and (len(logs) > 1 or args.scheduler):
-        raise AnalysisError("--png goes with one log, and without --scheduler")
+        raise AnalysisError("--png requires exactly one recording and no --scheduler")
     _check_writable(args.json, args.html, args.png)
     _check_picture(args.png)
     options = {"reference": not args.no_reference, "reference_seconds": args.reference_seconds}
@@ -144,7 +147,7 @@ def run(args):
         )
     failed = [entry for entry in found if "failed" in entry]
     if failed:
-        rest = f" (and {len(failed) - 1} more like it)" if len(failed) > 1 else ""
+        rest = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
         raise AnalysisError(f"{failed[0]['failed']}{rest}")
     if exceeded:
         print(f"liegroup_sim: {'; '.join(exceeded)}", file=sys.stderr)
@@ -176,7 +179,7 @@ def _check_picture(path):
     if not path:
         return
     if not path.lower().endswith((".png", ".pdf", ".svg")):
-        raise AnalysisError(f"{path}: must end with .png, .pdf or .svg")
+        raise AnalysisError(f"{path}: the name must end in .png, .pdf or .svg")
     if find_spec("matplotlib") is None:
         raise AnalysisError("--png needs matplotlib: pip install 'liegroup_sim_ros[figures]'")
 
@@ -225,7 +228,7 @@ def find_exceeded(found, max_error=None, max_drift=None):
         if max_error is not None:
             reference = figures.get("reference", {"failed": "there is no reference"})
             if "failed" in reference:
-                exceeded.append(f"{log}: its error is not known: {reference['failed']}")
+                exceeded.append(f"{log}: its error is unknown: {reference['failed']}")
             else:
                 exceeded += [
                     f"{log}: {text}"
@@ -236,10 +239,10 @@ def find_exceeded(found, max_error=None, max_drift=None):
             drifts = _relative_drifts(figures)
             if not drifts:
                 exceeded.append(
-                    f"{log}: its drift is not known: it keeps neither energy nor momentum"
+                    f"{log}: it has no drift to check, neither energy nor momentum is conserved"
                 )
             exceeded += [
-                f"{log}: relative drift {drift:.3g} of {name} is more than {max_drift:g}"
+                f"{log}: relative drift {drift:.3g} of {name} exceeds {max_drift:g}"
                 for name, drift in drifts
                 if not drift <= max_drift
             ]
@@ -250,11 +253,11 @@ def _too_large(error, bound):
     """None, or that an error is above a bound, or that the reference cannot tell."""
     unit = error["unit"]
     if not error["max"] <= bound:
-        return f"error {error['max']:.3g} {unit} is more than {bound:g}"
+        return f"error {error['max']:.3g} {unit} exceeds {bound:g}"
     if not error["max"] + error["uncertainty"] <= bound:
         return (
-            f"error {error['max']:.3g} {unit} may be more than {bound:g}: the reference is "
-            f"only known to {error['uncertainty']:.3g} {unit}"
+            f"error {error['max']:.3g} {unit} may exceed {bound:g}: the reference "
+            f"uncertainty is {error['uncertainty']:.3g} {unit}"
         )
     return None
 

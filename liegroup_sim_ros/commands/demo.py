@@ -44,7 +44,7 @@ def add_arguments(parser):
         "--out",
         default="demo_out",
         metavar="DIR",
-        help="folder for the recording and the page; those of an earlier demo are "
+        help="folder for the recording and the HTML report; files of an earlier demo are "
         "overwritten (default: %(default)s)",
     )
     parser.add_argument(
@@ -52,7 +52,7 @@ def add_arguments(parser):
         type=float,
         default=10.0,
         metavar="S",
-        help="length of the run (default: %(default)g)",
+        help="duration of the run in s (default: %(default)g)",
     )
 
 
@@ -77,9 +77,9 @@ def run(args):
 
     analysis = write_analysis(log, html=page, json_file=figures)
     if not analysis.figures["pushes"]:
-        raise DemoError("the push is not in the recording; see " + str(output))
+        raise DemoError("the applied wrench is not in the recording; see " + str(output))
     console.print(
-        f"recording  {log}\npage       {page}\nfigures    {figures}",
+        f"recording  {log}\nreport     {page}\nfigures    {figures}",
         highlight=False,
         soft_wrap=True,
     )
@@ -103,7 +103,7 @@ def _simulate(seconds, log, output, console):
     try:
         with open(output, "w", encoding="utf-8") as stream:
             node = _start("node.entry", ["--ros-args", *arguments], stream, processes)
-            with console.status("starting (the first time on a machine compiles for some 20 s)"):
+            with console.status("starting (the first start on a machine compiles for about 20 s)"):
                 _wait_until(log.exists, STARTING, node, output)
             _watch(seconds, node, output, processes, console)
             node.send_signal(signal.SIGINT)
@@ -158,7 +158,7 @@ def _watch(seconds, node, output, processes, console):
                 progress.console.print(answer, highlight=False, soft_wrap=True)
             figures = latest(0.1)
             said = (
-                "real-time factor {real_time_factor:.3f}, 99 % of ticks within "
+                "real-time factor {real_time_factor:.3f}, scheduling latency p99 "
                 "{lateness_p99_us:.0f} us".format(**figures)
                 if figures
                 else ""
@@ -244,7 +244,7 @@ def _wait_until(condition, seconds, node, output):
 
 def _last_line(output):
     lines = output.read_text(encoding="utf-8", errors="replace").strip().splitlines()
-    return lines[-1] if lines else "it said nothing"
+    return lines[-1] if lines else "it printed nothing"
 
 
 def _end_all(processes):

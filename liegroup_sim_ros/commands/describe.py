@@ -30,16 +30,16 @@ def add_arguments(parser):
         "step on this machine."
     )
     parser.add_argument(
-        "scene", metavar="SCENE", help="scene file, or name of one that comes along"
+        "scene", metavar="SCENE", help="path of a scene file, or name of an example scene"
     )
-    parser.add_argument("--json", action="store_true", help="as JSON, on stdout")
+    parser.add_argument("--json", action="store_true", help="print JSON")
 
 
 def run(args):
     """Run the subcommand; returns the exit code. Raises SceneError."""
     scene = load_scene(args.scene)
     facts = describe(make_layout(scene))
-    with Console(stderr=True).status("measuring (the first time on a machine compiles)"):
+    with Console(stderr=True).status("measuring (the first start on a machine compiles)"):
         facts["cost"] = {method: step_cost(scene, method) for method in METHODS}
     if args.json:
         print(json.dumps(facts, indent=1, allow_nan=False))
@@ -95,7 +95,7 @@ def print_facts(facts, console):
         for row in rows[:MOST_ROWS]:
             table.add_row(*map(Text, row))
         if len(rows) > MOST_ROWS:
-            table.add_row(Text(f"and {len(rows) - MOST_ROWS} more"), "", Text("--json has all"))
+            table.add_row(Text(f"and {len(rows) - MOST_ROWS} more"), "", Text("--json prints all"))
         console.print()
         console.print(table)
 
@@ -111,7 +111,7 @@ def sections(facts):
                     joint["name"],
                     joint["type"],
                     f"{joint['parent']} - {joint['child']}"
-                    + (f", left out: {' '.join(joint['dropped'])}" if joint["dropped"] else ""),
+                    + (f", eliminated: {' '.join(joint['dropped'])}" if joint["dropped"] else ""),
                 )
                 for joint in facts["joints"]
             ],
@@ -122,8 +122,8 @@ def sections(facts):
         ),
         ("Freedoms", _freedom_rows(facts)),
         ("Solve", _solve_rows(facts["solve"], facts["plane"])),
-        ("Methods that fit", [("", ", ".join(facts["methods"]), "")]),
-        ("What it keeps", _kept_rows(facts)),
+        ("Applicable methods", [("", ", ".join(facts["methods"]), "")]),
+        ("Conserved quantities", _kept_rows(facts)),
         (
             "Cost of a step on this machine",
             [
@@ -143,22 +143,22 @@ def sections(facts):
 def _freedom_rows(facts):
     dropped = ", ".join(f"{joint} {row}" for joint, row in facts["dropped_rows"])
     return [
-        ("coordinates", str(6 * len(facts["bodies"])), "six for each body"),
-        ("rows of joints", str(facts["rows"]), "forbidden directions"),
+        ("coordinates", str(6 * len(facts["bodies"])), "six per body"),
+        ("constraint equations", str(facts["rows"]), "forbidden directions"),
         (
             "left out",
             str(len(facts["dropped_rows"])),
-            f"they depend on others: {dropped}" if dropped else "none depends on others",
+            f"redundant, eliminated: {dropped}" if dropped else "none redundant",
         ),
-        ("degrees of freedom", str(facts["degrees_of_freedom"]), "what is left"),
+        ("degrees of freedom", str(facts["degrees_of_freedom"]), "remaining"),
     ]
 
 
 def _solve_rows(solve, plane):
     where = (
-        ("in space", "six scalars a body")
+        ("in space", "six coordinates per body")
         if plane is None
-        else (f"across {plane}", "the joints hold all bodies in a plane: three scalars a body")
+        else (f"across {plane}", "all bodies move in a plane: three coordinates per body")
     )
     return [
         ("motion", *where),
@@ -173,7 +173,7 @@ def _solve_rows(solve, plane):
         (
             "operations",
             f"{solve['factor_flops']} + {solve['solve_flops']}",
-            "estimate: to factorise, to solve",
+            "estimate: factorisation, solution",
         ),
         (
             "matrix",
@@ -183,7 +183,7 @@ def _solve_rows(solve, plane):
         (
             "refinements",
             str(solve["refinements"]),
-            "masses of neighbours differ much" if solve["refinements"] else "",
+            "masses of neighbouring bodies differ strongly" if solve["refinements"] else "",
         ),
     ]
 
@@ -197,13 +197,13 @@ def _kept_rows(facts):
         )
     ]
     if facts["kept_momentum"] is None:
-        return rows + [("momentum", "not looked for", "a joint is no lower pair")]
+        return rows + [("momentum", "not searched", "a joint is not a lower pair")]
     rows += [
         ("momentum", component, _listed(kept["bodies"]))
         for kept in facts["kept_momentum"]
         for component in kept["components"]
     ]
-    return rows if facts["kept_momentum"] else rows + [("momentum", "none is kept", "")]
+    return rows if facts["kept_momentum"] else rows + [("momentum", "none", "")]
 
 
 def _listed(names):

@@ -25,9 +25,10 @@ WIDTH = 200  # characters that no table needs: none is cut
 SHORTEST = 1e-3  # s, a step of the runs at other velocities
 STYLES = dict(zip(VERDICTS, ("green", "yellow", "blue", "cyan", "dim", "bold white on red")))
 NOTE = (
-    "accurate: within 5 % of the motion; flagged: wrong, and the run warned; refused: no step "
-    "was taken, with a reason; stopped: the run ended early and said why; unjudged: the truth "
-    "is not known well enough; silent: wrong without a word"
+    "accurate: error below 5 % of the motion; flagged: wrong, with a warning; "
+    "refused: no step taken, with a reason; stopped: ended early with an error; "
+    "unjudged: the reference is not accurate enough; silent: wrong without a "
+    "warning"
 )
 
 
@@ -46,26 +47,37 @@ def add_arguments(parser):
         "scene",
         metavar="SCENE",
         nargs="?",
-        help="scene file, or name of one that comes along; left out: the axes of docs/extremes.md",
+        help="path of a scene file, or name of an example scene; default: built-in problems "
+        "(docs/extremes.md)",
     )
     parser.add_argument(
         "--horizon",
         type=float,
         default=8.0,
         metavar="S",
-        help="of a SCENE, in s (default: %(default)g)",
+        help="simulated time for a SCENE in s (default: %(default)g)",
     )
-    parser.add_argument("--axes", nargs="+", metavar="NAME", help="only these axes")
+    parser.add_argument("--axes", nargs="+", metavar="NAME", help="test only these axes")
     parser.add_argument(
-        "--methods", nargs="+", metavar="NAME", default=list(METHODS), help="only these methods"
+        "--methods",
+        nargs="+",
+        metavar="NAME",
+        default=list(METHODS),
+        help="test only these methods",
     )
-    parser.add_argument("--quick", action="store_true", help="a few values of each axis")
-    parser.add_argument("--long", action="store_true", help="runs of 1e7 steps too")
-    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one a core)")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster")
-    parser.add_argument("--png", metavar="FILE", help="write the heat map")
-    parser.add_argument("--json", metavar="FILE", help="write all cells")
-    parser.add_argument("--markdown", metavar="FILE", help="write the map as tables of signs")
+    parser.add_argument("--quick", action="store_true", help="test a few values of each axis")
+    parser.add_argument("--long", action="store_true", help="include runs of 1e7 steps")
+    parser.add_argument(
+        "--workers", type=int, metavar="N", help="number of processes (default: one per core)"
+    )
+    parser.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="scheduler of a Dask cluster, such as tcp://host:8786",
+    )
+    parser.add_argument("--png", metavar="FILE", help="write the heat map as an image")
+    parser.add_argument("--json", metavar="FILE", help="write all cells as JSON")
+    parser.add_argument("--markdown", metavar="FILE", help="write the map as Markdown tables")
 
 
 def run(args):
@@ -87,7 +99,7 @@ def run(args):
                     _print_axis(axis, found[axis.name], args.methods, console)
     except KeyboardInterrupt:
         print(
-            "liegroup_sim: interrupted; what was run is kept, the same call goes on",
+            "liegroup_sim: interrupted; finished cells are saved, the same command continues",
             file=sys.stderr,
         )
         return EXIT_INTERRUPTED
@@ -121,13 +133,11 @@ def _wanted(args):
     """The axes asked for, checked, and what is kept of them."""
     unknown = [name for name in args.methods if name not in METHODS]
     if unknown:
-        raise ExtremesError(f"unknown method {unknown[0]!r}; there are: {', '.join(METHODS)}")
+        raise ExtremesError(f"unknown method {unknown[0]!r}; choose one of: {', '.join(METHODS)}")
     if args.workers is not None and args.workers < 1:
         raise ExtremesError(f"--workers must be at least 1, got {args.workers}")
     if not (math.isfinite(args.horizon) and args.horizon >= SHORTEST):
-        raise ExtremesError(
-            f"--horizon must be a number of seconds, at least {SHORTEST:g}, got {args.horizon:g}"
-        )
+        raise ExtremesError(f"--horizon must be at least {SHORTEST:g} s, got {args.horizon:g}")
     if args.png and Path(args.png).suffix not in (".png", ".pdf", ".svg"):
         raise ExtremesError(f"{args.png}: the name must end in .png, .pdf or .svg")
     for path in filter(None, (args.json, args.markdown, args.png)):
@@ -138,7 +148,7 @@ def _wanted(args):
     if args.quick:
         axes = tuple(axis for axis in axes if axis.quick)
         if not axes:
-            raise ExtremesError(f"--quick has nothing of {', '.join(args.axes)}; leave it out")
+            raise ExtremesError(f"--quick does not include {', '.join(args.axes)}; remove --quick")
     return axes, kept
 
 
@@ -147,7 +157,7 @@ def _axes(args):
     if not args.axes:
         if args.scene and len(axes) == 1:
             print(
-                f"liegroup_sim: {args.scene} is at rest at the start, there are no velocities "
+                f"liegroup_sim: {args.scene} is initially at rest, so there are no velocities "
                 "to vary",
                 file=sys.stderr,
             )
@@ -156,20 +166,20 @@ def _axes(args):
     for name in args.axes:
         if name == "speed" and args.scene and name not in names:
             raise ExtremesError(
-                f"axis 'speed': {args.scene} is at rest at the start, there are "
-                "no velocities to vary"
+                f"axis 'speed': {args.scene} is initially at rest, so there are no velocities "
+                "to vary"
             )
         if name not in names and name in [axis.name for axis in axes_of(long=True)]:
             raise ExtremesError(
                 f"axis {name!r} is "
                 + (
-                    "not one of a SCENE; there are: " + ", ".join(names)
+                    "not available for a SCENE; choose one of: " + ", ".join(names)
                     if args.scene
-                    else "run with --long only"
+                    else "only available with --long"
                 )
             )
         if name not in names:
-            raise ExtremesError(f"unknown axis {name!r}; there are: {', '.join(names)}")
+            raise ExtremesError(f"unknown axis {name!r}; choose one of: {', '.join(names)}")
     return tuple(axis for axis in axes if axis.name in args.axes)
 
 
@@ -223,8 +233,8 @@ def _print_end(cells, console):
     for cell in silent(cells):
         console.print(
             Text(
-                f"! {cell['axis']} {shown(cell['value'])}, {cell['method']}: error "
-                f"{cell['error']:.2g} of the motion, unsaid",
+                f"! {cell['axis']} {shown(cell['value'])}, {cell['method']}: undetected error "
+                f"of {cell['error']:.2g} of the motion",
                 style="bold red",
             )
         )

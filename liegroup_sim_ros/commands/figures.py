@@ -63,7 +63,7 @@ def add_arguments(parser):
         "--out",
         default="figures_out",
         metavar="DIR",
-        help="folder for the pictures; earlier ones are overwritten (default: %(default)s)",
+        help="folder for the images; earlier ones are overwritten (default: %(default)s)",
     )
 
 
@@ -139,7 +139,7 @@ def make_figures(out, say=lambda text: None):
     top, bars = heavy_top_runs(say), four_bar_runs(say)
     joints = bars["se3", STEPS[0]].joints
     paths = [
-        _draw(out / "fig_6_2.png", top, [(0, "ball joint of the heavy top")]),
+        _draw(out / "fig_6_2.png", top, [(0, "spherical joint of the heavy top")]),
         _draw(out / "fig_6_4.png", bars, [(j, f"joint {j + 1}: {joints[j]}") for j in (0, 1)]),
         _draw(out / "fig_6_5.png", bars, [(j, f"joint {j + 1}: {joints[j]}") for j in (2, 3)]),
     ]

@@ -40,7 +40,7 @@ def add_arguments(parser):
         type=float,
         default=1.0,
         metavar="S",
-        help="wall time in s (default: %(default)s)",
+        help="duration in s of wall time (default: %(default)s)",
     )
     parser.add_argument(
         "--rate",
@@ -53,7 +53,7 @@ def add_arguments(parser):
         "--node",
         default="/sim_node",
         metavar="NAME",
-        help="the simulation node (default: %(default)s)",
+        help="name of the simulation node (default: %(default)s)",
     )
 
 
@@ -71,7 +71,7 @@ def run(args):
         print(_push(args))
         return 0
     except KeyboardInterrupt:
-        print("liegroup_sim: interrupted; the zero wrench is sent", file=sys.stderr)
+        print("liegroup_sim: interrupted; a zero wrench was sent", file=sys.stderr)
         return 130
     finally:
         rclpy.try_shutdown()
@@ -82,7 +82,7 @@ def _check(args):
     if not all(map(math.isfinite, numbers)):
         raise PushError("all numbers must be finite")
     if not any((*args.force, *args.torque)):
-        raise PushError("nothing to push with: give --force X Y Z or --torque X Y Z")
+        raise PushError("the wrench is zero: give --force X Y Z or --torque X Y Z")
     if args.duration <= 0.0 or args.rate <= 0.0:
         raise PushError("--duration and --rate must be greater than 0")
 
@@ -128,15 +128,15 @@ def _push(args):
         DISCOVERY,
     ):
         raise PushError(
-            f"no simulation node {name} within {DISCOVERY:g} s: is it running (a first "
-            "start compiles for half a minute), with the same ROS_DOMAIN_ID? --node "
-            "gives its name"
+            f"no simulation node {name} found within {DISCOVERY:g} s: check that it is "
+            "running (a first start compiles for half a minute) with the same "
+            "ROS_DOMAIN_ID, and give its name with --node"
         )
     if not spin_until(lambda: args.body in bodies(), ANSWER):
         raise PushError(f"{name} has no body {args.body!r}; it has: {', '.join(bodies())}")
     answer = AsyncParameterClient(node, name).get_parameters(["frame_prefix"])
     if not spin_until(answer.done, ANSWER):
-        raise PushError(f"{name} does not answer: is it ending?")
+        raise PushError(f"{name} does not answer: it may be shutting down")
     frame = answer.result().values[0].string_value + args.body
     message = WrenchStamped()
     message.header.frame_id = frame
@@ -164,8 +164,9 @@ def _push(args):
 
     spin_until(vanished, ANSWER)
     text = (
-        f"pushed {args.body} of {name} with force {list(args.force)} N, torque "
-        f"{list(args.torque)} N m for {seconds:.2f} s: {sent} messages, then a zero one\n"
+        f"applied force {list(args.force)} N and torque {list(args.torque)} N m to "
+        f"{args.body} of {name} for {seconds:.2f} s: {sent} messages, then a zero "
+        "wrench\n"
     )
     stamps = [
         m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec
@@ -173,7 +174,7 @@ def _push(args):
         if m.header.frame_id == frame
     ]
     if not stamps:
-        return text + "the simulation has not applied it: is it paused? see its log"
+        return text + "the simulation has not applied it: it may be paused; see its log"
     return text + (
         f"applied from {stamps[0]:.9g} s to {stamps[-1]:.9g} s of simulated time"
         if vanished()

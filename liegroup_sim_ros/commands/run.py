@@ -49,25 +49,27 @@ def add_arguments(parser):
         "(*.npz) or a recording (*.mcap) for `liegroup_sim analyze` and other tools."
     )
     parser.add_argument(
-        "scene", metavar="SCENE", help="scene file, or name of one that comes along"
+        "scene", metavar="SCENE", help="path of a scene file, or name of an example scene"
     )
     parser.add_argument(
         "--duration",
         type=float,
         required=True,
         metavar="S",
-        help="simulated time in s, a whole number of steps",
+        help="simulated time in s, a multiple of the step",
     )
     parser.add_argument(
-        "--out", required=True, metavar="FILE", help="*.npz or *.mcap, must not exist"
+        "--out",
+        required=True,
+        metavar="FILE",
+        help="output file (*.npz or *.mcap); it must not exist",
     )
     parser.add_argument(
         "--every",
         type=int,
         default=10,
         metavar="STEPS",
-        help="steps from one sample to the next; the last state is always one "
-        "(default: %(default)s)",
+        help="steps between two samples; the last state is always included (default: %(default)s)",
     )
     add_settings(parser)
 
@@ -78,17 +80,16 @@ def add_settings(parser):
         "--accuracy",
         type=float,
         metavar="X",
-        help="in place of method, step, group and stabilisation: the cheapest "
-        "that keeps this error, positions in parts of the scene's length and "
-        "attitudes in rad; measured once for a scene on a machine "
-        "(docs/trade.md)",
+        help="use the cheapest configuration with at most this error: positions relative to "
+        "the characteristic length, attitudes in rad. Replaces method, step, group and "
+        "stabilisation; measured once per scene and machine (docs/trade.md)",
     )
     parser.add_argument(
         "--horizon",
         type=float,
         metavar="S",
-        help="simulated time over which the "
-        "accuracy is promised (default: what suits the scene, at most 10)",
+        help="simulated time in s over which the accuracy is guaranteed (default: derived "
+        "from the scene, at most 10)",
     )
     parser.add_argument(
         "--method", metavar="NAME", help=f"{', '.join(METHODS)} (default: {METHOD})"
@@ -99,8 +100,8 @@ def add_settings(parser):
     parser.add_argument(
         "--group",
         metavar="NAME",
-        help=f"{' or '.join(GROUPS)}; auto: se3, but so3xr3 for methods that have "
-        "no other (default: auto)",
+        help=f"configuration space of a body: {' or '.join(GROUPS)}; auto: se3, or so3xr3 "
+        "for methods that require it (default: auto)",
     )
     parser.add_argument(
         "--stabilisation", metavar="KIND", help=f"{', '.join(STABILISATIONS)} (default: none)"
@@ -109,13 +110,14 @@ def add_settings(parser):
         "--baumgarte-time",
         type=float,
         metavar="S",
-        help="time in which joint errors die out (default: ten steps)",
+        help="time constant in s with which constraint violations decay (default: ten steps)",
     )
     parser.add_argument("--dexpinv", metavar="KIND", help="exact or truncated (default: exact)")
     parser.add_argument(
         "--space",
         metavar="KIND",
-        help="auto, or space: integrate in space what could be in a plane (default: auto)",
+        help="auto, or space: use the spatial formulation also for planar mechanisms "
+        "(default: auto)",
     )
     for name in ("rtol", "atol"):
         parser.add_argument(
@@ -127,11 +129,11 @@ def add_settings(parser):
 def given_settings(args):
     """Arguments of Simulation among those of a command line. Raises RunError."""
     if args.horizon is not None and args.accuracy is None:
-        raise RunError("--horizon goes with --accuracy")
+        raise RunError("--horizon requires --accuracy")
     settings = {name: getattr(args, name) for name in SETTINGS if getattr(args, name) is not None}
     if settings and args.accuracy is not None:
         name = next(iter(settings)).replace("_", "-")
-        raise RunError(f"--accuracy takes the place of --{name}: leave one of the two away")
+        raise RunError(f"--accuracy cannot be combined with --{name}: remove one of them")
     return settings
 
 
@@ -146,7 +148,7 @@ def run(args):
     scene = load_scene(args.scene)
     console = Console(stderr=True)
     try:
-        with console.status("starting (the first time on a machine compiles for some 20 s)"):
+        with console.status("starting (the first start on a machine compiles for about 20 s)"):
             simulation = (
                 Simulation(scene, **settings)
                 if args.accuracy is None
@@ -171,7 +173,9 @@ def run(args):
         wall = time.monotonic() - started
         file.finish(simulation, stopped, code == EXIT_STOPPED, wall)
     if stopped:
-        print(f"liegroup_sim: {stopped}; what was computed is in {args.out}", file=sys.stderr)
+        print(
+            f"liegroup_sim: {stopped}; the trajectory up to there is in {args.out}", file=sys.stderr
+        )
     else:
         print(
             f"{args.out}: {simulation.time:.9g} s in {steps} steps, {file.count} samples, "
@@ -204,8 +208,8 @@ def chosen(scene, args, every=None):
     print(f"liegroup_sim: {choice}", file=sys.stderr)
     if args.duration > choice.promise["horizon"]:
         print(
-            f"liegroup_sim: the accuracy is promised for the first "
-            f"{choice.promise['horizon']:g} s; give --horizon for more",
+            "liegroup_sim: the accuracy is guaranteed for the first "
+            f"{choice.promise['horizon']:g} s; use --horizon for a longer time",
             file=sys.stderr,
         )
     return choice
@@ -242,7 +246,7 @@ def whole_steps(duration, step, name="--duration"):
     if steps < 1 or abs(duration / step - steps) > 1e-6 * steps:
         nearest = max(1, steps) * step
         raise RunError(
-            f"{name} {duration:g} s is {duration / step:.6g} steps of {step:g} s, "
-            f"must be a whole number of them, such as {nearest:.9g}"
+            f"{name} {duration:g} s is {duration / step:.6g} steps of {step:g} s: it must "
+            f"be a whole number of steps, such as {nearest:.9g}"
         )
     return steps

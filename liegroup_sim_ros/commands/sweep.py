@@ -37,7 +37,7 @@ def add_arguments(parser):
     )
     parser.epilog = "Finished runs are saved as they come: after Ctrl-C the same command continues."
     parser.add_argument(
-        "scene", metavar="SCENE", help="scene file, or name of one that comes along"
+        "scene", metavar="SCENE", help="path of a scene file, or name of an example scene"
     )
     parser.add_argument(
         "--vary",
@@ -45,49 +45,58 @@ def add_arguments(parser):
         action="extend",
         default=[],
         metavar="NAME=RANGE",
-        help="a number of the scene, such as bodies.top.mass, or the end of its "
-        "name if no other has it; LOW:HIGH, LOW:HIGH:log, MEAN~DEVIATION or A,B,C",
+        help="a number of the scene, such as bodies.top.mass (you can shorten a name to its "
+        "ending if that is unambiguous), and its range: LOW:HIGH, LOW:HIGH:log, "
+        "MEAN~DEVIATION or A,B,C",
     )
     parser.add_argument(
-        "--list", action="store_true", help="only show what can vary, with the numbers of the scene"
+        "--list",
+        action="store_true",
+        help="list all parameters with their values in the scene, and exit",
     )
     parser.add_argument("--samples", type=int, metavar="N", help="number of runs")
     parser.add_argument(
-        "--seed", type=int, default=0, metavar="N", help="of the drawing (default: %(default)s)"
+        "--seed",
+        type=int,
+        default=0,
+        metavar="N",
+        help="seed of the sampling (default: %(default)s)",
     )
     parser.add_argument(
         "--duration",
         type=float,
         metavar="S",
-        help="simulated time of each run in s, a whole number of steps",
+        help="simulated time of each run in s, a multiple of the step",
     )
-    parser.add_argument("--out", metavar="FOLDER", help="*.parquet, a folder of Parquet files")
+    parser.add_argument(
+        "--out", metavar="FOLDER", help="output: a folder of Parquet files, *.parquet"
+    )
     parser.add_argument(
         "--keep",
         type=float,
         metavar="S",
-        help="keep the states at these times too, and look at energy and joints "
-        "there (default: look at a tenth of the run, keep the last state)",
+        help="save the states with this period, and check energy and joints there (default: "
+        "check every tenth of the run, save the last state)",
     )
     parser.add_argument(
         "--assemble",
         action="store_true",
-        help="let the joints close the poses and velocities that were drawn",
+        help="assemble: correct the sampled poses and velocities until they satisfy the joints",
     )
     parser.add_argument(
-        "--workers", type=int, metavar="N", help="processes (default: one for each core)"
+        "--workers", type=int, metavar="N", help="number of processes (default: one per core)"
     )
     parser.add_argument(
         "--scheduler",
         metavar="ADDRESS",
-        help="scheduler of a dask cluster to work on, such as tcp://host:8786",
+        help="scheduler of a Dask cluster, such as tcp://host:8786",
     )
     parser.add_argument(
         "--show",
         nargs="+",
         metavar="COLUMN",
-        help="what the tables at the end are of (default: the states of up to two "
-        "bodies, the energy and the joints)",
+        help="columns of the result tables (default: the states of up to two bodies, the "
+        "energy and the joints)",
     )
     add_settings(parser)
 
@@ -108,12 +117,12 @@ def run(args):
     if args.workers is not None and args.workers < 1:
         raise RunError(f"--workers must be at least 1, got {args.workers}")
     console = Console(stderr=True)
-    with console.status("starting (the first time on a machine compiles for some 20 s)"):
+    with console.status("starting (the first start on a machine compiles for about 20 s)"):
         sweep, description = _asked_for(scene, args)
     unknown = [name for name in args.show or () if sweep.columns.get(name) != "float"]
     if unknown:
         raise RunError(
-            f"--show: there is no column of numbers {unknown[0]}; there are: "
+            f"--show: no numeric column {unknown[0]}; choose from: "
             + ", ".join(name for name, kind in sweep.columns.items() if kind == "float")
         )
     with SweepFile(args.out, description).writing() as file:
@@ -121,15 +130,14 @@ def run(args):
         if interrupted:
             print(
                 f"liegroup_sim: interrupted; {sweep.samples - len(file.missing)} of "
-                f"{sweep.samples} runs are in {args.out}, the same call makes the others",
+                f"{sweep.samples} runs are in {args.out}, the same command runs the others",
                 file=sys.stderr,
             )
             return EXIT_INTERRUPTED
         statuses = print_sweep(file, args.show, Console(file=sys.stdout))
     if not args.assemble and any(hint in status for status in statuses for hint in CLOSING):
         print(
-            "liegroup_sim: where joints hold the bodies that start otherwise, --assemble lets "
-            "them close",
+            "liegroup_sim: the sampled initial states violate the joints; --assemble corrects them",
             file=sys.stderr,
         )
     return 0 if OK in statuses else EXIT_ALL_FAILED

@@ -35,51 +35,58 @@ def add_arguments(parser):
     )
     parser.epilog = "Measurements are cached as they come: after Ctrl-C the same command continues."
     parser.add_argument(
-        "scenes", metavar="SCENE", nargs="+", help="scene file, or name of one that comes along"
+        "scenes",
+        metavar="SCENE",
+        nargs="+",
+        help="path of a scene file, or name of an example scene",
     )
     parser.add_argument(
         "--horizon",
         type=float,
         metavar="S",
-        help="simulated time over which errors count, in s (default: what suits "
-        "the scene, at most 10)",
+        help="simulated time in s over which errors are measured (default: derived from the "
+        "scene, at most 10)",
     )
-    parser.add_argument("--methods", nargs="+", metavar="NAME", help="default: all that fit")
-    parser.add_argument("--groups", nargs="+", metavar="NAME", help=f"default: {' '.join(GROUPS)}")
+    parser.add_argument(
+        "--methods", nargs="+", metavar="NAME", help="methods (default: all that are applicable)"
+    )
+    parser.add_argument(
+        "--groups", nargs="+", metavar="NAME", help=f"groups (default: {' '.join(GROUPS)})"
+    )
     parser.add_argument(
         "--stabilisation",
         nargs="+",
         metavar="KIND",
-        help=f"of {', '.join(STABILISATIONS)} (default: none projection)",
+        help=f"stabilisations: {', '.join(STABILISATIONS)} (default: none projection)",
     )
     parser.add_argument(
         "--steps",
         nargs="+",
         type=float,
         metavar="S",
-        help="default: from a tenth of the horizon down to where rounding rules",
+        help="step sizes in s (default: from a tenth of the horizon down to the round-off limit)",
     )
     parser.add_argument(
         "--budget",
         type=float,
         default=BUDGET,
         metavar="S",
-        help="CPU time of a run at most, in s (default: %(default)g)",
+        help="limit of CPU time per run in s (default: %(default)g)",
     )
     parser.add_argument(
-        "--workers", type=int, metavar="N", help="processes (default: one for each core)"
+        "--workers", type=int, metavar="N", help="number of processes (default: one per core)"
     )
     parser.add_argument(
         "--scheduler",
         metavar="ADDRESS",
-        help="scheduler of a dask cluster to work on, such as tcp://host:8786",
+        help="scheduler of a Dask cluster, such as tcp://host:8786",
     )
-    parser.add_argument("--json", metavar="FILE", help="write all that was measured")
-    parser.add_argument("--html", metavar="PAGE", help="write a self-contained page")
+    parser.add_argument("--json", metavar="FILE", help="write all measurements as JSON")
+    parser.add_argument("--html", metavar="PAGE", help="write a self-contained HTML report")
     parser.add_argument(
         "--png",
         metavar="FILE",
-        help="write the plot of one scene as a picture: *.png, *.pdf or *.svg (needs matplotlib)",
+        help="write the plot of one scene as an image: *.png, *.pdf or *.svg (needs matplotlib)",
     )
 
 
@@ -161,15 +168,15 @@ def _check(args):
     ):
         for name in given or ():
             if name not in known:
-                raise TradeError(f"unknown {what} {name!r}; there are: {', '.join(known)}")
+                raise TradeError(f"unknown {what} {name!r}; choose one of: {', '.join(known)}")
     if args.workers is not None and args.workers < 1:
         raise TradeError(f"--workers must be at least 1, got {args.workers}")
     if not args.budget > 0.0:
         raise TradeError(f"--budget must be a positive number of seconds, got {args.budget:g}")
     if args.png and len(args.scenes) > 1:
-        raise TradeError("--png goes with one scene")
+        raise TradeError("--png requires exactly one scene")
     if args.png and not args.png.lower().endswith((".png", ".pdf", ".svg")):
-        raise TradeError(f"{args.png}: must end with .png, .pdf or .svg")
+        raise TradeError(f"{args.png}: the name must end in .png, .pdf or .svg")
     if args.png and find_spec("matplotlib") is None:
         raise TradeError("--png needs matplotlib: pip install 'liegroup_sim_ros[figures]'")
     for path in filter(None, (args.json, args.html, args.png)):

@@ -9,11 +9,13 @@ imported when the signals are caught already: that takes a second.
 import signal
 import sys
 
-USAGE = """usage: sim_node --ros-args -p scene:=SCENE [-p NAME:=VALUE ...] [-r __ns:=/NAMESPACE]
-
-SCENE is a scene file, or the name of one that comes along, such as heavy_top.
-Parameters: step, method, publish_rate, record, ... see docs/node.md, or of a running node
-ros2 param list /sim_node"""
+USAGE = (
+    "usage: sim_node --ros-args -p scene:=SCENE [-p NAME:=VALUE ...] [-r "
+    "__ns:=/NAMESPACE]\n\nSCENE is the path of a scene file, or the name of an "
+    "example scene such as heavy_top.\nParameters (step, method, publish_rate, "
+    "record, ...): see docs/node.md, or ask a running node:\nros2 param list "
+    "/sim_node"
+)
 
 
 class Signals:

@@ -117,13 +117,13 @@ class SimNode(Node):
         future = server.call(name, *arguments)
         while not concurrent.futures.wait([future], ATTENTION).done:
             if self._signals.received or not server.is_alive():
-                return False, "the node is ending"
+                return False, "the node is shutting down"
         try:
             return True, future.result()
         except CommandError as error:
             return False, str(error)
         except concurrent.futures.CancelledError:
-            return False, "the node is ending"
+            return False, "the node is shutting down"
 
     def _serve_reload(self, _, response):
         before = self.scene_run
@@ -139,9 +139,9 @@ class SimNode(Node):
                     self.ask("resume")
                 raise
         except Interrupted:
-            response.message = "the node is ending"
+            response.message = "the node is shutting down"
         except WRONG_INPUT as error:
-            response.message = f"the scene before goes on: {' '.join(str(error).split())}"
+            response.message = f"the previous scene continues: {' '.join(str(error).split())}"
         else:
             before.close()
             self.scene_run = after
@@ -181,7 +181,7 @@ def run(args, signals):
             rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         if left:
             raise ParameterError(
-                f"unknown argument {left[0]!r}; parameters are given as --ros-args -p NAME:=VALUE"
+                f"unknown argument {left[0]!r}; give parameters as --ros-args -p NAME:=VALUE"
             )
         sys.setswitchinterval(SWITCH)
         node = SimNode(signals)
@@ -208,6 +208,6 @@ def _spin(node, signals):
     failure = node.scene_run.server.failure
     if failure is not None:
         defect = "".join(traceback.format_exception(failure))
-        node.get_logger().fatal(f"the simulation thread was ended by a defect:\n{defect}")
+        node.get_logger().fatal(f"the simulation thread ended with an unexpected error:\n{defect}")
         return EXIT_DEFECT
     return EXIT_OK

@@ -163,8 +163,8 @@ class Outputs:
             except ImportError:
                 package = message_type.partition("/")[0]
                 raise ParameterError(
-                    f"parameter {parameter}: {package} is not installed here; set the rate to 0, "
-                    f"or install it (apt: ros-jazzy-{package.replace('_', '-')})"
+                    f"parameter {parameter}: {package} is not installed; set the rate to 0, or "
+                    f"install it (apt: ros-jazzy-{package.replace('_', '-')})"
                 ) from None
             self.timed.append(
                 (

@@ -52,7 +52,7 @@ def _rate(name, default, text):
     return Entry(
         name,
         default,
-        f"messages per second of simulated time on {text}; 0: none",
+        f"rate of {text} in Hz of simulated time; 0: not published",
         low=0.0,
         high=1e5,
     )
@@ -62,83 +62,80 @@ TABLE = (
     Entry(
         "scene",
         "",
-        "scene file (YAML), or the name of one that comes along; a new one is taken by ~/reload",
+        "path of a scene file (YAML), or name of an example scene; ~/reload loads a new value",
         read_only=False,
     ),
     Entry(
         "accuracy",
         0.0,
-        "in place of method, stabilisation, group and step: the cheapest that "
-        "keeps this error in real time, positions in parts of the scene's length and attitudes "
-        "in rad; measured once for a scene on a machine, see trade.md; 0: not",
+        "use the cheapest configuration with at most this error in real time: "
+        "positions relative to the characteristic length, attitudes in rad. Replaces "
+        "method, stabilisation, group and step; measured once per scene and machine, "
+        "see trade.md; 0: off",
         low=0.0,
         high=1.0,
     ),
     Entry(
         "accuracy_horizon",
         0.0,
-        "simulated time from the start over which the accuracy is "
-        "promised, s; 0: what suits the scene",
+        "simulated time from the start over which the accuracy is guaranteed, s; 0: "
+        "derived from the scene",
         low=0.0,
         high=1e6,
     ),
     Entry("method", METHOD, "integration method", choices=tuple(METHODS)),
-    Entry(
-        "stabilisation",
-        "none",
-        "what is done about joints that open by errors of integration",
-        choices=STABILISATIONS,
-    ),
+    Entry("stabilisation", "none", "how constraint drift is corrected", choices=STABILISATIONS),
     Entry(
         "group",
         "auto",
-        "configuration space of a body: SE(3) or SO(3) x R^3; auto: the former, "
-        "but the latter for methods that have no other",
+        "configuration space of a body: SE(3) or SO(3) x R^3; auto: SE(3), or SO(3) x "
+        "R^3 for methods that require it",
         choices=("auto", *GROUPS),
     ),
     Entry("step", STEP, "step size, s", low=0.0, high=10.0, above=True),
     Entry(
         "real_time_factor",
         1.0,
-        "simulated seconds per second; 0: as fast as it goes",
+        "simulated seconds per second; 0: as fast as possible",
         read_only=False,
         low=0.0,
         high=1e6,
     ),
-    Entry("start_paused", False, "wait for ~/resume or ~/step"),
+    Entry("start_paused", False, "start paused, until ~/resume or ~/step is called"),
     Entry(
-        "step_count", 1, "steps that one call of ~/step takes", read_only=False, low=1, high=1000000
+        "step_count", 1, "number of steps per call of ~/step", read_only=False, low=1, high=1000000
     ),
-    Entry("record", "", "file to record to, *.mcap, or an existing folder; empty: no recording"),
+    Entry("record", "", "recording file (*.mcap) or existing folder; empty: no recording"),
     Entry(
         "record_flush_interval",
         1.0,
-        "wall time after which what waits in memory is written, s: what a killed process can lose",
+        "longest wall time that messages wait in memory before they are written, s; a "
+        "killed process loses at most this",
         low=0.01,
         high=3600.0,
     ),
     Entry(
         "record_split_size",
         0,
-        "bytes after which the recording goes on in another file, complete in itself; 0: never",
+        "size in bytes after which the recording continues in a new, self-contained file; 0: never",
         low=0,
         high=10**15,
     ),
     Entry(
         "record_split_duration",
         0.0,
-        "simulated time after which it does, s; 0: never",
+        "simulated time after which the recording continues in a new file, s; 0: never",
         low=0.0,
         high=1e9,
     ),
-    Entry("record_metadata", False, "whether a metadata.yaml makes the folder a bag of rosbag2"),
+    Entry("record_metadata", False, "write a metadata.yaml that makes the folder a rosbag2 bag"),
     Entry("world_frame", "world", "frame id of the poses"),
     Entry(
         "frame_prefix",
         "",
-        "what the frame id of every body begins with, such as robot1/; not that of world_frame",
+        "prefix of the frame ids of all bodies, such as robot1/; world_frame has no prefix",
     ),
-    _rate("publish_rate", 100.0, "~/BODY/pose and ~/BODY/twist, of which recordings are made"),
+    _rate("publish_rate", 100.0, "~/BODY/pose and ~/BODY/twist, required for recordings"),
     _rate("clock_rate", 100.0, "/clock"),
     _rate("state_rate", 10.0, "~/state"),
     _rate("odometry_rate", 0.0, "~/BODY/odometry"),
@@ -158,21 +155,21 @@ TABLE = (
     Entry(
         "wrench_hold",
         "timeout",
-        "how long a wrench from ~/wrench or ~/BODY/wrench acts: for "
-        "one step, for wrench_timeout, or until the next one of its source",
+        "how long a wrench from ~/wrench or ~/BODY/wrench acts: one step, "
+        "wrench_timeout, or until the next one of its source",
         read_only=False,
         choices=HOLDS,
     ),
     Entry(
         "wrench_timeout",
         0.1,
-        "how long a wrench acts if wrench_hold is timeout, s of simulated time",
+        "duration of a wrench if wrench_hold is timeout, s of simulated time",
         read_only=False,
         low=0.0,
         high=1e6,
         above=True,
     ),
-    Entry("body_wrenches", True, "whether there is a topic ~/BODY/wrench for every body"),
+    Entry("body_wrenches", True, "subscribe to a topic ~/BODY/wrench for every body"),
 )
 _ENTRIES = {entry.name: entry for entry in TABLE}
 _TYPE_NAMES = {str: "a text", bool: "true or false", int: "a whole number", float: "a number"}
@@ -223,7 +220,7 @@ def read_parameters(node):
         node.undeclare_parameter(name)  # to be declared again, with its descriptor
         if name not in _ENTRIES and not name.startswith(QOS_PREFIX):
             near = difflib.get_close_matches(name, _ENTRIES, n=1)
-            hint = f"did you mean {near[0]}?" if near else f"there are: {', '.join(_ENTRIES)}"
+            hint = f"did you mean {near[0]}?" if near else f"choose one of: {', '.join(_ENTRIES)}"
             raise ParameterError(f"parameter {name}: unknown; {hint}")
     values = SimpleNamespace()
     for entry in TABLE:
@@ -234,12 +231,12 @@ def read_parameters(node):
         for name in CHOSEN:
             if name in given:
                 raise ParameterError(
-                    f"parameter accuracy: takes the place of {name}: leave one of the two away"
+                    f"parameter accuracy: cannot be combined with {name}; remove one of them"
                 )
     else:
         if values.accuracy_horizon:
             raise ParameterError(
-                "parameter accuracy_horizon: goes with accuracy: give that, too, or neither"
+                "parameter accuracy_horizon: requires accuracy; set both or neither"
             )
         set_step(values, values.step)
     values.qos = [name for name in given if name.startswith(QOS_PREFIX)]
@@ -247,8 +244,8 @@ def read_parameters(node):
         _check_qos(name, given[name])
     if values.record and not values.publish_rate:
         raise ParameterError(
-            "parameter publish_rate: must be greater than 0 to record: "
-            "recordings are made of poses and twists"
+            "parameter publish_rate: must be greater than 0 to record, because a recording "
+            "consists of poses and twists"
         )
     return values
 
@@ -293,7 +290,8 @@ def watch_parameters(node, changed):
             for parameter in parameters:
                 if parameter.name == "use_sim_time" and parameter.value is not False:
                     raise ParameterError(
-                        "parameter use_sim_time: must be false: this node makes the simulated time"
+                        "parameter use_sim_time: must be false, because this node publishes the "
+                        "simulated time"
                     )
                 if parameter.name in _ENTRIES:
                     check(parameter.name, parameter.value)
@@ -340,8 +338,9 @@ def _whole_steps(name, rate, step):
     if abs(steps - whole) > 1e-6 * whole:  # far above rounding, far below a step in any log
         nearest = sorted({1.0 / (max(1, n) * step) for n in (math.floor(steps), math.ceil(steps))})
         raise ParameterError(
-            f"parameter {name}: {rate:g} Hz is {steps:.6g} steps of {step:g} s, must be a whole "
-            f"number of steps; possible: {' or '.join(f'{r:.9g}' for r in nearest)}"
+            f"parameter {name}: {rate:g} Hz is one message every {steps:.6g} steps of "
+            f"{step:g} s; this must be a whole number, use "
+            f"{' or '.join((f'{r:.9g}' for r in nearest))}"
         )
     return whole
 

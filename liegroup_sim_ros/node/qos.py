@@ -41,5 +41,5 @@ class QosOverrides:
             if name not in self._possible:
                 (near,) = difflib.get_close_matches(name, self._possible, n=1, cutoff=0.0)
                 raise ParameterError(
-                    f"parameter {name}: no topic, or nothing that can be set; did you mean {near}?"
+                    f"parameter {name}: unknown topic or policy; did you mean {near}?"
                 )

@@ -46,7 +46,7 @@ class SceneRun:
             base_ns = before.server.stamp_ns + max(1, round(simulation.step * 1e9))
             origin = ", loaded by ~/reload"
             if before.recorder is not None:
-                origin += f"; the recording before is {before.recorder.path.name}"
+                origin += f"; the previous recording is {before.recorder.path.name}"
                 part, bag = before.recorder.part + 1, before.recorder.bag
                 path = before.recorder.part_path(part)
                 self._more = {"part": part, "previous": before.recorder.path.name}
@@ -55,13 +55,13 @@ class SceneRun:
             tuple(f"{frame}/" for frame in frames)
         ):
             raise ParameterError(
-                f"parameter world_frame: must be a name that no body has, "
-                f"got {values.world_frame!r}"
+                "parameter world_frame: must differ from all body names, got "
+                f"{values.world_frame!r}"
             )
         if values.frame_prefix.startswith("/"):
             raise ParameterError(
-                "parameter frame_prefix: must not begin with a slash, as no "
-                f"frame of tf2 does, got {values.frame_prefix!r}"
+                "parameter frame_prefix: must not start with a slash (tf2 frames have none), "
+                f"got {values.frame_prefix!r}"
             )
         qos = QosOverrides(values.qos)
         self.outputs = Outputs(node, layout, values, self._figures, qos)
@@ -185,9 +185,9 @@ def make_simulation(values, signals):
     """
     if not values.scene:
         raise ParameterError(
-            "parameter scene: is empty; give a scene file, such as "
-            "--ros-args -p scene:=heavy_top; a parameter file has it below "
-            "/**, or below the node's name, and ros__parameters"
+            "parameter scene: is empty; give a scene, such as --ros-args -p "
+            "scene:=heavy_top. In a parameter file it stands under /** or the node's name, "
+            "and ros__parameters"
         )
     future = Future()
 

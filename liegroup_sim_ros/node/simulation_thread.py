@@ -252,7 +252,7 @@ class SimulationServer(threading.Thread):
         self._state_before_fault = self.state
         self.state = "faulted"
         self.pacer.stop()
-        self._event("fault", f"{text}; the last good state is kept, ~/reset starts again", True)
+        self._event("fault", f"{text}; the last valid state is kept, ~/reset restarts", True)
 
     def _must_not_be_faulted(self):
         if self.state == "faulted":

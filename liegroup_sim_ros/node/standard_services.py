@@ -52,7 +52,8 @@ class StandardServices:
             return _answer(
                 response,
                 NOT_SUPPORTED,
-                "only the state can be reset: scope 0, 2 or 255; simulated time never goes back",
+                "only the state can be reset (scope 0, 2 or 255); simulated time increases "
+                "monotonically",
             )
         return _answer(response, *_result(self._ask("reset"), FAILED))
 
@@ -72,12 +73,12 @@ class StandardServices:
             return _answer(response, ALREADY_THERE, "")
         if wanted == QUITTING:
             self._signals.received = True
-            return _answer(response, OK, "the node is ending")
+            return _answer(response, OK, "the node is shutting down")
         commands = {STOPPED: ("hold", "reset"), PLAYING: ("resume",), PAUSED: ("pause",)}.get(
             wanted
         )
         if commands is None:
-            return _answer(response, NOT_SUPPORTED, f"there is no state {wanted}")
+            return _answer(response, NOT_SUPPORTED, f"unknown state {wanted}")
         for command in commands:
             done, text = self._ask(command)
             if not done:
@@ -89,7 +90,7 @@ class StandardServices:
         filters = request.filters
         bounded = getattr(getattr(filters, "bounds", None), "points", ())
         if len(filters.categories) or len(filters.tags.tags) or len(bounded):
-            return _answer(response, NOT_SUPPORTED, "bodies have names only: filter by them")
+            return _answer(response, NOT_SUPPORTED, "bodies have names only: filter by name")
         try:
             matches = re.compile(filters.filter or ".*").fullmatch
         except re.error as error:
@@ -110,7 +111,7 @@ class StandardServices:
         _, sample, state = result
         if state == "running":
             return PLAYING, ""
-        text = "stopped by an error: reset it" if state == "faulted" else ""
+        text = "the simulation has stopped with an error: reset it" if state == "faulted" else ""
         return (PAUSED if sample.steps else STOPPED), text
 
     def _entity(self, stamp_ns, sample, body):

@@ -32,7 +32,7 @@ class Refusal(Exception):
     """
 
     def __init__(self, reason, text, first):
-        super().__init__(f"wrench refused: {text} (said once; /diagnostics has the count)")
+        super().__init__(f"wrench refused: {text} (logged once; /diagnostics has the count)")
         self.reason = reason
         self.first = first
 
@@ -95,16 +95,16 @@ class WrenchInput:
             self._refuse(
                 "unknown_frame",
                 lambda: (
-                    f"frame_id {frame_id[:LONGEST_NAME]!r} is not "
-                    f"known here; it must be one of: {self._frames(body)}"
+                    f"unknown frame_id {frame_id[:LONGEST_NAME]!r}; it must be one of: "
+                    f"{self._frames(body)}"
                 ),
             )
         if len(name) > LONGEST_NAME:
             self._refuse(
                 "unknown_frame",
                 lambda: (
-                    f"frame_id {frame_id[:20]!r}...: the name "
-                    f"behind the slash has more than {LONGEST_NAME} characters"
+                    f"frame_id {frame_id[:20]!r}...: the name after the slash has more than "
+                    f"{LONGEST_NAME} characters"
                 ),
             )
         if not all(map(math.isfinite, wrench)):
@@ -113,14 +113,16 @@ class WrenchInput:
             self._refuse(
                 "stamp_too_far",
                 lambda: (
-                    f"for {target}: its stamp "
-                    f"{start_ns / 1e9:.9g} s is more than {FARTHEST // 10**9} s ahead of "
-                    f"the simulated time {now_ns / 1e9:.9g} s; leave the stamp zero, or "
-                    "stamp with simulated time (use_sim_time)"
+                    f"for {target}: its time stamp {start_ns / 1000000000.0:.9g} s is more than "
+                    f"{FARTHEST // 10**9} s ahead of the simulated time "
+                    f"{now_ns / 1000000000.0:.9g} s; use a zero stamp, or simulated time "
+                    "(use_sim_time)"
                 ),
             )
         if held >= MOST:
-            self._refuse("too_many", lambda: f"for {target}: {held} wrenches act or wait already")
+            self._refuse(
+                "too_many", lambda: f"for {target}: {held} wrenches already act or are scheduled"
+            )
         self.accepted += 1
         return Push(
             source_prefix(kind, f"{target}/{name}" if name else target),
@@ -135,8 +137,8 @@ class WrenchInput:
         self._refuse(
             "unknown_frame",
             lambda: (
-                f"~/wrench/clear: {text[:LONGEST_NAME]!r} names no "
-                f"body; it must be empty for all, or one of: {self._frames(None)}"
+                f"~/wrench/clear: unknown body {text[:LONGEST_NAME]!r}; it must be empty (all "
+                f"bodies), or one of: {self._frames(None)}"
             ),
         )
 

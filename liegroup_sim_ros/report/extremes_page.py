@@ -23,11 +23,11 @@ def shown(value):
 
 
 def _lines(axes, cells, methods):
-    yield "# The map of extremes"
+    yield "# Robustness map"
     yield ""
     yield (
-        "Made by `liegroup_sim extremes`; [extremes.md](extremes.md) says what the signs mean "
-        "and how a cell is judged."
+        "Written by `liegroup_sim extremes`. [extremes.md](extremes.md) explains the "
+        "signs and how each cell is judged."
     )
     yield ""
     yield "| sign | verdict | cells |"
@@ -42,7 +42,7 @@ def _lines(axes, cells, methods):
 
 def _numbers(cells):
     wrong = silent(cells)
-    yield (f"{len(wrong)} answers are silently wrong" + (":" if wrong else "."))
+    yield (f"{len(wrong)} undetected errors" + (":" if wrong else "."))
     for cell in wrong:
         yield (
             f"* {cell['axis']} {shown(cell['value'])}, {cell['method']}: error "
@@ -59,13 +59,13 @@ def _numbers(cells):
     )
     yield ""
     yield (
-        f"{len(alone)} of the {len(flagged)} flagged cells are flagged by the watch over the "
-        "step alone: without it they would be silent."
+        f"{len(alone)} of the {len(flagged)} flagged cells are flagged by the step "
+        "check alone: without it their errors would be undetected."
     )
     if warned:
         yield (
-            f"{len(warned)} accurate cells were warned of; their errors are from "
-            f"{warned[0]:.1g} to {warned[-1]:.1g} of the motion, the median is "
+            f"{len(warned)} accurate cells have a warning; their errors are between "
+            f"{warned[0]:.1g} and {warned[-1]:.1g} of the motion, median "
             f"{statistics.median(warned):.1g}."
         )
     yield ""

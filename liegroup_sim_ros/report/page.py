@@ -63,16 +63,16 @@ def make_page(parts, comparison=None, exceeded=(), bounds=()):
     if comparison:
         plots = difference_plot(comparison[1])
         data.append({"plots": [plot for *_, plot in plots], "view": None})
-        rows = _rows("Compared with the other recording", comparison_rows(comparison[0]))
+        rows = _rows("Comparison with the other recording", comparison_rows(comparison[0]))
         drawn = "".join(plot_card(title, remark) for title, remark, _ in plots)
         body += (
             f"<h2>Compared with {escape(comparison[0]['logs'][1])}</h2>"
             f'<div class="cards" data-part="{len(parts)}">{drawn}{rows}</div>'
         )
     title = (
-        f"{parts[0]['figures']['scene']}: how wrong is this run?"
+        f"{parts[0]['figures']['scene']}: analysis of a recording"
         if one
-        else f"{len(parts)} recordings: how wrong are they?"
+        else f"Analysis of {len(parts)} recordings"
     )
     return frame(title, body, data)
 
@@ -134,11 +134,7 @@ def _several(parts, exceeded, bounds):
     names = short_names(found)
     wrong = [figures.get("problems", [figures.get("failed")]) for figures in found]
     bad, count = (sum(map(kind, wrong)) for kind in (bool, len))
-    verdict = (
-        f"{bad} of {len(parts)} recordings have problems."
-        if bad
-        else "No problem was found in any of them."
-    )
+    verdict = f"{bad} of {len(parts)} recordings have problems." if bad else "No problems found."
     lines = "".join(
         f'<tr><td data-what="log"><a href="#log{k}">{escape(name)}</a></td>'
         + "".join(
@@ -237,8 +233,8 @@ def _view(view, has_plots):
         f'<option value="{speed:g}"{" selected" if speed == first else ""}>{speed:g} ×</option>'
         for speed in choices
     )
-    remark = f"{view['frames']} instants; drag to turn; the tools zoom and shift" + (
-        "; a click on a plot below goes to that instant" if has_plots else ""
+    remark = f"{view['frames']} frames; drag to rotate; the tools zoom and pan" + (
+        "; click on a plot below to go to that time" if has_plots else ""
     )
     return (
         f'<section class="card view"><h3>Motion</h3><p class="remark">{remark}</p>'

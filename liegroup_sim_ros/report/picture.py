@@ -32,7 +32,7 @@ def write_picture(analysis, path, comparison=None):
     if comparison:
         plots += difference_plot(comparison[1])
     if not plots:
-        raise ValueError("no sample is finite: there is nothing to draw")
+        raise ValueError("no sample is finite: there is nothing to plot")
     count = len(plots) + 1
     rows = math.ceil(count / 2)
     figure = Figure(figsize=(WIDTH, ROW * rows), layout="constrained")

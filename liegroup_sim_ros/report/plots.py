@@ -26,13 +26,14 @@ def make_plots(analysis):
     if curves.get("reference"):
         kind = figures["reference"]["kind"]
         source = (
-            "an independent tight integration" if kind == "integration" else ("the exact solution")
+            "an independent integration at tight tolerances"
+            if kind == "integration"
+            else ("the exact solution")
         )
         plots.append(
             (
-                "How the error grows",
-                f"distance from {source}, the largest of all "
-                "bodies; dotted: how well that one is known",
+                "Error",
+                f"distance from {source}, largest of all bodies; dotted: reference uncertainty",
                 _plane(_error_traces(curves["reference"]), bands, "m, rad", log=True),
             )
         )
@@ -40,7 +41,7 @@ def make_plots(analysis):
         plots.append(
             (
                 "Energy",
-                "change since the start of each stretch without a wrench",
+                "change since the start of each interval without applied wrenches",
                 _plane(_interval_traces([("energy", curves["energy"])]), bands, "J"),
             )
         )
@@ -52,7 +53,7 @@ def make_plots(analysis):
     if kept:
         plots.append(
             (
-                "Momentum components that the scene keeps",
+                "Conserved momentum components",
                 "change, as for the energy",
                 _plane(
                     _interval_traces(kept[:6]),
@@ -66,8 +67,8 @@ def make_plots(analysis):
     if curves["joints"]:
         plots.append(
             (
-                "How far the joints are open",
-                "the worst joint",
+                "Constraint residuals",
+                "largest of all joints",
                 _plane(
                     _interval_traces([("open by", curves["joints"])]), bands, "m, rad", log=True
                 ),
@@ -78,7 +79,7 @@ def make_plots(analysis):
         plots.append(
             (
                 "Lateness",
-                "of the ticks against the wall clock, since the start",
+                "scheduling latency of the ticks, since the start",
                 _plane(late, bands, "µs", log=True),
             )
         )
@@ -90,8 +91,8 @@ def _error_traces(parts):
     names = (
         ("position, m", "--blue", "solid"),
         ("attitude, rad", "--orange", "solid"),
-        ("position, known to", "--blue", "dot"),
-        ("attitude, known to", "--orange", "dot"),
+        ("position, uncertainty", "--blue", "dot"),
+        ("attitude, uncertainty", "--orange", "dot"),
     )
     return [
         _line(name, times, _joined([part[k + 1] for part in parts]), colour, dash)
@@ -115,7 +116,7 @@ def _interval_traces(named):
 def _lateness_traces(diagnostics):
     traces = []
     for key, name, colour in (
-        ("p50", "half of them within", "--green"),
+        ("p50", "median", "--green"),
         ("p99", "99 % within", "--orange"),
         ("max", "all within", "--red"),
     ):
@@ -162,8 +163,8 @@ def difference_plot(curve):
     ]
     return [
         (
-            "How far the two are apart",
-            "the largest distance of all bodies",
+            "Difference of the two recordings",
+            "largest of all bodies",
             _plane(traces, [], "m, rad", log=True),
         )
     ]

@@ -12,21 +12,23 @@ def headline(figures):
     found = []
     reference = figures.get("reference")
     if reference and "failed" not in reference:
-        known = "the reference's own uncertainty"
+        known = "the reference uncertainty"
         found += [
             (
                 text,
                 shown(max(entry["max"], entry["uncertainty"]), entry["unit"]),
                 known
                 if entry["max"] <= entry["uncertainty"]
-                else f"at most, known to {shown(entry['uncertainty'], entry['unit'])}",
+                else f"maximum, uncertainty {shown(entry['uncertainty'], entry['unit'])}",
             )
             for name, text in (("position", "position error"), ("angle", "attitude error"))
             for entry in [reference[name]]
         ]
     if figures.get("joints"):
         name, worst = max(figures["joints"].items(), key=lambda item: item[1]["largest"])
-        found.append(("joints open by", shown(worst["largest"], worst["unit"]), f"at most: {name}"))
+        found.append(
+            ("constraint residual", shown(worst["largest"], worst["unit"]), f"maximum: {name}")
+        )
     if figures.get("energy") and figures["energy"]["relative_drift"] is not None:
         found.append(
             (
@@ -42,7 +44,7 @@ def headline(figures):
             (
                 "simulated again",
                 "same bits" if same else "different",
-                f"{repeat['identical']} of {repeat['samples']} samples are the same",
+                f"{repeat['identical']} of {repeat['samples']} samples are identical",
             )
         )
     if figures["timing"].get("real_time_factor"):
@@ -52,7 +54,7 @@ def headline(figures):
                 f"{figures['timing']['real_time_factor']:.3f}",
                 ""
                 if not figures["timing"]["factor_wanted"]
-                else f"wanted {shown(figures['timing']['factor_wanted'])}",
+                else f"requested {shown(figures['timing']['factor_wanted'])}",
             )
         )
     return found
@@ -75,7 +77,7 @@ def sections(figures):
     if local and "failed" not in local:
         found.append(("Error of one step, by step halving", _local_rows(local)))
     if "energy" in figures:
-        found.append(("What it should keep", _kept_rows(figures)))
+        found.append(("Conserved quantities and constraints", _kept_rows(figures)))
     repeat = figures.get("repeat", {})
     if "identical" in repeat:
         found.append(
@@ -85,7 +87,7 @@ def sections(figures):
                     (
                         "same bytes",
                         f"{repeat['identical']} of {repeat['samples']} samples",
-                        "from the recorded start, settings and wrenches",
+                        "from the recorded initial state, configuration and wrenches",
                     )
                 ],
             )
@@ -162,7 +164,7 @@ def _local_rows(local):
         (
             "observed order",
             "-" if local["order"] is None else f"{local['order']:.2f}",
-            f"of the method: {local['order_expected']}",
+            f"order of the method: {local['order_expected']}",
         ),
     ]
 
@@ -209,12 +211,12 @@ def _kept_rows(figures):
             )
         )
     if not figures["momentum"]:
-        rows.append(("momentum", "-", "this scene keeps no component of it"))
+        rows.append(("momentum", "-", "no component is conserved in this scene"))
     joints = sorted(figures["joints"].items(), key=lambda item: -item[1]["largest"])
     for name, entry in joints[:MOST_JOINTS]:
         rows.append(
             (
-                f"joint {name} open by",
+                f"constraint residual of {name}",
                 shown(entry["largest"], entry["unit"]),
                 f"at {shown(entry['at_s'], 's')}",
             )
@@ -226,22 +228,21 @@ def _kept_rows(figures):
 
 def _timing_rows(timing):
     late, ticks = timing["lateness_us"], timing.get("ticks")
-    no_clock = "it was not run against a clock"
+    no_clock = "not run in real time"
     return [
         (
             "real-time factor",
             "-" if timing.get("real_time_factor") is None else f"{timing['real_time_factor']:.4f}",
-            "as fast as it goes was wanted"
+            "requested: as fast as possible"
             if timing["factor_wanted"] == 0.0
-            else f"wanted {shown(timing['factor_wanted'])}",
+            else f"requested {shown(timing['factor_wanted'])}",
         ),
         (
-            "lateness of a tick",
+            "scheduling latency",
             _microseconds(late["p50"]),
             no_clock
             if late["p50"] is None
-            else f"half of them; 99 % within {_microseconds(late['p99'])}, all within "
-            f"{_microseconds(late['max'])}",
+            else f"median; p99 {_microseconds(late['p99'])}, maximum {_microseconds(late['max'])}",
         ),
         (
             "overruns",
@@ -318,7 +319,7 @@ def comparison_rows(figures):
             f"{figures['identical']} of {figures['samples']} samples",
             ""
             if figures["first_difference_s"] is None
-            else f"the first other one at {shown(figures['first_difference_s'], 's')}",
+            else f"the first difference at {shown(figures['first_difference_s'], 's')}",
         )
     ]
     rows += [
@@ -337,6 +338,6 @@ def comparison_rows(figures):
         )
     ]
     return rows + [
-        (key, str(mine), f"in the other one {theirs}")
+        (key, str(mine), f"in the other recording {theirs}")
         for key, (mine, theirs) in figures["settings"].items()
     ]

@@ -92,15 +92,14 @@ def print_sweep(file, show, console):
     found = spread(table, (*sweep.paths, *columns))
     _print(
         console,
-        "How the runs spread that came to their end",
+        "Distribution of the completed runs",
         ("", "least", "5 %", "median", "95 %", "largest"),
         [(name, *map(shown, values)) for name, values in found.items() if values is not None],
     )
     ranks = dependence(table, sweep.paths, columns)
     _print(
         console,
-        "What depends on what: rank correlation (Spearman), 0 none, 1 or -1 one rises "
-        "or falls with the other",
+        "Rank correlation (Spearman): 0 none, 1 or -1 monotonically increasing or decreasing",
         ("", *sweep.paths),
         [
             (name, *(f"{row[path]:+.2f}" if path in row else "-" for path in sweep.paths))

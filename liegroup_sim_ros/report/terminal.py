@@ -62,12 +62,12 @@ def print_comparison(figures, console):
     console.print()
     console.print(
         Text(
-            f"Compared with {figures['logs'][1]}: "
+            f"Comparison with {figures['logs'][1]}: "
             + (
-                f"the same bit for bit in {figures['samples']} samples"
+                f"bit-identical in {figures['samples']} samples"
                 if same
-                else f"{figures['identical']} of {figures['samples']} samples are the same, the first other "
-                f"one at {shown(figures['first_difference_s'], 's')}"
+                else f"{figures['identical']} of {figures['samples']} samples are identical, the "
+                f"first difference at {shown(figures['first_difference_s'], 's')}"
             ),
             style="bold",
         )

@@ -13,9 +13,7 @@ from .terminal import plain_table
 WIDTH = 130  # characters; a narrower terminal folds the lines
 CHEAPEST_HEAD = ("accuracy", "setting", "error", "CPU s per s", "times real time")
 FRONT_HEAD = ("error", "CPU s per s", "setting", "rad/s", "m/s", "energy", "momentum", "joints")
-FRONT_TITLE = (
-    "What no other setting beats; to the right its errors of twist, energy, momentum, joints"
-)
+FRONT_TITLE = "Pareto front; the right columns are errors of twist, energy, momentum, joints"
 
 
 def document_part(trade):
@@ -83,8 +81,8 @@ def reference_text(part):
         else f"the closed form ({reference['kind']})"
     )
     if reference["agrees"] is not None:
-        text += f", which an independent integration meets within {shown(reference['agrees'])}"
-    return f"{text}; known to {shown(reference['known'])}"
+        text += f", confirmed by an independent integration within {shown(reference['agrees'])}"
+    return f"{text}; reference uncertainty {shown(reference['known'])}"
 
 
 def cheapest_rows(part):
@@ -93,7 +91,7 @@ def cheapest_rows(part):
     for entry in part["cheapest"]:
         if entry["cell"] is None:
             rows.append(
-                (f"{entry['accuracy']:g}", f"none: at best {shown(part['best'])}", "-", "-", "-")
+                (f"{entry['accuracy']:g}", f"none: best {shown(part['best'])}", "-", "-", "-")
             )
             continue
         cell = part["cells"][entry["cell"]]
@@ -134,8 +132,9 @@ def headline(part):
     """One sentence."""
     stopped = sum(bool(cell["stopped"]) for cell in part["cells"])
     return (
-        f"{part['scene']}: {len(part['cells'])} settings over {shown(part['horizon'], 's')}, "
-        f"{stopped} of which had to stop; {len(part['front'])} that no other beats"
+        f"{part['scene']}: {len(part['cells'])} configurations over "
+        f"{shown(part['horizon'], 's')}, {stopped} of them stopped early; "
+        f"{len(part['front'])} on the Pareto front"
     )
 
 
@@ -145,14 +144,14 @@ def print_trade(part, console):
     console.print(Text(headline(part), style="bold"))
     console.print(
         Text(
-            f"errors against {reference_text(part)}; lengths in parts of "
+            f"errors against {reference_text(part)}; lengths relative to "
             f"{shown(part['length'], 'm')}",
             style="dim",
         )
     )
     _print(
         console,
-        f"The cheapest for an accuracy, with a margin of {part['margin']:g}",
+        f"Cheapest configuration for each accuracy, with a margin of {part['margin']:g}",
         CHEAPEST_HEAD,
         cheapest_rows(part),
     )

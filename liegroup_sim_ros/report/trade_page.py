@@ -21,7 +21,10 @@ SYMBOLS = ("circle", "square", "triangle-up", "diamond", "triangle-down", "cross
 HEIGHT = 560  # px
 MARKS = ("o", "s", "^", "D", "v", "P")
 LINES = ("-", "--", ":", "-.")
-COST, ERROR = "CPU time, s per simulated second", "error, rad or parts of the scene's length"
+COST, ERROR = (
+    "CPU time, s per simulated second",
+    "error, rad or relative to the characteristic length",
+)
 
 
 def curves(part):
@@ -65,7 +68,7 @@ def make_plot(part):
         {
             "type": "scatter",
             "mode": "lines",
-            "name": "what no other beats",
+            "name": "Pareto front",
             "x": [cell["cost_us"] * 1e-6 for cell in front],
             "y": [max(cell["error"], known) for cell in front],
             "line": {"color": "--text", "width": 5, "dash": "solid"},
@@ -117,25 +120,24 @@ def make_page(parts):
     for k, part in enumerate(parts):
         tag = "h1" if len(parts) == 1 else "h2"
         body += (
-            f"<{tag}>{escape(part['scene'])}: what accuracy costs</{tag}>"
-            f'<p class="verdict">{unbroken(headline(part))}</p>'
-            f'<p class="soft">Errors against {unbroken(reference_text(part))}. '
-            f"Processor: {escape(_processor(part))}.</p>"
-            f'<div class="cards" data-part="{k}">'
+            f"<{tag}>{escape(part['scene'])}: accuracy against cost</{tag}><p "
+            f'class="verdict">{unbroken(headline(part))}</p><p class="soft">Errors against '
+            f"{unbroken(reference_text(part))}. Processor: "
+            f'{escape(_processor(part))}.</p><div class="cards" data-part="{k}">'
             + plot_card(
                 "Work and precision",
-                "of each method what none of its own settings beats; "
-                "red: real time on one core; grey: what the reference knows",
+                "Pareto front of each method; red: real time on one core; grey: reference "
+                "uncertainty",
             )
             + "</div>"
             + _table(
-                f"The cheapest for an accuracy, with a margin of {part['margin']:g}",
+                f"Cheapest configuration for each accuracy, with a margin of {part['margin']:g}",
                 CHEAPEST_HEAD,
                 cheapest_rows(part),
             )
             + _table(FRONT_TITLE, FRONT_HEAD, front_rows(part))
         )
-    title = f"{', '.join(part['scene'] for part in parts)}: what accuracy costs"
+    title = f"{', '.join((part['scene'] for part in parts))}: accuracy against cost"
     return frame(title, body, [{"plots": [make_plot(part)], "view": None} for part in parts])
 
 
@@ -178,7 +180,7 @@ def write_picture(part, path):
         color="black",
         lw=5,
         alpha=0.18,
-        label="what no other beats",
+        label="Pareto front",
     )
     for k, (method, cells) in enumerate(curves(part)):
         axes.plot(

@@ -78,11 +78,12 @@ def misfit(layout):
         joint = layout.scene.joints[owner]
         if element["parent"] != WORLD or element["kind"] != PAIR or not element["turns_freely"]:
             return (
-                "it takes bodies that are free or held by one ball joint to the ground, and "
-                f"{joint.name} is a {joint.type} joint from {joint.parent} to {joint.child}"
+                "it requires bodies that are free or held by one spherical joint to the "
+                f"ground, but {joint.name} is a {joint.type} joint from {joint.parent} to "
+                f"{joint.child}"
             )
         if element["child"] in held:
-            return f"it takes one ball joint a body, and {joint.child} has more"
+            return f"it allows one spherical joint per body, but {joint.child} has more"
         held.add(element["child"])
     return ""
 

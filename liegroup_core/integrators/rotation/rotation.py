@@ -520,7 +520,7 @@ class Rotation:
         self.work.report[:] = report
         if limit is not None:
             self.doubt = (
-                f"{self._name}, step {h:g} s: errors grow from step to step, as an "
-                "oscillation or a damper is too fast for it; at the start of this run "
-                f"steps are stable up to {limit:.2g} s, take a smaller one"
+                f"{self._name}, step {h:g} s: unstable, an oscillation or a damper is too fast "
+                f"for this step. The stability limit at the start of the run is {limit:.2g} s; "
+                "use a smaller step"
             )

@@ -51,11 +51,11 @@ class SweepFile:
             raise SweepFileError(f"{path}: the name must end in .parquet")
         if self.path.exists() and not self.path.is_dir():
             raise SweepFileError(
-                f"{path}: is a file, not the folder of a sweep; choose another name"
+                f"{path}: is a file, but a sweep is written to a folder; choose another name"
             )
         self._parts = self._found()
         if not self._parts and description is None:
-            raise SweepFileError(f"{path}: there is no sweep")
+            raise SweepFileError(f"{path}: no sweep found")
         self.description = (
             self._description(self._parts[0][2])
             if description is None
@@ -71,7 +71,7 @@ class SweepFile:
             return sweeps.described(self.description)
         except (KeyError, TypeError, ValueError) as error:
             raise SweepFileError(
-                f"{self.path}: cannot be understood, it is of another version: {error}"
+                f"{self.path}: cannot be read, it was written by another version: {error}"
             ) from None
 
     @property
@@ -101,7 +101,7 @@ class SweepFile:
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
-                raise SweepFileError(f"{self.path}: another process is writing there") from None
+                raise SweepFileError(f"{self.path}: another process is writing to it") from None
             self._parts = self._found()  # again: it may just have ended
             for left in self.path.glob(".runs-*.part"):
                 left.unlink()
@@ -144,7 +144,9 @@ class SweepFile:
             if match:
                 parts.append((int(match[1]), int(match[2]), file))
             elif not file.name.startswith("."):
-                raise SweepFileError(f"{self.path}: is no folder of a sweep: it has {file.name}")
+                raise SweepFileError(
+                    f"{self.path}: is not the folder of a sweep: it contains {file.name}"
+                )
         return parts
 
     def _description(self, part):
@@ -155,14 +157,14 @@ class SweepFile:
             found = json.loads((metadata.metadata or {})[KEY])
         except (pa.ArrowException, OSError, KeyError, ValueError):
             raise SweepFileError(
-                f"{part}: is damaged, or not of a sweep; take it away, and the "
-                "same call makes its runs again"
+                f"{part}: is damaged or does not belong to a sweep; remove it, and the same "
+                "command repeats its runs"
             ) from None
         first, last = map(int, PART.fullmatch(part.name).groups())
         if metadata.num_rows != last - first + 1:
             raise SweepFileError(
-                f"{part}: does not have the runs of its name; take it away, and "
-                "the same call makes them again"
+                f"{part}: its runs do not match its name; remove it, and the same command "
+                "repeats them"
             )
         return found
 
@@ -180,7 +182,7 @@ class SweepFile:
             for key in other[:3]
         )
         raise SweepFileError(
-            f"{self.path}: has another sweep: {shown}; choose another name, or take it away"
+            f"{self.path}: contains a different sweep: {shown}; choose another name, or remove it"
         )
 
 

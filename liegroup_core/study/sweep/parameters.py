@@ -78,13 +78,15 @@ def path_of(scene, name):
     if len(found) == 1:
         return found[0]
     if found:
-        raise ParameterError(f"the parameter {name} may be {_listed(found)}: say which")
+        raise ParameterError(
+            f"the parameter {name} is ambiguous: {_listed(found)}; give the full path"
+        )
     ends = {".".join(path.split(".")[-k:]): path for path in known for k in (1, 2, 3)}
     close = [ends[end] for end in difflib.get_close_matches(name, list(ends), n=3, cutoff=0.7)]
     close += difflib.get_close_matches(name, list(known), n=3, cutoff=0.6)
     meant = f"did you mean {_listed(list(dict.fromkeys(close)), 3, 'or')}? " if close else ""
     raise ParameterError(
-        f"the scene has no parameter {name[:60]}; {meant}there are {_listed(list(known))}"
+        f"the scene has no parameter {name[:60]}; {meant}choose from {_listed(list(known))}"
     )
 
 
@@ -169,12 +171,12 @@ def range_of(scene, text):
     try:
         numbers = tuple(float(part) for part in rest.split(mark))
     except ValueError:
-        raise _refused(text, "has something that is no number") from None
+        raise _refused(text, "contains something that is not a number") from None
     if not all(map(math.isfinite, numbers)):
-        raise _refused(text, "has a number that is not finite")
+        raise _refused(text, "contains a number that is not finite")
     kind = {"~": "normal", ",": "choice", ":": "log" if log else "uniform"}[mark]
     if log and kind != "log":
-        raise _refused(text, "log goes with LOW:HIGH")
+        raise _refused(text, "log requires LOW:HIGH")
     if kind != "choice" and len(numbers) != 2:
         raise _refused(text, f"must have two numbers, has {len(numbers)}")
     if kind in ("uniform", "log") and not numbers[0] < numbers[1]:

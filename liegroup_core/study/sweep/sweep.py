@@ -92,15 +92,15 @@ class Sweep:
         written = scene_as_written(scene.text, scene.source)
         ranges = tuple(range_of(written, text) for text in vary)
         if not ranges:
-            raise ParameterError("nothing varies: give --vary NAME=LOW:HIGH")
+            raise ParameterError("no parameter varies: give --vary NAME=LOW:HIGH")
         paths = [entry.path for entry in ranges]
         for path in paths:
             if paths.count(path) > 1:
                 raise ParameterError(f"--vary: {path} is given twice")
         if samples * len(ranges) > MOST_DRAWS:
             raise ParameterError(
-                f"{samples} samples of {len(ranges)} parameters are more numbers "
-                f"than {MOST_DRAWS:.0e}: make several sweeps, with other seeds"
+                f"{samples} samples of {len(ranges)} parameters exceed {MOST_DRAWS:.0e} "
+                "numbers: run several sweeps with different seeds"
             )
         simulation = Engine(scene, **(settings or {}))  # compiles, and refuses settings
         settings = {"method": simulation.method, "step": simulation.step, **(settings or {})}
@@ -142,8 +142,8 @@ class Sweep:
         for path, value in zip(self.paths, values):
             if path in self._places and abs(found[path] - value) > NEAR * max(1.0, abs(value)):
                 return (
-                    f"the joints close with {path} {found[path]:.6g} in place of {value:.6g}: "
-                    "give that body initial: fixed, or draw a joint frame that places it"
+                    f"assembly changed {path} to {found[path]:.6g} from the sampled {value:.6g}: "
+                    "set initial: fixed for that body, or sample a joint frame that places it"
                 )
         return None
 
@@ -257,7 +257,10 @@ def simulate(work, limit=math.inf):
     """
     sweep, first, values = work
     if sweep.sources != source_digest():
-        raise TasksError("a worker has another version of liegroup_core: install the same on all")
+        raise TasksError(
+            "a worker has another version of liegroup_core: install the same version on "
+            "all machines"
+        )
     rows, spent = [], 0.0
     for k, row in enumerate(values):
         rows.append({"run": first + k, **dict(zip(sweep.paths, row)), **_run(sweep, row)})

@@ -95,7 +95,7 @@ class Folder:
             write()
         except OSError as error:
             log.warning(
-                "what is measured cannot be kept: %s: %s",
+                "measurements cannot be cached: %s: %s",
                 error.filename or self.folder,
                 error.strerror,
             )

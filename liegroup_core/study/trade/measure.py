@@ -61,7 +61,10 @@ def measure(work):
     """
     study, setting = work
     if study.sources != source_digest():
-        raise TasksError("a worker has another version of liegroup_core: install the same on all")
+        raise TasksError(
+            "a worker has another version of liegroup_core: install the same version on "
+            "all machines"
+        )
     cell = {
         "method": setting.method,
         "step": setting.step,

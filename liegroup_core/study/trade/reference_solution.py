@@ -69,7 +69,7 @@ def find_truth(layout, horizon=None, tell=lambda text: None):
     if horizon is None:
         horizon, motion, apart = _as_far_as_known(layout, pose, twist, length, tell)
     else:
-        tell(f"the true motion over {float(horizon):g} s")
+        tell(f"the reference solution over {float(horizon):g} s")
         times = np.array([float(at) for at in sample_times(horizon)])
         motion, apart = Reference(layout.scene, pose, twist, end=times[-1]).at(times)
     kind, agrees = "integration", None
@@ -105,7 +105,7 @@ def _as_far_as_known(layout, pose, twist, length, tell):
     wanted = sorted({at for horizon in HORIZONS for at in sample_times(horizon)})
     kept, best, failure = {}, None, None
     for horizon in HORIZONS:
-        tell(f"the true motion: {float(horizon):g} s, {reference.steps} steps")
+        tell(f"the reference solution: {float(horizon):g} s, {reference.steps} steps")
         times = [at for at in wanted if at <= horizon and at not in kept]
         try:
             motion, apart = reference.at(np.array([float(at) for at in times]))
@@ -124,7 +124,7 @@ def _as_far_as_known(layout, pose, twist, length, tell):
         best = horizon
     if best is None:
         raise SimulationError(
-            f"{failure}; the scene moves too fast for a horizon to be found: give one"
+            f"{failure}; no horizon can be derived because the scene moves too fast: give one"
         )
     times = sample_times(best)
     columns = [np.array(column) for column in zip(*(kept[at] for at in times))]

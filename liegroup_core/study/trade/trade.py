@@ -93,8 +93,8 @@ class Trade:
         chosen = ladders(self.layout, methods, groups, stabilisations)
         if not chosen:
             raise ValueError(
-                f"{self.scene.name}: none of the methods that were asked for fits; "
-                f"these do: {', '.join(fitting_methods(self.layout))}"
+                f"{self.scene.name}: none of the requested methods can integrate this scene; "
+                f"use: {', '.join(fitting_methods(self.layout))}"
             )
         climbs = [_Climb(ladder, self.truth, budget, steps) for ladder in chosen]
         owners = [climb for climb in climbs if climb.next(self._cells) is not None]
@@ -242,8 +242,8 @@ def _fitting(step, horizon):
         or (horizon / sample_spacing(as_time(step), horizon) < LEAST_SAMPLES)
     ):
         raise ValueError(
-            f"a step of {step:g} s does not fit a horizon of {float(horizon):g} s: "
-            f"{LEAST_SAMPLES} or more of its {SAMPLES} samples must be whole steps"
+            f"a step of {step:g} s does not divide a horizon of {float(horizon):g} s: at "
+            f"least {LEAST_SAMPLES} of its {SAMPLES} samples must lie on whole steps"
         )
     return float(step)
 
@@ -280,7 +280,7 @@ def _checked(horizon):
     # Its samples and the steps between them are to be decimal numbers of a few digits.
     if as_time(float(f"{horizon:.3g}")) != found:
         raise ValueError(
-            f"the horizon must have at most three digits, got {horizon!r}; take "
+            f"the horizon must have at most three digits, got {horizon!r}; use "
             f"{float(f'{horizon:.3g}'):g}"
         )
     return found
