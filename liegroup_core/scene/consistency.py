@@ -112,7 +112,7 @@ def _open(joint, elements, rows, C_rel, poses):
         else "omit parent_frame or child_frame to place it where the other one is"
     )
     return (
-        f"is violated at the initial poses by {gap:.3g} m and {tilt:.3g} rad; {remedy}, "
+        f"is violated at the initial poses: gap {gap:.3g} m, tilt {tilt:.3g} rad; {remedy}, "
         f'or move "{joint.child}" or the frames'
     )
 

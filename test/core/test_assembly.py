@@ -75,7 +75,7 @@ def twists(scene):
 def test_joints_close_and_velocities_follow(name, seed):
     scene = mechanisms.named(name, seed)
     rough = disturbed(scene, np.random.default_rng(seed), 0.1)
-    with pytest.raises(SceneError, match="does not close"):
+    with pytest.raises(SceneError, match="is violated"):
         check_consistency(rough)
     done = assembled(rough)
     assert not done.assemble
@@ -268,7 +268,7 @@ def test_guesses_from_anywhere_close_or_are_refused_in_one_line():
                 check_consistency(assembled(disturbed(mechanisms.named(name), rng, 1.5)))
                 closed += 1
             except SceneError as error:
-                assert "\n" not in str(error) and "cannot be closed" in str(error)
+                assert "\n" not in str(error) and "cannot be assembled" in str(error)
     # random starts half a turn away: most do close
     assert closed >= 5
 
@@ -334,11 +334,11 @@ def test_what_cannot_close_is_named_with_its_gap():
         assembled(bar_between(1.2, position=(0.01, 0.1, 0)))
     # 0.2 m too long: half of it at each end
     assert re.match(
-        r'joints\[[01]\] "(left|right)": cannot be closed: where assembly ends it has '
-        r"a gap of 0\.1 m and a tilt of 0 rad; start from poses",
+        r'joints\[[01]\] "(left|right)": cannot be assembled, the remaining constraint '
+        r"violation is 0\.1 m and 0 rad; check the lengths",
         str(caught.value),
     )
-    with pytest.raises(SceneError, match=r'"left": cannot be closed: .* a gap of 0\.5 m'):
+    with pytest.raises(SceneError, match=r'"left": cannot be assembled, .* is 0\.5 m'):
         assembled(bar_between(1.5, position=(0.25, 0, 0), initial="fixed"))
 
 
@@ -349,7 +349,7 @@ def test_an_error_in_a_file_has_its_line():
     with pytest.raises(SceneError) as caught:
         scene_from_text(text, source="x.yaml")
     line, name = re.match(
-        r'x\.yaml:(\d+): joints\[\d\] "(\w+)": cannot be closed', str(caught.value)
+        r'x\.yaml:(\d+): joints\[\d\] "(\w+)": cannot be assembled', str(caught.value)
     ).groups()
     assert f"name: {name}" in text.splitlines()[int(line) - 1]
 
@@ -363,7 +363,7 @@ def test_rates_that_contradict_each_other_are_named():
     assert twice != text
     with pytest.raises(
         SceneError,
-        match=r'x.yaml:\d+: joints\[\d\] "\w+": rates of joints and '
+        match=r'x.yaml:\d+: joints\[\d\] "\w+": the given joint velocities and '
         "velocities of fixed bodies contradict each other",
     ):
         scene_from_text(twice, source="x.yaml")
@@ -378,7 +378,7 @@ def test_rates_that_contradict_each_other_are_named():
         (
             "assemble: true ",
             "# ",
-            'bodies[0] "crank": initial is for assembly: leave it out, or give',
+            'bodies[0] "crank": initial is only used in assembly: omit it, or add',
         ),
         ("assemble: true ", "assemble: yes ", "assemble must be true or false, got 'yes'"),
         ("assemble: true ", "assemble: 1 ", "assemble must be true or false, got 1"),
@@ -386,7 +386,7 @@ def test_rates_that_contradict_each_other_are_named():
         (
             "type: spherical ",
             "rate: 1.0\n    type: spherical ",
-            "rate is not for a spherical joint",
+            "rate cannot be given for a spherical joint",
         ),
         ("rate: 31", "rate: fast #", "rate must be a number"),
     ],
@@ -409,7 +409,9 @@ def test_a_rate_without_assembly_is_refused():
             Joint(name="j", type="revolute", parent="world", child="a", child_frame=Frame(), rate=1)
         ],
     )
-    with pytest.raises(SceneError, match='joints\\[0\\] "j": rate is for assembly: leave it out'):
+    with pytest.raises(
+        SceneError, match='joints\\[0\\] "j": rate is only used in assembly: omit it'
+    ):
         scene.remade(assemble=False)
 
 
@@ -418,10 +420,16 @@ def test_bodies_that_nothing_places_are_named():
         Body(name="a", mass=1, inertia=(1, 1, 1), position=(1, 0, 0)),
         Body(name="b", mass=1, inertia=(1, 1, 1)),
     ]
-    with pytest.raises(SceneError, match='bodies\\[1\\] "b": has no position, no rotation and no'):
+    with pytest.raises(
+        SceneError,
+        match='bodies\\[1\\] "b": cannot be placed, it has no position, no rotation and no',
+    ):
         assembled(Scene(name="s", gravity=(0, 0, 0), assemble=True, bodies=bodies))
     joint = Joint(name="j", type="revolute", parent="a", child="b", child_frame=Frame())
-    with pytest.raises(SceneError, match='joints\\[0\\] "j": needs both frames: it puts "b"'):
+    with pytest.raises(
+        SceneError,
+        match='joints\\[0\\] "j": must have both frames, because they determine the pose of "b"',
+    ):
         assembled(Scene(name="s", gravity=(0, 0, 0), assemble=True, bodies=bodies, joints=[joint]))
 
 

@@ -117,7 +117,7 @@ def test_an_open_joint_is_named_with_gap_and_tilt():
     with pytest.raises(SceneError) as caught:
         check_consistency(pinned(offset=(3, 0, 4), kind="revolute", axis=(1, 0, 0)))
     assert str(caught.value).startswith(
-        'joints[0] "j": does not close at the initial poses: gap 5 m, tilt 1.57 rad; leave out'
+        'joints[0] "j": is violated at the initial poses: gap 5 m, tilt 1.57 rad; omit'
     )
     assert caught.value.place == ("joints", 0)
     with pytest.raises(SceneError, match="gap 0 m, tilt 3.14 rad"):
@@ -165,8 +165,8 @@ def test_a_distance_left_out_is_the_one_at_the_start():
     check_consistency(rod(5.0))
     with pytest.raises(
         SceneError,
-        match=r"joints\[0\] \"j\": does not close .* gap 1 m, tilt 0 "
-        "rad; leave out length to keep the distance",
+        match=r"joints\[0\] \"j\": is violated .* gap 1 m, tilt 0 "
+        "rad; omit length to keep the initial distance",
     ):
         check_consistency(rod(4.0))
     with pytest.raises(SceneError, match="gap 2 m, tilt 0 rad"):
@@ -184,7 +184,9 @@ def test_a_distance_left_out_is_the_one_at_the_start():
 )
 def test_a_rod_without_length_is_refused(reach, length, at):
     """What is small against the round-off of the positions has no direction."""
-    with pytest.raises(SceneError, match="at the same place, .*; use a spherical joint") as caught:
+    with pytest.raises(
+        SceneError, match="the two points coincide, .*; use a spherical joint"
+    ) as caught:
         check_consistency(rod(length, reach, (at, 0, 0)))
     assert caught.value.place == ("joints", 0)
 
@@ -315,7 +317,7 @@ def test_the_velocities_the_message_gives_are_consistent(kind):
         with pytest.raises(SceneError) as caught:
             check_consistency(scene)
         vectors = re.search(
-            r'"b" would follow it with angular_velocity \[(.*)\] and '
+            r'consistent values for "b" are angular_velocity \[(.*)\] and '
             r"linear_velocity \[(.*)\]$",
             str(caught.value),
         )
@@ -337,13 +339,13 @@ def test_the_heavy_top_at_rest_at_its_centre_is_refused_with_the_right_velocity(
     line = text[: text.index("- name: pivot")].count("\n") + 1
     assert str(caught.value) == (
         f'top.yaml:{line}: joints[0] "pivot": the initial velocities violate the joint by '
-        '0.25 m/s and 0 rad/s; "top" would follow it with angular_velocity [0, 0, 0.5] and '
+        '0.25 m/s and 0 rad/s; consistent values for "top" are angular_velocity [0, 0, 0.5] and '
         "linear_velocity [0, 0.25, 0]"
     )
 
 
 def test_extreme_numbers_are_judged_without_a_warning(recwarn):
     check_consistency(pinned(offset=(1e-300, 0, 0), at=(0, -1e-300, 0)))
-    with pytest.raises(SceneError, match=r"does not close .* gap 1e\+100 m"):
+    with pytest.raises(SceneError, match=r"is violated .* gap 1e\+100 m"):
         check_consistency(pinned(offset=(1e100, 0, 0), at=(0, -1e100, 0)))
     assert not recwarn.list

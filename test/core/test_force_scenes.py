@@ -65,20 +65,23 @@ def test_every_number_arrives_in_the_model():
     [
         (
             SPRING.replace("hinge", "hing"),
-            "joint 'hing' is no joint; did you mean \"hinge\"? known are ball, hinge",
+            "joint 'hing' is not a joint; did you mean \"hinge\"? choose one of: ball, hinge",
         ),
         (
             SPRING.replace("hinge", "ball"),
-            'joint "ball" is spherical, but torsional_spring_damper needs one that is revolute or ',
+            'joint "ball" is spherical, but torsional_spring_damper requires a joint that is revolute or ',
         ),
-        (MOTOR.replace("hinge", "ball"), 'joint "ball" is spherical, but motor needs one that is '),
+        (
+            MOTOR.replace("hinge", "ball"),
+            'joint "ball" is spherical, but motor requires a joint that is ',
+        ),
         (
             "type: linear_motor, joint: hinge, force: 1",
-            'joint "hinge" is revolute, but linear_motor needs one that is prismatic or ',
+            'joint "hinge" is revolute, but linear_motor requires a joint that is prismatic or ',
         ),
         (
             "type: linear_spring_damper, joint: hinge, stiffness: 1",
-            'joint "hinge" is revolute, but linear_spring_damper needs one that is prismatic or ',
+            'joint "hinge" is revolute, but linear_spring_damper requires a joint that is prismatic or ',
         ),
         (SPRING.replace("joint: hinge, ", ""), "joint is missing: give the name of a joint that "),
         (SPRING.replace("joint: hinge", "joint: 3"), "joint must be text, got 3"),
@@ -91,10 +94,10 @@ def test_every_number_arrives_in_the_model():
         (MOTOR.replace("100", "0"), "rate_limit must be greater than 0, got 0"),
         (
             MOTOR.replace("torque: -5, ", ""),
-            "torque is missing: give the torque on the child at rest",
+            "torque is missing: give the stall torque on the child",
         ),
-        (DRAG.replace("body: a", "body: c"), "body 'c' is no body; known are a, b"),
-        (DRAG.replace("body: a", "body: world"), "body 'world' is no body; known are a, b"),
+        (DRAG.replace("body: a", "body: c"), "body 'c' is not a body; choose one of: a, b"),
+        (DRAG.replace("body: a", "body: world"), "body 'world' is not a body; choose one of: a, b"),
         (DRAG.replace("quadratic: 2", "quadratic: -2"), "quadratic must not be negative, got -2"),
         (PUSH.replace("0.75", "0.25"), "end 0.25 must be later than start 0.25: give a later end"),
         (PUSH.replace("start: 0.25", "start: -1"), "start must not be negative, got -1"),
@@ -113,5 +116,5 @@ def test_a_mistake_is_one_line(force, message):
 
 def test_a_joint_force_without_joints():
     text = HEAD[: HEAD.index("joints:")] + f"forces:\n  - {{name: it, {MOTOR}}}\n"
-    with pytest.raises(SceneError, match="joint 'hinge' is no joint; the scene has no joints"):
+    with pytest.raises(SceneError, match="joint 'hinge' is not a joint; the scene has no joints"):
         scene_from_text(text)

@@ -43,5 +43,5 @@ def test_a_run_goes_on_to_the_bit_from_a_saved_state(method):
 
 def test_the_memory_of_another_method_is_refused():
     simulation = run("four_bar", "rkmk54", SAVED)
-    with pytest.raises(ValueError, match="expected 32 bytes of memory of the method, got 3"):
+    with pytest.raises(ValueError, match="expected 32 bytes of method memory, got 3"):
         simulation.set_state(*simulation.state(), memory=b"abc")

@@ -229,15 +229,15 @@ def test_baumgarte_keeps_a_long_run_closed():
     [
         (
             {"stabilisation": "gear"},
-            "unknown stabilisation 'gear'; there are: none, projection, baum",
+            "unknown stabilisation 'gear'; choose one of: none, projection, baum",
         ),
-        ({"baumgarte_time": 0.1}, "goes with stabilisation 'baumgarte', not with 'none'"),
+        ({"baumgarte_time": 0.1}, "requires stabilisation 'baumgarte', got 'none'"),
         (
             {"stabilisation": "baumgarte", "baumgarte_time": 0.0},
-            "at least the step of 0.001 s, got 0",
+            r"at least one step \(0.001 s\), got 0",
         ),
-        ({"stabilisation": "baumgarte", "baumgarte_time": float("nan")}, "at least the step"),
-        ({"stabilisation": "baumgarte", "baumgarte_time": "1"}, "at least the step"),
+        ({"stabilisation": "baumgarte", "baumgarte_time": float("nan")}, "at least one step"),
+        ({"stabilisation": "baumgarte", "baumgarte_time": "1"}, "at least one step"),
     ],
 )
 def test_wrong_settings_say_what_would_be_right(setting, text):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""docs/python.md says what is so: its pieces of code run, one after the other, and print."""
+"""docs/reference/python.md says what is so: its pieces of code run, one after the other, and print."""
 
 import re
 from pathlib import Path
@@ -9,7 +9,7 @@ import numpy as np
 from liegroup_core import load_scene
 from liegroup_core.study.trade import accuracy
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "python.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "python.md"
 
 
 def test_all_code_of_the_page(tmp_path, monkeypatch, capsys):

@@ -339,7 +339,7 @@ def test_every_kind_of_joint_survives_as_text():
         ),
         (
             lambda: ScrewJoint(name="j", parent="world", child="a", child_frame=Frame()),
-            'ScrewJoint "j": pitch is missing: give the way along z in m for every radian',
+            'ScrewJoint "j": pitch is missing: give the displacement along z in m per radian',
         ),
         (
             lambda: DistanceJoint(name="j", parent="world", child="a", child_frame=Frame()),
@@ -429,8 +429,8 @@ MODELS = (Scene, Body, *SHAPES, *JOINTS, Frame, *FORCES)
 
 
 def test_every_field_is_documented():
-    """docs/scene_format.md shows each field as the models describe it."""
-    text = (ROOT / "docs" / "scene_format.md").read_text(encoding="utf-8")
+    """docs/reference/scene_format.md shows each field as the models describe it."""
+    text = (ROOT / "docs" / "reference" / "scene_format.md").read_text(encoding="utf-8")
     for model in MODELS:
         for key, field in model.model_fields.items():
             value = list(field.default) if type(field.default) is tuple else field.default
@@ -458,7 +458,7 @@ def test_every_model_is_in_the_list():
 
 
 def test_the_examples_in_the_documentation_agree():
-    text = (ROOT / "docs" / "scene_format.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "reference" / "scene_format.md").read_text(encoding="utf-8")
     [written] = re.findall(r"```yaml\n(.*?)```", text, flags=re.DOTALL)
     [code] = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
     names = {}

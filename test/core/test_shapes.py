@@ -115,24 +115,30 @@ def text_with(shape):
 @pytest.mark.parametrize(
     "shape, message",
     [
-        ("{type: ball, radius: 1, mass: 1}", "shape: type 'ball' is not known; known are box,"),
+        (
+            "{type: ball, radius: 1, mass: 1}",
+            "shape: type 'ball' is not known; choose one of: box,",
+        ),
         ("{radius: 1, mass: 1}", "shape: type is missing: give box or cylinder or rod or sphere"),
         ("{type: sphere, radius: 1}", "shape: mass is missing: give mass or density"),
         (
             "{type: sphere, radius: 1, mass: 1, density: 1}",
-            "shape: mass and density both give the mass: keep one of them",
+            "shape: mass and density both define the mass: keep one of them",
         ),
         ("{type: sphere, radius: -1, mass: 1}", "shape.radius must be greater than 0, got -1"),
-        ("{type: box, size: [1, 0, 1], mass: 1}", "shape.size must be three sizes greater than 0"),
+        (
+            "{type: box, size: [1, 0, 1], mass: 1}",
+            "shape.size must be three lengths greater than 0",
+        ),
         ("{type: box, size: [1, 1], mass: 1}", "shape.size must have 3 numbers"),
         (
             "{type: cylinder, radius: 1, mass: 1}",
             "shape: length is missing: give the length along z",
         ),
-        ("{type: rod, length: 1, density: 1}", "shape: radius is missing: give it, or mass"),
+        ("{type: rod, length: 1, density: 1}", "shape: radius is missing: give a radius, or mass"),
         (
             "{type: rod, length: 1, mass: 1, axis: [1, 0, 0], quaternion: [0, 0, 0, 1]}",
-            "shape: quaternion and axis both give the rotation",
+            "shape: quaternion and axis both define the rotation",
         ),
         (
             "{type: cylinder, length: 1, radius: 1e-9, mass: 1}",
@@ -158,7 +164,7 @@ def test_a_wrong_shape_is_refused_in_one_line(shape, message):
 )
 def test_a_shape_goes_without_what_it_gives(key, value):
     text = text_with("{type: sphere, radius: 1, mass: 1}") + f"  {key}: {value}\n"
-    with pytest.raises(SceneError, match=f"x.yaml:6: .*{key} and shape both give the {key}"):
+    with pytest.raises(SceneError, match=f"x.yaml:6: .*{key} and shape both define the {key}"):
         scene_from_text(text, source="x.yaml")
 
 

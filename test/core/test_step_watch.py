@@ -300,7 +300,9 @@ def test_an_unstable_step_is_one_warning(caplog):
     with caplog.at_level(logging.WARNING, "liegroup_core"):
         simulation = Simulation(problem.scene, "stoermer_verlet", problem.step)
         simulation.advance(3)
-    told = [text for text in caplog.messages if "steps are stable up to" in text]
+    told = [
+        text for text in caplog.messages if "stability limit at the start of the run is" in text
+    ]
     assert told == [simulation.doubt]
     assert not any("added up" in text for text in caplog.messages)
 

@@ -54,7 +54,7 @@ def test_work_that_kills_every_worker_is_told(monkeypatch):
     def die(x):
         os.kill(os.getpid(), signal.SIGKILL)
 
-    with pytest.raises(tasks.TasksError, match="have died over the same piece"):
+    with pytest.raises(tasks.TasksError, match="workers died in the same task"):
         list(tasks.run(die, [1, 2], workers=2))
 
 
@@ -94,7 +94,7 @@ def test_workers_that_cannot_be_started(monkeypatch):
         raise RuntimeError("Nanny failed to start.")
 
     monkeypatch.setattr(dask.distributed, "LocalCluster", dying)
-    with pytest.raises(tasks.TasksError, match="2 workers cannot be started.*enough memory"):
+    with pytest.raises(tasks.TasksError, match="2 workers could not be started.*check the memory"):
         list(tasks.run(square, [1, 2], workers=2))
 
 

@@ -149,7 +149,7 @@ def test_a_wrench_that_is_none_is_refused_and_changes_nothing(wrench):
     simulation = Simulation(load_scene("free_body"))
     with pytest.raises(ValueError, match="six finite numbers"):
         simulation.apply_wrench("body", wrench)
-    with pytest.raises(ValueError, match="unknown body 'nobody'; there are: body"):
+    with pytest.raises(ValueError, match="unknown body 'nobody'; choose one of: body"):
         simulation.apply_wrench("nobody", PUSH)
     with pytest.raises(ValueError, match="duration must be positive"):
         simulation.apply_wrench("body", PUSH, duration=0.0)

@@ -173,7 +173,7 @@ def test_dampers_leave_no_energy_to_keep(tmp_path):
     scene = scene_from_text(PAIR.replace("rest_length", "damping: 0.5, rest_length"))
     figures = figures_of(record(tmp_path / "a.mcap", scene, 500))
     assert figures["energy"]["drift_J"] is None
-    assert figures["energy"]["left_out"] == "forces feed or take energy: band"
+    assert figures["energy"]["left_out"] == "non-conservative forces: band"
     # Momentum is kept all the same: three components about the centre of mass, two linear ones.
     assert [entry["unit"] for entry in figures["momentum"]] == ["N m s"] * 3 + ["N s"] * 2
     # Up to the error of the method: that of the attitude, times momenta below 2.

@@ -35,7 +35,7 @@ def test_not_a_number_is_never_shown_as_fine(tmp_path, capsys):
         pacing=PACING | {"real_time_factor": 0.5, "reanchored": 3},
     )
     analysis = analyse(read_recording(log))
-    assert "too slow: real-time factor 0.5 of 1" in analysis.figures["problems"]
+    assert "too slow: real-time factor 0.5, requested 1" in analysis.figures["problems"]
     assert any("behind the wall clock, 3 times" in text for text in analysis.figures["problems"])
     figures = analysis.figures | {"energy": analysis.figures["energy"] | {"drift_J": math.nan}}
     text = document([figures])
@@ -146,9 +146,9 @@ def test_pictures(tmp_path, capsys):
     assert text.count('id="axes_') == 4  # paths, energy, momentum, lateness
     capsys.readouterr()
     for picture, more, said in (
-        (tmp_path / "a.jpg", [], "must end with .png"),
+        (tmp_path / "a.jpg", [], "must end in .png"),
         (tmp_path / "no" / "a.png", [], "cannot be written"),
-        (tmp_path / "a.png", [log], "goes with one log"),
+        (tmp_path / "a.png", [log], "requires exactly one recording"),
     ):
         assert main(["analyze", log, *more, "--png", str(picture)]) == 2
         out, err = capsys.readouterr()

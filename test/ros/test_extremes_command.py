@@ -64,7 +64,7 @@ def test_ctrl_c_loses_nothing(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(extremes, "column", column)
     assert main(call) == 130
     assert capsys.readouterr().err.splitlines()[-1] == (
-        "liegroup_sim: interrupted; what was run is kept, the same call goes on"
+        "liegroup_sim: interrupted; finished cells are saved, the same command continues"
     )
     assert len(made) == 3
     assert main(call) == 0
@@ -115,7 +115,7 @@ def test_a_scene_at_rest_has_no_speeds_and_quick_is_quick(capsys):
     # Every third of nine steps, for the one method that is for it.
     heads, row = (line.split() for line in shown.splitlines()[1:3])
     assert heads == ["0.5", "0.05", "0.005"] and row == ["rkmk8", ".", ".", "."]
-    assert "velocities at" not in shown and "at rest at the start" in said
+    assert "initial velocities at" not in shown and "initially at rest" in said
 
 
 def test_values_are_told_apart_and_whole(tmp_path, capsys):
@@ -157,7 +157,7 @@ def test_values_are_told_apart_and_whole(tmp_path, capsys):
         (["--quick", "--axes", "racket_coarse"], "--quick"),
         (["--axes", "steps"], "--long"),
         (["double_pendulum", "--axes", "speed"], "at rest"),
-        (["free_body", "--axes", "racket"], "not one of a SCENE"),
+        (["free_body", "--axes", "racket"], "not available for a SCENE"),
     ],
 )
 def test_wrong_input_is_one_line(wrong, says, capsys):

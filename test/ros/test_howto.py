@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command lines of sim_node in docs/howto.md start a node, and its Python runs against one."""
+"""The command lines of sim_node in docs/how-to/control.md start a node, and its Python runs against one."""
 
 import re
 import shlex
@@ -14,7 +14,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from liegroup_sim_ros.recording.read import read_recording
 
 SOURCE = Path(__file__).resolve().parents[2]
-PAGE = (SOURCE / "docs" / "howto.md").read_text()
+PAGE = (SOURCE / "docs" / "how-to" / "control.md").read_text()
 COMMANDS = re.findall(r"^    sim_node (--ros-args .*)$", PAGE, re.MULTILINE)
 SCRIPT = "\n".join(re.findall(r"^```python\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL))
 

@@ -19,7 +19,7 @@ COMMANDS = ["pause", "resume", "step", "reset", "reload"]
 REFUSALS = (
     "the simulation is running: call ~/pause first",
     "call ~/reset first",
-    "the scene before goes on: no_such_scene",
+    "the previous scene continues: no_such_scene",
     "stopped after",
 )
 # Of each, some are taken and some are not: those of REFUSED.

@@ -226,7 +226,7 @@ def test_what_has_no_rate_is_not_there(client, node):
 
 def test_use_sim_time_is_refused(client, node):
     refused = client.set(NODE, use_sim_time=True)
-    assert not refused.successful and "makes the simulated time" in refused.reason
+    assert not refused.successful and "publishes the simulated time" in refused.reason
     assert client.set(NODE, use_sim_time=False).successful
 
 
@@ -327,7 +327,7 @@ def test_topic_whose_type_is_not_installed_is_one_line(scene):
     with NodeProcess({"scene": scene, "tf_rate": 10.0}) as process:
         code, errors = process.wait()
     assert code == 2 and errors.splitlines()[-1].startswith(
-        "sim_node: parameter tf_rate: tf2_msgs is not installed here"
+        "sim_node: parameter tf_rate: tf2_msgs is not installed"
     )
 
 

@@ -83,7 +83,7 @@ def test_share_files_are_installed():
 
 
 def test_layouts_show_topics_that_the_node_has():
-    documented = (SOURCE / "docs" / "node.md").read_text()
+    documented = (SOURCE / "docs" / "reference" / "node.md").read_text()
     rviz = yaml.safe_load((SOURCE / "config" / "scene.rviz").read_text())
     shown = [
         display["Topic"]["Value"]

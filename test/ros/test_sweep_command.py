@@ -66,7 +66,9 @@ def test_sweep(fall, capsys):
     assert main([*fall, "--show", "stone.x"]) == 0
     assert before == {path: path.stat().st_mtime_ns for path in before}
     assert main([*fall, "--seed", "1"]) == 2
-    assert "a.parquet: has another sweep: seed 0 there and 1 here" in capsys.readouterr().err
+    assert (
+        "a.parquet: contains a different sweep: seed 0 there and 1 here" in capsys.readouterr().err
+    )
     assert main(["sweep", "fall.yaml", "--list"]) == 0
     assert "bodies.stone.mass 1.0" in capsys.readouterr().out.splitlines()
 
@@ -87,7 +89,7 @@ def test_ctrl_c_loses_nothing(fall, capsys, monkeypatch):
         patch.setattr(SweepFile, "add", interrupted)
         assert main([*fall, "--workers", "1"]) == 130
     err = capsys.readouterr().err
-    assert "interrupted; 2 of 20 runs are in a.parquet, the same call makes the others" in err
+    assert "interrupted; 2 of 20 runs are in a.parquet, the same command runs the others" in err
     assert main([*fall, "--workers", "1"]) == 0
     assert "2 of 20 runs are in a.parquet already" in capsys.readouterr().err
     assert main([*fall[:-1], "b.parquet"]) == 0
@@ -151,7 +153,7 @@ def test_a_setting_for_an_accuracy_stays_that_of_the_sweep(fall, tmp_path, monke
         (["--vary", "weight=1:2"], "the scene has no parameter weight"),
         (["--vary", "mas=1:2"], "did you mean bodies.stone.mass"),
         (["--vary", "mass=2:3"], "is given twice"),
-        (["--vary", "gravity.0=a"], "no number"),
+        (["--vary", "gravity.0=a"], "not a number"),
         (["--vary", "stone.inertia.0"], "must be NAME=LOW:HIGH"),
         (["--vary", "position.0=3:2"], "3 must be below 2"),
         (["--samples", "0"], "samples must be at least 1"),
@@ -163,11 +165,11 @@ def test_a_setting_for_an_accuracy_stays_that_of_the_sweep(fall, tmp_path, monke
         (["--step", "-1"], "the step must be"),
         (["--method", "rk"], "unknown method"),
         (["--workers", "0"], "--workers"),
-        (["--show", "moon.x"], "no column of numbers moon.x"),
+        (["--show", "moon.x"], "no numeric column moon.x"),
         (["--out", "a.csv"], "must end in .parquet"),
         (["--out", "no/a.parquet"], "cannot be written"),
         (["--out", "taken.parquet"], "is a file"),
-        (["--accuracy", "1e-6"], "takes the place of"),
+        (["--accuracy", "1e-6"], "cannot be combined with"),
     ],
 )
 def test_wrong_input_is_one_line(fall, tmp_path, capsys, change, said):

@@ -72,7 +72,7 @@ def test_trade(measured, tmp_path, capsys):
         == 0
     )
     out = capsys.readouterr().out
-    assert "The cheapest for an accuracy" in out and "rkmk8" in out and "below" in out
+    assert "Cheapest configuration for each accuracy" in out and "rkmk8" in out and "below" in out
     document = json.loads(files[0].read_text())
     schema = json.loads(SCHEMA.read_text())
     jsonschema.Draft202012Validator.check_schema(schema)
@@ -91,7 +91,7 @@ def test_trade(measured, tmp_path, capsys):
         "rkmk8"
     }
     page = files[1].read_text()
-    assert "Content-Security-Policy" in page and "what accuracy costs" in page
+    assert "Content-Security-Policy" in page and "accuracy against cost" in page
     assert files[2].read_bytes().startswith(b"\x89PNG") and files[2].stat().st_size > 20_000
 
 
@@ -178,10 +178,10 @@ def test_every_method_has_a_line_of_its_own():
         (["--workers", "0"], "--workers"),
         (["--horizon", "-1"], "horizon"),
         (["--horizon", "0.12345"], "three digits"),
-        (["--steps", "0.3", "--horizon", "0.5"], "does not fit a horizon"),
+        (["--steps", "0.3", "--horizon", "0.5"], "does not divide a horizon"),
         (["--budget", "0"], "--budget"),
         (["--json", "none/a.json"], "cannot be written"),
-        (["--png", "a.txt"], "must end with"),
+        (["--png", "a.txt"], "must end in"),
         (["nope"], "nope"),
         (
             ["--scheduler", "tcp://127.0.0.1:9", "--horizon", "0.5", "--methods", "rkmk2"],
@@ -211,7 +211,7 @@ def test_a_run_for_an_accuracy_and_whether_it_was_kept(measured, tmp_path, capsy
     found = analysis.figures["promise"]
     assert found["kept"] is True and found["beyond"] is True and found["seconds"] == 0.5
     assert 0.0 < found["error"] <= found["error_of_all"] and found["error"] <= 1e-6
-    assert "promised accuracy of 1e-06 is kept" in analysis.figures["verdict"]
+    assert "guaranteed accuracy of 1e-06 is kept" in analysis.figures["verdict"]
     assert analysis.figures["problems"] == []
     assert main(["analyze", str(log), "--json", str(tmp_path / "a.json"), "--max-error", "1"]) == 0
     schema = SCHEMA.with_name("analysis.schema.json")
@@ -241,14 +241,14 @@ def test_a_broken_promise_is_a_problem(tmp_path, push, kept, seconds):
     # At a wrench from the start on only the first state counts, which is right.
     assert found["kept"] is (True if seconds == 0.0 else kept)
     assert any("is not kept" in text for text in figures["problems"]) == (kept is False)
-    assert "promised accuracy of 1e-06" in figures["verdict"]
+    assert "guaranteed accuracy of 1e-06" in figures["verdict"]
 
 
 @pytest.mark.parametrize(
     "more, said",
     [
-        (["--method", "rkmk4"], "takes the place of --method"),
-        (["--step", "1e-3"], "takes the place of --step"),
+        (["--method", "rkmk4"], "cannot be combined with --method"),
+        (["--step", "1e-3"], "cannot be combined with --step"),
         (["--accuracy", "0"], "above 0"),
         (["--accuracy", "1e-14"], "cannot be had for heavy_top over 0.5 s on this machine; "),
     ],
@@ -305,13 +305,13 @@ def node(folder, *parameters):
 @pytest.mark.parametrize(
     "more, said",
     [
-        (["accuracy:=1e-6", "step:=0.001"], "parameter accuracy: takes the place of step"),
+        (["accuracy:=1e-6", "step:=0.001"], "parameter accuracy: cannot be combined with step"),
         (["accuracy:=1e-14"], "parameter accuracy: accuracy 1e-14 cannot be had"),
         (
             ["accuracy:=1e-6", "real_time_factor:=1000000.0"],
             "at 1e+06 times real time: the cheapest setting that reaches it",
         ),
-        ([], "parameter accuracy_horizon: goes with accuracy"),
+        ([], "parameter accuracy_horizon: requires accuracy"),
     ],
 )
 def test_the_node_refuses_in_one_line(measured, more, said):

@@ -214,5 +214,5 @@ def test_damping_that_repetition_cannot_settle_ends_with_a_status():
 
 @pytest.mark.parametrize("kind", ["projection", "baumgarte"])
 def test_stabilisation_is_refused(kind):
-    with pytest.raises(ValueError, match="constrained_rattle closes the joints by itself"):
+    with pytest.raises(ValueError, match="constrained_rattle satisfies the constraints itself"):
         Simulation(load_scene("four_bar"), method="constrained_rattle", stabilisation=kind)

@@ -46,7 +46,7 @@ def axes_of(scene=None, horizon=8.0, long=False):
         ),
         Axis(
             "speed",
-            f"velocities at the start at 1 ms, {horizon:g} s",
+            f"initial velocities at 1 ms, {horizon:g} s",
             "times",
             _powers(-6, 5),
             partial(problems.of_scene_speed, scene, horizon),
