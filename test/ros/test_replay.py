@@ -129,7 +129,7 @@ def test_again_and_again(client, log):
 
 def test_wrong_input(log, tmp_path, capsys):
     for arguments, said in (
-        (["--start", "5"], "the recording is only 4 s long"),
+        (["--start", "5"], "the recording has 4 s"),
         (["--rate", "-1"], "must be a number, at least 0"),
         (["--rate", "nan"], "must be a number, at least 0"),
     ):
