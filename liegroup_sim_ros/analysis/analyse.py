@@ -10,7 +10,6 @@ import math
 from dataclasses import dataclass
 
 from liegroup_core import SimulationError
-from liegroup_core.errors import LieGroupSimError
 from liegroup_core.layout import make_layout
 from liegroup_core.monitor.joint_watch import mechanism_size
 from liegroup_core.observables.along import Along
@@ -23,6 +22,7 @@ from liegroup_sim_ros.playback.repeat import (
     initial_state,
     make_simulation,
 )
+from liegroup_sim_ros.playback.resimulate import platform_changes
 from liegroup_sim_ros.recording.check import check_settings
 from liegroup_sim_ros.recording.motion import Motion
 from liegroup_sim_ros.recording.read import RecordingError
@@ -31,15 +31,12 @@ from .invariants import Energy, Joints, Momentum
 from .local_error import local_error
 from .promise import Promise
 from .reference import ReferenceError, exact_error
+from .timing import number, timing_figures
 from .verdict import find_problems, verdict
 
 # Simulated time that the independent integration covers if no other is asked for, s.
 REFERENCE_SECONDS = 60.0
 MOST_PUSHES = 1000  # of which the figures tell the times
-
-
-class AnalysisError(LieGroupSimError):
-    """The analysis cannot be written; one line of text, exit code 2."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,6 +145,8 @@ class _Parts:
         figures["joints"], figures["joint_samples"], curves["joints"] = self._joints.figures()
         figures["mechanism_size"] = mechanism_size(self._layout.model)
         figures["repeat"] = self._guarded["repeat"].figures()
+        if "failed" not in figures["repeat"]:
+            figures["repeat"]["platform"] = platform_changes(self._recording.settings)
         if self._exact is not None:
             figures["reference"], curves["reference"] = exact_error(
                 self._exact, self._motion, self._promise
@@ -199,37 +198,6 @@ def _run_figures(recording, motion):
     """What was run, how it kept to the wall clock, and what is in the file."""
     settings = recording.settings
     last = recording.diagnostics[-1][1] if recording.diagnostics else {}
-    said = recording.pacing or _timing_so_far(last)
-    timing = {
-        key: _number(said.get(key))
-        for key in (
-            "ticks",
-            "overruns",
-            "reanchored",
-            "real_time_factor",
-            "wall_seconds",
-            "sim_seconds",
-        )
-    }
-    timing["lateness_us"] = {
-        key: _number(said["lateness_us"].get(key)) for key in ("p50", "p99", "max")
-    }
-    timing["factor_wanted"] = _number(
-        last.get("real_time_factor_wanted", said.get("real_time_factor_wanted"))
-    )
-    factors = [
-        _number(entry.get("real_time_factor"))
-        for _, entry in recording.diagnostics
-        if entry.get("state") == "running"
-    ]
-    factors = [factor for factor in factors if factor]
-    timing["real_time_factor_least"] = min(factors, default=None)
-    timing["real_time_factor_most"] = max(factors, default=None)
-    timing |= {
-        "gaps": motion.gaps,
-        "largest_gap_s": motion.largest_gap_s,
-        "largest_gap_at_s": motion.largest_gap_at_s,
-    }
     intervals = [(stretch, push) for stretch in motion.stretches for push in stretch.pushed]
     pushes = [
         {
@@ -264,41 +232,11 @@ def _run_figures(recording, motion):
         "pushes": pushes,
         "push_count": len(intervals),
         "wrench_changes": sum(len(track.stamp_ns) for track in recording.wrench.values()),
-        "wrenches_refused": _number(last.get("wrenches_refused")),
-        "recorder_lost": _number(last.get("recorder_lost")),
+        "wrenches_refused": number(last.get("wrenches_refused")),
+        "recorder_lost": number(last.get("recorder_lost")),
         "messages": recording.topics,
         "lost_messages": recording.lost,
         "complete": recording.complete,
         "file_problem": recording.problem,
-        "timing": timing,
+        "timing": timing_figures(recording, motion),
     }
-
-
-def _timing_so_far(last):
-    """What the last diagnostics say, for a run that did not come to its end."""
-    return {
-        "ticks": _number(last.get("ticks")),
-        "overruns": _number(last.get("overruns")),
-        "reanchored": _number(last.get("reanchored")),
-        "real_time_factor": _number(last.get("real_time_factor")),
-        "lateness_us": {
-            key: _number(last.get(f"lateness_{key}_us")) for key in ("p50", "p99", "max")
-        },
-    }
-
-
-def _number(text):
-    """A number out of the diagnostics, or None."""
-    try:
-        return float(text)
-    except (TypeError, ValueError):
-        return None
-
-
-def plain(value):
-    """Figures for JSON; NaN and infinity become texts, so that nobody takes them for fine."""
-    if isinstance(value, dict):
-        return {str(key): plain(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(entry) for entry in value]
-    return str(value) if isinstance(value, float) and not math.isfinite(value) else value

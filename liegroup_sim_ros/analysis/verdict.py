@@ -6,8 +6,10 @@ import math
 from liegroup_core.monitor.joint_watch import OPEN
 from liegroup_core.pacing import SLOW
 from liegroup_sim_ros.numbers import counted, error_text, shown
+from liegroup_sim_ros.playback.resimulate import difference_cause
 
 from .promise import told
+from .timing import requested_text
 
 
 def find_problems(figures):
@@ -40,9 +42,9 @@ def find_problems(figures):
     if promise and promise["kept"] is False:
         problems.append(told(promise))
     timing = figures["timing"]
-    factor, wanted = timing.get("real_time_factor"), timing["factor_wanted"]
-    if wanted and factor is not None and not factor >= SLOW * wanted:
-        problems.append(f"too slow: real-time factor {shown(factor)}, requested {shown(wanted)}")
+    factor, requested = timing.get("real_time_factor"), timing["factor_wanted_mean"]
+    if requested and factor is not None and not factor >= SLOW * requested:
+        problems.append(f"too slow: real-time factor {shown(factor)}, {requested_text(timing)}")
     if timing.get("reanchored"):
         problems.append(
             "more than 0.1 s behind the wall clock, "
@@ -82,8 +84,7 @@ def _replay_problems(figures):
             else f"it {repeat['stopped']}"
         )
         problems.append(
-            f"simulated again it is not the same: {where} (another processor or "
-            "another version of the software may round differently)"
+            f"re-simulation is not bit-identical: {where}; {difference_cause(repeat['platform'])}"
         )
     if "failed" in reference:
         problems.append(f"no reference integration: {reference['failed']}")

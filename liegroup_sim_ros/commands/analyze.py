@@ -1,33 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`liegroup_sim analyze`: how wrong are recorded runs? As table, JSON, page and exit code.
+"""`liegroup_sim analyze`: numerical error of recordings as table, JSON, HTML report and exit code.
 
-One log is told in full; of many each gets a line. Many are spread over dask, where it is
-installed: over the cores of this machine, or over a cluster by the address of its scheduler.
+One recording is reported in full, several in one line each.
 """
 
-import json
-import math
 import sys
-from importlib.util import find_spec
-from pathlib import Path
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from liegroup_core.errors import LieGroupSimError
-from liegroup_core.study import tasks
-from liegroup_sim_ros.analysis.analyse import REFERENCE_SECONDS, analyse, plain
+from liegroup_sim_ros.analysis.analyse import REFERENCE_SECONDS, analyse
+from liegroup_sim_ros.analysis.bounds import find_exceeded
 from liegroup_sim_ros.analysis.comparison import differences
+from liegroup_sim_ros.analysis.document import document
 from liegroup_sim_ros.recording.addresses import AddressError, expand
-from liegroup_sim_ros.recording.read import RecordingError, read_recording
+from liegroup_sim_ros.recording.read import read_recording
+from liegroup_sim_ros.report.files import check_files, write_file, write_text
+from liegroup_sim_ros.report.many import analyse_many
+from liegroup_sim_ros.report.page import make_page, page_part
 from liegroup_sim_ros.report.terminal import print_comparison, print_overview, print_table
 
-FORMAT = 1  # of the JSON document, config/analysis.schema.json
-EXIT_EXCEEDED, EXIT_WRONG_INPUT = 1, 2
+EXIT_EXCEEDED = 1
 
 
 class AnalysisError(LieGroupSimError):
-    """The analysis cannot be made or written; one line of text, exit code 2."""
+    """Wrong arguments, or recordings that cannot be analysed; one line of text, exit code 2."""
 
 
 def add_arguments(parser):
@@ -106,45 +103,48 @@ def run(args):
         raise AnalysisError(str(error)) from None
     if args.no_reference and args.max_error is not None:
         raise AnalysisError("--max-error requires the reference: remove --no-reference")
-    if args.compare and (len(logs) > 1 or args.scheduler):
-        raise AnalysisError("--compare requires exactly one recording and no --scheduler")
-    if args.png and (len(logs) > 1 or args.scheduler):
-        raise AnalysisError("--png requires exactly one recording and no --scheduler")
-    _check_writable(args.json, args.html, args.png)
-    _check_picture(args.png)
+    many = len(logs) > 1 or args.scheduler
+    for option in ("compare", "png"):
+        if many and getattr(args, option):
+            raise AnalysisError(f"--{option} requires exactly one recording and no --scheduler")
+    check_files(args.json, args.html, picture=args.png)
     options = {"reference": not args.no_reference, "reference_seconds": args.reference_seconds}
     comparison, parts = None, []
-    if len(logs) == 1 and not args.scheduler:
-        analysis = _analyse_one(logs[0], options)
-        found = [analysis.figures]
-        if args.compare:
-            with Console(stderr=True).status("comparing"):
-                comparison = differences(read_recording(logs[0]), read_recording(args.compare))
-            print_comparison(comparison[0], Console(file=sys.stdout))
-        if args.png:
-            _draw(analysis, args.png, comparison)
-        if args.html:
-            from liegroup_sim_ros.report.page import page_part  # plotly takes a second to import
-
-            parts = [page_part(analysis)]
-    else:
+    if many:
         found, parts = analyse_many(logs, options, args.scheduler, bool(args.html))
-        print_overview(found, Console(file=sys.stdout))
+    else:
+        with Console(stderr=True).status("reading") as status:
+            recording = read_recording(logs[0])
+            analysis = analyse(recording, tell=status.update, **options)
+            if args.compare:
+                status.update("comparing")
+                comparison = differences(recording, read_recording(args.compare))
+        found = [analysis.figures]
+        if args.png:
+            from liegroup_sim_ros.report.picture import write_picture  # needs matplotlib
+
+            write_file(args.png, lambda path: write_picture(analysis, path, comparison))
+        if args.html:
+            parts = [page_part(analysis)]
     exceeded = find_exceeded(found, args.max_error, args.max_drift)
     if args.html:
-        from liegroup_sim_ros.report.page import make_page
-
         bounds = [
             f"largest {what} {value:g}"
             for what, value in (("error", args.max_error), ("drift", args.max_drift))
             if value is not None
         ]
-        _write(args.html, make_page(parts, comparison, exceeded, bounds))
+        write_text(args.html, make_page(parts, comparison, exceeded, bounds))
+    differing = comparison and comparison[0]
     if args.json:
-        _write(
-            args.json,
-            document(found, comparison and comparison[0], args.max_error, args.max_drift, exceeded),
-        )
+        write_text(args.json, document(found, differing, args.max_error, args.max_drift, exceeded))
+    # After the files: the reader of stdout may end, as in `| head`.
+    console = Console(file=sys.stdout)
+    if many:
+        print_overview(found, console)
+    else:
+        print_table(found[0], console)
+    if differing:
+        print_comparison(differing, console)
     failed = [entry for entry in found if "failed" in entry]
     if failed:
         rest = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
@@ -153,181 +153,3 @@ def run(args):
         print(f"liegroup_sim: {'; '.join(exceeded)}", file=sys.stderr)
         return EXIT_EXCEEDED
     return 0
-
-
-def write_analysis(log, html, json_file):
-    """Analyse one recording, print the table, write page and figures; returns the Analysis."""
-    from liegroup_sim_ros.report.page import make_page, page_part
-
-    _check_writable(html, json_file)
-    analysis = _analyse_one(log, {})
-    _write(html, make_page([page_part(analysis)]))
-    _write(json_file, document([analysis.figures]))
-    return analysis
-
-
-def _analyse_one(log, options):
-    """Analysis of a log, told on the terminal."""
-    with Console(stderr=True).status("reading") as status:
-        analysis = analyse(read_recording(log), tell=status.update, **options)
-    print_table(analysis.figures, Console(file=sys.stdout))
-    return analysis
-
-
-def _check_picture(path):
-    """Raise AnalysisError, before the work, for a picture that cannot be drawn."""
-    if not path:
-        return
-    if not path.lower().endswith((".png", ".pdf", ".svg")):
-        raise AnalysisError(f"{path}: the name must end in .png, .pdf or .svg")
-    if find_spec("matplotlib") is None:
-        raise AnalysisError("--png needs matplotlib: pip install 'liegroup_sim_ros[figures]'")
-
-
-def _draw(analysis, path, comparison):
-    from liegroup_sim_ros.report.picture import write_picture
-
-    try:
-        write_picture(analysis, path, comparison)
-    except OSError as error:
-        raise AnalysisError(f"{path}: cannot be written: {error.strerror}") from None
-    except ValueError as error:
-        raise AnalysisError(f"{path}: {error}") from None
-
-
-def document(found, comparison=None, max_error=None, max_drift=None, exceeded=()):
-    """The JSON text of figures; its schema is config/analysis.schema.json."""
-    return (
-        json.dumps(
-            plain(
-                {
-                    "format": FORMAT,
-                    "logs": found,
-                    "comparison": comparison,
-                    "bounds": {
-                        "max_error": max_error,
-                        "max_drift": max_drift,
-                        "exceeded": list(exceeded),
-                    },
-                }
-            ),
-            indent=1,
-            allow_nan=False,
-        )
-        + "\n"
-    )
-
-
-def find_exceeded(found, max_error=None, max_drift=None):
-    """One text for every bound that a log exceeds, or of which that cannot be told."""
-    exceeded = []
-    for figures in found:
-        if "failed" in figures:
-            continue
-        log = figures["log"]
-        if max_error is not None:
-            reference = figures.get("reference", {"failed": "there is no reference"})
-            if "failed" in reference:
-                exceeded.append(f"{log}: its error is unknown: {reference['failed']}")
-            else:
-                exceeded += [
-                    f"{log}: {text}"
-                    for name in ("position", "angle")
-                    if (text := _too_large(reference[name], max_error))
-                ]
-        if max_drift is not None:
-            drifts = _relative_drifts(figures)
-            if not drifts:
-                exceeded.append(
-                    f"{log}: it has no drift to check, neither energy nor momentum is conserved"
-                )
-            exceeded += [
-                f"{log}: relative drift {drift:.3g} of {name} exceeds {max_drift:g}"
-                for name, drift in drifts
-                if not drift <= max_drift
-            ]
-    return exceeded
-
-
-def _too_large(error, bound):
-    """None, or that an error is above a bound, or that the reference cannot tell."""
-    unit = error["unit"]
-    if not error["max"] <= bound:
-        return f"error {error['max']:.3g} {unit} exceeds {bound:g}"
-    if not error["max"] + error["uncertainty"] <= bound:
-        return (
-            f"error {error['max']:.3g} {unit} may exceed {bound:g}: the reference "
-            f"uncertainty is {error['uncertainty']:.3g} {unit}"
-        )
-    return None
-
-
-def _relative_drifts(figures):
-    """[(of what, drift in parts of its size)] of all that the scene keeps."""
-    if "energy" not in figures:
-        return [("the motion", math.nan)]  # no sample is finite
-    drifts = [("the energy", figures["energy"]["relative_drift"])]
-    drifts += [
-        ("the " + entry["component"], entry["relative_drift"]) for entry in figures["momentum"]
-    ]
-    return [(name, drift) for name, drift in drifts if drift is not None]
-
-
-def analyse_log(log, options, page=None):
-    """(figures of one log, what a page has of it); what a worker does.
-
-    figures are {"log", "failed"} of one that cannot be analysed
-    page : None without a page, else whether it has plots
-    """
-    try:
-        analysis = analyse(read_recording(log), **options)
-    except (RecordingError, LieGroupSimError) as error:
-        figures = {"log": str(log), "failed": " ".join(str(error).split())}
-        return figures, {"figures": figures}
-    if page is None:
-        return analysis.figures, None
-    from liegroup_sim_ros.report.page import page_part
-
-    return analysis.figures, page_part(analysis, page)
-
-
-def analyse_many(logs, options, scheduler=None, page=False):
-    """([figures], [what a page has]) in the order of the logs, by dask where it is installed.
-
-    Both as analyse_log returns them.
-    """
-    drawn = None
-    if page:
-        from liegroup_sim_ros.report.page import MOST_PARTS as drawn
-    work = [(log, options, None if drawn is None else k < drawn) for k, log in enumerate(logs)]
-    with Progress(
-        TextColumn("analysing"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        console=Console(stderr=True),
-        auto_refresh=False,
-    ) as progress:
-        task = progress.add_task("", total=len(logs))
-        found = {}
-        for k, result in tasks.run(_analyse_work, work, scheduler):
-            found[k] = result
-            progress.advance(task)
-            progress.refresh()
-    return tuple(list(part) for part in zip(*(found[k] for k in range(len(work)))))
-
-
-def _analyse_work(work):
-    return analyse_log(*work)
-
-
-def _check_writable(*paths):
-    for path in filter(None, paths):
-        if Path(path).is_dir() or not Path(path).absolute().parent.is_dir():
-            raise AnalysisError(f"{path}: cannot be written: give a file in an existing folder")
-
-
-def _write(path, text):
-    try:
-        Path(path).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise AnalysisError(f"{path}: cannot be written: {error.strerror}") from None

@@ -73,9 +73,7 @@ def run(args):
     console = Console()
     with _ended_by_signals():
         _simulate(args.seconds, log, output, console)
-    from .analyze import write_analysis
-
-    analysis = write_analysis(log, html=page, json_file=figures)
+    analysis = _analyse(log, page, figures)
     if not analysis.figures["pushes"]:
         raise DemoError("the applied wrench is not in the recording; see " + str(output))
     console.print(
@@ -84,6 +82,23 @@ def run(args):
         soft_wrap=True,
     )
     return 0
+
+
+def _analyse(log, page, figures):
+    """Analyse the recording, write the HTML report and the figures, print the table."""
+    from liegroup_sim_ros.analysis import analyse
+    from liegroup_sim_ros.analysis.document import document
+    from liegroup_sim_ros.recording import read_recording
+    from liegroup_sim_ros.report.files import write_text
+    from liegroup_sim_ros.report.page import make_page, page_part
+    from liegroup_sim_ros.report.terminal import print_table
+
+    with Console(stderr=True).status("reading") as status:
+        analysis = analyse(read_recording(log), tell=status.update)
+    write_text(page, make_page([page_part(analysis)]))
+    write_text(figures, document([analysis.figures]))
+    print_table(analysis.figures, Console(file=sys.stdout))
+    return analysis
 
 
 def _simulate(seconds, log, output, console):

@@ -4,32 +4,22 @@
 Exit code 0 when no answer is silently wrong, 1 when one is, 2 for wrong input, 130 after Ctrl-C.
 """
 
-import json
 import math
 import sys
-from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn
-from rich.table import Table
-from rich.text import Text
 
 from liegroup_core import load_scene
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.integrators.methods import METHODS
-from liegroup_core.study.extremes.extremes import VERDICTS, Kept, axes_of, counts, silent, survey
-from liegroup_sim_ros.report.extremes_page import SIGNS, shown, write_page
+from liegroup_core.study.extremes.extremes import Kept, axes_of, silent, survey
+from liegroup_sim_ros.report.extremes_page import write_page
+from liegroup_sim_ros.report.extremes_tables import document, print_axis, print_end
+from liegroup_sim_ros.report.files import check_files, write_file, write_text
 
 EXIT_SILENT, EXIT_INTERRUPTED = 1, 130
-WIDTH = 200  # characters that no table needs: none is cut
 SHORTEST = 1e-3  # s, a step of the runs at other velocities
-STYLES = dict(zip(VERDICTS, ("green", "yellow", "blue", "cyan", "dim", "bold white on red")))
-NOTE = (
-    "accurate: error below 5 % of the motion; flagged: wrong, with a warning; "
-    "refused: no step taken, with a reason; stopped: ended early with an error; "
-    "unjudged: the reference is not accurate enough; silent: wrong without a "
-    "warning"
-)
 
 
 class ExtremesError(LieGroupSimError):
@@ -96,7 +86,7 @@ def run(args):
                 bar.update(task, total=total, advance=1)
                 found[axis.name] += cells
                 if complete:
-                    _print_axis(axis, found[axis.name], args.methods, console)
+                    print_axis(axis, found[axis.name], args.methods, console)
     except KeyboardInterrupt:
         print(
             "liegroup_sim: interrupted; finished cells are saved, the same command continues",
@@ -110,22 +100,16 @@ def run(args):
         for cell in found[axis.name]
         if cell["value"] == value
     ]
-    _print_end(cells, console)
-    try:
-        if args.json:
-            Path(args.json).write_text(
-                json.dumps(as_json(axes, cells), indent=1, allow_nan=False) + "\n", encoding="utf-8"
-            )
-        if args.markdown:
-            write_page(axes, cells, args.methods, args.markdown)
-        if args.png:
-            from liegroup_sim_ros.report.heat_map import write_heat_map
+    if args.json:
+        write_text(args.json, document(axes, cells))
+    if args.markdown:
+        write_file(args.markdown, lambda path: write_page(axes, cells, args.methods, path))
+    if args.png:
+        from liegroup_sim_ros.report.heat_map import write_heat_map  # needs matplotlib
 
-            write_heat_map(axes, cells, args.methods, args.png)
-    except OSError as error:
-        raise ExtremesError(f"{error.filename}: cannot be written: {error.strerror}") from None
-    except ImportError as error:
-        raise ExtremesError(f"{error.name} is needed to draw: pip install {error.name}") from None
+        write_file(args.png, lambda path: write_heat_map(axes, cells, args.methods, path))
+    # After the files: the reader of stdout may end, as in `| head`.
+    print_end(cells, console)
     return EXIT_SILENT if silent(cells) else 0
 
 
@@ -138,11 +122,7 @@ def _wanted(args):
         raise ExtremesError(f"--workers must be at least 1, got {args.workers}")
     if not (math.isfinite(args.horizon) and args.horizon >= SHORTEST):
         raise ExtremesError(f"--horizon must be at least {SHORTEST:g} s, got {args.horizon:g}")
-    if args.png and Path(args.png).suffix not in (".png", ".pdf", ".svg"):
-        raise ExtremesError(f"{args.png}: the name must end in .png, .pdf or .svg")
-    for path in filter(None, (args.json, args.markdown, args.png)):
-        if Path(path).is_dir() or not Path(path).absolute().parent.is_dir():
-            raise ExtremesError(f"{path}: cannot be written: give a file in an existing folder")
+    check_files(args.json, args.markdown, picture=args.png)
     kept = Kept.of(args.scene and load_scene(args.scene), args.horizon)
     axes = _axes(args)
     if args.quick:
@@ -181,60 +161,3 @@ def _axes(args):
         if name not in names:
             raise ExtremesError(f"unknown axis {name!r}; choose one of: {', '.join(names)}")
     return tuple(axis for axis in axes if axis.name in args.axes)
-
-
-def as_json(axes, cells):
-    """What --json holds: axes, numbers of verdicts, cells."""
-    return {
-        "schema": 1,
-        "axes": [
-            {"name": axis.name, "title": axis.title, "unit": axis.unit, "values": list(axis.values)}
-            for axis in axes
-        ],
-        "counts": counts(cells),
-        "cells": [{key: _finite(value) for key, value in cell.items()} for cell in cells],
-    }
-
-
-def _finite(value):
-    """JSON has no infinity: an error that is not finite is null."""
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _print_axis(axis, cells, methods, console):
-    values = [value for value in axis.values if any(cell["value"] == value for cell in cells)]
-    by_place = {(cell["method"], cell["value"]): cell["verdict"] for cell in cells}
-    console.print(
-        Text(axis.title + (f", {axis.unit}" if axis.unit else ""), style="bold"), soft_wrap=True
-    )
-    table = Table(box=None, padding=(0, 1, 0, 0))
-    table.add_column("", no_wrap=True)
-    for value in values:
-        table.add_column(shown(value), justify="center", no_wrap=True)
-    for method in methods:
-        row = [by_place.get((method, value)) for value in values]
-        if any(row):
-            table.add_row(
-                Text(method),
-                *(
-                    Text(SIGNS[verdict], style=STYLES[verdict]) if verdict else Text("")
-                    for verdict in row
-                ),
-            )
-    console.print(table, width=WIDTH, crop=False)
-    console.print()
-
-
-def _print_end(cells, console):
-    console.print(
-        Text(", ".join(f"{SIGNS[name]} {name} {number}" for name, number in counts(cells).items()))
-    )
-    console.print(Text(NOTE, style="dim"))
-    for cell in silent(cells):
-        console.print(
-            Text(
-                f"! {cell['axis']} {shown(cell['value'])}, {cell['method']}: undetected error "
-                f"of {cell['error']:.2g} of the motion",
-                style="bold red",
-            )
-        )

@@ -6,8 +6,6 @@ Every measured cell is kept at once, so that a run that was ended goes on where 
 
 import json
 import sys
-from importlib.util import find_spec
-from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -17,6 +15,7 @@ from liegroup_core.engine import STABILISATIONS
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.integrators.methods import GROUPS, METHODS
 from liegroup_core.study.trade.trade import BUDGET, Trade
+from liegroup_sim_ros.report.files import check_files, write_file, write_text
 from liegroup_sim_ros.report.trade_figures import document_part, print_trade
 
 FORMAT = 1  # of the JSON document, config/trade.schema.json
@@ -94,24 +93,19 @@ def run(args):
     """Run the subcommand; returns the exit code. Raises SceneError, TradeError, TasksError."""
     _check(args)
     scenes = [load_scene(name) for name in args.scenes]
-    parts = []
-    for scene in scenes:
-        trade = measured(scene, args)
-        parts.append(document_part(trade))
-        print_trade(parts[-1], Console(file=sys.stdout))
+    parts = [document_part(measured(scene, args)) for scene in scenes]
     if args.json:
-        _write(args.json, document(parts))
-    if args.html:
-        from liegroup_sim_ros.report.trade_page import make_page  # plotly takes a second to import
+        write_text(args.json, document(parts))
+    if args.html or args.png:
+        from liegroup_sim_ros.report.trade_page import make_page, write_picture
 
-        _write(args.html, make_page(parts))
-    if args.png:
-        from liegroup_sim_ros.report.trade_page import write_picture
-
-        try:
-            write_picture(parts[0], args.png)
-        except OSError as error:
-            raise TradeError(f"{args.png}: cannot be written: {error.strerror}") from None
+        if args.html:
+            write_text(args.html, make_page(parts))
+        if args.png:
+            write_file(args.png, lambda path: write_picture(parts[0], path))
+    # After the files: the reader of stdout may end, as in `| head`.
+    for part in parts:
+        print_trade(part, Console(file=sys.stdout))
     return 0
 
 
@@ -175,17 +169,4 @@ def _check(args):
         raise TradeError(f"--budget must be a positive number of seconds, got {args.budget:g}")
     if args.png and len(args.scenes) > 1:
         raise TradeError("--png requires exactly one scene")
-    if args.png and not args.png.lower().endswith((".png", ".pdf", ".svg")):
-        raise TradeError(f"{args.png}: the name must end in .png, .pdf or .svg")
-    if args.png and find_spec("matplotlib") is None:
-        raise TradeError("--png needs matplotlib: pip install 'liegroup_sim_ros[figures]'")
-    for path in filter(None, (args.json, args.html, args.png)):
-        if Path(path).is_dir() or not Path(path).absolute().parent.is_dir():
-            raise TradeError(f"{path}: cannot be written: give a file in an existing folder")
-
-
-def _write(path, text):
-    try:
-        Path(path).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise TradeError(f"{path}: cannot be written: {error.strerror}") from None
+    check_files(args.json, args.html, picture=args.png)

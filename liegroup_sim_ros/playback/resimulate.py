@@ -17,6 +17,7 @@ from .repeat import Repeat, ReplayError, make_simulation
 # Entries that may affect the bits; older recordings lack some of them.
 _VERSIONS = ("liegroup_sim_ros", "numpy", "scipy", "numba", "llvmlite")
 _MACHINE = ("processor", "libc", "target", "features")
+LONGEST = 40  # characters of a value that is quoted; the features are some hundreds
 
 
 def resimulate(recording, progress=lambda text: None, **other):
@@ -45,7 +46,7 @@ def resimulate(recording, progress=lambda text: None, **other):
         for key, value in other.items()
         if settings.get(key) != value
     }
-    platform = _platform_changes(settings)
+    platform = platform_changes(settings)
     return {
         "log": str(recording.path),
         **repeat.figures(),
@@ -58,7 +59,7 @@ def resimulate(recording, progress=lambda text: None, **other):
     }
 
 
-def _platform_changes(settings):
+def platform_changes(settings):
     """{entry: [recorded, here]} of versions and machine properties that differ."""
     found = {}
     for key, names, here in (("versions", _VERSIONS, versions()), ("machine", _MACHINE, machine())):
@@ -70,6 +71,22 @@ def _platform_changes(settings):
             if name in recorded and recorded[name] != here.get(name)
         }
     return found
+
+
+def difference_cause(platform):
+    """Why a repeated run with the recorded settings differs; platform : of platform_changes."""
+    if not platform:
+        return (
+            "versions and machine are those of the recording: the file or the source code was "
+            "changed, or messages are missing"
+        )
+    changes = ", ".join(
+        f"{key} {now} instead of {before}"
+        if max(len(str(before)), len(str(now))) <= LONGEST
+        else f"{key} of the processor"
+        for key, (before, now) in platform.items()
+    )
+    return f"versions or machine differ from the recording: {changes}"
 
 
 def report(figures, bound=None):
@@ -116,7 +133,6 @@ def report(figures, bound=None):
             )
     elif figures["must_be_equal"] and identical < samples:
         return lines, (
-            f"{log}: the repeated simulation differs although settings, versions and machine are "
-            "those of the recording; the file was changed"
+            f"{log}: re-simulation is not bit-identical; {difference_cause(figures['platform'])}"
         )
     return lines, None

@@ -12,8 +12,6 @@ import re
 from html import escape
 from importlib.resources import files
 
-from plotly.offline import get_plotlyjs
-
 from liegroup_sim_ros.numbers import NO_NUMBER
 
 from .plots import difference_plot, make_plots
@@ -87,6 +85,8 @@ def frame(title, body, data):
     style, code = (
         (resources / f"page.{kind}").read_text(encoding="utf-8") for kind in ("css", "js")
     )
+    from plotly.offline import get_plotlyjs  # takes a second to import
+
     scripts = get_plotlyjs(), code
     allowed = " ".join(f"'sha256-{_digest(script)}'" for script in scripts)
     return f"""<!DOCTYPE html>

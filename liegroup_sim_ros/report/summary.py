@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The figures of an analysis in words: verdict, problems, and the rows of its tables."""
 
+from liegroup_sim_ros.analysis.timing import requested_text
 from liegroup_sim_ros.numbers import GROUPS, counted, error_text, shown
 
 MOST_JOINTS = 8  # in the table; the others are in the JSON
@@ -52,9 +53,7 @@ def headline(figures):
             (
                 "real-time factor",
                 f"{figures['timing']['real_time_factor']:.3f}",
-                ""
-                if not figures["timing"]["factor_wanted"]
-                else f"requested {shown(figures['timing']['factor_wanted'])}",
+                requested_text(figures["timing"]),
             )
         )
     return found
@@ -233,9 +232,7 @@ def _timing_rows(timing):
         (
             "real-time factor",
             "-" if timing.get("real_time_factor") is None else f"{timing['real_time_factor']:.4f}",
-            "requested: as fast as possible"
-            if timing["factor_wanted"] == 0.0
-            else f"requested {shown(timing['factor_wanted'])}",
+            requested_text(timing),
         ),
         (
             "scheduling latency",

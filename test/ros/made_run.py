@@ -44,11 +44,13 @@ def record(
     pacing=PACING,
     end=True,
     promise=None,
+    factors=None,
 ):
     """Record a run of so many steps.
 
     pushes : {step: (body, wrench)}, resets : steps at which to go back to the start
     promise : of an accuracy, as in Simulation
+    factors : {step: requested real-time factor}, with that of step 0
     spoil  : may change a message, or drop it by returning None; k counts those of a topic
     """
     simulation = Simulation(scene, "rkmk4", step, group)
@@ -63,8 +65,9 @@ def record(
         "diagnostics": "/diagnostics",
     }
     count = {}
+    more = {"parameters": {"real_time_factor": factors[0]}} if factors else {}
     with Recorder(
-        path, attachments.at_start(simulation, "/sim_node", "world", per_sample, topics)
+        path, attachments.at_start(simulation, "/sim_node", "world", per_sample, topics, **more)
     ) as recorder:
         channel = {
             t: recorder.add_channel(t, c.TYPE)
@@ -120,6 +123,10 @@ def record(
                 )
             if simulation.steps % per_sample == 0:
                 put_out()
+            if k in (factors or {}):
+                stamp = base + simulation.time_ns
+                text = f"real-time factor {factors[k]:g}"
+                write("/sim_node/events", stamp, log_message(stamp, "speed", text))
             if k in resets:
                 base += simulation.time_ns + round(step * 1e9)
                 simulation.reset()

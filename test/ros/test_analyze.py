@@ -132,7 +132,7 @@ def test_repetition_and_reference_need_the_wrenches(pushed_top, tmp_path):
     assert bad["repeat"]["identical"] == 71  # up to 1.4 s, where the push should end
     assert bad["repeat"]["first_difference"]["at_s"] == pytest.approx(1.42)
     assert bad["reference"]["angle"]["max"] > 0.1
-    assert any("simulated again it is not the same: top" in text for text in bad["problems"])
+    assert any("re-simulation is not bit-identical: top" in text for text in bad["problems"])
 
 
 def test_one_wrong_bit_is_found(tmp_path):

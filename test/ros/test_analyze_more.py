@@ -20,9 +20,9 @@ from liegroup_core import Simulation, load_scene
 from liegroup_core.layout import make_layout
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.analysis.analyse import analyse
+from liegroup_sim_ros.analysis.bounds import find_exceeded
 from liegroup_sim_ros.analysis.comparison import compare
 from liegroup_sim_ros.analysis.drift import Drift, thinned
-from liegroup_sim_ros.commands.analyze import find_exceeded
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.numbers import error_text
 from liegroup_sim_ros.recording.read import RecordingError, read_recording

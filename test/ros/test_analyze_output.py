@@ -17,13 +17,14 @@ from rich.console import Console
 from liegroup_core import Simulation
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.analysis.analyse import analyse
+from liegroup_sim_ros.analysis.document import document
 from liegroup_sim_ros.analysis.verdict import find_problems
-from liegroup_sim_ros.commands.analyze import document
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.recording import attachments
 from liegroup_sim_ros.recording.read import read_recording
 from liegroup_sim_ros.recording.write import Recorder
 from liegroup_sim_ros.report import plots, view
+from liegroup_sim_ros.report.summary import headline
 from liegroup_sim_ros.report.terminal import print_table
 
 
@@ -43,6 +44,51 @@ def test_not_a_number_is_never_shown_as_fine(tmp_path, capsys):
     assert find_problems(figures)[-1] == "not a number: energy.drift_J"
     print_table(figures, Console())
     assert re.search(r"energy drift\s+not a number", capsys.readouterr().out)
+
+
+@pytest.mark.parametrize(
+    "factors, mean, text",
+    [
+        ({0: 2.0}, 2.0, "requested 2"),
+        ({0: 0.0}, 0.0, "requested: as fast as possible"),
+        # 0.3 s at 1 and 0.1 s at 0.5 take 0.3 s + 0.2 s.
+        ({0: 1.0, 150: 0.5}, 0.8, "requested 0.8 on average, changed 1 time, last 0.5"),
+        # A change at the end weighs nothing.
+        ({0: 1.0, 200: 0.5}, 1.0, "requested 1 on average, changed 1 time, last 0.5"),
+        ({0: 1.0, 50: 0.0, 100: 1.0}, None, "requested factor changed 2 times, last 1"),
+    ],
+)
+def test_the_requested_factor_is_averaged_over_time(tmp_path, factors, mean, text):
+    pacing = PACING | {"real_time_factor": 0.78}
+    log = record(tmp_path / "a.mcap", scene_from_text(PAIR), 200, pacing=pacing, factors=factors)
+    figures = analyse(read_recording(log), reference=False).figures
+    timing = figures["timing"]
+    assert timing["factor_wanted_mean"] == (mean and pytest.approx(mean))
+    assert timing["factor_wanted"] == list(factors.values())[-1]
+    assert ("real-time factor", "0.780", text) in headline(figures)
+    slow = [problem for problem in figures["problems"] if problem.startswith("too slow")]
+    assert slow == ([f"too slow: real-time factor 0.78, {text}"] if mean and mean > 0.8 else [])
+
+
+def test_files_are_written_before_a_closed_stdout_ends_the_command(tmp_path):
+    log = record(tmp_path / "a.mcap", scene_from_text(PAIR), 50)
+    page, figures = tmp_path / "a.html", tmp_path / "a.json"
+    child = subprocess.Popen(
+        [
+            sys.executable,
+            "-m",
+            "liegroup_sim_ros.commands.main",
+            *("analyze", str(log), "--html", str(page), "--json", str(figures)),
+        ],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    child.stdout.close()
+    assert child.wait(120) != 0
+    assert "Traceback" not in child.stderr.read()
+    assert page.stat().st_size > 1_000_000
+    assert json.loads(figures.read_text())["logs"][0]["scene"] == "pair"
 
 
 class Links(HTMLParser):

@@ -147,7 +147,7 @@ def test_a_difference_is_found_and_an_experiment_is_none(tmp_path, capsys):
     assert main(["replay", str(good), "--resimulate"]) == 0
     assert "all 41 samples are bit-identical" in capsys.readouterr().out
     assert main(["replay", str(wrong), "--resimulate"]) == 1
-    assert "of the recording; the file was changed" in capsys.readouterr().err
+    assert "are those of the recording: the file or the source" in capsys.readouterr().err
     # Half the step: the error of order 4 of the run itself, 8e-6 rad within 6 s (test_analyze.py).
     assert main(["replay", str(good), "--resimulate", "--step", "1e-3"]) == 0
     assert main(["replay", str(good), "--resimulate", "--step", "1e-3", "--bound", "1e-5"]) == 0

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Check of figures against bounds on the error and on the drift."""
+
+import math
+
+
+def find_exceeded(found, max_error=None, max_drift=None):
+    """One text for every bound that a log exceeds, or of which that cannot be told."""
+    exceeded = []
+    for figures in found:
+        if "failed" in figures:
+            continue
+        log = figures["log"]
+        if max_error is not None:
+            reference = figures.get("reference", {"failed": "there is no reference"})
+            if "failed" in reference:
+                exceeded.append(f"{log}: its error is unknown: {reference['failed']}")
+            else:
+                exceeded += [
+                    f"{log}: {text}"
+                    for name in ("position", "angle")
+                    if (text := _too_large(reference[name], max_error))
+                ]
+        if max_drift is not None:
+            drifts = _relative_drifts(figures)
+            if not drifts:
+                exceeded.append(
+                    f"{log}: it has no drift to check, neither energy nor momentum is conserved"
+                )
+            exceeded += [
+                f"{log}: relative drift {drift:.3g} of {name} exceeds {max_drift:g}"
+                for name, drift in drifts
+                if not drift <= max_drift
+            ]
+    return exceeded
+
+
+def _too_large(error, bound):
+    """None, or that an error is above a bound, or that the reference cannot tell."""
+    unit = error["unit"]
+    if not error["max"] <= bound:
+        return f"error {error['max']:.3g} {unit} exceeds {bound:g}"
+    if not error["max"] + error["uncertainty"] <= bound:
+        return (
+            f"error {error['max']:.3g} {unit} may exceed {bound:g}: the reference "
+            f"uncertainty is {error['uncertainty']:.3g} {unit}"
+        )
+    return None
+
+
+def _relative_drifts(figures):
+    """[(of what, drift in parts of its size)] of all that the scene keeps."""
+    if "energy" not in figures:
+        return [("the motion", math.nan)]  # no sample is finite
+    drifts = [("the energy", figures["energy"]["relative_drift"])]
+    drifts += [
+        ("the " + entry["component"], entry["relative_drift"]) for entry in figures["momentum"]
+    ]
+    return [(name, drift) for name, drift in drifts if drift is not None]

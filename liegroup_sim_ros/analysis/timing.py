@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Real-time figures of a recorded run: requested and achieved factor, latency, gaps."""
+
+from itertools import pairwise
+
+from liegroup_sim_ros.numbers import counted, shown
+
+FASTEST = 0.0  # as a requested real-time factor: as fast as possible
+
+
+def timing_figures(recording, motion):
+    """{name: number or None} of "timing" in config/analysis.schema.json."""
+    last = recording.diagnostics[-1][1] if recording.diagnostics else {}
+    pacing = recording.pacing or _pacing_so_far(last)
+    timing = {
+        key: number(pacing.get(key))
+        for key in (
+            "ticks",
+            "overruns",
+            "reanchored",
+            "real_time_factor",
+            "wall_seconds",
+            "sim_seconds",
+        )
+    }
+    timing["lateness_us"] = {
+        key: number(pacing["lateness_us"].get(key)) for key in ("p50", "p99", "max")
+    }
+    requests = _requests(recording)
+    timing["factor_wanted"] = requests[-1][1]
+    timing["factor_wanted_mean"] = _mean_factor(requests, motion)
+    timing["factor_changes"] = sum(
+        before != after for (_, before), (_, after) in pairwise(requests)
+    )
+    factors = [
+        number(entry.get("real_time_factor"))
+        for _, entry in recording.diagnostics
+        if entry.get("state") == "running"
+    ]
+    factors = [factor for factor in factors if factor]
+    timing["real_time_factor_least"] = min(factors, default=None)
+    timing["real_time_factor_most"] = max(factors, default=None)
+    return timing | {
+        "gaps": motion.gaps,
+        "largest_gap_s": motion.largest_gap_s,
+        "largest_gap_at_s": motion.largest_gap_at_s,
+    }
+
+
+def _pacing_so_far(last):
+    """Pacing from the last diagnostics, for a recording that was not finished."""
+    return {
+        "ticks": last.get("ticks"),
+        "overruns": last.get("overruns"),
+        "reanchored": last.get("reanchored"),
+        "real_time_factor": last.get("real_time_factor"),
+        "lateness_us": {key: last.get(f"lateness_{key}_us") for key in ("p50", "p99", "max")},
+    }
+
+
+def _requests(recording):
+    """[(stamp in ns, requested factor or None)], the first from the start of the recording.
+
+    The node records the factor at the start as a parameter and each change as an event "speed".
+    A recording without parameters has the factor in its diagnostics only.
+    """
+    first = (recording.settings.get("parameters") or {}).get("real_time_factor")
+    if first is None and recording.diagnostics:
+        first = recording.diagnostics[0][1].get("real_time_factor_wanted")
+    changes = [
+        (event.stamp_ns, number(event.text.rpartition(" ")[2]))
+        for event in recording.events
+        if event.name == "speed"
+    ]
+    return [(-1, number(first)), *changes]
+
+
+def _mean_factor(requests, motion):
+    """Requested real-time factor, averaged over the wall time of the requests.
+
+    That is the simulated time of the run divided by the wall time in which the requests allow it,
+    so it compares directly with the achieved factor. Pauses do not count. None if a part of the
+    run was requested as fast as possible.
+    """
+    factors = {factor for _, factor in requests}
+    if len(factors) == 1 or not motion.stretches:
+        return requests[-1][1]
+    first, last = motion.stretches[0], motion.stretches[-1]
+    start = first.base_ns + first.first_step * first.step * 1e9
+    end = last.base_ns + last.last_step * last.step * 1e9
+    edges = [min(max(stamp, start), end) for stamp, _ in requests] + [end]
+    parts = [
+        (after - before, factor)
+        for (before, after), (_, factor) in zip(pairwise(edges), requests)
+        if after > before
+    ]
+    factors = {factor for _, factor in parts}
+    if len(factors) == 1:
+        return factors.pop()
+    if None in factors or FASTEST in factors or not parts:
+        return None
+    return sum(span for span, _ in parts) / sum(span / factor for span, factor in parts)
+
+
+def number(text):
+    """Number from a text or number of a recording, None if it is neither."""
+    try:
+        return float(text)
+    except (TypeError, ValueError):
+        return None
+
+
+def requested_text(timing):
+    """Requested real-time factor in words; timing : as returned by timing_figures."""
+    last = timing["factor_wanted"]
+    if not timing["factor_changes"]:
+        return "requested: as fast as possible" if last == FASTEST else f"requested {shown(last)}"
+    mean = timing["factor_wanted_mean"]
+    return (
+        ("requested factor " if mean is None else f"requested {shown(mean)} on average, ")
+        + f"changed {counted(timing['factor_changes'], 'time')}, last "
+        + ("as fast as possible" if last == FASTEST else shown(last))
+    )

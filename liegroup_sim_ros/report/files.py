@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Output files of a command: checked before the work, written after it."""
+
+from importlib.util import find_spec
+from pathlib import Path
+
+from liegroup_core.errors import LieGroupSimError
+
+PICTURES = (".png", ".pdf", ".svg")
+
+
+class ReportError(LieGroupSimError):
+    """An output file cannot be written; one line of text, exit code 2."""
+
+
+def check_files(*paths, picture=None):
+    """Raise ReportError for a path that cannot be written; None and "" stand for no file.
+
+    picture : path of a picture, whose format follows from the ending of its name
+    """
+    for path in filter(None, (*paths, picture)):
+        if Path(path).is_dir() or not Path(path).absolute().parent.is_dir():
+            raise ReportError(f"{path}: cannot be written: give a file in an existing folder")
+    if not picture:
+        return
+    if not picture.lower().endswith(PICTURES):
+        raise ReportError(f"{picture}: the name must end in .png, .pdf or .svg")
+    if find_spec("matplotlib") is None:
+        raise ReportError("--png needs matplotlib: pip install 'liegroup_sim_ros[figures]'")
+
+
+def write_file(path, write, *arguments):
+    """Call write(path, *arguments). Raises ReportError if that fails."""
+    try:
+        write(path, *arguments)
+    except OSError as error:
+        raise ReportError(f"{path}: cannot be written: {error.strerror}") from None
+    except ValueError as error:
+        raise ReportError(f"{path}: {error}") from None
+
+
+def write_text(path, text):
+    """Write a text file. Raises ReportError."""
+    write_file(path, lambda path: Path(path).write_text(text, encoding="utf-8"))
