@@ -57,6 +57,7 @@ def test_error_of_the_heavy_top(tmp_path):
         "identical": 301,
         "first_difference": None,
         "stopped": None,
+        "platform": {},
         "largest_difference": dict.fromkeys(
             ("position_m", "angle_rad", "angular_rad_s", "linear_m_s"), 0.0
         ),
