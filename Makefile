@@ -36,7 +36,7 @@ quick: .venv/installed ## run the quick tests of the core (below 60 s once the k
 lint: .venv/lint ## check format, style, docstrings and types
 	@.venv/bin/ruff format --check .
 	@.venv/bin/ruff check .
-	@.venv/bin/mypy -p liegroup_core -p liegroup_sim_ros
+	@.venv/bin/mypy
 
 bench: .venv/peers ## measure, side by side with other software; ARGS=--quick is shorter
 	@set -e; for script in peers growth; do \

@@ -16,7 +16,11 @@ setup(
     license="Apache-2.0",
     python_requires=">=3.11",
     packages=find_packages(include=["liegroup_core*", "liegroup_sim_ros*"]),
-    package_data={f"{NAME}.report": ["page.css", "page.js"]},
+    package_data={
+        NAME: ["py.typed"],
+        "liegroup_core": ["py.typed"],
+        f"{NAME}.report": ["page.css", "page.js"],
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

@@ -5,7 +5,7 @@
 
 Every mutant is one change of a formula in a copy of the sources: a sign, a factor, a frame. The
 tests that belong to it run on the copy, as plain Python, until one fails. Prints the table of
-docs/mutants.md; exit code 1 when a mutant survives, or when a test fails without one.
+Markdown; exit code 1 when a mutant survives, or when a test fails without one.
 """
 import os
 import re

@@ -4,7 +4,7 @@
     python benchmarks/sweep.py [--runs N]
 
 Rates are of wall time, so on a machine that does nothing else; CPU times, of all processes
-together, hold on a busy one too. What docs/sweep.md says of sizing a cluster is made of these.
+together, hold on a busy one too. What docs/how-to/sweep.md says of sizing a cluster is made of these.
 """
 
 import argparse

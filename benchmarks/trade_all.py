@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measure the trade of every scene that comes along, and write docs/which_method.md from it.
+"""Measure the trade of every example scene: docs/which_method.json, and its tables on stdout.
 
     python benchmarks/trade_all.py
     python benchmarks/trade_all.py --write          only write the page again, from its JSON
@@ -31,7 +31,7 @@ from liegroup_core.study.trade.trade import ACCURACIES, BUDGET, Trade
 from liegroup_sim_ros.report.trade_figures import document_part
 
 ROOT = Path(__file__).resolve().parent.parent
-DATA, PAGE = ROOT / "docs" / "which_method.json", ROOT / "docs" / "which_method.md"
+DATA = ROOT / "docs" / "which_method.json"
 INSTANTS = 1000  # at most, of a horizon, at which a promise is looked at
 
 
@@ -147,8 +147,7 @@ def main():
         DATA.write_text(
             json.dumps({"format": 1, "scenes": parts}, indent=1, allow_nan=False) + "\n"
         )
-    PAGE.write_text(trade_page.text(json.loads(DATA.read_text())["scenes"]))
-    print(f"wrote {PAGE}")
+    print(trade_page.text(json.loads(DATA.read_text())["scenes"]))
 
 
 if __name__ == "__main__":

@@ -6,8 +6,10 @@ import logging
 import math
 from dataclasses import replace
 from numbers import Integral, Real
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from liegroup_core.compiling import warm_up
 from liegroup_core.forces.schedule import NEVER, AppliedWrench, WrenchSchedule
@@ -35,6 +37,8 @@ from .status import (
 )
 
 log = logging.getLogger("liegroup_core")
+
+Floats = NDArray[np.float64]
 
 
 STABILISATIONS = ("none", "projection", "baumgarte")
@@ -93,19 +97,20 @@ class Engine:
     Orders: test/verification/test_orders.py; constraint residuals: test_heavy_top.py.
     """
 
-    promise = None
+    doubt: str | None
+    promise: dict[str, Any] | None = None
 
     def __init__(
         self,
-        scene,
-        method=None,
-        step=None,
-        group="auto",
-        stabilisation="none",
-        baumgarte_time=None,
-        watch=True,
-        **options,
-    ):
+        scene: Scene,
+        method: str | None = None,
+        step: float | None = None,
+        group: str = "auto",
+        stabilisation: str = "none",
+        baumgarte_time: float | None = None,
+        watch: bool = True,
+        **options: Any,
+    ) -> None:
         if not isinstance(scene, Scene):
             raise ValueError(
                 f"expected a Scene, got {scene!r}; use load_scene to read one from a file"
@@ -134,7 +139,7 @@ class Engine:
         self._step_watch = StepWatch(self.layout, method, self.step, self._integrator, watch)
         warm_up(self._touch, self._integrator.kernels)
 
-    def __copy__(self):
+    def __copy__(self) -> "Engine":
         return copy.deepcopy(self)  # two that share a state would be one
 
     def _touch(self):
@@ -151,11 +156,18 @@ class Engine:
             sample.constraint_residual,
         )
 
-    def reset(self):
+    def reset(self) -> None:
         """Back to the initial state of the scene, at step 0, without wrenches."""
         self.set_state(*self._start)
 
-    def set_state(self, pose, twist, steps=0, angles=None, memory=None):
+    def set_state(
+        self,
+        pose: ArrayLike,
+        twist: ArrayLike,
+        steps: int = 0,
+        angles: ArrayLike | None = None,
+        memory: bytes | None = None,
+    ) -> None:
         """Continue from a state: pose (n, 12), twist (n, 6), at a step count.
 
         The state is the integrator's own, as `state()` gives it: frames at the centres of mass.
@@ -209,7 +221,7 @@ class Engine:
             array[...] = np.frombuffer(memory, array.dtype, array.size, at).reshape(array.shape)
             at += array.nbytes
 
-    def state(self):
+    def state(self) -> tuple[Floats, Floats]:
         """Copies of pose (n, 12) and twist (n, 6): what the integrator goes on from, to the bit.
 
         They are of frames with the axes of the body frames and their origins at the centres of
@@ -217,7 +229,7 @@ class Engine:
         """
         return self._pose.copy(), self._twist.copy()
 
-    def memory(self):
+    def memory(self) -> bytes:
         """Bytes that the method keeps between steps beside the state, for `set_state`.
 
         Empty for most methods: those with error control keep the size of the substep, implicit
@@ -226,17 +238,17 @@ class Engine:
         return b"".join(array.tobytes() for array in self._integrator.memory)
 
     @property
-    def time(self):
+    def time(self) -> float:
         """Simulated time since the start or the last reset, s."""
         return self.steps * self.step
 
     @property
-    def time_ns(self):
+    def time_ns(self) -> int:
         """The same as an integer of nanoseconds, rounded from the step count."""
         return round(self.steps * self.step * 1e9)
 
     @property
-    def singular_solves(self):
+    def singular_solves(self) -> int:
         """How often the accelerations were solved at a singular pose, since the simulation was made.
 
         There rows depend on each other that do not elsewhere (a parallelogram folded flat); the
@@ -245,11 +257,19 @@ class Engine:
         return int(self._work.report[2])
 
     @property
-    def substeps(self):
+    def substeps(self) -> tuple[int, int]:
         """Numbers of good substeps and of attempts since the state was set; else (0, 0)."""
         return self._integrator.substeps
 
-    def apply_wrench(self, body, wrench, start=None, duration=None, source="api", axes="body"):
+    def apply_wrench(
+        self,
+        body: str,
+        wrench: ArrayLike,
+        start: float | None = None,
+        duration: float | None = None,
+        source: str = "api",
+        axes: str = "body",
+    ) -> None:
         """Apply a wrench to a body over whole steps.
 
         body     : name of the body
@@ -287,7 +307,7 @@ class Engine:
         self._schedule.command(source, self._body[body], wrench, first, end, axes == "world")
 
     @property
-    def wrench_count(self):
+    def wrench_count(self) -> int:
         """Number of wrenches of `apply_wrench` that act or wait for their start."""
         return len(self._schedule)
 
@@ -296,11 +316,11 @@ class Engine:
         """Names of their sources."""
         return self._schedule.sources
 
-    def clear_wrenches(self, source="api"):
+    def clear_wrenches(self, source: str = "api") -> None:
         """End what a source applies or has scheduled."""
         self._schedule.clear(source)
 
-    def drain_applied(self):
+    def drain_applied(self) -> list[AppliedWrench]:
         """The changes of the total wrench on each body since the last call: [AppliedWrench].
 
         Applied again at the same steps by `apply_wrench(body, wrench)`, they repeat the run bit
@@ -309,7 +329,7 @@ class Engine:
         applied, self._applied = self._applied, []
         return applied
 
-    def advance(self, steps=1):
+    def advance(self, steps: int = 1) -> None:
         """Take `steps` steps, a whole number from 0 on.
 
         raises ValueError for any other number; SimulationError, one line, when the integration
@@ -456,12 +476,12 @@ class Engine:
             )
         )
 
-    def sample(self):
+    def sample(self) -> Sample:
         """The present state as a Sample."""
         return Sample(
             self.layout, self.time, self.time_ns, self.steps, *self.state(), self._work.angle.copy()
         )
 
-    def energy(self):
+    def energy(self) -> float:
         """Kinetic energy plus potential energy of gravity and springs at the present state, J."""
         return self.sample().energy

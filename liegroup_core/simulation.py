@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulation: a mechanism integrated with a given method and step, or to a given accuracy."""
 
+from typing import Any
+
 from .engine import Engine
 from .scene.description import Scene
 
@@ -11,7 +13,7 @@ class Simulation(Engine):
     Takes the arguments of Engine, or in their place:
 
     accuracy : largest error over `horizon`. The configuration comes from what was measured of this
-               scene on this machine; what is not known is measured first, once (docs/trade.md)
+               scene on this machine; what is not known is measured first, once (docs/how-to/choose_accuracy.md)
     horizon  : s; None: what suits the scene
 
     `promise` is None, or of an `accuracy` what is promised (study/trade/accuracy.py).
@@ -21,17 +23,17 @@ class Simulation(Engine):
 
     def __init__(
         self,
-        scene,
-        method=None,
-        step=None,
-        group="auto",
-        stabilisation="none",
-        baumgarte_time=None,
-        accuracy=None,
-        horizon=None,
-        watch=True,
-        **options,
-    ):
+        scene: Scene,
+        method: str | None = None,
+        step: float | None = None,
+        group: str = "auto",
+        stabilisation: str = "none",
+        baumgarte_time: float | None = None,
+        accuracy: float | None = None,
+        horizon: float | None = None,
+        watch: bool = True,
+        **options: Any,
+    ) -> None:
         if accuracy is None:
             if horizon is not None:
                 raise ValueError("horizon requires accuracy")

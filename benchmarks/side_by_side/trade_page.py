@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""docs/which_method.md, written from what benchmarks/trade_all.py measured."""
+"""Tables of what benchmarks/trade_all.py measured, in Markdown."""
 
 from liegroup_sim_ros.report.summary import shown
 from liegroup_sim_ros.report.trade_figures import error_text, reference_text, setting

@@ -17,7 +17,7 @@ otherwise, as in chaos, are not in it: it is about the steps, not about the moti
 A look takes two steps and some 60 us. It is made after steps that double in number, more often
 where the sum is not far from a doubt or would not be if errors grew on as they do, and before a
 step in which a spring may turn over, and where a glance finds that the energy has leapt; it changes
-nothing in the run, to the bit. What it says and what it does not: docs/extremes.md.
+nothing in the run, to the bit. What it says and what it does not: docs/explanation/robustness.md.
 """
 
 import math

@@ -4,6 +4,7 @@
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from liegroup_core.forces import kinds
 from liegroup_core.forces.timetable import ROUNDING, acting_at
@@ -34,7 +35,7 @@ class Sample:
             array.flags.writeable = False
 
     @property
-    def body_names(self):
+    def body_names(self) -> tuple[str, ...]:
         """Names of the bodies in the order of `pose` and `twist`."""
         return self._layout.body_names
 
@@ -42,7 +43,7 @@ class Sample:
         return dict(zip(self._layout.body_names, values))
 
     @cached_property
-    def pose_matrices(self):
+    def pose_matrices(self) -> NDArray[np.float64]:
         """(n, 4, 4) homogeneous poses, body frame -> world."""
         matrices = np.zeros((len(self.pose), 4, 4))
         matrices[:, :3, :3] = self.pose[:, :9].reshape(-1, 3, 3)
@@ -52,44 +53,44 @@ class Sample:
         return matrices
 
     @cached_property
-    def poses(self):
+    def poses(self) -> dict[str, NDArray[np.float64]]:
         """{body: (4, 4)} homogeneous poses, body frame -> world."""
         return self._by_body(self.pose_matrices)
 
     @cached_property
-    def twists(self):
+    def twists(self) -> dict[str, NDArray[np.float64]]:
         """{body: (6,)} (omega, v), body-fixed."""
         return self._by_body(self.twist)
 
     @cached_property
-    def positions(self):
+    def positions(self) -> dict[str, NDArray[np.float64]]:
         """{body: (3,)} of the body frame's origin, m, world axes."""
         return self._by_body(self.pose[:, 9:])
 
     @cached_property
-    def orientation(self):
+    def orientation(self) -> NDArray[np.float64]:
         """(n, 4) x, y, z, w of the rotations body -> world, w >= 0."""
         return quaternions(self.pose)
 
     @cached_property
-    def quaternions(self):
+    def quaternions(self) -> dict[str, NDArray[np.float64]]:
         """{body: (4,)} x, y, z, w of the rotation body -> world, w >= 0."""
         return self._by_body(self.orientation)
 
     @property
-    def rows(self):
+    def rows(self) -> NDArray[np.float64]:
         """(n, 13) per body x, y, z, then qx, qy, qz, qw, then v and omega, as messages have them:
         the numbers of `positions`, `quaternions` and `twists`, for all bodies at once.
         """
         return rows(self.pose, self.twist)
 
     @cached_property
-    def angles(self):
+    def angles(self) -> NDArray[np.float64]:
         """(k,) angle of each torsional spring in the order of the scene, over many turns, rad."""
         return self._layout.angles(self._state[0], self._near)
 
     @cached_property
-    def joint_coordinates(self):
+    def joint_coordinates(self) -> dict[str, tuple[float, float]]:
         """{joint: (coordinate, rate)} of the revolute joints in rad and rad/s, of the prismatic
         ones in m and m/s. Whole turns are counted where the joint has a torsional spring; other
         angles lie between -pi and pi.
@@ -97,12 +98,12 @@ class Sample:
         return self._layout.coordinates.at(*self._state, self.angles)
 
     @cached_property
-    def energy(self):
+    def energy(self) -> float:
         """Kinetic energy plus potential energy of gravity and springs, J."""
         return invariants.energy(self._layout.model, self.angles, *self._state)
 
     @cached_property
-    def power(self):
+    def power(self) -> float:
         """Rate of the energy, W: what motors and the scene's applied wrenches give, and dampers
         and drag take. Wrenches applied from outside the scene come on top.
         """
@@ -112,12 +113,12 @@ class Sample:
         return kinds.power(forces, acting, *self._state)
 
     @cached_property
-    def spatial_momentum(self):
+    def spatial_momentum(self) -> NDArray[np.float64]:
         """(6,) angular momentum about the world origin, then linear momentum; world axes."""
         return np.concatenate(invariants.spatial_momentum(self._layout.model, *self._state))
 
     @cached_property
-    def joint_residuals(self):
+    def joint_residuals(self) -> dict[str, float]:
         """{joint: norm of its position residual}, m and rad."""
         model, joints = self._layout.model, self._layout.scene.joints
         residual = np.zeros(len(self._layout.joint_of_row))
@@ -126,6 +127,6 @@ class Sample:
         return {joint.name: float(norm) for joint, norm in zip(joints, np.sqrt(squares))}
 
     @cached_property
-    def constraint_residual(self):
+    def constraint_residual(self) -> float:
         """The largest joint residual, 0 without joints."""
         return max(self.joint_residuals.values(), default=0.0)

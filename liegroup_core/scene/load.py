@@ -47,7 +47,7 @@ _WORDS |= {
 }
 
 
-def load_scene(name_or_path):
+def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
     """Scene of a file, given by its path or, for the scenes that come along, by its name."""
     path = find_scene(name_or_path)
     try:
@@ -71,7 +71,7 @@ def load_scene(name_or_path):
     return scene_from_text(text, source=str(path))
 
 
-def scene_from_text(text, source="scene"):
+def scene_from_text(text: str, source: str = "scene") -> Scene:
     """Scene of a YAML text, for example one that a recording carries; assembled if it is to be.
 
     source : path or name that errors begin with; becomes scene.source
@@ -103,7 +103,7 @@ def _made(text, source, complete):
     return scene
 
 
-def find_scene(name_or_path):
+def find_scene(name_or_path: str | os.PathLike[str]) -> Path:
     """Path of a scene file: an existing file as it is, else a name among the known scenes."""
     given = Path(name_or_path)
     if os.path.isfile(given):

@@ -50,7 +50,7 @@ TOP_ATTITUDE = {
                      2.2702e-4, 5.6755e-5, 1.4189e-5, 3.5472e-6),
     "simo_wong": (1.959, 9.147e-1, 2.630e-1, 6.732e-2, 1.6913e-2, 4.2332e-3, 1.0586e-3, 2.6467e-4,
                   6.6169e-5, 1.6542e-5, 4.1356e-6),
-    # With y_m = (y + y+)/2 where the method here has y_m of the first half kick: see docs/figures.md.
+    # With y_m = (y + y+)/2 where the method here has y_m of the first half kick: see docs/explanation/figures.md.
     "austin_krishnaprasad_wang": (1.985, 1.813, 1.753, 1.033, 2.7347e-1, 6.8746e-2, 1.7201e-2,
                                   4.3009e-3, 1.0753e-3, 2.6882e-4, 6.7205e-5),
 }

@@ -38,7 +38,7 @@ def add_arguments(parser):
         metavar="SCENE",
         nargs="?",
         help="path of a scene file, or name of an example scene; default: built-in problems "
-        "(docs/extremes.md)",
+        "(docs/explanation/robustness.md)",
     )
     parser.add_argument(
         "--horizon",

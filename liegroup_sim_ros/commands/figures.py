@@ -3,7 +3,7 @@
 
 The tables beside them compare with independent implementations of the same methods. Figs. 6.6 to
 6.9 are in rotation_figures.py. What the pictures show, and which claims of the chapter hold, is in
-docs/figures.md. No ROS.
+docs/explanation/figures.md. No ROS.
 """
 
 import logging
@@ -43,7 +43,7 @@ LOWEST = 1e-17  # m; what is exactly zero is not drawn
 NOTE = (
     "none: no solution at this step (RATTLE), or a step that is refused (RKMK4, where a stage "
     "turns by nearly a full turn).\nElsewhere: independent implementations; what differs from "
-    "them and why is in docs/figures.md."
+    "them and why is in docs/explanation/figures.md."
 )
 
 

@@ -53,7 +53,7 @@ def run(args):
 
 
 def as_json(found):
-    """A Survey as JSON types; the keys are in docs/recording.md."""
+    """A Survey as JSON types; the keys are in docs/reference/recording.md."""
     settings, state = (
         found.contents.get(name, {}) for name in ("settings.json", "initial_state.json")
     )

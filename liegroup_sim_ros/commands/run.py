@@ -82,7 +82,7 @@ def add_settings(parser):
         metavar="X",
         help="use the cheapest configuration with at most this error: positions relative to "
         "the characteristic length, attitudes in rad. Replaces method, step, group and "
-        "stabilisation; measured once per scene and machine (docs/trade.md)",
+        "stabilisation; measured once per scene and machine (docs/how-to/choose_accuracy.md)",
     )
     parser.add_argument(
         "--horizon",

@@ -133,6 +133,17 @@ def transforms(layout, world_frame, frame_prefix=""):
     return [("/tf", "tf2_msgs/msg/TFMessage", encode)]
 
 
+# Optional topics: the parameter with the rate, the function above, and the topic for people. The
+# node declares the parameters and publishes the topics from this table.
+OPTIONAL = {
+    "odometry_rate": (odometry, "~/BODY/odometry"),
+    "velocity_rate": (velocities, "~/BODY/velocity"),
+    "pose_array_rate": (pose_array, "~/poses"),
+    "joint_state_rate": (joint_states, "~/joint_states"),
+    "tf_rate": (transforms, "/tf"),
+}
+
+
 def _pose(sample, body):
     """[x, y, z, qx, qy, qz, qw]"""
     return [*sample.positions[body].tolist(), *sample.quaternions[body].tolist()]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The simulation node and its services.
 
-Topics, services and parameters: docs/node.md. The simulation has a thread of its own
+Topics, services and parameters: docs/reference/node.md. The simulation has a thread of its own
 (server.py); the main thread runs the callbacks and ends everything in order.
 """
 
@@ -30,7 +30,7 @@ from .scene_run import ATTENTION, Interrupted, SceneRun, make_simulation
 from .simulation_thread import CommandError
 
 try:
-    # A callback costs a fifth of what it does in rclpy's own executor (docs/node.md).
+    # A callback costs a fifth of what it does in rclpy's own executor (docs/reference/node.md).
     from rclpy.experimental import EventsExecutor as Executor
 except ImportError:
     Executor = SingleThreadedExecutor

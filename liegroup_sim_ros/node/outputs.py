@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Output of a simulation to ROS topics and to a recording: one message, encoded once, to both.
 
-Topics, types and frames are in docs/node.md. Stamps are simulated time in ns. A topic whose rate
+Topics, types and frames are in docs/reference/node.md. Stamps are simulated time in ns. A topic whose rate
 is 0 is not there, and nothing is computed for it.
 """
 
@@ -15,15 +15,6 @@ from liegroup_sim_ros.messages.codecs import ClockCodec, LogCodec, WrenchStamped
 from liegroup_sim_ros.messages.markers import Markers, markers
 
 from .parameters import ParameterError
-
-# Parameter with the rate -> function that gives the topics.
-OPTIONAL = {
-    "odometry_rate": sample_messages.odometry,
-    "velocity_rate": sample_messages.velocities,
-    "pose_array_rate": sample_messages.pose_array,
-    "joint_state_rate": sample_messages.joint_states,
-    "tf_rate": sample_messages.transforms,
-}
 
 
 class Stream:
@@ -128,7 +119,9 @@ class Outputs:
         if self.state_steps:
             self._state = self._stream(*topics.STATE)
         self._markers = Markers(layout, world_frame, values.arrow_scale, self.acting)
-        for name, make in {**OPTIONAL, "marker_rate": lambda *_: markers(self._markers)}.items():
+        optional = {name: make for name, (make, _) in sample_messages.OPTIONAL.items()}
+        optional["marker_rate"] = lambda *_: markers(self._markers)
+        for name, make in optional.items():
             if values.steps[name]:
                 self._add_optional(
                     name, make(layout, world_frame, values.frame_prefix), values.steps[name]

@@ -22,6 +22,7 @@ from rclpy.parameter import Parameter
 from liegroup_core.engine import METHOD, STABILISATIONS, STEP
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.integrators.methods import GROUPS, METHODS
+from liegroup_sim_ros.messages.samples import OPTIONAL
 
 QOS_PREFIX = "qos_overrides."
 RELIABILITIES = ("reliable", "best_effort")
@@ -71,7 +72,7 @@ TABLE = (
         "use the cheapest configuration with at most this error in real time: "
         "positions relative to the characteristic length, attitudes in rad. Replaces "
         "method, stabilisation, group and step; measured once per scene and machine, "
-        "see trade.md; 0: off",
+        "see docs/how-to/choose_accuracy.md; 0: off",
         low=0.0,
         high=1.0,
     ),
@@ -138,12 +139,8 @@ TABLE = (
     _rate("publish_rate", 100.0, "~/BODY/pose and ~/BODY/twist, required for recordings"),
     _rate("clock_rate", 100.0, "/clock"),
     _rate("state_rate", 10.0, "~/state"),
-    _rate("odometry_rate", 0.0, "~/BODY/odometry"),
-    _rate("velocity_rate", 0.0, "~/BODY/velocity"),
-    _rate("pose_array_rate", 0.0, "~/poses"),
-    _rate("joint_state_rate", 0.0, "~/joint_states"),
+    *(_rate(name, 0.0, topic) for name, (_, topic) in OPTIONAL.items()),
     _rate("marker_rate", 0.0, "~/markers"),
-    _rate("tf_rate", 0.0, "/tf"),
     Entry(
         "arrow_scale",
         0.01,
@@ -310,7 +307,7 @@ def watch_parameters(node, changed):
 
 
 def table_text():
-    """The table in Markdown, as docs/node.md has it (test_node.py)."""
+    """The table in Markdown, as docs/reference/node.md has it (test_node.py)."""
     rows = [
         "| parameter | default | allowed | settable while running | meaning |",
         "|---|---|---|---|---|",

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Attachments of a recording: scene, settings and state, from which the run can be repeated.
 
-docs/recording.md describes every entry.
+docs/reference/recording.md describes every entry.
 """
 
 import base64

@@ -93,7 +93,7 @@ class ArrayFile:
 
 
 class LogFile:
-    """Recording *.mcap in the node's format, without clock and diagnostics (docs/node.md)."""
+    """Recording *.mcap in the node's format, without clock and diagnostics (docs/reference/node.md)."""
 
     def __init__(self, path, simulation, every, _samples):
         self.count, self.last_step = 0, -1

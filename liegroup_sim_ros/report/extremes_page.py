@@ -26,7 +26,7 @@ def _lines(axes, cells, methods):
     yield "# Robustness map"
     yield ""
     yield (
-        "Written by `liegroup_sim extremes`. [extremes.md](extremes.md) explains the "
+        "Written by `liegroup_sim extremes`. [robustness](docs/explanation/robustness.md) explains the "
         "signs and how each cell is judged."
     )
     yield ""

@@ -13,11 +13,11 @@ end, as in RATTLE. So, shown by test/verification/test_constrained_geometric.py,
   * it is of order 2 and symmetric: a step h and a step -h lead back, to rounding, with forces of
     velocity too, for V+ in Q+ is solved for;
   * it is symplectic where all forces have a potential: energy stays within O(h^2) of its start
-    and does not drift. Other symmetric turns are compared in docs/long_runs.md;
+    and does not drift. Other symmetric turns are compared in docs/explanation/long_runs.md;
   * joints are closed and J V = 0 to rounding; momentum that joints and forces leave is kept to
     rounding.
 Steps g_1 h, ..., g_k h one after the other with symmetric g, sum g = 1, are one step of higher
-order of the same properties, see SUBSTEPS. docs/long_runs.md compares them with rkmk4 and rkmk8.
+order of the same properties, see SUBSTEPS. docs/explanation/long_runs.md compares them with rkmk4 and rkmk8.
 
 Lambda is found by Broyden's method in J V', which starts with the saddle-point matrix of the start
 of the step: it is eliminated once a step, all else are substitutions. Poses move on SO(3) x R^3

@@ -161,7 +161,7 @@ class Sweep:
 
     @property
     def columns(self):
-        """{name: "int", "float", "text" or "list"} of what comes of a run, see docs/sweep.md."""
+        """{name: "int", "float", "text" or "list"} of what comes of a run, see docs/how-to/sweep.md."""
         bodies = [body.name for body in _base(self.text, self.name, False).bodies]
         state = [f"{body}.{part}" for body in bodies for part in POSE + TWIST]
         kept = [f"samples.{name}" for name in ("time", *state)] if self.keep else []

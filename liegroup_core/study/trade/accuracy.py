@@ -4,7 +4,7 @@
     choice = choose(load_scene("heavy_top"), 1e-6)
     simulation = choice.simulation()
 
-The accuracy is promised over a horizon, without wrenches from outside: docs/trade.md says what it
+The accuracy is promised over a horizon, without wrenches from outside: docs/how-to/choose_accuracy.md says what it
 means. What is not known yet is measured first, in this process, and kept.
 """
 
@@ -59,7 +59,7 @@ def choose(scene, accuracy, horizon=None, usable=lambda step: True, factor=None,
     """Choice of the cheapest setting that keeps an accuracy; measures the scene when need be.
 
     scene    : Scene
-    accuracy : largest error, see docs/trade.md; positions in parts of the scene's length, rad
+    accuracy : largest error, see docs/how-to/choose_accuracy.md; positions in parts of the scene's length, rad
     horizon  : s, over which it is kept; None: what suits the scene
     usable   : function of a step in s, whether it may be chosen
     factor   : simulated seconds per second that must be had; None or 0: any

@@ -14,7 +14,7 @@ from liegroup_core.integrators.methods import GROUPS, METHODS
 
 STABILISATIONS = ("none", "projection")
 # Where only the best is looked for: what wins in one scene or another of those that come along,
-# found by measuring all (docs/which_method.md).
+# found by measuring all (docs/which_method.json).
 SHORTLIST = (
     "rkmk4",
     "rkmk54",

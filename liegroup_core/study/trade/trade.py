@@ -7,7 +7,7 @@
     print(trade.cheapest(1e-6))
 
 Each ladder is climbed from its coarsest step to finer ones, until its error is that of rounding or
-of the reference, or the next step would take too long. How it is measured: docs/trade.md.
+of the reference, or the next step would take too long. How it is measured: docs/how-to/choose_accuracy.md.
 """
 
 from liegroup_core.compiling import source_digest

@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The tutorial's scene and commands run as printed, in the order of the page."""
+
+import re
+import shlex
+import signal
+from pathlib import Path
+
+from node_process import COMPILING, PUSH, NodeProcess, python
+
+from liegroup_core.study.trade import accuracy
+from liegroup_sim_ros.commands.main import main
+from liegroup_sim_ros.recording import read_recording
+
+PAGE = (Path(__file__).resolve().parents[2] / "docs" / "tutorial.md").read_text()
+[SCENE] = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
+COMMANDS = re.findall(r"```sh\n(.*?)\n```", PAGE, re.DOTALL)
+LINES = [shlex.split(line) for block in COMMANDS for line in block.splitlines()]
+
+
+def test_all_commands_without_ros(tmp_path, monkeypatch, capsys):
+    (tmp_path / "crane.yaml").write_text(SCENE)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(accuracy, "SHORTLIST", ("rkmk8",))  # what is missing is measured quickly
+    monkeypatch.setattr(accuracy, "BUDGET", 0.1)
+    done = []
+    for program, *arguments in LINES:
+        if program == "liegroup_sim" and arguments[0] != "push":
+            assert main(arguments) == 0, arguments
+            done.append(arguments[0])
+    assert done == ["describe", "run", "run", "analyze", "trade", "run", "analyze"]
+    said = " ".join(capsys.readouterr().out.split())
+    assert "crane: 2 degrees of freedom" in said and "none redundant" in said
+    assert "re-simulation bit-identical" in said and "guaranteed accuracy of 1e-06 is kept" in said
+    assert {path.name for path in tmp_path.glob("crane.*")} == {
+        f"crane.{kind}" for kind in ("yaml", "npz", "mcap", "html")
+    }
+
+
+def test_the_node_runs_the_scene_and_is_pushed(tmp_path):
+    scene, live = tmp_path / "crane.yaml", tmp_path / "live.mcap"
+    scene.write_text(SCENE)
+    assert ["sim_node", "--ros-args", "-p", "scene:=crane.yaml", "-p", "record:=live.mcap"] in LINES
+    [push] = [line[1:] for line in LINES if line[:2] == ["liegroup_sim", "push"]]
+    with NodeProcess({"scene": scene, "record": live}) as process:
+        pushing = python(PUSH, *push)
+        output, errors = pushing.communicate(timeout=COMPILING)
+        assert pushing.returncode == 0, errors
+        process.send(signal.SIGINT)
+        assert process.wait()[0] == 0
+    recording = read_recording(live)
+    assert recording.complete and recording.wrench["cart"].wrench[:, 3].max() == 100.0
