@@ -5,8 +5,8 @@ ros2 launch liegroup_sim_ros sim.launch.py scene:=heavy_top record:=/tmp/run.mca
 ros2 launch liegroup_sim_ros sim.launch.py preset:=show rviz:=true
 """
 
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
-from launch.conditions import IfCondition
+from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
@@ -63,12 +63,38 @@ def _simulation(context):
     ]
 
 
+def _viewers(context):
+    """RViz and foxglove_bridge if requested; one that is not installed must not stop the node."""
+    # Lists of substitutions are joined as texts.
+    wanted = {
+        "rviz2": (
+            LaunchConfiguration("rviz"),
+            {
+                "arguments": ["-d", [FindPackageShare(PACKAGE), "/config/scene.rviz"]],
+                "remappings": [
+                    ("/sim_node/markers", [LaunchConfiguration("namespace"), "/sim_node/markers"])
+                ],
+            },
+        ),
+        "foxglove_bridge": (LaunchConfiguration("foxglove"), {}),
+    }
+    actions = []
+    for package, (argument, settings) in wanted.items():
+        if argument.perform(context).lower() not in ("true", "1"):
+            continue
+        try:
+            get_package_prefix(package)
+        except PackageNotFoundError:
+            apt = f"ros-jazzy-{package.replace('_', '-')}"
+            actions.append(LogInfo(msg=f"{package} is not installed, starting without it: {apt}"))
+        else:
+            actions.append(Node(package=package, executable=package, **settings))
+    return actions
+
+
 def generate_launch_description():
     """Arguments and nodes."""
-    # Lists of substitutions are joined as texts.
-    config = [FindPackageShare(PACKAGE), "/config/"]
-    preset = [*config, LaunchConfiguration("preset"), ".yaml"]
-    markers = [LaunchConfiguration("namespace"), "/sim_node/markers"]
+    preset = [FindPackageShare(PACKAGE), "/config/", LaunchConfiguration("preset"), ".yaml"]
     return LaunchDescription(
         [
             *(
@@ -81,17 +107,6 @@ def generate_launch_description():
                 description="parameter file that replaces the preset",
             ),
             OpaqueFunction(function=_simulation),
-            Node(
-                package="rviz2",
-                executable="rviz2",
-                condition=IfCondition(LaunchConfiguration("rviz")),
-                arguments=["-d", [*config, "scene.rviz"]],
-                remappings=[("/sim_node/markers", markers)],
-            ),
-            Node(
-                package="foxglove_bridge",
-                executable="foxglove_bridge",
-                condition=IfCondition(LaunchConfiguration("foxglove")),
-            ),
+            OpaqueFunction(function=_viewers),
         ]
     )

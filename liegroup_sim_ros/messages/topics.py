@@ -34,8 +34,8 @@ def twist(body):
     return Topic(f"~/{body}/twist", TwistStampedCodec.TYPE)
 
 
-# Many wrenches may change at one step.
-APPLIED_WRENCH = Topic("~/applied_wrench", WrenchStampedCodec.TYPE, depth=100)
+# Late subscribers learn what acts; many wrenches may change at one step.
+APPLIED_WRENCH = Topic("~/applied_wrench", WrenchStampedCodec.TYPE, "transient_local", 1000)
 EVENTS = Topic("~/events", LogCodec.TYPE, "transient_local")
 CLOCK = Topic("/clock", ClockCodec.TYPE, depth=1)
 STATE = Topic("~/state", diagnostics.TYPE)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
 from node_process import COMPILING, NodeProcess, python, stamp_ns, values
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from scipy.spatial.transform import Rotation
 from std_msgs.msg import String
 
@@ -89,6 +90,20 @@ def node(client, process):
     client.spin(0.1)
     pushed.applied.clear()
     return pushed
+
+
+def test_a_late_subscriber_learns_what_acts(client, node):
+    node.to["wrench/persistent"]("cube/late", force=(7.0, 0.0, 0.0))
+    node.until_forces("cube", [7.0])
+    late = client.listen(
+        f"{NODE}/applied_wrench",
+        WrenchStamped,
+        QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL),
+    )
+    client.until(lambda: late and late[-1] == node.applied[-1], what="what acts")
+    assert values(late[-1])[:2] == ("cube", (0.0, 0.0, 0.0, 7.0, 0.0, 0.0))
+    node.clear.publish(String(data="cube/late"))
+    node.until_forces("cube", [7.0, 0.0])
 
 
 def test_wrenches_of_topics_and_names_add(client, node):
