@@ -18,7 +18,7 @@ import sys
 from importlib import import_module
 
 from liegroup_core.errors import LieGroupSimError
-from liegroup_sim_ros import __version__
+from liegroup_sim_ros.version import __version__
 
 # Before NumPy is loaded: threads make small solves slower, on a busy machine many times.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -18,7 +18,7 @@ from liegroup_core.engine import METHOD, STABILISATIONS, STEP
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.integrators.methods import GROUPS, METHODS
 from liegroup_core.study.trade.accuracy import choose
-from liegroup_sim_ros.recording.write_run import ArrayFile, LogFile
+from liegroup_sim_ros.recording.write_run import ArrayFile, LogFile, TableFile
 
 EXIT_STOPPED = 1
 AT_ONCE = 10_000  # steps between two looks at the clock, at most
@@ -46,7 +46,7 @@ def add_arguments(parser):
     """Arguments of the subcommand."""
     parser.description = (
         "Simulate a scene as fast as possible and write the trajectory to a file: arrays "
-        "(*.npz) or a recording (*.mcap) for `liegroup_sim analyze` and other tools."
+        "(*.npz), a table (*.csv) or a recording (*.mcap) for `liegroup_sim analyze` and other tools."
     )
     parser.add_argument(
         "scene", metavar="SCENE", help="path of a scene file, or name of an example scene"
@@ -62,7 +62,7 @@ def add_arguments(parser):
         "--out",
         required=True,
         metavar="FILE",
-        help="output file (*.npz or *.mcap); it must not exist",
+        help="output file (*.npz, *.csv or *.mcap); it must not exist",
     )
     parser.add_argument(
         "--every",
@@ -140,9 +140,9 @@ def given_settings(args):
 def run(args):
     """Run the subcommand; returns the exit code. Raises SceneError, RunError, OutputError."""
     settings = given_settings(args)
-    kind = {".npz": ArrayFile, ".mcap": LogFile}.get(Path(args.out).suffix)
+    kind = {".npz": ArrayFile, ".csv": TableFile, ".mcap": LogFile}.get(Path(args.out).suffix)
     if kind is None:
-        raise RunError(f"{args.out}: the name must end in .npz or .mcap")
+        raise RunError(f"{args.out}: the name must end in .npz, .csv or .mcap")
     if args.every < 1:
         raise RunError(f"--every must be at least 1, got {args.every}")
     scene = load_scene(args.scene)

@@ -17,9 +17,9 @@ from liegroup_core.study.sweep.file import SweepFile, SweepFileError
 from liegroup_core.study.sweep.parameters import ParameterError, parameters
 from liegroup_core.study.sweep.sweep import OK, Sweep, describe
 from liegroup_core.study.trade.cache import PACKAGES
-from liegroup_sim_ros import __version__
 from liegroup_sim_ros.recording.attachments import versions
 from liegroup_sim_ros.report.sweep_tables import print_sweep
+from liegroup_sim_ros.version import __version__
 
 from .run import RunError, add_settings, chosen, given_settings, whole_steps
 

@@ -16,7 +16,7 @@ from importlib.metadata import PackageNotFoundError, version
 import numpy as np
 
 from liegroup_core.study.machine import cpu_name
-from liegroup_sim_ros import __version__
+from liegroup_sim_ros.version import __version__
 
 # Packages whose versions may affect the numbers or the file.
 _PACKAGES = ("numpy", "scipy", "numba", "llvmlite", "mcap", "zstandard", "ros-jazzy-rclpy")

@@ -24,8 +24,8 @@ import threading
 import time
 from collections import deque
 
-from liegroup_sim_ros import __version__
 from liegroup_sim_ros.messages import schemas
+from liegroup_sim_ros.version import __version__
 
 from .bag_metadata import FILE_NAME, Bag, as_yaml, record_of_file, topic_info
 from .errors import RecorderError

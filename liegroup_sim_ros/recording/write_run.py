@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of an offline run: arrays for NumPy, or a recording in the format of the node.
+"""Files of an offline run: arrays for NumPy, a table, or a recording in the format of the node.
 
-Both classes have sample(sample), finish(simulation, stopped, failed, wall_seconds), `count` and
+The classes have sample(sample), finish(simulation, stopped, failed, wall_seconds), `count` and
 `last_step`. The `with` block closes the file. `stopped` is the reason why the run ended early,
 or None. Existing files are never overwritten.
 """
 
+import csv
 import json
 from pathlib import Path
 
@@ -90,6 +91,83 @@ class ArrayFile:
             )
         except OSError as error:
             raise OutputError(f"{self._path}: cannot be written: {error.strerror}") from None
+
+
+class TableFile:
+    """Table *.csv with a header row and a row per sample; numbers are exact when read back.
+
+    Columns, with their units in brackets: time; of each body position x y z (m, world),
+    quaternion qx qy qz qw (body to world), angular velocity wx wy wz (rad/s) and velocity vx vy vz
+    (m/s) in body axes; position and velocity of each joint with one degree of freedom (rad and
+    rad/s, or m and m/s); energy (J); largest constraint residual (m or rad).
+    """
+
+    BODY = (
+        *(f"{axis} [m]" for axis in "xyz"),
+        *(f"q{axis}" for axis in "xyzw"),
+        *(f"w{axis} [rad/s]" for axis in "xyz"),
+        *(f"v{axis} [m/s]" for axis in "xyz"),
+    )
+
+    def __init__(self, path, simulation, _every, _samples):
+        self.count, self.last_step = 0, -1
+        self._path = Path(path)
+        try:
+            self._stream = open(self._path, "x", encoding="utf-8", newline="")
+        except FileExistsError:
+            raise OutputError(
+                f"{path}: the file already exists; remove it or choose another name"
+            ) from None
+        except OSError as error:
+            raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
+        layout = simulation.layout
+        self._joints = layout.coordinates.names
+        units = {
+            joint.name: "m" if joint.type == "prismatic" else "rad" for joint in layout.scene.joints
+        }
+        self._rows = csv.writer(self._stream)
+        self._write(
+            "time [s]",
+            *(f"{body}.{name}" for body in layout.body_names for name in self.BODY),
+            *(
+                f"{joint}.{what} [{units[joint]}{per}]"
+                for joint in self._joints
+                for what, per in (("position", ""), ("velocity", "/s"))
+            ),
+            "energy [J]",
+            "constraint_residual [m or rad]",
+        )
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *exception):
+        try:
+            self._stream.close()
+        except OSError as error:
+            raise OutputError(f"{self._path}: cannot be written: {error.strerror}") from None
+
+    def _write(self, *values):
+        try:
+            self._rows.writerow(values)
+        except OSError as error:
+            raise OutputError(f"{self._path}: cannot be written: {error.strerror}") from None
+
+    def sample(self, sample):
+        """Write a row."""
+        bodies = np.hstack([sample.pose[:, 9:], sample.orientation, sample.twist])
+        coordinates = sample.joint_coordinates
+        self._write(
+            sample.time,
+            *bodies.ravel().tolist(),
+            *(float(number) for name in self._joints for number in coordinates[name]),
+            float(sample.energy),
+            float(sample.constraint_residual),
+        )
+        self.count, self.last_step = self.count + 1, sample.steps
+
+    def finish(self, simulation, stopped, failed, wall_seconds):
+        """Nothing is left to write: rows are complete."""
 
 
 class LogFile:

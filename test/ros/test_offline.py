@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`liegroup_sim run` and `describe`: files that say what was run, and refusals in one line."""
 
+import csv
 import json
 import subprocess
 import sys
@@ -15,6 +16,29 @@ from liegroup_sim_ros.analysis.analyse import analyse
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.messages.codecs import LogCodec
 from liegroup_sim_ros.recording.read import read_recording
+
+
+def test_a_table_is_exact(tmp_path, capsys):
+    path = tmp_path / "a.csv"
+    given = ["run", "double_pendulum", "--duration", "0.095", "--step", "1e-3", "--out", str(path)]
+    assert main(given) == 0 and main(given) == 2
+    assert "the file already exists" in capsys.readouterr().err
+    with open(path, encoding="utf-8", newline="") as file:
+        header, *rows = csv.reader(file)
+    assert len(rows) == 11 and len(set(header)) == len(header) == 1 + 2 * 13 + 2 * 2 + 2
+    found = [dict(zip(header, map(float, row))) for row in rows]
+    simulation = Simulation(load_scene("double_pendulum"), "rkmk4", 1e-3)
+    for row in found:
+        simulation.advance(round(row["time [s]"] / 1e-3) - simulation.steps)
+        sample = simulation.sample()
+        assert row["time [s]"] == sample.time and row["energy [J]"] == sample.energy
+        assert row["lower.z [m]"] == sample.positions["lower"][2]
+        assert row["lower.qw"] == sample.quaternions["lower"][3]
+        assert row["upper.wx [rad/s]"] == sample.twists["upper"][0]
+        assert row["upper.vz [m/s]"] == sample.twists["upper"][5]
+        for joint, (position, velocity) in sample.joint_coordinates.items():
+            assert row[f"{joint}.position [rad]"] == position
+            assert row[f"{joint}.velocity [rad/s]"] == velocity
 
 
 def test_arrays_are_those_of_the_simulation(tmp_path, capsys):
@@ -130,7 +154,7 @@ def test_a_run_that_stops_leaves_what_was_computed(tmp_path, capsys, suffix):
         ({"--stabilisation": "x"}, "projection"),
         ({"--rtol": "1e-3"}, "no option 'rtol'"),
         ({"scene": "nope"}, "nope"),
-        ({"--out": "a.txt"}, ".npz or .mcap"),
+        ({"--out": "a.txt"}, ".npz, .csv or .mcap"),
         ({"--out": "none/a.npz"}, "cannot be written"),
     ],
 )
