@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers and names as text for people: tables, verdicts and pages use the same."""
+"""Numbers and names as text, common to tables, verdicts and HTML reports."""
 
 import math
 
-UNSURE = 0.1  # part of an error beyond which its uncertainty is told with it
+UNSURE = 0.1  # share of an error from which on its uncertainty is shown with it
 NO_NUMBER = ("not a number", "infinite")
 GROUPS = {"se3": "SE(3)", "so3xr3": "SO(3) x R^3"}
 
 
 def shown(value, unit=""):
-    """A number for people: three digits; what is no number says so."""
+    """Number with three digits and its unit; NaN and infinity as words, None as "-"."""
     if value is None:
         return "-"
     if not math.isfinite(value):
@@ -23,7 +23,7 @@ def counted(number, noun):
 
 
 def error_text(entry):
-    """Size of an error; where the reference is not sure of as much, what it is sure of."""
+    """Error with its uncertainty if that is large; the uncertainty alone if it is larger."""
     size, uncertainty = entry["max"], entry["uncertainty"]
     if 0.0 < uncertainty >= size:
         return f"{shown(uncertainty, entry['unit'])} (the reference uncertainty)"

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How wrong is a recorded run? Figures and curves of one recording.
+"""Numerical error of a recorded run: figures and curves of one recording.
 
-Everything is computed from the file alone: from the recorded poses and twists, the scene and the
-initial state it carries, and the wrenches that were applied. No ROS is needed. The samples are
-gone through once, piece by piece, so memory does not grow with the length of the run.
+The file is the only input: recorded poses and twists, scene, initial state and applied wrenches.
+No ROS is needed. The samples are read once, in blocks, so memory does not grow with the length of
+the run.
 """
 
 import math
@@ -34,17 +34,17 @@ from .reference import ReferenceError, exact_error
 from .timing import number, timing_figures
 from .verdict import find_problems, verdict
 
-# Simulated time that the independent integration covers if no other is asked for, s.
+# Default of the simulated time that the reference integration covers, s.
 REFERENCE_SECONDS = 60.0
-MOST_PUSHES = 1000  # of which the figures tell the times
+MOST_PUSHES = 1000  # whose times are in the figures
 
 
 @dataclass(frozen=True, eq=False)
 class Analysis:
-    """What was found.
+    """Result of an analysis.
 
-    figures : numbers and texts, JSON types only, but a number may be NaN or infinite
-    curves  : arrays for plots, see report/page.py
+    figures : numbers and texts as JSON types, except that numbers may be NaN or infinite
+    curves  : arrays for plots, see report/plots.py
     """
 
     figures: dict
@@ -57,10 +57,10 @@ class Analysis:
 def analyse(recording, reference=True, tell=lambda text: None, reference_seconds=REFERENCE_SECONDS):
     """Analysis of a Recording.
 
-    reference         : False leaves out the comparison with an independent integration
-    tell              : function that is told what is done now
-    reference_seconds : simulated time that this integration covers; an exact solution, where the
-                        scene has one, takes its place and covers all
+    reference         : whether to compare with a reference solution
+    tell              : function that is called with the progress as text
+    reference_seconds : simulated time in s that a reference integration covers; an exact solution,
+                        if the scene has one, replaces it and covers the whole run
     raises RecordingError, SceneError
     """
     scene = scene_from_text(recording.scene_text, source=f"{recording.path}: scene.yaml")
@@ -87,7 +87,7 @@ def analyse(recording, reference=True, tell=lambda text: None, reference_seconds
 
 
 class _Parts:
-    """All that looks at the samples on their way."""
+    """All figures that are computed from the samples, block by block."""
 
     def __init__(self, scene, recording, layout, motion, reference, seconds):
         self._scene, self._recording, self._layout = scene, recording, layout
@@ -163,7 +163,7 @@ class _Parts:
             figures["local"] = _failed(error)
 
 
-# A method or a joint that is not known here, options of another version, a singular pose.
+# Unknown method or joint type, options of another version, singular configuration.
 _NO_RESULT = (SimulationError, ReplayError, ValueError, TypeError)
 
 
@@ -172,7 +172,7 @@ def _failed(error):
 
 
 class _Guarded:
-    """A part that may find that there is no result; then the reason is the result."""
+    """Part of the analysis that may fail; its result is then the reason."""
 
     def __init__(self, make):
         self._failure = None
@@ -195,7 +195,7 @@ class _Guarded:
 
 
 def _run_figures(recording, motion):
-    """What was run, how it kept to the wall clock, and what is in the file."""
+    """Figures of the configuration, the real-time behaviour and the contents of the file."""
     settings = recording.settings
     last = recording.diagnostics[-1][1] if recording.diagnostics else {}
     intervals = [(stretch, push) for stretch in motion.stretches for push in stretch.pushed]

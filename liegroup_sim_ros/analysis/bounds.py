@@ -5,7 +5,7 @@ import math
 
 
 def find_exceeded(found, max_error=None, max_drift=None):
-    """One text for every bound that a log exceeds, or of which that cannot be told."""
+    """Texts of the bounds that recordings exceed or that cannot be judged."""
     exceeded = []
     for figures in found:
         if "failed" in figures:
@@ -36,7 +36,7 @@ def find_exceeded(found, max_error=None, max_drift=None):
 
 
 def _too_large(error, bound):
-    """None, or that an error is above a bound, or that the reference cannot tell."""
+    """Text if an error exceeds a bound or may exceed it within the uncertainty, else None."""
     unit = error["unit"]
     if not error["max"] <= bound:
         return f"error {error['max']:.3g} {unit} exceeds {bound:g}"
@@ -49,9 +49,9 @@ def _too_large(error, bound):
 
 
 def _relative_drifts(figures):
-    """[(of what, drift in parts of its size)] of all that the scene keeps."""
+    """[(name, relative drift)] of all conserved quantities."""
     if "energy" not in figures:
-        return [("the motion", math.nan)]  # no sample is finite
+        return [("the motion", math.nan)]  # without a finite sample
     drifts = [("the energy", figures["energy"]["relative_drift"])]
     drifts += [
         ("the " + entry["component"], entry["relative_drift"]) for entry in figures["momentum"]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two recordings side by side: how far their motions are apart, and what was different."""
+"""Comparison of two recordings: distance between the motions, and different settings."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -9,7 +9,7 @@ from liegroup_sim_ros.recording.read import RecordingError
 
 from .drift import MOST_POINTS, thinned
 
-# Settings that are compared; where and when a run was made does not matter.
+# Settings that are compared; time and place of a run do not matter.
 SETTINGS = (
     "scene",
     "method",
@@ -30,11 +30,13 @@ def compare(one, other):
 
 
 def differences(one, other):
-    """The difference of two Recordings, at the stamps that both have.
+    """Difference of two Recordings at their common time stamps.
 
-    Bodies are told by their names; those of one recording only are left out. The samples are gone
-    through piece by piece. Raises RecordingError where there is nothing to compare
-    returns figures, ((times, distance in m), (times, angle in rad)) of the body that is farthest
+    Bodies are matched by name; bodies of one recording only are ignored. The samples are read in
+    pieces, so memory does not grow with the length of the run.
+
+    returns figures, ((times, distance in m), (times, angle in rad)) of the most distant body
+    raises RecordingError if there is nothing to compare
     """
     bodies = [body for body in one.bodies if body in other.bodies]
     if not bodies:
@@ -65,7 +67,7 @@ def differences(one, other):
             values = getattr(apart, name).max(axis=1)
             if name in curves:
                 curves[name].append(thinned(stamps * 1e-9, values, every))
-            at = int(values.argmax())  # of a NaN, where it is
+            at = int(values.argmax())  # a NaN counts as the maximum
             if not values[at] <= entry["max"]:
                 entry["max"], entry["at_s"] = float(values[at]), float(stamps[at] * 1e-9)
     if not samples:
@@ -91,7 +93,7 @@ def differences(one, other):
 
 
 class _Track:
-    """Samples of some bodies of a recording, as far as they are not yet compared."""
+    """Samples of some bodies of a recording that are not yet compared."""
 
     def __init__(self, recording, bodies):
         self._pieces = recording.samples()
@@ -100,7 +102,7 @@ class _Track:
         self.values = None
 
     def fill(self):
-        """Take up a piece if nothing is left; False at the end."""
+        """Read a piece if all samples are compared; False at the end of the recording."""
         if not len(self.stamps):
             piece = next(self._pieces, None)
             if piece is None:
@@ -117,7 +119,7 @@ class _Track:
 
 
 def _next(tracks):
-    """(stamps, values of both) of a piece with common samples, or None at the end."""
+    """(stamps, values of both) of the next common samples, or None at the end."""
     while all([track.fill() for track in tracks]):
         upto = min(track.stamps[-1] for track in tracks)
         stamps = np.intersect1d(*(track.stamps[track.stamps <= upto] for track in tracks), True)

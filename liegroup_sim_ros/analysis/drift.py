@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Changes of kept quantities along a run, taken up piece by piece: largest, last, trend, curve."""
+"""Drift of conserved quantities along a run, block by block: largest, final, trend, curve."""
 
 import numpy as np
 
-MOST_POINTS = 20_000  # of a curve; the extremes of each group of neighbours are taken
-MOST_PIECES = 2000  # of a curve, where many wrenches cut it; figures have all
+MOST_POINTS = 20_000  # of a curve; minimum and maximum of each group of neighbours are kept
+MOST_PIECES = 2000  # of a curve, if many wrenches divide it; the figures cover all
 
 
 def extremes(values, every):
-    """Rows of values (k,): the smallest and the largest of each group of 2 `every` neighbours."""
+    """Rows of the minimum and the maximum of values (k,) in each group of 2 `every` neighbours."""
     count = len(values)
     if every <= 1 or count <= 1:
         return np.arange(count)
@@ -20,22 +20,21 @@ def extremes(values, every):
 
 
 def thinned(times, values, every):
-    """Times (k,) and values (k,) without those between the extremes of neighbours."""
+    """Times (k,) and values (k,), reduced to the extremes of groups of neighbours."""
     rows = extremes(values, every)
     return times[rows], values[rows]
 
 
 class Drift:
-    """Change of c quantities since the start of each interval in which they should stand still.
+    """Change of c conserved quantities since the start of each interval without a wrench.
 
     bodies   : a wrench on any of them ends an interval
-    expected : samples that will come
+    expected : number of samples to be added
 
-    worst (c,), final (c,) : largest change, and the last one; intervals of one sample say nothing
-    intervals, seconds     : that were looked at
-    trend (c,)             : slope per s of straight lines through the changes, one for all
-                             intervals, least squares; `explained` (c,) the part of their variance
-                             that it explains, 0 to 1
+    worst (c,), final (c,) : largest and last change; intervals of one sample do not count
+    intervals, seconds     : number and total length of the evaluated intervals
+    trend (c,)             : slope per s of a least-squares line, common to all intervals
+    explained (c,)         : part of the variance that the trend explains, 0 to 1
     curves                 : c lists of (times, change), one per interval
     """
 
@@ -49,7 +48,7 @@ class Drift:
         self._stretch = self._open = None
 
     def add(self, block, values):
-        """Take up the values (k, c) of a Block."""
+        """Add the values (k, c) of a Block."""
         if block.stretch is not self._stretch:
             self.close()
             self._stretch = block.stretch
@@ -73,7 +72,7 @@ class Drift:
         self._open.add(times, values, self._every)
 
     def close(self):
-        """The open interval has ended; also to be called at the end."""
+        """End the current interval. Call it after the last block, too."""
         done, self._open = self._open, None
         if done is None or done.count < 2:
             return
@@ -99,7 +98,7 @@ class Drift:
 
 
 class _Interval:
-    """One interval on its way."""
+    """Sums over one interval that has not ended."""
 
     def __init__(self, time, start):
         self.since = self.last = time

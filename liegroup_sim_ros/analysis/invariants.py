@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a run should keep and how well it did: energy, momentum components, closed joints."""
+"""Conserved quantities of a run: drift of energy and momentum, and constraint residuals."""
 
 import numpy as np
 
@@ -7,16 +7,15 @@ from liegroup_core.model.symmetry import conserved_momentum, momentum_values
 
 from .drift import MOST_POINTS, Drift, thinned
 
-# Kinds of forces with an energy; with damping they take it, too.
+# Types of forces with a potential energy; conservative only without damping.
 KEEPING_ENERGY = ("spring_damper", "torsional_spring_damper", "linear_spring_damper")
 
 
 class Energy:
-    """Energy drift, J: the largest change within intervals in which nothing feeds or takes energy.
+    """Energy drift in J: the largest change within intervals without an applied wrench.
 
-    `figures` has drift_J None where forces of the scene itself feed or take energy. The relative
-    drift is in parts of the largest kinetic energy, which unlike the energy itself does not depend
-    on where heights are counted from.
+    drift_J is None for a scene with non-conservative forces. The relative drift refers to the
+    largest kinetic energy. That does not depend on the zero of the potential energy.
     """
 
     def __init__(self, layout, expected):
@@ -30,8 +29,8 @@ class Energy:
         self._kinetic = 0.0
 
     def add(self, block, energies, kinetic):
-        """Take up the energies (k,) J of a Block."""
-        self._kinetic = float(np.maximum(self._kinetic, kinetic.max()))  # NaN stays
+        """Add the energies (k,) in J of a Block."""
+        self._kinetic = float(np.maximum(self._kinetic, kinetic.max()))  # keeps NaN
         if not self._feeding:
             self._drift.add(block, energies[:, None])
 
@@ -57,7 +56,7 @@ class Energy:
 
 
 class Momentum:
-    """Drift of each kept momentum component over the intervals without a wrench on its bodies."""
+    """Drift of each conserved momentum component in intervals without a wrench on its bodies."""
 
     def __init__(self, scene, expected):
         self._scene = scene
@@ -72,7 +71,7 @@ class Momentum:
         ]
 
     def add(self, block):
-        """Take up a Block."""
+        """Add a Block."""
         for kept, drift, largest, scale in self._kept:
             values = momentum_values(self._scene, kept, block.rotation, block.position, block.twist)
             np.maximum(largest, np.abs(values).max(axis=0), out=largest)
@@ -80,7 +79,7 @@ class Momentum:
             drift.add(block, values)
 
     def _scale(self, kept, block):
-        """Sums of the sizes of the bodies' momenta: what a component that is zero compares with.
+        """Sums of the magnitudes of the bodies' momenta, the scale of all components.
 
         returns (angular N m s, linear N s), upper bounds
         """
@@ -129,7 +128,7 @@ class Momentum:
 
 
 class Joints:
-    """Largest position residual of each joint; one in m and rad is the norm of both."""
+    """Largest position residual of each joint; if in m and rad, the norm of both parts."""
 
     def __init__(self, layout, expected):
         self._names = [joint.name for joint in layout.scene.joints]
@@ -146,7 +145,7 @@ class Joints:
         self._samples, self._curves = 0, {}
 
     def add(self, block, residual):
-        """Take up the residuals (k, joints) of a Block."""
+        """Add the residuals (k, joints) of a Block."""
         if not self._names:
             return
         times = block.log_times
@@ -162,7 +161,7 @@ class Joints:
         )
 
     def figures(self):
-        """({joint: figures}, samples looked at, [(times, residual of the worst joint)])."""
+        """({joint: figures}, number of samples, [(times, largest residual of all joints)])."""
         figures = {
             name: {
                 "largest": float(self._largest[j]),
@@ -179,6 +178,6 @@ class Joints:
 
 
 def _pushed_text(motion, bodies):
-    """What of the run does not count because of wrenches, or None."""
+    """Time that is excluded because of applied wrenches, in words; None if there is none."""
     seconds = sum(stretch.seconds - stretch.free_seconds(bodies) for stretch in motion.stretches)
     return f"{seconds:.4g} s with an applied wrench" if seconds > 1e-12 else None

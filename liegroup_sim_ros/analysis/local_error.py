@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Error of a single step by step halving, and the order that the run really has.
+"""Error of a single step by step halving, and the observed order of convergence.
 
-From states of the recording, one step h is compared with two steps h/2: of a method of order p the
-difference is the error of the step but for its 2^-p th part. Over LENGTH steps, the differences
-between runs at 4 h, 2 h, h, h/2 and h/4 fall by 2^p each, as far as rounding lets them.
+From states of the recording, one step h is compared with two steps h/2. For a method of order p,
+the difference is 1 - 2^-p times the error of the step. Over LENGTH steps, the differences between
+runs at 4 h, 2 h, h, h/2 and h/4 decrease by 2^p each, down to round-off.
 Source: Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, II.4.
 """
 
@@ -65,7 +65,7 @@ def local_error(scene, recording, motion, layout):
 
 
 def _windows(motion):
-    """(stretch, row of a kept sample), evenly from all of them."""
+    """Yield (stretch, row of a kept sample), evenly distributed over all of them."""
     counts = [len(stretch.steps) for stretch in motion.stretches]
     starts = np.concatenate([[0], np.cumsum(counts)])
     for k in np.unique(np.linspace(0, starts[-1] - 1, WINDOWS).astype(int)).tolist():
@@ -74,9 +74,9 @@ def _windows(motion):
 
 
 def _advance(simulation, stretch, row, length):
-    """State (pose, twist) after `length` recorded steps from a sample, its wrenches held.
+    """State (pose, twist) after `length` recorded steps from a sample, with constant wrenches.
 
-    For wrenches of the scene the time is that of the nearest step before that all rungs have.
+    The time of the scene's own wrenches is rounded to a multiple of the step.
     """
     rung = simulation.step / stretch.step
     n = len(stretch.bodies)
@@ -97,11 +97,11 @@ def _advance(simulation, stretch, row, length):
 
 
 def _apart(one, other):
-    """Largest distance of positions, m, and of attitudes, rad, of two states."""
+    """Largest distance in position (m) and attitude (rad) between two states."""
     turn = np.einsum(
         "nji,njk->nik", one[0][:, :9].reshape(-1, 3, 3), other[0][:, :9].reshape(-1, 3, 3)
     )
-    # The sine of a small angle, without the loss of digits of its cosine.
+    # The sine of a small angle has no cancellation, its cosine has.
     sine = 0.5 * np.stack(
         [
             turn[:, 2, 1] - turn[:, 1, 2],
@@ -116,7 +116,7 @@ def _apart(one, other):
 
 
 def _order(simulations, stretch, row, size):
-    """The order that shows at a sample, from the finest steps that rounding allows; or None."""
+    """Observed order at a sample, from the finest steps above round-off; None if there are none."""
     states = []
     for rung in RUNGS:
         try:

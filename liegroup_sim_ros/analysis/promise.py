@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a run kept the accuracy that its setting was chosen for (liegroup_core.study.trade.accuracy).
+"""Check of the guaranteed accuracy of a run (liegroup_core.study.trade.accuracy).
 
-The promise is over the first `horizon` seconds from the start of the scene, until a wrench comes
-from outside; what lies beyond is told, and not held against it.
+The guarantee covers the first `horizon` seconds from the initial state, and ends with the first
+applied wrench. Later errors are reported, but do not violate it.
 """
 
 import math
@@ -11,12 +11,12 @@ import numpy as np
 
 from liegroup_core.study.trade.reference_solution import scaled
 
-# Of a horizon: times are step counts times the step, rounded.
+# Relative tolerance of a horizon: times are products of step count and step, with round-off.
 ROUNDING = 1e-9
 
 
 class Promise:
-    """Takes up errors on their way, and says what became of a promise (None: none was made)."""
+    """Accumulates errors and checks a guaranteed accuracy; promise None: nothing is guaranteed."""
 
     def __init__(self, promise):
         self._promise = promise
@@ -24,7 +24,7 @@ class Promise:
         self._seconds, self._beyond = None, False
 
     def add(self, stretch, times, error, uncertainty):
-        """Take up two Distances at k times, s since the start of a stretch."""
+        """Add error and uncertainty, two Distances at k times in s since the start of a stretch."""
         if self._promise is None:
             return
         length = self._promise["length"]
@@ -43,7 +43,7 @@ class Promise:
             self._seconds = max(self._seconds or 0.0, float(np.asarray(times)[inside].max()))
 
     def figures(self):
-        """What became of it, see config/analysis.schema.json; or None."""
+        """Result of the check, see config/analysis.schema.json; None if nothing is guaranteed."""
         if self._promise is None:
             return None
         accuracy = float(self._promise["accuracy"])
@@ -67,7 +67,7 @@ class Promise:
 
 
 def told(found):
-    """What became of a promise, in words; found : figures of one."""
+    """Result of the check in words; found : as returned by Promise.figures."""
     accuracy = f"the guaranteed accuracy of {found['accuracy']:g}"
     if found["seconds"] is None:
         return (

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Global error of a recorded run: its distance to the exact solution, or to a tight integration.
+"""Global error of a recorded run: distance to the exact solution or a reference integration.
 
-Neither knows anything of the engine (liegroup_core.reference); both start at the recorded initial
-state, as every stretch did.
+Both are independent of the engine (liegroup_core.reference) and start at the recorded initial
+state of each stretch.
 """
 
 import numpy as np
@@ -20,13 +20,13 @@ QUANTITIES = (
     ("angular", "rad/s"),
     ("linear", "m/s"),
 )
-EXACT_SAMPLES = 200  # each takes some 10 ms
+EXACT_SAMPLES = 200  # each takes about 10 ms
 
 
 class Errors:
-    """Largest and last errors, and curves of them, of pieces of trajectories.
+    """Largest and final errors of trajectories, and their curves.
 
-    promise : report.promise.Promise that takes them up, too, or None
+    promise : analysis.promise.Promise that checks the same errors, or None
     """
 
     def __init__(self, expected, promise=None):
@@ -37,7 +37,7 @@ class Errors:
         self._curves, self.seconds = {}, 0.0
 
     def add(self, stretch, times, log_times, error, uncertainty):
-        """Take up two Distances at k times of a Stretch."""
+        """Add error and uncertainty, two Distances at k times of a Stretch."""
         if self._promise is not None:
             self._promise.add(stretch, times, error, uncertainty)
         for name, _ in QUANTITIES:
@@ -77,10 +77,12 @@ class Errors:
 
 
 class ReferenceError:
-    """Distance to an independent tight integration, whose uncertainty is its distance to a looser.
+    """Distance to a reference integration, with its uncertainty.
 
-    seconds : of simulated time to look at, of all stretches together
-    promise : as of Errors
+    The uncertainty is the distance between reference integrations with two tolerances.
+
+    seconds : simulated time to cover, summed over all stretches
+    promise : see Errors
     """
 
     def __init__(self, layout, recording, expected, seconds=np.inf, promise=None):
@@ -90,7 +92,7 @@ class ReferenceError:
         self._stretch = None
 
     def add(self, block):
-        """Take up a Block."""
+        """Add a Block."""
         stretch = block.stretch
         if stretch is not self._stretch:
             self._stretch, self._start = stretch, stretch.start * stretch.step
@@ -101,7 +103,7 @@ class ReferenceError:
         if k == 0:
             return
         if self._reference is None:
-            # Changes beyond the end would only take memory.
+            # Later changes are not needed.
             when = stretch.change_steps * stretch.step
             upto = int(np.searchsorted(when, self._end, "right"))
             changes = [
@@ -131,7 +133,7 @@ class ReferenceError:
 
 
 def exact_error(exact, motion, promise=None):
-    """(figures, curves) against an exact solution, see liegroup_core.reference.exact; of all."""
+    """(figures, curves) of the error against an exact solution (liegroup_core.reference.exact)."""
     errors = Errors(EXACT_SAMPLES, promise)
     for stretch in motion.stretches:
         k = len(stretch.steps)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The verdict on a run: one sentence, and the problems of the run or of its recording."""
+"""Verdict on a run in one sentence, and the problems of the run and of its recording."""
 
 import math
 
@@ -13,7 +13,7 @@ from .timing import requested_text
 
 
 def find_problems(figures):
-    """What is wrong with the run or its recording, one sentence each; empty if nothing is."""
+    """Problems of the run and of its recording, one sentence each."""
     problems = []
     if figures["file_problem"]:
         problems.append(
@@ -58,7 +58,7 @@ def find_problems(figures):
 
 
 def _open_joints(figures):
-    """Joints so far open that the motion is not the scene's any more: the worst one."""
+    """Constraint violation that makes the motion invalid, of the worst joint."""
     if not figures.get("joints"):
         return []
     name, worst = max(figures["joints"].items(), key=lambda item: item[1]["largest"])
@@ -109,7 +109,7 @@ def _numbers(figures, name=""):
 
 
 def verdict(figures):
-    """One sentence on how wrong the run is; what is wrong beyond that follows as problems."""
+    """Numerical error of the run in one sentence."""
     head = (
         f"{figures['scene']}, {shown(figures['sim_seconds'], 's')} with {figures['method']} "
         f"at {shown(figures['step'] * 1e3, 'ms')}"

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The figures and tables of Mueller and Terze's chapter, computed again."""
+"""Figures and tables of Mueller and Terze's chapter, recomputed."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The runs behind Figs. 6.2, 6.4 and 6.5 of the chapter: how far joints open, on both groups.
+"""Runs for Figs. 6.2, 6.4 and 6.5 of the chapter: constraint violation on both groups.
 
-Errors are taken from poses and joint frames directly, not from the engine's residuals.
+Errors are computed from poses and joint frames directly, not from the engine's residuals.
 Source: Müller and Terze, sections 6.2.6.1 and 6.2.6.2.
 """
 
@@ -17,15 +17,15 @@ from liegroup_core.scene.description import Body, Frame, Joint
 
 STEPS = (1e-2, 1e-3, 1e-4)  # s
 TOP_HORIZON, BAR_HORIZON = 6.0, 1.0  # s
-# With a step of 1e-2 s the four-bar's energy is off by a fifth soon after.
+# Horizon at step 1e-2 s: soon after, the energy error of the four-bar is 20 %.
 SHORT_HORIZON = 0.15  # s
-SAMPLES = 1000  # of a run, at most
+SAMPLES = 1000  # per run, at most
 CRANK_RATE = 10.0 * math.pi  # rad/s
 
 
 @dataclass(frozen=True, eq=False)
 class JointErrors:
-    """A run of k samples of a scene with m joints."""
+    """Joint errors of a run with k samples of a scene with m joints."""
 
     group: str
     step: float  # s
@@ -39,7 +39,7 @@ class JointErrors:
 
 
 def joint_errors(scene, step, group, horizon, samples=SAMPLES):
-    """Integrate a scene by rkmk4, nothing stabilised; returns JointErrors."""
+    """Integrate a scene by rkmk4 without stabilisation; returns JointErrors."""
     simulation = Simulation(scene, method="rkmk4", step=step, group=group)
     steps = round(horizon / step)
     every = max(1, steps // samples)
@@ -101,9 +101,9 @@ def _runs(name, scene, horizon, say):
 def four_bar(ball="coupler_rocker"):
     """Planar four-bar of crank 0.5 m, coupler, rocker and ground 1 m; no gravity.
 
-    ball : name of the joint that is spherical; the others are hinges about z
+    ball : name of the spherical joint; the others are revolute about z
     Uniform bars of 0.5, 1 and 1 kg with a square section of 50 mm, x along the bar. The crank
-    stands at 90 degrees and turns at 10 pi rad/s, the rocker leans away from it.
+    starts at 90 degrees and rotates at 10 pi rad/s; the rocker points away from it.
     """
     pin, tip = np.array([1.0, 0.0]), np.array([0.0, 0.5])
     # Coupler and rocker are sides of 1 m over the line from the crank's tip to the ground pin.
@@ -163,5 +163,5 @@ def _bar(name, mass, start, end, rate, start_velocity):
 
 
 def _turned(vector):
-    """A vector of the plane, turned by 90 degrees."""
+    """Vector of the plane, rotated by 90 degrees."""
     return np.array([-vector[1], vector[0]])

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Figs. 6.6 to 6.9 of the chapter: errors of the rotation methods against their step.
 
-    6.6, 6.8  |Y - Y0| of the free body at 16 s, which all steps divide (at 1 s, as printed, steps
-              of 8, 4 and 2 s have no end)
+    6.6, 6.8  |Y - Y0| of the free body at 16 s, which all steps divide (1 s, as printed, is
+              no multiple of steps of 8, 4 and 2 s)
     6.7       ||R - Rref||_2 of the Lagrangian top at 1 s
     6.9       ||R - Rref||_2 of the free body at 10 s
-and the largest deviations of the integrals of the top over 10 s.
-The end states come from elliptic functions (liegroup_core.reference.elliptic), not from a run with
-a small step, whose own error would be seen at the smallest ones. No ROS.
+and the largest deviations of the integrals of motion of the top over 10 s.
+The exact end states come from elliptic functions (liegroup_core.reference.elliptic). The error of
+a run with a small step would show at the smallest steps. Needs no ROS.
 """
 
 from dataclasses import dataclass, field
@@ -30,7 +30,7 @@ from .rotation_tables import (
     TOP_RATES,
 )
 
-# Of each method its name in the pictures, its colour and its marker.
+# {method: (name in the figures, colour, marker)}
 STYLES = {
     "stoermer_verlet": ("Störmer-Verlet (6.42)", "#b3432b", "o"),
     "lie_newmark": ("Lie-Newmark", "#2c6e9b", "s"),
@@ -49,7 +49,7 @@ STYLES = {
 
 @dataclass(frozen=True)
 class Panel:
-    """One figure: what is measured, by which methods and steps, and the numbers of others."""
+    """One figure: error measure, methods, steps, and results of independent implementations."""
 
     number: str  # of the figure
     title: str
@@ -139,19 +139,19 @@ PANELS = (
         FREE_CONSTANTS,
     ),
 )
-# Errors below are not those of a method but of rounding, over 65536 steps.
+# Smaller errors are round-off over 65536 steps.
 ROUNDING = 1e-11
 
 
 def count_runs():
-    """How many runs `make_rotation_figures` makes."""
+    """Return the number of runs that make_rotation_figures takes."""
     return sum(len(panel.methods) * len(panel.steps) for panel in PANELS) + len(TOP_INTEGRALS)
 
 
 def make_rotation_figures(out, say=lambda text: None):
-    """Make the pictures in a folder; returns (their paths, a table for each and of the integrals).
+    """Draw Figs. 6.6 to 6.9 in a folder; returns (paths, tables of the errors and integrals).
 
-    say : is called with the name of each run before it is made
+    say : function that is called with the name of each run before it starts
     """
     paths, tables = [], []
     for panel in PANELS:
@@ -171,7 +171,7 @@ def end_attitude(scene, time):
         return to_floats(
             free_body(body.inertia_matrix, body.rotation, body.angular_velocity, time)[0]
         )
-    arm = np.array(body.position)  # the ball joint is at the origin
+    arm = np.array(body.position)  # the spherical joint is at the origin
     across = body.inertia_matrix[0, 0] + body.mass * (arm @ arm)
     return to_floats(
         heavy_top(
@@ -188,7 +188,7 @@ def end_attitude(scene, time):
 
 
 def errors(panel, say=lambda text: None):
-    """{method: errors at the steps of a panel}, None where the method has no solution."""
+    """{method: errors at the steps of a panel}, None if the method has no solution."""
     reference = end_attitude(panel.scene, panel.time) if panel.quantity == "attitude" else None
     found = {}
     for method in panel.methods:
@@ -200,9 +200,9 @@ def errors(panel, say=lambda text: None):
 
 
 def order_and_constant(steps, found, order):
-    """(order, C) from the last two errors above rounding; C = error / h^order, `order` as stated.
+    """(order, C) from the last two errors above round-off; C = error / h^order, `order` as stated.
 
-    NaN where there are not two.
+    NaN if there are fewer than two.
     """
     good = [(step, error) for step, error in zip(steps, found) if error and error > ROUNDING]
     if len(good) < 2:
@@ -215,7 +215,7 @@ def top_integrals(method, step):
     """Largest deviations over 10 s of energy, J, vertical momentum, N m s, and spin, rad/s."""
     simulation = Simulation(load_scene("lagrangian_top"), method=method, step=step)
     start, found = simulation.sample(), []
-    # Seen at every tenth step, nutation hides a little of its peaks.
+    # Every tenth step: slightly underestimates the peaks of the nutation.
     for _ in range(round(10 / step) // 10):
         simulation.advance(10)
         sample = simulation.sample()
@@ -230,7 +230,7 @@ def top_integrals(method, step):
 
 
 def _integrals_table(say):
-    """Integrals of the top for the methods and steps that independent numbers are known of."""
+    """Integrals of the top for the methods and steps with known independent results."""
     table = _new_table("Lagrangian top, 10 s: largest deviation from the start")
     for column in ("method", "step", "", "energy, J", "vertical momentum, N m s", "spin, rad/s"):
         table.add_column(column, min_width=9)
@@ -265,7 +265,7 @@ def _error(panel, method, step, reference):
 def make_table(panel, found):
     """Errors of all methods per step and, below each, those of independent implementations.
 
-    For attitudes the order and the error's constant follow.
+    For attitudes, with order and error constant.
     """
     table = _new_table(f"Fig. {panel.number}, {panel.title}, {panel.unit}")
     for column in ("step", "", *(STYLES[method][0] for method in panel.methods)):
@@ -319,14 +319,14 @@ def _text(error):
 
 
 def _draw(path, panel, found):
-    """Errors against steps, both logarithmic."""
+    """Draw errors over steps with logarithmic axes."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(6.4, 4.8), layout="constrained", dpi=120)
     axis = figure.subplots()
     for method in panel.methods:
         label, colour, marker = STYLES[method]
-        # The line is broken where there is no solution; an exact zero is not drawn.
+        # Gaps in the line: no solution. Exact zeros are not drawn.
         axis.loglog(
             panel.steps,
             [error or np.nan for error in found[method]],

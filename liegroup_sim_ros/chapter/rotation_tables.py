@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What independent implementations of the rotation methods give on the chapter's two problems.
+"""Results of independent implementations of the rotation methods for the chapter's two problems.
 
-In double; the end states by Taylor series in 45 digits. None: the method has no solution there.
+Double precision; exact end states by Taylor series with 45 digits. None: no solution at this step.
 The names are those of METHODS.
 """
 import numpy as np
@@ -50,7 +50,8 @@ TOP_ATTITUDE = {
                      2.2702e-4, 5.6755e-5, 1.4189e-5, 3.5472e-6),
     "simo_wong": (1.959, 9.147e-1, 2.630e-1, 6.732e-2, 1.6913e-2, 4.2332e-3, 1.0586e-3, 2.6467e-4,
                   6.6169e-5, 1.6542e-5, 4.1356e-6),
-    # With y_m = (y + y+)/2 where the method here has y_m of the first half kick: see docs/explanation/figures.md.
+    # With y_m = (y + y+)/2; the method here takes y_m from the first half kick
+    # (docs/explanation/figures.md).
     "austin_krishnaprasad_wang": (1.985, 1.813, 1.753, 1.033, 2.7347e-1, 6.8746e-2, 1.7201e-2,
                                   4.3009e-3, 1.0753e-3, 2.6882e-4, 6.7205e-5),
 }
@@ -77,7 +78,7 @@ FREE_ATTITUDE = {
     "lie_midpoint": (2.6858e-1, 6.7839e-2, 1.6944e-2, 4.2340e-3, 2.6458e-4, 1.6536e-5, 1.0335e-6),
 }
 
-# Order from the last two errors above rounding, and C = error / h^order at the last of them.
+# Order from the last two errors above round-off, and C = error / h^order at the last of them.
 TOP_CONSTANTS = {
     "stoermer_verlet": (2.01, 1.808e4), "lie_newmark": (2.00, 1.355e5), "rattle": (2.00, 5.636e5),
     "rkmk4": (4.00, 2.845e8), "lie_midpoint": (2.00, 1.524e4), "simo_wong": (2.00, 1.776e4),

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`liegroup_sim extremes`: where each method stops, as a table, a heat map and JSON. No ROS.
+"""`liegroup_sim extremes`: robustness map of the methods as table, heat map and JSON. No ROS.
 
-Exit code 0 when no answer is silently wrong, 1 when one is, 2 for wrong input, 130 after Ctrl-C.
+Exit code 0 without undetected errors, 1 with one, 2 for wrong input, 130 after Ctrl-C.
 """
 
 import math
@@ -19,11 +19,11 @@ from liegroup_sim_ros.report.extremes_tables import document, print_axis, print_
 from liegroup_sim_ros.report.files import check_files, write_file, write_text
 
 EXIT_SILENT, EXIT_INTERRUPTED = 1, 130
-SHORTEST = 1e-3  # s, a step of the runs at other velocities
+SHORTEST = 1e-3  # s, the step of runs with scaled velocities
 
 
 class ExtremesError(LieGroupSimError):
-    """The map cannot be made; one line of text, exit code 2."""
+    """Wrong arguments; one line of text, exit code 2."""
 
 
 def add_arguments(parser):
@@ -114,7 +114,7 @@ def run(args):
 
 
 def _wanted(args):
-    """The axes asked for, checked, and what is kept of them."""
+    """(axes, cache of results) for checked arguments."""
     unknown = [name for name in args.methods if name not in METHODS]
     if unknown:
         raise ExtremesError(f"unknown method {unknown[0]!r}; choose one of: {', '.join(METHODS)}")

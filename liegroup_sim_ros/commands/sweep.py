@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`liegroup_sim sweep`: many runs of a scene with drawn parameters, into Parquet. No ROS.
+"""`liegroup_sim sweep`: runs of a scene with sampled parameters, written to Parquet. No ROS.
 
-Every finished piece of the work is kept at once, so that a sweep that was ended goes on where it
-was.
+Finished runs are saved as they come, so an interrupted sweep continues.
 """
 
 import sys
@@ -24,7 +23,7 @@ from liegroup_sim_ros.version import __version__
 from .run import RunError, add_settings, chosen, given_settings, whole_steps
 
 EXIT_ALL_FAILED, EXIT_INTERRUPTED = 1, 130
-# Of what check_consistency says of a start that joints do not allow.
+# Parts of errors about an initial state that violates the joints.
 CLOSING = "velocities violate the joint", "does not close at the initial poses"
 
 
@@ -144,7 +143,7 @@ def run(args):
 
 
 def _asked_for(scene, args):
-    """(Sweep, its description for the file)."""
+    """(Sweep, its description for the file), from the arguments."""
     settings, accuracy = given_settings(args), None
     if args.accuracy is not None:
         accuracy = {"accuracy": args.accuracy, "horizon": args.horizon}
@@ -166,7 +165,7 @@ def _asked_for(scene, args):
         )
     except ParameterError:
         raise
-    except ValueError as error:  # SceneError, too, is one
+    except ValueError as error:  # includes SceneError
         raise RunError(str(error)) from None
     found = versions()
     return sweep, describe(sweep) | {
@@ -177,9 +176,9 @@ def _asked_for(scene, args):
 
 
 def _begun(path, accuracy):
-    """Settings of a sweep that was begun for the same accuracy, or None.
+    """Configuration of a started sweep with the same accuracy, or None.
 
-    What is cheapest may have been measured anew in between; the runs of a sweep are alike.
+    All runs of a sweep have the same configuration, even if another one is now measured as cheaper.
     """
     try:
         description = SweepFile(path).description
@@ -189,7 +188,7 @@ def _begun(path, accuracy):
 
 
 def _make(sweep, file, args, console):
-    """Make the missing runs; returns whether that was interrupted."""
+    """Run the missing samples; returns whether that was interrupted."""
     missing = file.missing
     if not len(missing):
         return False

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`liegroup_sim trade`: what accuracy costs, measured for a scene on this machine. No ROS.
+"""`liegroup_sim trade`: accuracy against cost of a scene, measured on this machine. No ROS.
 
-Every measured cell is kept at once, so that a run that was ended goes on where it was.
+Measurements are cached as they come, so an interrupted run continues.
 """
 
 import json
@@ -22,7 +22,7 @@ FORMAT = 1  # of the JSON document, config/trade.schema.json
 
 
 class TradeError(LieGroupSimError):
-    """The trade cannot be measured or written; one line of text, exit code 2."""
+    """The trade-off cannot be measured; one line of text, exit code 2."""
 
 
 def add_arguments(parser):
@@ -110,7 +110,7 @@ def run(args):
 
 
 def measured(scene, args):
-    """Trade of a scene, measured as the arguments say, with a progress bar."""
+    """Measure the Trade of a scene with a progress bar; args : parsed arguments."""
     console = Console(stderr=True)
     try:
         with console.status("") as status:
@@ -144,17 +144,17 @@ def measured(scene, args):
         return trade
     except SimulationError as error:
         raise TradeError(f"{scene.name}: {error}") from None
-    except ValueError as error:  # SceneError, too, is one
+    except ValueError as error:  # includes SceneError
         raise TradeError(str(error)) from None
 
 
 def document(parts):
-    """The JSON text; its schema is config/trade.schema.json."""
+    """JSON text of several scenes; its schema is config/trade.schema.json."""
     return json.dumps({"format": FORMAT, "scenes": parts}, indent=1, allow_nan=False) + "\n"
 
 
 def _check(args):
-    """Raise TradeError, before the work, for what is wrong."""
+    """Raise TradeError or ReportError for wrong arguments, before the work."""
     for given, known, what in (
         (args.methods, METHODS, "method"),
         (args.groups, GROUPS, "group"),

@@ -1,2 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `liegroup_sim analyze` finds out of a recording, and how it is shown. Needs no ROS."""
+"""HTML reports, plots, images and tables of analyses and studies. Needs no ROS.
+
+In: figures and curves of analysis/ and liegroup_core.study. Out: text for a terminal, HTML, images.
+Computes no figure of its own.
+"""

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The map of extremes in words: numbers, silent answers, and a table of signs for each axis."""
+"""Robustness map as Markdown: counts, undetected errors, and a table of signs for each axis."""
 
 import statistics
 
 from liegroup_core.study.extremes.extremes import VERDICTS, counts, silent
 
 SIGNS = dict(zip(VERDICTS, ".fxs?!"))
-# Texts of the watch over the step, monitor/step_watch.py.
+# Warnings of the step check, monitor/step_watch.py.
 WATCH = ("errors may have added up", "no likeness to two")
 
 
@@ -17,7 +17,7 @@ def write_page(axes, cells, methods, path):
 
 
 def shown(value):
-    """A value of an axis, told from its neighbours: 1.000001 is not 1."""
+    """Value of an axis with enough digits to distinguish it from others: 1.000001 is not 1."""
     short = f"{value:g}"
     return short if float(short) == value else f"{value:.7g}"
 

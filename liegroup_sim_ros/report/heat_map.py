@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The map of extremes as a picture: a panel for each axis, a row for each method."""
+"""Robustness map as an image: a panel for each axis, a row for each method."""
 
 import math
 
@@ -12,7 +12,7 @@ from liegroup_core.study.extremes.extremes import VERDICTS
 from .extremes_page import shown
 
 COLOURS = ("#8fcf9b", "#f2c14e", "#9db8d9", "#4f81bd", "#d9d9d9", "#d11f1f")
-ACROSS = 4  # panels in a row
+ACROSS = 4  # panels per row
 
 
 def write_heat_map(axes, cells, methods, path):

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One self-contained page of analyses: verdict, plots, motion, tables, scene. Needs no network.
+"""Self-contained HTML report of analyses: verdict, plots, motion, tables, scene. Needs no network.
 
-Names come from files that anybody may have made. They are escaped wherever they stand, and the
-page itself forbids every script but its own, and every request (Content-Security-Policy).
+Names come from files of unknown origin, so all of them are escaped. The Content-Security-Policy of
+the page forbids foreign scripts and all requests.
 """
 
 import base64
@@ -18,7 +18,7 @@ from .plots import difference_plot, make_plots
 from .summary import OVERVIEW, comparison_rows, headline, overview, sections, short_names
 from .view import make_view, speeds
 
-MOST_PARTS = 20  # logs with plots on one page; of the others it has the tables
+MOST_PARTS = 20  # recordings with plots on one page; the others have tables only
 MOST_LISTED = 20  # problems of several logs at the top
 LONGEST = 200_000  # characters of a text
 NUMBER = re.compile(
@@ -28,7 +28,7 @@ NUMBER = re.compile(
 
 
 def page_part(analysis, plots=True):
-    """What the page has of one Analysis, JSON types only but for numbers that are none."""
+    """Content of the page for one Analysis: JSON types, except NaN and infinity."""
     recording = analysis.recording
     return {
         "figures": analysis.figures,
@@ -45,12 +45,12 @@ def page_part(analysis, plots=True):
 
 
 def make_page(parts, comparison=None, exceeded=(), bounds=()):
-    """Text of the page (HTML, about 5 MB: it carries plotly.js).
+    """HTML of the page (about 5 MB, including plotly.js).
 
-    parts      : of each log what page_part returned, or {"figures": {"log", "failed"}}
+    parts      : one result of page_part per recording, or {"figures": {"log", "failed"}}
     comparison : (figures, curve), see comparison.differences
-    exceeded   : a text for every bound that is exceeded
-    bounds     : a text for every bound that was given
+    exceeded   : texts of the bounds that are exceeded
+    bounds     : texts of the bounds that were given
     """
     data = [
         {"plots": [plot for *_, plot in part.get("plots", ())], "view": part.get("view")}
@@ -76,10 +76,10 @@ def make_page(parts, comparison=None, exceeded=(), bounds=()):
 
 
 def frame(title, body, data):
-    """Text of a page of our looks, without network.
+    """HTML of a page with the common style.
 
-    body : HTML; what is drawn stands in elements with data-part="k", see page.js
-    data : of each part {"plots": as plotly.js has them, "view": of view.py or None}
+    body : HTML; plots are drawn into elements with data-part="k", see page.js
+    data : for each part {"plots": for plotly.js, "view": from view.py or None}
     """
     resources = files(__package__)
     style, code = (
@@ -113,7 +113,7 @@ style-src 'unsafe-inline'; script-src {allowed}">
 
 
 def _one(part, number, exceeded=(), bounds=()):
-    """The page of one log."""
+    """Page of one recording."""
     figures = part["figures"]
     problems = [*exceeded, *figures["problems"]]
     return (
@@ -129,7 +129,7 @@ def _one(part, number, exceeded=(), bounds=()):
 
 
 def _several(parts, exceeded, bounds):
-    """Overview of several logs, and of each what the page of one has, to be opened."""
+    """Overview of several recordings, with a section for each that can be expanded."""
     found = [part["figures"] for part in parts]
     names = short_names(found)
     wrong = [figures.get("problems", [figures.get("failed")]) for figures in found]
@@ -173,7 +173,7 @@ def _several(parts, exceeded, bounds):
 
 
 def _listed(found, names, wrong, exceeded):
-    """What is wrong with several logs, the first of it."""
+    """First problems of several recordings."""
     listed = [
         *exceeded,
         *(
@@ -195,7 +195,7 @@ def _drawn(part):
 
 
 def _told(part):
-    """Tables, scene and settings of a log."""
+    """Tables, scene and configuration of a recording."""
     figures, settings = part["figures"], part["settings"]
     rows = "".join(
         f"<tr><td>{escape(key)}</td><td>{escape(_text(value))}</td></tr>"
@@ -220,7 +220,7 @@ def _text(value):
 
 
 def plot_card(title, remark):
-    """HTML of the place where page.js draws the next plot of a part."""
+    """HTML of the element into which page.js draws a plot of a part."""
     return (
         f'<section class="card"><h3>{escape(title)}</h3><p class="remark">{escape(remark)}</p>'
         '<div class="plot plane"></div></section>'
@@ -301,9 +301,9 @@ def _shortened(text):
 
 
 def unbroken(text):
-    """Escaped, and no line ends within a number or before its unit."""
+    """Escaped text without line breaks within a number or before its unit."""
     parts, at = [], 0
-    for number in NUMBER.finditer(text):  # before it is escaped: entities hold digits, too
+    for number in NUMBER.finditer(text):  # before escaping: entities contain digits
         parts += [escape(text[at : number.start()]), f'<span class="n">{number[0]}</span>']
         at = number.end()
     return "".join(parts) + escape(text[at:])
@@ -318,5 +318,5 @@ def _digest(script):
 
 
 def _json(data):
-    """JSON that cannot end the script element it stands in."""
+    """JSON that cannot end its script element."""
     return json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The plots of an analysis as a picture for papers, drawn by matplotlib."""
+"""Plots of an analysis as an image for papers, drawn by matplotlib."""
 
 import math
 import textwrap
@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from .plots import centre_paths, difference_plot, make_plots
 
 KINDS = (".png", ".pdf", ".svg")
-WIDTH, ROW = 7.0, 2.4  # inch: the text of a page, a row of two plots
-LINE, SHORT = 34, 12  # characters; a single curve with a shorter name needs no legend
+WIDTH, ROW = 7.0, 2.4  # inch: text width of a page, height of a row of two plots
+LINE, SHORT = 34, 12  # characters; a single curve with a longer name needs a legend
 COLOURS = {
     "--blue": "#2a6fd6",
     "--orange": "#cf6a12",
@@ -26,7 +26,7 @@ def write_picture(analysis, path, comparison=None):
     """Write the plots of an Analysis to a file: *.png with 300 dpi, *.pdf or *.svg.
 
     comparison : (figures, curve), see comparison.differences
-    raises OSError, ValueError where there is nothing to draw
+    raises OSError; ValueError if there is nothing to draw
     """
     plots = make_plots(analysis)
     if comparison:
@@ -39,7 +39,7 @@ def write_picture(analysis, path, comparison=None):
     _paths(figure.add_subplot(rows, 2, 1, projection="3d"), analysis)
     for k, (title, _, plot) in enumerate(plots, 2):
         _plane(figure.add_subplot(rows, 2, k), title, plot)
-    # A name is no formula.
+    # A name with $ is not a formula.
     with_names = [text for axes in figure.axes for text in axes.findobj(_is_text)]
     for text in with_names:
         text.set_parse_math(False)
@@ -86,7 +86,7 @@ def _paths(axes, analysis):
     for (body, path), colour in zip(paths.items(), list(COLOURS.values())[:4] * len(paths)):
         axes.plot(*path.T, lw=0.9, color=colour, label=_label(body))
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_box_aspect(None, zoom=0.9)  # its labels are not counted in the layout
+    axes.set_box_aspect(None, zoom=0.9)  # the layout ignores its labels
     for name in "xyz":
         getattr(axes, f"set_{name}label")(f"{name} / m", fontsize=7, labelpad=-2)
         getattr(axes, f"{name}axis").set_tick_params(pad=-1)
@@ -97,6 +97,6 @@ def _paths(axes, analysis):
 
 
 def _label(name):
-    """A name in lines, as matplotlib shows it also if it begins with an underscore."""
+    """Name in lines; a leading underscore would hide it in legends of matplotlib."""
     name = textwrap.fill(unescape(name), LINE)
     return f" {name}" if name.startswith("_") else name

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The plots of an analysis, as what plotly.js draws: {"data": traces, "layout": layout}.
+"""Plots of an analysis for plotly.js: {"data": traces, "layout": layout}.
 
-Colours are names of CSS variables ("--blue"); the page puts in those of its light or dark mode.
+Colours are names of CSS variables ("--blue"); the page replaces them for light or dark mode.
 """
 
 import math
@@ -9,7 +9,7 @@ from html import escape
 
 import numpy as np
 
-BINS = 1000  # of a curve: the smallest and the largest value of each are drawn
+BINS = 1000  # bins of a curve; minimum and maximum of each are drawn
 PATH_POINTS = 4000
 HEIGHT = 340  # px
 FEW, ODD = 0.02, 1e-2  # values of log plots out of sight: these few, where so far below the rest
@@ -17,7 +17,7 @@ COLOURS = ("--blue", "--orange", "--green", "--violet", "--red", "--grey")
 
 
 def make_plots(analysis):
-    """[(title, remark, plot)] of what there is to see over the time."""
+    """[(title, remark, plot)] of all curves over time."""
     figures, curves = analysis.figures, analysis.curves
     plots = []
     if not curves:
@@ -101,7 +101,7 @@ def _error_traces(parts):
 
 
 def _interval_traces(named):
-    """A curve of each name, with gaps between its intervals."""
+    """One curve per name, with gaps between its intervals."""
     return [
         _line(
             name,
@@ -139,7 +139,7 @@ BASE = {
 
 
 def centre_paths(analysis):
-    """{body: (k, 3) m} of the centres of mass, with a gap between stretches."""
+    """{body: (k, 3) m} of the centres of mass, with gaps at resets."""
     stretches = analysis.motion.stretches
     every = max(1, sum(len(s.steps) for s in stretches) // PATH_POINTS)
     return {
@@ -154,7 +154,7 @@ def centre_paths(analysis):
 
 
 def difference_plot(curve):
-    """[(title, remark, plot)] of the curves of a comparison, see comparison.py; none of zeros."""
+    """[(title, remark, plot)] of the curves of a comparison, except zeros."""
     if not any((values > 0.0).any() for _, values in curve):
         return []
     traces = [
@@ -171,7 +171,7 @@ def difference_plot(curve):
 
 
 def _plane(traces, bands, unit, log=False):
-    """Curves over time; the traces must be finite and, for a log axis, positive to be seen."""
+    """Plot of curves over time; a log axis shows positive values only."""
     axis = {
         "gridcolor": "--grid",
         "zerolinecolor": "--grid",
@@ -201,13 +201,13 @@ def _plane(traces, bands, unit, log=False):
 
 
 def _decades(traces):
-    """Of a log axis: decades between two lines, of which are at most seven, and its range."""
+    """(decades between grid lines, range) of a log axis with at most seven grid lines."""
     values = [v for trace in traces for v in trace["y"] if v is not None and v > 0.0]
     if not values:
         return {"dtick": 1}
     found, low, high = {}, min(values), max(values)
     usual = float(np.quantile(values, FEW))
-    if low < usual * ODD:  # a difference that happens to be 1e-40 is not to be looked at
+    if low < usual * ODD:  # a difference of 1e-40 by chance must not stretch the axis
         low = usual * ODD
         found["range"] = [math.log10(low), math.log10(high) + 0.2]
     return {"dtick": max(1, math.ceil(math.log10(high / low) / 7.0)), **found}
@@ -234,7 +234,7 @@ def _push_bands(figures, motion):
 
 
 def _line(name, x, y, colour, dash="solid"):
-    """A curve; of a long one the smallest and the largest value of each bin, and its gaps."""
+    """Trace of a curve; a long one is reduced to minimum and maximum of each bin, and its gaps."""
     if len(x) > 2 * BINS:
         pick = _extremes(y)
         x, y = x[pick], y[pick]
@@ -251,12 +251,12 @@ def _line(name, x, y, colour, dash="solid"):
 
 
 def label(name):
-    """A name as plotly.js shows it to the letter, which takes tags and entities for markup."""
+    """Name with escaped markup, so that plotly.js shows it literally."""
     return escape(name, quote=False)
 
 
 def _extremes(y):
-    """Rows of the smallest and the largest value of each bin of neighbours, and of a gap in it."""
+    """Rows of minimum, maximum and gaps (NaN) of each bin of neighbours."""
     gaps = ~np.isfinite(y)
     low, high = np.where(gaps, np.inf, y), np.where(gaps, -np.inf, y)
     edges = np.linspace(0, len(y), BINS + 1).astype(int)
@@ -269,11 +269,11 @@ def _extremes(y):
 
 
 def _joined(parts):
-    """Arrays end to end with a gap (NaN) between them."""
+    """Concatenated arrays, separated by a gap (NaN)."""
     gap = np.full((1, *parts[0].shape[1:]), np.nan)
     return np.concatenate([piece for part in parts for piece in (part, gap)][:-1])
 
 
 def _plain(values):
-    """Numbers for JSON, seven digits; a gap is null."""
+    """Numbers for JSON with seven digits; a gap is null."""
     return [float(f"{value:.7g}") if math.isfinite(value) else None for value in values]

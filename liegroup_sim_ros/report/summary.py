@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The figures of an analysis in words: verdict, problems, and the rows of its tables."""
+"""Figures of an analysis in words: rows of the tables, headline and overview."""
 
 from liegroup_sim_ros.analysis.timing import requested_text
 from liegroup_sim_ros.numbers import GROUPS, counted, error_text, shown
 
-MOST_JOINTS = 8  # in the table; the others are in the JSON
+MOST_JOINTS = 8  # in the table; the JSON document has all
 OVERVIEW = ("position", "attitude", "energy", "joints", "same bits", "lost")
 
 
 def headline(figures):
-    """The few numbers that say most: [(what, value, remark)]."""
+    """Most important figures: [(name, value, remark)]."""
     found = []
     reference = figures.get("reference")
     if reference and "failed" not in reference:
@@ -60,7 +60,7 @@ def headline(figures):
 
 
 def sections(figures):
-    """The table: [(title, [(what, value, remark)])]."""
+    """Tables of an analysis: [(title, [(name, value, remark)])]."""
     found = [("Run", _run_rows(figures))]
     if "reference" in figures and "failed" not in figures["reference"]:
         kind = figures["reference"]["kind"]
@@ -169,7 +169,7 @@ def _local_rows(local):
 
 
 def _trend(slope, explained, unit):
-    """Whether a drift goes on in one direction, in words."""
+    """Linear trend of a drift in words; None if it explains less than half of the variance."""
     if slope is None or not explained > 0.5:
         return None
     return f"{'falls' if slope < 0.0 else 'grows'} by {shown(abs(slope), unit)}"
@@ -275,13 +275,13 @@ def _joined(*remarks):
 
 
 def short_names(found):
-    """What logs are called where they stand together: names of files, if they differ."""
+    """Names of recordings: file names if these are unique, else paths."""
     names = [figures["log"].rpartition("/")[2] for figures in found]
     return names if len(set(names)) == len(names) else [figures["log"] for figures in found]
 
 
 def overview(figures):
-    """The OVERVIEW of one log, a text for each."""
+    """Row of the overview of several recordings: a text for each of OVERVIEW."""
     if "failed" in figures:
         return ["-"] * len(OVERVIEW)
     reference = figures.get("reference") or {"failed": ""}
@@ -303,7 +303,7 @@ def overview(figures):
 
 
 def comparison_rows(figures):
-    """The table of a comparison: [(what, value, remark)]."""
+    """Table of a comparison: [(name, value, remark)]."""
     names = {
         "position": "position",
         "angle": "attitude",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What came of a sweep, as tables: how results spread, and what they depend on."""
+"""Results of a sweep as tables: quantiles, and rank correlations with the parameters."""
 
 import re
 
@@ -14,14 +14,14 @@ from .terminal import plain_table
 
 WIDTH = 130  # characters; a narrower terminal folds the lines
 QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
-BODIES = 2  # whose states are shown if nobody says what is to be
+BODIES = 2  # bodies whose states are shown by default
 REASONS = 10
-# Runs from which a rank correlation is told: below, one in twenty is as large as 0.6 by chance.
+# Least number of runs for a rank correlation: with fewer, 5 % exceed 0.6 by chance.
 LEAST = 10
 
 
 def spread(table, columns):
-    """{column: quantiles QUANTILES of its numbers}; None without a number."""
+    """{column: quantiles QUANTILES}; None for a column without numbers."""
     found = {}
     for name in columns:
         values = table[name][np.isfinite(table[name])]
@@ -30,9 +30,9 @@ def spread(table, columns):
 
 
 def dependence(table, parameters, columns):
-    """{column: {parameter: Spearman's rank correlation}}, of runs that have both numbers.
+    """{column: {parameter: Spearman's rank correlation}}, over runs that have both numbers.
 
-    Left out is what does not vary, and what is of fewer than LEAST runs.
+    Constant columns and those with fewer than LEAST runs are omitted.
     """
     found = {}
     for column in columns:
@@ -46,7 +46,7 @@ def dependence(table, parameters, columns):
 
 
 def reasons(texts):
-    """[(count, text)] from often to rare; texts that differ in numbers alone count as one."""
+    """[(count, text)], most frequent first; texts that differ in numbers only are merged."""
     kinds = {}
     for text in texts:
         kinds.setdefault(re.sub(r"[-+]?\d[\d.]*(e[-+]?\d+)?", "#", text), []).append(text)
@@ -54,7 +54,7 @@ def reasons(texts):
 
 
 def print_sweep(file, show, console):
-    """Tables of a SweepFile on a terminal; returns the set of what its runs say of their end.
+    """Tables of a SweepFile on a terminal; returns the set of the statuses of its runs.
 
     show : names of columns, or None
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The figures of an analysis on a terminal."""
+"""Tables of an analysis on a terminal."""
 
 from rich.table import Table
 from rich.text import Text
@@ -10,7 +10,7 @@ from .summary import OVERVIEW, comparison_rows, overview, sections, short_names
 
 
 def print_table(figures, console):
-    """Verdict, problems and tables on a terminal."""
+    """Print verdict, problems and tables."""
     console.print(Text(figures["verdict"], style="bold"))
     for problem in figures["problems"]:
         console.print(Text(f"! {problem}", style="bold red"))
@@ -34,7 +34,7 @@ def print_table(figures, console):
 
 
 def print_overview(found, console):
-    """A line for each of several logs; what is wrong with them follows."""
+    """Print a line for each recording, then their problems."""
     table = Table(box=None, padding=(0, 2, 0, 0))
     names = short_names(found)
     for title in ("log", *OVERVIEW):
@@ -57,7 +57,7 @@ def print_overview(found, console):
 
 
 def print_comparison(figures, console):
-    """Difference of two logs on a terminal."""
+    """Print the difference of two recordings."""
     same = figures["identical"] == figures["samples"]
     console.print()
     console.print(
@@ -79,7 +79,7 @@ def print_comparison(figures, console):
 
 
 def plain_table(title, heads, rows):
-    """Table without lines, of texts that are shown as they are."""
+    """Table without rules; markup in its texts is not interpreted."""
     table = Table(
         box=None, padding=(0, 2, 0, 0), title=Text(title), title_justify="left", title_style="bold"
     )

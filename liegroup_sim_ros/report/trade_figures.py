@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A measured trade as JSON types, and as tables in words."""
+"""Measured trade-off of a scene as JSON types and as tables."""
 
 from rich.text import Text
 
@@ -17,7 +17,7 @@ FRONT_TITLE = "Pareto front; the right columns are errors of twist, energy, mome
 
 
 def document_part(trade):
-    """What a Trade says of its scene, JSON types; config/trade.schema.json describes it."""
+    """Results of a Trade as JSON types, see config/trade.schema.json."""
     truth = trade.truth
     cells = trade.cells
     number = {id(cell): k for k, cell in enumerate(cells)}
@@ -59,7 +59,7 @@ def document_part(trade):
 
 
 def setting(cell):
-    """A cell's setting in words."""
+    """Configuration of a cell in words."""
     tolerance = cell["options"].get("rtol")
     more = "" if tolerance is None else f", rtol {tolerance:g}"
     stabilised = "" if cell["stabilisation"] == "none" else f", {cell['stabilisation']}"
@@ -68,12 +68,12 @@ def setting(cell):
 
 
 def error_text(value, known):
-    """An error in words; where the reference is not sure of as much, what it is sure of."""
+    """Error in words; the reference uncertainty if that is larger."""
     return f"below {shown(known)}" if value <= known else shown(value)
 
 
 def reference_text(part):
-    """What the errors are against, in words."""
+    """Reference solution in words."""
     reference = part["reference"]
     text = (
         "an independent integration"
@@ -86,7 +86,7 @@ def reference_text(part):
 
 
 def cheapest_rows(part):
-    """[(accuracy, setting, error, CPU s per s, times real time)], all texts."""
+    """[(accuracy, configuration, error, CPU s per s, real-time factor)], all texts."""
     rows = []
     for entry in part["cheapest"]:
         if entry["cell"] is None:
@@ -108,7 +108,7 @@ def cheapest_rows(part):
 
 
 def front_rows(part):
-    """Rows of FRONT_HEAD for the settings that no other beats, all texts."""
+    """Rows of FRONT_HEAD for the Pareto front, all texts."""
     reference = part["reference"]
     rows = []
     for k in part["front"]:
@@ -129,7 +129,7 @@ def front_rows(part):
 
 
 def headline(part):
-    """One sentence."""
+    """Main result in one sentence."""
     stopped = sum(bool(cell["stopped"]) for cell in part["cells"])
     return (
         f"{part['scene']}: {len(part['cells'])} configurations over "
@@ -139,7 +139,7 @@ def headline(part):
 
 
 def print_trade(part, console):
-    """Tables on a terminal."""
+    """Print the tables on a terminal."""
     console.width = max(console.width, WIDTH)
     console.print(Text(headline(part), style="bold"))
     console.print(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The work-precision plot of a trade: on a self-contained page, and as a picture for papers."""
+"""Work-precision diagram of a trade-off: as a self-contained HTML report and as an image."""
 
 from html import escape
 
@@ -16,7 +16,7 @@ from .trade_figures import (
     setting,
 )
 
-DASHES = ("solid", "dash", "dot", "longdashdot")  # times 6 colours: more than there are methods
+DASHES = ("solid", "dash", "dot", "longdashdot")  # with 6 colours: more combinations than methods
 SYMBOLS = ("circle", "square", "triangle-up", "diamond", "triangle-down", "cross")
 HEIGHT = 560  # px
 MARKS = ("o", "s", "^", "D", "v", "P")
@@ -28,7 +28,7 @@ COST, ERROR = (
 
 
 def curves(part):
-    """[(method, cells)]: of each method what none of its own beats, from cheap to accurate."""
+    """[(method, cells)]: Pareto front of each method, from cheap to accurate."""
     found = {}
     for cell in sorted(
         (cell for cell in part["cells"] if not cell["stopped"]),
@@ -41,7 +41,7 @@ def curves(part):
 
 
 def make_plot(part):
-    """What plotly.js draws of a scene: cost to the right, error upwards."""
+    """Work-precision diagram of a scene for plotly.js: error over cost."""
     known = part["reference"]["known"]
     traces = []
     for k, (method, cells) in enumerate(curves(part)):
@@ -115,7 +115,7 @@ def make_plot(part):
 
 
 def make_page(parts):
-    """Text of the page (HTML, about 5 MB: it carries plotly.js)."""
+    """HTML of the page (about 5 MB, including plotly.js)."""
     body = "" if len(parts) == 1 else f"<header><h1>{len(parts)} scenes</h1></header>"
     for k, part in enumerate(parts):
         tag = "h1" if len(parts) == 1 else "h2"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The 3D view of the page: bodies as they are drawn, joints, and where they are when."""
+"""3D view of the HTML report: shapes of the bodies, joints, and poses over time."""
 
 import base64
 import math
@@ -12,19 +12,19 @@ from liegroup_sim_ros.messages.markers import CUBE, CYLINDER, THINNEST, solid
 
 from .plots import BASE, label
 
-# Poses of all bodies together, and of one body: more would make the page large, fewer would jump.
+# Poses of all bodies, and frames: more would make the page large, fewer the motion jerky.
 MOST_PLACES, MOST_FRAMES, LEAST_FRAMES = 15_000, 3000, 200
 MOST_PUSHES = 1000
-# Red is what is pushed, grey what joins a joint to its bodies.
+# Red marks bodies with an applied wrench, grey the links between joints and bodies.
 COLOURS = ("--blue", "--orange", "--green", "--violet", "--teal", "--pink", "--olive")
 
 
 def make_view(analysis):
-    """What page.js draws of an Analysis with samples, for JSON; m, s, world axes.
+    """Data of the 3D view of an Analysis for page.js, JSON types; m, s, world axes.
 
     times, places : base64 of (k,) float64, and of (k, n, 7) float32: position and x y z w of the
                     body frames
-    breaks        : frames at which a stretch of the run begins anew
+    breaks        : frames before a reset
     """
     scene, stretches = analysis.scene, analysis.motion.stretches
     layout = make_layout(scene)
@@ -97,7 +97,7 @@ def make_view(analysis):
 
 
 def speeds(seconds):
-    """([times real time], the one to begin with) that play a run in 2 s to minutes."""
+    """([playback speeds], initial speed) that play a run within 2 s to a few minutes."""
     seconds = seconds or 1.0
     steps = [m * 10.0**e for e in range(-6, 7) for m in (1, 2, 5)]
     usual = [s for s in steps if seconds / 200.0 <= s <= seconds / 1.5] or [1.0]
