@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many runs of scenes, in parallel: the trade between speed and accuracy, and what is like it."""
+"""Studies of many runs in parallel: accuracy against cost, stress tests, parameter sweeps."""

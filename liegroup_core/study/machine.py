@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a measured cost belongs to."""
+"""Processor that a measured cost refers to."""
 
 import platform
 from functools import lru_cache
@@ -8,7 +8,7 @@ from pathlib import Path
 
 @lru_cache(maxsize=None)
 def cpu_name():
-    """The processor's name for people; where the system does not tell, its kind."""
+    """Name of the processor; its architecture if the system does not give a name."""
     try:
         for line in Path("/proc/cpuinfo").read_text().splitlines():
             if line.startswith("model name"):

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many independent pieces of work at once: the cores of this machine, or a Dask cluster.
+"""Parallel execution of independent tasks on the cores of this machine or on a Dask cluster.
 
-Every worker is a process with one thread. A piece whose worker dies is done again by another one,
-so that a worker killed in the middle costs time and nothing else (test/core/test_tasks.py).
+Each worker is a process with one thread. If a worker is killed, another one repeats its task, so no
+result is lost (test/core/test_tasks.py).
 """
 
 import logging
@@ -17,24 +17,25 @@ from multiprocessing import resource_tracker
 from liegroup_core.errors import LieGroupSimError
 
 CONNECTING = 10  # s
-# So many workers may die over the same piece before it is taken to be what kills them.
+# Number of workers that may die at the same task before the task is considered the cause.
 MOST_DEATHS = 5
 
 
 class TasksError(LieGroupSimError):
-    """The work cannot be handed out, or kills its workers; one line of text, exit code 2."""
+    """Tasks cannot be distributed, or kill their workers; one line of text, exit code 2."""
 
 
 def run(function, items, scheduler=None, workers=None, follow=None):
-    """Call function(item) for every item; yields (k, result) as results come, k the item's number.
+    """Call function(item) for every item; yields (k, result) in order of completion.
 
-    function  : can be pickled, as can items and results; what it raises ends the run
+    k         : number of the item
+    function  : must be picklable, as items and results; its exceptions end the run
     scheduler : address of a Dask scheduler, such as tcp://host:8786; its workers must have this
                 package. None: this machine
-    workers   : processes on this machine; None: one for each core. With one, or without Dask, the
-                work is done here, one item after the other. More of them import the main script
-                anew, which must have its `if __name__ == "__main__"`
-    follow    : function(k, result) that returns further items, numbered on from the last one
+    workers   : processes on this machine; None: one for each core. With one, or without Dask,
+                the items run in this process, one after the other. Worker processes import the
+                main script, so it needs `if __name__ == "__main__"`
+    follow    : function(k, result) that returns further items; their numbers continue
     raises TasksError
     """
     items = list(items)
@@ -61,7 +62,7 @@ def _here(function, items, follow):
         result = function(item)
         if follow is not None:
             for more in follow(k, result):
-                # Next, not last: what belongs together is done together.
+                # Next, not last: related items finish together.
                 waiting.appendleft((count, more))
                 count += 1
         yield k, result
@@ -100,11 +101,11 @@ def _on(client, function, items, follow):
 
 @contextmanager
 def _this_machine(workers):
-    """Client of as many processes on this machine, which end with the block."""
+    """Client of worker processes on this machine; they end with the block."""
     import dask
     from dask.distributed import Client, LocalCluster
 
-    # Nobody has to read that a worker was restarted, or that one ends with the whole.
+    # Suppress messages about workers that restart or end.
     with ExitStack() as stack:
         stack.enter_context(
             dask.config.set(
@@ -125,7 +126,7 @@ def _this_machine(workers):
                         host="127.0.0.1",
                         protocol="tcp",
                         memory_limit=0,
-                        dashboard_address="127.0.0.1:0",  # any port, not heard of
+                        dashboard_address="127.0.0.1:0",  # any port, without a message
                         silence_logs=logging.CRITICAL,
                     )
                 )
@@ -139,16 +140,16 @@ def _this_machine(workers):
 
 @contextmanager
 def _interrupts_later():
-    """Ctrl-C counts at the end of the block, which it would leave half done. Processes started in
-    here do not hear it: their parent minds it for them.
+    """Defer Ctrl-C to the end of the block. Processes started inside ignore it; their parent
+    handles it for them.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     pressed = []
-    resource_tracker.ensure_running()  # its start would let the signal through again
+    resource_tracker.ensure_running()  # its start would unblock the signal
     handler = signal.signal(signal.SIGINT, lambda *_: pressed.append(True))
-    # What is blocked is so, too, in threads and processes that are started from here.
+    # Threads and processes started here inherit the blocked signal.
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
         yield

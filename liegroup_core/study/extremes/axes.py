@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The axes of the map of extremes, as data: what is driven to its limit, through which values."""
+"""Axes of the robustness map: parameters that are driven to their limits, and their values."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,17 +12,17 @@ from . import problems as problems
 
 @dataclass(frozen=True)
 class Axis:
-    """One kind of extreme.
+    """Axis of the robustness map.
 
-    name    : of a word, for the command line
-    title   : what the values are
+    name    : one word, for the command line
+    title   : meaning of the values
     unit    : of the values, or ""
-    values  : in their order on the map
+    values  : in the order of the map
     problem : function of a value that returns the Problem
-    alike   : the value at which the same problem has its natural scale; then errors must be those
-              of that scale, see extremes_cell.ALIKE. None: problems differ
-    quick   : some of the values, which tests and `--quick` take
-    long    : only where it is asked for: it takes long
+    alike   : value at which the problem has its natural scale; the errors of scaled problems must
+              be similar, see cell.ALIKE. None: the problems differ in more than their scale
+    quick   : values for tests and `--quick`
+    long    : whether the axis takes long and runs on request only
     """
 
     name: str

@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One cell of the map of extremes: a method on a problem, run and judged against the true motion.
+"""One cell of the robustness map: a method on a problem, compared with the reference solution.
 
-The verdicts, of which the last one must not be:
-    accurate    the motion is right to BOUND of its size, or to what `expected` says
-    flagged     it is not, and the run says so: a warning, or `Simulation.doubt`
-    refused     no step was taken, and the reason was given
-    stopped     the run stopped on the way, and said why
-    unjudged    the true motion is not known well enough
-    silent      the run went to its end with a wrong motion and no word of it
+Verdicts, of which the last one is a defect:
+    accurate    the error is below BOUND of the size of the motion
+    flagged     the error is larger, with a warning or `Simulation.doubt`
+    refused     no step was taken, with a reason
+    stopped     the run stopped early, with a reason
+    unjudged    the reference solution is not accurate enough
+    silent      undetected error: the run finished with a larger error and no warning
 
-The size of a motion is how far it goes from its start over the horizon: rad, but no more than 1
-counts, and m, for which one radian is the problem's length. An error is the largest distance from
-the true motion at the samples, of attitudes in rad over the one, of positions in m over the other.
+The size of a motion is its largest distance from the start over the horizon: in rad, at most 1, and
+in m, where one radian counts as the length of the problem. The error is the largest distance from
+the reference solution at the samples, relative to that size.
 """
 
 import logging
@@ -34,23 +34,23 @@ ACCURATE, FLAGGED, REFUSED, STOPPED, UNJUDGED, SILENT = VERDICTS = (
     "unjudged",
     "silent",
 )
-# What is wrong by more than this part of the motion is plainly wrong.
+# Largest acceptable error, relative to the size of the motion.
 BOUND = 0.05
-# Of an axis along which problems are the same but for their scale: errors may grow by this factor
-# against the problem at the scale 1, and what is below the second number is no loss.
+# Axes along which only the scale changes: errors may grow by the factor ALIKE relative to scale 1;
+# errors below NO_LOSS always pass.
 ALIKE, NO_LOSS = 30.0, 1e-6
 MOST_SAMPLES = 32
 
 
 @dataclass(frozen=True)
 class Problem:
-    """What a method has to do in a cell, and what would be right.
+    """Scene and run of a cell, with its reference solution.
 
-    motion : the true one, see extremes_motions
-    length : m, what positions are compared with beside the way that bodies go
-    shown  : names of the bodies that are compared; None: all
+    motion   : reference solution, see motions.py
+    length   : characteristic length in m
+    shown    : names of the bodies that are compared; None: all
     settings : further arguments of Simulation
-    turns  : rad that bodies turn by for sure: whole turns between samples do not show
+    turns    : known rotation of the bodies in rad; samples do not show full turns between them
     """
 
     scene: Any
@@ -63,17 +63,17 @@ class Problem:
     turns: float = 0.0
 
     def samples(self):
-        """(k,) step counts at which the motion is compared."""
+        """Step counts (k,) at which the motion is compared."""
         return np.unique(
             np.linspace(0, self.steps, min(self.steps, MOST_SAMPLES) + 1).round().astype(int)
         )
 
 
 def run_cell(problem, truth, method, make=Engine):
-    """Run a method; returns a dict of what JSON holds: verdict, error and what the run said.
+    """Run a method; returns a dict of JSON types: verdict, error and warnings of the run.
 
     truth    : Truth at the samples of the problem
-    make     : what makes the simulation
+    make     : class of the simulation
     """
     cell = {
         "method": method,
@@ -101,7 +101,7 @@ def run_cell(problem, truth, method, make=Engine):
 
 
 def _run(simulation, problem, truth, cell, said):
-    """Take the steps and compare on the way; returns why the run stopped, or None."""
+    """Run and compare at the samples; returns why the run stopped, or None."""
     names = simulation.layout.body_names
     rows = [i for i, name in enumerate(names) if problem.shown is None or name in problem.shown]
     angle_size, length_size = sizes(truth, problem.length, problem.turns)
@@ -131,7 +131,7 @@ def _verdict(cell, simulation, stopped):
 
 
 def judged(cell, bound):
-    """The verdict of a run that went to its end, against a bound on its error."""
+    """Verdict on a finished run, from a bound on its error."""
     if not cell["uncertainty"] < bound:
         return UNJUDGED
     if cell["error"] <= bound + cell["uncertainty"]:
@@ -140,7 +140,7 @@ def judged(cell, bound):
 
 
 def judge_alike(cells, natural):
-    """Judge the cells of an axis by those at its natural scale: errors must be alike."""
+    """Compare the errors of scaled problems with those at the natural scale."""
     errors = {
         cell["method"]: cell["error"]
         for cell in cells
@@ -152,16 +152,16 @@ def judge_alike(cells, natural):
 
 
 def sizes(truth, length, turns=0.0):
-    """How far a motion goes: rad, at most 1, and m; at least by so many rad."""
+    """Size of a motion: (rad, at most 1; m); turns : least rotation in rad."""
     angle, way = apart(truth.rotation, truth.position, truth.rotation[:1], truth.position[:1])
     angle = min(max(angle, way / length, turns), 1.0)
     return angle or 1.0, max(way, length * angle) or length
 
 
 def apart(rotation, position, rotation_2, position_2):
-    """Largest distance of attitudes (..., n, 3, 3), rad, and of positions (..., n, 3), m.
+    """Largest distance of attitudes (..., n, 3, 3) in rad and of positions (..., n, 3) in m.
 
-    Angles of 1e-300 are told from each other too.
+    Accurate for angles down to 1e-300 rad.
     """
     turn = rotation @ np.swapaxes(rotation_2, -1, -2)
     sine = 0.5 * np.stack(
@@ -178,7 +178,7 @@ def apart(rotation, position, rotation_2, position_2):
 
 
 def _norm(vectors):
-    """Lengths of vectors (..., 3), also where squares are too small or too large for a number."""
+    """Norms of vectors (..., 3) without underflow or overflow of the squares."""
     largest = np.abs(vectors).max(axis=-1)
     scale = np.where((largest > 0.0) & np.isfinite(largest), largest, 1.0)
     return scale * np.linalg.norm(vectors / scale[..., None], axis=-1)
@@ -186,12 +186,14 @@ def _norm(vectors):
 
 @contextmanager
 def _listening():
-    """The warnings of the core in this block, in a list, and nowhere else."""
+    """Collect the warnings of the core in a list; they appear nowhere else."""
     said = []
 
     class Listener(logging.Handler):
         def emit(self, record):
-            if record.funcName != "warm_up":  # compiling is no doubt
+            if (
+                record.funcName != "warm_up"
+            ):  # the message about compiling is not a warning about the run
                 said.append(record.getMessage())
 
     logger, listener = logging.getLogger("liegroup_core"), Listener(logging.WARNING)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The map of extremes: every method on every axis, each cell judged, in parallel.
+"""Robustness map: every method on every axis, run in parallel.
 
     from liegroup_core.study.extremes.extremes import survey
     for count, axis, cells, complete in survey(AXES): ...
 
-See extremes_axes.py for what is driven to its limit, extremes_cell.py for how a cell is judged.
+axes.py has the parameters that are driven to their limits, cell.py the verdicts.
 """
 
 from collections import Counter
@@ -23,14 +23,14 @@ from . import problems as problems
 from .axes import _STEPS, AXES, Axis, _powers
 from .cell import REFUSED, SILENT, UNJUDGED, VERDICTS, judge_alike, run_cell
 
-# Of the problems and of how they are judged: the key of what is kept does not see these sources.
+# Version of problems and verdicts: the key of the cache does not cover these sources.
 FORMAT = 2
 
 
 def axes_of(scene=None, horizon=8.0, long=False):
-    """The axes of the map; with the name of a scene, those that any scene has: step and speed.
+    """Axes of the map; for a scene of the user: step and speed.
 
-    A scene that is at rest at the start has no speeds.
+    A scene that is initially at rest has no speed axis.
     """
     if scene is None:
         return tuple(axis for axis in AXES if long or not axis.long)
@@ -57,9 +57,9 @@ def axes_of(scene=None, horizon=8.0, long=False):
 
 
 class Kept:
-    """Columns that were run, kept as soon as they are: what is ended goes on where it was.
+    """Cache of finished columns, written at once: an interrupted map continues.
 
-    folder : Folder; None: nothing is kept
+    folder : Folder; None: no cache
     """
 
     FILE = "cells.jsonl"
@@ -73,37 +73,37 @@ class Kept:
 
     @classmethod
     def of(cls, scene=None, horizon=None, root=None):
-        """What is kept of a Scene over a horizon, or of the axes of the map.
+        """Cache of a Scene over a horizon, or of the axes of the map.
 
-        root : folder; None: in the user's cache
+        root : folder; None: in the cache of the user
         """
         text = "" if scene is None else f"{scene.text} {horizon}"
         return cls(Folder(Path("extremes", key_of(f"extremes {FORMAT} {text}")), root))
 
     def missing(self, axis, value, methods):
-        """Those of the methods that have not been run there."""
+        """Methods without a cached result at a value."""
         return tuple(name for name in methods if name not in self._known.get((axis, value), ()))
 
     def cells(self, axis, value, methods):
-        """Cells of those that have been, and are for the problem."""
+        """Cached cells of the methods that suit the problem."""
         known = self._known.get((axis, value), {})
         return [dict(known[name]) for name in methods if known.get(name)]
 
     def keep(self, axis, value, methods, cells):
-        """Keep what came of a column."""
+        """Write the results of a column."""
         line = {"axis": axis, "value": value, "methods": list(methods), "cells": cells}
         if self._folder is not None:
             self._folder.keep_line(self.FILE, line)
 
 
 def survey(axes, quick=False, methods=tuple(METHODS), scheduler=None, workers=None, kept=None):
-    """Yields (number of columns, Axis, cells, whether the axis is complete) as columns are done.
+    """Run the map; yields (number of columns, Axis, cells, whether the axis is complete).
 
-    quick : only the values that tests take
-    kept  : Kept, which then holds what was run; what it holds already is not run again
-    A cell is a dict for JSON. A column is one value of one axis: its true motion is made once, and
-    all methods are run; where it takes long each method is a column of its own. Columns of an axis
-    along which only the scale changes come together, as they are judged together.
+    quick : only the values for tests
+    kept  : Kept, which takes up the results; its columns are not run again
+    A cell is a dict of JSON types. A column is one value of one axis: its reference solution is
+    computed once for all methods. On long axes each method is a column of its own. Columns of an
+    axis along which only the scale changes come together, because they are judged together.
     """
     kept = kept or Kept()
     columns = [
@@ -145,7 +145,7 @@ def survey(axes, quick=False, methods=tuple(METHODS), scheduler=None, workers=No
 
 
 def column(item):
-    """The cells of a value of an axis: item is (Axis, value, names of methods)."""
+    """Cells of a column; item : (Axis, value, names of methods)."""
     axis, value, methods = item
     where = {"axis": axis.name, "value": value}
     problem = axis.problem(value)
@@ -160,7 +160,7 @@ def column(item):
             return refused
         layout = make_layout(axis.problem(axis.alike).scene)  # the same joints
         return [cell for cell in refused if not misfit(cell["method"], layout)]
-    # What a method is not for is not judged.
+    # Methods that do not suit the problem are skipped.
     methods = [method for method in methods if not misfit(method, layout)]
     try:
         truth = problem.motion(problem.samples() * problem.step)
@@ -178,7 +178,7 @@ def counts(cells):
 
 
 def silent(cells):
-    """The cells that must not be."""
+    """Cells with an undetected error."""
     return [cell for cell in cells if cell["verdict"] == SILENT]
 
 

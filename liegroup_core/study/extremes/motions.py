@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""True motions of extreme scenes, from formulas that share nothing with the engine.
+"""Reference solutions of the stress tests, independent of the engine.
 
-A motion is a function of times (k,), s, increasing from 0, that returns a Truth. Free bodies and
-symmetric tops are Jacobi's elliptic functions (reference/elliptic.py), mechanisms of one freedom
-an equation in one angle; for all others the independent integration of reference/trajectory.py is
-taken, with its own uncertainty.
+A motion is a function of times (k,) in s, increasing from 0, that returns a Truth. Free bodies and
+symmetric tops use Jacobi's elliptic functions (reference/elliptic.py). Mechanisms of one degree of
+freedom use an equation in one angle. All others use the integration of reference/trajectory.py,
+with its own uncertainty.
 """
 
 from typing import NamedTuple
@@ -17,13 +17,13 @@ from liegroup_core.reference import integrate
 from liegroup_core.scene.assembly import ready
 
 DIGITS = 25
-# Tolerance of equations in one or two angles, and what is left of it after some hundred radians,
-# as a part of the largest angle.
+# Tolerance of equations in one or two angles, and their error after some hundred radians, relative
+# to the largest angle.
 TIGHT, ANGLE_ERROR = 1e-13, 1e-9
 
 
 class Truth(NamedTuple):
-    """A true motion of n bodies at k times."""
+    """Reference solution of n bodies at k times."""
 
     rotation: np.ndarray  # (k, n, 3, 3) body -> world
     position: np.ndarray  # (k, n, 3) m, world, of the body frames
@@ -31,7 +31,7 @@ class Truth(NamedTuple):
 
 
 def free_body(inertia, omega):
-    """A body about its centre of mass, which stays at the origin; axes along the world's at 0."""
+    """Free body about its centre of mass at the origin; initially aligned with the world."""
     from liegroup_core.reference import elliptic
 
     def motion(times):
@@ -39,7 +39,7 @@ def free_body(inertia, omega):
             elliptic.to_floats(elliptic.free_body(inertia, np.eye(3), omega, t, DIGITS)[0])
             for t in times.tolist()
         ]
-        # Times and the start are rounded; elliptic functions are not.
+        # Round-off of the times and the initial state; the elliptic functions are exact.
         turned = np.linalg.norm(omega) * times[-1]
         return Truth(np.array(R)[:, None], np.zeros((len(times), 1, 3)), 1e-15 * (1.0 + turned))
 
@@ -60,10 +60,10 @@ def spinning(axis, rate):
 
 
 def top(body, field, rotation=np.eye(3)):
-    """Symmetric top on a ball joint at the origin, in a constant field of force, N.
+    """Symmetric top on a spherical joint at the origin, in a constant force field in N.
 
-    body : of the scene, its frame at the centre of mass; the axis of symmetry goes through the
-           joint, whose place in the body is -rotation^T position
+    body : of the scene, its frame at the centre of mass; the axis of symmetry passes through the
+           joint, whose position in the body is -rotation^T position
     """
     from liegroup_core.reference import elliptic
 
@@ -93,14 +93,14 @@ def top(body, field, rotation=np.eye(3)):
             ]
         )
         turned = np.linalg.norm(body.angular_velocity) * times[-1]
-        # Next to an unstable motion rounding of the start grows; see the horizons of the axes.
+        # Near an unstable motion, round-off of the initial state grows; see the horizons of the axes.
         return Truth(R[:, None], (R @ arm)[:, None], 1e-12 * (1.0 + turned))
 
     return motion
 
 
 def one_angle(acceleration, start, rate, place):
-    """A mechanism of one freedom, its angle from angle'' = acceleration(angle).
+    """Mechanism of one degree of freedom with angle'' = acceleration(angle).
 
     place : function of angles (k,) -> (rotation (k, n, 3, 3), position (k, n, 3))
     """
@@ -113,7 +113,7 @@ def one_angle(acceleration, start, rate, place):
 
 
 def two_rods(rods, gravity):
-    """Two rods of 1 m on hinges along y, the first hung up at the origin, let go along world x.
+    """Two rods of 1 m on revolute joints about y, hung at the origin, released along world x.
 
     rods : (mass, moment of inertia about the middle, across) of each; frames at the near ends
     """
@@ -139,17 +139,17 @@ def two_rods(rods, gravity):
 
 
 def four_bar(crank, rate, bars, length):
-    """A planar four-bar without forces: its energy gives the speed at every angle of the crank.
+    """Planar four-bar without forces: energy conservation gives the speed at each crank angle.
 
     crank : length of the crank, of a coupler, rocker and ground of 1, times `length`; rate : rad/s
             of the crank, upright at time 0
     bars  : (mass, moment of inertia about the middle over length^2) of crank, coupler, rocker;
-            frames in their middles
+            frames at their middles
     """
     (m1, I1), (m2, I2), (m3, I3) = bars
 
     def places(angle):
-        """Ends A of the crank, B of coupler and rocker, both and the rocker's pin as (..., 2)."""
+        """Tip A of the crank, B between coupler and rocker, and the pin of the rocker, (..., 2)."""
         A = crank * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         D = np.array([1.0, 0.0])
         half = 0.5 * (D - A)
@@ -211,7 +211,7 @@ def _solved(rate, times, start):
 
 
 def linear_swing(amplitude, frequency, place):
-    """A mechanism of one freedom, from rest, that swings so little that it is linear."""
+    """Mechanism of one degree of freedom, from rest, with small (linear) oscillations."""
 
     def motion(times):
         return Truth(*place(amplitude * np.cos(frequency * times)), 1e-13 * amplitude)
@@ -220,9 +220,9 @@ def linear_swing(amplitude, frequency, place):
 
 
 def integrated(scene, length, scale=1.0, time_scale=1.0, shown=None):
-    """The independent integration of a scene; of one that is `scale` times as large, if given.
+    """Reference integration of a scene, or of the scene enlarged by `scale`.
 
-    time_scale : by which times of that one are longer; shown: names of the bodies to be given
+    time_scale : factor of its times; shown : names of the bodies to return
     """
     described, centred = ready(scene)
     rows = [i for i, body in enumerate(described.bodies) if shown is None or body.name in shown]
@@ -236,7 +236,7 @@ def integrated(scene, length, scale=1.0, time_scale=1.0, shown=None):
 
 
 def about(axis, angles):
-    """Rotations (k, 3, 3) by angles (k,) about a coordinate axis, 0 to 2; tiny angles are kept."""
+    """Rotations (k, 3, 3) by angles (k,) about coordinate axis 0 to 2, accurate for tiny angles."""
     c, s = np.cos(angles), np.sin(angles)
     R = np.zeros((len(angles), 3, 3))
     i, j = (axis + 1) % 3, (axis + 2) % 3

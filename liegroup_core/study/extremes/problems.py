@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The problems along the axes of the map: scenes made to size, with their true motion."""
+"""Problems along the axes of the robustness map: scenes and their reference solutions."""
 
 import math
 
@@ -13,7 +13,7 @@ from liegroup_core.scene.shapes import Box, Rod
 from . import motions as motions
 from .cell import Problem
 
-# Of the chapter's free body.
+# Free body of the chapter.
 INERTIA, OMEGA = (0.9144, 1.098, 1.66), (0.45549, 0.82623, 0.03476)
 SPEED = float(np.linalg.norm(OMEGA))
 DOWN = (0.0, 0.0, -GRAVITY)
@@ -24,7 +24,7 @@ def _gyration(inertia, mass=1.0):
 
 
 def _free(inertia, omega, step, steps, motion=None):
-    """A body that turns about its centre."""
+    """Free body that rotates about its centre of mass."""
     scene = Scene(
         name="free",
         gravity=(0, 0, 0),
@@ -46,28 +46,28 @@ def step_free(step):
 
 
 def turn(angle):
-    """It turns by so many rad in each of 64 steps, and its axis wanders."""
+    """Free body that rotates by so many rad in each of 64 steps about a changing axis."""
     return _free(INERTIA, OMEGA, angle / SPEED, 64)
 
 
 def steady_turn(angle):
-    """A body turns by so many rad in each of 64 steps about its largest axis of inertia."""
+    """Free body that rotates by so many rad in each of 64 steps about its major axis."""
     return _free(INERTIA, (0.0, 0.0, 1.0), angle, 64, motions.spinning((0, 0, 1), 1.0))
 
 
 def spin_free(spin):
-    """The free body this fast, 200 steps of 1 ms."""
+    """Free body at so many rad/s, 200 steps of 1 ms."""
     return _free(INERTIA, np.array(OMEGA) * spin / SPEED, 1e-3, 200)
 
 
 def racket(offset, step=0.05):
-    """Turning about its middle axis but for such a part, until it has flipped over.
+    """Rotation about the intermediate axis with a relative offset, until the body has flipped.
 
-    A part far below 1e-10 is lost in the rounding of attitudes, and with it the time of the flip.
+    An offset far below 1e-10 is lost in the round-off of attitudes; so is the time of the flip.
     """
     a, b, c = INERTIA
     rate = math.sqrt((b - a) * (c - b) / (a * c))
-    # The first flip is where offset e^(rate t) is about 1; rounding grows by as much.
+    # The first flip is where offset e^(rate t) is about 1; round-off grows by the same factor.
     return _free(
         INERTIA,
         (offset, 1.0, offset),
@@ -77,12 +77,12 @@ def racket(offset, step=0.05):
 
 
 def inertia_rod(ratio, step=0.05):
-    """A rod whose moments of inertia are in such a ratio, tumbling for 20 s."""
+    """Rod with such a ratio of its moments of inertia, tumbling for 20 s."""
     return _free((1.0 / ratio, 1.0, 1.0 + 0.5 / ratio), (2.0, 1.0, 0.5), step, round(20.0 / step))
 
 
 def inertia_limit(ratio, step=0.05):
-    """A flat body, at the limit of the triangle inequality, so long for its width."""
+    """Flat body at the limit of the triangle inequality, with such a ratio of length to width."""
     return _free((1.0 / ratio, 1.0, 1.0 + 1.0 / ratio), (2.0, 1.0, 0.5), step, round(20.0 / step))
 
 
@@ -92,7 +92,7 @@ def steps_free(steps):
 
 
 def _top(inertia, length, rotation, omega, gravity=DOWN, field=None, forces=(), mass=1.0):
-    """A body whose centre is `length` above a ball joint along its z: (scene, body)."""
+    """Body with its centre `length` above a spherical joint along its z: (scene, body)."""
     position = tuple((rotation @ (0.0, 0.0, length)).tolist())
     body = Body(
         name="top",
@@ -115,7 +115,7 @@ def _top(inertia, length, rotation, omega, gravity=DOWN, field=None, forces=(), 
 
 
 def _vector(rotation):
-    """Rotation vector of a turn about a coordinate axis; tiny ones are kept."""
+    """Rotation vector about a coordinate axis, accurate for tiny angles."""
     sine = 0.5 * np.array(
         [
             rotation[2, 1] - rotation[1, 2],
@@ -136,26 +136,26 @@ CRITICAL = 2.0 * math.sqrt((TOP_INERTIA[0] + 1.0) * GRAVITY) / TOP_INERTIA[2]
 
 
 def spin_top(spin, step=1e-3, steps=500):
-    """A top on a ball joint, its axis 1 rad off the vertical at rest, spinning this fast."""
+    """Top on a spherical joint, 1 rad off the vertical, with so many rad/s of spin."""
     R = motions.about(0, np.array([1.0]))[0]
     scene, body = _top(TOP_INERTIA, TOP_LENGTH, R, (0.0, 0.0, spin))
     return Problem(scene, step, steps, motions.top(body, DOWN, R), TOP_LENGTH)
 
 
 def step_top(step):
-    """That top at 30 rad/s, over 1 s or two steps."""
+    """Top at 30 rad/s, over 1 s or two steps."""
     return spin_top(30.0, step, max(2, round(1.0 / step)))
 
 
 def sleeping(part, step=5e-3):
-    """A top 1 mrad off the vertical, its spin such a part of that at which it sleeps, for 4 s."""
+    """Top 1 mrad off the vertical for 4 s, spin relative to the stability limit (sleeping top)."""
     R = motions.about(0, np.array([1e-3]))[0]
     scene, body = _top(TOP_INERTIA, TOP_LENGTH, R, (0.0, 0.0, part * CRITICAL))
     return Problem(scene, step, round(4.0 / step), motions.top(body, DOWN, R), TOP_LENGTH)
 
 
 def _pulled_top(stiffness, damping, rotation):
-    """A top in the field of a spring without length from its centre to a point 1 m away."""
+    """Top in the field of a spring of zero rest length from its centre to a point 1 m away."""
     spring = SpringDamper(
         name="spring",
         parent="world",
@@ -169,25 +169,25 @@ def _pulled_top(stiffness, damping, rotation):
 
 
 def stiff(stiffness, step=1e-3, steps=100):
-    """A top pulled by so stiff a spring, N/m, without damping: a top in a strong field."""
+    """Top with a spring of so many N/m, without damping: a top in a strong field."""
     scene, body = _pulled_top(stiffness, 0.0, np.eye(3))
     field = stiffness * np.array((0.0, 0.6, 0.8)) + np.array(DOWN)
     return Problem(scene, step, steps, motions.top(body, field), TOP_LENGTH)
 
 
 def stiff_damped(stiffness, step=1e-3, steps=50):
-    """The same, damped at half of what is critical."""
+    """Top with a stiff spring, damped at half of critical damping."""
     scene, _ = _pulled_top(stiffness, math.sqrt(stiffness), np.eye(3))
     return Problem(scene, step, steps, motions.integrated(scene, TOP_LENGTH), TOP_LENGTH)
 
 
 def step_stiff(step):
-    """A spring of 1e4 N/m, over 0.5 s or two steps."""
+    """Top with a spring of 1e4 N/m, over 0.5 s or two steps."""
     return stiff(1e4, step, max(2, round(0.5 / step)))
 
 
 def angle(amplitude, part=0.1):
-    """A pendulum let go at such an angle; `part` of a radian of its swing in a step, 100 steps."""
+    """Pendulum released at such an angle; 100 steps of `part` rad of its phase each."""
     across, length = 0.3 + 1.0, 1.0
     frequency = math.sqrt(GRAVITY * length / across)
     R = motions.about(1, np.array([amplitude]))[0]
@@ -296,7 +296,7 @@ def mass_spring(ratio):
 
 
 def length_top(length):
-    """The top at 30 rad/s so long and, as its time goes with the root, so much slower."""
+    """Top of such a length, 30 rad/s at 1 m; its time scales with the root of the length."""
     scale = math.sqrt(length)
     R = motions.about(0, np.array([1.0]))[0]
     inertia = tuple(length**2 * i for i in TOP_INERTIA)
@@ -305,7 +305,7 @@ def length_top(length):
 
 
 def _four_bar(length, step, steps):
-    """The four-bar of config/scenes, so many times as long, turning as fast."""
+    """The four-bar of config/scenes, enlarged, at the same angular velocity."""
 
     def bar(name, size, mass, x, y, turned, **more):
         return Body(
@@ -352,17 +352,17 @@ def _four_bar(length, step, steps):
 
 
 def length_bars(length):
-    """The four-bar so long, 0.2 s at 1 ms."""
+    """Four-bar enlarged by such a factor, 0.2 s at 1 ms."""
     return _four_bar(length, 1e-3, 200)
 
 
 def step_bars(step):
-    """The four-bar, whose crank turns by 20 to 54 rad/s, over 0.5 s or two steps."""
+    """Four-bar with 20 to 54 rad/s of its crank, over 0.5 s or two steps."""
     return _four_bar(1.0, step, max(2, round(0.5 / step)))
 
 
 def redundant(hinges):
-    """A door that falls about so many hinges in line, 1 s at 1 ms: all but one are too many."""
+    """Door that falls about so many collinear hinges, 1 s at 1 ms: all but one are redundant."""
 
     def door(count):
         frames = [
@@ -392,7 +392,7 @@ def redundant(hinges):
 
 
 def flat(rate, stabilisation="none"):
-    """A parallelogram of rods crossed at its flat pose at so many rad/s, up to ten times."""
+    """Parallelogram that passes its flat configuration at so many rad/s, up to ten times."""
 
     def rod(name, axis, x, y, **more):
         middle = tuple(0.5 * a for a in axis)
@@ -441,7 +441,7 @@ def flat(rate, stabilisation="none"):
             ),
         ],
     )
-    # Two cranks about their pins, and a coupler that does not turn; angle from upright.
+    # Two cranks about their pins, and a coupler that does not rotate; angle from upright.
     inertia = 2.0 * (cranks[0].inertia_matrix[2, 2] + 0.25) + 1.0
     torque = (2.0 * 0.5 + 1.0) * GRAVITY
 
@@ -466,20 +466,20 @@ def flat(rate, stabilisation="none"):
 
 
 def moves(scene):
-    """Whether anything of a Scene has a velocity at the start, or a joint a rate."""
+    """Whether a body or joint of a Scene has an initial velocity."""
     return any(
         any(body.angular_velocity) or any(body.linear_velocity) for body in scene.bodies
     ) or any(joint.rate for joint in scene.joints)
 
 
 def of_scene_step(name, horizon, step):
-    """A scene of the user's at a step."""
+    """Scene of the user with such a step."""
     scene = load_scene(name)
     return _of_scene(scene, step, max(1, round(horizon / step)))
 
 
 def of_scene_speed(name, horizon, factor, step=1e-3):
-    """Such a scene with all velocities at the start so many times as large, at 1 ms."""
+    """Scene of the user with scaled initial velocities, at 1 ms."""
     scene = load_scene(name)
     bodies = [
         body.model_copy(

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The runs of a sweep as Parquet: a folder with a file for every finished piece of work.
+"""Results of a sweep as Parquet: a folder with a file for each finished batch of runs.
 
     NAME.parquet/runs-000000000-000000124.parquet       runs 0 to 124, a row each
 
-pandas, pyarrow, Dask and Spark read the folder as one table, in the order of the runs. Each file
-says in its metadata which sweep it is of. It is there as a whole or not at all, so that whatever
-ends a sweep leaves finished runs behind, and the same call goes on with the others.
+pandas, pyarrow, Dask and Spark read the folder as one table, in the order of the runs. The
+metadata of each file describe the sweep. Files are written atomically, so finished runs survive any
+interruption and the same command continues with the others.
 """
 
 import fcntl
@@ -29,15 +29,15 @@ PART = re.compile(r"runs-([0-9]+)-([0-9]+)\.parquet")
 
 
 class SweepFileError(LieGroupSimError):
-    """The file cannot be read or written, or is of another sweep; one line, exit code 2."""
+    """The file cannot be read or written, or belongs to another sweep; one line, exit code 2."""
 
 
 class SweepFile:
     """Folder of a sweep.
 
-    path        : its name, must end in .parquet
-    description : JSON types, with at least what sweep.describe gives; the folder must hold that
-                  sweep, or nothing. None: the folder must hold one
+    path        : must end in .parquet
+    description : JSON types, with at least the entries of sweep.describe; the folder must be empty
+                  or hold this sweep. None: the folder must hold a sweep
     raises SweepFileError
     """
 
@@ -76,14 +76,14 @@ class SweepFile:
 
     @property
     def missing(self):
-        """Numbers of the runs that are not there, ascending."""
+        """Numbers of the missing runs, ascending."""
         runs = np.ones(self.description["samples"], dtype=bool)
         for first, last, _ in self._parts:
             runs[first : last + 1] = False
         return np.flatnonzero(runs)
 
     def table(self, columns=None):
-        """pyarrow.Table of all runs that are there, in their order."""
+        """pyarrow.Table of all finished runs, in their order."""
         dataset = import_module("pyarrow.dataset")
         return dataset.dataset([part for *_, part in self._parts], format="parquet").to_table(
             columns=columns
@@ -91,7 +91,7 @@ class SweepFile:
 
     @contextmanager
     def writing(self):
-        """Make the folder, and be the only one who writes there. Raises SweepFileError."""
+        """Create and lock the folder. Raises SweepFileError."""
         try:
             self.path.mkdir(exist_ok=True)
             handle = os.open(self.path, os.O_RDONLY)
@@ -102,7 +102,7 @@ class SweepFile:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 raise SweepFileError(f"{self.path}: another process is writing to it") from None
-            self._parts = self._found()  # again: it may just have ended
+            self._parts = self._found()  # again: the other process may just have ended
             for left in self.path.glob(".runs-*.part"):
                 left.unlink()
             yield self
@@ -124,7 +124,7 @@ class SweepFile:
         )
         first, last = int(columns["run"][0]), int(columns["run"][-1])
         part = self.path / f"runs-{first:09d}-{last:09d}.parquet"
-        hidden = self.path / f".{part.name}.part"  # readers of the folder pass over it
+        hidden = self.path / f".{part.name}.part"  # readers of the folder ignore it
         try:
             parquet.write_table(pa.table(columns, schema), hidden)
             hidden.replace(part)
@@ -133,7 +133,7 @@ class SweepFile:
         self._parts = sorted([*self._parts, (first, last, part)])
 
     def _found(self):
-        """[(first run, last run, path)] of the files that are there."""
+        """[(first run, last run, path)] of the files in the folder."""
         parts = []
         try:
             files = sorted(self.path.iterdir()) if self.path.is_dir() else []
@@ -150,7 +150,7 @@ class SweepFile:
         return parts
 
     def _description(self, part):
-        """The description in a file, whose runs are those of its name."""
+        """Description in a file, checked against the runs of its name."""
         parquet, pa = import_module("pyarrow.parquet"), import_module("pyarrow")
         try:
             metadata = parquet.read_metadata(part)

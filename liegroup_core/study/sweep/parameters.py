@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of a scene: every number in it by its path, ranges of them, and changed scenes.
+"""Parameters of a scene: paths of its numbers, their ranges, and changed scenes.
 
     bodies.top.mass     joints.pin.parent_frame.position.0      forces.spring.stiffness   gravity.2
 
-Bodies, joints and forces are named, components of vectors numbered from 0. The last parts of a
-path do where no other path ends with them: `mass` in a scene with one body, `spring.stiffness`. A
-rotation is its rotation vector, however the scene gives it.
+Bodies, joints and forces appear by name, components of vectors by index from 0. A path can be
+shortened to its ending if that is unambiguous: `mass` in a scene with one body, `spring.stiffness`.
+A rotation is a rotation vector, whatever its form in the scene file.
 """
 
 import difflib
@@ -24,16 +24,16 @@ from liegroup_core.scene.frames import ROTATIONS, Placed
 from liegroup_core.scene.values import Described, Number
 
 SHOWN = 12  # names in a message
-# Made from others, or bound together by more than their own rules.
+# Derived from others, or subject to common constraints.
 OF_SHAPE = ("mass", "inertia", "com")
 
 
 class ParameterError(LieGroupSimError, ValueError):
-    """A parameter that is not there, or a range that is none; one line of text, exit code 2."""
+    """Unknown parameter or invalid range; one line of text, exit code 2."""
 
 
 def parameters(scene):
-    """{path: number} of all numbers of a scene; None where the scene leaves it to the others."""
+    """{path: number} of all numbers of a scene; None for one that follows from others."""
     return {".".join(path): value for path, value in _numbers(scene, ())}
 
 
@@ -59,7 +59,7 @@ def _is_parameter(model, key):
 
 
 def _entry(model, key):
-    """An entry of a model; a rotation vector also where the scene gives the rotation otherwise."""
+    """Entry of a model; rotations in any form are returned as rotation vectors."""
     entry = getattr(model, key)
     if key == "rotation_vector" and entry is None and isinstance(model, Placed):
         return tuple(SO3.log(model.rotation).tolist())
@@ -67,9 +67,9 @@ def _entry(model, key):
 
 
 def path_of(scene, name):
-    """The path that a name stands for: the path itself, or an end that no other path has.
+    """Path for a name: the path itself or its unambiguous ending.
 
-    raises ParameterError that says which names there are
+    raises ParameterError with the known names
     """
     known = parameters(scene)
     if name in known:
@@ -97,7 +97,7 @@ def _listed(names, most=SHOWN, word="and"):
 
 
 def changed(scene, values):
-    """The scene with other numbers, {path: number}, checked like a new one. Raises SceneError."""
+    """Scene with changed numbers, {path: number}, fully checked. Raises SceneError."""
     tree = {}
     for path, value in values.items():
         *inner, last = path.split(".")
@@ -124,7 +124,7 @@ def _changed(value, tree):
 
 @dataclass(frozen=True)
 class Range:
-    """Values of one parameter, as shares u of 0..1 of all of them.
+    """Range of one parameter: maps u in 0..1 to values.
 
     kind : uniform (low, high), log (low, high), choice (values), normal (mean, deviation)
     """
@@ -134,7 +134,7 @@ class Range:
     numbers: tuple
 
     def at(self, u):
-        """(k,) values for shares (k,); the same share is the same value."""
+        """Values (k,) for u (k,)."""
         if self.kind == "choice":
             index = np.minimum((u * len(self.numbers)).astype(int), len(self.numbers) - 1)
             return np.array(self.numbers)[index]
@@ -155,9 +155,9 @@ class Range:
 
 
 def range_of(scene, text):
-    """Range of a text: NAME=LOW:HIGH, NAME=LOW:HIGH:log, NAME=A,B,C or NAME=MEAN~DEVIATION.
+    """Range from a text: NAME=LOW:HIGH, NAME=LOW:HIGH:log, NAME=A,B,C or NAME=MEAN~DEVIATION.
 
-    raises ParameterError for another form, an unknown name, and a number the scene cannot have
+    raises ParameterError for another form, an unknown name or an invalid number
     """
     name, equals, rest = text.partition("=")
     if not equals or not name.strip() or not rest.strip():
@@ -196,7 +196,7 @@ def range_of(scene, text):
 
 
 def _rule(scene, path):
-    """What the number itself must be, whatever stands beside it."""
+    """Constraint on the number alone, independent of others."""
     model, steps = scene, path.split(".")
     while steps:
         key = steps.pop(0)

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ensembles: many runs of a scene whose numbers are drawn from ranges, by a Latin hypercube.
+"""Ensembles: runs of a scene with parameters sampled from ranges by a Latin hypercube.
 
     scene = load_scene("heavy_top")
     sweep = Sweep.of(scene, ["mass=10:20"], samples=100, steps=1000)
     for columns in sweep.run(range(100), workers=1):
         print(columns["bodies.top.mass"], columns["top.z"], columns["status"])
 
-Run k depends on the sweep and on k alone: not on the other runs, on workers, or on how the runs
-are handed out to these. A run that cannot be made or has to stop is a row that says why.
+Run k depends on the sweep and on k only, not on other runs, workers or scheduling. A run that is
+not possible or stops early is a row with the reason as its status.
 """
 
 import math
@@ -29,35 +29,35 @@ from liegroup_core.study.trade.measure import listening
 
 from .parameters import ParameterError, changed, parameters, range_of
 
-FORMAT = 1  # of the description and of the columns
+FORMAT = 1  # version of the description and of the columns
 POSE, TWIST = ("x", "y", "z", "qx", "qy", "qz", "qw"), ("wx", "wy", "wz", "vx", "vy", "vz")
-CHECKS = 10  # times in a run at which energy and joints are looked at, if not told
-# A piece of work takes so long, CPU s: far above what handing it out costs, short enough that few
-# are lost when a run is interrupted. There are at most so many pieces, for each is a file.
+CHECKS = 10  # evaluations of energy and joints in a run, by default
+# CPU time of a batch in s: far above the cost of its distribution, and short enough that an
+# interruption loses few runs. The number of batches is limited because each is a file.
 PIECE, MOST_PIECES = 0.5, 1000
-MOST_VALUES = 2_000_000  # in the results of a piece
+MOST_VALUES = 2_000_000  # in the results of a batch
 MOST_DRAWS = 100_000_000  # numbers, 0.8 GB
-FIRST = 0.2  # CPU s of runs that are made first, to see what one costs
-SMALL = 5.0  # CPU s in all: below it workers take longer to start than to work
+FIRST = 0.2  # CPU s of the first runs, which measure the cost of one
+SMALL = 5.0  # CPU s in total: shorter sweeps do not repay the start of workers
 OK = "ok"
 VELOCITIES = {"angular_velocity": 0, "linear_velocity": 3}  # first component in a twist
 PLACES = (["position"], ["rotation_vector"])
-NEAR = 1e-9  # what assembly may do to a drawn pose without a word: its round-off
+NEAR = 1e-9  # round-off of assembly: larger changes of a sampled pose are reported
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """What the runs of an ensemble are made of: all that a worker must know.
+    """Specification of an ensemble: all that a worker needs.
 
     text     : of the scene file
     name     : of the scene
     ranges   : tuple of Range
     samples  : number of runs
-    seed     : of the Latin hypercube, a whole number from 0 on
+    seed     : of the Latin hypercube, an integer >= 0
     steps    : of each run
-    every    : steps from one look at energy and joints to the next
-    keep     : whether the states at these times are kept
-    assemble : whether joints are to close poses and velocities, whatever the scene says
+    every    : steps between two evaluations of energy and joints
+    keep     : whether the states at these times are saved
+    assemble : whether sampled poses and velocities are corrected to satisfy the joints
     settings : ((name, value), ...), arguments of Simulation, method and step among them
     sources  : digest of the sources, which a worker must have too
     """
@@ -78,8 +78,8 @@ class Sweep:
     def of(cls, scene, vary, samples, steps, seed=0, every=None, assemble=False, settings=None):
         """Sweep of a Scene with ranges as texts, see parameters.range_of; the rest as above.
 
-        every : None: a tenth of the run, and no states are kept
-        raises ParameterError, SceneError, ValueError for settings that do not fit the scene
+        every : None: a tenth of the run, without states
+        raises ParameterError, SceneError, ValueError for a configuration that does not fit the scene
         """
         for number, least, what in (
             (samples, 1, "samples"),
@@ -102,7 +102,7 @@ class Sweep:
                 f"{samples} samples of {len(ranges)} parameters exceed {MOST_DRAWS:.0e} "
                 "numbers: run several sweeps with different seeds"
             )
-        simulation = Engine(scene, **(settings or {}))  # compiles, and refuses settings
+        simulation = Engine(scene, **(settings or {}))  # compiles, and checks the configuration
         settings = {"method": simulation.method, "step": simulation.step, **(settings or {})}
         return cls(
             scene.text,
@@ -120,12 +120,12 @@ class Sweep:
 
     @property
     def paths(self):
-        """Names of the parameters, which are those of their columns."""
+        """Paths of the parameters, also the names of their columns."""
         return tuple(entry.path for entry in self.ranges)
 
     @property
     def values(self):
-        """(samples, parameters) values: of each parameter one in every share of its range."""
+        """Sampled values (samples, parameters), a Latin hypercube."""
         return _values(self.ranges, self.samples, self.seed)
 
     def scene(self, k):
@@ -137,7 +137,7 @@ class Sweep:
         return assembled(scene, _velocities_in(self.paths))
 
     def _unlike(self, values, scene):
-        """What assembly made of a pose that was drawn, one line, or None."""
+        """How assembly changed a sampled pose, in one line, or None."""
         found = parameters(scene) if self._places else {}
         for path, value in zip(self.paths, values):
             if path in self._places and abs(found[path] - value) > NEAR * max(1.0, abs(value)):
@@ -156,12 +156,12 @@ class Sweep:
         )
 
     def simulation(self, k):
-        """Simulation of run k, at its start. Raises as Simulation does."""
+        """Simulation of run k in its initial state. Raises the errors of Simulation."""
         return Engine(self.scene(k), **dict(self.settings))
 
     @property
     def columns(self):
-        """{name: "int", "float", "text" or "list"} of what comes of a run, see docs/how-to/sweep.md."""
+        """{name: "int", "float", "text" or "list"} of the results, see docs/how-to/sweep.md."""
         bodies = [body.name for body in _base(self.text, self.name, False).bodies]
         state = [f"{body}.{part}" for body in bodies for part in POSE + TWIST]
         kept = [f"samples.{name}" for name in ("time", *state)] if self.keep else []
@@ -176,16 +176,16 @@ class Sweep:
         )
 
     def run(self, runs, scheduler=None, workers=None):
-        """Make runs, ascending numbers; yields {column: (k,) values} of pieces as they are done.
+        """Run the given numbers, ascending; yields {column: (k,) values} of finished batches.
 
-        scheduler, workers : as of tasks.run; None: few short runs are made here, one by one
+        scheduler, workers : see tasks.run; None: a few short runs are made in this process
         raises TasksError
         """
         runs = np.asarray(runs, dtype=int)
         if not len(runs):
             return
         try:
-            self.simulation(int(runs[0]))  # what has not been compiled is no part of the cost
+            self.simulation(int(runs[0]))  # the cost must not include compiling
         except (LieGroupSimError, ValueError, ArithmeticError):
             pass
         first = simulate((self, int(runs[0]), self._given(runs[: _together(runs)])), FIRST)
@@ -209,7 +209,7 @@ class Sweep:
 
     @property
     def _size(self):
-        """Numbers that come of a run, about."""
+        """Approximate number of values per run."""
         kinds = list(self.columns.values())
         return len(kinds) + kinds.count("list") * (2 + self.steps // self.every)
 
@@ -219,7 +219,7 @@ class Sweep:
 
 @lru_cache(maxsize=4)
 def _velocities_in(paths):
-    """(body, component) of all velocities among these: assembly keeps them as they are drawn."""
+    """(body, component) of all velocities among these: assembly keeps their sampled values."""
     steps = [path.split(".") for path in paths]
     return tuple(
         (step[1], VELOCITIES[step[2]] + int(step[3]))
@@ -229,7 +229,7 @@ def _velocities_in(paths):
 
 
 def _together(runs):
-    """How many of the first of these numbers follow each other."""
+    """Number of consecutive numbers at the start."""
     breaks = np.flatnonzero(np.diff(runs) != 1)
     return int(breaks[0]) + 1 if len(breaks) else len(runs)
 
@@ -249,11 +249,11 @@ def _base(text, name, assemble):
 
 
 def simulate(work, limit=math.inf):
-    """What comes of (Sweep, number of the first run, values of its parameters and the next ones').
+    """Results of a batch: (Sweep, number of the first run, parameters of the runs).
 
-    limit : CPU s after which no further run is begun
+    limit : CPU time in s after which no further run starts
     returns {column: values}, see Sweep.columns
-    raises TasksError where the sources here are others than those of the sweep
+    raises TasksError if the sources on this worker differ from those of the sweep
     """
     sweep, first, values = work
     if sweep.sources != source_digest():
@@ -277,7 +277,7 @@ def simulate(work, limit=math.inf):
 
 
 def _run(sweep, values):
-    """One run as {column: value}; what it did not come to is left out."""
+    """One run as {column: value}; columns that it did not reach are absent."""
     start = time.thread_time()
     looks, simulation, status = [], None, OK
     with listening() as said:
@@ -331,7 +331,7 @@ def _state(sample):
 
 
 def describe(sweep):
-    """A sweep as JSON types; `described` makes it again."""
+    """Sweep as JSON types; `described` is the inverse."""
     return {
         "format": FORMAT,
         "scene": sweep.name,
@@ -349,7 +349,7 @@ def describe(sweep):
 
 
 def described(entries):
-    """Sweep of what `describe` made of it. Raises KeyError, ValueError."""
+    """Sweep from the result of `describe`. Raises KeyError, ValueError."""
     scene = scene_as_written(entries["text"], entries["scene"])
     return Sweep(
         entries["text"],

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What was measured, kept between runs: files in the cache folder of the user.
+"""Cache of measurements: files in the cache folder of the user.
 
-    trades/NAME-KEY/horizon.json        the horizon that suits a scene
-    trades/NAME-KEY/HORIZON/truth.npz       the true motion, see truth.py
-    trades/NAME-KEY/HORIZON/cells.jsonl     a measured cell a line, see measure.py
-    extremes/KEY/cells.jsonl                cells of the map of extremes, see extremes.py
+    trades/NAME-KEY/horizon.json        default horizon of a scene
+    trades/NAME-KEY/HORIZON/truth.npz       reference solution, see reference_solution.py
+    trades/NAME-KEY/HORIZON/cells.jsonl     one measured cell per line, see measure.py
+    extremes/KEY/cells.jsonl                cells of the robustness map, see extremes.py
 
-KEY is of the scene's text, of our sources and of the versions that numbers depend on: what is
-another scene or version finds nothing. The processor stands in each cell. A cell is written as
-soon as it is measured, so whatever ends a run loses none. All of it may be deleted at any time.
+KEY is a digest of the scene text, of the sources and of the versions that affect the numbers, so
+other scenes and versions have files of their own. Each cell names its processor. A cell is written
+as soon as it is measured, so an interruption loses none. The cache may be deleted at any time.
 """
 
 import hashlib
@@ -31,13 +31,13 @@ from .reference_solution import as_bytes, truth_from
 
 log = logging.getLogger("liegroup_core")
 
-# Of what the files hold and of how it is measured.
+# Version of the files and of the measurement.
 FORMAT = 2
 PACKAGES = ("numpy", "scipy", "numba", "mpmath")
 
 
 def key_of(text):
-    """The key of a scene's text with these sources and versions."""
+    """Key of a scene text with the current sources and versions."""
     digest = hashlib.sha256(f"{FORMAT} {source_digest()} {platform.python_version()}".encode())
     for package in PACKAGES:
         try:
@@ -49,10 +49,10 @@ def key_of(text):
 
 
 class Folder:
-    """A folder of files; where it cannot be written, nothing is kept.
+    """Folder of files; without write access nothing is cached.
 
     name : of the folder
-    root : where it is; None: in the user's cache
+    root : its parent; None: in the cache of the user
     """
 
     def __init__(self, name, root=None):
@@ -60,7 +60,7 @@ class Folder:
         self.folder = root and root / name
 
     def lines(self, name):
-        """What `keep_line` has put into a file, in that order: dicts."""
+        """Dicts that `keep_line` has written to a file, in that order."""
         try:
             lines = (self.folder / name).read_bytes().splitlines()
         except (OSError, TypeError):
@@ -69,15 +69,15 @@ class Folder:
         for line in lines:
             try:
                 entry = json.loads(line)
-            except ValueError:  # cut off when a process was killed, or damaged
+            except ValueError:  # truncated when a process was killed, or damaged
                 continue
             if isinstance(entry, dict):
                 found.append(entry)
         return found
 
     def keep_line(self, name, entry):
-        """Write a dict of JSON types to the end of a file, at once and as a whole."""
-        line = "\n" + json.dumps(entry)  # first: the last one may be cut
+        """Append a dict of JSON types to a file, immediately and atomically."""
+        line = "\n" + json.dumps(entry)  # first: the last line may be truncated
 
         def write():
             path = self.folder / name
@@ -88,7 +88,7 @@ class Folder:
         self._try(write)
 
     def _try(self, write):
-        """Write; from the first failure on nothing more: what is measured is of use without."""
+        """Write; after the first failure nothing more, because results do not need the cache."""
         if self.folder is None:
             return
         try:
@@ -110,7 +110,7 @@ class Store(Folder):
         super().__init__(Path("trades", f"{name}-{key_of(scene.text)}"), root)
 
     def horizon(self):
-        """The horizon that suits the scene, or None."""
+        """Default horizon of the scene, or None."""
         try:
             found = json.loads((self.folder / "horizon.json").read_text())
         except (OSError, ValueError, TypeError):
@@ -118,14 +118,14 @@ class Store(Folder):
         return as_time(found) if is_positive(found) else None
 
     def truth(self, horizon):
-        """The Truth over a horizon, or None."""
+        """Truth over a horizon, or None."""
         try:
             return truth_from(self._of(horizon) / "truth.npz")
         except (OSError, TypeError, ValueError, KeyError, BadZipFile):
             return None
 
     def keep_truth(self, truth, suits):
-        """Keep a Truth; suits : its horizon is that which suits the scene."""
+        """Write a Truth; suits : whether its horizon is the default of the scene."""
 
         def write():
             self._of(truth.horizon).mkdir(parents=True, exist_ok=True)
@@ -136,7 +136,7 @@ class Store(Folder):
         self._try(write)
 
     def cells(self, horizon):
-        """Cells that were measured on this processor, in the order in which they were."""
+        """Cells measured on this processor, in order of measurement."""
         return [
             cell
             for cell in self.lines(f"{_name(horizon)}/cells.jsonl")
@@ -144,7 +144,7 @@ class Store(Folder):
         ]
 
     def keep_cell(self, horizon, cell):
-        """Write a cell, at once and as a whole."""
+        """Write a cell, immediately and atomically."""
         self.keep_line(f"{_name(horizon)}/cells.jsonl", cell)
 
     def _of(self, horizon):
@@ -156,7 +156,7 @@ def _name(horizon):
 
 
 def _write(path, data):
-    """Write a file that is either there as a whole or not at all."""
+    """Write a file atomically."""
     part = path.with_name(f"{path.name}.{os.getpid()}")
     try:
         part.write_bytes(data)

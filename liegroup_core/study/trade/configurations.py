@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a scene can be integrated with: methods, groups, stabilisations, and ladders of steps.
+"""Configurations of a scene: methods, groups, stabilisations, and ladders of steps.
 
-A ladder is one choice of all but the step (of a method with error control: but its tolerance).
-Its rungs are 1, 2, 5 times powers of ten of a second (powers of ten), from coarse to fine.
+A ladder is a configuration without its step (for error control: without its tolerance). Its rungs
+are steps of 1, 2, 5 times powers of ten in s (tolerances: powers of ten), from coarse to fine.
 """
 
 import math
@@ -13,8 +13,8 @@ from liegroup_core.integrators.families import NOT_ON_SE3, fitting_methods
 from liegroup_core.integrators.methods import GROUPS, METHODS
 
 STABILISATIONS = ("none", "projection")
-# Where only the best is looked for: what wins in one scene or another of those that come along,
-# found by measuring all (docs/which_method.json).
+# Candidates for the best configuration: methods that win in at least one example scene if all are
+# measured (docs/which_method.json).
 SHORTLIST = (
     "rkmk4",
     "rkmk54",
@@ -27,19 +27,19 @@ SHORTLIST = (
     "constrained_rattle8",
 )
 
-# Errors are looked at at so many times of a horizon, and at so many in the first thousandths and
-# ten-thousandths of it: a stiff scene begins with a motion that is over before the first of them.
+# Number of evaluations over a horizon, and in its first thousandth and ten-thousandth: the initial
+# transient of a stiff scene ends before the first regular evaluation.
 SAMPLES, EARLY = 100, 10
-LEAST_SAMPLES = 5  # with coarse steps fewer of them are whole numbers of steps
+LEAST_SAMPLES = 5  # coarse steps meet fewer sample times
 COARSEST = Fraction(1, 10)  # of the horizon: the first step of a ladder
-# A method with error control takes its substeps within steps of at most so much, s: it ends one at
-# every sample, and the node publishes that often.
+# Longest outer step in s of a method with error control: it ends at every sample, and the node
+# publishes at this rate.
 OUTER_STEP = Fraction(1, 100)
-LOOSEST, TIGHTEST = -3, -13  # powers of ten of its tolerances
+LOOSEST, TIGHTEST = -3, -13  # exponents of its tolerances
 
 
 class Ladder(NamedTuple):
-    """All of a setting but its step or tolerance."""
+    """Configuration without step or tolerance."""
 
     method: str
     group: str
@@ -53,7 +53,7 @@ class Ladder(NamedTuple):
 
 
 class Setting(NamedTuple):
-    """What one run is made with: arguments of Simulation."""
+    """Configuration of one run: arguments of Simulation."""
 
     method: str
     step: float
@@ -73,10 +73,10 @@ class Setting(NamedTuple):
 
 
 def ladders(layout, methods=None, groups=None, stabilisations=None):
-    """The ladders of a scene (layout.Layout), those left out that would repeat another.
+    """Ladders of a scene (layout.Layout), without equivalent ones.
 
-    Without joints there is nothing to stabilise. Methods with a group of their own have that one,
-    and those that close the joints by themselves no stabilisation.
+    Scenes without joints and methods that satisfy the constraints themselves have no stabilisation.
+    Methods with a fixed group have only that one.
     """
     fitting = fitting_methods(layout)
     found = []
@@ -93,7 +93,7 @@ def ladders(layout, methods=None, groups=None, stabilisations=None):
 
 
 def steps(horizon):
-    """Steps from coarse to fine that a horizon (Fraction, s) and its samples are multiples of."""
+    """Steps, coarse to fine, that divide a horizon (Fraction, s) and its sample times."""
     power = math.floor(math.log10(horizon * COARSEST)) + 1
     while True:
         for digit in (5, 2, 1):
@@ -117,7 +117,7 @@ def sample_spacing(step, horizon):
 
 
 def sample_times(horizon):
-    """The times, s (Fraction), of a horizon at which errors are looked at, from 0 on."""
+    """Times in s (Fraction) of a horizon at which errors are evaluated, from 0 on."""
     return sorted(
         {horizon * k / SAMPLES for k in range(SAMPLES + 1)}
         | {horizon * k / (SAMPLES * finer) for finer in (10, 100) for k in range(1, EARLY + 1)}
@@ -125,7 +125,7 @@ def sample_times(horizon):
 
 
 def rungs(ladder, horizon):
-    """Settings of a ladder from coarse to fine, without end but for tolerances."""
+    """Configurations of a ladder, coarse to fine; endless except for tolerances."""
     if ladder.controlled:
         step = next(step for step in steps(horizon) if step <= min(OUTER_STEP, horizon / SAMPLES))
         for power in range(LOOSEST, TIGHTEST - 1, -1):
@@ -139,5 +139,5 @@ def rungs(ladder, horizon):
 
 
 def as_time(seconds):
-    """A time as Fraction, exactly the decimal number that was written."""
+    """Time as Fraction, exactly equal to its decimal text."""
     return Fraction(repr(float(seconds)))

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One setting of one scene: how wrong it is, and what it costs.
+"""Error and cost of one configuration of a scene.
 
-The run is judged at those samples of the horizon that are whole steps. Its cost is the CPU time of
-its thread over native loops, so that what else the machine does counts little; the fastest of
-several runs, for anything else only adds.
+Errors are evaluated at the samples of the horizon that are whole steps. The cost is the CPU time of
+the thread in compiled loops, which other load affects little: the minimum over several runs.
 """
 
 import logging
@@ -28,36 +27,36 @@ from liegroup_core.study.tasks import TasksError
 from .configurations import as_time, sample_times
 from .reference_solution import Truth, momentum_drift, scaled
 
-LONG = 0.2  # CPU s: a run of so much is timed once
-SHORTEST, LEAST_RUNS = 0.02, 3  # CPU s of a timing, and how many of them there are at least
+LONG = 0.2  # CPU s: longer runs are timed once
+SHORTEST, LEAST_RUNS = 0.02, 3  # CPU s of a timing, and least number of timings
 MOST_STEPS_AT_ONCE = 100_000
 
 
 class Study(NamedTuple):
-    """A scene and what its runs are judged by: all that a worker must know."""
+    """Scene and reference solution: all that a worker needs."""
 
     text: str  # of the scene file
     truth: Truth
-    sources: str  # digest of the sources, which a worker must have too
+    sources: str  # digest of the sources, equal on all workers
 
 
 def measure(work):
-    """What came of a (Study, Setting): a cell, JSON types.
+    """Measure a (Study, Setting); returns a cell, JSON types.
 
-    returns dict of the setting's method, step, group, stabilisation, options, and
-        stopped     why there is no result, one line; else None, and then there are
+    returns dict of method, step, group, stabilisation, options of the configuration, and
+        stopped     why there is no result, one line; if None, the dict also has
         error       the larger of position error / length and attitude error in rad, the largest of
                     all bodies and samples
-        position, attitude, angular, linear     the same each for itself: m, rad, rad/s, m/s
-        energy      largest error of the energy in parts of the largest kinetic energy
-        momentum    largest change of a kept component in parts of its size; None: none is kept
+        position, attitude, angular, linear     largest errors in m, rad, rad/s, m/s
+        energy      largest energy error relative to the largest kinetic energy
+        momentum    largest relative drift of a conserved component; None: there is none
         joints      largest joint residual, m or rad
-        flagged     what the engine itself said against the run, one line, or None
-        samples     number of times at which it was judged
+        flagged     warning of the engine about the run, one line, or None
+        samples     number of evaluations
         cost_us     CPU time of a simulated second, us
-        timings     number of runs of which that is the fastest
+        timings     number of timed runs, of which the fastest counts
         cpu         name of the processor
-    raises TasksError where the sources here are others than those of the study
+    raises TasksError if the sources on this worker differ from those of the study
     """
     study, setting = work
     if study.sources != source_digest():
@@ -88,7 +87,7 @@ def measure(work):
     return cell | {"stopped": None, **found, "flagged": flagged}
 
 
-# What a cell always has, and what it has when its run came to its end.
+# Keys of all cells, and further keys of finished runs.
 ALWAYS = {
     "method": str,
     "step": float,
@@ -110,7 +109,7 @@ FINISHED = {
 
 
 def is_whole(cell):
-    """Whether a dict has what `measure` gives."""
+    """Whether a dict is a complete cell, see `measure`."""
     wanted = ALWAYS | (FINISHED if cell.get("stopped", "") is None else {})
     return all(name in cell and isinstance(cell[name], kind) for name, kind in wanted.items())
 
@@ -126,7 +125,7 @@ def _kept_momentum(text):
 
 
 def _judge(simulation, study, setting):
-    """Run once through the horizon: errors, and the CPU seconds of the integration alone."""
+    """Run over the horizon; returns errors and the CPU time in s of the integration alone."""
     truth, step = study.truth, as_time(setting.step)
     times = sample_times(truth.horizon)
     rows = [row for row, at in enumerate(times) if at % step == 0]
@@ -163,7 +162,7 @@ def _judge(simulation, study, setting):
 
 
 def _cost(simulation, horizon, cpu):
-    """(CPU us per simulated second, number of timings); cpu : of the run that was judged."""
+    """(CPU us per simulated second, number of timings); cpu : s of the first run."""
     times = [cpu]
     steps = simulation.steps
     while cpu < LONG and (len(times) < LEAST_RUNS or sum(times) < SHORTEST):
@@ -177,7 +176,7 @@ def _cost(simulation, horizon, cpu):
 
 @contextmanager
 def listening():
-    """List of what the engine warns of in this thread, which nobody else hears."""
+    """Collect the warnings of the engine in this thread; they appear nowhere else."""
     said, here = [], threading.get_ident()
     logger = logging.getLogger("liegroup_core")
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The true motion of a scene at the samples of a horizon, as well as it can be known.
+"""Reference solution of a scene at the samples of a horizon, with its uncertainty.
 
-By the closed form where the scene has one, else by the independent integration of
-liegroup_core.reference, whose uncertainty is its distance to one ten times looser. That one is
-made in either case, and what the two differ by is kept.
+Closed form if the scene has one, else the integration of liegroup_core.reference. The uncertainty
+of the integration is its distance to one with a ten times looser tolerance. A closed form is also
+compared with the integration, and the difference is recorded.
 """
 
 import io
@@ -24,10 +24,9 @@ from liegroup_core.reference.exact import exact_solution
 
 from .configurations import sample_times
 
-# If no horizon is asked for: the longest of these, s, at the end of which the reference still
-# knows the motion to KNOWN (of lengths in parts of the scene's, and in rad), and that takes it no
-# more than STEPS steps. So it is some hundred motions of fast scenes, and of chaotic ones as long
-# as 1e-9 can be promised at all.
+# Default horizon: the longest of these, in s, with an uncertainty below KNOWN (relative to the
+# characteristic length, and in rad) and at most STEPS steps of the reference. That is about a hundred
+# periods of fast scenes; in chaotic scenes, the time over which 1e-9 can be guaranteed.
 HORIZONS = tuple(digit * Fraction(10) ** power for power in range(-5, 1) for digit in (1, 2, 5)) + (
     Fraction(10),
 )
@@ -35,33 +34,33 @@ KNOWN, STEPS = 1e-10, 10_000
 
 
 class Truth(NamedTuple):
-    """A motion at k times, and what it is judged by."""
+    """Reference solution at k times, and scales of its errors."""
 
     horizon: Fraction  # s
     kind: str  # "integration", or the name of the closed form
-    length: float  # m, of the scene: what positions are compared with
+    length: float  # m, characteristic length of the scene
     motion: Trajectory  # of n bodies
     uncertainty: tuple  # position m, angle rad, angular rad/s, linear m/s: the largest ones
     energy: np.ndarray  # (k,) J
     kinetic: float  # J, the largest
     agrees: float | None  # error, see `scaled`, of the integration against the closed form
-    seconds: float  # that it took
+    seconds: float  # of the reference integration
 
     @property
     def known(self):
-        """How well the motion is known: uncertainty as an error, see `scaled`."""
+        """Uncertainty of the reference solution as one number, see `scaled`."""
         return scaled(*self.uncertainty[:2], self.length)
 
 
 def scaled(position, angle, length):
-    """The error in one number: the larger of position error / length and attitude error in rad."""
+    """Error as one number: the larger of position error / length and attitude error in rad."""
     return float(max(np.max(position) / length, np.max(angle)))
 
 
 def find_truth(layout, horizon=None, tell=lambda text: None):
-    """Truth of a scene (layout.Layout) over a horizon, s, or over that which suits it.
+    """Truth of a scene (layout.Layout) over a horizon in s; None: its default horizon.
 
-    raises SimulationError where the reference cannot be had
+    raises SimulationError if there is no reference solution
     """
     began = time.perf_counter()
     length = mechanism_size(layout.model) or 1.0
@@ -101,7 +100,7 @@ def find_truth(layout, horizon=None, tell=lambda text: None):
 def _as_far_as_known(layout, pose, twist, length, tell):
     """(horizon, Trajectory, Distance) of the longest of HORIZONS."""
     reference = Reference(layout.scene, pose, twist, end=float(HORIZONS[-1]))
-    # Whichever it will be, its samples are among these.
+    # The samples of all candidate horizons.
     wanted = sorted({at for horizon in HORIZONS for at in sample_times(horizon)})
     kept, best, failure = {}, None, None
     for horizon in HORIZONS:
@@ -136,7 +135,7 @@ def _as_far_as_known(layout, pose, twist, length, tell):
 
 
 def as_bytes(truth):
-    """A Truth as the bytes of a NumPy file *.npz; `truth_from` is the way back."""
+    """Truth as the bytes of a NumPy file *.npz; `truth_from` is the inverse."""
     stream = io.BytesIO()
     facts = {
         "horizon": str(truth.horizon),
@@ -154,7 +153,7 @@ def as_bytes(truth):
 
 
 def truth_from(path):
-    """The Truth in a file. Raises OSError, ValueError, KeyError, BadZipFile."""
+    """Truth from a file. Raises OSError, ValueError, KeyError, BadZipFile."""
     with np.load(path, allow_pickle=False) as found:
         facts = json.loads(str(found["facts"]))
         return Truth(
@@ -167,9 +166,9 @@ def truth_from(path):
 
 
 def momentum_drift(scene, kept, truth, motion):
-    """The largest change of a kept momentum component in parts of its size, along a motion.
+    """Largest relative drift of a conserved momentum component along a motion.
 
-    kept : of `conserved_momentum`. None: nothing is kept
+    kept : from `conserved_momentum`. None: nothing is conserved
     """
     true = truth.motion
     mass = np.array([body.mass for body in scene.bodies])
@@ -177,7 +176,7 @@ def momentum_drift(scene, kept, truth, motion):
     linear = mass * np.linalg.norm(true.twist[..., 3:], axis=2)
     arm = np.linalg.norm(true.position, axis=2)
     spin = np.linalg.norm(np.einsum("nij,knj->kni", inertia, true.twist[..., :3]), axis=2)
-    # What also a component that is zero compares with: the sum over the bodies.
+    # Scale, also of a component that is zero: the sum over the bodies.
     size = {
         "N m s": float((arm * linear + spin).sum(axis=1).max()),
         "N s": float(linear.sum(axis=1).max()),

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The trade of a scene: true error against cost of its settings, measured on this machine.
+"""Trade-off of a scene: error against cost of its configurations, measured on this machine.
 
     trade = Trade(load_scene("heavy_top"))
     for cell, _ in trade.measure():
         print(cell["method"], cell["step"], cell["error"], cell["cost_us"])
     print(trade.cheapest(1e-6))
 
-Each ladder is climbed from its coarsest step to finer ones, until its error is that of rounding or
-of the reference, or the next step would take too long. How it is measured: docs/how-to/choose_accuracy.md.
+Each ladder is measured from its coarsest step to finer ones, until its error reaches round-off or
+the reference uncertainty, or the next step would take too long (docs/how-to/choose_accuracy.md).
 """
 
 from liegroup_core.compiling import source_digest
@@ -23,27 +23,27 @@ from .measure import Study, measure
 from .reference_solution import find_truth
 
 ACCURACIES = (1e-3, 1e-6, 1e-9)
-# Of an accuracy that is promised, the measured error may be this part: between the samples of the
-# measurement, and at times that are no samples of it, the error may be a little larger.
+# A guaranteed accuracy is this factor above the measured error: between the samples of the
+# measurement the error may be slightly larger.
 MARGIN = 3.0
-BUDGET = 1.0  # CPU s of a run, at most
-ENOUGH = 1e-11  # error that need not be smaller: 1e-9 with its margin, and some more
-# Errors that two further steps do not bring down by as much are those of rounding; above the
-# second number they are those of steps that are too large altogether.
+BUDGET = 1.0  # limit of the CPU time of a run, s
+ENOUGH = 1e-11  # smallest error of interest: 1e-9 with its margin, and a reserve
+# If two finer steps do not reduce the error by the factor BETTER, it is round-off; above ROUGH, the
+# steps are too large for the method.
 BETTER, ROUGH = 0.5, 1e-2
-DEARER = 1.5  # as far as these steps have cost so many times more
-SETTLING = 2  # finer rungs that must not be worse
-MOST_STEPS = 1_000_000  # in a horizon, of a ladder of which no run has come to its end
+DEARER = 1.5  # if these steps cost so many times more
+SETTLING = 2  # number of finer rungs that must not be worse
+MOST_STEPS = 1_000_000  # in a horizon, for a ladder without a finished run
 
 
 class Trade:
-    """What was measured of a scene over a horizon, and what can be measured.
+    """Measurements of a scene over a horizon.
 
     scene   : Scene
-    horizon : s, over which runs are judged; None: what suits the scene, see truth.HORIZONS
+    horizon : s, over which errors are evaluated; None: default, see reference_solution.HORIZONS
     store   : Store; None: that of the user
-    tell    : function that is told what is done now
-    raises SceneError, SimulationError where there is no reference, ValueError for a horizon
+    tell    : function that is called with the progress as text
+    raises SceneError, SimulationError without a reference solution, ValueError for a horizon
     """
 
     def __init__(self, scene, horizon=None, store=None, tell=lambda text: None):
@@ -59,12 +59,12 @@ class Trade:
 
     @property
     def horizon(self):
-        """s, over which runs are judged."""
+        """Horizon in s."""
         return float(self.truth.horizon)
 
     @property
     def cells(self):
-        """All that was measured, see measure.measure, by ladders and from coarse to fine."""
+        """All measured cells, see measure.measure, by ladders and from coarse to fine."""
         return sorted(self._cells.values(), key=lambda cell: (_ladder(cell), _coarseness(cell)))
 
     def measure(
@@ -78,15 +78,15 @@ class Trade:
         workers=None,
         tell=lambda text: None,
     ):
-        """Measure what is not known; yields (cell, (ladders done, ladders)) as results come.
+        """Measure missing cells; yields (cell, (ladders done, ladders)) in order of completion.
 
         methods, groups, stabilisations : names; None: all that fit the scene, all, and none and
                                           projection
-        steps              : s, of which the horizon is a multiple, in place of ladders of them
-        budget             : s, CPU time that a run may take
-        scheduler, workers : as of tasks.run
-        tell               : function that is told what is done before the first result
-        raises ValueError for steps that do not fit, or if nothing does, TasksError
+        steps              : s, divisors of the horizon, instead of ladders
+        budget             : s, limit of the CPU time of a run
+        scheduler, workers : see tasks.run
+        tell               : function that is called with the progress before the first result
+        raises ValueError for steps that do not fit, or if nothing does; TasksError
         """
         if steps is not None:
             steps = [_fitting(step, self.truth.horizon) for step in sorted(steps, reverse=True)]
@@ -123,8 +123,9 @@ class Trade:
             yield cell, (done[0], len(climbs))
 
     def keep_only(self, methods=None, groups=None, stabilisations=None, steps=None):
-        """Leave out what was measured and is not of these, as of `measure`; it stays in the store,
-        so that the same question has the same answer whatever else was asked before.
+        """Drop cells of other configurations, arguments as of `measure`. They stay in the cache.
+
+        The same arguments then have the same result, whatever was measured before.
         """
         chosen = set(ladders(self.layout, methods, groups, stabilisations))
         self._cells = {
@@ -134,17 +135,17 @@ class Trade:
         }
 
     def _compile(self, climbs):
-        """Compile here what the workers would compile all at once."""
+        """Compile the kernels before the workers need them."""
         families = {METHODS[climb.ladder.method].family: climb.setting for climb in climbs}
         for setting in families.values():
             try:
                 Engine(self.scene, **setting.arguments())
-            except ValueError:  # the run will say why
+            except ValueError:  # the run reports why
                 pass
 
     def settled(self):
-        """[(cell, error)]: of finished runs, each with the largest error of it, of the next finer
-        ones of its ladder, and of the reference. What is right by chance alone does not count.
+        """[(cell, error)] of finished runs, where error is the largest of the cell, of the next finer
+        ones of its ladder, and of the reference. So errors that are small by chance do not count.
         """
         found = []
         by_ladder = {}
@@ -158,7 +159,7 @@ class Trade:
         return found
 
     def front(self):
-        """Cells that no other beats in both error and cost, from cheap to accurate."""
+        """Pareto front of error and cost: cells from cheap to accurate."""
         front, best = [], float("inf")
         for cell, error in sorted(self.settled(), key=lambda pair: (pair[0]["cost_us"], pair[1])):
             if error < best:
@@ -167,20 +168,20 @@ class Trade:
         return front
 
     def cheapest(self, accuracy, usable=lambda cell: True):
-        """The cheapest cell that keeps an accuracy with its margin, or None."""
+        """Cheapest cell that meets an accuracy with its margin, or None."""
         kept = [
             cell for cell, error in self.settled() if MARGIN * error <= accuracy and usable(cell)
         ]
         return min(kept, key=lambda cell: cell["cost_us"], default=None)
 
     def best(self, usable=lambda cell: True):
-        """(cell, accuracy that it keeps with its margin) of the most accurate one, or None."""
+        """(cell, accuracy that it meets with its margin) of the most accurate cell, or None."""
         found = [(cell, MARGIN * error) for cell, error in self.settled() if usable(cell)]
         return min(found, key=lambda pair: (pair[1], pair[0]["cost_us"]), default=None)
 
 
 class _Climb:
-    """One ladder on its way from coarse to fine; `setting` is the one that is due."""
+    """State of one ladder, coarse to fine; `setting` is the next configuration."""
 
     def __init__(self, ladder, truth, budget, steps=None):
         self.ladder, self.setting = ladder, None
@@ -194,12 +195,12 @@ class _Climb:
         self._cells = []
 
     def add(self, cell):
-        """Take up the cell of the setting that was due."""
+        """Add the cell of the next configuration."""
         self._cells.append(cell)
         self.setting = None
 
     def next(self, cells):
-        """The next setting that is not among `cells` {key: cell}, or None at the end."""
+        """Next configuration that is not among `cells` {key: cell}, or None at the end."""
         for setting in self._rungs:
             if self._is_over(setting):
                 return None
@@ -220,7 +221,7 @@ class _Climb:
         if errors[-1] <= max(ENOUGH, self._known):
             return True
         last = good[-1]
-        # A tolerance that costs nothing is not yet what sets the error.
+        # A tolerance without extra cost does not yet determine the error.
         if (
             len(good) > 2
             and min(errors) < ROUGH
@@ -235,7 +236,7 @@ class _Climb:
 
 
 def _fitting(step, horizon):
-    """A step as float. Raises ValueError where the samples of a horizon cannot be met."""
+    """Step as float. Raises ValueError if it meets no samples of the horizon."""
     if (
         not is_positive(step)
         or horizon % as_time(step)
@@ -271,13 +272,13 @@ def _key_of(setting):
 
 
 def _checked(horizon):
-    """A horizon as Fraction. Raises ValueError."""
+    """Horizon as Fraction. Raises ValueError."""
     if not (isinstance(horizon, (int, float)) and 1e-9 <= horizon <= 1e6):
         raise ValueError(
             f"the horizon must be a number of seconds from 1e-9 to 1e6, got {horizon!r}"
         )
     found = as_time(horizon)
-    # Its samples and the steps between them are to be decimal numbers of a few digits.
+    # Samples and steps must be decimal numbers with few digits.
     if as_time(float(f"{horizon:.3g}")) != found:
         raise ValueError(
             f"the horizon must have at most three digits, got {horizon!r}; use "
