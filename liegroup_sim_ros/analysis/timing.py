@@ -62,11 +62,13 @@ def _requests(recording):
     """[(stamp in ns, requested factor or None)], the first from the start of the recording.
 
     The node records the factor at the start as a parameter and each change as an event "speed".
-    A recording without parameters has the factor in its diagnostics only.
+    A recording without parameters has the factor in its diagnostics or, by `run`, in its pacing.
     """
     first = (recording.settings.get("parameters") or {}).get("real_time_factor")
     if first is None and recording.diagnostics:
         first = recording.diagnostics[0][1].get("real_time_factor_wanted")
+    if first is None and recording.pacing:
+        first = recording.pacing.get("real_time_factor_wanted")
     changes = [
         (event.stamp_ns, number(event.text.rpartition(" ")[2]))
         for event in recording.events

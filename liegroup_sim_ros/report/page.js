@@ -1,4 +1,4 @@
-// Plots and 3D view of the page. What there is to draw stands in the element "data", see page.py.
+// Plots and 3D view of the page; their data are in the element "data", see page.py.
 "use strict";
 const DATA = JSON.parse(document.getElementById("data").textContent);
 const touch = matchMedia("(pointer: coarse)").matches;
@@ -6,7 +6,7 @@ const narrow = () => matchMedia("(max-width: 40rem)").matches;
 const drawn = new Map();                // element -> function that draws it, also in another theme
 const views = [];                       // one of each motion that is drawn
 
-// Colours stand in the data as names of CSS variables, in entries with such a key.
+// Replace the names of CSS variables in entries whose key contains "color".
 function themed(value, key = "") {
   if (typeof value === "string")
     return /color/i.test(key) && value.startsWith("--")
@@ -21,7 +21,7 @@ function themed(value, key = "") {
 const CONFIG = {responsive: true, displaylogo: false, displayModeBar: touch ? true : "hover"};
 const MODEBAR = {bgcolor: "rgba(0,0,0,0)", color: "--soft", activecolor: "--text"};
 
-// A finger on a plot scrolls the page until a tool is chosen above the plot.
+// On touch screens, dragging on a plot scrolls the page until a tool above the plot is selected.
 function drawPlane(element, plot, go) {
   const layout = {...plot.layout, modebar: MODEBAR, uirevision: 1};
   if (touch) layout.dragmode = false;
@@ -297,7 +297,7 @@ function drawView(root, view, planes) {
   return time => { play(false); show(time); };
 }
 
-// Once: the plots of a log when it is opened.
+// Draw the plots of a recording once, when its section is expanded.
 function open(root) {
   if (root.dataset.open) return;
   root.dataset.open = "1";
@@ -312,7 +312,7 @@ for (const root of document.querySelectorAll("[data-part]")) {
   if (root.tagName !== "DETAILS" || root.open) open(root);
   else root.addEventListener("toggle", () => root.open && open(root));
 }
-// A link of the overview opens what it leads to.
+// A link of the overview expands its target.
 function follow() {
   const root = /^#log\d+$/.test(location.hash) && document.querySelector(location.hash);
   if (root) root.open = true;

@@ -70,6 +70,13 @@ def test_the_requested_factor_is_averaged_over_time(tmp_path, factors, mean, tex
     assert slow == ([f"too slow: real-time factor 0.78, {text}"] if mean and mean > 0.8 else [])
 
 
+def test_an_offline_run_is_requested_as_fast_as_possible(tmp_path):
+    log = tmp_path / "a.mcap"
+    assert main(["run", "heavy_top", "--duration", "0.1", "--out", str(log)]) == 0
+    figures = analyse(read_recording(log), reference=False).figures
+    assert headline(figures)[-1][::2] == ("real-time factor", "requested: as fast as possible")
+
+
 def test_files_are_written_before_a_closed_stdout_ends_the_command(tmp_path):
     log = record(tmp_path / "a.mcap", scene_from_text(PAIR), 50)
     page, figures = tmp_path / "a.html", tmp_path / "a.json"
