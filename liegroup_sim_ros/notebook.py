@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """`show`: the HTML report of a recording or a simulation, in a notebook cell or in the browser."""
 
-import copy
+import math
 import tempfile
+import time
 import webbrowser
 from html import escape
 from os import PathLike
@@ -11,7 +12,9 @@ from pathlib import Path
 from liegroup_core.engine import Engine
 from liegroup_core.errors import LieGroupSimError
 from liegroup_sim_ros.analysis import analyse
-from liegroup_sim_ros.recording import read_recording
+from liegroup_sim_ros.playback.repeat import make_simulation
+from liegroup_sim_ros.recording import attachments, read_recording
+from liegroup_sim_ros.recording.read import Recording
 from liegroup_sim_ros.recording.write_run import LogFile
 from liegroup_sim_ros.report.page import make_page, page_part
 
@@ -55,50 +58,59 @@ class Shown:
 
 
 def show(
-    what: str | PathLike[str] | Engine,
+    what: str | PathLike[str] | Recording | Engine,
     seconds: float | None = None,
     reference: bool = True,
     height: int = 900,
 ) -> Shown:
     """Report of a recording, or of a simulation over the next seconds: motion, curves, figures.
 
-    what      : path or address of a recording, or a Simulation. A copy of it is simulated from its
-                present state; it stays as it is
+    what      : path or address of a recording, a Recording, or a Simulation. A Simulation is not
+                changed: a copy without applied wrenches continues from its current state
     seconds   : simulated time to show; of a Simulation, required
     reference : False: skip the comparison with a reference integration
     height    : px, of the frame in a notebook cell
-    raises LieGroupSimError for a recording that cannot be read or a simulation that stops,
-    ValueError for wrong arguments
+    raises LieGroupSimError for a recording that cannot be read or written, ValueError for wrong
+    arguments. A simulation that stops is shown up to there; the report lists the reason
     """
     if isinstance(what, Engine):
-        if seconds is None or not seconds > 0.0:
+        if seconds is None or not 0.0 < seconds < math.inf:
             raise ValueError(f"show a simulation over how many seconds? got {seconds!r}")
         with tempfile.TemporaryDirectory(prefix="liegroup_sim_") as folder:
-            return _report(_record(what, seconds, Path(folder) / "run.mcap"), reference, height)
+            path = _record(what, seconds, Path(folder) / "run.mcap")
+            return _report(read_recording(str(path)), reference, height)
     if seconds is not None:
         raise ValueError("seconds requires a Simulation; a recording is shown whole")
-    return _report(what, reference, height)
+    recording = what if isinstance(what, Recording) else read_recording(str(what))
+    return _report(recording, reference, height)
 
 
-def _report(path, reference, height):
-    analysis = analyse(read_recording(str(path)), reference)
+def _report(recording, reference, height):
+    analysis = analyse(recording, reference)
     return Shown(make_page([page_part(analysis)]), analysis.figures["verdict"], height)
 
 
 def _record(simulation, seconds, path):
-    """Record a copy of a simulation from its present state; returns the path."""
-    simulation = copy.copy(simulation)
+    """Record a copy of a simulation from its current state; returns the path.
+
+    A recording does not hold the wrenches that were applied before it. The copy has none, so its
+    re-simulation is bit-identical.
+    """
     step = simulation.step
     every = max(1, round(1.0 / (FRAMES_PER_SECOND * step)))
     count = max(1, round(seconds / (every * step)))
-    stopped = None
-    with LogFile(path, simulation, every, count + 1) as file:
-        file.sample(simulation.sample())
+    copy = make_simulation(simulation.scene, attachments.settings(simulation, every))
+    copy.set_state(*simulation.state(), simulation.steps, simulation.sample().angles)
+    if not simulation.steps:  # an accuracy is guaranteed from the initial state of the scene
+        copy.promise = simulation.promise
+    started, stopped = time.monotonic(), None
+    with LogFile(path, copy, every, count + 1) as file:
+        file.sample(copy.sample())
         try:
             for _ in range(count):
-                simulation.advance(every)
-                file.sample(simulation.sample())
+                copy.advance(every)
+                file.sample(copy.sample())
         except LieGroupSimError as error:
             stopped = str(error)
-        file.finish(simulation, stopped, stopped is not None, 0.0)
+        file.finish(copy, stopped, stopped is not None, time.monotonic() - started)
     return path

@@ -190,7 +190,10 @@ class LogFile:
                 schemas.definition(topic.type)
                 schemas.type_hash(topic.type)
             self._recorder = Recorder(
-                path, attachments.at_start(simulation, NODE, WORLD_FRAME, every, names)
+                path,
+                attachments.at_start(
+                    simulation, NODE, WORLD_FRAME, every, names, simulation.time_ns
+                ),
             )
         except schemas.SchemaError as error:
             raise OutputError(f"{path}: {error}; *.npz needs no ROS") from None
@@ -200,7 +203,11 @@ class LogFile:
         self._channels = [tuple(map(self._channel, pair)) for pair in pairs]
         self._channel(topics.APPLIED_WRENCH)
         self._events = self._channel(topics.EVENTS)
-        self._event(0, "start", f"{simulation.scene.name} at step 0, without a clock")
+        self._event(
+            simulation.time_ns,
+            "start",
+            f"{simulation.scene.name} at step {simulation.steps}, without a clock",
+        )
 
     def __enter__(self):
         return self

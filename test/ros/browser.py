@@ -28,6 +28,8 @@ OPTIONS = (
     "--disable-component-update",
     "--disable-sync",
     "--disable-dev-shm-usage",
+    # A sandboxed frame belongs to the session of its page.
+    "--disable-features=IsolateSandboxedIframes",
     "--hide-scrollbars",
     "--mute-audio",
 )

@@ -6,12 +6,13 @@ import re
 
 import numpy as np
 import pytest
+from browser import CHROMIUM, Browser
 
 import liegroup_sim_ros
 from liegroup_core import Simulation, load_scene
-from liegroup_sim_ros import show
+from liegroup_sim_ros import notebook, show
 from liegroup_sim_ros.commands.main import main
-from liegroup_sim_ros.recording import RecordingError
+from liegroup_sim_ros.recording import RecordingError, read_recording
 
 
 def test_a_recording_shows_itself(tmp_path):
@@ -23,6 +24,7 @@ def test_a_recording_shows_itself(tmp_path):
     assert html.unescape(page) == shown.html and 'sandbox="allow-scripts"' in cell
     assert shown.html.startswith("<!DOCTYPE html>") and "default-src 'none'" in shown.html
     assert len(cell) < 20e6 and repr(shown).startswith("heavy_top, 0.2 s with rkmk4")
+    assert show(read_recording(log), reference=False).html == shown.html
     assert shown.save(tmp_path / "page.html").read_text(encoding="utf-8") == shown.html
 
 
@@ -36,9 +38,51 @@ def test_a_simulation_is_shown_from_its_present_state_and_stays(tmp_path):
     assert all(np.array_equal(a, b) for a, b in zip(before, simulation.state()))
 
 
+def test_a_report_from_any_step_finds_no_problem(monkeypatch):
+    """Neither the time before nor a wrench of the original is taken for an error of the copy."""
+    found = []
+    analyse = notebook.analyse
+    monkeypatch.setattr(
+        notebook, "analyse", lambda *given: found.append(analyse(*given)) or found[0]
+    )
+    simulation = Simulation(load_scene("heavy_top"), "rkmk4", 1e-3)
+    simulation.apply_wrench("top", [0, 0, 0, 0, 0, 1.0])
+    simulation.advance(7)
+    show(simulation, 0.1, reference=False)
+    figures = found[0].figures
+    assert figures["problems"] == [] and figures["sim_seconds"] == pytest.approx(0.1)
+    assert figures["repeat"]["samples"] == figures["repeat"]["identical"] == 11
+    assert found[0].recording.initial_state["steps"] == 7
+    assert float(found[0].motion.stretches[0].log_times[0]) == pytest.approx(7e-3)
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
+def test_the_frame_draws_inside_another_page(tmp_path):
+    """As in a notebook: the sandboxed frame runs its scripts and asks for nothing."""
+    simulation = Simulation(load_scene("heavy_top"), "rkmk4", 1e-3)
+    page = tmp_path / "notebook.html"
+    cell = show(simulation, 0.2, reference=False)._repr_html_()
+    page.write_text(f"<!DOCTYPE html><meta charset=utf-8>{cell}", encoding="utf-8")
+    browser = Browser(tmp_path / "browser")
+    try:
+        browser.open(page)
+        (frame,) = browser.call("Page.getFrameTree")["frameTree"]["childFrames"]
+        world = browser.call("Page.createIsolatedWorld", frameId=frame["frame"]["id"])
+        drawn = browser.call(
+            "Runtime.evaluate",
+            contextId=world["executionContextId"],
+            expression="document.querySelectorAll('.plot .main-svg').length",
+        )
+        assert drawn["result"]["value"] > 0 and browser.errors == []
+        local = ("data:", "about:", "blob:")
+        assert [r for r in browser.requests if not r.startswith(local)] == [f"file://{page}"]
+    finally:
+        browser.close()
+
+
 def test_wrong_arguments(tmp_path):
     simulation = Simulation(load_scene("free_body"))
-    for seconds in (None, 0.0, -1.0):
+    for seconds in (None, 0.0, -1.0, float("nan"), float("inf")):
         with pytest.raises(ValueError, match="how many seconds"):
             show(simulation, seconds)
     with pytest.raises(ValueError, match="seconds requires a Simulation"):
