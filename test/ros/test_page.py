@@ -216,7 +216,7 @@ def test_hostile_names(browser, tmp_path, monkeypatch):
     assert browser.run("document.querySelector('h1').textContent") == HOSTILE
     assert browser.run(
         "[...document.querySelectorAll('.tables td')].map(t => t.textContent)"
-        f".join().includes({json.dumps('joint j' + HOSTILE + ' open by')})"
+        f".join().includes({json.dumps('constraint residual of j' + HOSTILE)})"
     )
     assert shown.count("alert(1)") >= 4 and "</script>" in shown and str(log) in shown
     # In the legend of a plot, as text.
