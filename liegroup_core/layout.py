@@ -41,7 +41,10 @@ class Layout:
         """PlanarModel, when the joints hold all bodies in a plane; else None. Without baumgarte."""
         if self.model.baumgarte_rate > 0.0:
             return None
-        return planar_model(self.centred, self.model)
+        try:
+            return planar_model(self.centred, self.model)
+        except np.linalg.LinAlgError:
+            raise self.scene.located(_unsolvable(self.scene)) from None
 
     @cached_property
     def joint_of_row(self):
@@ -93,7 +96,28 @@ class Layout:
 def make_layout(scene):
     """Build the model of a scene. Raises SceneError."""
     try:
-        described, centred = ready(scene)
-        return Layout(described, centred, Offsets(described), *build_model(centred))
+        try:
+            described, centred = ready(scene)
+            return Layout(described, centred, Offsets(described), *build_model(centred))
+        except np.linalg.LinAlgError:
+            raise _unsolvable(scene) from None
     except SceneError as error:
         raise scene.located(error) from None
+
+
+def _unsolvable(scene):
+    """SceneError for matrices that are singular in floating point: it names the likely body."""
+
+    def spread(i):
+        moments = np.linalg.eigvalsh(scene.bodies[i].inertia_matrix)
+        numbers = np.log(np.maximum([scene.bodies[i].mass, *moments], 1e-300))
+        return numbers.max() - numbers.min()
+
+    i = max(range(len(scene.bodies)), key=spread)
+    body = scene.bodies[i]
+    inertia = np.linalg.eigvalsh(body.inertia_matrix).min()
+    return SceneError(
+        f'bodies[{i}] "{body.name}": its mass of {body.mass:g} kg and its inertia of '
+        f"{inertia:g} kg m^2 differ too much for the equations to be solved; check their units",
+        ("bodies", i),
+    )

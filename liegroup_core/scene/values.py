@@ -36,12 +36,25 @@ QUATERNION_NORM_TOLERANCE = 1e-3
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
 
 
+def _plain(value):
+    """The value with Python's numbers in place of NumPy's."""
+    if isinstance(value, (np.generic, np.ndarray)):
+        return value.tolist()
+    if type(value) in (list, tuple):
+        return type(value)(map(_plain, value[: SHOWN + 1]))
+    return value
+
+
+SHOWN = 6  # entries of a list in a message
+
+
 def shown(value):
     """Short text of any value, for a message."""
     if value is None:
         return "nothing"
+    value = _plain(value)
     short = reprlib.Repr()
-    short.maxlist = short.maxtuple = short.maxdict = 6
+    short.maxlist = short.maxtuple = short.maxdict = SHOWN
     short.maxlevel = 2
     short.maxstring = short.maxother = short.maxlong = 40
     try:

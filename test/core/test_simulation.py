@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from liegroup_core import SceneError, Simulation, SimulationError, load_scene
+from liegroup_core.scene import Body, scene_from_text
 from liegroup_core.status import NOT_FINITE, ROTATION_TOO_LARGE
 
 
@@ -186,3 +187,23 @@ def test_without_the_compiler_the_same_numbers():
         plain_pose, fast_pose = (np.frombuffer(bytes.fromhex(r[i])) for r in (plain, fast))
         assert np.abs(plain_pose - fast_pose).max() <= 1e-13
         assert float.fromhex(plain[i + 1]) == pytest.approx(float.fromhex(fast[i + 1]), rel=1e-12)
+
+
+@pytest.mark.parametrize("axis", ["[0, 1, 0]", "[0, 1, 1]"])
+def test_numbers_that_leave_no_digit_to_solve_with_are_located(axis):
+    """A mass 1e27 times the inertia, on a lever of 1 m: singular in floating point."""
+    text = (
+        "name: m\ngravity: [0, 0, -9.81]\nbodies:\n"
+        "  - {name: a, mass: 1.0e+26, inertia: [0.1, 0.1, 0.1], position: [1, 0, 0]}\n"
+        "joints:\n  - {name: j, type: revolute, parent: world, child: a,\n"
+        f"     parent_frame: {{position: [0, 0, 0], axis: {axis}}}}}\n"
+    )
+    with pytest.raises(SceneError, match=r'x.yaml:4: bodies\[0\] "a": its mass of 1e\+26 kg'):
+        Simulation(scene_from_text(text, source="x.yaml"))
+
+
+def test_numbers_of_numpy_are_shown_as_numbers():
+    with pytest.raises(SceneError, match=r"got \(0.0, 0.1, 0.1\)$"):
+        Body(name="a", mass=1.0, inertia=tuple(np.array([0.0, 0.1, 0.1])))
+    with pytest.raises(SceneError, match=r"got -1.0$"):
+        Body(name="a", mass=np.float64(-1.0), inertia=(0.1, 0.1, 0.1))
