@@ -322,6 +322,10 @@ class ChoiceType(types.Callable, types.Dummy):
         self._table = table
         super().__init__(f"choice({name})")
 
+    @property
+    def key(self):
+        return frozenset(self._table.items())  # names are for messages: two may have the same
+
     def _type(self, arguments):
         return InnerFunction(self._table[arguments[0].instance_class])
 

@@ -120,7 +120,7 @@ def sections(facts):
             "Forces",
             [(force["name"], force["type"], " - ".join(force["on"])) for force in facts["forces"]],
         ),
-        ("Freedoms", _freedom_rows(facts)),
+        ("Degrees of freedom", _freedom_rows(facts)),
         ("Solve", _solve_rows(facts["solve"], facts["plane"])),
         ("Applicable methods", [("", ", ".join(facts["methods"]), "")]),
         ("Conserved quantities", _kept_rows(facts)),
@@ -144,11 +144,11 @@ def _freedom_rows(facts):
     dropped = ", ".join(f"{joint} {row}" for joint, row in facts["dropped_rows"])
     return [
         ("coordinates", str(6 * len(facts["bodies"])), "six per body"),
-        ("constraint equations", str(facts["rows"]), "forbidden directions"),
+        ("constraint equations", str(facts["rows"]), "of the joints"),
         (
-            "left out",
+            "eliminated",
             str(len(facts["dropped_rows"])),
-            f"redundant, eliminated: {dropped}" if dropped else "none redundant",
+            f"redundant: {dropped}" if dropped else "none redundant",
         ),
         ("degrees of freedom", str(facts["degrees_of_freedom"]), "remaining"),
     ]

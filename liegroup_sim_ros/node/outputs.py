@@ -23,6 +23,7 @@ class Stream:
     overrides    : QosOverrides
     message_type : such as "geometry_msgs/msg/PoseStamped"
     qos          : as in schemas.qos_profile
+    depth        : messages that the topic keeps
     """
 
     def __init__(self, node, overrides, topic, message_type, qos="reliable", depth=10):
@@ -44,7 +45,7 @@ class Stream:
         self._publish = self._handle.publish_raw
         best_effort = profile.reliability == ReliabilityPolicy.BEST_EFFORT
         self._type, self._qos = message_type, "best_effort" if best_effort else qos
-        self._depth = profile.depth
+        self.depth = profile.depth
         self._write = self._channel = None
 
     @property
@@ -54,7 +55,7 @@ class Stream:
 
     def record_to(self, recorder):
         """From now on, record what is published."""
-        self._channel = recorder.add_channel(self.topic, self._type, self._qos, self._depth)
+        self._channel = recorder.add_channel(self.topic, self._type, self._qos, self.depth)
         self._write = recorder.write
 
     def send(self, stamp_ns, data):
@@ -108,6 +109,7 @@ class Outputs:
                 bodies, world_frame, values.frame_prefix, values.steps["publish_rate"]
             )
         self._applied = self._stream(*topics.APPLIED_WRENCH)
+        self._sent, self._sent_at = 0, {}  # wrenches; {body that has one: number of its last}
         self._encode_wrench = {
             body: WrenchStampedCodec(frame).encode for body, frame in self._frames.items()
         }
@@ -202,11 +204,26 @@ class Outputs:
 
     def applied_wrench(self, stamp_ns, body, wrench):
         """The total wrench (torque, force) on a body from this stamp on."""
+        self.acting.pop(body, None)
+        self._sent += 1
         if any(wrench):
             self.acting[body] = wrench
-        else:
-            self.acting.pop(body, None)
+            self._sent_at[body] = self._sent
         self._applied.send(stamp_ns, self._encode_wrench[body](stamp_ns, wrench))
+        self._keep_in_history(stamp_ns)
+
+    def _keep_in_history(self, stamp_ns):
+        """Publish the oldest acting wrench again before newer messages displace it.
+
+        Late subscribers get what the topic keeps: it must hold every wrench that acts. The
+        recording has it already.
+        """
+        body = next(iter(self.acting), None)
+        if body is not None and self._sent - self._sent_at[body] >= self._applied.depth // 2:
+            self._sent += 1
+            self._sent_at[body] = self._sent
+            self.acting[body] = wrench = self.acting.pop(body)
+            self._applied.publish(self._encode_wrench[body](stamp_ns, wrench))
 
     def record_acting(self, stamp_ns):
         """Say anew, in the recording only, which wrenches act: a part of it begins."""

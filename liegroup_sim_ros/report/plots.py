@@ -70,7 +70,7 @@ def make_plots(analysis):
                 "Constraint residuals",
                 "largest of all joints",
                 _plane(
-                    _interval_traces([("open by", curves["joints"])]), bands, "m, rad", log=True
+                    _interval_traces([("residual", curves["joints"])]), bands, "m, rad", log=True
                 ),
             )
         )
@@ -78,8 +78,8 @@ def make_plots(analysis):
     if late:
         plots.append(
             (
-                "Lateness",
-                "scheduling latency of the ticks, since the start",
+                "Scheduling latency",
+                "of the ticks, since the start",
                 _plane(late, bands, "µs", log=True),
             )
         )
@@ -117,8 +117,8 @@ def _lateness_traces(diagnostics):
     traces = []
     for key, name, colour in (
         ("p50", "median", "--green"),
-        ("p99", "99 % within", "--orange"),
-        ("max", "all within", "--red"),
+        ("p99", "p99", "--orange"),
+        ("max", "maximum", "--red"),
     ):
         field = f"lateness_{key}_us"
         values = [

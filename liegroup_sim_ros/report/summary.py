@@ -43,8 +43,8 @@ def headline(figures):
         same = repeat["identical"] == repeat["samples"]
         found.append(
             (
-                "simulated again",
-                "same bits" if same else "different",
+                "re-simulation",
+                "bit-identical" if same else "different",
                 f"{repeat['identical']} of {repeat['samples']} samples are identical",
             )
         )
@@ -81,10 +81,10 @@ def sections(figures):
     if "identical" in repeat:
         found.append(
             (
-                "Simulated again",
+                "Re-simulation",
                 [
                     (
-                        "same bytes",
+                        "bit-identical",
                         f"{repeat['identical']} of {repeat['samples']} samples",
                         "from the recorded initial state, configuration and wrenches",
                     )
@@ -125,7 +125,7 @@ def _run_rows(figures):
             + (f", {counted(figures['resets'], 'reset')}" if figures["resets"] else ""),
         ),
         (
-            "pushes",
+            "applied wrenches",
             str(count),
             shown_pushes + more + (f"; {refused:.0f} wrench messages refused" if refused else ""),
         ),
@@ -242,7 +242,7 @@ def _timing_rows(timing):
             else f"median; p99 {_microseconds(late['p99'])}, maximum {_microseconds(late['max'])}",
         ),
         (
-            "overruns",
+            "deadline misses",
             "-" if timing.get("overruns") is None else f"{timing['overruns']:.0f}",
             "" if ticks is None else f"of {ticks:.0f} ticks",
         ),
@@ -312,7 +312,7 @@ def comparison_rows(figures):
     }
     rows = [
         (
-            "same bytes",
+            "bit-identical",
             f"{figures['identical']} of {figures['samples']} samples",
             ""
             if figures["first_difference_s"] is None

@@ -69,6 +69,11 @@ def of_outer(first, factor):
     return factor * first.count
 
 
+@kernel
+def by_rows(first, factor):
+    return factor + len(first.rows)
+
+
 either = Choice("either", {Inner: of_inner, Outer: of_outer})
 
 
@@ -145,6 +150,17 @@ def test_arrays_are_shared_with_python():
 def test_a_function_that_stands_for_several():
     outer = made()
     assert both(outer) == (-14.0, -0.5) == (either(outer, 2.0), either(outer.inner, 2.0))
+
+
+def test_functions_of_the_same_name_are_different():
+    other = Choice("either", {Inner: by_rows, Outer: of_outer})
+
+    @kernel
+    def difference(outer):
+        return either(outer.inner, 2.0) - other(outer.inner, 2.0)
+
+    outer = made()
+    assert difference(outer) == of_inner(outer.inner, 2.0) - by_rows(outer.inner, 2.0) != 0.0
 
 
 def test_a_function_that_several_kernels_share():

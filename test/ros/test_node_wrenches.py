@@ -12,6 +12,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from scipy.spatial.transform import Rotation
 from std_msgs.msg import String
 
+from liegroup_sim_ros.messages.topics import APPLIED_WRENCH
+
 STEP_NS = 1_000_000
 NODE = "/pushed"
 COMMANDER = """
@@ -104,6 +106,27 @@ def test_a_late_subscriber_learns_what_acts(client, node):
     assert values(late[-1])[:2] == ("cube", (0.0, 0.0, 0.0, 7.0, 0.0, 0.0))
     node.clear.publish(String(data="cube/late"))
     node.until_forces("cube", [7.0, 0.0])
+
+
+def test_a_late_subscriber_learns_what_acts_behind_many_changes(client, node):
+    """More changes on one body than the topic keeps do not displace what acts on another."""
+    node.to["wrench/persistent"]("cube/late", force=(7.0, 0.0, 0.0))
+    node.until_forces("cube", [7.0])
+    changes = 0
+    while len(node.forces("puck")) < APPLIED_WRENCH.depth + 100:
+        changes += 1
+        assert changes < 10 * APPLIED_WRENCH.depth, "the changes do not arrive"
+        node.to["puck/wrench"]("puck", force=(changes * 1e-6, 0.0, 0.0))
+        client.spin(0.004)
+    late = client.listen(
+        f"{NODE}/applied_wrench",
+        WrenchStamped,
+        QoSProfile(depth=APPLIED_WRENCH.depth, durability=DurabilityPolicy.TRANSIENT_LOCAL),
+    )
+    client.until(
+        lambda: [m for m in late if values(m)[:2] == ("cube", (0.0, 0.0, 0.0, 7.0, 0.0, 0.0))],
+        what="what acts on the cube",
+    )
 
 
 def test_wrenches_of_topics_and_names_add(client, node):
