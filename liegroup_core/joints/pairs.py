@@ -85,29 +85,6 @@ LOWER_PAIRS = {
 }
 
 
-def rotation_z_to(axis):
-    """Shortest rotation R with R (0, 0, 1) = axis; for axis = -z, the half turn about y.
-
-    axis : (3,) unit vector
-    returns (3, 3)
-
-    Written with the unit vector u of the axis' horizontal part in place of the usual
-    1 / (1 + z), so that it stays orthogonal to round-off next to axis = -z, where that quotient
-    is singular (`test_rotation_z_to_is_a_rotation_to_round_off`).
-    """
-    x, y, z = (float(component) for component in axis)
-    horizontal = math.hypot(x, y)
-    u_x, u_y = (x / horizontal, y / horizontal) if horizontal > 0.0 else (1.0, 0.0)
-    bend = 1.0 - z
-    return np.array(
-        [
-            [1.0 - bend * u_x * u_x, -bend * u_x * u_y, x],
-            [-bend * u_x * u_y, 1.0 - bend * u_y * u_y, y],
-            [-x, -y, z],
-        ]
-    )
-
-
 @kernel
 def pair_coordinates(rot, p, turns_freely, pitch):
     """Six coordinates of a relative pose of which a lower pair's A forbids some.

@@ -19,13 +19,13 @@ iteration: frames and lengths come from steps 1 and 2, which only multiply poses
 import numpy as np
 
 from liegroup_core.errors import SceneError
+from liegroup_core.fields.frames import ROTATIONS, Frame
 from liegroup_core.joints.linkage import RANK_TOLERANCE, Linkage
 from liegroup_core.lie.groups import SE3, SO3
 
 from .centres import Offsets, at_centres_of_mass
 from .consistency import check_consistency, resolve_elements, resolve_frames
 from .description import RATES, WORLD
-from .frames import ROTATIONS, Frame
 
 # Part of the velocities involved by which the found ones may miss; what is left is round-off.
 TOLERANCE = 1e-10

@@ -17,20 +17,8 @@ import yaml
 from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
 
 from liegroup_core.errors import SceneError
-from liegroup_core.joints.elements import PLAIN_JOINTS
-
-from .forces import (
-    ConstantWrench,
-    Drag,
-    LinearMotor,
-    LinearSpringDamper,
-    Motor,
-    SpringDamper,
-    TorsionalSpringDamper,
-)
-from .frames import ROTATIONS, Frame, Placed
-from .shapes import SHAPES
-from .values import (
+from liegroup_core.fields.frames import ROTATIONS, Frame, Placed
+from liegroup_core.fields.values import (
     Described,
     Flag,
     Inertia,
@@ -46,6 +34,18 @@ from .values import (
     one_of,
     suggestion,
 )
+from liegroup_core.joints.elements import PLAIN_JOINTS
+
+from .forces import (
+    ConstantWrench,
+    Drag,
+    LinearMotor,
+    LinearSpringDamper,
+    Motor,
+    SpringDamper,
+    TorsionalSpringDamper,
+)
+from .shapes import SHAPES
 
 WORLD = "world"
 # Joints whose motion has one rate: which coordinate of the relative twist it is, the turn about z

@@ -10,8 +10,15 @@ from typing import ClassVar, Literal
 from pydantic import Field, model_validator
 
 from liegroup_core.errors import SceneError
-
-from .values import Described, Name, NotNegative, Number, Positive, Text, Vector3
+from liegroup_core.fields.values import (
+    Described,
+    Name,
+    NotNegative,
+    Number,
+    Positive,
+    Text,
+    Vector3,
+)
 
 # Joints with one angle about z, and joints with one coordinate along z.
 TURNING = ("revolute", "cylindrical", "planar", "screw")

@@ -15,11 +15,11 @@ from pathlib import Path
 import yaml
 
 from liegroup_core.errors import SceneError
+from liegroup_core.fields.values import shown, suggestion
 
 from .assembly import assembled
 from .consistency import check_consistency
 from .description import Scene
-from .values import shown, suggestion
 
 SHARE = Path("share", "liegroup_sim_ros", "config", "scenes")
 

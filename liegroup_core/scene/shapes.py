@@ -15,9 +15,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from liegroup_core.errors import SceneError
-
-from .frames import Placed
-from .values import (
+from liegroup_core.fields.frames import Placed
+from liegroup_core.fields.values import (
     LARGEST_NUMBER,
     Direction,
     Positive,

@@ -16,13 +16,8 @@ import pytest
 from scipy.linalg import expm
 
 from liegroup_core import Simulation
-from liegroup_core.joints import (
-    LOWER_PAIRS,
-    elements_of,
-    forbidden_rows,
-    position_residual,
-    rotation_z_to,
-)
+from liegroup_core.fields.frames import rotation_z_to
+from liegroup_core.joints import LOWER_PAIRS, elements_of, forbidden_rows, position_residual
 from liegroup_core.scene.consistency import resolve_elements
 from liegroup_core.scene.description import Body, DistanceJoint, Frame, Scene
 

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from scene_files import ROOT, SCENES, each_scene
 
 from liegroup_core.errors import SceneError
+from liegroup_core.fields.values import Described
 from liegroup_core.scene import (
     Body,
     DistanceJoint,
@@ -32,7 +33,6 @@ from liegroup_core.scene import (
 from liegroup_core.scene import load as load_module
 from liegroup_core.scene.description import FORCES, JOINTS
 from liegroup_core.scene.shapes import SHAPES
-from liegroup_core.scene.values import Described
 
 GOOD = (Path(__file__).parent / "rig.yaml").read_text(encoding="utf-8")
 PARSERS = sorted(

@@ -18,10 +18,10 @@ from pydantic import TypeAdapter, ValidationError
 from scipy.special import ndtri
 
 from liegroup_core.errors import LieGroupSimError
+from liegroup_core.fields.frames import ROTATIONS, Placed
+from liegroup_core.fields.values import Described, Number
 from liegroup_core.lie.groups import SO3
 from liegroup_core.scene.description import RATES, Body
-from liegroup_core.scene.frames import ROTATIONS, Placed
-from liegroup_core.scene.values import Described, Number
 
 SHOWN = 12  # names in a message
 # Derived from others, or subject to common constraints.

@@ -7,13 +7,35 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from liegroup_core.errors import SceneError
-from liegroup_core.joints.pairs import rotation_z_to
 from liegroup_core.lie.groups import SO3
 
 from .values import Described, Direction, Quaternion, RotationVector, Vector3
 
 # The keys that give a rotation, one of which a thing may have.
 ROTATIONS = ("quaternion", "rotation_vector", "axis")
+
+
+def rotation_z_to(axis):
+    """Shortest rotation R with R (0, 0, 1) = axis; for axis = -z, the half turn about y.
+
+    axis : (3,) unit vector
+    returns (3, 3)
+
+    Written with the unit vector u of the axis' horizontal part in place of the usual
+    1 / (1 + z), so that it stays orthogonal to round-off next to axis = -z, where that quotient
+    is singular (`test_rotation_z_to_is_a_rotation_to_round_off`).
+    """
+    x, y, z = (float(component) for component in axis)
+    horizontal = math.hypot(x, y)
+    u_x, u_y = (x / horizontal, y / horizontal) if horizontal > 0.0 else (1.0, 0.0)
+    bend = 1.0 - z
+    return np.array(
+        [
+            [1.0 - bend * u_x * u_x, -bend * u_x * u_y, x],
+            [-bend * u_x * u_y, 1.0 - bend * u_y * u_y, y],
+            [-x, -y, z],
+        ]
+    )
 
 
 class Placed(Described):
