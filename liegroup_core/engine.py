@@ -467,8 +467,7 @@ class Engine:
         if status & 0xFF == DEPENDENT_ROWS:
             joint = self._joint_name(status >> 8)
         if status & 0xFF == TURNS_NOT_COUNTED:
-            springs = [f for f in self.scene.forces if f.type == "torsional_spring_damper"]
-            force = springs[status >> 8].name
+            force = [f.name for f in self.scene.forces if f.counts_turns][status >> 8]
         return (
             f"stopped at t = {self.time:.9g} s (step {self.steps}, h = {self.step:g} s): "
             + MESSAGES[status & 0xFF].format(

@@ -86,7 +86,7 @@ class Layout:
     def angles(self, pose, near=None):
         """Angles (k,) of the torsional springs at a pose (n, 12), rad; near: as in `sample`."""
         forces = self.model.forces
-        angles = np.full(len(forces.torsional_spring_damper), UNKNOWN_TURN)
+        angles = np.full(kinds.count_of_angles(forces), UNKNOWN_TURN)
         if near is not None:
             angles[:] = near
         kinds.count_turns(forces, pose, angles)

@@ -6,11 +6,17 @@ Whether a row acts does not change within a step: the step is split where one st
 """
 
 import math
+from typing import Literal
 
 import numpy as np
+from pydantic import Field, model_validator
 
 from liegroup_core.compiling import kernel
+from liegroup_core.errors import SceneError
+from liegroup_core.fields.values import NotNegative, Positive, Text, Vector3
 from liegroup_core.lie.vec3 import add3, cross3, dot3, load3, load9, tmatvec3, vector3
+
+from .described import Force
 
 ROW = np.dtype(
     [
@@ -24,6 +30,33 @@ ROW = np.dtype(
     ],
     align=True,
 )
+
+
+class ConstantWrench(Force):
+    """Constant torque and force on a body, from one time to another."""
+
+    type: Literal["applied_wrench"] = Field("applied_wrench", description="applied_wrench")
+    body: Text = Field(description="name of a body")
+    torque: Vector3 = Field((0.0, 0.0, 0.0), description="torque in N m")
+    force: Vector3 = Field((0.0, 0.0, 0.0), description="force in N")
+    point: Vector3 = Field(
+        (0.0, 0.0, 0.0), description="point of application in m, in the body frame"
+    )
+    axes: Literal["body", "world"] = Field(
+        "body", description="axes in which torque and force are constant: body or world"
+    )
+    start: NotNegative = Field(0.0, description="start time in s, not negative")
+    end: Positive | None = Field(None, description="end time in s, after start; default: no end")
+
+    @model_validator(mode="after")
+    def _check(self):
+        if self.end is not None and self.end <= self.start:
+            raise SceneError(
+                f"end {self.end:g} must be later than start {self.start:g}: give a later end or "
+                "omit it",
+                place=("end",),
+            )
+        return self
 
 
 def make_row(wrench, index, ends):

@@ -6,11 +6,16 @@ The same in body and world axes. The quadratic part has a kink in its second der
 """
 
 import math
+from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from liegroup_core.compiling import kernel
+from liegroup_core.fields.values import NotNegative, Text
 from liegroup_core.lie.vec3 import dot3, load3
+
+from .described import Force
 
 ROW = np.dtype(
     [
@@ -22,6 +27,25 @@ ROW = np.dtype(
     ],
     align=True,
 )
+
+
+class Drag(Force):
+    """Resistance of still surroundings to the motion of a body."""
+
+    type: Literal["drag"] = Field("drag", description="drag")
+    body: Text = Field(description="name of a body")
+    linear: NotNegative = Field(
+        0.0, description="linear drag of the centre of mass in N s/m, not negative"
+    )
+    quadratic: NotNegative = Field(
+        0.0, description="quadratic drag of the centre of mass in N s^2/m^2, not negative"
+    )
+    angular: NotNegative = Field(
+        0.0, description="linear rotational drag in N m s/rad, not negative"
+    )
+    angular_quadratic: NotNegative = Field(
+        0.0, description="quadratic rotational drag in N m s^2/rad^2, not negative"
+    )
 
 
 def make_row(drag, index, ends):

@@ -2,15 +2,18 @@
 """All kinds of forces between bodies, and what they do together.
 
 A kind is a file with
+    a class                 what a scene says of one force; its `type` names the file
     ROW                     what a kernel reads of one force, a record
     make_row(force, ...)    a force of the scene as such a record
     add_wrench(rows, ...)   wrenches in body axes about the centre of mass, added to what is there
     energy(rows, ...)       J, of what can be had back; left out where there is none
     power(rows, ...)        W, of all the rest: dampers and drag take, motors and pushes give
-and its lines below; the class of the scene is in scene/description.py. Every kind is always there,
-maybe with no rows, so that all scenes share one compiled code. test/contract/test_forces.py holds
-for every kind. Gravity acts on all bodies and stands apart (gravity.py).
+and its lines below. Every kind is always there, maybe with no rows, so that all scenes share one
+compiled code. test/contract/test_forces.py holds for every kind. Gravity acts on all bodies and
+stands apart (gravity.py).
 """
+
+import sys
 
 import numpy as np
 
@@ -25,16 +28,35 @@ from . import (
     spring_damper,
     torsional_spring_damper,
 )
+from .applied_wrench import ConstantWrench
+from .drag import Drag
+from .linear_motor import LinearMotor
+from .linear_spring_damper import LinearSpringDamper
+from .motor import Motor
+from .spring_damper import SpringDamper
+from .torsional_spring_damper import TorsionalSpringDamper
 
-KINDS = {
-    "spring_damper": spring_damper,
-    "torsional_spring_damper": torsional_spring_damper,
-    "linear_spring_damper": linear_spring_damper,
-    "motor": motor,
-    "linear_motor": linear_motor,
-    "drag": drag,
-    "applied_wrench": applied_wrench,
-}
+__all__ = [
+    "ConstantWrench",
+    "Drag",
+    "LinearMotor",
+    "LinearSpringDamper",
+    "Motor",
+    "SpringDamper",
+    "TorsionalSpringDamper",
+]
+
+# What a scene can say, in the order of Forces.
+FORCES = (
+    SpringDamper,
+    TorsionalSpringDamper,
+    LinearSpringDamper,
+    Motor,
+    LinearMotor,
+    Drag,
+    ConstantWrench,
+)
+KINDS = {cls.model_fields["type"].default: sys.modules[cls.__module__] for cls in FORCES}
 
 
 class Forces(Struct):
@@ -65,6 +87,16 @@ def make_forces(described, index, ends):
             for kind, module in KINDS.items()
         }
     )
+
+
+def count_of_angles(forces):
+    """Number of joint angles that are counted over many turns."""
+    return len(forces.torsional_spring_damper)
+
+
+def joints_of_angles(described):
+    """Joint whose angle is counted, of each such angle; described: the scene's forces."""
+    return [force.joint for force in described if force.counts_turns]
 
 
 @kernel

@@ -4,11 +4,16 @@
 The line of motor.py, with force and speed in place of torque and rate.
 """
 
+from typing import Literal
+
 import numpy as np
+from pydantic import Field
 
 from liegroup_core.compiling import kernel
+from liegroup_core.fields.values import Number, Positive
 
 from . import slide
+from .slide import SlideForce
 
 ROW = np.dtype(
     slide.FIELDS
@@ -18,6 +23,18 @@ ROW = np.dtype(
     ],
     align=True,
 )
+
+
+class LinearMotor(SlideForce):
+    """Motor along the z axis of a joint."""
+
+    type: Literal["linear_motor"] = Field("linear_motor", description="linear_motor")
+    force: Number = Field(description="stall force on the child in N")
+    speed_limit: Positive | None = Field(
+        None,
+        description="no-load speed in m/s, greater than 0: the force falls linearly to zero there; "
+        "default: constant force",
+    )
 
 
 def make_row(motor, index, ends):

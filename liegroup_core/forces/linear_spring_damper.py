@@ -1,11 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Spring with damper along the z axis of a joint that slides: force -(k (s - s0) + c sdot)."""
 
+from typing import Literal
+
 import numpy as np
+from pydantic import Field
 
 from liegroup_core.compiling import kernel
+from liegroup_core.fields.values import NotNegative, Number
 
 from . import slide
+from .slide import SlideForce
 
 ROW = np.dtype(
     slide.FIELDS
@@ -16,6 +21,22 @@ ROW = np.dtype(
     ],
     align=True,
 )
+
+
+class LinearSpringDamper(SlideForce):
+    """Spring and damper along the z axis of a joint."""
+
+    type: Literal["linear_spring_damper"] = Field(
+        "linear_spring_damper", description="linear_spring_damper"
+    )
+    stiffness: NotNegative = Field(description="stiffness in N/m, not negative")
+    damping: NotNegative = Field(0.0, description="damping in N s/m, not negative")
+    rest_position: Number = Field(0.0, description="rest position in m")
+
+    @property
+    def is_conservative(self):
+        """True without damping."""
+        return self.damping == 0.0
 
 
 def make_row(spring, index, ends):

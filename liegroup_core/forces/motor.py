@@ -7,11 +7,16 @@ turned backwards is opposed by more than tau. So the torque is smooth and method
 order.
 """
 
+from typing import Literal
+
 import numpy as np
+from pydantic import Field
 
 from liegroup_core.compiling import kernel
+from liegroup_core.fields.values import Number, Positive
 
 from . import turn
+from .turn import TurnForce
 
 ROW = np.dtype(
     turn.FIELDS
@@ -21,6 +26,18 @@ ROW = np.dtype(
     ],
     align=True,
 )
+
+
+class Motor(TurnForce):
+    """Motor about the z axis of a joint."""
+
+    type: Literal["motor"] = Field("motor", description="motor")
+    torque: Number = Field(description="stall torque on the child in N m")
+    rate_limit: Positive | None = Field(
+        None,
+        description="no-load speed in rad/s, greater than 0: the torque falls linearly to zero "
+        "there; default: constant torque",
+    )
 
 
 def make_row(motor, index, ends):

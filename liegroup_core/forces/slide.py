@@ -9,10 +9,24 @@ every point, and their work is f ds exactly, also where a method lets the joint 
 (test/contract/test_forces.py).
 """
 
+from typing import ClassVar
+
+from pydantic import Field
+
 from liegroup_core.compiling import kernel
+from liegroup_core.fields.values import Text
 from liegroup_core.lie.vec3 import dot3, scale3, sub3, vector3
 
+from .described import Force
 from .points import apply_force, place_of, point, point_velocity, world_axes
+
+
+class SlideForce(Force):
+    """Force along the z axis of a joint."""
+
+    joint_moves: ClassVar = "slides"
+    joint: Text = Field(description="name of a joint that translates along its z axis")
+
 
 FIELDS = [
     ("parent", "i8"),

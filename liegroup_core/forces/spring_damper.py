@@ -8,12 +8,16 @@ direction is missing (l = 0), the rest length and the damper contribute nothing.
 """
 
 import math
+from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from liegroup_core.compiling import kernel
+from liegroup_core.fields.values import NotNegative, Text, Vector3
 from liegroup_core.lie.vec3 import dot3, scale3, sub3, vector3
 
+from .described import Force
 from .points import apply_force, point, point_velocity
 
 ROW = np.dtype(
@@ -28,6 +32,26 @@ ROW = np.dtype(
     ],
     align=True,
 )
+
+
+class SpringDamper(Force):
+    """Straight spring and damper between two points."""
+
+    type: Literal["spring_damper"] = Field("spring_damper", description="spring_damper")
+    parent: Text = Field(description="name of a body, or world")
+    parent_point: Vector3 = Field(description="attachment point in m, in the parent frame")
+    child: Text = Field(description="name of a body")
+    child_point: Vector3 = Field(description="attachment point in m, in the child frame")
+    stiffness: NotNegative = Field(description="stiffness in N/m, not negative")
+    damping: NotNegative = Field(
+        0.0, description="damping along the line between the points in N s/m, not negative"
+    )
+    rest_length: NotNegative = Field(0.0, description="rest length in m, not negative")
+
+    @property
+    def is_conservative(self):
+        """True without damping."""
+        return self.damping == 0.0
 
 
 def make_row(spring, index, ends):

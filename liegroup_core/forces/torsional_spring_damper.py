@@ -7,12 +7,16 @@ the state, one number a row: `angle`.
 """
 
 import math
+from typing import ClassVar, Literal
 
 import numpy as np
+from pydantic import Field
 
 from liegroup_core.compiling import kernel
+from liegroup_core.fields.values import NotNegative, Number
 
 from . import turn
+from .turn import TurnForce
 
 ROW = np.dtype(
     turn.FIELDS
@@ -27,6 +31,23 @@ ROW = np.dtype(
 # An angle whose turns are not known yet is taken nearest to this: in (-pi, pi], and a joint that
 # is set up at half a turn counts as pi, not -pi, whichever round-off makes it.
 UNKNOWN_TURN = 1e-9
+
+
+class TorsionalSpringDamper(TurnForce):
+    """Spring and damper about the z axis of a joint."""
+
+    counts_turns: ClassVar = True
+    type: Literal["torsional_spring_damper"] = Field(
+        "torsional_spring_damper", description="torsional_spring_damper"
+    )
+    stiffness: NotNegative = Field(description="stiffness in N m/rad, not negative")
+    damping: NotNegative = Field(0.0, description="damping in N m s/rad, not negative")
+    rest_angle: Number = Field(0.0, description="rest angle in rad, may exceed 2 pi")
+
+    @property
+    def is_conservative(self):
+        """True without damping."""
+        return self.damping == 0.0
 
 
 def make_row(spring, index, ends):

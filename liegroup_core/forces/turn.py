@@ -14,8 +14,12 @@ step.
 """
 
 import math
+from typing import ClassVar
+
+from pydantic import Field
 
 from liegroup_core.compiling import kernel
+from liegroup_core.fields.values import Text
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.vec3 import (
     add3,
@@ -29,7 +33,16 @@ from liegroup_core.lie.vec3 import (
     tmatmul3,
 )
 
+from .described import Force
 from .points import apply_torque, world_axes
+
+
+class TurnForce(Force):
+    """Force about the z axis of a joint."""
+
+    joint_moves: ClassVar = "turns"
+    joint: Text = Field(description="name of a joint that rotates about its z axis")
+
 
 FIELDS = [
     ("parent", "i8"),

@@ -1,7 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Joints as data: the table of lower pairs, and the elements that every joint is made of."""
+"""Joints: what a scene says of them, and the constraint elements that they are made of.
 
-from .elements import elements_of, forbidden_rows, position_residual
+In: joints of a scene and relative poses. Out: rows of forbidden relative twist, their rates and
+position residuals. A joint knows no body, no force and no integrator.
+"""
+
+from .kinds import forbidden_rows, position_residual
 from .pairs import LOWER_PAIRS, LowerPair
 
-__all__ = ["LOWER_PAIRS", "LowerPair", "elements_of", "forbidden_rows", "position_residual"]
+__all__ = ["LOWER_PAIRS", "LowerPair", "forbidden_rows", "position_residual"]

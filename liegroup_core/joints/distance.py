@@ -12,38 +12,72 @@ Where the points coincide there is no direction: the row is then zero, which the
 """
 
 import math
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
 
 from liegroup_core.compiling import kernel
-from liegroup_core.lie.vec3 import ZERO3, add3, axpy3, cross3, dot3, scale3, sub3
+from liegroup_core.fields.frames import Frame
+from liegroup_core.fields.values import Positive
+from liegroup_core.lie.vec3 import ZERO3, add3, axpy3, cross3, dot3, matvec3, scale3, sub3, vector3
+
+from .described import JointBase
+from .elements import Element
+
+KIND = 2
+
+
+class DistanceJoint(JointBase):
+    """Massless rod between the origins of two frames."""
+
+    type: Literal["distance"] = Field("distance", description="distance")
+    parent_frame: Frame = Field(description="frame in the parent frame; only its origin is used")
+    child_frame: Frame = Field(description="frame in the child frame; only its origin is used")
+    length: Positive | None = Field(
+        None,
+        description="distance of the origins in m, greater than 0; default: the initial distance",
+    )
+
+    def elements(self, C_rel):
+        """One DISTANCE; a length that is not given is the initial one."""
+        length = math.hypot(*C_rel[:3, 3]) if self.length is None else self.length
+        return (Element(KIND, ("length",), np.eye(6)[3:], parameter=length),)
+
+    @property
+    def locates_child(self):
+        """False: with both ends together it has no direction."""
+        return False
+
+    @property
+    def remedy(self):
+        """What to change in the scene if the joint does not close at the initial poses."""
+        return "omit length to keep the initial distance"
 
 
 @kernel
-def _direction(s, q):
-    """u and 1 / |d|."""
+def row(element, rot, p, w, v):
+    """Row J_b of the child, in m and dimensionless, and Jdot_b V_rel in m/s^2.
+
+    element : of ELEMENT
+    rot, p  : C_ba, pose of the parent in the body frame of the child
+    w, v    : relative twist V_b - W, body axes of the child
+    returns angular part, linear part, rate
+    """
+    s = vector3(element["child_point"])
+    q = add3(p, matvec3(rot, vector3(element["parent_point"])))
     d = sub3(s, q)
     length = math.sqrt(dot3(d, d))
     if not length > 0.0:
-        return ZERO3, 0.0
-    return scale3(1.0 / length, d), 1.0 / length
-
-
-@kernel
-def distance_row(s, q):
-    """Row J_b of the child: angular part, m; linear part, dimensionless."""
-    u, _ = _direction(s, q)
-    return cross3(s, u), u
-
-
-@kernel
-def distance_rate(s, q, w, v):
-    """Jdot_b V_rel, m/s^2. w, v: relative twist."""
-    u, inverse = _direction(s, q)
+        return ZERO3, ZERO3, 0.0
+    inverse = 1.0 / length
+    u = scale3(inverse, d)
     e = add3(v, cross3(w, q))
     udot = scale3(inverse, axpy3(-dot3(u, e), u, e))
-    return dot3(udot, add3(v, cross3(w, s)))
+    return cross3(s, u), u, dot3(udot, add3(v, cross3(w, s)))
 
 
 @kernel
-def distance_residual(p, length):
+def residual(rot, p, length):
     """How much too far the points are apart, m. p: the child's point seen from the parent's."""
     return math.sqrt(dot3(p, p)) - length

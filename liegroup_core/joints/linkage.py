@@ -12,7 +12,7 @@ import scipy.linalg
 
 from liegroup_core.lie.groups import SE3
 
-from .elements import forbidden_rows, position_residual
+from .kinds import forbidden_rows, position_residual
 
 # Singular values of unit rows: a useful one is rarely below 1e-3. Where a linkage is stretched, a
 # gap of CLOSED leaves sqrt(CLOSED) = 1e-6 in place of zero.
@@ -57,7 +57,7 @@ class Linkage:
         self.joints = [scene.joints[j] for j in joints]
         self.frames = [frames[j] for j in joints]
         self.parts = [parts[j] for j in joints]
-        self.counts = [sum(len(part.forbidden) for part in elements) for elements in self.parts]
+        self.counts = [sum(len(part.names) for part in elements) for elements in self.parts]
         names = {name for joint in self.joints for name in (joint.parent, joint.child)}
         self.start = {body.name: body.pose for body in scene.bodies} | {"world": np.eye(4)}
         self.bodies = [
@@ -76,7 +76,7 @@ class Linkage:
             tuple(self.bodies),
             np.array(self.frames).tobytes(),
             tuple(
-                (part.kind, part.forbidden.tobytes(), part.pitch, part.length)
+                (part.kind, part.forbidden.tobytes(), part.parameter)
                 for parts in self.parts
                 for part in parts
             ),

@@ -23,6 +23,8 @@ import numpy as np
 from liegroup_core.compiling import kernel
 from liegroup_core.lie.vec3 import tmatvec3
 
+from .elements import PAIR, Element
+
 _COORDINATES = ("wx", "wy", "wz", "vx", "vy", "vz")
 
 
@@ -51,6 +53,32 @@ class LowerPair:
     def turns_freely(self):
         """True when every rotation is allowed: no axis is marked out."""
         return not any(name.startswith("w") for name in self.coordinates)
+
+    # The rest is what a JointType has.
+
+    @property
+    def turns(self):
+        """True for one angle about z: the z axes stay parallel, w_z is free or coupled."""
+        return {"wx", "wy"} <= set(self.coordinates) and "wz" not in self.coordinates
+
+    @property
+    def slides(self):
+        """True for one displacement along z: the z axes coincide, v_z is free or coupled."""
+        z_is_kept = {"wx", "wy", "vx", "vy"} <= set(self.coordinates)
+        return z_is_kept and ("vz" not in self.coordinates or self.has_pitch)
+
+    @property
+    def coordinate(self):
+        """Unit of the joint coordinate, "rad" or "m"; None: not exactly one direction is free."""
+        free = set(_COORDINATES) - set(self.coordinates)
+        return (
+            {"wz": "rad", "vz": "m"}[free.pop()] if len(free) == 1 and not self.has_pitch else None
+        )
+
+    @property
+    def rate(self):
+        """Component of the relative twist that `rate` of a scene sets; None: there is none."""
+        return 2 if self.turns else 5 if self.slides else None
 
 
 LOWER_PAIRS = {
@@ -83,6 +111,12 @@ LOWER_PAIRS = {
     ),
     "fixed": LowerPair(("wx", "wy", "wz", "vx", "vy", "vz"), "the frames coincide (weld)"),
 }
+
+
+def pair_element(name, pitch=0.0):
+    """Element of a lower pair; pitch: m/rad, of a screw."""
+    pair = LOWER_PAIRS[name]
+    return Element(PAIR, pair.coordinates, pair.forbidden(pitch), pair.turns_freely, pitch)
 
 
 @kernel

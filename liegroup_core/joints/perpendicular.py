@@ -10,24 +10,34 @@ body axes, where y is constant and xdot = -w x x with the relative twist (w, v) 
 
 import math
 
+import numpy as np
+
 from liegroup_core.compiling import kernel
-from liegroup_core.lie.vec3 import cross3, dot3
+from liegroup_core.lie.vec3 import ZERO3, cross3, dot3, matvec3
+
+from .elements import Element
+
+KIND = 1
+PERPENDICULAR = Element(KIND, ("wn",), np.eye(3, 6))
 
 
 @kernel
-def perpendicular_row(x, y):
-    """Row J_b of the child: its angular part, dimensionless; the linear part is zero."""
-    return cross3(y, x)
+def row(element, rot, p, w, v):
+    """Row J_b of the child, dimensionless, and Jdot_b V_rel in 1/s^2.
+
+    element : of ELEMENT
+    rot, p  : C_ba, pose of the parent in the body frame of the child
+    w, v    : relative twist V_b - W, body axes of the child
+    returns angular part, linear part, rate
+    """
+    parent, child = element["parent_rotation"], element["child_rotation"]
+    x = matvec3(rot, (parent[0], parent[3], parent[6]))
+    y = (child[1], child[4], child[7])
+    return cross3(y, x), ZERO3, dot3(x, w) * dot3(y, w) - dot3(w, w) * dot3(x, y)
 
 
 @kernel
-def perpendicular_rate(x, y, w):
-    """Jdot_b V_rel, 1/s^2. w: relative angular velocity."""
-    return dot3(x, w) * dot3(y, w) - dot3(w, w) * dot3(x, y)
-
-
-@kernel
-def perpendicular_residual(rot):
+def residual(rot, p, parameter):
     """Angle between x and y beyond a right angle, with a minus sign; rad.
 
     rot : rotation of the child's joint frame in the parent's one. x . y = rot_xy, and the cross

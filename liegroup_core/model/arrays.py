@@ -16,6 +16,7 @@ A kind of thing is one structured array, a record per thing.
 import numpy as np
 
 from liegroup_core.compiling import Struct
+from liegroup_core.forces.kinds import count_of_angles
 
 # Work.report[3], an input of a call: WAIT ends it, with fewer steps than asked, before a step in
 # which a spring may turn over (forces/kinds.py); then it is MET.
@@ -24,15 +25,6 @@ WAIT, MET = 1.0, 2.0
 BODY = np.dtype([
     ("mass", "f8"), ("inverse_mass", "f8"),                       # kg, 1/kg
     ("inertia", "f8", (9,)), ("inverse_inertia", "f8", (9,)),     # kg m^2 about the COM, body axes
-], align=True)
-
-ELEMENT = np.dtype([
-    ("kind", "i8"), ("parent", "i8"), ("child", "i8"),      # the last two as in JOINT
-    ("rows", "i8"), ("row_start", "i8"),    # its rows, and the first of them, in a residual
-    ("parent_rotation", "f8", (9,)), ("parent_point", "f8", (3,)),    # its frame in the parent, m
-    ("child_rotation", "f8", (9,)), ("child_point", "f8", (3,)),      # and in the child
-    ("forbidden", "f8", (36,)), ("turns_freely", "i8"),     # A of a PAIR, see joints.elements
-    ("pitch", "f8"), ("length", "f8"),                      # m/rad, m
 ], align=True)
 
 JOINT = np.dtype([
@@ -61,7 +53,7 @@ class Model(Struct):
     gravity: np.ndarray            # (1, 3) m/s^2, world axes
     bodies: np.ndarray             # (n,) of BODY
     forces: Struct                 # Forces: the rows of every kind (forces/kinds.py)
-    elements: np.ndarray           # of ELEMENT
+    elements: np.ndarray           # of joints.elements.ELEMENT
     joints: np.ndarray             # (m,) of JOINT
     row_residual: np.ndarray       # (rows,) which residual is that of a row that is solved for
     child_jacobian: np.ndarray     # (rows, 6) J_b = A Ad(F_b^-1) of every PAIR
@@ -116,7 +108,7 @@ class Work(Struct):
 def make_work(model, stages):
     """Allocate the scratch memory of a model for a method of so many stages."""
     n, rows = len(model.bodies), len(model.row_residual)
-    springs = len(model.forces.torsional_spring_damper)
+    springs = count_of_angles(model.forces)
     return Work(
         child_jacobian=model.child_jacobian.copy(), slip=np.zeros(rows),
         gap=np.zeros(int(model.elements["rows"].sum())),

@@ -4,11 +4,11 @@
 import numpy as np
 
 from liegroup_core.forces.kinds import make_forces
-from liegroup_core.joints.elements import DISTANCE, PAIR, PERPENDICULAR, WORLD
+from liegroup_core.joints.elements import ELEMENT, PAIR, WORLD
 from liegroup_core.lie.groups import SE3
 from liegroup_core.scene.consistency import resolve_elements, resolve_frames
 
-from .arrays import BODY, ELEMENT, Model
+from .arrays import BODY, Model
 from .redundancy import kept_rows, loop_joints
 from .sparsity import cheapest_structure
 
@@ -89,6 +89,7 @@ def build_model(scene):
         ground_projector=_ground_projector(bodies, joints, jacobians),
         pivot_floor=_pivot_floor(
             bodies,
+            elements,
             joints,
             jacobians,
             structure.unknowns,
@@ -107,33 +108,16 @@ def _elements(scene, index, frames, parts):
     first = 0
     for i, (joint, (F_a, F_b), elements) in enumerate(zip(scene.joints, frames, parts)):
         for part in elements:
-            rows = len(part.forbidden)
-            forbidden = np.zeros(36)
-            forbidden[: 6 * rows] = part.forbidden.ravel()
-            records.append(
-                (
-                    part.kind,
-                    index[joint.parent],
-                    index[joint.child],
-                    rows,
-                    first,
-                    F_a[:3, :3].ravel(),
-                    F_a[:3, 3],
-                    F_b[:3, :3].ravel(),
-                    F_b[:3, 3],
-                    forbidden,
-                    part.turns_freely,
-                    part.pitch,
-                    part.length,
-                )
-            )
+            records.append(part.record(index[joint.parent], index[joint.child], first, F_a, F_b))
             owners.append(i)
-            first += rows
+            first += len(part.names)
     return np.array(records, dtype=ELEMENT), tuple(owners)
 
 
 def _constant_rows(element):
     """Rows A Ad(F_b^-1) (k, 6) of a PAIR; zeros of an element whose row depends on the pose."""
+    if element["kind"] != PAIR:
+        return np.zeros((element["rows"], 6))
     frame = np.eye(4)
     frame[:3, :3] = element["child_rotation"].reshape(3, 3)
     frame[:3, 3] = element["child_point"]
@@ -168,7 +152,7 @@ def _ground_projector(bodies, joints, jacobians):
     return projectors
 
 
-def _pivot_floor(bodies, joints, jacobians, count, in_loops):
+def _pivot_floor(bodies, elements, joints, jacobians, count, in_loops):
     """Smallest good pivot of every scalar of K: a fraction of S_rr for the rows of joints in loops.
 
     Bodies and the joints of a tree have none: their pivots are positive at every pose, and as small
@@ -181,10 +165,9 @@ def _pivot_floor(bodies, joints, jacobians, count, in_loops):
     for j in in_loops:
         joint, jacobian = joints[j], jacobians[j]
         body = bodies[joint["child"]]
-        if joint["kind"] == PERPENDICULAR:
-            jacobian = np.eye(3, 6)
-        elif joint["kind"] == DISTANCE:
-            jacobian = np.eye(6)[3:]
+        if joint["kind"] != PAIR:
+            directions = elements[joint["element"]]["forbidden"].reshape(6, 6)
+            jacobian = directions[directions.any(axis=1)]
         size = (jacobian * _mobility(body, jacobian)).sum(axis=1)
         floor[joint["start"] : joint["start"] + joint["rows"]] = SMALLEST_PIVOT * (
             size if joint["kind"] == PAIR else size.min()
@@ -227,7 +210,7 @@ def _mixed_turns(inverse, elements, outer):
     inverse : (n, 3, 3) of the inertias; outer : of every element the body further from the world
     """
     forbidden = elements["forbidden"].reshape(-1, 6, 6)[:, :, :3]
-    turns = (elements["kind"] == PERPENDICULAR) | forbidden.any(axis=(1, 2))
+    turns = forbidden.any(axis=(1, 2))
     if not turns.any():
         return 1.0
     moments, axes = np.linalg.eigh(inverse[outer[turns]])

@@ -65,9 +65,7 @@ def kept_rows(scene, frames, parts):
     parts  : tuple of joints.elements.Element of every joint
     raises SceneError for a linkage at a pose that it cannot leave
     """
-    keep = [
-        np.ones(sum(len(part.forbidden) for part in elements), dtype=bool) for elements in parts
-    ]
+    keep = [np.ones(sum(len(part.names) for part in elements), dtype=bool) for elements in parts]
     loops = loop_joints([(joint.parent, joint.child) for joint in scene.joints])
     # Joints to ground first: on SE(3) these are kept exactly, so rows are left out elsewhere.
     loops.sort(key=lambda j: scene.joints[j].parent != "world")

@@ -186,7 +186,7 @@ def _outer_wrenches(model, pose, rng):
     forces = model.forces
     kinds.add_wrenches(
         forces,
-        rng.normal(size=len(forces.torsional_spring_damper)),
+        rng.normal(size=kinds.count_of_angles(forces)),
         np.ones(len(forces.applied_wrench), dtype=bool),
         pose,
         rng.normal(size=(len(pose), 6)),

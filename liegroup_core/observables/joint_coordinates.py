@@ -12,7 +12,8 @@ import math
 
 import numpy as np
 
-KINDS = ("revolute", "prismatic")
+from liegroup_core.forces.kinds import joints_of_angles
+from liegroup_core.joints.kinds import TYPES
 
 
 class JointCoordinates:
@@ -24,16 +25,20 @@ class JointCoordinates:
 
     def __init__(self, scene, frames):
         place = {body.name: i for i, body in enumerate(scene.bodies)}
-        found = [(joint, pair) for joint, pair in zip(scene.joints, frames) if joint.type in KINDS]
+        found = [
+            (joint, pair)
+            for joint, pair in zip(scene.joints, frames)
+            if TYPES[joint.type].coordinate is not None
+        ]
         self.names = tuple(joint.name for joint, _ in found)
-        self._slides = [joint.type == "prismatic" for joint, _ in found]
+        self.units = {joint.name: TYPES[joint.type].coordinate for joint, _ in found}
         # The world stands behind the last body.
         self._parent = [place.get(joint.parent, len(place)) for joint, _ in found]
         self._child = [place[joint.child] for joint, _ in found]
         self._parent_frame = np.array([pair[0] for _, pair in found]).reshape(-1, 4, 4)
         self._child_frame = np.array([pair[1] for _, pair in found]).reshape(-1, 4, 4)
-        springs = [force.joint for force in scene.forces if force.type == "torsional_spring_damper"]
-        self._spring = [springs.index(name) if name in springs else None for name in self.names]
+        counted = joints_of_angles(scene.forces)
+        self._counted = [counted.index(name) if name in counted else None for name in self.names]
 
     def at(self, pose, twist, angles):
         """{joint: (coordinate, rate)}: rad and rad/s, or m and m/s.
@@ -63,12 +68,12 @@ class JointCoordinates:
         )
         found = {}
         for j, name in enumerate(self.names):
-            if self._slides[j]:
+            if self.units[name] == "m":
                 found[name] = float(way[j]), float(way_rate[j])
             else:
                 angle = float(turn[j])
-                if self._spring[j] is not None:
-                    counted = angles[self._spring[j]]
+                if self._counted[j] is not None:
+                    counted = angles[self._counted[j]]
                     angle += 2.0 * math.pi * round((counted - angle) / (2.0 * math.pi))
                 found[name] = angle, float(turn_rate[j])
         return found

@@ -20,12 +20,13 @@ import numpy as np
 
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.frames import ROTATIONS, Frame
+from liegroup_core.joints.kinds import TYPES
 from liegroup_core.joints.linkage import RANK_TOLERANCE, Linkage
 from liegroup_core.lie.groups import SE3, SO3
 
 from .centres import Offsets, at_centres_of_mass
 from .consistency import check_consistency, resolve_elements, resolve_frames
-from .description import RATES, WORLD
+from .description import WORLD
 
 # Part of the velocities involved by which the found ones may miss; what is left is round-off.
 TOLERANCE = 1e-10
@@ -79,8 +80,7 @@ def _with_bodies_placed(scene):
     joints = list(enumerate(scene.joints))
     while len(poses) <= len(names):
         for j, joint in joints:
-            # where a distance joint has its ends together, it has no direction
-            if (joint.parent in poses) != (joint.child in poses) and joint.type != "distance":
+            if (joint.parent in poses) != (joint.child in poses) and joint.locates_child:
                 break
         else:
             i = next(i for i, name in enumerate(names) if name not in poses)
@@ -146,7 +146,7 @@ def _velocities(scene, linkage, poses, rates, fixed, kept):
     rate_rows = [np.zeros((0, 6))] * len(scene.joints)
     for j in rates:
         joint, (_, F_b) = scene.joints[j], linkage.frames[j]
-        rate_rows[j] = SE3.Ad(SE3.inverse(F_b))[RATES[joint.type]][None]
+        rate_rows[j] = SE3.Ad(SE3.inverse(F_b))[TYPES[joint.type].rate][None]
     kept = [(name, row) for name, row in kept if name in linkage.place]
     keeping = np.zeros((len(kept), 6 * len(linkage.bodies)))
     for row, (name, part) in zip(keeping, kept):

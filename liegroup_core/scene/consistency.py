@@ -14,7 +14,7 @@ once per scene.
 import numpy as np
 
 from liegroup_core.errors import SceneError
-from liegroup_core.joints.elements import elements_of, forbidden_rows, position_residual
+from liegroup_core.joints.kinds import forbidden_rows, position_residual
 from liegroup_core.lie.groups import SE3
 
 from .description import WORLD
@@ -59,7 +59,7 @@ def resolve_elements(scene):
     """
     start = _start(scene)
     return [
-        elements_of(joint, _relative(start, joint, *frames))
+        joint.elements(_relative(start, joint, *frames))
         for joint, frames in zip(scene.joints, resolve_frames(scene))
     ]
 
@@ -76,7 +76,7 @@ def check_consistency(scene):
     for i, (joint, (F_a, F_b)) in enumerate(zip(scene.joints, resolve_frames(scene))):
         (C_a, V_a), (C_b, V_b) = start[joint.parent], start[joint.child]
         C_rel = _relative(start, joint, F_a, F_b)
-        elements = elements_of(joint, C_rel)
+        elements = joint.elements(C_rel)
         rows = forbidden_rows(elements, C_rel)
         text = _open(joint, elements, rows, C_rel, (C_a, C_b, F_a, F_b)) or _moving(
             joint, rows, C_rel, F_a, F_b, V_a, V_b
@@ -100,19 +100,14 @@ def _open(joint, elements, rows, C_rel, poses):
     gap, tilt = _parts(rows, position_residual(elements, C_rel))
     size = max(np.abs(pose[:3, 3]).max() for pose in poses)
     if max(gap, tilt) <= TOLERANCE * (1.0 + size):
-        if joint.type == "distance" and np.linalg.norm(C_rel[:3, 3]) <= TOLERANCE * (1.0 + size):
+        if not joint.locates_child and np.linalg.norm(C_rel[:3, 3]) <= TOLERANCE * (1.0 + size):
             return (
                 "the two points coincide, so the distance has no direction; use a spherical "
                 "joint, or move one of the frames"
             )
         return None
-    remedy = (
-        "omit length to keep the initial distance"
-        if joint.type == "distance"
-        else "omit parent_frame or child_frame to place it where the other one is"
-    )
     return (
-        f"is violated at the initial poses: gap {gap:.3g} m, tilt {tilt:.3g} rad; {remedy}, "
+        f"is violated at the initial poses: gap {gap:.3g} m, tilt {tilt:.3g} rad; {joint.remedy}, "
         f'or move "{joint.child}" or the frames'
     )
 

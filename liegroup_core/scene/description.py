@@ -6,8 +6,8 @@ centre of mass at `com` in it. Rotations turn body components into world compone
 are x, y, z, w. Twists are (omega, v), angular first, in the axes of the body frame and about its
 origin.
 
-A model made from wrong values raises `SceneError`. A new kind of joint or force is one class with
-a `type` (those of forces are in forces.py), and its entry in `JOINTS` or `FORCES`.
+A model made from wrong values raises `SceneError`. The classes of joints and forces stand with what
+they do, in liegroup_core/joints/ and liegroup_core/forces/.
 """
 
 from typing import Annotated, Any, Literal
@@ -23,7 +23,6 @@ from liegroup_core.fields.values import (
     Flag,
     Inertia,
     Name,
-    Number,
     Positive,
     Quaternion,
     RotationVector,
@@ -34,23 +33,20 @@ from liegroup_core.fields.values import (
     one_of,
     suggestion,
 )
-from liegroup_core.joints.elements import PLAIN_JOINTS
+from liegroup_core.forces import kinds as force_kinds
+from liegroup_core.forces.kinds import *  # noqa: F403 (the classes of all forces)
+from liegroup_core.forces.kinds import FORCES
+from liegroup_core.joints import kinds as joint_kinds
+from liegroup_core.joints.kinds import *  # noqa: F403 (the classes of all joints)
+from liegroup_core.joints.kinds import JOINTS, TYPES
 
-from .forces import (
-    ConstantWrench,
-    Drag,
-    LinearMotor,
-    LinearSpringDamper,
-    Motor,
-    SpringDamper,
-    TorsionalSpringDamper,
-)
 from .shapes import SHAPES
 
+__all__ = ["WORLD", "Body", "Frame", "Scene"]
+__all__ += force_kinds.__all__
+__all__ += joint_kinds.__all__
+
 WORLD = "world"
-# Joints whose motion has one rate: which coordinate of the relative twist it is, the turn about z
-# or, where there is none, the slide along z. Angular first, axes of the child's joint frame.
-RATES = {"revolute": 2, "cylindrical": 2, "planar": 2, "screw": 2, "prismatic": 5}
 
 
 class Body(Placed):
@@ -139,79 +135,6 @@ class Body(Placed):
         return np.array(self.angular_velocity + self.linear_velocity)
 
 
-class _Joint(Described):
-    """What all joints between a body and another one or the world have."""
-
-    name: Name = Field(description="name, unique among joints and forces")
-    type: str
-    parent: Text = Field(description="name of a body, or world")
-    child: Text = Field(description="name of a body")
-    parent_frame: Frame | None = Field(
-        None, description="joint frame in the parent frame; default: where child_frame is initially"
-    )
-    child_frame: Frame | None = Field(
-        None, description="joint frame in the child frame; default: where parent_frame is initially"
-    )
-    rate: Number | None = Field(
-        None,
-        description="initial joint velocity for assembly: about z in rad/s, or along z in m/s if "
-        "the joint does not rotate",
-    )
-
-    @model_validator(mode="after")
-    def _check(self):
-        if self.rate is not None and self.type not in RATES:
-            raise SceneError(
-                f"rate cannot be given for a {self.type} joint, which has no single joint "
-                f"velocity; use it with {', '.join(RATES)}",
-                place=("rate",),
-            )
-        if self.parent_frame is None and self.child_frame is None:
-            raise SceneError("parent_frame or child_frame is missing: give at least one of them")
-        return self
-
-
-class Joint(_Joint):
-    """Joint without a parameter: a lower pair, or a universal joint."""
-
-    type: Literal[PLAIN_JOINTS] = Field(
-        description=f"kind of joint: {', '.join(PLAIN_JOINTS[:-1])} or {PLAIN_JOINTS[-1]}"
-    )
-
-
-class ScrewJoint(_Joint):
-    """Nut on a bolt: turning about z moves the child along z."""
-
-    type: Literal["screw"] = Field("screw", description="screw")
-    pitch: Number = Field(
-        description="displacement along z in m per radian, positive for a right-handed thread"
-    )
-
-
-class DistanceJoint(_Joint):
-    """Massless rod between the origins of two frames."""
-
-    type: Literal["distance"] = Field("distance", description="distance")
-    parent_frame: Frame = Field(description="frame in the parent frame; only its origin is used")
-    child_frame: Frame = Field(description="frame in the child frame; only its origin is used")
-    length: Positive | None = Field(
-        None,
-        description="distance of the origins in m, greater than 0; default: the initial distance",
-    )
-
-
-JOINTS = (Joint, ScrewJoint, DistanceJoint)
-FORCES = (
-    SpringDamper,
-    TorsionalSpringDamper,
-    LinearSpringDamper,
-    Motor,
-    LinearMotor,
-    Drag,
-    ConstantWrench,
-)
-
-
 def _entries(classes):
     """Type of a list of entries, each made by the class that its `type` selects."""
     # a key without a value is an empty list
@@ -270,6 +193,14 @@ class Scene(Described):
             for i, link in enumerate(getattr(self, key))
         ]
         _refuse_twins([(key, i, link.name) for key, i, link in links])
+        for i, joint in enumerate(self.joints):
+            if joint.rate is not None and TYPES[joint.type].rate is None:
+                raise SceneError(
+                    f'joints[{i}] "{joint.name}": rate cannot be given for a {joint.type} joint, '
+                    "which has no single joint velocity; use it with "
+                    f"{', '.join(name for name, kind in TYPES.items() if kind.rate is not None)}",
+                    place=("joints", i, "rate"),
+                )
         kinds = {joint.name: joint.type for joint in self.joints}
         for key, i, link in links:
             if hasattr(link, "joint"):
@@ -335,10 +266,11 @@ def _refuse_joint(force, kinds, i):
     if force.joint not in kinds:
         hint = suggestion(force.joint, list(kinds)) if kinds else "the scene has no joints"
         raise SceneError(f"{where}joint {force.joint!r:.40} is not a joint; {hint}", place=place)
-    if kinds[force.joint] not in force.joint_types:
+    if not getattr(TYPES[kinds[force.joint]], force.joint_moves):
+        fitting = [name for name, kind in TYPES.items() if getattr(kind, force.joint_moves)]
         raise SceneError(
             f'{where}joint "{force.joint}" is {kinds[force.joint]}, but {force.type} '
-            f"requires a joint that is {' or '.join(force.joint_types)}",
+            f"requires a joint that is {' or '.join(fitting)}",
             place=place,
         )
 

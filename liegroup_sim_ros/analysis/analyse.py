@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass
 
 from liegroup_core import SimulationError
+from liegroup_core.forces.kinds import count_of_angles
 from liegroup_core.layout import make_layout
 from liegroup_core.monitor.joint_watch import mechanism_size
 from liegroup_core.observables.along import Along
@@ -96,7 +97,7 @@ class _Parts:
         self._along, self._stretch = Along(layout), None
         self._starts = Starts(recording, layout)
         angles = self._starts.of(motion.first)[2]
-        if angles is not None and len(angles) != len(layout.model.forces.torsional_spring_damper):
+        if angles is not None and len(angles) != count_of_angles(layout.model.forces):
             raise RecordingError(
                 f"{recording.path}: its initial state has {len(angles)} angles, which do not "
                 "match its torsional springs"

@@ -7,9 +7,6 @@ from liegroup_core.model.symmetry import conserved_momentum, momentum_values
 
 from .drift import MOST_POINTS, Drift, thinned
 
-# Types of forces with a potential energy; conservative only without damping.
-KEEPING_ENERGY = ("spring_damper", "torsional_spring_damper", "linear_spring_damper")
-
 
 class Energy:
     """Energy drift in J: the largest change within intervals without an applied wrench.
@@ -20,11 +17,7 @@ class Energy:
 
     def __init__(self, layout, expected):
         self._bodies = layout.body_names
-        self._feeding = [
-            force.name
-            for force in layout.scene.forces
-            if force.type not in KEEPING_ENERGY or force.damping > 0.0
-        ]
+        self._feeding = [force.name for force in layout.scene.forces if not force.is_conservative]
         self._drift = Drift(1, self._bodies, expected)
         self._kinetic = 0.0
 

@@ -122,9 +122,7 @@ class TableFile:
             raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
         layout = simulation.layout
         self._joints = layout.coordinates.names
-        units = {
-            joint.name: "m" if joint.type == "prismatic" else "rad" for joint in layout.scene.joints
-        }
+        units = layout.coordinates.units
         self._rows = csv.writer(self._stream)
         self._write(
             "time [s]",

@@ -160,7 +160,7 @@ def rod(length=None, reach=(3, 0, 4), at=(0, 0, 0)):
 
 def test_a_distance_left_out_is_the_one_at_the_start():
     [[element]] = resolve_elements(rod())
-    assert element.length == 5.0
+    assert element.parameter == 5.0
     check_consistency(rod())
     check_consistency(rod(5.0))
     with pytest.raises(

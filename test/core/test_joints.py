@@ -6,7 +6,6 @@ machines (the thread of a screw, Hooke's joint, the conical pendulum), without t
 """
 
 import math
-from types import SimpleNamespace
 
 import engine
 import mechanisms
@@ -17,7 +16,8 @@ from scipy.linalg import expm
 
 from liegroup_core import Simulation
 from liegroup_core.fields.frames import rotation_z_to
-from liegroup_core.joints import LOWER_PAIRS, elements_of, forbidden_rows, position_residual
+from liegroup_core.joints import LOWER_PAIRS, forbidden_rows, position_residual
+from liegroup_core.scene import Joint, ScrewJoint
 from liegroup_core.scene.consistency import resolve_elements
 from liegroup_core.scene.description import Body, DistanceJoint, Frame, Scene
 
@@ -46,7 +46,12 @@ def motion(twist):
 
 def elements(kind, pitch=0.7, length=0.9):
     """Elements of a joint of some kind."""
-    return elements_of(SimpleNamespace(type=kind, pitch=pitch, length=length), np.eye(4))
+    ends = {"name": "j", "parent": "world", "child": "b", "parent_frame": {}, "child_frame": {}}
+    if kind == "distance":
+        joint = DistanceJoint(**ends, length=length)
+    else:
+        joint = ScrewJoint(**ends, pitch=pitch) if kind == "screw" else Joint(**ends, type=kind)
+    return joint.elements(np.eye(4))
 
 
 def residual(kind, C, **parameters):

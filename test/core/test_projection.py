@@ -9,6 +9,7 @@ import pytest
 
 from liegroup_core import Simulation, SimulationError
 from liegroup_core.formulations.absolute.projection import project
+from liegroup_core.joints import LOWER_PAIRS
 from liegroup_core.lie.groups import SE3
 from liegroup_core.status import DEPENDENT_ROWS, NOT_PROJECTED, OK
 
@@ -126,7 +127,7 @@ def test_closing_the_joints_keeps_linear_momentum_energy_and_centre_of_mass():
     assert np.abs(new_centre - centre).max() <= 1e-5
 
 
-@pytest.mark.parametrize("kind", mechanisms.LOWER_PAIRS)
+@pytest.mark.parametrize("kind", LOWER_PAIRS)
 def test_at_ground_joints_projection_changes_nothing(kind):
     """On SE(3) they are closed to rounding: the runs differ by that, magnified by the motion."""
     scene = mechanisms.named(f"{kind} to ground")
@@ -168,7 +169,7 @@ def test_what_cannot_be_closed_is_reported():
     simulation = Simulation(scene, stabilisation="projection")
     simulation.advance(10)
     before = simulation.state()
-    simulation.layout.model.elements["length"][1] += 100.0
+    simulation.layout.model.elements["parameter"][1] += 100.0
     rounds, status, _, _ = projected(simulation, *before)
     assert status & 0xFF in (NOT_PROJECTED, DEPENDENT_ROWS) and rounds > 0
     with pytest.raises(SimulationError, match="smaller step|singular pose") as failure:

@@ -22,7 +22,6 @@ from liegroup_core.scene import (
     SpringDamper,
     TorsionalSpringDamper,
 )
-from liegroup_core.scene.forces import SLIDING
 from liegroup_core.status import ROTATION_TOO_LARGE, TURNS_NOT_COUNTED
 
 EPS = 2.0**-52
@@ -302,7 +301,8 @@ def along_z(force, joint_type):
 
 
 ON_A_LINE = pytest.mark.parametrize(
-    "joint_type", [None, *(kind for kind in SLIDING if kind in LOWER_PAIRS and kind != "screw")]
+    "joint_type",
+    [None, *(kind for kind, pair in LOWER_PAIRS.items() if pair.slides and kind != "screw")],
 )
 
 

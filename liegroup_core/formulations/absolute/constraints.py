@@ -20,14 +20,9 @@ the bias gets -2 a J V - a^2 g.
 """
 
 from liegroup_core.compiling import borrowed, kernel, subroutine
-from liegroup_core.joints.distance import distance_rate, distance_residual, distance_row
-from liegroup_core.joints.elements import DISTANCE, PAIR, PERPENDICULAR, WORLD
+from liegroup_core.joints.elements import PAIR, WORLD
+from liegroup_core.joints.kinds import variable_residual, variable_row
 from liegroup_core.joints.pairs import pair_coordinates
-from liegroup_core.joints.perpendicular import (
-    perpendicular_rate,
-    perpendicular_residual,
-    perpendicular_row,
-)
 from liegroup_core.lie.se3 import se3_Ad, se3_ad, se3_inverse
 from liegroup_core.lie.vec3 import (
     ZERO3,
@@ -82,13 +77,11 @@ def position_residuals(model, pose, residual_out):
         )
         rot = tmatmul3(rot_a, rot_b)
         p = tmatvec3(rot_a, sub3(at_b, at_a))
-        if kind == PERPENDICULAR:
-            residual_out[first] = perpendicular_residual(rot)
-        elif kind == DISTANCE:
-            residual_out[first] = distance_residual(p, element["length"])
+        if kind != PAIR:
+            residual_out[first] = variable_residual(kind, rot, p, element["parameter"])
         else:
             angular, linear = pair_coordinates(
-                rot, p, element["turns_freely"] == 1, element["pitch"]
+                rot, p, element["turns_freely"] == 1, element["parameter"]
             )
             forbidden = element["forbidden"]
             for r in range(element["rows"]):
@@ -109,18 +102,7 @@ def _child_row(model, work, j, rot, p, w, v):
     returns Jdot_b (V_b - W)
     """
     element = model.elements[model.joints[j]["element"]]
-    if element["kind"] == PERPENDICULAR:
-        # columns of the frames: x of the parent's one, y of the child's one
-        parent, child = element["parent_rotation"], element["child_rotation"]
-        x = matvec3(rot, (parent[0], parent[3], parent[6]))
-        y = (child[1], child[4], child[7])
-        row_w, row_v = perpendicular_row(x, y), ZERO3
-        rate = perpendicular_rate(x, y, w)
-    else:
-        s = vector3(element["child_point"])
-        q = add3(p, matvec3(rot, vector3(element["parent_point"])))
-        row_w, row_v = distance_row(s, q)
-        rate = distance_rate(s, q, w, v)
+    row_w, row_v, rate = variable_row(element, rot, p, w, v)
     store3(row_w, work.child_jacobian, model.joints[j]["first"], 0)
     store3(row_v, work.child_jacobian, model.joints[j]["first"], 3)
     # One row: its block is the same whether turned or not.

@@ -46,7 +46,7 @@ def is_closed(model, work, pose):
             _largest3(load3(pose, b, 9))
             + _largest3(element["child_point"])
             + _largest3(element["parent_point"])
-            + abs(element["pitch"])
+            + abs(element["parameter"])
         )
         if a != WORLD:
             length += _largest3(load3(pose, a, 9))

@@ -20,8 +20,9 @@ from scipy.special import ndtri
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.fields.frames import ROTATIONS, Placed
 from liegroup_core.fields.values import Described, Number
+from liegroup_core.joints.kinds import TYPES
 from liegroup_core.lie.groups import SO3
-from liegroup_core.scene.description import RATES, Body
+from liegroup_core.scene.description import Body
 
 SHOWN = 12  # names in a message
 # Derived from others, or subject to common constraints.
@@ -54,7 +55,7 @@ def _is_parameter(model, key):
     if isinstance(model, Body) and model.shape is not None and key in OF_SHAPE:
         return False
     if key == "rate":
-        return model.type in RATES
+        return TYPES[model.type].rate is not None
     return key != "quaternion" and (key == "length" or isinstance(entry, (float, tuple, Described)))
 
 

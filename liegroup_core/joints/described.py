@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a scene says of every joint: the base of the classes of all types."""
+
+from pydantic import Field, model_validator
+
+from liegroup_core.errors import SceneError
+from liegroup_core.fields.frames import Frame
+from liegroup_core.fields.values import Described, Name, Number, Text
+
+
+class JointBase(Described):
+    """Joint of a scene between a body and another one or the world.
+
+    A subclass has `elements(C_rel)`: the constraint elements for the initial pose C_rel (4, 4) of
+    the child's joint frame in the parent's one.
+    """
+
+    name: Name = Field(description="name, unique among joints and forces")
+    type: str
+    parent: Text = Field(description="name of a body, or world")
+    child: Text = Field(description="name of a body")
+    parent_frame: Frame | None = Field(
+        None, description="joint frame in the parent frame; default: where child_frame is initially"
+    )
+    child_frame: Frame | None = Field(
+        None, description="joint frame in the child frame; default: where parent_frame is initially"
+    )
+    rate: Number | None = Field(
+        None,
+        description="initial joint velocity for assembly: about z in rad/s, or along z in m/s if "
+        "the joint does not rotate",
+    )
+
+    @model_validator(mode="after")
+    def _one_frame(self):
+        if self.parent_frame is None and self.child_frame is None:
+            raise SceneError("parent_frame or child_frame is missing: give at least one of them")
+        return self
+
+    @property
+    def locates_child(self):
+        """True if the joint frames coincide in a pose that the joint allows."""
+        return True
+
+    @property
+    def remedy(self):
+        """What to change in the scene if the joint does not close at the initial poses."""
+        return "omit parent_frame or child_frame to place it where the other one is"

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All types of joints, and the geometry of the elements that they are made of.
+
+A lower pair is one entry of LOWER_PAIRS (pairs.py). A joint whose row depends on the pose is a
+file with a class for the scene and the functions that elements.py names, and its lines below.
+test/contract/test_joints.py holds for every type.
+"""
+
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from liegroup_core.compiling import kernel
+from liegroup_core.fields.values import Number
+
+from . import distance, perpendicular
+from .described import JointBase
+from .distance import DistanceJoint
+from .elements import ELEMENT, PAIR, JointType
+from .pairs import LOWER_PAIRS, pair_coordinates, pair_element
+from .perpendicular import PERPENDICULAR
+
+__all__ = ["DistanceJoint", "Joint", "ScrewJoint"]
+
+TYPES = LOWER_PAIRS | {
+    "universal": JointType(
+        "the frames share their origin; the parent's x axis and the child's y axis are the arms "
+        "of the cross"
+    ),
+    "distance": JointType("the origins of the frames keep their distance (rod)"),
+}
+# Types that a name and two frames describe.
+PLAIN = (*(name for name, pair in LOWER_PAIRS.items() if not pair.has_pitch), "universal")
+
+
+class Joint(JointBase):
+    """Joint without a parameter: a lower pair, or a universal joint."""
+
+    type: Literal[PLAIN] = Field(
+        description=f"kind of joint: {', '.join(PLAIN[:-1])} or {PLAIN[-1]}"
+    )
+
+    def elements(self, C_rel):
+        """One lower pair, of a universal joint with a row for the arms of its cross."""
+        if self.type == "universal":
+            return pair_element("spherical"), PERPENDICULAR
+        return (pair_element(self.type),)
+
+
+class ScrewJoint(JointBase):
+    """Nut on a bolt: turning about z moves the child along z."""
+
+    type: Literal["screw"] = Field("screw", description="screw")
+    pitch: Number = Field(
+        description="displacement along z in m per radian, positive for a right-handed thread"
+    )
+
+    def elements(self, C_rel):
+        """One lower pair."""
+        return (pair_element("screw", self.pitch),)
+
+
+JOINTS = (Joint, ScrewJoint, DistanceJoint)
+
+
+@kernel
+def variable_row(element, rot, p, w, v):
+    """Row of an element that is no PAIR, and its rate; see `row` of its file."""
+    if element["kind"] == perpendicular.KIND:
+        return perpendicular.row(element, rot, p, w, v)
+    return distance.row(element, rot, p, w, v)
+
+
+@kernel
+def variable_residual(kind, rot, p, parameter):
+    """Position residual of an element that is no PAIR.
+
+    rot, p : pose of the child's joint frame in the parent's one
+    """
+    if kind == perpendicular.KIND:
+        return perpendicular.residual(rot, p, parameter)
+    return distance.residual(rot, p, parameter)
+
+
+def position_residual(elements, C_rel):
+    """How far a relative pose is from what elements allow; zero exactly there.
+
+    elements : tuple of Element
+    C_rel    : (4, 4) pose of the child's joint frame in the parent's joint frame
+    returns (rows,) in the order of the rows of `forbidden_rows`: rad for angular rows, m for the
+    others. Where it vanishes its slope is theirs: d residual = rows V_rel for C_rel exp(V_rel).
+    """
+    rot, p = tuple(C_rel[:3, :3].ravel().tolist()), tuple(C_rel[:3, 3].tolist())
+    parts = [np.zeros(0)]
+    for element in elements:
+        if element.kind == PAIR:
+            angular, linear = pair_coordinates(rot, p, element.turns_freely, element.parameter)
+            parts.append(element.forbidden @ (*angular, *linear))
+        else:
+            parts.append([variable_residual(element.kind, rot, p, element.parameter)])
+    return np.concatenate(parts)
+
+
+def forbidden_rows(elements, C_rel):
+    """Rows (k, 6) of relative twist, in the child's joint frame, that elements forbid at C_rel."""
+    still = (0.0, 0.0, 0.0)
+    rot = tuple(C_rel[:3, :3].T.ravel().tolist())
+    p = tuple((-C_rel[:3, :3].T @ C_rel[:3, 3]).tolist())
+    parts = [np.zeros((0, 6))]
+    for element in elements:
+        if element.kind == PAIR:
+            parts.append(element.forbidden)
+        else:
+            record = np.array([element.record()], dtype=ELEMENT)[0]
+            angular, linear, _ = variable_row(record, rot, p, still, still)
+            parts.append([(*angular, *linear)])
+    return np.concatenate(parts)

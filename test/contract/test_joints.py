@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What holds for every type of joint; a new type is tested by giving an example of it here."""
+
+import math
+from typing import get_args
+
+import mechanisms
+import numpy as np
+import pytest
+from scipy.linalg import null_space
+
+from liegroup_core.joints.elements import ELEMENT, PAIR
+from liegroup_core.joints.kinds import (
+    JOINTS,
+    TYPES,
+    forbidden_rows,
+    position_residual,
+    variable_residual,
+    variable_row,
+)
+from liegroup_core.lie.groups import SE3
+
+ENDS = {"name": "j", "parent": "world", "child": "b", "parent_frame": {}, "child_frame": {}}
+# The parameters of each type that has some.
+PARAMETERS = {"screw": {"pitch": 0.3}, "distance": {"length": 0.7}}
+PITCH = 0.3
+EPS = np.finfo(float).eps
+
+
+def example(kind):
+    """Joint of a type."""
+    (cls,) = (cls for cls in JOINTS if kind in get_args(cls.model_fields["type"].annotation))
+    return cls(**ENDS, type=kind, **PARAMETERS.get(kind, {}))
+
+
+def closed_pose(kind, rng):
+    """Pose (4, 4) that a joint allows, found along its free directions from where it starts."""
+    C = np.eye(4)
+    if kind == "distance":
+        C[:3, 3] = PARAMETERS[kind]["length"], 0.0, 0.0
+    elements = example(kind).elements(C)
+    for _ in range(300):
+        rows = forbidden_rows(elements, C)
+        free = null_space(rows) if len(rows) else np.eye(6)
+        C = C @ SE3.exp(3e-3 * free @ rng.uniform(0.0, 2.0, free.shape[1]))
+    for _ in range(4):  # back onto the joint
+        rows = forbidden_rows(elements, C)
+        C = C @ SE3.exp(-np.linalg.pinv(rows) @ position_residual(elements, C))
+    return elements, C
+
+
+def allows(kind, twist):
+    """Whether a joint in its first pose allows a relative twist."""
+    return not np.abs(forbidden_rows(example(kind).elements(np.eye(4)), np.eye(4)) @ twist).max(
+        initial=0.0
+    )
+
+
+def test_every_type_has_one_class():
+    named = [kind for cls in JOINTS for kind in get_args(cls.model_fields["type"].annotation)]
+    assert sorted(named) == sorted(TYPES) and set(mechanisms.KINDS) == set(TYPES)
+    assert all(kind.text for kind in TYPES.values())
+    elements = [each for kind in TYPES for each in example(kind).elements(np.eye(4))]
+    variable = {(each.kind, each.names) for each in elements if each.kind != PAIR}
+    assert len(variable) == len(VARIABLE), "two kinds of elements have the same KIND"
+
+
+@pytest.mark.parametrize("kind", TYPES)
+def test_rows_have_names_and_the_slope_of_the_residual(kind):
+    """residual(C exp X) = rows X + O(X^2): with |X| = 1e-6 and curvatures below 100, 1e-10."""
+    rng = np.random.default_rng(7)
+    elements, C = closed_pose(kind, rng)
+    assert np.abs(position_residual(elements, C)).max() <= 100 * EPS
+    rows = forbidden_rows(elements, C)
+    assert rows.shape == (sum(len(element.names) for element in elements), 6)
+    for _ in range(5):
+        X = 1e-6 * rng.normal(size=6) / math.sqrt(6.0)
+        assert np.abs(position_residual(elements, C @ SE3.exp(X)) - rows @ X).max() <= 1e-10
+
+
+@pytest.mark.parametrize("kind", TYPES)
+def test_rows_of_a_pair_are_constant_and_those_of_others_combine_their_directions(kind):
+    elements, C = closed_pose(kind, np.random.default_rng(8))
+    first = 0
+    for element, rows in ((e, len(e.names)) for e in elements):
+        block = forbidden_rows(elements, C)[first : first + rows]
+        first += rows
+        if element.kind == PAIR:
+            np.testing.assert_array_equal(block, element.forbidden)
+        else:
+            outside = block @ null_space(element.forbidden)
+            assert rows == 1 and np.abs(outside).max(initial=0.0) <= 4 * EPS
+
+
+@pytest.mark.parametrize("kind", TYPES)
+def test_turning_and_sliding_are_what_the_rows_allow(kind):
+    """Along z, about it, or both at once at the pitch; tilts are forbidden with them."""
+    if kind == "distance":
+        assert not (TYPES[kind].turns or TYPES[kind].slides or TYPES[kind].coordinate)
+        return
+    about, along = np.eye(6)[2], np.eye(6)[5]
+    upright = not (allows(kind, np.eye(6)[0]) or allows(kind, np.eye(6)[1]))
+    on_axis = not (allows(kind, np.eye(6)[3]) or allows(kind, np.eye(6)[4]))
+    threaded = allows(kind, about + PITCH * along)
+    turns = upright and (allows(kind, about) or threaded)
+    slides = upright and on_axis and (allows(kind, along) or threaded)
+    assert (TYPES[kind].turns, TYPES[kind].slides) == (turns, slides)
+    assert TYPES[kind].rate == (2 if turns else 5 if slides else None)
+    one = 6 - np.linalg.matrix_rank(forbidden_rows(example(kind).elements(np.eye(4)), np.eye(4)))
+    single = {(1, True): "rad", (1, False): "m"}.get((one, allows(kind, about)))
+    assert TYPES[kind].coordinate == (None if threaded and one == 1 else single)
+
+
+VARIABLE = {
+    element.kind: element
+    for kind in TYPES
+    for element in example(kind).elements(np.eye(4))
+    if element.kind != PAIR
+}
+
+
+@pytest.mark.parametrize("kind", VARIABLE)
+@pytest.mark.parametrize("seed", range(5))
+def test_rows_and_rates_are_derivatives_of_the_residual(kind, seed):
+    """Along a motion of constant relative twist, by the five-point rule of step 1e-4.
+
+    At rates below 20/s it leaves h^4 20^6 / 30 = 2e-10, and eps / h of values below 30: 1e-9 in
+    all. Rows are compared at closed poses, where they are the slope of the residual.
+    """
+    rng = np.random.default_rng([seed, 11])
+    F_a, F_b = mechanisms.random_pose(rng), mechanisms.random_pose(rng)
+    V = rng.normal(size=6)
+    element = VARIABLE[kind]
+    C_rel = next(
+        closed_pose(name, rng)[1]
+        for name in TYPES
+        if element.kind in [each.kind for each in example(name).elements(np.eye(4))]
+    )
+    record = np.array([element.record(-1, 0, 0, F_a, F_b)], dtype=ELEMENT)[0]
+    C_ab = F_a @ C_rel @ np.linalg.inv(F_b)  # pose of the child in the parent
+
+    def at(t):
+        """Row (6,), rate and residual after a time t."""
+        moved = C_ab @ SE3.exp(t * V)
+        back, joint = np.linalg.inv(moved), np.linalg.inv(F_a) @ moved @ F_b
+        w, v = tuple(V[:3].tolist()), tuple(V[3:].tolist())
+        angular, linear, rate = variable_row(record, *flat(back), w, v)
+        gap = variable_residual(kind, *flat(joint), element.parameter)
+        return np.array([*angular, *linear]), rate, gap
+
+    h = 1e-4
+    ((row, rate, _), *around) = map(at, (0.0, -2 * h, -h, h, 2 * h))
+
+    def slope(values):
+        return np.dot([1.0, -8.0, 8.0, -1.0], values) / (12.0 * h)
+
+    assert abs(row @ V) > 1e-3
+    assert row @ V == pytest.approx(slope([gap for _, _, gap in around]), abs=1e-9)
+    assert rate == pytest.approx(slope([there @ V for there, _, _ in around]), abs=1e-9)
+
+
+def flat(C):
+    """Rotation (9,) and position (3,) of a pose, as kernels take them."""
+    return tuple(C[:3, :3].ravel().tolist()), tuple(C[:3, 3].tolist())
