@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Layout: the names and frames behind the arrays of a model."""
+"""Layout: names and frames of the arrays of a model."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,10 +21,10 @@ from .scene.description import Scene
 
 @dataclass(frozen=True)
 class Layout:
-    """The names behind a model's indices, and the frames behind its numbers.
+    """Model of a scene with the names of its indices and the frames of its numbers.
 
-    The model's frames, and those of a state, sit at the centres of mass; those of a Sample and of
-    an applied wrench are the body frames of the scene.
+    Model and states refer to frames at the centres of mass. Samples and external wrenches refer to
+    the body frames of the scene.
     """
 
     scene: Scene  # as its author wrote it, but assembled
@@ -38,7 +38,7 @@ class Layout:
 
     @cached_property
     def plane(self):
-        """PlanarModel, when the joints hold all bodies in a plane; else None. Without baumgarte."""
+        """PlanarModel if the joints keep all bodies in a plane, else None; None with baumgarte."""
         if self.model.baumgarte_rate > 0.0:
             return None
         try:
@@ -48,7 +48,7 @@ class Layout:
 
     @cached_property
     def joint_of_row(self):
-        """(all rows,) index of the scene's joint that a position residual belongs to."""
+        """(all rows,) index of the scene's joint of each position residual."""
         return np.repeat(np.array(self.owners, dtype=np.int64), self.model.elements["rows"])
 
     @property
@@ -58,7 +58,7 @@ class Layout:
 
     @property
     def dropped_rows(self):
-        """[(joint, row)] left out because they depend on others; rows are named wx..vz."""
+        """[(joint, row)] of redundant rows, which are eliminated; rows are named wx..vz."""
         return [
             (self.scene.joints[self.owners[e]].name, name)
             for e, (names, kept) in enumerate(zip(self.row_names, self.kept_rows))
@@ -68,14 +68,14 @@ class Layout:
 
     @cached_property
     def coordinates(self):
-        """Coordinates of the joints with one freedom: see JointCoordinates."""
+        """JointCoordinates of the joints with one degree of freedom."""
         return JointCoordinates(self.centred, self.joint_frames)
 
     def sample(self, pose, twist, time=0.0, time_ns=0, steps=0, near=None):
-        """Sample of body frames as in a Sample or a recording: pose (n, 12), twist (n, 6).
+        """Sample from pose (n, 12) and twist (n, 6) of the body frames, as a recording has them.
 
-        near : (k,) rad, angles of the torsional springs a little before, `Sample.angles`; a pose
-               does not tell whole turns. None: no joint has turned more than half a turn
+        near : (k,) rad, `Sample.angles` less than half a turn before: a pose gives angles modulo
+               2 pi only. None: all are within half a turn
         """
         near = None if near is None else np.array(near)
         pose, twist = self.offsets.to_centres(
@@ -106,7 +106,7 @@ def make_layout(scene):
 
 
 def _unsolvable(scene):
-    """SceneError for matrices that are singular in floating point: it names the likely body."""
+    """SceneError for matrices that are singular in floating point, with the most likely body."""
 
     def spread(i):
         moments = np.linalg.eigvalsh(scene.bodies[i].inertia_matrix)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Places of things: position and rotation of a frame in another one."""
+"""Frames: position and rotation of a frame relative to another one."""
 
 import math
 
@@ -11,19 +11,19 @@ from liegroup_core.lie.groups import SO3
 
 from .values import Described, Direction, Quaternion, RotationVector, Vector3
 
-# The keys that give a rotation, one of which a thing may have.
+# Keys for a rotation; at most one of them may be given.
 ROTATIONS = ("quaternion", "rotation_vector", "axis")
 
 
 def rotation_z_to(axis):
-    """Shortest rotation R with R (0, 0, 1) = axis; for axis = -z, the half turn about y.
+    """Smallest rotation R with R (0, 0, 1) = axis; for axis = -z, the half turn about y.
 
     axis : (3,) unit vector
     returns (3, 3)
 
-    Written with the unit vector u of the axis' horizontal part in place of the usual
-    1 / (1 + z), so that it stays orthogonal to round-off next to axis = -z, where that quotient
-    is singular (`test_rotation_z_to_is_a_rotation_to_round_off`).
+    Uses the unit vector u of the axis' horizontal part instead of the usual 1 / (1 + z), which is
+    singular at axis = -z. The result is orthogonal to machine precision
+    (`test_rotation_z_to_is_a_rotation_to_round_off`).
     """
     x, y, z = (float(component) for component in axis)
     horizontal = math.hypot(x, y)
@@ -39,7 +39,7 @@ def rotation_z_to(axis):
 
 
 class Placed(Described):
-    """Thing with a position and one of the rotations."""
+    """Base of models with a position and at most one rotation."""
 
     @model_validator(mode="after")
     def _one_rotation(self):
@@ -71,7 +71,7 @@ class Placed(Described):
 
 
 class Frame(Placed):
-    """Joint frame in the frame of the body (or world) it is fixed to."""
+    """Joint frame, relative to the body (or world) that it is fixed to."""
 
     position: Vector3 = Field(
         (0.0, 0.0, 0.0), description="origin in m, in the frame to which it is fixed"

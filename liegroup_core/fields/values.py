@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The numbers, vectors and names a scene is written with, and how a wrong one is refused.
+"""Numbers, vectors and names of a scene, and the checks of them.
 
-Every rule raises ValueError with a text that continues the name of the value ("must be greater
+A check raises ValueError with a text that continues the name of the value ("must be greater
 than 0"), or SceneError with a whole sentence. `Described`, the base of all scene models, turns
-what comes out into one SceneError whose text says where it is, what is wrong and what was got.
+either into one SceneError: place, what is wrong, given value.
 """
 
 import difflib
@@ -30,14 +30,14 @@ from liegroup_core.errors import SceneError
 # Squares and products of three numbers of this size still fit into a float (1.8e308).
 LARGEST_NUMBER = 1e100
 
-# Four components typed with three digits are off by up to 5e-4 each, their norm by at most 1e-3.
+# Four components rounded to three digits have errors up to 5e-4, their norm at most 1e-3.
 QUATERNION_NORM_TOLERANCE = 1e-3
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
 
 
 def _plain(value):
-    """The value with Python's numbers in place of NumPy's."""
+    """Value with NumPy's numbers converted to Python's."""
     if isinstance(value, (np.generic, np.ndarray)):
         return value.tolist()
     if type(value) in (list, tuple):
@@ -64,7 +64,7 @@ def shown(value):
 
 
 def suggestion(word, options):
-    """What can be meant by an unknown word: the one it resembles, if any, and all there are."""
+    """Hint for an unknown word: the most similar option, if any, and all options."""
     close = difflib.get_close_matches(str(word), options, n=1, cutoff=0.7)
     meant = f'did you mean "{close[0]}"? ' if close else ""
     return f"{meant}choose one of: {', '.join(options[:12])}{', ...' if len(options) > 12 else ''}"
@@ -97,7 +97,7 @@ def _not_negative(number):
 
 
 def listed(value):
-    """A list out of what may stand for one (list, tuple, array)."""
+    """List from a list, tuple or array."""
     if isinstance(value, np.ndarray):
         value = value.tolist()
     if isinstance(value, (str, bytes)) or not isinstance(value, Sequence):
@@ -146,21 +146,21 @@ def _within_a_turn(vector):
 
 
 def _direction(vector):
-    # the inverse of a length below this is out of range, like the numbers themselves
+    # The inverse of a smaller length is out of range.
     if not math.hypot(*vector) >= 1.0 / LARGEST_NUMBER:
         raise ValueError("must not be zero: give the direction of the joint's axis")
     return vector
 
 
 def real_inertia(moments):
-    """The moments of inertia, if a real body can have them; ValueError if none can."""
+    """Return moments of inertia that a rigid body can have; raise ValueError for others."""
     if len(moments) not in (3, 6):
         raise ValueError("must have 3 numbers [Ixx, Iyy, Izz] or 6 [Ixx, Iyy, Izz, Ixy, Ixz, Iyz]")
     scale = max(abs(moment) for moment in moments) or 1.0
     small, middle, large = np.linalg.eigvalsh(inertia_matrix(moments) / scale)
     principal = ", ".join(f"{scale * moment:.6g}" for moment in (small, middle, large))
-    # Eigenvalues of a scaled 3x3 matrix are right to a few 1e-16, so that a zero one may come out
-    # as 1e-16; a real rod of diameter d and length L has the ratio (d / L)^2, above 1e-12.
+    # Eigenvalues of a scaled 3x3 matrix have errors of a few 1e-16: zero may come out as 1e-16. A
+    # rod of diameter d and length L has the ratio (d / L)^2, above 1e-12.
     if not small > 1e-12:
         hint = (
             "a rod without thickness has no inertia about its own axis: give a small "
@@ -171,8 +171,8 @@ def real_inertia(moments):
         raise ValueError(
             f"must be positive definite, but its principal moments are {principal}; {hint}"
         )
-    # Three moments typed with seven digits are off by up to 5e-7 of the largest each, or of their
-    # sum, 2 large: together 1e-6 large. A flat plate is allowed to sit on the bound.
+    # Moments rounded to seven digits have errors up to 5e-7 of the largest, in both sides of the
+    # inequality: 1e-6 in all. A flat plate lies on the bound.
     if large > small + middle + 1e-6 * large:
         raise ValueError(
             f"must belong to a physical body: the largest principal moment of {principal} "
@@ -241,7 +241,7 @@ Name = Annotated[
 
 
 def one_of(classes):
-    """Type of a value made by the one of these models that its key `type` selects."""
+    """Type of a value whose key `type` selects one of these models."""
     by_type = {
         name: cls for cls in classes for name in get_args(cls.model_fields["type"].annotation)
     }
@@ -266,11 +266,11 @@ def one_of(classes):
 
 
 def place_text(place, values):
-    """Path inside a scene as people read it: `bodies[0] "top": parent_frame.position[2]`.
+    """Readable path inside a scene: `bodies[0] "top": parent_frame.position[2]`.
 
-    place  : keys and indices from the scene, or from one of its parts, inwards
-    values : the mapping the place is in, for the name of the entry
-    returns the text, without a blank at its end; empty for the scene itself
+    place  : keys and indices, from the scene or from one of its parts inwards
+    values : mapping that contains the place, for the name of the entry
+    returns the text; empty for the scene itself
     """
     text = ""
     for step in place:
@@ -289,7 +289,7 @@ def place_text(place, values):
 
 
 def _refusal(cls, errors, values):
-    """SceneError for the first of pydantic's errors, in the form of this project."""
+    """SceneError for the first of pydantic's errors."""
     first = errors[0]
     cause = first.get("ctx", {}).get("error")
     path = place_text(first["loc"], values)
@@ -318,7 +318,7 @@ def _refusal(cls, errors, values):
 
 
 class _Refusing(type(BaseModel)):
-    """Makes a model called with wrong values raise SceneError."""
+    """Metaclass: a model that is made from wrong values raises SceneError."""
 
     def __call__(cls, /, **values):
         try:
@@ -336,7 +336,10 @@ class Described(BaseModel, metaclass=_Refusing):
     @model_validator(mode="before")
     @classmethod
     def _keys(cls, data):
-        """Refuse what is no mapping, has unknown keys or lacks one; a misspelt key is both."""
+        """Refuse values that are no mapping, and unknown or missing keys.
+
+        Unknown keys come first: a misspelt key is unknown and missing.
+        """
         if isinstance(data, cls):
             return data
         if not isinstance(data, Mapping):
@@ -351,7 +354,7 @@ class Described(BaseModel, metaclass=_Refusing):
         return data
 
     def model_copy(self, *, update=None, deep=False):
-        """Changed copy, checked like a new one; its values never change, so deep is the same."""
+        """Changed copy, checked like a new one; values are immutable, so `deep` has no effect."""
         return self.remade(**(update or {}))
 
     def remade(self, leave_out=(), **update):

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Forces between bodies, one file a kind, and the wrenches that are applied from outside.
+"""Forces of a scene, one file per kind, and the schedule of external wrenches.
 
-In: poses and twists. Out: wrenches on bodies, energy, power. A force knows no joint constraint
-equations and no integrator.
+In: poses and twists. Out: wrenches on bodies, energy, power. A force knows no constraint
+equation and no integrator.
 """

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Constant wrench on a body, in body or world axes, from one time to another.
 
-Whether a row acts does not change within a step: the step is split where one starts or ends
-(timetable.py).
+A row acts over a whole integration step or not at all: steps are split where a wrench starts or
+ends (timetable.py).
 """
 
 import math
@@ -60,7 +60,7 @@ class ConstantWrench(Force):
 
 
 def make_row(wrench, index, ends):
-    """Row of a ConstantWrench of a scene; see kinds.make_forces."""
+    """Record of a ConstantWrench; arguments as in kinds.make_forces."""
     return (
         index[wrench.body],
         wrench.axes == "world",
@@ -98,7 +98,7 @@ def add_wrench(rows, acting, pose, wrench_out):
 
 @kernel
 def power(rows, acting, pose, twist):
-    """Power that the rows that act put in, W."""
+    """Power of the rows that act, W."""
     total = 0.0
     for e in range(len(rows)):
         if acting[e]:

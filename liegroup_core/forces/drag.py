@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Drag on a body at its centre of mass, relative to still surroundings.
+"""Drag on a body at its centre of mass, relative to a medium at rest.
 
     force  -(c1 + c2 |v|) v        torque  -(d1 + d2 |omega|) omega
-The same in body and world axes. The quadratic part has a kink in its second derivative at rest.
+Invariant under rotation of the axes. The second derivative of the quadratic part jumps at rest.
 """
 
 import math
@@ -30,7 +30,7 @@ ROW = np.dtype(
 
 
 class Drag(Force):
-    """Resistance of still surroundings to the motion of a body."""
+    """Drag of a medium at rest on a body."""
 
     type: Literal["drag"] = Field("drag", description="drag")
     body: Text = Field(description="name of a body")
@@ -49,13 +49,13 @@ class Drag(Force):
 
 
 def make_row(drag, index, ends):
-    """Row of a Drag of a scene; see kinds.make_forces."""
+    """Record of a Drag; arguments as in kinds.make_forces."""
     return (index[drag.body], drag.linear, drag.quadratic, drag.angular, drag.angular_quadratic)
 
 
 @kernel
 def _factors(row, w, v):
-    """What to multiply angular and linear velocity by: N m s/rad and N s/m."""
+    """Factors of the angular and linear velocity, N m s/rad and N s/m."""
     return (
         row["angular"] + row["angular_quadratic"] * math.sqrt(dot3(w, w)),
         row["linear"] + row["quadratic"] * math.sqrt(dot3(v, v)),

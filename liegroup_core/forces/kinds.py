@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All kinds of forces between bodies, and what they do together.
+"""All kinds of forces, and their sums.
 
 A kind is a file with
-    a class                 what a scene says of one force; its `type` names the file
-    ROW                     what a kernel reads of one force, a record
-    make_row(force, ...)    a force of the scene as such a record
-    add_wrench(rows, ...)   wrenches in body axes about the centre of mass, added to what is there
-    energy(rows, ...)       J, of what can be had back; left out where there is none
-    power(rows, ...)        W, of all the rest: dampers and drag take, motors and pushes give
-and its lines below. Every kind is always there, maybe with no rows, so that all scenes share one
-compiled code. test/contract/test_forces.py holds for every kind. Gravity acts on all bodies and
-stands apart (gravity.py).
+    a class                 the force in a scene; its `type` is the name of the kind
+    ROW                     record of one force for kernels
+    make_row(force, ...)    such a record from a force of the scene
+    add_wrench(rows, ...)   adds wrenches in body axes about the centre of mass
+    energy(rows, ...)       potential energy, J; omitted for forces without a potential
+    power(rows, ...)        power of the part without a potential, W
+and its lines below. Scenes without forces of a kind have zero rows of it, so that all scenes share
+the same compiled code. test/contract/test_forces.py holds for every kind. Gravity acts on all
+bodies and is separate (gravity.py).
 """
 
 import sys
@@ -46,7 +46,7 @@ __all__ = [
     "TorsionalSpringDamper",
 ]
 
-# What a scene can say, in the order of Forces.
+# Classes of a scene, in the order of Forces.
 FORCES = (
     SpringDamper,
     TorsionalSpringDamper,
@@ -60,7 +60,7 @@ KINDS = {cls.model_fields["type"].default: sys.modules[cls.__module__] for cls i
 
 
 class Forces(Struct):
-    """The forces of a scene: (k,) of ROW of each kind, in the order of the scene."""
+    """Forces of a scene: (k,) of ROW of each kind, in the order of the scene."""
 
     spring_damper: np.ndarray
     torsional_spring_damper: np.ndarray
@@ -90,12 +90,12 @@ def make_forces(described, index, ends):
 
 
 def count_of_angles(forces):
-    """Number of joint angles that are counted over many turns."""
+    """Number of unwrapped joint angles."""
     return len(forces.torsional_spring_damper)
 
 
 def joints_of_angles(described):
-    """Joint whose angle is counted, of each such angle; described: the scene's forces."""
+    """Name of the joint of each unwrapped angle; described: forces of the scene."""
     return [force.joint for force in described if force.counts_turns]
 
 
@@ -103,8 +103,8 @@ def joints_of_angles(described):
 def add_wrenches(forces, angle, acting, pose, twist, wrench_out):
     """Add the wrenches of all forces to wrench_out (n, 6).
 
-    angle  : (k,) rad, of each torsional spring at the last finished step
-    acting : (k,) bool, which of the applied wrenches act
+    angle  : (k,) rad, unwrapped angle of each torsional spring after the last step
+    acting : (k,) mask of the applied wrenches that act
     pose (n, 12), twist (n, 6)
     """
     spring_damper.add_wrench(forces.spring_damper, pose, twist, wrench_out)
@@ -130,7 +130,7 @@ def energy(forces, angle, pose):
 
 @kernel
 def power(forces, acting, pose, twist):
-    """Power of all forces without their potential part, W: the rate of the mechanical energy."""
+    """Power of the non-conservative forces, W: the rate of the mechanical energy."""
     return (
         spring_damper.power(forces.spring_damper, pose, twist)
         + torsional_spring_damper.power(forces.torsional_spring_damper, pose, twist)
@@ -144,20 +144,20 @@ def power(forces, acting, pose, twist):
 
 @kernel
 def too_fast(forces, h, pose, twist):
-    """The torsional spring whose turns cannot be counted over a step h, or -1.
+    """Index of a torsional spring whose joint rotates by half a turn or more in a step h, or -1.
 
-    pose, twist : at the end of the step. Its joint turns by half a turn or more.
+    Its angle cannot be unwrapped. pose, twist : at the end of the step
     """
     return torsional_spring_damper.too_fast(forces.torsional_spring_damper, h, pose, twist)
 
 
 @subroutine
 def turns_over(forces, h, pose, twist):
-    """Whether the force of a spring may change its direction within a time h by much."""
+    """True if the direction of a spring's force may reverse within a time h."""
     return spring_damper.turns_over(forces.spring_damper, h, borrowed(pose), borrowed(twist))
 
 
 @kernel
 def count_turns(forces, pose, angle):
-    """Replace the angles by those at the end of a step, less than half a turn on."""
+    """Unwrap the angles (k,) at the end of a step, less than half a turn after the last ones."""
     torsional_spring_damper.count_turns(forces.torsional_spring_damper, pose, angle)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Motor along the z axis of a joint that slides: force f - |f| sdot / limit, or f without a limit.
+"""Motor along the z axis of a joint: force f - |f| sdot / limit, or f without a limit.
 
-The line of motor.py, with force and speed in place of torque and rate.
+The characteristic of motor.py, with force and speed instead of torque and rate.
 """
 
 from typing import Literal
@@ -38,7 +38,7 @@ class LinearMotor(SlideForce):
 
 
 def make_row(motor, index, ends):
-    """Row of a LinearMotor of a scene; see kinds.make_forces."""
+    """Record of a LinearMotor; arguments as in kinds.make_forces."""
     slope = 0.0 if motor.speed_limit is None else abs(motor.force) / motor.speed_limit
     return *slide.fields(*ends[motor.joint]), motor.force, slope
 
@@ -54,7 +54,7 @@ def add_wrench(rows, pose, twist, wrench_out):
 
 @kernel
 def power(rows, pose, twist):
-    """Power sum force * sdot that the motors put in, W."""
+    """Power sum force * sdot of the motors, W."""
     total = 0.0
     for e in range(len(rows)):
         row = rows[e]

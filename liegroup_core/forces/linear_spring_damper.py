@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Spring with damper along the z axis of a joint that slides: force -(k (s - s0) + c sdot)."""
+"""Spring and damper along the z axis of a joint: force -(k (s - s0) + c sdot)."""
 
 from typing import Literal
 
@@ -40,7 +40,7 @@ class LinearSpringDamper(SlideForce):
 
 
 def make_row(spring, index, ends):
-    """Row of a LinearSpringDamper of a scene; see kinds.make_forces."""
+    """Record of a LinearSpringDamper; arguments as in kinds.make_forces."""
     return (
         *slide.fields(*ends[spring.joint]),
         spring.stiffness,

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Motor about the z axis of a joint: torque tau - |tau| thetadot / limit, or tau without a limit.
 
-This is the line of a DC motor at constant voltage: tau at rest, zero at the rate limit in the
-direction of tau. It holds at every rate: a joint turned faster than the limit is braked, one
-turned backwards is opposed by more than tau. So the torque is smooth and methods keep their
-order.
+This is the characteristic of a DC motor at constant voltage: tau at rest, zero at the rate limit
+in the direction of tau. It holds at every rate: above the limit the motor brakes; against tau the
+torque exceeds tau. The torque is smooth, so that methods keep their order.
 """
 
 from typing import Literal
@@ -41,7 +40,7 @@ class Motor(TurnForce):
 
 
 def make_row(motor, index, ends):
-    """Row of a Motor of a scene; see kinds.make_forces."""
+    """Record of a Motor; arguments as in kinds.make_forces."""
     slope = 0.0 if motor.rate_limit is None else abs(motor.torque) / motor.rate_limit
     return *turn.fields(*ends[motor.joint]), motor.torque, slope
 
@@ -58,7 +57,7 @@ def add_wrench(rows, pose, twist, wrench_out):
 
 @kernel
 def power(rows, pose, twist):
-    """Power sum torque * thetadot that the motors put in, W."""
+    """Power sum torque * thetadot of the motors, W."""
     total = 0.0
     for e in range(len(rows)):
         row = rows[e]

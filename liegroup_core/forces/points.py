@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Points of bodies: where they are, how fast they move, and forces that act there.
+"""Points of bodies: position, velocity, and forces that act on them.
 
 body  : body index, or WORLD
 place : (3,) m, the point in the frame of the body
@@ -12,7 +12,7 @@ from liegroup_core.lie.vec3 import add3, cross3, load3, load9, matvec3, sub3, tm
 
 @kernel
 def world_axes(pose, body, direction):
-    """A direction fixed in a body, seen in world axes."""
+    """World components of a direction that is fixed in a body."""
     if body == WORLD:
         return direction
     return matvec3(load9(pose, body, 0), direction)
@@ -28,7 +28,7 @@ def point(pose, body, place):
 
 @kernel
 def place_of(pose, body, position):
-    """The point of a body that is at a world position now: the inverse of `point`."""
+    """Point of a body that is at a world position: the inverse of `point`."""
     if body == WORLD:
         return position
     return tmatvec3(load9(pose, body, 0), sub3(position, load3(pose, body, 9)))
@@ -45,7 +45,7 @@ def point_velocity(pose, twist, body, place):
 
 @kernel
 def apply_force(pose, body, place, force, wrench_out):
-    """Add a force in world axes that acts at a point of a body to its wrench in body axes."""
+    """Add a world force at a point of a body to the body's wrench in body axes."""
     if body == WORLD:
         return
     in_body = tmatvec3(load9(pose, body, 0), force)
@@ -57,7 +57,7 @@ def apply_force(pose, body, place, force, wrench_out):
 
 @kernel
 def apply_torque(pose, body, torque, wrench_out):
-    """Add a torque in world axes to the wrench of a body in body axes."""
+    """Add a world torque to the wrench of a body in body axes."""
     if body == WORLD:
         return
     in_body = tmatvec3(load9(pose, body, 0), torque)

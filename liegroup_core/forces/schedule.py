@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Applied wrenches: who pushes which body, from which step on and for how many steps.
+"""Schedule of external wrenches: source, body, first step and duration in steps.
 
-A source holds at most one wrench on a body; a later one of the same source replaces it when its
-turn comes, a zero one ends it. Sources add. Everything happens at step boundaries, so a wrench is
-constant over whole steps and all their stages, and a list of the changes repeats a run exactly.
-One that is given in world axes is turned into body axes at the start of every step.
+A source applies at most one wrench to a body. A later wrench of the same source replaces it when
+its time comes; a zero wrench ends it. Wrenches of different sources add. Changes take effect at
+step boundaries: a wrench is constant over whole steps and their stages, and the list of changes
+reproduces a run exactly. A wrench in world axes is rotated into body axes at the start of every
+step.
 """
 
 import bisect
@@ -16,9 +17,9 @@ NEVER = 1 << 62  # a step that is never reached
 
 
 class AppliedWrench(NamedTuple):
-    """The sum of all wrenches on a body from a step on.
+    """Total external wrench on a body from a step on.
 
-    step   : number of the first step over which it acts
+    step   : first step over which it acts
     body   : name of the body
     wrench : (6,) torque N m, force N; body axes, about the body frame's origin
     """
@@ -39,7 +40,7 @@ class _Command(NamedTuple):
 
 
 class WrenchSchedule:
-    """The wrenches that act and those that wait for their time, counted in steps."""
+    """External wrenches that act, and those that start later; times in steps."""
 
     def __init__(self, body_count):
         self.total = np.zeros((body_count, 6))
@@ -48,16 +49,16 @@ class WrenchSchedule:
         self._arrived = 0
 
     def __len__(self):
-        """Number of wrenches that act or wait."""
+        """Number of wrenches that act or start later."""
         return len(self._waiting) + len(self._acting)
 
     @property
     def sources(self):
-        """Names of the sources that apply a wrench or mean to."""
+        """Names of the sources with a wrench that acts or starts later."""
         return {c.source for c in (*self._waiting, *self._acting.values())}
 
     def command(self, source, body, wrench, start, end, in_world=False):
-        """Let `source` apply `wrench` (6,) to body number `body` over the steps start <= k < end."""
+        """Apply `wrench` (6,) of `source` to body number `body` over the steps start <= k < end."""
         self._arrived += 1
         wrench = tuple(float(x) for x in wrench)
         bisect.insort(
@@ -67,7 +68,7 @@ class WrenchSchedule:
         )
 
     def clear(self, source):
-        """End all that this source does or means to do. It takes effect with the next update."""
+        """End all wrenches of a source, also those that start later. It takes effect with the next update."""
         self._waiting = [c for c in self._waiting if c.source != source]
         for key in [key for key in self._acting if key[0] == source]:
             self._acting[key] = self._acting[key]._replace(end=0)
@@ -90,7 +91,7 @@ class WrenchSchedule:
                 del self._acting[key]
         changed = []
         for body in sorted(touched):
-            # Summed in the order of the sources' names: the same wrenches give the same bits.
+            # Summed in the order of the sources' names: the sum is bit-identical for the same wrenches.
             acting = [
                 _in_body_axes(self._acting[key], pose[body])
                 for key in sorted(self._acting)
@@ -103,7 +104,7 @@ class WrenchSchedule:
         return changed
 
     def next_change(self, step):
-        """The first step after this one at which a wrench starts, ends or turns with its body."""
+        """First later step at which a wrench starts, ends or is rotated with its body."""
         if not self._waiting and not self._acting:
             return NEVER
         starts = [c.start for c in self._waiting[:1]]

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Slide of a joint along its z axis: coordinate, rate, and a force along it.
+"""Translation of a joint along its z axis: coordinate, rate, and a force along it.
 
 With o_a, o_b the origins of the joint frames and z the z axis of the parent's frame,
     coordinate   s = z . (o_b - o_a)
     rate         sdot = z . (velocity of o_b - velocity of the parent's point that is at o_b)
-A force f z acts on the child at o_b and -f z on the parent at the same point: the two cancel about
-every point, and their work is f ds exactly, also where a method lets the joint drift by a little
+A force f z acts on the child at o_b, and -f z acts on the parent at the same point: their total
+wrench is zero, and their work is exactly f ds, also if the joint drifts
 (test/contract/test_forces.py).
 """
 
@@ -72,7 +72,7 @@ def rate(row, pose, twist):
 
 @kernel
 def apply(row, pose, force, wrench_out):
-    """Add the wrench of force * z to the child and take it from the parent."""
+    """Add the wrench of force * z to the child and subtract it from the parent."""
     pull = scale3(force, world_axes(pose, row["parent"], vector3(row["axis"])))
     place = vector3(row["child_origin"])
     at_parent = place_of(pose, row["parent"], point(pose, row["child"], place))

@@ -3,8 +3,8 @@
 
 With d the vector from the parent's point to the child's point and l = |d| the force on the child is
     f = -(k (l - l0) + c ldot) d / l ,   ldot = d . ddot / l
-and the parent gets -f. A spring of zero rest length has f = -k d, without a division. Where a
-direction is missing (l = 0), the rest length and the damper contribute nothing.
+and the parent gets -f. A spring of zero rest length has f = -k d, without a division. At l = 0 the
+direction is undefined: rest length and damper do not contribute.
 """
 
 import math
@@ -55,7 +55,7 @@ class SpringDamper(Force):
 
 
 def make_row(spring, index, ends):
-    """Row of a SpringDamper of a scene; see kinds.make_forces."""
+    """Record of a SpringDamper; arguments as in kinds.make_forces."""
     return (
         index[spring.parent],
         index[spring.child],
@@ -69,7 +69,7 @@ def make_row(spring, index, ends):
 
 @kernel
 def _line(row, pose):
-    """The vector from the parent's point to the child's point, world axes."""
+    """Vector from the parent's point to the child's point, world axes."""
     return sub3(
         point(pose, row["child"], vector3(row["child_point"])),
         point(pose, row["parent"], vector3(row["parent_point"])),
@@ -107,11 +107,11 @@ def add_wrench(rows, pose, twist, wrench_out):
 
 @kernel
 def turns_over(rows, h, pose, twist):
-    """Whether the ends of a spring may pass each other within a time h, so that its line turns.
+    """True if the ends of a spring may pass each other within a time h, so that its line reverses.
 
-    An oscillation comes from d to its middle within h where |d| <= h |ddot| tan(a) / a, a the
-    angle it goes by, at a steady rate |d| <= h |ddot|: up to a = 1.17 rad twice that is enough.
-    A spring of zero rest length without a damper has a force that knows no line.
+    At a constant rate they meet within h if |d| <= h |ddot|. An oscillation over a phase a meets
+    if |d| <= h |ddot| tan(a) / a; the factor 2 covers a up to 1.17 rad.
+    A spring of zero rest length without damper is excluded: its force is linear in d.
     """
     for e in range(len(rows)):
         row = rows[e]

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When the applied wrenches of a scene start and end, counted in steps and parts of steps.
+"""Start and end times of the scene's applied wrenches, in steps and parts of steps.
 
-A time that falls inside a step splits it: the integration stops there and goes on with the other
-wrenches, so the impulse is exact and a method keeps its order. Steps and samples stay where they
-are. A time that is a step up to rounding is that step.
+A time inside a step splits the step: the integration stops there and continues with the new
+wrenches, so that the impulse is exact and a method keeps its order. Times of steps and samples do
+not change. A time within round-off of a step boundary is that boundary.
 """
 
 from bisect import bisect_right
@@ -12,17 +12,17 @@ import numpy as np
 
 from .schedule import NEVER
 
-# Times typed in decimals and n * step are each off by half a unit in the last place or so.
+# Decimal times and n * step are each rounded: about half a unit in the last place.
 ROUNDING = 4.0 * np.finfo(float).eps
 
 
 def acting_at(rows, time):
-    """Which rows of applied_wrench act at a time, (k,) bool."""
+    """Mask (k,) of the applied wrenches that act at a time."""
     return (rows["start"] <= time) & (time < rows["end"])
 
 
 class Timetable:
-    """The starts and ends of rows of applied_wrench, for steps of a given size."""
+    """Starts and ends of the scene's applied wrenches, for steps of a given size."""
 
     def __init__(self, rows, step):
         self._rows, self._step = rows, step
@@ -42,18 +42,18 @@ class Timetable:
         self._changes = sorted(changes)
 
     def next_change(self, steps):
-        """The first step after this one that is split, or from which other wrenches act."""
+        """First later step that is split, or from which other wrenches act."""
         at = bisect_right(self._changes, steps)
         return self._changes[at] if at < len(self._changes) else NEVER
 
     def parts(self, steps):
-        """A step in parts over which the same wrenches act: [(duration, acting)]."""
+        """Parts of a step over which the same wrenches act: [(duration, acting)]."""
         if not len(self._rows):
             return self._no_change
         inside = self._inside.get(steps, ())
         ends = [steps * self._step, *inside, (steps + 1) * self._step]
         durations = np.diff(ends).tolist() if inside else [self._step]
-        # In the middle of a part no rounding decides what acts.
+        # The middle of a part is away from all starts and ends: round-off has no influence.
         return [
             (duration, acting_at(self._rows, start + 0.5 * duration))
             for duration, start in zip(durations, ends)

@@ -2,8 +2,8 @@
 """Torsional spring with damper about the z axis of a joint.
 
     torque on the child  -(k (theta - theta0) + c thetadot)
-The angle theta goes on over many turns (turn.py). Its value at the last finished step is part of
-the state, one number a row: `angle`.
+The angle theta is unwrapped (turn.py). Its value after the last step is part of the state: one
+number `angle` per row.
 """
 
 import math
@@ -28,8 +28,8 @@ ROW = np.dtype(
     align=True,
 )
 
-# An angle whose turns are not known yet is taken nearest to this: in (-pi, pi], and a joint that
-# is set up at half a turn counts as pi, not -pi, whichever round-off makes it.
+# Initial angles are those nearest to this value, in (-pi, pi]: half a turn is pi, not -pi, whatever
+# its round-off.
 UNKNOWN_TURN = 1e-9
 
 
@@ -51,13 +51,13 @@ class TorsionalSpringDamper(TurnForce):
 
 
 def make_row(spring, index, ends):
-    """Row of a TorsionalSpringDamper of a scene; see kinds.make_forces."""
+    """Record of a TorsionalSpringDamper; arguments as in kinds.make_forces."""
     return (*turn.fields(*ends[spring.joint]), spring.stiffness, spring.damping, spring.rest_angle)
 
 
 @kernel
 def add_wrench(rows, angle, pose, twist, wrench_out):
-    """Add the torques of all rows; angle (k,) rad at the last finished step."""
+    """Add the torques of all rows; angle: (k,) rad after the last step."""
     for e in range(len(rows)):
         row = rows[e]
         n = turn.axis(row, pose)
@@ -91,14 +91,14 @@ def power(rows, pose, twist):
 
 @kernel
 def count_turns(rows, pose, angle):
-    """Replace the angles (k,) by those at a pose that is less than half a turn on."""
+    """Unwrap the angles (k,) at a pose less than half a turn after the last one."""
     for e in range(len(rows)):
         angle[e] = turn.angle(rows[e], pose, angle[e])
 
 
 @kernel
 def too_fast(rows, h, pose, twist):
-    """The first row whose joint turns by half a turn or more in a time h, or -1."""
+    """First row whose joint rotates by half a turn or more in a time h, or -1."""
     for e in range(len(rows)):
         row = rows[e]
         if abs(h * turn.rate(row, pose, twist, turn.axis(row, pose))) >= math.pi:

@@ -1,16 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Turn of a joint about its z axis: angle, rate, and a torque along it.
+"""Rotation of a joint about its z axis: angle, rate, and a torque about it.
 
 With R the rotation of the child's joint frame in the parent's and z_a, z_b the z axes of both,
     angle   theta = atan2(R10 - R01, R00 + R11)              the twist of swing and twist
     rate    thetadot = n . (omega_b - omega_a) ,   n = (z_a + z_b) / (1 + z_a . z_b)
-Where the joint keeps the z axes together n is the axis. Where a method lets them drift apart by a
-little, theta is still defined and n still its gradient, so a torque tau n on the child and -tau n
-on the parent does the work tau dtheta exactly (test/contract/test_forces.py).
+If the z axes coincide, n is the axis. If they drift apart, theta is still defined and n is still
+its gradient: a torque tau n on the child and -tau n on the parent does exactly the work tau dtheta
+(test/contract/test_forces.py).
 
-A rotation tells the angle but for whole turns. These are counted: the angle is the one that lies
-nearest to that of the last step, which is exact while the joint turns by less than half a turn a
-step.
+A rotation matrix gives the angle modulo 2 pi. The angle is unwrapped: it is the value nearest to
+that of the last step. This is exact if the joint rotates by less than half a turn per step.
 """
 
 import math
@@ -67,7 +66,7 @@ def _frame_axes(pose, body, axes):
 
 @kernel
 def angle(row, pose, near):
-    """Angle of the child's joint frame about z, rad: of all that fit the one nearest to `near`."""
+    """Angle of the child's joint frame about z, rad: the value modulo 2 pi nearest to `near`."""
     relative = tmatmul3(
         _frame_axes(pose, row["parent"], matrix3(row["parent_axes"])),
         _frame_axes(pose, row["child"], matrix3(row["child_axes"])),
@@ -85,13 +84,13 @@ def axis(row, pose):
     z_a = world_axes(pose, row["parent"], (parent_axes[2], parent_axes[5], parent_axes[8]))
     z_b = world_axes(pose, row["child"], (child_axes[2], child_axes[5], child_axes[8]))
     both = 1.0 + dot3(z_a, z_b)
-    # Axes that point against each other have no angle: such a pose is none of this joint.
+    # Opposite axes have no angle: the joint does not allow such a pose.
     return scale3(1.0 / both if both > 0.0 else 0.0, add3(z_a, z_b))
 
 
 @kernel
 def rate(row, pose, twist, n):
-    """Rate of the angle, rad/s; n from `axis`."""
+    """Rate of the angle, rad/s; n: see `axis`."""
     turning = world_axes(pose, row["child"], load3(twist, row["child"], 0))
     if row["parent"] != WORLD:
         turning = sub3(turning, world_axes(pose, row["parent"], load3(twist, row["parent"], 0)))
@@ -100,6 +99,6 @@ def rate(row, pose, twist, n):
 
 @kernel
 def apply(row, pose, n, torque, wrench_out):
-    """Add torque * n to the child's wrench and take it from the parent's."""
+    """Add torque * n to the child's wrench and subtract it from the parent's."""
     apply_torque(pose, row["child"], scale3(torque, n), wrench_out)
     apply_torque(pose, row["parent"], scale3(-torque, n), wrench_out)

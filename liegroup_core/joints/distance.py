@@ -8,7 +8,7 @@ the parent's point moves with qdot = -(v + w x q), (w, v) = V_b - W the relative
     gdot = u . (v + w x s)      so  J_b = (s x u, u)
     Jdot_b V_rel = udot . (v + w x s) ,   udot = (e - u (u . e)) / |d| ,  e = v + w x q
 
-Where the points coincide there is no direction: the row is then zero, which the solve reports.
+If the points coincide, the direction is undefined: the row is zero, and the solve reports it.
 """
 
 import math
@@ -40,13 +40,13 @@ class DistanceJoint(JointBase):
     )
 
     def elements(self, C_rel):
-        """One DISTANCE; a length that is not given is the initial one."""
+        """One element; a length that is not given is the initial distance."""
         length = math.hypot(*C_rel[:3, 3]) if self.length is None else self.length
         return (Element(KIND, ("length",), np.eye(6)[3:], parameter=length),)
 
     @property
     def locates_child(self):
-        """False: with both ends together it has no direction."""
+        """False: with coincident ends the rod has no direction."""
         return False
 
     @property
@@ -79,5 +79,5 @@ def row(element, rot, p, w, v):
 
 @kernel
 def residual(rot, p, length):
-    """How much too far the points are apart, m. p: the child's point seen from the parent's."""
+    """Distance of the points minus the length, m. p: child's point in the parent's joint frame."""
     return math.sqrt(dot3(p, p)) - length

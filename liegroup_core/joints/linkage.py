@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bodies and joints as dense matrices in NumPy: closing loops, and the rows of the joints.
+"""Bodies and joints as dense matrices in NumPy: loop closure and Jacobian.
 
-For what is done once per scene: finding redundant rows, and assembly. Lengths are in units of the
-linkage's size, so that turns and shifts compare. Poses are {body: (4, 4)}, the world included.
+For work that is done once per scene: detection of redundant rows, and assembly. Lengths are in
+units of the linkage's characteristic length, so that rotations and translations are comparable.
+Poses are {body: (4, 4)}, the world included.
 """
 
 from functools import cached_property
@@ -14,13 +15,13 @@ from liegroup_core.lie.groups import SE3
 
 from .kinds import forbidden_rows, position_residual
 
-# Singular values of unit rows: a useful one is rarely below 1e-3. Where a linkage is stretched, a
-# gap of CLOSED leaves sqrt(CLOSED) = 1e-6 in place of zero.
+# Singular values of unit rows: that of an independent row is rarely below 1e-3. In a singular
+# pose, a residual of CLOSED leaves sqrt(CLOSED) = 1e-6 instead of zero.
 RANK_TOLERANCE = 3e-5
 CLOSED = 1e-12
 ROUND_OFF = 4e-16
 MOST_ROUNDS = 50
-LARGEST_TURN = 1.0  # rad in a round: a full step from afar leads anywhere
+LARGEST_TURN = 1.0  # rad in an iteration: far from the solution a full step may diverge
 MOST_HALVINGS = 8
 
 
@@ -33,24 +34,24 @@ def inverse(C):
 
 
 def _are_angular(rows):
-    """Which rows (k, 6) forbid nothing but turns."""
+    """Mask of the rows (k, 6) that forbid rotations only."""
     return rows[:, :3].any(axis=1) & ~rows[:, 3:].any(axis=1)
 
 
 def freedoms(matrix):
-    """Directions (f, columns) that a matrix of unit rows leaves free."""
+    """Null space (f, columns) of a matrix of unit rows."""
     _, sizes, directions = np.linalg.svd(matrix)
     return directions[int((sizes > RANK_TOLERANCE).sum()) :]
 
 
 class Linkage:
-    """Some joints of a scene, and the bodies they hold.
+    """Selected joints of a scene, and the bodies that they connect.
 
     frames : (parent frame, child frame) of every joint of the scene, (4, 4) each
     parts  : tuple of joints.elements.Element of every joint of the scene
-    joints : numbers of those that are looked at
+    joints : indices of the selected joints
     held   : names of bodies that do not move
-    Two are equal when all these numbers are: what was found of one need not be found again.
+    Linkages with equal numbers are equal and hash alike, so that results can be cached.
     """
 
     def __init__(self, scene, frames, parts, joints, held=()):
@@ -69,7 +70,7 @@ class Linkage:
 
     @cached_property
     def _key(self):
-        """All that it is made of, to the bit."""
+        """Hashable copy of all its numbers."""
         ends = {name for joint in self.joints for name in (joint.parent, joint.child)}
         return (
             tuple((joint.type, joint.parent, joint.child) for joint in self.joints),
@@ -90,12 +91,12 @@ class Linkage:
         return hash(self._key)
 
     def relative(self, j, poses):
-        """C_rel of the j-th of the joints: pose of the child's joint frame in the parent's one."""
+        """C_rel of joint j: pose of the child's joint frame in the parent's one."""
         joint, (parent, child) = self.joints[j], self.frames[j]
         return inverse(poses[joint.parent] @ parent) @ poses[joint.child] @ child
 
     def joint_rows(self, j, poses):
-        """Rows (k, 6) of the j-th of the joints for the relative twist in the child's body frame."""
+        """Rows (k, 6) of joint j for the relative twist in the child's body frame."""
         return forbidden_rows(self.parts[j], self.relative(j, poses)) @ SE3.Ad(
             inverse(self.frames[j][1])
         )
@@ -103,8 +104,8 @@ class Linkage:
     def velocity_rows(self, poses, rows=None):
         """Rows (rows, 6 bodies) for twists (omega, v) of the bodies.
 
-        rows : (k, 6) for the twist of the child against the parent, in the child's body frame, of
-               every joint; those of the joints themselves if left out
+        rows : (k, 6) for the twist of the child relative to the parent, in the child's body frame,
+               of every joint; default: the joints' own rows
         """
         if rows is None:
             rows = [self.joint_rows(j, poses) for j in range(len(self.joints))]
@@ -147,7 +148,7 @@ class Linkage:
         )
 
     def _gaps(self, poses):
-        """Position residuals of all joints, rad and in units of the length."""
+        """Position residuals of all joints, rad and in units of the characteristic length."""
         return (
             np.concatenate(
                 [np.zeros(0), *(self.joint_residual(j, poses) for j in range(len(self.joints)))]
@@ -156,11 +157,11 @@ class Linkage:
         )
 
     def joint_residual(self, j, poses):
-        """Position residual (k,) of the j-th of the joints; closed, its slope is that of its rows."""
+        """Position residual (k,) of joint j; where it is zero, its rows are its derivative."""
         return position_residual(self.parts[j], self.relative(j, poses))
 
     def gap(self, j, poses):
-        """How far the j-th of the joints is open: m and rad."""
+        """Norms of the position residual of joint j: linear in m, angular in rad."""
         angular = _are_angular(forbidden_rows(self.parts[j], self.relative(j, poses)))
         residual = self.joint_residual(j, poses)
         return np.linalg.norm(residual[~angular]), np.linalg.norm(residual[angular])
@@ -173,32 +174,32 @@ class Linkage:
         }
 
     def closed(self, poses):
-        """The nearest closed poses, or None."""
+        """Nearest poses that satisfy all joints, or None."""
         poses = self.nearest(poses)
         return poses if self.is_closed(poses) else None
 
     def is_closed(self, poses):
-        """True when all residuals are small enough to be called closed."""
+        """True if all residuals are below CLOSED."""
         return self._is_small(self._gaps(poses), poses, CLOSED)
 
     def _is_small(self, gap, poses, tolerance):
-        """True when a residual is this small next to the coordinates it comes from."""
+        """True if a residual is small relative to the coordinates that it comes from."""
         farthest = max((np.abs(poses[name][:3, 3]).max() for name in self.bodies), default=0.0)
         return np.abs(gap).max(initial=0.0) <= tolerance * max(1.0, farthest / self.length)
 
     def nearest(self, poses):
-        """The poses that Newton's method on the group ends at: closed, or with a least gap.
+        """Poses found by Newton's method on the group: closed, or a local minimum of the residual.
 
-        Each round takes the shortest step that closes the linearised joints, or the half, the
-        quarter ... of it, so that the gap shrinks; it ends when that does not help any more.
-        Near closed poses the gap is squared in each round, down to round-off.
+        Each iteration takes the shortest step that closes the linearised joints. The step is
+        halved until the residual decreases; the iteration ends if it does not. Convergence is
+        quadratic, down to round-off.
         """
         for _ in range(MOST_ROUNDS if self.bodies else 0):
             gap = self._gaps(poses)
             if self._is_small(gap, poses, ROUND_OFF):
                 break
-            # The joints' rows are the slope of the residual where it vanishes; from afar its
-            # differences may do what they do not.
+            # The rows are the residual's derivative only where it vanishes. Far from there, finite
+            # differences may converge where the rows do not.
             better = self._step(poses, gap, self.velocity_rows(poses))
             if better is None and not self._is_small(gap, poses, CLOSED):
                 better = self._step(poses, gap, self._differences(poses))
@@ -208,13 +209,13 @@ class Linkage:
         return poses
 
     def _step(self, poses, gap, matrix):
-        """Poses with a smaller gap by a step along a Jacobian for twists (omega, v), or None."""
+        """Poses with a smaller residual after a Newton step with a Jacobian, or None."""
         matrix /= self._units[:, None]
         matrix.reshape(len(matrix), -1, 6)[:, :, :3] /= self.length
         step = -scipy.linalg.lstsq(matrix, gap, cond=RANK_TOLERANCE, lapack_driver="gelsy")[0]
         turn = np.abs(step.reshape(-1, 6)[:, :3]).max() / self.length
         part = 1.0 / max(1.0, turn / LARGEST_TURN)
-        # Of closed joints only round-off is left, which no half of a step makes smaller.
+        # Closed joints have only round-off left: halving the step does not reduce it.
         closed = self._is_small(gap, poses, CLOSED)
         enough = 0.5 if closed else 0.01
         for _ in range(1 if closed else MOST_HALVINGS):
@@ -225,7 +226,7 @@ class Linkage:
         return None
 
     def _differences(self, poses):
-        """Differences of the residual by twists (omega, v) of the bodies."""
+        """Jacobian of the residual for twists (omega, v) of the bodies, by central differences."""
         step = 1e-6
         matrix = np.zeros((sum(self.counts), 6 * len(self.bodies)))
         first = 0

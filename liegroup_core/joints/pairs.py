@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lower pairs: the constant directions of relative twist that a joint forbids.
 
-A lower pair lets the relative pose of its two joint frames,
+A lower pair allows the relative pose of its two joint frames,
 
     C_rel = F_a^-1 C_a^-1 C_b F_b,
 
-move in a subgroup H of SE(3). It is therefore described by a constant matrix A of shape (k, 6),
-whose rows span the complement of the Lie algebra of H, and by nothing else:
+to vary in a subgroup H of SE(3). A constant matrix A of shape (k, 6) describes it completely; its
+rows span the complement of the Lie algebra of H:
 
     velocity      A V_rel = 0
     position      A (tilt_x, tilt_y, turn, x, y, z) = 0
 
-Twists are (omega, v), angular first, in the axes of the child's joint frame. Where a pair has an
-axis, it is the z axis of both joint frames. A new lower pair is one row in `LOWER_PAIRS`.
+Twists are (omega, v), angular first, in the axes of the child's joint frame. The axis of a pair is
+the z axis of both joint frames. A new lower pair is one entry of `LOWER_PAIRS`.
 """
 
 import math
@@ -32,10 +32,10 @@ _COORDINATES = ("wx", "wy", "wz", "vx", "vy", "vz")
 class LowerPair:
     """One lower pair.
 
-    coordinates : names of the coordinates of the relative twist that it forbids
-    text        : what the pair lets the child do, for people
-    has_pitch   : True: the child moves by `pitch` (m/rad) along z for every turn about it, so
-                  that v_z - pitch w_z is forbidden in place of v_z
+    coordinates : names of the components of the relative twist that it forbids
+    text        : motion that the pair allows, for the reference page
+    has_pitch   : True: the child moves by `pitch` (m/rad) along z per rotation about z:
+                  v_z - pitch w_z is forbidden instead of v_z
     """
 
     coordinates: tuple
@@ -51,10 +51,10 @@ class LowerPair:
 
     @property
     def turns_freely(self):
-        """True when every rotation is allowed: no axis is marked out."""
+        """True if all rotations are allowed."""
         return not any(name.startswith("w") for name in self.coordinates)
 
-    # The rest is what a JointType has.
+    # The following are the properties of a JointType.
 
     @property
     def turns(self):
@@ -121,22 +121,22 @@ def pair_element(name, pitch=0.0):
 
 @kernel
 def pair_coordinates(rot, p, turns_freely, pitch):
-    """Six coordinates of a relative pose of which a lower pair's A forbids some.
+    """Six coordinates of a relative pose, the argument of a lower pair's A.
 
     rot, p       : C_rel, pose of the child's joint frame in the parent's one
     turns_freely : see LowerPair
     pitch        : m/rad of a screw, else 0
     returns (tilt_x, tilt_y, turn) rad, (x, y, z) m; next to H, d(A coordinates) = A V_rel
 
-    R = Rz(turn) tilt (twist and swing), the tilt about a horizontal axis of the child's frame, its
-    angle from atan2 of sine and cosine: a z axis that points the wrong way is a residual of pi,
-    not of 0. The place is seen in the axes of the element of H next to C_rel, so in those of
-    Rz(turn), and in the child's where every rotation is allowed. A screw turns many times: of all
-    angles turn + 2 pi k the one next to z / pitch is taken, z then being right to half a thread.
+    R = Rz(turn) tilt (twist and swing). The tilt is about a horizontal axis of the child's frame;
+    its angle is from atan2 of sine and cosine, so that a reversed z axis has a residual of pi, not
+    of 0. The position is in the axes of the element of H nearest to C_rel: those of Rz(turn), or
+    those of the child if all rotations are allowed. For a screw, of all angles turn + 2 pi k the
+    one nearest to z / pitch is used: z is then correct within half a thread.
     """
     if turns_freely:
         return (0.0, 0.0, 0.0), tmatvec3(rot, p)
-    # The third row of R is the parent's z axis seen from the child, z x (tilt axis) times sine.
+    # The third row of R is the parent's z axis in the child's axes: z x (tilt axis) times sine.
     sine = math.hypot(rot[6], rot[7])
     angle = math.atan2(sine, rot[8])
     tilt_x, tilt_y = angle, 0.0  # upside down, every horizontal axis would do
@@ -147,7 +147,7 @@ def pair_coordinates(rot, p, turns_freely, pitch):
     x, y, z = c * p[0] + s * p[1], c * p[1] - s * p[0], p[2]
     lead = 2.0 * math.pi * pitch
     ahead = z - pitch * turn
-    # Not for a pitch of 0, nor for one so small that no digit of the turn is left in z.
+    # Skipped for a pitch of 0, or one so small that z has no digit of the rotation left.
     if abs(ahead) < 1e15 * abs(lead):
         turn += 2.0 * math.pi * math.floor(ahead / lead + 0.5)
     return (tilt_x, tilt_y, turn), (x, y, z)

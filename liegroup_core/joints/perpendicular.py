@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two directions that stay perpendicular: with a ball joint, the universal joint.
+"""Two perpendicular directions: with a spherical joint, the universal joint.
 
 x is the x axis of the parent's joint frame, y the y axis of the child's one; both in the child's
 body axes, where y is constant and xdot = -w x x with the relative twist (w, v) = V_b - W:
@@ -38,9 +38,9 @@ def row(element, rot, p, w, v):
 
 @kernel
 def residual(rot, p, parameter):
-    """Angle between x and y beyond a right angle, with a minus sign; rad.
+    """Pi / 2 minus the angle between x and y, rad.
 
-    rot : rotation of the child's joint frame in the parent's one. x . y = rot_xy, and the cross
-    product has the length of the rest of that row. Its slope by g is 1 at the right angle.
+    rot : rotation of the child's joint frame in the parent's one. x . y = rot_xy; the length of
+    x x y is that of the rest of the row. The derivative with respect to g is 1 at the right angle.
     """
     return math.atan2(rot[1], math.hypot(rot[0], rot[2]))

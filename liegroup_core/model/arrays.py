@@ -1,25 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The arrays that kernels see: a constant Model, and Work, scratch memory without meaning of its own.
+"""Arrays for kernels: Model, which is constant, and Work, scratch memory.
 
-A joint of the scene is one or two constraint elements (joints.elements). Bodies and `elements`
-keep the order of the scene; an element has all rows and its geometry. `joints` are those elements
-of which rows are solved for. Vertices, bodies and joints together, stand in the order in which the
-solve eliminates them.
-Body frames sit at the centre of mass. Twist (omega, v) and wrench (torque, force) are
-components in body axes; a pose is R row by row, then r: twelve numbers.
+A joint of the scene consists of one or two constraint elements (joints.elements). Bodies and
+`elements` are in the order of the scene. `elements` have the geometry and all rows of the joints;
+`joints` are the elements with rows that are solved for. `vertices` are bodies and joints in
+elimination order.
+Body frames are at the centres of mass. Twist (omega, v) and wrench (torque, force) are in body
+axes. A pose has twelve numbers: R row by row, then r.
 
     n bodies, m joints, s stages of the Runge-Kutta method
     a "row" is one forbidden direction of relative motion: a row of the Jacobian J
 
-A kind of thing is one structured array, a record per thing.
+Each array is structured: one record per body, element, joint or vertex.
 """
 import numpy as np
 
 from liegroup_core.compiling import Struct
 from liegroup_core.forces.kinds import count_of_angles
 
-# Work.report[3], an input of a call: WAIT ends it, with fewer steps than asked, before a step in
-# which a spring may turn over (forces/kinds.py); then it is MET.
+# Work.report[3], an input of a call. WAIT: end the call before a step in which a spring may reverse
+# its direction (forces/kinds.py). If this happens, the call sets MET.
 WAIT, MET = 1.0, 2.0
 
 BODY = np.dtype([
@@ -48,7 +48,7 @@ VERTEX = np.dtype([                         # body or joint in the order of elim
 
 
 class Model(Struct):
-    """What does not change while a scene is integrated. K and its blocks: see sparsity.py."""
+    """Constant arrays of a scene. K and its blocks: see sparsity.py."""
 
     gravity: np.ndarray            # (1, 3) m/s^2, world axes
     bodies: np.ndarray             # (n,) of BODY
@@ -74,7 +74,7 @@ class Model(Struct):
 
 
 class Work(Struct):
-    """Scratch memory of one simulation; nothing but `angle` outlives a call."""
+    """Scratch memory of one simulation; only `angle` keeps its meaning between calls."""
 
     child_jacobian: np.ndarray     # (rows, 6) J_b at this pose, those of a PAIR constant
     slip: np.ndarray               # (rows,) J V

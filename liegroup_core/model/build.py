@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scene -> Model: names become indices, frames become Jacobian rows, the solve gets its structure."""
+"""Build a Model from a scene: indices for names, Jacobian rows, structure of the solve."""
 
 import numpy as np
 
@@ -12,16 +12,17 @@ from .arrays import BODY, Model
 from .redundancy import kept_rows, loop_joints
 from .sparsity import cheapest_structure
 
-# A pivot this small against its row's own S_rr belongs to a singular pose: the sine of the angle by
-# which the row misses those it depends on is then below 1e-5. Nearer, the drift of a loop, 1e-9
-# say, would be divided by that sine. A ratio of neighbouring masses of 1e8 makes good pivots of 1e-8.
+# A pivot smaller than this part of its row's own S_rr indicates a singular pose: the sine of the
+# angle between the row and the span of the others is below 1e-5. Closer to the singularity the
+# drift of a loop, about 1e-9, would be divided by that sine. A ratio of neighbouring masses of 1e8
+# gives regular pivots of 1e-8.
 SMALLEST_PIVOT = 1e-10
 
-# From here on a step of refinement costs less than the digits that are lost without it.
+# Ratio of neighbouring masses or inertias from which iterative refinement is used.
 LARGE_RATIO = 1e3
-# From these ratios of a body's own moments of inertia on one, two and three steps are taken: where
-# rows of joints mix its turns, twelve rods were found to lose 1e-12 times the ratio, and four rods
-# whose rows do not a thousandth of it or less; each step leaves about the square.
+# Ratios of a body's moments of inertia from which one, two and three refinements are used. If joint
+# rows mix its principal rotations, twelve rods lose 1e-12 times the ratio (measured); four rods
+# without such rows a thousandth of it. Each refinement about squares the relative error.
 SLENDER, ALIGNED = (1e2, 1e6, 1e8), 1e-4
 
 
@@ -35,13 +36,13 @@ def initial_state(scene):
 
 
 def build_model(scene):
-    """Model of a scene and the names behind it, as in layout.Layout.
+    """Model of a scene, with the names of its parts as in layout.Layout.
 
-    scene : consistent, its body frames at the centres of mass (scene.centres)
-    returns (model, frames, owners, row_names, kept): the frames of every joint, then for each
-    element of the model its scene joint, the names of its rows, and the rows that are solved for.
-    Rows that depend on others for good are left out, and an element without any is no joint.
-    raises SceneError for a linkage at a pose that it cannot leave
+    scene : consistent, body frames at the centres of mass (scene.centres)
+    returns (model, frames, owners, row_names, kept): frames of every joint; of each element its
+    scene joint, the names of its rows, and the rows that are solved for. Redundant rows are
+    eliminated; an element without remaining rows is not in `joints`.
+    Raises SceneError for a linkage in a pose that it cannot leave.
     """
     index = {body.name: i for i, body in enumerate(scene.bodies)} | {"world": WORLD}
     frames = resolve_frames(scene)
@@ -103,7 +104,7 @@ def build_model(scene):
 
 
 def _elements(scene, index, frames, parts):
-    """The joints of a scene as constraint elements: (of ELEMENT, scene joint of each)."""
+    """(records of ELEMENT, index of the scene joint of each) of all joints."""
     records, owners = [], []
     first = 0
     for i, (joint, (F_a, F_b), elements) in enumerate(zip(scene.joints, frames, parts)):
@@ -125,7 +126,7 @@ def _constant_rows(element):
 
 
 def _mass_matrix(body):
-    """(6, 6) of a body of the scene, about its centre of mass."""
+    """Mass matrix (6, 6) of a body of the scene about its centre of mass."""
     matrix = np.zeros((6, 6))
     matrix[:3, :3] = body.inertia_matrix
     matrix[3:, 3:] = body.mass * np.eye(3)
@@ -143,7 +144,7 @@ def _mobility(body, jacobian):
 
 
 def _ground_projector(bodies, joints, jacobians):
-    """(m, 36) what takes from a twist of the child the part that a PAIR to ground forbids."""
+    """(m, 36) projectors on the part of the child's twist that a PAIR to ground forbids."""
     projectors = np.zeros((len(joints), 36))
     for projector, joint, jacobian in zip(projectors, joints, jacobians):
         if joint["parent"] == WORLD and joint["kind"] == PAIR:
@@ -153,13 +154,12 @@ def _ground_projector(bodies, joints, jacobians):
 
 
 def _pivot_floor(bodies, elements, joints, jacobians, count, in_loops):
-    """Smallest good pivot of every scalar of K: a fraction of S_rr for the rows of joints in loops.
+    """Smallest regular pivot of every scalar of K: a fraction of S_rr for rows of joints in loops.
 
-    Bodies and the joints of a tree have none: their pivots are positive at every pose, and as small
-    as masses beyond the joint are large.
-    S = J M^-1 J^T is what a row's pivot would be without any other row. Both ends of a joint count
-    about the same here, so its child's part stands for all of it; of an element whose row depends
-    on the pose, the mobility of the child's joint frame.
+    Bodies and joints of trees have no bound: their pivots are positive at every pose.
+    S_rr with S = J M^-1 J^T is the pivot of a row without any other row. The child's part of it is
+    used; both ends are of the same order. An element whose row depends on the pose uses the
+    smallest mobility in the directions that its row may take.
     """
     floor = np.zeros(count)
     for j in in_loops:
@@ -176,7 +176,7 @@ def _pivot_floor(bodies, elements, joints, jacobians, count, in_loops):
 
 
 def _forces(scene, index, frames):
-    """The scene's forces as rows of every kind."""
+    """Forces of the scene as rows of every kind."""
     ends = {
         joint.name: (index[joint.parent], index[joint.child], *pair)
         for joint, pair in zip(scene.joints, frames)
@@ -185,7 +185,7 @@ def _forces(scene, index, frames):
 
 
 def refinements(bodies, ends, elements):
-    """Steps of iterative refinement: as many as find the digits that the solve loses.
+    """Number of iterative refinements that recover the digits lost in the solve.
 
     bodies : (n,) of BODY; ends : (parent, child) of each joint; elements : of ELEMENT
     """
@@ -204,10 +204,10 @@ def refinements(bodies, ends, elements):
 
 
 def _mixed_turns(inverse, elements, outer):
-    """How much easier one turn of a slender body is than another that a joint's row mixes with it.
+    """Largest ratio of a body's principal rotational mobilities that a joint row mixes.
 
-    Rows that keep principal turns apart lose a part ALIGNED of the digits that others do.
-    inverse : (n, 3, 3) of the inertias; outer : of every element the body further from the world
+    Rows that do not mix principal rotations count by the factor ALIGNED.
+    inverse : (n, 3, 3) inverse inertias; outer : of every element the body farther from the world
     """
     forbidden = elements["forbidden"].reshape(-1, 6, 6)[:, :, :3]
     turns = forbidden.any(axis=(1, 2))
@@ -222,13 +222,13 @@ def _mixed_turns(inverse, elements, outer):
         axes,
     )
     mix = np.abs(rows[:, :, :, None] * rows[:, :, None, :]).max(axis=1)
-    # Seen from a parent rows turn with the joint, as those that depend on the pose do.
+    # In the parent's axes rows rotate with the joint, like rows that depend on the pose.
     mix[(outer != elements["child"])[turns] | (elements["kind"] != PAIR)[turns]] = 1.0
     return float((np.maximum(mix, ALIGNED) * ratio).max())
 
 
 def _outer_ends(n, ends, elements):
-    """Of every element the end that is more joints away from the world."""
+    """Body of every element that is farther from the world, in number of joints."""
     near = [set() for _ in range(n + 1)]  # the last one, WORLD, is the world
     for a, b in ends:
         near[a].add(b)
@@ -245,11 +245,11 @@ def _outer_ends(n, ends, elements):
 
 
 def are_unlike(masses, inertias, ends, turned):
-    """Whether bodies differ so much that the solve loses more than three digits or so.
+    """True if masses differ so much that the solve loses more than about three digits.
 
-    ends   : (parent, child) of each joint: what counts is a mass or inertia against its neighbours
-    turned : for every end of an element m p^2 / I, p the lever: by so much more than by the body's
-             shift a force there moves the point by its turn
+    ends   : (parent, child) of each joint: masses and inertias are compared with their neighbours'
+    turned : m p^2 / I of every end of an element, p the lever: ratio of the mobilities of that
+             point by rotation and by translation of the body
     """
     ratios = [1.0] + [
         sizes[a] / sizes[b] for sizes in (masses, inertias) for a, b in ends if a != WORLD

@@ -1,21 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Redundant rows of closed loops: found once, structurally, and left out for good.
+"""Redundant constraint equations of closed loops: found once at build, and eliminated.
 
-A planar four-bar has 18 rows of rank 17, and (6.22) is singular as printed. Which rows depend on
-others is judged at generic poses: the mechanism is moved along its own freedoms and closed again,
-so that a start in a singular pose is not taken for redundancy, and an overconstrained linkage
-loses the right rows. A tree of joints has no redundant row and is not looked at.
+A planar four-bar has 18 rows of rank 17, so that (6.22) is singular as printed. Redundancy is
+determined at generic poses: the mechanism is moved along its own degrees of freedom and closed
+again. A singular initial pose is therefore not mistaken for redundancy, and an overconstrained
+linkage loses the right rows. Trees have no redundant rows and are skipped.
 
-Left out must be rows that can be spared at every pose. With the combinations of rows that vanish,
-U^T J = 0, U with orthonormal columns, the rows D can be spared where the square block U_D is
-regular, and its least singular value says how well. Bricard's linkage has rows whose entry of U
-changes its sign on the way: without such a row the rest loses its rank there, although the linkage
-does nothing special. So the linkage is moved far, and the rows are taken whose block stays best.
-Where every row had such a pose, no choice would hold for the whole motion.
+The eliminated rows must be redundant at every pose. Let U^T J = 0, U with orthonormal columns,
+contain the vanishing combinations of rows. The rows D can be eliminated where the square block U_D
+is regular; its smallest singular value measures how well. In Bricard's linkage some entries of U
+change sign along the motion: without such a row the rest loses rank there, although the pose of
+the linkage is regular. So the linkage is moved far, and the rows with the best block over all
+poses are eliminated. If every row has such a pose, no choice holds for the whole motion.
 
-Dropping is not the same as solving with a pseudo-inverse: its cut-off, met once by round-off, turns
-the dependent row into a constraint with a wrong right-hand side and destroys the solution while
-every residual looks perfect.
+Elimination differs from a solution with a pseudo-inverse. If round-off crosses the cut-off of the
+pseudo-inverse once, the redundant row becomes a constraint with a wrong right-hand side. This
+destroys the solution while all residuals stay small.
 """
 
 from functools import lru_cache
@@ -27,19 +27,19 @@ from liegroup_core.joints.linkage import RANK_TOLERANCE, Linkage, freedoms
 from liegroup_core.lie.groups import SE3
 
 TURN = 0.3  # rad (or characteristic lengths) between these poses
-MOST_POSES, LEAST_POSES = 40, 3  # 40 turns of 0.3 rad lead a crank twice around
+MOST_POSES, LEAST_POSES = 40, 3  # 40 rotations of 0.3 rad turn a crank around twice
 POSES_WORK = 2e8  # bound on poses times rows cubed: about a second
-# The first rows found to depend are left out unless others are this many times as good.
+# The first dependent rows are eliminated, unless the block of others is better by this factor.
 MUCH_BETTER = 2.0
-# Linkages of which the answers are kept: an ensemble has many runs of one, with other masses.
+# Number of linkages in the cache: an ensemble has many runs of one linkage with other masses.
 REMEMBERED = 8
 
 
 def loop_joints(ends):
-    """Numbers of the joints that are part of a closed loop, or between loops.
+    """Indices of the joints that are part of a closed loop, or between loops.
 
-    ends : (parent, child) body of every joint, the world being one of them. Bodies that hang on a
-    single joint are taken away until there are none; what is left is closed.
+    ends : (parent, child) body of every joint, the world included
+    Bodies with a single joint are removed until none is left; the rest has the loops.
     """
     touching = {}
     for j, pair in enumerate(ends):
@@ -59,15 +59,15 @@ def loop_joints(ends):
 
 
 def kept_rows(scene, frames, parts):
-    """Which rows of every joint to keep: list of (k,) bool.
+    """Mask (k,) of the rows to keep, of every joint.
 
     frames : (parent frame, child frame) of every joint, (4, 4) each
     parts  : tuple of joints.elements.Element of every joint
-    raises SceneError for a linkage at a pose that it cannot leave
+    Raises SceneError for a linkage in a pose that it cannot leave.
     """
     keep = [np.ones(sum(len(part.names) for part in elements), dtype=bool) for elements in parts]
     loops = loop_joints([(joint.parent, joint.child) for joint in scene.joints])
-    # Joints to ground first: on SE(3) these are kept exactly, so rows are left out elsewhere.
+    # Joints to ground first: SE(3) satisfies them exactly, so rows of others are eliminated.
     loops.sort(key=lambda j: scene.joints[j].parent != "world")
     if not loops:
         return keep
@@ -92,7 +92,7 @@ def kept_rows(scene, frames, parts):
 
 @lru_cache(maxsize=REMEMBERED)
 def _chosen(linkage):
-    """(which rows to keep, whether they leave it as free as it is) of a linkage."""
+    """(mask of the rows to keep, whether they have the full rank at all poses) of a linkage."""
     places = generic_poses(linkage)
     matrices = [linkage.jacobian(poses) for poses in places]
     chosen, best = independent_rows(
@@ -108,10 +108,10 @@ def _chosen(linkage):
 
 
 def independent_rows(matrices, grounded):
-    """Which rows to keep, so that they are independent at all poses, as well as can be.
+    """Mask of rows that are independent at all poses, with the best condition found.
 
     matrices : Jacobians (rows, columns) at generic poses, unit rows
-    grounded : of each row, whether it is of a joint to ground, which is rather kept whole
+    grounded : mask of rows of joints to ground, which are kept if possible
     returns (mask, index of a matrix of full rank)
     """
     ranks = [np.linalg.matrix_rank(matrix, tol=RANK_TOLERANCE) for matrix in matrices]
@@ -126,7 +126,7 @@ def independent_rows(matrices, grounded):
     first = np.flatnonzero(~_independent(matrices[int(np.argmax(ranks))]))
     weight = np.where(grounded, 1.0 / MUCH_BETTER, 1.0)
     best = _spared(vanishing, weight)
-    # Next to the tolerance both counts of dependent rows may differ: then only `best` has enough.
+    # Near the tolerance the two numbers of dependent rows may differ: then `best` is complete.
     better = len(first) != len(best) or _quality(best, vanishing) > MUCH_BETTER * _quality(
         first, vanishing
     )
@@ -136,12 +136,12 @@ def independent_rows(matrices, grounded):
 
 
 def _quality(rows, vanishing):
-    """How well these rows can be spared where it is worst: 1 at best, 0 not at all."""
+    """Smallest singular value over all poses of the block of these rows: 1 best, 0 singular."""
     return min(np.linalg.svd(U[rows], compute_uv=False)[-1] for U in vanishing)
 
 
 def _spared(vanishing, weight):
-    """Rows that can be spared at all poses: one by one that with the largest least remainder."""
+    """Rows that can be eliminated at all poses: greedy, by the largest minimum of the remainder."""
     rest, rows = [U.copy() for U in vanishing], []
     for _ in range(rest[0].shape[1]):
         row = int(np.argmax(weight * np.min([np.linalg.norm(U, axis=1) for U in rest], axis=0)))
@@ -153,7 +153,7 @@ def _spared(vanishing, weight):
 
 
 def _independent(rows):
-    """Mask of the rows that do not depend on earlier ones (Gram-Schmidt, twice for round-off)."""
+    """Mask of rows that are independent of earlier ones (Gram-Schmidt, twice for round-off)."""
     basis = np.zeros((0, rows.shape[1]))
     mask = np.zeros(len(rows), dtype=bool)
     for i, row in enumerate(rows):
@@ -168,7 +168,7 @@ def _independent(rows):
 
 @lru_cache(maxsize=REMEMBERED)
 def generic_poses(linkage):
-    """The start, and poses that the linkage can move to, each further on than the last."""
+    """Initial poses, and poses that the linkage can move to, each farther than the one before."""
     rng = np.random.default_rng(1)
     places, last = [linkage.start], None
     matrix = linkage.jacobian(linkage.start)
@@ -192,10 +192,10 @@ def generic_poses(linkage):
 
 
 def _moves_freely(linkage, poses, matrix):
-    """True when every freedom of the Jacobian is one of the linkage, not of first order only.
+    """True if every direction of the null space is a finite motion, not one of first order only.
 
-    A real freedom is closed by a correction that shrinks with the square of the step; a
-    stretched linkage is pulled back by all of it.
+    Along a finite motion the closing correction decreases with the square of the step. In a
+    singular pose the correction undoes the whole step.
     """
     step = 0.01 * linkage.length
     for free in freedoms(matrix):

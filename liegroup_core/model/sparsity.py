@@ -4,18 +4,17 @@
     K = | M  J^T |      vertices: the bodies, blocks of 6, and the joints, blocks of k rows;
         | J   0  |      an edge between a joint and each moving body it touches
 
-A body is eliminated by its mass; what it leaves with its joints is -J M^-1 J^T. There are two ways
-through a tree, O(n) for a chain:
-  leaves first    body, joint, parent and so on, without fill: each joint ADDS the inertia of all
-                  beyond it to its parent, and no digits cancel whatever the ratio of the masses
+Eliminating a body by its mass adds -J M^-1 J^T to the blocks of its joints. There are two orders
+for a tree, both O(n) for a chain:
+  leaves first    body, joint, parent and so on, without fill. Each joint ADDS the inertia of the
+                  subtree to its parent: no cancellation, whatever the ratio of the masses
   bodies first    K is reduced to S = J M^-1 J^T, where all joints of a body are coupled. Mass
-                  matrices are constant, and so is all that this does to them; what is left is as
-                  small as the joints are. It SUBTRACTS: as many digits are lost as the ratio of
-                  neighbouring masses has
-In a loop a joint waits for all of its bodies in any case, since a chain that is held at its far end
-may not move freely where the joint is: there K is reduced to S, by minimum degree.
+                  matrices are constant and eliminated once; the rest has the size of the joint
+                  rows. It SUBTRACTS: it loses the digits of the ratio of neighbouring masses
+In a loop a joint is eliminated after all of its bodies: the subtree beyond it may have no free
+motion at the joint. There K is reduced to S, by minimum degree.
 
-What no pose changes is eliminated here, once.
+Blocks that no pose changes are eliminated here, once.
 """
 
 import heapq
@@ -29,21 +28,21 @@ from .arrays import JOINT, VERTEX
 
 
 def elimination_order(sizes, neighbours, bodies, bodies_first=False):
-    """Order of the vertices, and which later vertices each one is coupled with.
+    """Elimination order of the vertices, and their fill.
 
     sizes      : (v,) scalars per vertex
     neighbours : list of sets of vertices; edges join bodies with joints
     bodies     : vertices below this number are bodies, the others joints
-    bodies_first : True: in trees, too, joints wait for their bodies
+    bodies_first : True: joints of trees, too, are eliminated after their bodies
     returns (order, below): order[p] the vertex eliminated p-th; below[p] the positions, in that
     order, of the blocks below the diagonal of column p, fill included
     """
     graph = [set(near) for near in neighbours]
-    waiting = [len(near) for near in neighbours]  # of a joint: its bodies not yet gone
+    waiting = [len(near) for near in neighbours]  # of a joint: bodies not yet eliminated
     ready = [v < bodies for v in range(len(graph))]
     left = set(range(len(graph)))
     order, near_when_eliminated = [], []
-    # Candidates by cost; a vertex whose cost changes is entered again, the old entry is stale.
+    # Candidates by cost; a vertex whose cost changes is pushed again, the old entry is stale.
     heap = []
 
     def cost(v):
@@ -77,7 +76,7 @@ def elimination_order(sizes, neighbours, bodies, bodies_first=False):
 
 
 def block_layout(sizes, below, changing):
-    """Places of all blocks of the lower triangle, and the updates of a right-looking elimination.
+    """Addresses of all blocks of the lower triangle, and updates of a right-looking elimination.
 
     sizes    : (v,) scalars of each vertex in elimination order
     below    : from elimination_order
@@ -148,7 +147,7 @@ def block_layout(sizes, below, changing):
 
 
 def operations(vertices, columns, updates):
-    """Additions and multiplications of an elimination at a new pose, and of a solve with it.
+    """Number of additions and multiplications of an elimination at a new pose and one solve.
 
     vertices, columns, updates : of Model
     """
@@ -175,10 +174,10 @@ def operations(vertices, columns, updates):
 
 
 def cheapest_structure(body, n, rows, ends, changing, alike):
-    """Structure of a mechanism that takes the fewest operations at a new pose.
+    """Structure of a mechanism with the fewest operations at a new pose.
 
-    alike : True when neighbouring masses differ so little that either way through trees will do
-    others : of Structure
+    alike : True if neighbouring masses are similar, so that both orders for trees are accurate
+    The other arguments are those of Structure.
     """
     ways = [
         Structure(body, n, rows, ends, changing, bodies_first)
@@ -188,7 +187,7 @@ def cheapest_structure(body, n, rows, ends, changing, alike):
 
 
 def _keep_joint(block):
-    """Of the constant block K of a joint keep W and d, -K^-1 = W^T d W; W^T and -d."""
+    """Replace the constant block K of a joint by W^T and -d with -K^-1 = W^T d W."""
     k = len(block)
     K, L, pivots = -block, np.eye(k), np.zeros(k)
     for r in range(k):
@@ -200,10 +199,10 @@ def _keep_joint(block):
 
 
 def _keep_body(block):
-    """Of the constant block M of a body keep the inverse of its inertia and 1 / mass; 1 and M^-1.
+    """Replace the constant block M of a body by its inverse inertia and 1 / mass; 1 and M^-1.
 
-    It is the mass, and diagonal but for the inertia: what a joint that goes before the body adds
-    has come from the body on its other side, by rows for a parent, which poses change.
+    The block is block diagonal: a joint that is eliminated before the body adds to it by rows for
+    a parent, which change with the pose.
     """
     turns = len(block) // 2
     inverse = np.linalg.inv(block)
@@ -213,15 +212,15 @@ def _keep_body(block):
 
 
 class Structure:
-    """Blocks of K for some bodies and the joints between them.
+    """Blocks of K for bodies and the joints between them.
 
-    body : scalars of a body, 6 or, in a plane, 3
+    body : scalars of a body, 6 in space or 3 in a plane
     n    : number of bodies
-    rows : scalars of each joint, one at least
+    rows : scalars of each joint, at least one
     ends : (parent, child) body of each joint; the parent may be WORLD
-    changing     : whether poses change the rows of each joint for its child; those for a parent
-                   they always change
-    bodies_first : the way through trees, see above
+    changing     : mask of joints whose rows for the child depend on the pose; those for a parent
+                   always do
+    bodies_first : elimination order for trees, see above
     unknowns   : size of K
     operations : additions and multiplications of a solve at a new pose
     """
@@ -253,7 +252,7 @@ class Structure:
         self.operations = sum(operations(self._vertices, self._columns, self._updates))
 
     def joints(self):
-        """(m,) of JOINT, all but their kinds and elements."""
+        """(m,) of JOINT, without kinds and elements."""
         joints = np.zeros(len(self._ends), dtype=JOINT)
         for j, (parent, child) in enumerate(self._ends):
             joint = joints[j]
@@ -265,7 +264,7 @@ class Structure:
         return joints
 
     def _block(self, joint, body):
-        """Place of the block of a joint and a body in K, and 1 if it holds the rows as columns."""
+        """Address of the block of a joint and a body in K, and 1 if the block is transposed."""
         if body == WORLD:
             return -1, 0
         row, column = self._pair(joint, body)
@@ -277,10 +276,10 @@ class Structure:
         return max(joint, body), min(joint, body)
 
     def arrays(self, masses, jacobians):
-        """Fields of a Model: its vertices, columns and updates, K and what of it is constant.
+        """Fields of a Model: vertices, columns, updates, K and its constant part.
 
         masses    : mass matrix of each body
-        jacobians : (k, body) rows of each joint for its child; zeros where the pose decides
+        jacobians : (k, body) rows of each joint for its child; zeros if they depend on the pose
         """
         summed, fresh, _, _ = self._ends_of_parts
         constant = self._constant_part(masses, jacobians)
@@ -295,7 +294,7 @@ class Structure:
         }
 
     def _constant_part(self, masses, jacobians):
-        """The flat array of K with M and the children's rows, the rest zero."""
+        """Flat array of K with M and the children's rows; the rest is zero."""
         _, _, size, _ = self._ends_of_parts
         constant = np.zeros(size)
         for i, matrix in enumerate(masses):
@@ -307,7 +306,7 @@ class Structure:
         return constant
 
     def _eliminated(self, constant):
-        """What dynamics.saddle_point makes of the constant vertices, and its scratch memory."""
+        """K after elimination of the constant vertices, as saddle_point does it, and scratch memory."""
         _, fresh, size, end = self._ends_of_parts
         matrix = np.concatenate([constant, np.zeros(end - size)])
         for j, coupled in enumerate(self._below):

@@ -1,30 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which components of the spatial momentum a scene keeps, and their values along a motion.
+"""Conserved components of the spatial momentum of a scene, and their values along a motion.
 
-A group of bodies is what joints and forces hang together without the world. Inside it forces
-come in pairs and joints do no work on a common motion of all its bodies. So along a screw
-(xi, eta), taken about the world origin, the rate of the group's momentum is the work that the
-world's wrench W does on that screw:
+A group consists of bodies that are connected by joints and forces, not counting the world. Inside
+a group forces come in pairs, and joints do no work on a common rigid motion of its bodies. So
+along a screw (xi, eta) about the world origin, the rate of the group's momentum is the power of
+the world's wrench W on that screw:
 
     d/dt (xi . L + eta . P) = W . (xi, eta),     W = joints to the world + gravity + springs to it
 
-and the component is kept in every motion if the right-hand side vanishes whatever the pose. What a
-joint to the world can transmit is known: its forbidden directions A, seen from the world. All
-other forces are evaluated at generic poses of the mechanism. The screws on which neither does any
-work are the null space of these wrenches. So
+The component is conserved in every motion if the right-hand side vanishes at all poses. A joint to
+the world transmits wrenches in its forbidden directions A. All other forces are evaluated at
+generic poses of the mechanism. The conserved screws are the null space of these wrenches. Examples:
   free in space               angular momentum in 3 directions, linear momentum in 3
   free in gravity             angular momentum about its own centre of mass in 3, linear in the 2
                               directions across gravity
   ball joint at o, gravity    angular momentum about o along gravity
   the same with a ground spring of zero rest length from p0 to the centre of mass: the spring is
                               a central force towards o and the uniform force k (p0 - o), so the
-                              component along k (p0 - o) + m g is kept: the chapter's heavy top
-                              is a top in that field
-  the same, with rest length or with the spring elsewhere on the body: nothing is kept, unless p0
-                              lies above or below o
-A pose of a closed loop is taken without the closing joint: no component is named that is not
-kept. A component kept only by particular motions (a plane pendulum) is not found, nor is any of a
-scene with a joint that is no lower pair.
+                              component along k (p0 - o) + m g is conserved: the chapter's heavy
+                              top is a top in that field
+  the same, with a rest length or with the spring elsewhere on the body: none, unless p0 is above
+                              or below o
+Generic poses of closed loops ignore the closing joint; this never adds a component. Components
+that only particular motions conserve (a plane pendulum) are not found, nor are those of a scene
+with a joint that is not a lower pair.
 """
 
 from dataclasses import dataclass
@@ -42,16 +41,16 @@ from liegroup_core.scene.description import WORLD
 
 from .build import build_model
 
-# More poses than unknowns; each is generic with probability one, and the draw is always the same.
+# More poses than unknowns. Each is generic with probability one; the seed is fixed.
 POSES = 12
-# Work of unit wrenches on unit screws below this is round-off (some 1e-15); a force that counts
-# less than this part of the others could not be seen in a run either.
+# Work of unit wrenches on unit screws below this is round-off (about 1e-15). A relatively smaller
+# force has no visible effect in a run.
 CUTOFF = 1e-11
 
 
 @dataclass(frozen=True, eq=False)
 class KeptMomentum:
-    """The momentum components that one group of bodies keeps while no wrench is applied to it."""
+    """Conserved momentum components of one group of bodies, while no external wrench acts on it."""
 
     bodies: tuple  # names
     point: np.ndarray | None  # (3,) m, world: angular momentum is about it; None: about the
@@ -61,7 +60,7 @@ class KeptMomentum:
 
     @property
     def labels(self):
-        """One text per component, in the order of `values`."""
+        """Text of each component, in the order of `values`."""
         about = "the centre of mass" if self.point is None else _written(self.point)
         return (
             *(f"angular momentum about {about} along {_written(d)}" for d in self.angular),
@@ -75,10 +74,10 @@ class KeptMomentum:
 
 
 def conserved_momentum(scene):
-    """What a scene keeps: a tuple of KeptMomentum, one per group that keeps anything.
+    """Conserved components of a scene: tuple of KeptMomentum, one per group that has some.
 
     Raises SceneError for a scene that cannot be simulated.
-    Shown by test/core/test_symmetry.py, with counterexamples, along independent integrations.
+    test/core/test_symmetry.py shows it along independent integrations, with counterexamples.
     """
     _, scene = ready(scene)
     model, *_ = build_model(scene)
@@ -106,7 +105,7 @@ def conserved_momentum(scene):
 
 
 def momentum_values(scene, kept, rotation, position, twist):
-    """Values of the kept components of one group along a motion.
+    """Values of the conserved components of one group along a motion.
 
     kept     : KeptMomentum
     rotation : (k, n, 3, 3), position (k, n, 3) m, twist (k, n, 6) of the body frames, all n bodies
@@ -129,7 +128,7 @@ def momentum_values(scene, kept, rotation, position, twist):
 
 
 def _kept(acting, reactions, centre, size):
-    """What a group keeps: list of (point or None, angular, linear).
+    """Conserved components of a group: list of (point or None, angular, linear).
 
     acting (POSES, 6) and reactions (r, 6) about the world origin, centre of mass (POSES, 3)
     """
@@ -140,7 +139,7 @@ def _kept(acting, reactions, centre, size):
         found.append((None, np.eye(3), _tidy(_null_space(force))))
         if np.all(np.abs(force - force[0]) <= CUTOFF * np.abs(force).max()):
             return found  # uniform: its other components follow from these
-    # Lengths in units of the mechanism's size, so that torques and forces compare.
+    # Lengths in units of the characteristic length, so that torques and forces are comparable.
     scale = np.array([1.0, 1.0, 1.0, size, size, size])
     screws = _null_space(np.vstack([acting, reactions]) * scale) * scale
     if len(screws):
@@ -150,13 +149,13 @@ def _kept(acting, reactions, centre, size):
 
 def _split(screws, start, size):
     """(point, angular, linear) of a space of screws (m, 6); the point is taken near `start`."""
-    # Translations are what is left when the rotations are taken out; they are linear momentum.
+    # Combinations without rotation are translations: linear momentum.
     combinations = _null_space(screws[:, :3].T)
     linear = _tidy(combinations @ screws[:, 3:])
     axes = _tidy(screws[:, :3])
     if not len(axes):
         return np.zeros(3), axes, linear
-    # A rotation about p has eta = p x xi. One point p for all, next to the origin or to a joint.
+    # A rotation about p has eta = p x xi. One point p for all, nearest to the origin or to a joint.
     moments = (np.linalg.lstsq(screws[:, :3].T, axes.T, rcond=None)[0].T @ screws)[:, 3:]
     across = np.eye(3) - linear.T @ linear
     system = np.vstack([-across @ _hat(axis) for axis in axes])
@@ -180,7 +179,7 @@ def _reaction_point(reactions):
 
 
 def _outer_wrenches(model, pose, rng):
-    """Gravity and all forces on every body at a pose, moving at random; (n, 6), world origin."""
+    """Wrenches (n, 6) of gravity and all forces at a pose with random twists; world origin."""
     wrench = np.zeros((len(pose), 6))
     gravity.add_wrench(model, pose, wrench)
     forces = model.forces
@@ -199,7 +198,7 @@ def _outer_wrenches(model, pose, rng):
 
 
 def _without_round_off(wrenches):
-    """Sum (POSES, 6) of the wrenches on the bodies of a group; what cancels is exactly zero."""
+    """Sum (POSES, 6) of the wrenches on the bodies of a group; round-off of zero is removed."""
     total = wrenches.sum(axis=1)
     for part in (slice(0, 3), slice(3, 6)):
         total[:, part][np.abs(total[:, part]) <= CUTOFF * np.abs(wrenches[..., part]).max()] = 0.0
@@ -212,13 +211,13 @@ def _reactions(scene, frames, forbidden, group):
     rows = [np.zeros((0, 6))]
     for joint, (F_a, _), A in zip(scene.joints, frames, forbidden):
         if joint.parent == WORLD and joint.child in names:
-            # The work on a world screw is that on the same screw seen from the joint frame.
+            # The power on a world screw equals that on the same screw in the joint frame.
             rows.append(A @ SE3.Ad(SE3.inverse(F_a)))
     return np.vstack(rows)
 
 
 def _forbidden(scene):
-    """A (k, 6) of every joint; None if one is no lower pair, whose rows depend on the pose."""
+    """A (k, 6) of every joint; None if the rows of one depend on the pose."""
     parts = resolve_elements(scene)
     if any(part.kind != PAIR for elements in parts for part in elements):
         return None
@@ -226,7 +225,7 @@ def _forbidden(scene):
 
 
 def _generic_pose(scene, frames, forbidden, size, rng):
-    """Pose (n, 12) with every joint of a spanning tree moved at random along its freedoms."""
+    """Pose (n, 12) with every joint of a spanning tree moved at random in its free directions."""
     joints = list(zip(scene.joints, frames, forbidden))
     waiting = [body.name for body in scene.bodies]
     placed = {WORLD: np.eye(4)}
@@ -250,9 +249,9 @@ def _generic_pose(scene, frames, forbidden, size, rng):
 
 
 def body_groups(scene):
-    """Index lists of the bodies that hang together without the world."""
+    """Index lists of bodies that joints or forces connect, not counting the world."""
     label = {body.name: i for i, body in enumerate(scene.bodies)}
-    # Forces about a joint add nothing to the joint; those on one body link nothing.
+    # Forces at a joint connect the same bodies as the joint; forces on one body connect none.
     for link in (*scene.joints, *scene.forces):
         child, parent = getattr(link, "child", WORLD), getattr(link, "parent", WORLD)
         if WORLD not in (parent, child):
@@ -265,7 +264,7 @@ def body_groups(scene):
 
 
 def _size(scene, frames):
-    """A length of the mechanism, m: its largest coordinate, or 1 if all are zero."""
+    """Characteristic length, m: the largest coordinate, or 1 if all are zero."""
     points = [body.position for body in scene.bodies]
     points += [frame[:3, 3] for pair in frames for frame in pair]
     points += [
@@ -278,7 +277,7 @@ def _size(scene, frames):
 
 
 def _null_space(rows):
-    """Orthonormal rows spanning {x : rows x = 0}, each row of unit size before."""
+    """Orthonormal rows that span {x : rows x = 0}; rows are normalised first."""
     norms = np.linalg.norm(rows, axis=1)
     rows = rows[norms > 0.0] / norms[norms > 0.0, None]
     if not len(rows):
@@ -287,7 +286,7 @@ def _null_space(rows):
 
 
 def _tidy(rows):
-    """Orthonormal rows of the same span in R^3, along the axes where that is possible."""
+    """Orthonormal rows of the same span in R^3, along the axes if possible."""
     _, values, span = np.linalg.svd(np.reshape(rows, (-1, 3)), full_matrices=False)
     span = span[values > 1e-8 * max(values.max(initial=0.0), 1e-300)]
     basis, _, order = scipy.linalg.qr(span.T @ span, pivoting=True)
@@ -297,7 +296,7 @@ def _tidy(rows):
 
 
 def _clean(values, size):
-    """Round-off next to zero removed."""
+    """Values with round-off next to zero removed."""
     return np.where(np.abs(values) < 1e-12 * size, 0.0, values)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers of many states or bodies in one call, for long recordings and many messages."""
+"""Observables of many states or bodies in one call, for long recordings and many messages."""
 
 import numpy as np
 
@@ -33,7 +33,7 @@ def _quaternions(pose, out):
 
 
 def quaternions(pose):
-    """Quaternions (..., 4) x, y, z, w >= 0 of poses (..., 12), to the bit as Sample has them."""
+    """Quaternions (..., 4) x, y, z, w >= 0 of poses (..., 12), bit-identical to those of Sample."""
     pose = np.array(pose, dtype=float, order="C")  # writable: always the same type
     out = np.empty((*pose.shape[:-1], 4))
     _quaternions(pose.reshape(-1, 12), out.reshape(-1, 4))
@@ -61,10 +61,10 @@ def rows(pose, twist):
 
 
 class Along:
-    """Follows a motion of the body frames of a layout, piece by piece.
+    """Observables along a motion of the body frames of a layout, block by block.
 
-    The turns of torsional springs are counted from one state to the next, which must be less than
-    half a turn on. `restart` where a motion begins anew.
+    Angles of torsional springs are unwrapped from one state to the next: a joint must rotate by
+    less than half a turn in between. Call `restart` at the start of another motion.
     """
 
     def __init__(self, layout):
@@ -75,18 +75,18 @@ class Along:
         self.restart()
 
     def restart(self, near=None):
-        """The next state is the first one of a motion.
+        """Start another motion with the next state.
 
-        near : (t,) rad, angles of the torsional springs there; None: less than half a turn
+        near : (t,) rad, its angles of the torsional springs; None: less than half a turn
         """
         self._angle, self._near = None, near
 
     def follow(self, pose, twist):
-        """What the next k states have.
+        """Observables of the next k states.
 
         pose (k, n, 12), twist (k, n, 6) of the body frames, k > 0
-        returns energy (k,) J, kinetic energy (k,) J, residual (k, joints) m and rad: the norm of
-        each joint's, angles (k, t) rad of the torsional springs
+        returns energy (k,) J, kinetic energy (k,) J, norm of each joint's position residual
+        (k, joints) m and rad, angles (k, t) rad of the torsional springs
         """
         layout = self._layout
         pose, twist = (

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Coordinates and rates of the joints with one freedom: the turn of a hinge, the way of a slider.
+"""Joint positions and velocities of the joints with one degree of freedom.
 
 With the joint frames A on the parent and B on the child, z_A and z_B their axes in the world,
     revolute   theta = atan2(R10 - R01, R00 + R11) of R = R_A^T R_B,   z_B . (omega_b - omega_a)
     prismatic  z_A . (p_B - p_A),                                      z_B . (v_b - v_a) at p_B
-Both are those of a closed joint; where a joint has opened by a little they are off by as much.
-Angles count whole turns where a torsional spring makes the integrator count them.
+Their error is of the order of the joint's residual. An angle is unwrapped if the joint has a
+torsional spring; other angles are between -pi and pi.
 """
 
 import math
@@ -17,10 +17,11 @@ from liegroup_core.joints.kinds import TYPES
 
 
 class JointCoordinates:
-    """Reads coordinates off a state.
+    """Joint positions and velocities of a state.
 
-    scene  : Scene whose frames are at the centres of mass
+    scene  : Scene with frames at the centres of mass
     frames : (parent frame, child frame), each (4, 4), of its joints
+    names, units : joints that have a coordinate; {joint: "rad" or "m"}
     """
 
     def __init__(self, scene, frames):
@@ -32,7 +33,7 @@ class JointCoordinates:
         ]
         self.names = tuple(joint.name for joint, _ in found)
         self.units = {joint.name: TYPES[joint.type].coordinate for joint, _ in found}
-        # The world stands behind the last body.
+        # The world has the index after the last body.
         self._parent = [place.get(joint.parent, len(place)) for joint, _ in found]
         self._child = [place[joint.child] for joint, _ in found]
         self._parent_frame = np.array([pair[0] for _, pair in found]).reshape(-1, 4, 4)
@@ -41,7 +42,7 @@ class JointCoordinates:
         self._counted = [counted.index(name) if name in counted else None for name in self.names]
 
     def at(self, pose, twist, angles):
-        """{joint: (coordinate, rate)}: rad and rad/s, or m and m/s.
+        """{joint: (position, velocity)}: rad and rad/s, or m and m/s.
 
         pose, twist : (n, 12), (n, 6) of the frames at the centres of mass
         angles      : (k,) rad, of the torsional springs

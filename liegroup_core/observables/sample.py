@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sample: an immutable copy of a state with names, the only thing that leaves the core."""
+"""Sample: an immutable, named copy of a state. Users and outputs see states only as Samples."""
 
 from functools import cached_property
 
@@ -21,9 +21,8 @@ class Sample:
     time, time_ns, steps : s, ns, and number of steps since the start or the last reset
     pose  : (n, 12) per body R row by row, then r in m; body frame -> world
     twist : (n, 6) per body omega rad/s, v m/s; body axes, v of the frame's origin
-    It is made from the pose and twist of the frames at the centres of mass; what it has is of the
-    body frames of the scene.
-    What follows from these is computed when it is asked for, and once.
+    The constructor takes pose and twist at the centres of mass; all attributes refer to the body
+    frames of the scene. Derived quantities are computed on first access and cached.
     """
 
     def __init__(self, layout, time, time_ns, steps, pose, twist, near):
@@ -79,21 +78,20 @@ class Sample:
 
     @property
     def rows(self) -> NDArray[np.float64]:
-        """(n, 13) per body x, y, z, then qx, qy, qz, qw, then v and omega, as messages have them:
-        the numbers of `positions`, `quaternions` and `twists`, for all bodies at once.
-        """
+        """(n, 13) per body x, y, z, qx, qy, qz, qw, v, omega: the order of ROS messages."""
         return rows(self.pose, self.twist)
 
     @cached_property
     def angles(self) -> NDArray[np.float64]:
-        """(k,) angle of each torsional spring in the order of the scene, over many turns, rad."""
+        """(k,) unwrapped angle of each torsional spring in the order of the scene, rad."""
         return self._layout.angles(self._state[0], self._near)
 
     @cached_property
     def joint_coordinates(self) -> dict[str, tuple[float, float]]:
-        """{joint: (coordinate, rate)} of the revolute joints in rad and rad/s, of the prismatic
-        ones in m and m/s. Whole turns are counted where the joint has a torsional spring; other
-        angles lie between -pi and pi.
+        """{joint: (position, velocity)}: revolute joints in rad, rad/s, prismatic in m, m/s.
+
+        The angle is unwrapped if the joint has a torsional spring; other angles are between -pi
+        and pi.
         """
         return self._layout.coordinates.at(*self._state, self.angles)
 
@@ -104,11 +102,13 @@ class Sample:
 
     @cached_property
     def power(self) -> float:
-        """Rate of the energy, W: what motors and the scene's applied wrenches give, and dampers
-        and drag take. Wrenches applied from outside the scene come on top.
+        """Power of the scene's non-conservative forces, W: the rate of `energy`.
+
+        Motors and the scene's applied wrenches, dampers and drag. The power of external wrenches
+        is not included.
         """
         forces = self._layout.model.forces
-        # A wrench that starts at this very time acts, whichever way the time was rounded.
+        # A wrench that starts at this time acts, however the time was rounded.
         acting = acting_at(forces.applied_wrench, self.time * (1.0 + ROUNDING))
         return kinds.power(forces, acting, *self._state)
 

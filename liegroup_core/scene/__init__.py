@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenes: what a user says there is, from a file or from code, checked."""
+"""Scenes: models of a user's description, from a file or from code, checked.
+
+In: YAML text or Python values. Out: a frozen Scene, or one SceneError with file and line. A scene
+knows no array of the solver.
+"""
 
 from . import description
 from .consistency import check_consistency, resolve_elements, resolve_frames

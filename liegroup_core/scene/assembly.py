@@ -1,19 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Assembly: poses and velocities at the start that close all joints, from guesses and joint rates.
+"""Assembly: initial poses and velocities that satisfy all joints, from guesses and joint rates.
 
-A scene with `assemble: true` leaves the start partly to its joints. `assembled` makes the scene
-that is meant, with every pose, velocity and joint frame written out:
+A scene with `assemble: true` leaves part of its initial state to its joints. `assembled` returns a
+scene in which every pose, velocity and joint frame is explicit:
 
-1. A body without a pose is put where a joint to a body that has one puts it, both frames together.
-2. A joint frame that is left out is where the other one is at these poses; a length likewise.
-3. Poses: the nearest ones that close all joints (Newton's method on the group). Bodies that are
-   `fixed` keep the pose they were given.
-4. Velocities: with V0 the given ones, the least change in kinetic energy,
-       min (V - V0)^T M (V - V0)   with   J V = 0 ,  rates as given, velocities of `fixed` bodies,
-   and what else is to be kept.
+1. A body without a pose is placed by a joint to a body that has one: both joint frames coincide.
+2. A joint frame that is not given is placed where the other frame of the joint is at these poses.
+   A length that is not given is the distance at these poses.
+3. Poses: the nearest ones that satisfy all joints (Newton's method on the group). Bodies marked
+   `fixed` keep the given pose.
+4. Velocities: with V0 the given ones, the change of least kinetic energy,
+       min (V - V0)^T M (V - V0)   subject to   J V = 0, the given joint rates, the velocities of
+   `fixed` bodies, and the components listed in `kept`.
 
-The same text gives the same bits on the same machine. The model itself depends on the result of no
-iteration: frames and lengths come from steps 1 and 2, which only multiply poses.
+The same text gives bit-identical results on the same machine. The model does not depend on the
+result of an iteration: frames and lengths come from steps 1 and 2, which only multiply poses.
 """
 
 import numpy as np
@@ -28,15 +29,15 @@ from .centres import Offsets, at_centres_of_mass
 from .consistency import check_consistency, resolve_elements, resolve_frames
 from .description import WORLD
 
-# Part of the velocities involved by which the found ones may miss; what is left is round-off.
+# Largest residual of the velocities, relative to the velocities involved: round-off.
 TOLERANCE = 1e-10
 
 
 def assembled(scene, kept=()):
-    """The scene with consistent poses and velocities at the start, not to assemble any more.
+    """Scene with consistent initial poses and velocities; its `assemble` is false.
 
-    kept : (body, component 0..5) of the twists of body frames that are kept as given
-    raises SceneError naming the joint that cannot be closed, and by how much
+    kept : (body, component 0..5) of the twists of body frames that keep the given value
+    Raises SceneError with the joint that cannot be satisfied and its residual.
     """
     if not scene.assemble:
         return scene
@@ -64,9 +65,9 @@ def assembled(scene, kept=()):
 
 
 def ready(scene):
-    """The scene assembled and checked, and the same with its frames at the centres of mass.
+    """Assembled and checked scene, and the same scene with frames at the centres of mass.
 
-    raises SceneError: joints that do not close, velocities against them
+    Raises SceneError if poses or velocities violate a joint.
     """
     scene = assembled(scene)
     check_consistency(scene)
@@ -110,7 +111,7 @@ def _with_bodies_placed(scene):
 
 
 def _with_joints_written_out(scene):
-    """Step 2. What tells assembly how to go about it is taken out of the scene."""
+    """Step 2. Keys that only control assembly are removed from the scene."""
     poses = {body.name: body.pose for body in scene.bodies} | {WORLD: np.eye(4)}
     joints = []
     for joint, pair in zip(scene.joints, resolve_frames(scene)):
@@ -129,7 +130,7 @@ def _with_joints_written_out(scene):
 
 
 def _rows_of(scene, kept):
-    """[(body, (6,) row)] that say what a component of its twist is, of the frame at its centre."""
+    """[(body, (6,) row)]: each row gives a kept component from the twist at the centre of mass."""
     rows = []
     for body in scene.bodies:
         to_body = np.eye(6)  # v = v_com - w x com
@@ -163,7 +164,7 @@ def _velocities(scene, linkage, poses, rates, fixed, kept):
     )
     V = np.concatenate([given[name] for name in linkage.bodies])
 
-    # With the mass matrix M = L L^T and V + L^-T x, the least x has the least kinetic energy.
+    # With M = L L^T and V = V0 + L^-T x, the least-squares x has the least kinetic energy.
     bodies = {body.name: body for body in scene.bodies}
     free = [name for name in linkage.bodies if name not in fixed]
     inverse = np.zeros((len(V), 6 * len(free)))  # L^-T of the bodies that are free
@@ -186,7 +187,7 @@ def _velocities(scene, linkage, poses, rates, fixed, kept):
 
 
 def _with_start(scene, centred, length, poses, twists):
-    """The scene with these poses and twists of the frames at the centres of mass."""
+    """Scene with the given poses and twists of the frames at the centres of mass."""
     pose = np.array([poses[body.name] for body in scene.bodies])
     twist = np.array([twists[body.name] for body in scene.bodies])
     # What assembly did not change keeps the numbers it was written with.
@@ -211,17 +212,17 @@ def _with_start(scene, centred, length, poses, twists):
 
 
 def _tidy(values, size):
-    """The numbers without what rounding left where there is none, next to others of `size`."""
+    """Numbers with round-off next to zero removed; `size` is the scale of the round-off."""
     return np.where(np.abs(values) <= 1e-16 * size, 0.0, values)
 
 
 def _keys(pose):
-    """Keys of a pose (4, 4)."""
+    """Keys of a scene for a pose (4, 4)."""
     return {"position": pose[:3, 3], "quaternion": SO3.to_quaternion(pose[:3, :3])}
 
 
 def _open(linkage, poses):
-    """SceneError for the joint that is farthest open."""
+    """SceneError for the joint with the largest position residual."""
     gaps = [linkage.gap(j, poses) for j in range(len(linkage.joints))]
     j = int(np.argmax([max(gap / linkage.length, tilt) for gap, tilt in gaps]))
     gap, tilt = gaps[j]
@@ -234,7 +235,7 @@ def _open(linkage, poses):
 
 
 def _contradiction(scene, J, owner, miss):
-    """SceneError for the joint whose velocity misses most."""
+    """SceneError for the joint with the largest velocity residual."""
     j = int(owner[int(np.argmax(np.abs(miss)))])
     turning = ~J.reshape(len(J), -1, 6)[:, :, 3:].any(axis=(1, 2))
     slip, turn = (

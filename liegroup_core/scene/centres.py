@@ -1,21 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Centres of mass: the one place that knows that a body frame may sit elsewhere.
+"""Centres of mass: transformation between body frames and frames at the centres of mass.
 
-The equations are simplest in frames at the centres of mass, so the model is built from the scene
-that `at_centres_of_mass` returns, and what goes in and out is shifted here. With the centre of
-mass at c in the body frame, all in body axes,
+The equations are simplest in frames at the centres of mass. The model is built from the scene
+that `at_centres_of_mass` returns; states and wrenches are shifted by `Offsets`. With the centre
+of mass at c in the body frame, all in body axes,
 
     position  r_com = r + R c       velocity  v_com = v + w x c       point  p_com = p - c
     torque    t_com = t - c x f
 
-Where all centres of mass are at the origins of the body frames nothing is computed, and every
-number keeps its bits.
+If all centres of mass are at the origins of the body frames, all numbers pass unchanged.
 """
 
 import numpy as np
 
-# Which keys of joints and forces hold a place in a body's frame, and which one names that body.
-# A frame shifts with its origin. test/core/test_centres.py looks for fields that are missing.
+# {key of a joint or force with a point or frame in a body's frame: key with the body's name}.
+# Frames shift with their origin. test/core/test_centres.py finds keys that are missing here.
 PLACES = {
     "parent_frame": "parent",
     "child_frame": "child",
@@ -26,10 +25,10 @@ PLACES = {
 
 
 def at_centres_of_mass(scene):
-    """The same mechanism with every body frame at the centre of mass: com is zero everywhere.
+    """Scene of the same mechanism with every body frame at the centre of mass: all com are zero.
 
-    scene : not to be assembled any more
-    returns a Scene with masses and inertias in place of shapes; the same one if it has no offsets
+    scene : assembled
+    returns a Scene with mass and inertia in place of shapes; the given one if all com are zero
     """
     com = {body.name: np.array(body.com) for body in scene.bodies}
     if not any(offset.any() for offset in com.values()):
@@ -56,7 +55,7 @@ def _body_at_centre(body):
 
 
 def _shifted(link, com):
-    """A joint or force with its places in the frames at the centres of mass."""
+    """Joint or force with its points and frames relative to the centres of mass."""
     moved = {}
     for key, end in PLACES.items():
         place = getattr(link, key, None)

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Consistent initial values: joints close at the initial poses, initial twists respect them.
+"""Consistent initial values: initial poses and twists must satisfy all joints.
 
 With the pose C of a body (body to world) and the joint frames F_a, F_b in the frames of parent
 and child,
 
-    C_rel = F_a^-1 C_a^-1 C_b F_b                        is one that the joint allows
-    V_rel = Ad(F_b^-1) V_b - Ad(C_rel^-1) Ad(F_a^-1) V_a   satisfies A V_rel = 0, A its rows
+    C_rel = F_a^-1 C_a^-1 C_b F_b                        must have a zero position residual
+    V_rel = Ad(F_b^-1) V_b - Ad(C_rel^-1) Ad(F_a^-1) V_a   must satisfy A V_rel = 0
 
-The chapter's index 1 equations keep both if they hold at the start, and only then. Plain NumPy,
-once per scene.
+with the forbidden rows A of the joint. The chapter's index-1 equations preserve both only if they
+hold initially. Plain NumPy, once per scene.
 """
 
 import numpy as np
@@ -19,14 +19,14 @@ from liegroup_core.lie.groups import SE3
 
 from .description import WORLD
 
-# A scene may be typed with round numbers or come from double precision arithmetic: its numbers
-# are then right to about 1e-15 of their size, and sums over a long chain to 1e-12. Values rounded
-# to six digits are not consistent; they are refused with the values that would be.
+# Exact decimals and results of double precision arithmetic are correct to about 1e-15 of their
+# size, and sums over a long chain to 1e-12. Values rounded to six digits are not consistent: they
+# are refused, and the error names consistent values.
 TOLERANCE = 1e-9
 
 
 def _start(scene):
-    """Pose (4, 4) and twist (6,) of every body, and of the world, at the start."""
+    """{name: (pose (4, 4), twist (6,))} of all bodies and the world at the start."""
     start = {body.name: (body.pose, body.twist) for body in scene.bodies}
     return start | {WORLD: (np.eye(4), np.zeros(6))}
 
@@ -35,7 +35,7 @@ def resolve_frames(scene):
     """Joint frames of every joint, in the order of scene.joints.
 
     returns list of (F_a, F_b), (4, 4) each: pose of the joint frame in the frame of the parent
-    and in that of the child, m. A frame the scene leaves out is where the other one is at the
+    and in that of the child, m. A frame that the scene omits coincides with the other one at the
     initial poses.
     """
     start = _start(scene)
@@ -55,7 +55,7 @@ def resolve_frames(scene):
 def resolve_elements(scene):
     """Constraint elements of every joint, in the order of scene.joints: list of tuples of Element.
 
-    A length the scene leaves out is the distance at the initial poses.
+    A length that the scene omits is the distance at the initial poses.
     """
     start = _start(scene)
     return [
@@ -70,7 +70,7 @@ def _relative(start, joint, F_a, F_b):
 
 
 def check_consistency(scene):
-    """Raise SceneError for the first joint that is open or moves against itself at the start."""
+    """Raise SceneError for the first joint that the initial poses or twists violate."""
     start = _start(scene)
     problems = []
     for i, (joint, (F_a, F_b)) in enumerate(zip(scene.joints, resolve_frames(scene))):
@@ -90,13 +90,13 @@ def check_consistency(scene):
 
 
 def _parts(rows, values):
-    """Size of the linear and of the angular part of a residual, from its rows."""
+    """Norms of the linear and of the angular part of a residual; rows: what it belongs to."""
     angular = rows[:, :3].any(axis=1) & ~rows[:, 3:].any(axis=1)
     return np.linalg.norm(values[~angular]), np.linalg.norm(values[angular])
 
 
 def _open(joint, elements, rows, C_rel, poses):
-    """What is wrong with the initial poses at a joint, or None."""
+    """Text of a violation at position level, or None."""
     gap, tilt = _parts(rows, position_residual(elements, C_rel))
     size = max(np.abs(pose[:3, 3]).max() for pose in poses)
     if max(gap, tilt) <= TOLERANCE * (1.0 + size):
@@ -113,16 +113,16 @@ def _open(joint, elements, rows, C_rel, poses):
 
 
 def _moving(joint, A, C_rel, F_a, F_b, V_a, V_b):
-    """What is wrong with the initial twists at a joint of rows A, or None."""
+    """Text of a violation at velocity level of a joint with rows A, or None."""
     to_child, to_joint = SE3.Ad(F_b), SE3.Ad(SE3.inverse(F_b))
     from_parent = SE3.Ad(SE3.inverse(C_rel)) @ SE3.Ad(SE3.inverse(F_a))
     V_rel = to_joint @ V_b - from_parent @ V_a
     slip, turn = _parts(A, A @ V_rel)
-    # the terms of the sums above: what their round-off is relative to
+    # Round-off of the sums above is relative to their terms.
     size = max((np.abs(to_joint) @ np.abs(V_b)).max(), (np.abs(from_parent) @ np.abs(V_a)).max())
     if max(slip, turn) <= TOLERANCE * (1.0 + size):
         return None
-    # The shortest change of V_rel to what the joint allows.
+    # Smallest change of V_rel that satisfies the joint.
     V_ok = to_child @ (V_rel - np.linalg.pinv(A) @ (A @ V_rel) + from_parent @ V_a)
     return (
         f"the initial velocities violate the joint by {slip:.3g} m/s and {turn:.3g} "

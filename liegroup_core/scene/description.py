@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a scene says: bodies, joints and forces, as frozen models that check themselves.
+"""Scene description: bodies, joints and forces, as frozen models that check themselves.
 
-SI units, angles in radians. The world frame is `world`; a body frame is fixed to the body, its
-centre of mass at `com` in it. Rotations turn body components into world components; quaternions
-are x, y, z, w. Twists are (omega, v), angular first, in the axes of the body frame and about its
-origin.
+SI units, angles in radians. The world frame is `world`. A body frame is fixed to its body; `com` is
+the centre of mass in this frame. Rotations map body components to world components; quaternions
+are x, y, z, w. Twists are (omega, v), angular first, in body axes, v of the body frame's origin.
 
-A model made from wrong values raises `SceneError`. The classes of joints and forces stand with what
-they do, in liegroup_core/joints/ and liegroup_core/forces/.
+A model made from wrong values raises `SceneError`. The classes of joints and forces are next to
+their equations, in liegroup_core/joints/ and liegroup_core/forces/.
 """
 
 from typing import Annotated, Any, Literal
@@ -50,7 +49,7 @@ WORLD = "world"
 
 
 class Body(Placed):
-    """Rigid body and its state at the start. Mass, inertia and com are there also with a shape."""
+    """Rigid body and its initial state. A shape also sets mass, inertia and com."""
 
     name: Name = Field(description="name: a letter, then letters, digits or _; unique, not world")
     mass: Positive | None = Field(
@@ -136,7 +135,7 @@ class Body(Placed):
 
 
 def _entries(classes):
-    """Type of a list of entries, each made by the class that its `type` selects."""
+    """Type of a list of entries; the `type` of an entry selects its class."""
     # a key without a value is an empty list
     return Annotated[
         tuple[one_of(classes), ...],
@@ -145,7 +144,7 @@ def _entries(classes):
 
 
 class Scene(Described):
-    """Whole scene: what there is, and how it starts."""
+    """Whole scene: mechanism and initial state."""
 
     name: Name = Field(description="name of the scene: a letter, then letters, digits or _")
     description: Text = Field("", description="free text")
@@ -167,16 +166,16 @@ class Scene(Described):
 
     @property
     def text(self):
-        """YAML text of the scene: as it was read, or written out if it was made in code."""
+        """YAML text of the scene: as read, or generated if the scene was made in code."""
         return self._text if self._text is not None else _written_out(self)
 
     @property
     def source(self):
-        """Path or name the scene was read from; its own name if it was made in code."""
+        """Path or name that the scene was read from; its own name if it was made in code."""
         return self._source if self._source is not None else self.name
 
     def located(self, error):
-        """A SceneError about this scene with file and line, if it was read from a text."""
+        """SceneError with file and line added, if the scene was read from a text."""
         if self._line_of is None:
             return error
         return SceneError(f"{self.source}:{self._line_of(error.place or ())}: {error}", error.place)
@@ -221,7 +220,7 @@ class Scene(Described):
 
 
 def _refuse_twins(entries):
-    """Refuse a name that two of the (list, index, name) entries have."""
+    """Refuse duplicate names among the (list, index, name) entries."""
     first = {}
     for key, i, name in entries:
         if name in first:
@@ -233,7 +232,7 @@ def _refuse_twins(entries):
 
 
 def _refuse_ends(link, bodies, key, i):
-    """Refuse a joint or force that does not hold a body to another one or to the world."""
+    """Refuse a joint or force that does not connect a body to another body or to the world."""
     where = f'{key}[{i}] "{link.name}": '
     if link.child == WORLD:
         hint = "name a body" if link.parent == WORLD else "swap parent and child"
@@ -250,7 +249,7 @@ def _refuse_ends(link, bodies, key, i):
 
 
 def _refuse_unknown(end, link, known, key, i):
-    """Refuse a joint or force whose `end` is none of the known bodies."""
+    """Refuse a joint or force whose `end` is not one of the known bodies."""
     name = getattr(link, end)
     if name not in known:
         raise SceneError(
@@ -261,7 +260,7 @@ def _refuse_unknown(end, link, known, key, i):
 
 
 def _refuse_joint(force, kinds, i):
-    """Refuse a force on a joint that is not there or does not move the way the force needs."""
+    """Refuse a force whose joint does not exist or does not allow the motion that it acts on."""
     where, place = f'forces[{i}] "{force.name}": ', ("forces", i, "joint")
     if force.joint not in kinds:
         hint = suggestion(force.joint, list(kinds)) if kinds else "the scene has no joints"
@@ -276,7 +275,7 @@ def _refuse_joint(force, kinds, i):
 
 
 class _Dumper(yaml.SafeDumper):
-    """Writes lists of numbers on one line, and free text in quotes so that it stays text."""
+    """YAML dumper: lists of numbers on one line, free text in quotes so that it stays text."""
 
     def represent_str(self, text):
         style = None if text.replace("_", "").isalnum() and text.isascii() else '"'
@@ -287,7 +286,7 @@ _Dumper.add_representer(str, _Dumper.represent_str)
 
 
 def _written_out(scene):
-    """YAML text of a scene made in code; numbers are written so that they read back the same."""
+    """YAML text of a scene made in code; numbers read back bit-identical."""
     values: dict[str, Any] = scene.model_dump(exclude_unset=True)
     for key in ("joints", "forces"):
         for entry, written in zip(getattr(scene, key), values.get(key, ())):

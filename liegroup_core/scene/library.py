@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenes of any size, made in code: chains and rows of four-bar windows.
+"""Scenes of any size, generated in code: chains and rows of four-bar windows.
 
     from liegroup_core.scene.library import chain
     simulation = Simulation(chain(100, "revolute"))
 
-The same mechanisms with ten links and two windows are among the scene files.
+The example scenes contain the same mechanisms with ten links and with two windows.
 """
 
 from .description import Body, Frame, Joint, Scene
@@ -14,11 +14,11 @@ GRAVITY = 9.81  # m/s^2
 
 
 def chain(n, kind="spherical", length=0.1, mass=0.1):
-    """n equal rods along world x, let go from the horizontal, the first one hung up at the origin.
+    """Chain of n equal rods, hung from the origin and released at rest along world x.
 
-    kind         : "spherical", ball joints; or "revolute", hinges along world y
+    kind         : "spherical", or "revolute" with axes along world y
     length, mass : m, kg of a rod; its radius is a twentieth of its length
-    Body frames are at the near ends, x along the rods, which are called rod0, rod1, ...
+    Body frames are at the near ends with x along the rods. The rods are rod0, rod1, ...
     """
     shape = Rod(
         axis=(1, 0, 0), length=length, radius=length / 20, mass=mass, position=(length / 2, 0, 0)
@@ -50,9 +50,9 @@ def chain(n, kind="spherical", length=0.1, mass=0.1):
 def four_bar_windows(n):
     """n four-bar windows side by side: n + 1 cranks and n couplers, rods of 1 m and 1 kg.
 
-    Cranks crank0, crank1, ... stand upright, 1 m apart in the x-y plane, and fall over towards
-    x at -1 rad/s; coupler0, ... join their tops. Gravity is along -y. All bars lie on one line
-    every half turn, where the freedoms are n + 1 instead of 1.
+    Cranks crank0, crank1, ... stand upright, 1 m apart in the x-y plane, and rotate towards
+    x at -1 rad/s; coupler0, ... join their tops. Gravity is along -y. Every half turn all bars are
+    collinear: there the degrees of freedom are n + 1 instead of 1.
     Source: IFToMM library of computational benchmark problems, A02, where n is 2.
     """
     upright = Rod(axis=(0, 1, 0), length=1, mass=1, position=(0, 0.5, 0))

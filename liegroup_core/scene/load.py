@@ -48,7 +48,7 @@ _WORDS |= {
 
 
 def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
-    """Scene of a file, given by its path or, for the scenes that come along, by its name."""
+    """Read a scene from a file, given by its path or, for an example scene, by its name."""
     path = find_scene(name_or_path)
     try:
         if not os.path.isfile(path):
@@ -72,15 +72,15 @@ def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
 
 
 def scene_from_text(text: str, source: str = "scene") -> Scene:
-    """Scene of a YAML text, for example one that a recording carries; assembled if it is to be.
+    """Scene of a YAML text, such as that of a recording; assembled if it says so.
 
-    source : path or name that errors begin with; becomes scene.source
+    source : path or name that errors start with; becomes scene.source
     """
     return _made(text, source, True)
 
 
 def scene_as_written(text, source="scene"):
-    """The same before its assembly: its numbers are those of the text, its joints may be open."""
+    """Scene of a YAML text before assembly: the given numbers; joints may be violated."""
     return _made(text, source, False)
 
 
@@ -104,7 +104,7 @@ def _made(text, source, complete):
 
 
 def find_scene(name_or_path: str | os.PathLike[str]) -> Path:
-    """Path of a scene file: an existing file as it is, else a name among the known scenes."""
+    """Path of a scene file: an existing file, else an example scene of that name."""
     given = Path(name_or_path)
     if os.path.isfile(given):
         return given
@@ -121,7 +121,7 @@ def find_scene(name_or_path: str | os.PathLike[str]) -> Path:
 
 
 def _folders():
-    """Folders with the scenes that come along, the nearest to this file first."""
+    """Folders with example scenes, the nearest to this file first."""
     here = Path(__file__).resolve()
     prefixes = [
         *here.parents,
@@ -134,12 +134,12 @@ def _folders():
 
 
 class _Entry:
-    """A value of the file, with the lines of it and of its parts.
+    """Value of the file, with its line and those of its parts.
 
-    value : what YAML says: dict, list, str, int, float, bool or None
-    line  : 1-based line where it begins; in a mapping, that of its key
-    parts : its own entries by key or index
-    size  : number of values in it, those from aliases counted in full
+    value : dict, list, str, int, float, bool or None
+    line  : 1-based line of its start; in a mapping, that of its key
+    parts : entries by key or index
+    size  : number of values in it; values of aliases count in full
     key   : in an unfinished mapping, the entry of the key whose value comes next
     done  : False while its parts are being read
     """
@@ -173,7 +173,7 @@ class _Entry:
             self.key = None
 
     def line_of(self, place):
-        """Line of the innermost part on the way to a place that the file has."""
+        """Line of the innermost part that the file has on the path to a place."""
         entry = self
         for step in place:
             if step not in entry.parts:
@@ -183,7 +183,7 @@ class _Entry:
 
 
 class _Refused(Exception):
-    """Something in the text that a scene must not have, on a line."""
+    """Content on a line that a scene must not have."""
 
     def __init__(self, line, message):
         super().__init__(message)
@@ -220,8 +220,8 @@ def _read(text, source):
 def _root(events, last_line, most):
     """Root entry of the parser's events with at most so many values; None without a document.
 
-    The stack is our own: no input can exhaust Python's. An alias shares what it stands for, so
-    that its size is known, and refused, before anything that large is made.
+    It uses its own stack, so that no input can exhaust Python's. An alias shares its value: its
+    size is known, and refused if too large, before it is expanded.
     """
     root, stack, anchors = None, [], {}
     for event in events:
@@ -260,7 +260,7 @@ def _root(events, last_line, most):
 
 
 def _scalar(event):
-    """Value of a scalar: quoted text is text, plain text follows YAML 1.2."""
+    """Value of a scalar: text if quoted, else by the rules of YAML 1.2."""
     text = event.value
     if not event.implicit[0]:
         return text
@@ -268,7 +268,7 @@ def _scalar(event):
         return _WORDS[text]
     if not _NUMBER.fullmatch(text):
         return text
-    # an integer of any length is a number; a long one is one that a float can hold, or infinite
+    # Python limits the digits of an integer; as a float it is finite or infinite.
     return int(text) if len(text) < 18 and text.lstrip("+-").isdigit() else float(text)
 
 

@@ -3,8 +3,8 @@
 
     python -m liegroup_core.scene.schema > docs/scene.schema.json
 
-It comes from the models in description.py. What it does not say (names that must be there, joints
-that must close) is checked when a scene is read.
+It is generated from the models in description.py. Conditions between entries (names must exist,
+joints must be satisfied) are checked when a scene is read.
 """
 
 import json
@@ -14,7 +14,7 @@ from .shapes import SHAPES
 
 
 def scene_schema():
-    """The schema (draft 2020-12) as a dict of JSON types."""
+    """JSON schema (draft 2020-12) of a scene as a dict of JSON types."""
     schema = _tidied(Scene.model_json_schema(mode="validation"))
     parts = schema["$defs"]
     for kinds, needed in (
@@ -34,7 +34,7 @@ def scene_schema():
 
 
 def _tidied(part):
-    """A part of the schema without titles, which repeat its keys, and defaults of null."""
+    """Part of the schema without titles (they repeat the keys) and without defaults of null."""
     if isinstance(part, list):
         return [_tidied(item) for item in part]
     if not isinstance(part, dict):
@@ -48,7 +48,7 @@ def _tidied(part):
 
 
 def scene_schema_text():
-    """The schema as a file has it."""
+    """Text of the schema file."""
     return json.dumps(scene_schema(), indent=1) + "\n"
 
 

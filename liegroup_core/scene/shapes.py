@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Homogeneous solids: mass, centre of mass and inertia of a body from its sizes.
+"""Homogeneous solids: mass, centre of mass and inertia of a body from its dimensions.
 
-With the mass m and the axes of the solid itself, about its centre:
+With the mass m, about the centre and in the axes of the solid:
     box       m/12 (y^2 + z^2, z^2 + x^2, x^2 + y^2)         edges x, y, z
     cylinder  m/12 (3 r^2 + l^2, 3 r^2 + l^2, 6 r^2)         radius r, length l along z
     sphere    2/5 m r^2
@@ -27,12 +27,12 @@ from liegroup_core.fields.values import (
     real_inertia,
 )
 
-# Radius of a rod in lengths of it, if none is given: its inertia along is 6e-6 of that across.
+# Default radius of a rod in rod lengths: its axial inertia is 6e-6 of the transverse one.
 THIN = 1e-3
 
 
 class _Solid(Placed):
-    """What all solids have: a place in the body, and how much they weigh."""
+    """Common part of all solids: pose in the body frame, and mass or density."""
 
     position: Vector3 = Field(
         (0.0, 0.0, 0.0), description="centre of the solid in m, in the body frame"
@@ -70,9 +70,9 @@ class _Solid(Placed):
 
     @property
     def body(self):
-        """What the solid makes of a body: a dict of its mass, com and inertia as a scene has them.
+        """{"mass", "com", "inertia"} of a body of this shape, in the form of a scene.
 
-        Raises SceneError for sizes that make none.
+        Raises SceneError if mass or inertia is out of range.
         """
         with np.errstate(over="ignore", invalid="ignore"):
             mass = self.density * self.volume if self.mass is None else self.mass
@@ -109,7 +109,7 @@ class Box(_Solid):
 
 
 class _Round(_Solid):
-    """What is round about its z axis."""
+    """Solid of revolution about its z axis."""
 
     length: Positive = Field(description="length along z in m, greater than 0")
 
@@ -133,7 +133,7 @@ class Cylinder(_Round):
 
 
 class Rod(_Round):
-    """Thin cylinder along its z axis, whose radius hardly matters."""
+    """Thin cylinder along its z axis; its radius has little influence."""
 
     type: Literal["rod"] = Field("rod", description="rod")
     radius: Positive | None = Field(
@@ -153,7 +153,7 @@ class Rod(_Round):
 
 
 class Sphere(_Solid):
-    """Solid ball."""
+    """Solid sphere."""
 
     type: Literal["sphere"] = Field("sphere", description="sphere")
     radius: Positive = Field(description="radius in m, greater than 0")
