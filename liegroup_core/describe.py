@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a scene has become: its freedoms, rows left out, the structure of the solve, what it keeps.
+"""Description of a mechanism: degrees of freedom, redundant rows, solve, conserved quantities.
 
-Facts as JSON types, found without taking a step; nothing here depends on the machine.
+JSON types, computed without taking a step; independent of the machine.
 """
 
 from liegroup_core.joints.elements import PAIR, WORLD
@@ -12,28 +12,27 @@ from .integrators.families import fitting_methods
 
 
 def describe(layout):
-    """Facts about a mechanism.
+    """Properties of a mechanism.
 
     layout : layout.Layout, from `make_layout(scene)` or `Simulation.layout`
     returns dict of
         scene, description, gravity  of the scene; gravity in m/s^2
         bodies              [{name, mass}], kg
-        joints              [{name, type, parent, child, rows, dropped}]: names of all its rows,
-                            wx..vz, and of those left out because they depend on others
-        forces              [{name, type, on}]: on, names of what it acts between or at
-        degrees_of_freedom  6 n - rows that are solved for: freedoms of the mechanism but at
-                            singular poses
-        rows, solved_rows   numbers of rows of all joints, and without those left out
-        dropped_rows        [[joint, row]]
-        plane               normal, x, y or z, of the plane in which the joints hold all bodies and
+        joints              [{name, type, parent, child, rows, dropped}]: names of all rows, wx..vz,
+                            and of the redundant ones, which are eliminated
+        forces              [{name, type, on}]: on, names of the bodies or the joint
+        degrees_of_freedom  6 n - rows that are solved for; more at singular poses
+        rows, solved_rows   numbers of rows of all joints, with and without redundant ones
+        dropped_rows        [[joint, row]] of redundant rows
+        plane               normal, x, y or z, of the plane in which the joints keep all bodies and
                             Munthe-Kaas methods integrate them; None: bodies in space
-        solve               structure of K in (6.22), of bodies in that plane or in space, see
+        solve               structure of K in (6.22), for bodies in that plane or in space, see
                             `solve_structure`
-        methods             names of the integration methods that can serve it
-        groups              [[body]]: what joints and forces hang together without the world
-        kept_momentum       [{bodies, components}] in words; None where no component can be named,
-                            for a joint that is no lower pair
-    raises SceneError
+        methods             names of the integration methods that fit
+        groups              [[body]]: bodies that joints or forces connect, not counting the world
+        kept_momentum       [{bodies, components}] as text; None if a joint is not a lower pair, so
+                            that no component can be named
+    Raises SceneError.
     """
     scene, model = layout.scene, layout.model
     dropped = layout.dropped_rows
@@ -88,11 +87,11 @@ def solve_structure(model):
         unknowns            accelerations and multipliers: size of K
         vertices            diagonal blocks: bodies, and joints with a row
         blocks              dense blocks below the diagonal, fill included
-        fill                those of them that K itself does not have
-        numbers             float64 that the blocks take, diagonal ones in full
-        dense_share         the same against a dense K
+        fill                blocks that K itself does not have
+        numbers             float64 numbers of all blocks, diagonal ones in full
+        dense_share         their share of a dense K
         factor_flops        additions and multiplications of a factorisation at a new pose
-        solve_flops         and of a solve with the factor, refinements included
+        solve_flops         the same of a solve with the factor, refinements included
         constant            True: no pose changes K, it is factorised once
         refinements         steps of iterative refinement of each solve
     """

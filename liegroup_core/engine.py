@@ -42,15 +42,15 @@ Floats = NDArray[np.float64]
 
 
 STABILISATIONS = ("none", "projection", "baumgarte")
-# Baumgarte's time in steps if none is given. Explicit methods are stable down to half a step.
+# Default of Baumgarte's time constant, in steps. Explicit methods are stable down to half a step.
 BAUMGARTE_STEPS = 10
-# Largest entry of R R^T - 1 of a state that is continued from.
+# Largest entry of R R^T - 1 that `set_state` accepts.
 NO_ROTATION = 1e-6
 METHOD, STEP = "rkmk4", 1e-3  # if none is given; s
 
 
 def _stabilised(model, kind, time, step):
-    """The model with a stabilisation switched on; ValueError for a wrong setting."""
+    """Model with a stabilisation enabled; ValueError for a wrong option."""
     if kind not in STABILISATIONS:
         raise ValueError(
             f"unknown stabilisation {kind!r}; choose one of: {', '.join(STABILISATIONS)}"
@@ -70,29 +70,29 @@ def _stabilised(model, kind, time, step):
 
 
 class Engine:
-    """A mechanism that is integrated step by step on its Lie group.
+    """Mechanism that is integrated on its Lie group by one method with one step size.
 
     scene  : Scene, from `load_scene` or built in code
-    method : name of METHODS, "rkmk4"
-    step   : step size h, s, 1e-3; a method with error control takes substeps within it
-    group  : "se3" for SE(3)^n, or "so3xr3" for (SO(3) x R^3)^n; "auto" is "se3" but for methods
-             that have only the latter
-    stabilisation : what is done about joints that open by the errors of integration: "none";
-                    "projection", which closes them again after every step; or "baumgarte", which
-                    lets their errors die out within some baumgarte_time
-    baumgarte_time : s, at least the step; ten steps if left out
-    options: further settings that the method has, see its family in `integrators`:
-             dexpinv="exact" or "truncated"  for all of Runge-Kutta type
+    method : name of METHODS; default "rkmk4"
+    step   : step size h, s; default 1e-3. A method with error control takes substeps within it
+    group  : "se3" for SE(3)^n, or "so3xr3" for (SO(3) x R^3)^n; "auto" is "se3", except for methods
+             that have only "so3xr3"
+    stabilisation : treatment of constraint drift: "none"; "projection" of poses and velocities
+                    after every step; or "baumgarte", which damps the drift with the time constant
+                    baumgarte_time
+    baumgarte_time : s, at least the step; default: ten steps
+    options: further options of the method, see its family in `integrators`:
+             dexpinv="exact" or "truncated"  of all Runge-Kutta methods
              rtol=1e-6, atol=1e-6            tolerances of rkmk54
              rho_inf=0.8                     damping of generalized_alpha
-    watch    : False: steps are not looked at on the way (monitor/step_watch.py). For many short
-               runs whose step is known to be small enough: a look takes longer than a step
-    raises SceneError for a scene that cannot be simulated, ValueError for a wrong setting or a
-    method that does not fit the scene
+    watch    : False: disable the step check (monitor/step_watch.py). For many short runs whose step
+               is known to be small enough: one check takes longer than a step
+    Raises SceneError for a scene that cannot be simulated, ValueError for a wrong option or a
+    method that does not fit the scene.
 
-    `doubt` is None, or a line of text since joints opened so far or so suddenly that the motion is
-    hardly that of the scene (monitor/joint_watch.py), or since the errors of the steps may have added
-    up to some part of the motion (monitor/step_watch.py); it is also logged as a warning.
+    `doubt` is None, or the text of accuracy warnings: a constraint residual or its increase is too
+    large (monitor/joint_watch.py), or the accumulated error of the steps may be a considerable part
+    of the motion (monitor/step_watch.py). Warnings are also logged.
 
     Orders: test/verification/test_orders.py; constraint residuals: test_heavy_top.py.
     """
@@ -140,10 +140,10 @@ class Engine:
         warm_up(self._touch, self._integrator.kernels)
 
     def __copy__(self) -> "Engine":
-        return copy.deepcopy(self)  # two that share a state would be one
+        return copy.deepcopy(self)  # copies would share the state
 
     def _touch(self):
-        """Call every kernel once, so that none is compiled later, in the middle of a run."""
+        """Call every kernel once, so that none is compiled later, during a run."""
         self.reset()
         self._advance(0)
         sample = self.sample()
@@ -170,13 +170,13 @@ class Engine:
     ) -> None:
         """Continue from a state: pose (n, 12), twist (n, 6), at a step count.
 
-        The state is the integrator's own, as `state()` gives it: frames at the centres of mass.
-        angles : (k,) rad, `Sample.angles` of the state: how often torsional springs are wound,
-                 which a pose does not tell. None: less than half a turn, as at the start of a scene
-        memory : bytes that `memory()` gave at this state; then the run goes on to the bit. None:
-                 a method that keeps something between steps starts anew
-        Ends what `apply_wrench` does. The wrenches of the scene follow the step count.
-        raises ValueError for what is no such state
+        pose, twist : of frames at the centres of mass, as `state()` returns them
+        angles : (k,) rad, `Sample.angles` of the state: unwrapped angles of torsional springs. None:
+                 all are within half a turn, as at the start of a scene
+        memory : bytes from `memory()` at this state: the run continues bit-identically. None: a
+                 method with memory restarts
+        Clears the wrenches of `apply_wrench`. The wrenches of the scene follow the step count.
+        Raises ValueError for values that are no state.
         """
         n = len(self._body)
         pose, twist = (np.array(given, dtype=float, order="C") for given in (pose, twist))
@@ -222,18 +222,18 @@ class Engine:
             at += array.nbytes
 
     def state(self) -> tuple[Floats, Floats]:
-        """Copies of pose (n, 12) and twist (n, 6): what the integrator goes on from, to the bit.
+        """Copies of the integrator's pose (n, 12) and twist (n, 6), for `set_state`.
 
-        They are of frames with the axes of the body frames and their origins at the centres of
-        mass: not those of `sample()` where a body of the scene has a `com` or an offset shape.
+        They refer to frames with the axes of the body frames and their origins at the centres of
+        mass. They differ from those of `sample()` if a body has a `com` or an offset shape.
         """
         return self._pose.copy(), self._twist.copy()
 
     def memory(self) -> bytes:
-        """Bytes that the method keeps between steps beside the state, for `set_state`.
+        """Bytes of the method's memory between steps, for `set_state`.
 
-        Empty for most methods: those with error control keep the size of the substep, implicit
-        ones accelerations and first guesses.
+        Empty for most methods. Methods with error control keep the size of the substep, implicit
+        ones accelerations and initial guesses.
         """
         return b"".join(array.tobytes() for array in self._integrator.memory)
 
@@ -249,16 +249,16 @@ class Engine:
 
     @property
     def singular_solves(self) -> int:
-        """How often the accelerations were solved at a singular pose, since the simulation was made.
+        """Number of acceleration solves at a singular pose so far.
 
-        There rows depend on each other that do not elsewhere (a parallelogram folded flat); the
-        solve is regularised and refined, and where the joints leave it open the masses decide.
+        At a singular pose rows become dependent (a flat parallelogram). The solve is regularised
+        and refined; accelerations that the joints leave undetermined follow from the masses.
         """
         return int(self._work.report[2])
 
     @property
     def substeps(self) -> tuple[int, int]:
-        """Numbers of good substeps and of attempts since the state was set; else (0, 0)."""
+        """Numbers of accepted and attempted substeps since the state was set; (0, 0) without error control."""
         return self._integrator.substeps
 
     def apply_wrench(
@@ -274,12 +274,12 @@ class Engine:
 
         body     : name of the body
         wrench   : (6,) torque N m, force N; about the body frame's origin. Zero ends it.
-        start    : simulated time, s, rounded up to a step; None or a time past: the next step
+        start    : simulated time, s, rounded up to a step; None or a past time: the next step
         duration : s, rounded to whole steps, at least one; None: until it is replaced
-        source   : each source holds one wrench on a body, sources add
-        axes     : of the components: "body", or "world"; these are turned into body axes at the
-                   start of every step, and stand still in the body during the step
-        raises ValueError for an unknown body, a wrong shape, or a number that is not finite
+        source   : each source has one wrench per body; wrenches of different sources add
+        axes     : of the components: "body", or "world". World components are rotated into body
+                   axes at the start of every step and are constant in the body during the step
+        Raises ValueError for an unknown body, a wrong shape, or a number that is not finite.
         """
         if axes not in ("body", "world"):
             raise ValueError(f"axes must be 'body' or 'world', got {axes!r}")
@@ -297,7 +297,7 @@ class Engine:
                 raise ValueError(f"{name} must be finite, or None, got {value!r}")
         first = self.steps
         if start is not None:
-            # A start that is a step up to rounding is that step, not the next one.
+            # A start within round-off of a step is that step, not the next one.
             first = max(first, math.ceil(start / self.step - 1e-6))
         end = NEVER
         if duration is not None:
@@ -308,7 +308,7 @@ class Engine:
 
     @property
     def wrench_count(self) -> int:
-        """Number of wrenches of `apply_wrench` that act or wait for their start."""
+        """Number of wrenches of `apply_wrench` that act or start later."""
         return len(self._schedule)
 
     @property
@@ -317,25 +317,25 @@ class Engine:
         return self._schedule.sources
 
     def clear_wrenches(self, source: str = "api") -> None:
-        """End what a source applies or has scheduled."""
+        """End all wrenches of a source, also those that start later."""
         self._schedule.clear(source)
 
     def drain_applied(self) -> list[AppliedWrench]:
-        """The changes of the total wrench on each body since the last call: [AppliedWrench].
+        """Changes of the total wrench on each body since the last call: [AppliedWrench].
 
-        Applied again at the same steps by `apply_wrench(body, wrench)`, they repeat the run bit
-        for bit (test/core/test_simulation.py).
+        Applied at the same steps by `apply_wrench(body, wrench)`, they reproduce the run
+        bit-identically (test/core/test_simulation.py).
         """
         applied, self._applied = self._applied, []
         return applied
 
     def advance(self, steps: int = 1) -> None:
-        """Take `steps` steps, a whole number from 0 on.
+        """Take `steps` steps, an integer >= 0.
 
-        raises ValueError for any other number; SimulationError, one line, when the integration
-        cannot go on: NaN or overflow, a turn of nearly 2 pi in a step, joints that cannot be
-        closed, an implicit step without a solution, a tolerance out of reach. State and `steps`
-        are then those of the last good step.
+        Raises ValueError for other numbers. Raises SimulationError if the integration cannot
+        continue: NaN or overflow, a rotation of nearly 2 pi in a step, constraints that cannot be
+        satisfied, an implicit step without solution, an unreachable tolerance. State and `steps`
+        are then those of the last valid step.
         """
         if isinstance(steps, bool) or not isinstance(steps, Integral) or steps < 0:
             raise ValueError(f"steps must be a whole number, 0 or more, got {steps!r}")
@@ -419,13 +419,13 @@ class Engine:
             )
 
     def _say(self, doubt):
-        """Keep a doubt behind those before it, and log it; None is none."""
+        """Append an accuracy warning to `doubt` and log it; None: no warning."""
         if doubt:
             self.doubt = f"{self.doubt}; {doubt}" if self.doubt else doubt
             log.warning(doubt)
 
     def _take(self, steps):
-        """Take steps over which no wrench changes, or only the next one, in parts, if one does in it.
+        """Take steps without a change of wrenches, or one step in parts if a wrench changes in it.
 
         returns (steps done, status)
         """
@@ -442,22 +442,22 @@ class Engine:
         return 1, OK
 
     def _integrate(self, h, acting, steps):
-        """Take steps of size h while the wrenches `acting` of the scene act: see `integrators`."""
+        """Take steps of size h under the wrenches `acting` of the scene: see `integrators`."""
         if acting is not self._acting:
             self._work.acting[:] = self._acting = acting
         return self._integrator.advance(h, steps, self._pose, self._twist, self._external)
 
     def _joint_name(self, element):
-        """Name of the scene's joint behind an element of the model."""
+        """Name of the scene joint of an element of the model."""
         return self.scene.joints[self.layout.owners[element]].name
 
     def _explain(self, status):
         joint = force = body = hint = ""
-        # Of RATTLE the turn that was asked for, with the torque's part in it.
+        # RATTLE reports the rotation of the step equation, including the part of the torque.
         angle = math.sqrt(self._work.report[1])
         if status & 0xFF == NO_RATTLE_STEP:
             body = self.layout.body_names[status >> 8]
-        # Where a wrench of the scene changes within the step, no smaller one is that of a run.
+        # If a wrench of the scene changes within the step, no smaller step can be suggested.
         if (
             status & 0xFF in (NO_RATTLE_STEP, NOT_CONVERGED)
             and len(self._timetable.parts(self.steps)) == 1

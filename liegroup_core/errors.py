@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Errors that a user can mend: each is one line that says what, where and what to do."""
+"""Errors that a user can correct: one line with what is wrong, where, and what to do."""
 
 
 class LieGroupSimError(Exception):
-    """Base of every error this package raises on purpose; `str()` is a single line."""
+    """Base of all errors of this package; `str()` is a single line."""
 
     def __str__(self):
         return " ".join(super().__str__().split())
 
 
 class SceneError(LieGroupSimError, ValueError):
-    """A scene that cannot be understood or simulated.
+    """Scene that cannot be read or simulated.
 
-    message : what is wrong and what would be right
-    place   : path inside the scene, for example ("bodies", 0, "mass"); None when it concerns all
+    message : what is wrong and what to do
+    place   : path inside the scene, for example ("bodies", 0, "mass"); None: the whole scene
     """
 
     def __init__(self, message, place=None):
@@ -22,7 +22,7 @@ class SceneError(LieGroupSimError, ValueError):
 
 
 class SimulationError(LieGroupSimError, RuntimeError):
-    """An integration that had to stop; the simulation keeps its last good state.
+    """Integration that cannot continue; the simulation keeps its last valid state.
 
     status : the kernel's status code (`liegroup_core.status`)
     """

@@ -1,35 +1,35 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pacing: simulated time held to the wall clock, and the account of how well.
+"""Pacing of simulated time to the wall clock, with statistics of the scheduling latency.
 
-Simulated time t is due at the wall time w0 + (t - t0) / factor. The anchor (t0, w0) is set at a
-start, a resume and a change of the factor, so none of them is followed by a burst, and errors do
-not add up from tick to tick. After a late tick the next ones follow at once until the clock is
-caught up with; who is behind by more than CATCH_UP is anchored anew, and that is counted.
+Simulated time t is due at the wall time w0 + (t - t0) / factor. The anchor (t0, w0) is set at
+start, resume and change of the factor: none of them causes a burst, and errors do not accumulate
+from tick to tick. After a late tick the next ones follow without waiting until the delay is made
+up. If the delay exceeds CATCH_UP, the anchor is reset and the event is counted.
 
-All times are in seconds, wall times from a monotonic clock. Lateness is reported in microseconds.
+All times are in seconds, wall times from a monotonic clock. Latency is reported in microseconds.
 """
 
 import math
 import time
 
-# Below this part of the real-time factor that was asked for, a run is too slow.
+# A run is too slow below this fraction of the requested real-time factor.
 SLOW = 0.95
 
-# The operating system wakes a sleeper 40 to 100 us late; from this long before a deadline on, the
-# clock is watched instead. The watching thread keeps the GIL for that time, which is what makes
-# the median lateness 0.1 us: with sleep(0) in the loop it is 18 us.
+# The operating system wakes a sleeping thread 40 to 100 us late. From this long before a deadline
+# the thread polls the clock instead and keeps the GIL: this makes the median latency 0.1 us. With
+# sleep(0) in the loop it is 18 us.
 WATCH = 150e-6
 
-# How far behind the wall clock ticks still follow at once, s.
+# Largest delay that is made up by ticks without waiting, s.
 CATCH_UP = 0.1
 
 
 class LatenessHistogram:
-    """Counts of latenesses in bins of equal width on a log scale, in a fixed amount of memory.
+    """Histogram of scheduling latencies with bins of equal width on a log scale.
 
-    Covers 0.1 us to 100 s; shorter ones count in the first bin, longer ones in the last.
-    A quantile is the upper edge of its bin, at most the largest value: never too low, and too
-    high by at most 10^(1/PER_DECADE), 7.5 % (test_pacing.py). The largest value is exact.
+    Covers 0.1 us to 100 s; values outside count in the first or last bin. A quantile is the upper
+    edge of its bin, at most the largest value: never too low, and too high by a factor of at most
+    10^(1/PER_DECADE), 7.5 % (test_pacing.py). The largest value is exact.
     """
 
     PER_DECADE = 32
@@ -42,7 +42,7 @@ class LatenessHistogram:
         self.largest = 0.0  # s
 
     def add(self, lateness):
-        """Count one lateness in s."""
+        """Count one latency in s."""
         bins = 0
         if lateness > self.LOWEST:
             bins = min(
@@ -53,7 +53,7 @@ class LatenessHistogram:
         self.largest = max(self.largest, lateness)
 
     def quantile(self, fraction):
-        """Lateness in s that `fraction` of the values do not exceed; 0 without values."""
+        """Latency in s that `fraction` of the values do not exceed; 0 without values."""
         rank = max(1, math.ceil(fraction * self.count))
         seen = 0
         for i, count in enumerate(self._counts):
@@ -73,15 +73,15 @@ class LatenessHistogram:
 
 
 class Pacer:
-    """Says when simulated time is due.
+    """Waits until simulated time is due.
 
-    factor : simulated seconds per wall second; 0: as fast as it goes. After a change call `start`
+    factor : simulated seconds per wall second; 0: as fast as possible. After a change call `start`
     clock  : function that returns monotonic seconds
-    sleep  : function of seconds; it may return early, and must then return something true
+    sleep  : function of seconds; if it returns early it must return a true value
 
     ticks      : times that `wait` returned True
-    overruns   : ticks whose deadline had passed when `wait` was called
-    reanchored : times the anchor was set anew because the clock could not be caught up with
+    overruns   : deadline misses: ticks whose deadline had passed when `wait` was called
+    reanchored : number of anchor resets because of a delay beyond CATCH_UP
     lateness   : LatenessHistogram of all ticks that had a deadline
     """
 
@@ -96,20 +96,20 @@ class Pacer:
         self._factor_seen = 0.0
 
     def start(self, sim_time):
-        """Run from simulated time `sim_time` on: at the start, at a resume, for a new factor."""
+        """Set the anchor at simulated time `sim_time`: at start, resume, or change of the factor."""
         self.stop()
         self._factor_seen = 0.0
         self._anchor = self._start = self._last = self._mark = (sim_time, self._clock())
 
     def stop(self):
-        """End the stretch: the time until the next `start` counts nowhere."""
+        """End the stretch: the time until the next `start` is not counted."""
         self._spans = self._totals()
         self._start = self._last
 
     def wait(self, sim_time, longest=math.inf):
-        """Wait until `sim_time` is due, but no longer than about `longest` wall seconds.
+        """Wait until `sim_time` is due, at most about `longest` wall seconds.
 
-        returns True when it is due: take the tick. False: not yet; ask again.
+        returns True if it is due: take the tick. False: call again.
         """
         now = self._clock()
         if self.factor > 0.0:
@@ -141,7 +141,7 @@ class Pacer:
         )
 
     def recent_factor(self):
-        """Achieved real-time factor between the last ticks before this call and the one before."""
+        """Achieved real-time factor between the previous call and this one, at tick times."""
         sim, wall = (last - mark for last, mark in zip(self._last, self._mark))
         if wall > 0.0:
             self._factor_seen = sim / wall
@@ -149,7 +149,7 @@ class Pacer:
         return self._factor_seen
 
     def report(self):
-        """Account of all stretches, JSON types only; pauses count nowhere."""
+        """Statistics of all stretches as JSON types; pauses are not counted."""
         sim, wall = self._totals()
         return {
             "ticks": self.ticks,

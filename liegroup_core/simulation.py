@@ -8,16 +8,16 @@ from .scene.description import Scene
 
 
 class Simulation(Engine):
-    """A mechanism that is integrated step by step on its Lie group.
+    """Mechanism that is integrated on its Lie group, with a given step or to a given accuracy.
 
-    Takes the arguments of Engine, or in their place:
+    Takes the arguments of Engine, or instead:
 
-    accuracy : largest error over `horizon`. The configuration comes from what was measured of this
-               scene on this machine; what is not known is measured first, once (docs/how-to/choose_accuracy.md)
-    horizon  : s; None: what suits the scene
+    accuracy : largest error over `horizon`. The configuration comes from measurements of this scene
+               on this machine; missing ones are made first, once (docs/how-to/choose_accuracy.md)
+    horizon  : s; None: chosen for the scene
 
-    `promise` is None, or of an `accuracy` what is promised (study/trade/accuracy.py).
-    Raises SceneError for a scene that cannot be simulated, ValueError for a wrong setting or a
+    `promise` is None, or the accuracy that is promised (study/trade/accuracy.py).
+    Raises SceneError for a scene that cannot be simulated, ValueError for a wrong option or a
     method that does not fit the scene.
     """
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a run of steps ended: the codes that kernels return and what they mean to a user."""
+"""Status codes of integrations, as kernels return them, and their messages for users."""
 
 import math
 
@@ -17,7 +17,7 @@ NO_RATTLE_STEP = 10
 DIVERGED = 11
 
 # dexp^-1 is singular at a rotation of 2 pi within a step and loses digits near it: its norm is
-# (t/2)/sin(t/2), 62 at 2 pi - 0.1. Beyond pi a step is legal and rarely accurate.
+# (t/2)/sin(t/2), 62 at 2 pi - 0.1. Beyond pi a step is valid but rarely accurate.
 LARGEST_ROTATION = 2.0 * math.pi - 0.1
 LARGE_ROTATION = math.pi
 # rad in a step, of methods for which 2 pi is no bound. More is no motion of a mechanism: explicit

@@ -3,7 +3,7 @@
 
     absolute/   SE(3)^n or (SO(3) x R^3)^n: all bodies with six degrees of freedom, all joints as
                 constraint equations
-    planar/     SE(2)^n: mechanisms whose joints hold every body in a plane
+    planar/     SE(2)^n: mechanisms whose joints keep every body in a plane
 
 In: a model, poses, twists, applied wrenches. Out: accelerations, constraint residuals, projections.
 A formulation knows no integrator, no time step and no scene file.

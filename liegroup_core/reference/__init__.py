@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What recordings and methods are judged against: an independent, tight integration of a scene.
+"""Reference solutions: exact motions, and an independent, tight integration of a scene.
 
 Exact rotations of a free body and of a symmetric heavy top are in elliptic.py, for which mpmath is
 needed.

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Exact rotations in Jacobi's elliptic functions, to any number of digits: free body, heavy top.
 
-They share nothing with the engine and take no steps: the error is that of the arithmetic, at any
-time. mpmath does it (pip install mpmath). R turns body axes into world axes, w is in body axes.
+They share nothing with the engine and take no steps: the only error is round-off, at any time.
+They need mpmath (pip install mpmath). R maps body axes to world axes; w is in body axes.
 
 Source: Landau and Lifshitz, Mechanics, sections 35 to 37, with the precession angles as integrals
 of the third kind. Accuracy: test/verification/test_elliptic.py, against Taylor series.
@@ -11,7 +11,7 @@ of the third kind. Accuracy: test/verification/test_elliptic.py, against Taylor 
 import mpmath as mp
 import numpy as np
 
-GUARD = 20  # digits more than asked for: next to a separatrix half of them cancel
+GUARD = 20  # additional digits: next to a separatrix half of all digits cancel
 
 
 def free_body(inertia, rotation, omega, time, digits=30):
@@ -21,7 +21,7 @@ def free_body(inertia, rotation, omega, time, digits=30):
     rotation : (3, 3) at time 0
     omega    : (3,) rad/s, at time 0
     time     : s
-    digits   : that are right, next to a separatrix fewer
+    digits   : number of correct digits; fewer next to a separatrix
     returns (R (3, 3), w (3,)) as mpmath matrices; `to_floats` rounds them
     """
     with mp.workdps(digits + GUARD):
@@ -36,11 +36,11 @@ def free_body(inertia, rotation, omega, time, digits=30):
 
 
 def _principal(I, w, time):
-    """Turn since time 0 and angular velocity, in principal axes with I[0] <= I[1] <= I[2]."""
+    """Rotation since time 0 and angular velocity, in principal axes with I[0] <= I[1] <= I[2]."""
     m = mp.matrix([i * c for i, c in zip(I, w)])
     L2, E2 = _dot(m, m), _dot(m, w)  # squared momentum, twice the energy
-    # The axis c about which the momentum goes round in the body: that of the largest or of the
-    # smallest moment, on either side of the separatrix L^2 = 2 E I_1.
+    # Axis c about which the momentum circles in the body: that of the largest or of the smallest
+    # moment of inertia, depending on the side of the separatrix L^2 = 2 E I_1.
     a, b, c = (0, 1, 2) if L2 >= E2 * I[1] else (2, 1, 0)
     even = 1 if c == 2 else -1
     rate2 = (I[c] - I[b]) * (L2 - E2 * I[a]) / (I[0] * I[1] * I[2])
@@ -83,7 +83,7 @@ def heavy_top(inertia, spin_inertia, moment, axis, gravity, rotation, omega, tim
     axis         : (3,) from the fixed point to the centre of mass, unit vector in body axes
     gravity      : (3,) m/s^2, world axes, not zero
     rotation, omega, time, digits, returns: as in `free_body`
-    raises ValueError where the axis is or gets vertical: the angles there are not defined
+    Raises ValueError if the axis is or becomes vertical: the angles are undefined there.
     """
     with mp.workdps(digits + GUARD):
         I1, I3, e = mp.mpf(inertia), mp.mpf(spin_inertia), _matrix(axis)
@@ -132,13 +132,13 @@ def heavy_top(inertia, spin_inertia, moment, axis, gravity, rotation, omega, tim
 
 
 def to_floats(matrix):
-    """An mpmath matrix as an array; a column as a vector."""
+    """Convert an mpmath matrix to an array, a column to a vector."""
     array = np.array(matrix.tolist(), dtype=float)
     return array[:, 0] if array.shape[1] == 1 else array
 
 
 def _matrix(values):
-    """Numbers of any kind, exactly as they are, as a matrix or a column."""
+    """Convert numbers of any type, exactly, to an mpmath matrix or column."""
     if isinstance(values, mp.matrix):
         return values.copy()
     rows = np.asarray(values, dtype=object)
@@ -148,7 +148,7 @@ def _matrix(values):
 
 def _cubic_roots(a, b, c, d):
     """The roots of a u^3 + b u^2 + c u + d, all real, a > 0, in increasing order (Viete)."""
-    with mp.extradps(mp.mp.dps):  # double roots cost half of the digits
+    with mp.extradps(mp.mp.dps):  # double roots lose half of the digits
         p = (b * b - 3 * a * c) / (9 * a * a)
         q = (b * (2 * b * b - 9 * a * c) + 27 * a * a * d) / (54 * a**3)
         angle = mp.acos(min(max(q / mp.sqrt(p) ** 3, -1), 1)) if p > 0 else mp.mpf(0)
@@ -164,7 +164,7 @@ def _third_kind(n, first, last, k2):
 
 
 def _amplitude(tau, k2):
-    """am(tau | k2): the angle whose sine is sn and whose cosine is cn, over many turns."""
+    """am(tau | k2): unwrapped angle with sine sn and cosine cn."""
     if k2 == 1:
         return 2 * mp.atan(mp.tanh(tau / 2))
     quarter = mp.ellipk(k2)

@@ -8,8 +8,8 @@ Kinematics and Dynamics of Mechanical Systems, 1989, chapter 9 (dot-1, dot-2, di
     LEVEL     e . d - pitch theta - offset = 0      d from the parent's point to the child's one
     DISTANCE  (d . d - length^2) / (2 length) = 0
 
-theta is the angle of a screw: its rate is integrated with the motion, so it knows its turns. Each
-equation g = 0 is given with its first and second derivative in time.
+theta is the angle of a screw: its rate is integrated with the motion, so that it is unwrapped. Each
+equation g = 0 is given with its first and second time derivative.
 """
 
 from typing import NamedTuple
@@ -18,7 +18,7 @@ import numpy as np
 
 from liegroup_core.compiling import subroutine
 
-GROUND = -1  # index of the world where a body is meant
+GROUND = -1  # body index of the world
 STATE = 13  # numbers per body: quaternion, position, velocity, angular velocity
 ACROSS, LEVEL, DISTANCE = 0, 1, 2
 X, Y, Z = 0, 1, 2  # axes of a joint frame
@@ -43,7 +43,7 @@ JOINTS = {
 
 
 class Equations(NamedTuple):
-    """The equations of all joints of a scene; k rows, t turning joints that keep an angle."""
+    """Equations of all joints of a scene; k rows, t joints with an integrated angle."""
 
     kind: np.ndarray  # (k,) ACROSS, LEVEL or DISTANCE
     body: np.ndarray  # (k, 2) parent, child; GROUND = -1
@@ -56,7 +56,7 @@ class Equations(NamedTuple):
 
 @subroutine
 def rotate(q, x):
-    """The vector x turned by the quaternion q (w, x, y, z) of any norm but zero."""
+    """Vector x rotated by the quaternion q (w, x, y, z) of any norm except zero."""
     u = q[1:4]
     t = 2.0 * np.cross(u, x) / np.dot(q, q)
     return x + q[0] * t + np.cross(u, t)
@@ -64,7 +64,7 @@ def rotate(q, x):
 
 @subroutine
 def rotate_back(q, x):
-    """The vector x turned by the inverse of q."""
+    """Vector x rotated by the inverse of q."""
     u = -q[1:4]
     t = 2.0 * np.cross(u, x) / np.dot(q, q)
     return x + q[0] * t + np.cross(u, t)
@@ -72,7 +72,7 @@ def rotate_back(q, x):
 
 @subroutine
 def direction(state, body, fixed):
-    """A direction fixed in a body, its rate, and its second rate without omegadot; world axes."""
+    """World components of a body-fixed direction, first derivative, second one without omegadot."""
     out = np.zeros((3, 3))
     if body == GROUND:
         out[0] = fixed
@@ -88,7 +88,7 @@ def direction(state, body, fixed):
 
 @subroutine
 def point(state, body, fixed):
-    """A point fixed in a body: position, velocity, acceleration without that of the body."""
+    """Position, velocity, and acceleration without that of the body, of a body-fixed point."""
     out = direction(state, body, fixed)
     if body != GROUND:
         out[0] += state[body, 4:7]
@@ -98,7 +98,7 @@ def point(state, body, fixed):
 
 @subroutine
 def turning(state, parent, child):
-    """Angular velocity of the child against the parent, world axes, rad/s."""
+    """Angular velocity of the child relative to the parent, world axes, rad/s."""
     out = np.zeros(3)
     if child != GROUND:
         out += rotate(state[child, 0:4], state[child, 10:13])
@@ -125,7 +125,7 @@ def _add_rotation(row, state, body, about):
 
 @subroutine
 def joint_equations(equations, state, angle, rows_out, gap_out):
-    """All equations g = 0 at one state.
+    """Evaluate all equations g = 0 at one state.
 
     state    : (n, 13) quaternion, position, velocity (world), omega (body) of each body
     angle    : (t,) rad

@@ -1,22 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Exact motions of the scenes that have one: free bodies, and the symmetric heavy top.
+"""Exact motions of free bodies and of the symmetric heavy top.
 
-By Jacobi's elliptic functions (elliptic.py), for which mpmath is needed; no steps are taken, so a
-run of any length is judged at any of its times.
+They use Jacobi's elliptic functions (elliptic.py), which need mpmath. No steps are taken, so the
+error of a run of any length can be evaluated at any of its times.
 """
 
 import numpy as np
 
 from .trajectory import Distance, Trajectory
 
-DIGITS = 25  # more than float64 has, after the loss next to a separatrix
-# Of an inertia: what is less than round-off is no asymmetry.
+DIGITS = 25  # more digits than float64, also after the loss next to a separatrix
+# Relative difference of inertias below which a body counts as symmetric: round-off.
 ROUND_OFF = 1e-14
 EPS = np.finfo(float).eps
 
 
 def exact_solution(layout, pose, twist):
-    """An Exact motion of the scene of a layout without wrenches, or None.
+    """Exact motion of a layout's scene without external wrenches, or None.
 
     pose (n, 12), twist (n, 6) at time 0, of the frames at the centres of mass
     """
@@ -50,7 +50,7 @@ def exact_solution(layout, pose, twist):
 
 
 class Exact:
-    """An exact motion; `at(times)` is a Trajectory of the body frames, `name` says which one."""
+    """Exact motion: `at(times)` is a Trajectory of the body frames, `name` its text."""
 
     def __init__(self, name, layout, pose, twist, motions):
         self.name, self._offsets, self._motions = name, layout.offsets, motions
@@ -68,7 +68,7 @@ class Exact:
 
     @staticmethod
     def uncertainty(found):
-        """Distance (k, n) that the rounding of the start, the times and the result makes."""
+        """Distance (k, n) caused by round-off of initial state, times and result."""
         time = np.abs(found.times)[:, None]
         w, v = (
             np.linalg.norm(part, axis=2) for part in (found.twist[..., :3], found.twist[..., 3:])
@@ -98,7 +98,7 @@ def _free_body(elliptic, body, pose, twist, gravity):
 
 
 def _top_of(layout):
-    """What a symmetric top on a ball joint is, or None.
+    """Parameters of a symmetric top on a spherical joint, or None.
 
     returns (body, moment of inertia across its axis, about it, both about the centre of mass;
     pivot in the frame at the centre of mass, pivot in the world)

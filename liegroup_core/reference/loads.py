@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gravity and all kinds of forces of a scene, on unit quaternions and in world axes.
+"""Gravity and all forces of a scene, with unit quaternions and in world axes.
 
-Three laws cover what acts between bodies: along the line of two points, about the z axis of a
-joint, and along that axis. In each the force is linear in coordinate and rate,
+Forces between bodies act along the line of two points, about the z axis of a joint, or along that
+axis. Each of them is linear in coordinate and rate,
 
     constant - stiffness * coordinate - damping * rate ,
 
@@ -42,7 +42,7 @@ class Loads(NamedTuple):
 
 @subroutine
 def _push(force, state, body, place, pull):
-    """Add a world force that acts at a point of a body, given in its frame."""
+    """Add a world force at a body-fixed point, given in the body frame."""
     if body != GROUND:
         force[body, 0:3] += pull
         force[body, 3:6] += np.cross(place, rotate_back(state[body, 0:4], pull))
@@ -98,7 +98,7 @@ def _slides(loads, state, force):
             - damping * (np.dot(axis[1], d[0]) + np.dot(axis[0], d[1]))
         ) * axis[0]
         _push(force, state, child, loads.slide_point[i, 1], pull)
-        if parent != GROUND:  # at the same place of the world, so that the two cancel
+        if parent != GROUND:  # at the same point of the world: the total wrench is zero
             arm = end[0] - state[parent, 4:7]
             force[parent, 0:3] -= pull
             force[parent, 3:6] -= rotate_back(state[parent, 0:4], np.cross(arm, pull))
@@ -110,7 +110,7 @@ def add_loads(loads, mass, state, angle, wrench, acting, force, angle_rate_out):
 
     mass   : (n,) kg
     state  : (n, 13), see equations.py; angle (t,) rad, of the turning joints
-    wrench : (n, 6) from outside, body axes; acting (p,) which applied wrenches act
+    wrench : (n, 6) external wrenches, body axes; acting: (p,) mask of the applied wrenches
     force  : (n, 6) world force in N, torque in body axes in N m; about the centres of mass
     angle_rate_out : (t,) rad/s
     """

@@ -1,20 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Motion of jointed rigid bodies in the classical formulation: referee of the Lie group engine.
+"""Classical formulation of multibody dynamics: independent reference for the Lie group engine.
 
-Written to share nothing with the engine: unit quaternions instead of rotation matrices, world
-instead of body velocities, joints as geometric equations (equations.py) instead of subgroups of
-SE(3), angles that are integrated instead of read off poses, the null space of all joints' rows
-instead of multipliers of some. What both read is the Scene alone.
+It shares nothing with the engine but the Scene: unit quaternions instead of rotation matrices,
+world instead of body velocities, joints as geometric equations (equations.py) instead of subgroups
+of SE(3), integrated angles instead of angles of poses, the null space of all rows instead of
+multipliers of independent ones.
 
 The state of one body is 13 numbers,
     quaternion (w, x, y, z)   position r   velocity v = rdot, world axes   omega, body axes
-after which come the angles of the turning joints that need one. With the joint equations
+followed by the angles of the joints that need one. With the joint equations
 differentiated twice, A a = b, the accelerations a = (rddot, omegadot) of all bodies are
     a = A^+ b + N y ,   (N^T M N) y = N^T (f - M A^+ b) ,   A N = 0
 (Laulusa and Bauchau, J. Comput. Nonlinear Dyn. 3 (2008) 011004, section 4). A^+ and N come from
-the singular values of A, which know nothing of the masses: those that are left out are of rows
-that repeat others, as closed loops have them. Two terms -2 c gdot - c^2 g in b, zero on the exact
-motion, keep round-off from piling up in g.
+the singular value decomposition of A, independent of the masses; the smallest values belong to
+redundant rows of closed loops. The terms -2 c gdot - c^2 g in b vanish on the exact motion. They
+prevent an accumulation of round-off in g.
 """
 
 from typing import NamedTuple
@@ -30,7 +30,7 @@ DRIFT_DAMPING = 10.0  # 1/s; far below 1/step of a tight integration, so it cost
 
 
 class System(NamedTuple):
-    """A scene of n bodies as arrays."""
+    """Arrays of a scene of n bodies."""
 
     mass: np.ndarray  # (n,) kg
     inertia: np.ndarray  # (n, 3, 3) kg m^2, about the centre of mass, body axes
@@ -41,7 +41,7 @@ class System(NamedTuple):
 
 @subroutine
 def scaled_equations(system, state, angle, missing_out):
-    """Rows (k, 6 n) of length 1 for (rddot, size omegadot), and b for them, (k,)."""
+    """Unit rows (k, 6 n) for (rddot, size omegadot), and their right-hand side b (k,)."""
     n, k = len(system.mass), len(system.equations.kind)
     rows, gap = np.zeros((k, 6 * n)), np.zeros((3, k))
     joint_equations(system.equations, state, angle, rows, gap)
@@ -59,9 +59,9 @@ def scaled_equations(system, state, angle, missing_out):
 
 @subroutine
 def _jointed(system, rank, state, angle, force, acceleration_out):
-    """Accelerations (n, 6) under forces (n, 6) that follow the joints.
+    """Accelerations (n, 6) under forces (n, 6), consistent with the joints.
 
-    returns the smallest singular value that counts, and the largest one that does not
+    returns the smallest singular value within the rank, and the largest one beyond it
     """
     n, k = len(system.mass), len(system.equations.kind)
     missing = np.zeros(k)
@@ -93,9 +93,9 @@ def rate(system, rank, flat_state, wrench, acting, flat_out):
     """Time derivative of the whole state (13 n + t,).
 
     rank   : of the joint equations
-    wrench : (n, 6) from outside, in body axes; acting (p,) which applied wrenches of the scene act
-    returns the smallest singular value of the joints' rows that counts, and the largest that does
-    not; where state or forces are not finite the derivative is NaN
+    wrench : (n, 6) external wrenches, body axes; acting: (p,) mask of the applied wrenches
+    returns the smallest singular value of the rows within the rank, and the largest one beyond it.
+    If state or forces are not finite, the derivative is NaN
     """
     n = len(system.mass)
     state, angle = flat_state[: STATE * n].reshape(n, STATE), flat_state[STATE * n :]

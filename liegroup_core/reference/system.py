@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The arrays of the reference integration from a scene."""
+"""Arrays of the reference integration, built from a scene."""
 
 import numpy as np
 
@@ -10,17 +10,17 @@ from .equations import DISTANCE, GROUND, JOINTS, Equations, X
 from .loads import Loads
 from .rigid_body_dae import System
 
-# A joint at half a turn counts as plus half a turn, whichever round-off makes it.
+# A joint at half a turn has the angle pi, not -pi, whatever its round-off.
 HALF_TURN = 1e-9
 TURNING = ("torsional_spring_damper", "motor")
 SLIDING = ("linear_spring_damper", "linear_motor")
 
 
 def build_system(scene, pose):
-    """Arrays of a scene with its body frames at the centres of mass.
+    """Arrays of a scene with body frames at the centres of mass.
 
-    pose : (n, 12) R row by row (body -> world), then r in m, at which the integration starts
-    returns (System, angles (t,) rad of the turning joints at that pose, at most half a turn)
+    pose : (n, 12) R row by row (body -> world), then r in m, at the start of the integration
+    returns (System, angles (t,) rad of the joints with an angle at that pose, within half a turn)
     Raises SimulationError for a joint or force without equations here.
     """
     index = {body.name: i for i, body in enumerate(scene.bodies)} | {"world": GROUND}
@@ -118,7 +118,7 @@ def _length(joint, relative):
 
 
 def _thread(joint, relative):
-    """Which thread of a screw holds: a whole number of leads, m."""
+    """Offset of a screw: the nearest integer number of leads, m."""
     lead = 2.0 * np.pi * joint.pitch
     return lead * round((relative[2, 3] - joint.pitch * _angle(relative)) / lead) if lead else 0.0
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tight integration of a scene under piecewise constant wrenches, with its own uncertainty."""
+"""Tight integration of a scene under piecewise constant wrenches, with its uncertainty."""
 
 from typing import NamedTuple
 
@@ -15,21 +15,21 @@ from .equations import STATE
 from .rigid_body_dae import rate, scaled_equations
 from .system import build_system
 
-# Just above the least that DOP853 accepts (2.2e-14). The uncertainty of a run is its distance to
-# one that is ten times looser.
+# Just above the smallest tolerance of DOP853 (2.2e-14). The uncertainty of a run is its distance to
+# a run with a tolerance ten times larger.
 TIGHT = 1e-13
 LOOSER = 10.0
-# So many steps are some ten minutes; where they do not do, springs are too stiff for an explicit
-# method of high order.
+# This limit is about ten minutes. A scene that needs more is too stiff for an explicit method of
+# high order.
 MOST_STEPS = 2_000_000
-# Of the singular values of the joints' rows, scaled to length 1: at the start, those below belong
-# to rows that repeat others (the pose is right to 1e-9 or better); and on the way no other may
-# fall below, or one of those rise above, the second number. Ten rods on hinges have 1e-2.
+# Singular values of the unit rows of all joints. At the start, values below the first number belong
+# to redundant rows (the pose is accurate to 1e-9 or better). Later no other value may fall below
+# the second number, and none of them may exceed it. Ten rods on revolute joints have 1e-2.
 REDUNDANT, SINGULAR = 1e-8, 1e-6
 
 
 class WrenchChange(NamedTuple):
-    """From `time` on this is the total wrench on the body."""
+    """Total external wrench on a body from `time` on."""
 
     time: float  # s
     body: str
@@ -46,7 +46,7 @@ class Trajectory(NamedTuple):
 
 
 class Distance(NamedTuple):
-    """How far two trajectories are apart, per time and body: each (k, n)."""
+    """Distance of two trajectories, per time and body: each (k, n)."""
 
     position: np.ndarray  # m
     attitude: np.ndarray  # |R_1 - R_2|_2 = 2 sin(angle / 2), at most 2
@@ -73,22 +73,22 @@ def distance(one, other):
 
 
 def integrate(scene, pose, twist, times, changes=(), start=0.0, rtol=TIGHT):
-    """Motion from a state at `start`, with steps that end exactly where a wrench changes.
+    """Integrate from a state at `start`, with steps that end exactly where a wrench changes.
 
     scene   : Scene
     pose    : (n, 12) R row by row (body -> world), then r in m, at `start`; like the twist of the
               frames at the centres of mass, as Simulation.state has them
     twist   : (n, 6) body-fixed, at `start`
     times   : (k,) s, increasing, not before `start`
-    changes : WrenchChange in the order of their times; before the first one nothing acts
+    changes : WrenchChange in the order of their times; no wrench acts before the first one
     returns (Trajectory at `times`, its uncertainty as a Distance: the largest distance so far to
-    a run at a tolerance ten times looser)
+    a run with a tolerance ten times larger)
 
-    Angles of torsional springs are at most half a turn at `start` and go on from there.
-    Raises SimulationError where the integration cannot go on, as at a singular pose.
+    Angles of torsional springs are within half a turn at `start` and unwrapped from there.
+    Raises SimulationError if the integration cannot continue, for instance at a singular pose.
     Accuracy: test_reference.py, against 45-digit end states; test_reference_kinds.py, every kind
-    of joint and force against the engine. BLAS should have one thread (OPENBLAS_NUM_THREADS=1):
-    on a busy machine more of them make these small solves many times slower.
+    of joint and force against the engine. Use one BLAS thread (OPENBLAS_NUM_THREADS=1): on a busy
+    machine more threads make these small solves many times slower.
     """
     times = np.asarray(times, dtype=float)
     if len(times) and (times[0] < start or np.any(np.diff(times) < 0.0)):
@@ -98,11 +98,11 @@ def integrate(scene, pose, twist, times, changes=(), start=0.0, rtol=TIGHT):
 
 
 class Reference:
-    """The integration of `integrate`, which goes on from one call to the next.
+    """The integration of `integrate`, continued from one call to the next.
 
-    end    : s, up to where it may be asked for
-    angles : (t,) rad, of the torsional springs at `start`, whole turns counted; None: at most half
-             a turn. The other arguments as of `integrate`
+    end    : s, last time that can be requested
+    angles : (t,) rad, unwrapped, of the torsional springs at `start`; None: within half a turn.
+             The other arguments are those of `integrate`
     """
 
     def __init__(
@@ -124,11 +124,11 @@ class Reference:
 
     @property
     def steps(self):
-        """Steps that the tighter of its two integrations has taken so far."""
+        """Number of steps of the tighter of the two integrations so far."""
         return self._runs[0].taken
 
     def at(self, times):
-        """(Trajectory, its uncertainty so far) at (k,) increasing times after those before."""
+        """(Trajectory, its uncertainty so far) at (k,) increasing times after earlier ones."""
         times = np.asarray(times, dtype=float)
         tight, loose = (
             _at_bodies(self._offsets, _to_trajectory(times, run.at(times)[:, : self._size]))
@@ -143,13 +143,13 @@ class Reference:
 
 
 def _pieces(scene, offsets, changes, start, end):
-    """The intervals in which no wrench changes.
+    """Intervals of constant wrenches.
 
-    returns [(from, to, wrenches (n, 6) at the centres of mass, which applied ones act (p,))]
+    returns [(start, end, wrenches (n, 6) at the centres of mass, mask (p,) of applied wrenches)]
     """
     index = {body.name: i for i, body in enumerate(scene.bodies)}
     pushes = [force for force in scene.forces if force.type == "applied_wrench"]
-    # In the order of their times, those of the same time in the order given.
+    # In the order of their times; those of the same time in the given order.
     switches = sorted(
         [(change.time, change) for change in changes]
         + [(time, None) for push in pushes for time in (push.start, push.end) if time is not None],
@@ -161,7 +161,7 @@ def _pieces(scene, offsets, changes, start, end):
     for time, change in [*switches, (end, None)]:
         if min(time, end) > since:
             until = min(time, end)
-            # In the middle no rounding decides what acts.
+            # The middle is away from all starts and ends: round-off has no influence.
             middle = 0.5 * (since + until)
             acting = np.array(
                 [
@@ -179,11 +179,10 @@ def _pieces(scene, offsets, changes, start, end):
 
 
 def _rank(system, state):
-    """Rank of the joint equations at the start, at the widest gap between singular values.
+    """Rank of the joint equations at the start, at the largest ratio of singular values.
 
-    Rows that repeat others there leave singular values of the size of rounding, or of how far the
-    start is from closed, up to 1e-9 (scene/consistency.py); the others, of rows of length 1, are
-    those of angles between them.
+    Redundant rows give singular values of the size of round-off or of the initial residual, up to
+    1e-9 (scene/consistency.py). Those of independent unit rows are angles between them.
     """
     n, k = len(system.mass), len(system.equations.kind)
     if k == 0:
@@ -200,7 +199,7 @@ def _rank(system, state):
 
 
 class _Run:
-    """One integration at one tolerance, which goes on from call to call."""
+    """One integration with one tolerance, continued from call to call."""
 
     def __init__(self, system, rank, state, start, pieces, rtol):
         self._system, self._rank, self._rtol = system, rank, rtol
@@ -248,7 +247,7 @@ class _Run:
                 f"the reference integration stopped at t = {solver.t:.6g} s: {message}"
             )
         self._steps.append(solver.step_size)
-        # A step ends with the rate at its end; those before may be of poses far off.
+        # The last evaluation of a step is at its end; earlier ones may be far from the motion.
         least, left_out = self._singular
         if least < SINGULAR or left_out > SINGULAR:
             raise SimulationError(
@@ -274,7 +273,7 @@ class _Run:
                 )
             return slope
 
-        # A piece goes on with the step of the one before, which a short piece must not shrink.
+        # A piece starts with the step of the one before; a short piece must not reduce it.
         self._solver = DOP853(
             function,
             begin,
@@ -299,7 +298,7 @@ def _to_state(pose, twist):
 
 
 def _at_bodies(offsets, motion):
-    """The motion of the body frames from that of the frames at the centres of mass."""
+    """Convert a motion of the frames at the centres of mass to the body frames."""
     k, n = motion.position.shape[:2]
     pose = np.concatenate([motion.rotation.reshape(k, n, 9), motion.position], axis=2)
     pose, twist = offsets.to_bodies(pose, motion.twist)

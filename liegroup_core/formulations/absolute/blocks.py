@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Dense blocks of a few scalars in one flat array: what an elimination does with them.
+"""Operations on small dense blocks in one flat array, for the elimination.
 
-A block begins at a place in the array, here `solve`, and holds its entries row by row. A vector is
-a place in an array too. Sizes are arguments: where callers hand on constants the loops are
+A block is given by the address of its first entry in the array `solve`; entries are row by row. A
+vector is given by an address too. Sizes are arguments: for constant arguments the loops are
 unrolled, since all of this is inlined.
 """
 
@@ -13,9 +13,9 @@ from liegroup_core.compiling import kernel
 def invert_diagonal(solve, place, k, sign, floor, first, shift):
     """W, and on its diagonal d, of one k x k block, in place.
 
-    floor : smallest good pivot of every scalar, from entry `first` on
+    floor : smallest regular pivot of every scalar, from entry `first` on
     shift : multiple of that floor to add to the diagonal
-    returns False when a pivot is below it
+    returns False if a pivot is below it
     """
     # L / d below the diagonal, d on it
     for r in range(k):
@@ -59,7 +59,7 @@ def times_inverse(solve, at, scratch, place, rows, k, sign):
 
 @kernel
 def over_mass(solve, place, x, at, scratch, body):
-    """x_at = M^-1 x_at of one body, x_at as it was into scratch memory.
+    """x_at = M^-1 x_at of one body; the old x_at goes to scratch memory.
 
     place : of the inverse of the inertia, then 1 / mass
     """
@@ -77,7 +77,7 @@ def over_mass(solve, place, x, at, scratch, body):
 
 @kernel
 def subtract_square(solve, target, left, right, rows, k):
-    """K_ii -= L R^T, its lower triangle: all of it is symmetric."""
+    """K_ii -= L R^T, lower triangle of a symmetric block."""
     for r in range(rows):
         for c in range(r + 1):
             total = 0.0

@@ -1,22 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rows of the joints: residual, Jacobian and acceleration bias.
+"""Constraint equations of the joints: residual, Jacobian and acceleration bias.
 
 A lower pair forbids the directions A (k x 6) of the relative twist of its two frames. With
-C_ba = C_b^-1 C_a, W = Ad(C_ba) V_a the parent's twist seen from the child, and J_b = A Ad(F_b^-1)
-constant, all a joint needs while integrating is
+C_ba = C_b^-1 C_a, W = Ad(C_ba) V_a the parent's twist in the child's axes, and the constant
+J_b = A Ad(F_b^-1), the equations are
     velocity      J_b (V_b - W) = 0     so  J_a = -J_b Ad(C_ba)
     acceleration  J Vdot = -J_b [V_b, W] - J_b (0, omega_b x e)
-because [V_b - W, W] = [V_b, W]. The last term is zero as long as the velocities keep the joint;
-e is the velocity error of the joint's point, and the term keeps an error there may be constant in
-world axes, as g'' = 0, (6.29), does, instead of in axes of the child. On a fast four-bar this was
-measured to drift less. To ground W = 0 and J_b is all: that is why joints to ground are kept
-exactly on SE(3).
+because [V_b - W, W] = [V_b, W]. e is the velocity residual at the joint's origin; the last term is
+zero if the velocities satisfy the joint. The term keeps a velocity residual constant in world
+axes, as g'' = 0, (6.29), does, instead of in the child's axes: on a fast four-bar the drift is
+smaller (measured). For a joint to ground W = 0 and only J_b remains: therefore SE(3) satisfies
+joints to ground exactly.
 
-The other elements (joints.elements) have a J_b that depends on the pose. It is computed anew
-every time, and the bias has the term -Jdot_b (V_b - W) more.
+Other elements (joints.elements) have a J_b that depends on the pose. It is evaluated at every
+pose, and the bias has the additional term -Jdot_b (V_b - W).
 
-Baumgarte's terms make an error g of position and velocity die out, gddot + 2 a gdot + a^2 g = 0:
-the bias gets -2 a J V - a^2 g.
+Baumgarte's terms damp a residual g of position and velocity, gddot + 2 a gdot + a^2 g = 0: the
+bias gets -2 a J V - a^2 g.
 """
 
 from liegroup_core.compiling import borrowed, kernel, subroutine
@@ -45,7 +45,7 @@ from liegroup_core.lie.vec3 import (
 
 @kernel
 def _frame(pose, body, rotation, point):
-    """Rotation and origin in the world of a frame that is fixed in a body (or in the world)."""
+    """Rotation and origin, world axes, of a frame that is fixed in a body or in the world."""
     if body == WORLD:
         return rotation, point
     rot = load9(pose, body, 0)
@@ -54,7 +54,7 @@ def _frame(pose, body, rotation, point):
 
 @subroutine
 def position_residuals(model, pose, residual_out):
-    """How far every element is from closed, all rows, rad and m; see joints.elements.
+    """Position residuals of all rows of all elements, rad and m; see joints.elements.
 
     pose (n, 12), residual_out (all rows,)
     """
@@ -105,7 +105,7 @@ def _child_row(model, work, j, rot, p, w, v):
     row_w, row_v, rate = variable_row(element, rot, p, w, v)
     store3(row_w, work.child_jacobian, model.joints[j]["first"], 0)
     store3(row_v, work.child_jacobian, model.joints[j]["first"], 3)
-    # One row: its block is the same whether turned or not.
+    # One row: its block is the same transposed or not.
     place = model.joints[j]["child_place"]
     for c in range(3):
         work.matrix[place + c] = row_w[c]
@@ -143,7 +143,7 @@ def _set_parent_rows(model, work, j, rot, p):
     """J_a = -J_b Ad(C_ba) of joint j into its block of K; rot, p: C_ba."""
     rows, first = model.joints[j]["rows"], model.joints[j]["first"]
     place = model.joints[j]["parent_place"]
-    # One scalar after the other of a row, or, in a turned block, of a column.
+    # The entries of a row, or of a column if the block is transposed.
     row_step, step = 6, 1
     if model.joints[j]["parent_turned"] == 1:
         row_step, step = 1, rows
@@ -162,7 +162,7 @@ def _set_parent_rows(model, work, j, rot, p):
 
 @kernel
 def assemble(model, work, pose, twist):
-    """K of this pose into work.matrix, J V into work.slip, the rows' bias into work.solution.
+    """Write K into work.matrix, J V into work.slip and the bias of the rows into work.solution.
 
     pose (n, 12), twist (n, 6); bias: J Vdot = bias
     """
@@ -194,10 +194,10 @@ def assemble(model, work, pose, twist):
 
 @kernel
 def clear_ground_slip(model, twist):
-    """Take from the twists (n, 6) what rounding has left of J V at lower pairs to ground.
+    """Remove the round-off of J V at lower pairs to ground from the twists (n, 6).
 
-    On SE(3) these velocities are kept exactly, but for rounding: a bias of 1e-16 of the forces that
-    always points the same way would let the joint open with the square of time.
+    SE(3) satisfies these joints exactly, except for round-off: a constant error of 1e-16 of the
+    forces would let the joint drift with the square of time.
     """
     for j in range(len(model.joints)):
         if model.joints[j]["parent"] == WORLD and model.joints[j]["kind"] == PAIR:
@@ -211,7 +211,7 @@ def clear_ground_slip(model, twist):
 
 @kernel
 def subtract_joint_forces(model, work, multipliers, at, wrench_out):
-    """Take J^T lambda from the wrenches (n, 6), with the rows that `assemble` has left.
+    """Subtract J^T lambda from the wrenches (n, 6), with the rows written by `assemble`.
 
     multipliers : lambda of Model.row_residual from entry `at` on
     """
@@ -234,7 +234,7 @@ def subtract_joint_forces(model, work, multipliers, at, wrench_out):
 
 @subroutine
 def add_baumgarte(model, work, pose):
-    """Add Baumgarte's terms to the bias that `assemble` has left."""
+    """Add Baumgarte's terms to the bias written by `assemble`."""
     pose = borrowed(pose)
     rate = model.baumgarte_rate
     position_residuals(model, pose, work.gap)

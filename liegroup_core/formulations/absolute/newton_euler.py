@@ -15,8 +15,8 @@ from liegroup_core.lie.vec3 import cross3, load3, matrix3, matvec3
 from .constraints import add_baumgarte, assemble
 from .saddle_point import REGULARISATION, solve
 
-# The shift is 1e-8 of a row: so much smaller the error of all other directions gets by each
-# refinement, divided by the squared sine of the angle between rows.
+# The shift is 1e-8 of a row. Each refinement multiplies the error in regular directions by this
+# number, divided by the squared sine of the angle between rows.
 REFINEMENTS_WHEN_SINGULAR = 4
 
 
@@ -52,7 +52,7 @@ def accelerations(model, work, pose, twist, external):
 
     pose (n, 12), twist (n, 6), external (n, 6): applied wrenches in body axes about the centre
     of mass; work.angle and work.acting: see Work
-    returns -1, or the joint whose rows depend on others, which a regularised solve could not mend
+    returns -1, or the joint with dependent rows if the regularised solve fails too
     """
     dependent = -1
     refinements, shift = model.refinements, 0.0
@@ -67,7 +67,7 @@ def accelerations(model, work, pose, twist, external):
         dependent = solve(model, work, refinements, shift, True)
         if dependent < 0:
             break
-        # A singular pose: once more, and where the joints leave it open the masses decide.
+        # Singular pose: regularised solve. The masses determine what the joints leave undetermined.
         refinements, shift = REFINEMENTS_WHEN_SINGULAR, REGULARISATION
         work.report[2] += 1.0
     return dependent

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Back onto the constraints by mass-weighted least squares on the group.
+"""Projection onto the constraints by mass-weighted least squares on the group.
 
-Positions: the displacement C_i <- C_i exp X_i of all bodies with the least sum of X^T M X / 2 that
-closes all joints, g(C exp X) = 0; by Newton's method, in which dg = J X next to closed joints:
+Positions: the displacement C_i <- C_i exp X_i of all bodies with the smallest sum of X^T M X / 2
+that satisfies all joints, g(C exp X) = 0. Newton's method with dg = J X near the constraints:
     M X + J^T lambda = 0 ,   J X = -g
-Velocities: the least change, measured by its kinetic energy, with J (V + dV) = 0:
+Velocities: the change of smallest kinetic energy with J (V + dV) = 0:
     M dV + J^T lambda = 0 ,   J dV = -J V
-Both are done by forces of the joints, which come in pairs: without a joint to the world the second
-changes no momentum, and the first does not move the centre of mass. While a body is turned by the
-first its velocity stays what it is in the world, and its angular velocity what it is in the body:
-so kinetic energy and linear momentum stay. Displacements are the least ones up to second order.
+Both changes are caused by joint forces, which come in pairs. Without a joint to the world the
+second conserves momentum, and the first conserves the centre of mass. When the first rotates a
+body, its velocity is constant in world axes and its angular velocity in body axes: kinetic energy
+and linear momentum are conserved. Displacements are minimal up to second order.
 
 Source: Terze, Mueller and Zlatar, ref. [34] of the chapter, with the mass matrix as the weight.
 """
@@ -23,21 +23,21 @@ from liegroup_core.status import DEPENDENT_ROWS, NOT_PROJECTED, OK
 from .constraints import assemble, position_residuals
 from .saddle_point import solve
 
-# Newton's method doubles the digits: a gap of a tenth of the mechanism takes four or five rounds.
+# Newton's method is quadratic: a residual of a tenth of the mechanism takes four or five iterations.
 MOST_ROUNDS = 20
-# A residual is a sum of some ten products, each right to half of 2^-52 of the lengths in it.
+# A residual is a sum of about ten products, each with a round-off of 2^-53 of the lengths in it.
 ROUND_OFF = 16 * 2.0**-52
 
 
 @kernel
 def _largest3(a):
-    """Largest component of a vector, without its sign."""
+    """Largest magnitude of a component of a vector."""
     return max(abs(a[0]), max(abs(a[1]), abs(a[2])))
 
 
 @kernel
 def is_closed(model, work, pose):
-    """True when all residuals in work.gap are those that rounding leaves."""
+    """True if all residuals in work.gap are at round-off level."""
     for j in range(len(model.joints)):
         a = model.joints[j]["parent"]
         b = model.joints[j]["child"]
@@ -62,7 +62,7 @@ def is_closed(model, work, pose):
 
 @kernel
 def _displace(pose, twist, i, xi, eta):
-    """Pose of body i times exp(xi, eta); its velocity stays the same in world axes."""
+    """Multiply the pose of body i by exp(xi, eta); its velocity is constant in world axes."""
     turn, shift = se3_exp(xi, eta)
     rot, r = se3_compose(load9(pose, i, 0), load3(pose, i, 9), turn, shift)
     store9(rot, pose, i, 0)
@@ -72,10 +72,10 @@ def _displace(pose, twist, i, xi, eta):
 
 @kernel
 def project(model, work, pose, twist):
-    """Close all joints at the nearest pose and velocity, in place of pose (n, 12), twist (n, 6).
+    """Project pose (n, 12) and twist (n, 6) onto the constraints, in place.
 
-    returns (rounds, status): displacements it took, 0 where the joints were closed to rounding;
-    OK, NOT_PROJECTED or DEPENDENT_ROWS + (element << 8)
+    returns (iterations, status): 0 iterations if the residual was round-off; status OK,
+    NOT_PROJECTED or DEPENDENT_ROWS + (element << 8)
     """
     pose, twist = borrowed(pose), borrowed(twist)
     if len(model.joints) == 0:
@@ -111,9 +111,6 @@ def project(model, work, pose, twist):
 
 @shared
 def close_joints(model, work):
-    """`project` of the pose and velocity in `work.stage_pose` and `stage_twist`.
-
-    returns OK, or why that failed
-    """
+    """`project` pose and twist in `work.stage_pose` and `work.stage_twist`; returns a status."""
     _, status = project(model, work, work.stage_pose, work.stage_twist)
     return status

@@ -4,18 +4,18 @@
     K = | M  J^T |
         | J   0  |
 
-The pattern (model.sparsity) is fixed when the model is built; here only numbers move. A vertex
-(body or joint) of k scalars owns k columns; a block (i, j) is k_i x k_j, row by row, in the flat
-array `solve`. A diagonal block is positive definite, that of a joint but for its sign s = -1, and
+The pattern (model.sparsity) is fixed when the model is built. A vertex (body or joint) of k scalars
+owns k columns; a block (i, j) is k_i x k_j, row by row, in the flat array `solve`. Diagonal blocks
+of bodies are positive definite, those of joints negative definite, s = -1:
     s K_vv = (W^T d W)^-1 ,     W unit lower triangular, d diagonal
-The inverses W and d are what is kept of it, and s K_iv W^T d of a block below it: then nothing
-waits for the solution of a triangular system, which would take most of the time of so small ones.
-The block of a body that is eliminated before poses have changed it is its mass: W and d are not
-looked for there, and M^-1, which is a small matrix and a number, and K_iv M^-1 are what is kept.
+The inverses W and d replace the block, and s K_iv W^T d replaces a block below it. So no small
+triangular systems are solved, which would take most of the time because of their latency. If the
+block of a body is its constant mass matrix, W and d are not computed: M^-1, a small matrix and a
+number, and K_iv M^-1 are stored.
 
-The usual sizes (of a body, 6 scalars or 3 in a plane, and of two kinds of joints) are handed on as
-constants: the compiler then unrolls the loops over a block, which was measured to take a quarter
-to a third of the time.
+The most frequent sizes (a body, 6 scalars or 3 in a plane, and two kinds of joints) are passed as
+constants: the compiler then unrolls the loops over a block, which reduces the time to a quarter or
+a third (measured).
 """
 
 from liegroup_core.compiling import kernel, shared
@@ -31,21 +31,21 @@ from .blocks import (
     times_inverse,
 )
 
-# Scalars of a body, and of the joints that are most frequent. Where these are constants LLVM
-# unrolls the loops over a block: they take a third less time.
-SPATIAL_SIZES = (6, 3, 5)  # ball; hinge, slider
+# Scalars of a body and of the most frequent joints. For constant sizes LLVM unrolls the loops over a
+# block: they take a third less time.
+SPATIAL_SIZES = (6, 3, 5)  # body; spherical; revolute, prismatic
 PLANAR_SIZES = (3, 2, 1)  # hinge, slider; what is left of a loop
 NONE = 0  # no usual size
 
-# A row that depends on others is given this many times its pivot floor instead of nothing.
+# A dependent row gets this multiple of its pivot floor on its diagonal.
 REGULARISATION = 1e2
 
 
 @kernel
 def _update(model, solve, v, k, usual, other):
-    """What the elimination of vertex v, of k scalars, leaves with those it is coupled with.
+    """Update the blocks of the vertices that vertex v, of k scalars, is coupled with.
 
-    usual, other : sizes that most of them have, as constants
+    usual, other : most frequent sizes of these vertices, as constants
     """
     vertices = model.vertices
     for u in range(vertices[v]["update_start"], vertices[v]["update_end"]):
@@ -70,7 +70,7 @@ def _update(model, solve, v, k, usual, other):
 
 @kernel
 def _eliminate(model, solve, v, k, sign, usual, other, shift):
-    """Eliminate vertex v of k scalars; False when one of its pivots is too small."""
+    """Eliminate vertex v of k scalars; False if one of its pivots is too small."""
     vertices = model.vertices
     place = vertices[v]["diagonal"]
     if vertices[v]["is_constant"] == 0 and not invert_diagonal(
@@ -92,7 +92,7 @@ def _eliminate(model, solve, v, k, sign, usual, other, shift):
 
 @kernel
 def _eliminate_mass(model, solve, v, body, usual, other):
-    """Eliminate body v, whose block is its mass: K_iv M^-1 below it, K_iv into scratch memory."""
+    """Eliminate body v, whose block is its mass matrix: K_iv M^-1 below it, K_iv to scratch memory."""
     vertices = model.vertices
     for b in range(vertices[v]["column_fresh"], vertices[v]["column_end"]):
         for r in range(vertices[model.columns[b, 0]]["size"]):
@@ -109,7 +109,7 @@ def _eliminate_mass(model, solve, v, body, usual, other):
 
 @kernel
 def _push(model, solve, x, v, k, usual, other):
-    """Take the part of vertex v, of k scalars, from what is below it."""
+    """Subtract the part of vertex v, of k scalars, from the entries of later vertices."""
     vertices = model.vertices
     at = vertices[v]["start"]
     for b in range(vertices[v]["column_start"], vertices[v]["column_end"]):
@@ -125,7 +125,7 @@ def _push(model, solve, x, v, k, usual, other):
 
 @kernel
 def _pull(model, solve, x, v, k, usual, other):
-    """Take what is below vertex v, of k scalars, from it."""
+    """Subtract the parts of later vertices from the entries of vertex v, of k scalars."""
     vertices = model.vertices
     at = vertices[v]["start"]
     for b in range(vertices[v]["column_start"], vertices[v]["column_end"]):
@@ -141,9 +141,9 @@ def _pull(model, solve, x, v, k, usual, other):
 
 @kernel
 def _take(model, solve, x, v, k, sign, usual, other, shift, fresh):
-    """Eliminate vertex v of k scalars from K, if that is fresh, and from the right-hand side.
+    """Eliminate vertex v of k scalars from K, if K is fresh, and from the right-hand side.
 
-    There s d W x_v is left.
+    The entries of the vertex become s d W x_v.
     """
     if fresh and not _eliminate(model, solve, v, k, sign, usual, other, shift):
         return False
@@ -162,7 +162,7 @@ def _take(model, solve, x, v, k, sign, usual, other, shift, fresh):
 
 @kernel
 def _take_mass(model, solve, x, v, body, usual, other, fresh):
-    """The same of a body whose block is its mass; M^-1 x_v is left."""
+    """The same for a body whose block is its mass matrix; its entries become M^-1 x_v."""
     if fresh:
         _eliminate_mass(model, solve, v, body, usual, other)
     _push(model, solve, x, v, body, usual, other)
@@ -178,7 +178,7 @@ def _take_mass(model, solve, x, v, body, usual, other, fresh):
 
 @kernel
 def _give_back(model, solve, x, v, k, usual, other):
-    """Take what is below vertex v, of k scalars, from it, and W^T times the rest."""
+    """Back substitution of vertex v of k scalars: subtract later parts, multiply by W^T."""
     _pull(model, solve, x, v, k, usual, other)
     place = model.vertices[v]["diagonal"]
     at = model.vertices[v]["start"]
@@ -191,16 +191,16 @@ def _give_back(model, solve, x, v, k, usual, other):
 
 @kernel
 def eliminate(model, solve, x, fresh, shift, sizes):
-    """Forward elimination of K (Vdot, lambda) = (Q, bias) in place of K and its right-hand side.
+    """Forward elimination of K (Vdot, lambda) = (Q, bias), in place of K and its right-hand side.
 
-    solve : the lower triangle of K, if it is `fresh`; else what an earlier call has made of it.
-            Behind it is scratch memory
+    solve : lower triangle of K if `fresh`, else the result of an earlier call; then scratch memory
     x     : (unknowns,) of bodies, then of joints
-    shift : 0, or a multiple of the pivot floors to take from the zeros on the joints' diagonal
+    shift : 0, or multiple of the pivot floors to subtract from the zeros on the joints' diagonal
     sizes : SPATIAL_SIZES or PLANAR_SIZES
-    returns -1, or the joint (number in model.joints) whose rows depend on others: K is singular
+    returns -1, or the joint (index in model.joints) with dependent rows: K is singular
 
-    Both are done vertex by vertex: while a division of the one is waited for, the other goes on.
+    Factor and right-hand side are eliminated together, vertex by vertex: this hides the latency of
+    divisions.
     """
     body, first, second = sizes
     for v in range(len(model.vertices)):
@@ -253,7 +253,7 @@ def _subtract_rows(matrix, place, turned, rows, body, x, row_start, body_start, 
 
 @kernel
 def _subtract_image(model, matrix, x, y_out, body):
-    """y -= K x, with the rows of joints as `assemble` leaves them, a body of so many scalars."""
+    """y -= K x with the rows written by `assemble`; size: scalars of a body."""
     for v in range(len(model.vertices)):
         if model.vertices[v]["joint"] < 0:
             at = model.vertices[v]["start"]
@@ -293,15 +293,15 @@ def _subtract_image(model, matrix, x, y_out, body):
 
 @kernel
 def _solve(model, work, refinements, shift, sizes, fresh):
-    """Solve K x = b, with so many steps of iterative refinement.
+    """Solve K x = b with iterative refinement.
 
-    work.matrix   : K, overwritten; what no pose changes is eliminated already
+    work.matrix   : K, overwritten; constant vertices are already eliminated
     work.solution : b, overwritten by x
-    fresh         : False: work.matrix holds what an earlier call has made of K; with refinement
-                    work.kept holds K too
-    shift, sizes  : of `eliminate`. After some refinements x solves the equations without a shift,
-                    but for directions in which K is singular: there the joints are ignored
-    returns -1, or the joint whose rows depend on others
+    fresh         : False: work.matrix is the result of an earlier call; with refinement work.kept
+                    is K
+    shift, sizes  : of `eliminate`. Refinements remove the effect of the shift, except in directions
+                    in which K is singular: there the joints are ignored
+    returns -1, or the joint with dependent rows
     """
     if refinements > 0:
         if fresh:
