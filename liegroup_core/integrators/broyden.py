@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Broyden's method: Newton's with a Jacobian that is learnt from the corrections themselves.
+"""Broyden's method: Newton's method with a Jacobian that is updated from the corrections.
 
 Source: Kelley, Iterative Methods for Linear and Nonlinear Equations, 1995, 7.3.
 """
@@ -9,12 +9,11 @@ from liegroup_core.compiling import kernel
 
 @kernel
 def broyden(corrections, k, most):
-    """Turn the correction number k, as the first Jacobian of the iteration asks for it, into
-    Broyden's, by those made before.
+    """Convert correction k of the initial Jacobian into Broyden's correction, in place.
 
-    corrections (many, size) : rows 0 to k - 1 as they were made; row k is changed
-    most : corrections whose part along the last one is more than this are not lengthened: the
-           change of the Jacobian would be far from a small one
+    corrections (many, size) : rows 0 to k - 1 are the previous corrections; row k is changed
+    most : bound on the component of correction k along the last one. Above it the correction is
+           not lengthened: the update of the Jacobian would be too large
     """
     size = corrections.shape[1]
     for j in range(k):

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Integrators by family: each takes the methods of METHODS that name it.
+"""Integrator classes by family: each implements the methods of METHODS that name it.
 
-An integrator is made by `family(method, layout, group, step, options)` and has
-    options(method)  {name: (default, what it may be, check)} of what a user can set, static
+`family(method, layout, group, step, options)` creates an integrator. It has
+    options(method)  {name: (default, description of valid values, check)} of its options, static
     kernels          name of the kernels it uses, compiled once on a machine
     work             scratch memory; work.report[0] is the largest squared rotation of a stage
-    restart()        forget what lasts between calls, because a state was set
-    memory           the arrays that hold what lasts between calls; written to, they restore it
+    restart()        clear the memory between calls, because a state was set
+    memory           arrays of the memory between calls; writing to them restores it
     advance(h, steps, pose, twist, external) -> (steps done, status), in place; external (n, 6) is
-                     constant over these steps; pose and twist stay the last good ones
-    substeps         (good ones, attempts) since the restart, (0, 0) where there are none
+                     constant over these steps; on failure pose and twist are the last valid ones
+    substeps         (accepted, attempted) since the restart; (0, 0) without error control
 """
 
 from liegroup_core.integrators.generalized_alpha.generalized_alpha import GeneralizedAlpha
@@ -30,7 +30,7 @@ NOT_ON_SE3 = ("rotation", "constrained")  # families with a group of their own
 
 
 def check_options(method, options):
-    """The options of a method completed by its defaults. Raises ValueError, one line."""
+    """Options of a method, completed by its defaults. Raises ValueError, one line."""
     known = FAMILIES[METHODS[method].family].options(METHODS[method])
     for name, value in options.items():
         if name not in known:
@@ -43,7 +43,7 @@ def check_options(method, options):
 
 
 def check_group(method, group):
-    """Name of the group that a method moves poses on. Raises ValueError, one line."""
+    """Name of the group that a method uses. Raises ValueError, one line."""
     if group not in ("auto", *GROUPS):
         raise ValueError(f"unknown group {group!r}; choose one of: auto, {', '.join(GROUPS)}")
     alone = METHODS[method].family in NOT_ON_SE3
@@ -58,19 +58,19 @@ def check_group(method, group):
 
 
 def misfit(method, layout):
-    """Why a method cannot serve a scene (layout.Layout), in words, or ""."""
+    """Text why a method does not fit a scene (layout.Layout), or ""."""
     return rotation_misfit(layout) if METHODS[method].family == "rotation" else ""
 
 
 def fitting_methods(layout):
-    """Names of the methods that can serve a scene."""
+    """Names of the methods that fit a scene."""
     return [name for name in METHODS if not misfit(name, layout)]
 
 
 def make_integrator(method, layout, group, step, options):
-    """The integrator of a method's name, its options checked by `check_options`.
+    """Create the integrator of a method; options: checked by `check_options`.
 
-    raises ValueError, one line, where the method does not fit the scene or its stabilisation
+    Raises ValueError, one line, if the method does not fit the scene or its stabilisation.
     """
     entry = METHODS[method]
     why = misfit(method, layout)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The integration methods as data: an explicit Runge-Kutta tableau is all a Munthe-Kaas method is.
+"""Integration methods as data: an explicit Runge-Kutta tableau defines a Munthe-Kaas method.
 
 A new explicit method is one entry of METHODS. Tests check row sums, the order conditions of all
-rooted trees up to the stated order, and the order on problems whose rotations do not commute:
+rooted trees up to the stated order, and the order on problems with non-commuting rotations:
 test/contract/test_methods.py, test/verification/test_orders.py.
 
     name         stages  what it is
@@ -17,13 +17,13 @@ test/contract/test_methods.py, test/verification/test_orders.py.
     constrained_rattle, constrained_rattle4, constrained_rattle8    orders 2, 4, 8; symplectic,
                          for long runs; explicit in forces, joints at position level
 
-For bodies that are free or held by one ball joint to the ground (rotation.py); all but the last
-keep the angular momentum of free bodies to round-off at any step size:
+For bodies that are free or on one spherical joint to ground (rotation.py). All except the last one
+conserve the angular momentum of free bodies to machine precision at any step size:
     stoermer_verlet      explicit, (6.42)
     coadjoint_rkmk2, _rkmk2_heun, _rkmk4, _rkmk8    explicit, of the tableaux above
     rattle, austin_krishnaprasad_wang               implicit for each body, explicit in forces
     simo_wong, lie_midpoint, bottasso_borri_candidate    implicit
-    lie_newmark          velocities implicit for each body: (6.41); does not keep the momentum
+    lie_newmark          velocities implicit for each body: (6.41); does not conserve momentum
 """
 import math
 from collections.abc import Callable
@@ -33,7 +33,7 @@ from numbers import Real
 
 import numpy as np
 
-# The groups a pose can move on; GROUPS[name] is the code that the kernels know.
+# Configuration groups of a pose; GROUPS[name] is the code for kernels.
 SE3, SO3XR3 = 0, 1
 GROUPS = {"se3": SE3, "so3xr3": SO3XR3}
 
@@ -41,13 +41,13 @@ EXACT = -1                  # in place of the last power of ad in dexpinv: close
 
 
 def is_positive(value):
-    """True for a finite number above zero."""
+    """True for a finite number greater than zero."""
     return (isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
             and value > 0.0)
 
 
 def refuse_stabilisation(method, model):
-    """ValueError where a method that closes the joints by itself meets a stabilised model."""
+    """Raise ValueError for a stabilised model and a method that satisfies the joints by itself."""
     if model.projects or model.baumgarte_rate > 0.0:
         raise ValueError(f"{method.name} satisfies the constraints itself: stabilisation must be 'none'")
 
@@ -71,9 +71,9 @@ class Tableau:
 
 @dataclass(frozen=True)
 class Method:
-    """One method: what a user and the documentation want to know of it.
+    """Properties of one method, for integrators, users and documentation.
 
-    family       : which integrator takes it, see integrators/__init__.py
+    family       : family that implements it, see families.py
     coefficients : of a Runge-Kutta method, function without arguments that returns (a, b) or
                    (a, b, e), a without the zeros on and above the diagonal
     """
@@ -106,7 +106,7 @@ def _dormand_prince_5():
 
 
 def _dormand_prince_8():
-    """Taken from SciPy, whose import is as long as all of ours: only where this method is used."""
+    """Coefficients from SciPy, imported on use: its import takes as long as that of this package."""
     from scipy.integrate import DOP853
     return DOP853.A, DOP853.B
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all integrators do with a state: its velocity on the group, displacing it, copying it."""
+"""Operations of all integrators on a state: velocity on the group, displacement, copy."""
 
 import math
 
@@ -24,7 +24,7 @@ def group_velocity(group, pose, twist, i, out):
 
 @kernel
 def displace(group, pose, i, xi, eta):
-    """pose exp(xi, eta) of body i: rotation and position."""
+    """Product of the pose of body i and exp(xi, eta): rotation and position."""
     rot = load9(pose, i, 0)
     r = load3(pose, i, 9)
     if group == SE3:
@@ -35,9 +35,9 @@ def displace(group, pose, i, xi, eta):
 
 @kernel
 def orthonormal(rot):
-    """One step of Newton's iteration for the nearest rotation, R (3 I - R^T R) / 2.
+    """One Newton iteration for the nearest rotation, R (3 I - R^T R) / 2.
 
-    Products of rotations drift from SO(3) by rounding; one iteration squares that drift away.
+    Products of rotations drift from SO(3) by round-off. The iteration is quadratic: one is enough.
     """
     x, y, z = (rot[0], rot[3], rot[6]), (rot[1], rot[4], rot[7]), (rot[2], rot[5], rot[8])
     xy, xz, yz = -0.5 * dot3(x, y), -0.5 * dot3(x, z), -0.5 * dot3(y, z)
@@ -57,7 +57,7 @@ def orthonormal(rot):
 
 @kernel
 def turn_status(squared):
-    """OK, or why a turn within a step is refused; its square in rad^2."""
+    """Status for the rotation within a step, given as its square in rad^2."""
     if squared < LARGEST_ROTATION * LARGEST_ROTATION:
         return OK
     if squared < math.inf:
@@ -77,7 +77,7 @@ def copy_state(source_pose, source_twist, pose_out, twist_out):
 
 @kernel
 def is_finite(pose, twist):
-    """True when no number of a state is NaN or infinite."""
+    """True if all numbers of a state are finite."""
     total = 0.0
     for i in range(len(pose)):
         for c in range(pose.shape[1]):

@@ -1,20 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A step that works where an implicit method has failed: found by trying."""
+"""Search for a step size that works after an implicit method has failed."""
 
 import math
 
 from liegroup_core.status import OK
 
-# Parts of the failed step that are tried first, how often the place between a step that works and
-# one that does not is halved after that, and the part of what was found that is recommended: the
-# motion goes on, and may ask for a little less.
+# Fractions of the failed step that are tried first, number of bisections between a step that works
+# and one that fails, and safety factor of the recommended step.
 SMALLEST_PART, HALVINGS, PART = 1e-9, 6, 0.95
 
 
 def step_that_works(integrator, h, pose, twist, external):
-    """A step below h, s, two digits, that the integrator can take from a state; None: not found.
+    """Step below h, s, two digits, that the integrator can take from a state; None: not found.
 
-    pose (n, 12), twist (n, 6), external (n, 6): stay as they are; the integrator is restarted
+    pose (n, 12), twist (n, 6), external (n, 6): not changed; the integrator is restarted
     """
     work = integrator.work
     kept = work.report.copy(), work.angle.copy()
@@ -48,6 +47,6 @@ def step_that_works(integrator, h, pose, twist, external):
 
 
 def _two_digits(value):
-    """The value rounded down to two digits."""
+    """Value rounded down to two digits."""
     unit = 10.0 ** (math.floor(math.log10(value)) - 1)
     return float(f"{math.floor(value / unit + 1e-9) * unit:.2g}")

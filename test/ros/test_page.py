@@ -11,7 +11,7 @@ from browser import CHROMIUM, Browser
 from made_run import PAIR, record
 
 from liegroup_core import load_scene
-from liegroup_core.scene import values
+from liegroup_core.fields import values
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.recording.read import read_recording

@@ -11,7 +11,7 @@ from liegroup_core.compiling import kernel
 
 @kernel
 def lu_factorise(matrix, pivots):
-    """LU factors with row exchanges in place; False for a matrix that has none."""
+    """LU factors with row exchanges, in place; False for a singular matrix."""
     size = len(pivots)
     for k in range(size):
         best = k
@@ -35,7 +35,7 @@ def lu_factorise(matrix, pivots):
 
 @kernel
 def lu_solve(matrix, pivots, x):
-    """Solve with the factors of `lu_factorise`, in place of the right-hand side x."""
+    """Solve with the factors of `lu_factorise`; x is the right-hand side, then the solution."""
     size = len(pivots)
     for k in range(size):
         x[k], x[pivots[k]] = x[pivots[k]], x[k]

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Equations of one step of the generalised-alpha method, see generalized_alpha.py.
 
-Unknowns x = (Vdot_1, lambda). They give the end of the step, `move`, and what is left there of
+The unknowns x = (Vdot_1, lambda) determine the end of the step (`move`) and the residual of
     Vdot_1 - M^-1 (Q - J^T lambda) = 0 ,   g / sigma = 0
-in m/s^2 and rad/s^2, `residual`; g are the position residuals of all rows that are solved for.
+in m/s^2 and rad/s^2 (`residual`). g: position residuals of all rows that are solved for.
 """
 
 import numpy as np
@@ -34,7 +34,7 @@ from liegroup_core.status import OK
 
 
 class Coefficients(Struct):
-    """The method's numbers."""
+    """Coefficients of the method."""
 
     alpha_m: float
     alpha_f: float
@@ -43,7 +43,7 @@ class Coefficients(Struct):
 
 
 class Memory(Struct):
-    """What the method holds beside pose, twist and Work; N = 6 n + rows."""
+    """Memory of the method besides pose, twist and Work; N = 6 n + rows."""
 
     rate: np.ndarray  # (n, 6) Vdot_0 on the group
     mean: np.ndarray  # (n, 6) a_0
@@ -68,7 +68,7 @@ def sigma(numbers, h):
 
 @kernel
 def move(model, work, memory, numbers, group, h, pose):
-    """State at the unknowns: work.stage_pose and stage_twist, memory.body_rate.
+    """Compute the state from the unknowns: work.stage_pose, work.stage_twist, memory.body_rate.
 
     returns OK, ROTATION_TOO_LARGE or NOT_FINITE
     """
@@ -114,7 +114,7 @@ def move(model, work, memory, numbers, group, h, pose):
 
 @subroutine
 def residual(model, work, memory, numbers, group, h, pose, external):
-    """Equations of one step at memory.x into memory.residual; the state as by `move`.
+    """Write the residual of one step at memory.x into memory.residual; the state as by `move`.
 
     returns OK, ROTATION_TOO_LARGE or NOT_FINITE
     """

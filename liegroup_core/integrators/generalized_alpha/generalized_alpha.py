@@ -1,25 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Generalised-alpha method on the group with the joints at position level (index 3).
+"""Generalised-alpha method on the group with position-level constraints (index 3).
 
-For stiff scenes: implicit, of order 2, with a damping of what the step cannot resolve that the
-user sets, rho_inf from 1 (none) to 0 (all of it within one step). One step, velocities V on the
-group:
+For stiff scenes: implicit, of order 2, with numerical damping of frequencies that the step does not
+resolve: rho_inf from 1 (no damping) to 0 (damped within one step). One step, with velocities V on
+the group:
     q_1 = q_0 exp psi ,   psi = h V_0 + h^2 ((1/2 - beta) a_0 + beta a_1)
     V_1 = V_0 + h ((1 - gamma) a_0 + gamma a_1)
     (1 - alpha_m) a_1 + alpha_m a_0 = (1 - alpha_f) Vdot_1 + alpha_f Vdot_0
     M Vdot_1 + J^T lambda = Q(q_1, V_1) ,   g(q_1) = 0
     alpha_m = (2 rho - 1)/(rho + 1), alpha_f = rho/(rho + 1),
     gamma = 1/2 + alpha_f - alpha_m, beta = (gamma + 1/2)^2 / 4
-Every joint stays closed to rounding, on both groups and at every step size, without stabilisation
-(test/verification/test_orders.py); velocities of the joints are off by O(h^2). On SO(3) x R^3 V is
-(omega, rdot), see rkmk.py.
+All constraints are satisfied to machine precision at position level, on both groups and at every
+step size, without stabilisation (test/verification/test_orders.py). Velocity residuals are O(h^2).
+On SO(3) x R^3 V is (omega, rdot), see munthe_kaas.py.
 
-Newton's method in x = (Vdot_1, lambda): with sigma = d psi/d Vdot_1 the joints' equations are
-g / sigma = 0, which makes the matrix [[I, M^-1 J^T], [J, 0]] plus O(h): it does not degenerate for
-small steps as the one for psi does. The matrix is taken by differences, so every kind of force is
-treated implicitly without formulas of its own. It is dense: its factors cost (6 n + rows)^3 / 3
-multiplications, which suits some ten bodies and not a hundred. They are kept over iterations and
-steps as long as the iteration converges quickly.
+Newton's method in x = (Vdot_1, lambda): with sigma = d psi/d Vdot_1 the constraints are
+g / sigma = 0. The matrix is then [[I, M^-1 J^T], [J, 0]] plus O(h), which does not degenerate for
+small steps like the matrix for psi. The matrix comes from finite differences, so that all forces
+are implicit without further formulas. It is dense: its factorisation takes (6 n + rows)^3 / 3
+multiplications, suitable for about ten bodies, not for a hundred. The factors are reused over
+iterations and steps as long as the iteration converges quickly.
 
 Source: Bruels, Cardona and Arnold, Mech. Mach. Theory 48 (2012) 121-137, table 1; the scaling
 after Bottasso, Bauchau and Cardona, J. Comput. Nonlinear Dyn. 2 (2007).
@@ -41,13 +41,13 @@ from liegroup_core.status import DEPENDENT_ROWS, NOT_CONVERGED, NOT_FINITE, OK, 
 from .dense_lu import lu_factorise, lu_solve
 from .equations import Coefficients, Memory, move, residual, sigma
 
-# Newton's method ends when a correction of the poses, rad and m, is this part of the largest
-# coordinate or of 1: some ten roundings. What is left of it in a pose is 2 / h times that in the
-# velocity. Where rounding is larger, corrections stop shrinking: then so many times that.
+# Newton's method ends when the correction of the poses, rad and m, is below this fraction of the
+# largest coordinate or of 1: about ten times round-off. Its effect on velocities is larger by 2 / h.
+# If round-off is larger, corrections stop decreasing: then the bound is this multiple.
 TOLERANCE, STUCK = 2e-15, 100.0
-# New factors are made when a correction is more than SLOW times the one before; a correction is
-# halved when the next one is more than GROWTH times as large. Some growth must pass: a stiff
-# spring that the first guess stretches pulls so hard that corrections grow before they shrink.
+# The matrix is factorised again if a correction exceeds SLOW times the one before. A correction is
+# halved if the next one exceeds GROWTH times it. Some growth is allowed: if the initial guess
+# stretches a stiff spring, corrections increase before they decrease.
 SLOW, GROWTH = 0.1, 10.0
 MOST_ITERATIONS = 50
 DISPLACEMENT = 1e-7  # rad and m, of a pose for differences: half the digits are right
@@ -55,7 +55,7 @@ DISPLACEMENT = 1e-7  # rad and m, of a pose for differences: half the digits are
 
 @kernel
 def _differentiate(model, work, memory, numbers, group, h, pose, external):
-    """Factors of the residual's derivative at memory.x, whose residual is memory.base."""
+    """Factorise the residual's derivative at memory.x, where the residual is memory.base."""
     rates = 6 * len(model.bodies)
     for c in range(len(memory.x)):
         kept = memory.x[c]
@@ -73,11 +73,11 @@ def _differentiate(model, work, memory, numbers, group, h, pose, external):
 
 @kernel
 def _correct(model, memory, numbers, h):
-    """Correction for the residual in memory.next, in its place; its largest displacement."""
+    """Replace the residual in memory.next by the correction; returns its largest displacement."""
     lu_solve(memory.matrix, memory.pivots, memory.next)
     largest = 0.0
     for k in range(6 * len(model.bodies)):
-        # NaN becomes the largest, and stays it.
+        # NaN propagates.
         if not abs(memory.next[k]) <= largest:
             largest = abs(memory.next[k])
     return largest * sigma(numbers, h)
@@ -101,7 +101,7 @@ def _tolerance(model, pose):
 
 @kernel
 def _newton(model, work, memory, numbers, group, h, pose, external):
-    """Solve one step for memory.x, from memory.x on; returns a status."""
+    """Solve one step for memory.x, starting from memory.x; returns a status."""
     size = len(memory.x)
     tolerance = _tolerance(model, pose)
     for k in range(size):
@@ -117,7 +117,7 @@ def _newton(model, work, memory, numbers, group, h, pose, external):
             correction = _correct(model, memory, numbers, h)
         if (STUCK * tolerance < previous < math.inf) and not correction < GROWTH * previous:
             if old_factors:
-                # They have led astray: begin again with new ones.
+                # Diverged with old factors: restart with new ones.
                 old_factors = memory.factored[0] = False
                 previous = math.inf
                 for k in range(size):
@@ -155,7 +155,7 @@ def advance(model, work, memory, numbers, group, h, steps, pose, twist, external
     """Take `steps` steps of size h in place of pose (n, 12) and twist (n, 6).
 
     external (n, 6) : applied wrenches in body axes, constant over these steps
-    returns (steps done, status), as rkmk.advance does; when status is not OK, memory is of no use
+    returns (steps done, status), as for rkmk; if status is not OK, memory is invalid
     """
     pose, twist, external = borrowed(pose), borrowed(twist), borrowed(external)
     n = len(model.bodies)
@@ -195,12 +195,12 @@ def advance(model, work, memory, numbers, group, h, steps, pose, twist, external
 
 
 class GeneralizedAlpha:
-    """The method on a model: its memory, and what lasts between calls.
+    """Generalised-alpha method for a model, with its memory between calls.
 
     rho_inf : spectral radius at infinite step size, 0..1
 
-    What lasts is Vdot, its mean a, lambda and the factors. They start from the index-1
-    accelerations after `restart`, after a failed step, and where wrenches or the step size jump.
+    The memory has Vdot, its mean a, lambda and the factors. It is initialised from the index-1
+    accelerations after `restart`, after a failed step, and when wrenches or the step size change.
     """
 
     kernels = "generalized_alpha"
@@ -235,22 +235,22 @@ class GeneralizedAlpha:
         self._model, self._group = model, GROUPS[group]
         self.work = make_work(model, 1)
         self._advance = SameTypes(advance)
-        # Step size and wrenches for which Vdot, a and lambda were started; NaN: not at all.
+        # Step size and wrenches for which the memory was initialised; NaN: it was not.
         self._started_for = np.zeros(1 + 6 * n + len(self.work.acting))
         self.restart()
 
     @staticmethod
     def options(method):
-        """{name: (default, what it may be, check)} of the options this method takes."""
+        """{name: (default, description of valid values, check)} of the method's options."""
         return {"rho_inf": (0.8, "a number from 0 to 1", _is_part)}
 
     def restart(self):
-        """Forget what lasts between calls: the state is a new one."""
+        """Clear the memory between calls: the state was set."""
         self._started_for[:] = np.nan
 
     @property
     def memory(self):
-        """The arrays that last between calls."""
+        """Arrays of the memory between calls."""
         return (self._started_for, *self._memory.values())
 
     def advance(self, h, steps, pose, twist, external):
@@ -278,7 +278,7 @@ class GeneralizedAlpha:
         return done, status
 
     def _start(self, h, pose, twist, external):
-        """Vdot, a and lambda from the index-1 equations; -1, or the joint whose rows depend."""
+        """Initialise Vdot, a, lambda from the index-1 equations; -1, or the joint with dependent rows."""
         work, memory = self.work, self._memory
         dependent = accelerations(self._model, work, pose, twist, external)
         if dependent < 0:
@@ -295,10 +295,10 @@ class GeneralizedAlpha:
         return dependent
 
     def _shift_mean(self, h, pose, twist, external):
-        """Move a from Vdot to where it belongs, alpha_m - alpha_f steps on, by a trial step.
+        """Shift a by alpha_m - alpha_f steps from Vdot, by a trial step.
 
-        A step that begins with a = Vdot is of first order only: with wrenches that change at every
-        step the whole run would be.
+        A step that starts with a = Vdot is only of order 1. If wrenches change at every step, the
+        whole run would be.
         """
         memory, angle = self._memory, self.work.angle.copy()
         rate, x = memory.rate.copy(), memory.x.copy()
@@ -314,7 +314,7 @@ class GeneralizedAlpha:
             twist.copy(),
             external,
         )
-        # A trial that fails leaves the rate as it is.
+        # If the trial fails, a is unchanged.
         shift = self._numbers.alpha_m - self._numbers.alpha_f
         memory.mean[:] = rate + shift * (memory.rate - rate)
         memory.rate[:], memory.x[:], self.work.angle[:] = rate, x, angle

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""RATTLE for mechanisms: symmetric, keeps constraints at the positions and velocities."""
+"""RATTLE for mechanisms: symmetric; satisfies constraints of positions and velocities."""

@@ -1,27 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""RATTLE for mechanisms: variational, symmetric, its joints closed in every step.
+"""RATTLE for mechanisms: variational, symmetric, satisfies all constraints in every step.
 
-Unknowns halfway are the velocities V' = (w', v'), components in the axes of the start. One step,
-Q the wrenches of applied_wrench, gravity and forces, M = diag(I, m), from (R, r, V) to the next:
-    M V' = M V + (h/2) (Q - J^T lambda)                     lambda so that all joints are closed
+The unknowns are the velocities V' = (w', v') at half step, in the axes of the start. One step from
+(R, r, V), with the wrenches Q of gravity, forces and external wrenches, M = diag(I, m):
+    M V' = M V + (h/2) (Q - J^T lambda)                     lambda: all joints satisfied
     R+ = R exp x ,  h I w' = dexpinv_{-x} I x ,  r+ = r + h R v'                    at R+, r+
-    M V+ = M V'+ + (h/2) (Q+ - J+^T mu)                     mu so that J+ V+ = 0
-with V'+ what M V' is in the axes of the end: I w'+ = exp(-x) I w', v'+ = exp(-x) v'. The step is
-that of the discrete Lagrangian with the kinetic energy of the constant velocity (x/h, (r+ - r)/h)
-and the potential energy halved between both ends; J^T lambda acts at the start and J+^T mu at the
-end, as in RATTLE. So, shown by test/verification/test_constrained_geometric.py,
-  * it is of order 2 and symmetric: a step h and a step -h lead back, to rounding, with forces of
-    velocity too, for V+ in Q+ is solved for;
-  * it is symplectic where all forces have a potential: energy stays within O(h^2) of its start
-    and does not drift. Other symmetric turns are compared in docs/explanation/long_runs.md;
-  * joints are closed and J V = 0 to rounding; momentum that joints and forces leave is kept to
-    rounding.
-Steps g_1 h, ..., g_k h one after the other with symmetric g, sum g = 1, are one step of higher
-order of the same properties, see SUBSTEPS. docs/explanation/long_runs.md compares them with rkmk4 and rkmk8.
+    M V+ = M V'+ + (h/2) (Q+ - J+^T mu)                     mu: J+ V+ = 0
+V'+ is M V' in the axes of the end: I w'+ = exp(-x) I w', v'+ = exp(-x) v'. This is the step of the
+discrete Lagrangian with the kinetic energy of the constant velocity (x/h, (r+ - r)/h) and half of
+the potential energy at each end; J^T lambda acts at the start and J+^T mu at the end, as in RATTLE.
+Properties, shown by test/verification/test_constrained_geometric.py:
+  * order 2 and symmetric: a step h followed by a step -h returns to the start, to machine
+    precision. This includes forces that depend on velocity: the equation for V+ in Q+ is solved
+  * symplectic if all forces have a potential: the energy error is O(h^2) and does not drift. Other
+    symmetric maps are compared in docs/explanation/long_runs.md
+  * constraints and J V = 0 are satisfied to machine precision; momentum components that joints and
+    forces do not change are conserved to machine precision
+Steps g_1 h, ..., g_k h with symmetric g, sum g = 1, compose a step of higher order with the same
+properties, see SUBSTEPS. docs/explanation/long_runs.md compares them with rkmk4 and rkmk8.
 
-Lambda is found by Broyden's method in J V', which starts with the saddle-point matrix of the start
-of the step: it is eliminated once a step, all else are substitutions. Poses move on SO(3) x R^3
-whichever group the simulation names.
+Broyden's method finds lambda, in terms of J V', from the saddle-point matrix at the start of the
+step: one elimination per step, otherwise substitutions. The configuration group is SO(3) x R^3 for
+every `group` of the simulation.
 
 Source: Andersen, J. Comput. Phys. 52 (1983) 24-34; Marsden and West, Acta Numerica 2001, 3.5.2;
 Bou-Rabee and Marsden, Found. Comput. Math. 9 (2009) 197-219 for the turn.
@@ -61,7 +61,7 @@ from .solve import loads, respond
 
 
 def _mirrored(*half):
-    """Symmetric substeps from the first half of them and the middle one."""
+    """Symmetric sequence of substeps from its first half and its middle."""
     return np.array([*half[:-1], *half[::-1]])
 
 
@@ -85,16 +85,16 @@ SUBSTEPS = {
 }
 
 MOST_ITERATIONS = 50
-# Corrections that Broyden's method remembers before it begins anew.
+# Corrections that Broyden's method stores before it restarts.
 REMEMBERED = 8
-# Forces of velocity are repeated until they change no velocity by more than this part of the
-# largest; where rounding is larger, until changes of so many times that no longer come down.
+# Forces that depend on velocity are iterated until no velocity changes by more than this fraction
+# of the largest. If round-off is larger: until changes below this multiple stop decreasing.
 TOLERANCE, STUCK = 1e-15, 100.0
 MOST_REPEATS = 100
 
 
 class Memory(Struct):
-    """What the method holds beside pose, twist and Work; the last three make first guesses."""
+    """Memory of the method besides pose, twist and Work; the last three are for initial guesses."""
 
     half: np.ndarray  # (n, 6) V', then V'+
     turn: np.ndarray  # (n, 3) rad, x
@@ -109,7 +109,7 @@ class Memory(Struct):
 
 @kernel
 def _place(model, work, memory, h):
-    """Poses at the end of a substep for V' as it is now: work.stage_pose. Returns a status."""
+    """Poses at the end of a substep for the present V': work.stage_pose. Returns a status."""
     for i in range(len(model.bodies)):
         inertia = matrix3(model.bodies[i]["inertia"])
         momentum = matvec3(inertia, load3(memory.half, i, 0))
@@ -142,9 +142,9 @@ def _place(model, work, memory, h):
 
 @kernel
 def _guess(memory, h):
-    """J V' as the last substeps let expect, into memory.target. Returns s since the last one.
+    """Extrapolate J V' from the last substeps into memory.target; returns s since the last one.
 
-    (2/h) J V' is the joints' acceleration h/3 after the start of a substep, up to O(h^2).
+    (2/h) J V' is the constraint acceleration h/3 after the start of a substep, up to O(h^2).
     """
     since = (2.0 * memory.size[0] + h) / 3.0
     for r in range(len(memory.bias)):
@@ -154,8 +154,8 @@ def _guess(memory, h):
 
 @kernel
 def _remember(memory, h, since):
-    """What `_guess` wants to know of a finished substep, whose J V' is in memory.target."""
-    # Substeps that go back may meet at nearly the same time: too near for a difference.
+    """Store J V' of a finished substep, in memory.target, for `_guess`."""
+    # Backward substeps may be at nearly the same time: too close for a difference.
     differ = memory.size[0] != 0.0 and abs(since) > 0.2 * abs(h)
     for r in range(len(memory.bias)):
         now = 2.0 / h * memory.target[r]
@@ -167,9 +167,9 @@ def _remember(memory, h, since):
 
 @kernel
 def _correct(model, work, memory, h, k):
-    """Correction number k of J V' for the residuals in work.gap, into memory.corrections.
+    """Write correction k of J V' for the residuals in work.gap into memory.corrections.
 
-    Its square is d gap / d (J V') = h + O(h^2): Broyden's method with h to start from.
+    The square Jacobian is d gap / d (J V') = h + O(h^2): Broyden's method starts from h.
     """
     step, rows = memory.corrections, len(model.row_residual)
     for r in range(rows):
@@ -179,9 +179,9 @@ def _correct(model, work, memory, h, k):
 
 @kernel
 def _first_half(model, work, memory, h, fresh):
-    """V' and the pose at the end, with all joints closed. Returns a status.
+    """V' and the pose at the end, with all joints satisfied. Returns a status.
 
-    fresh : the saddle-point matrix of the start is not there yet
+    fresh : True: the saddle-point matrix at the start must be computed
     """
     n, rows = len(model.bodies), len(model.row_residual)
     since = _guess(memory, h)
@@ -215,7 +215,7 @@ def _first_half(model, work, memory, h, fresh):
             _remember(memory, h, since)
             return OK
         position_residuals(model, work.stage_pose, work.gap)
-        # Closed to some roundings: one correction more leaves rounding that has no preferred sign.
+        # At round-off level: after one more correction the round-off has no preferred sign.
         closed = is_closed(model, work, work.stage_pose)
         k = iteration % REMEMBERED
         _correct(model, work, memory, h, k)
@@ -237,7 +237,7 @@ def _first_half(model, work, memory, h, fresh):
 
 @kernel
 def _carry(model, work, memory, h):
-    """V'+ into memory.half; work.stage_twist becomes a first guess of V+, 2 V'+ - V."""
+    """Write V'+ into memory.half, and the initial guess 2 V'+ - V of V+ into work.stage_twist."""
     for i in range(len(model.bodies)):
         inertia = matrix3(model.bodies[i]["inertia"])
         inverse = matrix3(model.bodies[i]["inverse_inertia"])
@@ -254,9 +254,9 @@ def _carry(model, work, memory, h):
 
 @kernel
 def _new_impulse(model, work, memory, h):
-    """Impulse of what Q+ has changed by, work.wrench, against memory.load, which follows.
+    """Impulse of the change of Q+, from memory.load to work.wrench; memory.load is updated.
 
-    returns (largest component of the velocity that it gives a body, and that of work.stage_twist)
+    returns (largest component of the velocity change of a free body, and of work.stage_twist)
     """
     apart = speed = 0.0
     for i in range(len(model.bodies)):
@@ -267,7 +267,7 @@ def _new_impulse(model, work, memory, h):
         dw = matvec3(matrix3(model.bodies[i]["inverse_inertia"]), load3(memory.impulse, i, 0))
         dv = scale3(model.bodies[i]["inverse_mass"], load3(memory.impulse, i, 3))
         for c in range(3):
-            # NaN becomes the largest, and stays it.
+            # NaN propagates.
             if not abs(dw[c]) <= apart:
                 apart = abs(dw[c])
             if not abs(dv[c]) <= apart:
@@ -294,7 +294,7 @@ def _second_half(model, work, memory, h, external):
             return OK
         else:
             previous = apart
-        # The first brings J V+ to zero, the others change it no more.
+        # The first iteration makes J V+ zero; later ones do not change it.
         status = respond(
             model,
             work,
@@ -317,8 +317,7 @@ def advance(model, work, memory, parts, h, steps, pose, twist, external):
 
     parts           : of SUBSTEPS
     external (n, 6) : applied wrenches in body axes, constant over these steps
-    returns (steps done, status), as rkmk.advance does; when status is not OK, the guesses in
-    memory are of no use
+    returns (steps done, status), as for rkmk; if status is not OK, the guesses are invalid
     """
     pose, twist, external, parts = (
         borrowed(pose),
@@ -359,7 +358,7 @@ def advance(model, work, memory, parts, h, steps, pose, twist, external):
 
 
 class Constrained:
-    """A method of the family on a model: its memory, and guesses that last between calls."""
+    """RATTLE method for a model, with its memory and initial guesses between calls."""
 
     kernels = "constrained"
     substeps = (0, 0)
@@ -385,17 +384,17 @@ class Constrained:
 
     @staticmethod
     def options(method):
-        """{name: (default, what it may be, check)}: there are none."""
+        """Options of the method: none."""
         return {}
 
     def restart(self):
-        """Forget the guesses: the state is a new one."""
+        """Clear the initial guesses: the state was set."""
         for guess in self.memory:
             guess[:] = 0.0
 
     @property
     def memory(self):
-        """The arrays that last between calls."""
+        """Arrays of the memory between calls."""
         return self._memory.bias, self._memory.growth, self._memory.size
 
     def advance(self, h, steps, pose, twist, external):

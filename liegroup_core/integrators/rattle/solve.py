@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a step of constrained.py asks of forces and joints, each compiled once."""
+"""Evaluations of forces and joints for a step of rattle.py, each compiled once."""
 
 from liegroup_core.compiling import borrowed, subroutine
 from liegroup_core.forces.gravity import add_wrench as add_gravity
@@ -12,7 +12,7 @@ from liegroup_core.status import DEPENDENT_ROWS, OK
 
 @subroutine
 def loads(model, work, pose, twist, external):
-    """Sum of all wrenches without gyroscopic terms into work.wrench (n, 6)."""
+    """Write the sum of all wrenches without gyroscopic terms into work.wrench (n, 6)."""
     pose, twist, external = borrowed(pose), borrowed(twist), borrowed(external)
     for i in range(len(model.bodies)):
         for c in range(6):
@@ -23,7 +23,7 @@ def loads(model, work, pose, twist, external):
 
 @subroutine
 def respond(model, work, impulse, target, fresh, less, pose, twist, velocity_out):
-    """Add to velocity_out (n, 6) what bodies do under an impulse, with the joints' answer to it.
+    """Add the velocity change (n, 6) of all bodies under an impulse and the joints' reactions.
 
     Solves M dV + J^T lambda = impulse, J dV = target - less J V.
     impulse (n, 6), target (rows,)

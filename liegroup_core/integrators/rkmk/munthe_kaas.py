@@ -7,16 +7,16 @@ One step of (6.25), stages j = 1..s, on G x R^6n with G = SE(3)^n or (SO(3) x R^
 On the vector part (velocities) exp and dexp are the identity. On SO(3) x R^3 the velocity of the
 group is (omega in body axes, rdot in WORLD axes): (6.26) and the note to it.
 
-The number of stages is data: all tableaux share one compiled `advance`. A tableau with an error
-estimate divides each step into substeps:
+The number of stages is data, so that all tableaux share one compiled `advance`. A tableau with an
+error estimate divides each step into substeps:
     delta = h sum_j e_j k_j ,   k_s+1 = dexp^-1_{-Psi} F(X_1) ,   Psi = h sum_j b_j k_j
 is the difference of two such methods in the algebra, one screw (dxi, deta) and one twist
-difference (dw, dv) for every body. A substep is good when for every body
+difference (dw, dv) for every body. A substep is accepted if for every body
     |dxi|^2/atol^2 + |deta|^2/atol^2 + |dw|^2/tol_w^2 + |dv|^2/tol_v^2 <= 1
     tol_w = atol + rtol max(|w_0|, |w_1|),   tol_v = atol + rtol max(|v_0|, |v_1|)
-in rad, m, rad/s and m/s. A pose has no natural size (where the world's origin is must not matter),
-so its error is held absolutely. The largest body counts and not a mean, which would let a single
-fast body hide among many slow ones.
+in rad, m, rad/s and m/s. Errors of poses have an absolute tolerance: they must not depend on the
+world's origin. The body with the largest error decides, not a mean, which would hide one fast body
+among many slow ones.
 """
 
 import math
@@ -32,15 +32,15 @@ from liegroup_core.status import DEPENDENT_ROWS, OFF_PLANE, OK, SUBSTEP_TOO_SMAL
 
 from . import spaces
 
-# Bounds of one change of the substep, and how far below the tolerance the next error is aimed.
+# Bounds of one change of the substep, and safety factor of the next error.
 LARGEST_GROWTH, LARGEST_CUT, SAFETY = 5.0, 0.2, 0.9
-# A substep is never smaller than this part of a step, and a step has no more of them.
+# Smallest substep as a fraction of a step; its inverse is the largest number of substeps.
 SMALLEST_SUBSTEP = 1e-9
 MOST_SUBSTEPS = 100_000
 
 
 class Scheme(Struct):
-    """A tableau of s stages and what else tells one Munthe-Kaas method from another."""
+    """Data of a Munthe-Kaas method: tableau of s stages, series of dexpinv, tolerances."""
 
     a: np.ndarray  # (s + 1, s) the tableau's a, below it its b
     error: np.ndarray  # (1, s + 1) weights of the error estimate, or (0, s + 1): none
@@ -51,10 +51,10 @@ class Scheme(Struct):
 
 @kernel
 def _change(error):
-    """Factor of the substep that brings its error next to 1: 0.9 error^(-3/16), within bounds.
+    """Factor of the next substep for an error near 1: 0.9 error^(-3/16), within bounds.
 
-    The estimate is of fourth order: error ~ h^5. In place of 1/5 stands 3/16, made of square
-    roots: they round alike on every machine, so that a run repeats bit for bit there too.
+    The estimate is of fourth order: error ~ h^5. The exponent 3/16 instead of 1/5 needs only square
+    roots, which are bit-identical on every machine; so is then the run.
     """
     if not error < 1e4:
         return LARGEST_CUT
@@ -64,9 +64,9 @@ def _change(error):
 
 @kernel
 def _judge(model, work, scheme, h, size, status, twist, control):
-    """Whether a substep of so much of a step h was good, and the size of the next.
+    """Accept or reject a substep, a given part of a step h, and set the size of the next one.
 
-    returns (status, True when it was good): not OK where no smaller substep will be tried
+    returns (status, accepted): status is not OK if no smaller substep is allowed
     """
     error = math.inf
     if status == OK:
@@ -83,7 +83,7 @@ def _judge(model, work, scheme, h, size, status, twist, control):
 
 @kernel
 def _keep(work, pose, twist, control):
-    """Remember the state at the start of a step that is taken in substeps."""
+    """Save the state at the start of a step that is taken in substeps."""
     copy_state(pose, twist, work.start_pose, work.start_twist)
     for i in range(len(work.angle)):
         work.start_angle[i] = work.angle[i]
@@ -92,7 +92,7 @@ def _keep(work, pose, twist, control):
 
 @kernel
 def _restore(work, pose, twist, control):
-    """Back to the state that `_keep` has kept."""
+    """Restore the state saved by `_keep`."""
     copy_state(work.start_pose, work.start_twist, pose, twist)
     for i in range(len(work.angle)):
         work.angle[i] = work.start_angle[i]
@@ -105,16 +105,15 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
 
     model, work     : Model and Work, or PlanarModel and PlanarWork
     external (n, 6) : applied wrenches in body axes, constant over these steps
-    control (4,)    : next substep in s, numbers of good substeps and of all attempts so far, next
+    control (4,)    : next substep in s, numbers of accepted and of attempted substeps so far, next
                       substep at the start of the step; only for schemes with error control
-    returns (steps done, status): fewer than asked also where work.report[3] becomes MET, see
-    model.arrays; fewer when status is not OK (low byte; the rest names
-    the element of DEPENDENT_ROWS or the torsional spring of TURNS_NOT_COUNTED). Pose, twist and
-    work.angle are then those of the last good step. OFF_PLANE: the state does not lie in the plane
-    of a PlanarModel, nothing is done.
+    returns (steps done, status): fewer steps if status is not OK, or if work.report[3] becomes MET
+    (model.arrays). The low byte of status is the code; the rest is the element of DEPENDENT_ROWS or
+    the torsional spring of TURNS_NOT_COUNTED. Pose, twist and work.angle are then those of the last
+    valid step. OFF_PLANE: the state is not in the plane of a PlanarModel; it is unchanged.
 
-    Steps, substeps and stages are loops of one function: the mechanics are compiled once more for
-    every place they are inlined into.
+    Steps, substeps and stages are loops of one function, because the mechanics are inlined, and so
+    compiled, at every call.
     """
     pose_in, twist_in = borrowed(pose_in), borrowed(twist_in)
     external_in, control = borrowed(external_in), borrowed(control)
@@ -188,12 +187,12 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
 
 
 class MuntheKaas:
-    """Any tableau of METHODS on a model: its memory, its options and what lasts between calls.
+    """Munthe-Kaas method of a tableau of METHODS for a model, with its memory between calls.
 
     dexpinv    : "exact", or "truncated" to the powers of ad that the method's order needs
-    space      : "auto": a mechanism that its joints hold in a plane is integrated there, see
-                 planar.build; "space": it is not
-    rtol, atol : tolerance of error control, only for a tableau that has one; see above
+    space      : "auto": a planar mechanism is integrated in its plane, see planar.build; "space":
+                 always in space
+    rtol, atol : tolerances of error control, only for a tableau with an estimate; see above
     """
 
     def __init__(self, method, layout, group, step, options):
@@ -224,7 +223,7 @@ class MuntheKaas:
 
     @staticmethod
     def options(method):
-        """{name: (default, what it may be, check)} of the options this method takes."""
+        """{name: (default, description of valid values, check)} of the method's options."""
         kinds = ("exact", "truncated")
         spaces = ("auto", "space")
         found = {
@@ -236,11 +235,11 @@ class MuntheKaas:
         return found
 
     def restart(self):
-        """Forget what lasts between calls: the state is a new one."""
+        """Clear the memory between calls: the state was set."""
         self._control[:] = self._longest, 0.0, 0.0, self._longest
 
     def tighten(self, part):
-        """From here on tolerances are this part of those of the options."""
+        """Set the tolerances to this fraction of those of the options."""
         if part not in self._schemes:
             given = self._schemes[1.0]
             self._schemes[part] = given.replace(rtol=part * given.rtol, atol=part * given.atol)
@@ -248,12 +247,12 @@ class MuntheKaas:
 
     @property
     def memory(self):
-        """The arrays that last between calls: none without error control."""
+        """Arrays of the memory between calls; none without error control."""
         return (self._control,) if self.controlled else ()
 
     @property
     def substeps(self):
-        """Numbers of good substeps and of attempts since the restart; 0 without error control."""
+        """Numbers of accepted and attempted substeps since the restart; 0 without error control."""
         return int(self._control[1]), int(self._control[2])
 
     def advance(self, h, steps, pose, twist, external):

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a Munthe-Kaas step does with bodies in a plane: states on SE(2)^n or (SO(2) x R^2)^n.
+"""Operations of a Munthe-Kaas step for planar bodies: states on SE(2)^n or (SO(2) x R^2)^n.
 
-The same steps as integrators.spatial takes, written for a rotation axis that stays: a stage gives
-the same numbers but for rounding (test/core/test_planar.py). On SO(2) x R^2, which is
-commutative, exp is a turn and a shift, and dexp the identity.
+The same steps as in spatial.py, written for a constant axis of rotation: a stage gives the same
+numbers except for round-off (test/core/test_planar.py). SO(2) x R^2 is commutative: exp is a
+rotation and a translation, dexp the identity.
 """
 
 import math
@@ -31,8 +31,8 @@ from liegroup_core.status import (
 
 @kernel
 def enter(model, work, pose, twist, external):
-    """The planar state in the caller's arrays; OFF_PLANE if it is none."""
-    # Forces and projection find there where a body is along the normal.
+    """Planar state from the caller's arrays; OFF_PLANE if there is none."""
+    # Forces and projection need the positions along the normal.
     copy_state(pose, twist, work.space.stage_pose, work.space.stage_twist)
     wrench_to_plane(model, external, work.external)
     status = to_plane(model, pose, twist, work.pose, work.twist)
@@ -41,8 +41,8 @@ def enter(model, work, pose, twist, external):
 
 @kernel
 def leave(model, work, pose, twist, pose_out, twist_out):
-    """The planar state back into the caller's arrays."""
-    # Where a body is along the normal only projection changes, in space.
+    """Write the planar state back to the caller's arrays."""
+    # Only projection, in space, changes positions along the normal.
     copy_state(work.space.stage_pose, work.space.stage_twist, pose_out, twist_out)
     to_space(model, pose, twist, pose_out, twist_out)
 
@@ -61,7 +61,7 @@ def begin(model, work, group, pose, twist):
 
 @kernel
 def _increment(h, weights, row, stages, slopes, n, i):
-    """h sum_l weights[row, l] k_l of body i over so many stages: six numbers."""
+    """h sum_l weights[row, l] k_l of body i over the given number of stages: six numbers."""
     xi, ex, ey, dw, dx, dy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for stage in range(stages):
         weight = weights[row, stage]
@@ -78,7 +78,7 @@ def _increment(h, weights, row, stages, slopes, n, i):
 
 @kernel
 def move(model, work, scheme, group, h, stage, end, pose):
-    """Place all bodies at X_0 exp Psi of a stage; see integrators.spatial.move."""
+    """Set all bodies to X_0 exp Psi of a stage; see spatial.move."""
     n = len(model.bodies)
     for i in range(n):
         xi, ex, ey, dw, dx, dy = _increment(h, scheme.a, stage, stage, work.slopes, n, i)
@@ -117,7 +117,7 @@ def move(model, work, scheme, group, h, stage, end, pose):
 
 @kernel
 def store_slopes(model, work, scheme, group, stage):
-    """k of all bodies, of a stage that has been evaluated."""
+    """Compute k of all bodies from the accelerations of a stage."""
     n = len(model.bodies)
     for i in range(n):
         row = stage * n + i
@@ -159,7 +159,7 @@ def check_end(model, work, h):
 
 @kernel
 def turns_over(model, work, h):
-    """Whether a spring may turn over in a step h after the one that is finished."""
+    """True if a spring may reverse its direction in a step h after the finished one."""
     space = work.space
     to_space(model, work.stage_pose, work.stage_twist, space.stage_pose, space.stage_twist)
     return kinds.turns_over(model.space.forces, h, space.stage_pose, space.stage_twist)
@@ -167,7 +167,7 @@ def turns_over(model, work, h):
 
 @kernel
 def error_norm(model, work, scheme, h, twist):
-    """Norm of the error estimate of a step that began with `twist`: good up to 1; see rkmk.py."""
+    """Norm of the error estimate of a step from `twist`: accepted up to 1; see munthe_kaas.py."""
     n = len(model.bodies)
     largest = 0.0
     for i in range(n):
@@ -192,7 +192,7 @@ def error_norm(model, work, scheme, h, twist):
 
 @kernel
 def close(model, work):
-    """Project the end of a step onto the constraints, in space. Returns OK or why that failed."""
+    """Project the end of a step onto the constraints, in space. Returns a status."""
     space = work.space
     to_space(model, work.stage_pose, work.stage_twist, space.stage_pose, space.stage_twist)
     status = close_joints(model.space, space)
@@ -204,7 +204,7 @@ def close(model, work):
 
 @kernel
 def count_turns(model, work):
-    """Angles of the torsional springs at the end of a step."""
+    """Unwrap the angles of the torsional springs at the end of a step."""
     if len(work.angle) > 0:
         space = work.space
         to_space(model, work.stage_pose, work.stage_twist, space.stage_pose, space.stage_twist)

@@ -1,32 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The two spaces a Munthe-Kaas method integrates in: bodies in space, or in a plane.
+"""Operations of a Munthe-Kaas step, selected by the type of the model: in space or in a plane.
 
-One driver (rkmk.py) takes the steps of both. What it needs stands in integrators/rkmk/spatial.py for a
-Model and in integrators/rkmk/planar.py for a PlanarModel; the type of the model chooses:
+munthe_kaas.py takes the steps for both. The operations are in spatial.py for a Model and in
+planar.py for a PlanarModel:
 
     enter(model, work, pose, twist, external) -> (pose, twist, external, status)
-                            the arrays to integrate, made of the caller's; not OK: nothing is done
+                            arrays to integrate, from the caller's; unchanged if not OK
     leave(model, work, pose, twist, pose_out, twist_out)
-                            the same back into the caller's arrays
+                            write them back to the caller's arrays
     begin(model, work, group, pose, twist)
-                            the state becomes stage 0: work.stage_pose, stage_twist, velocity
+                            set stage 0 to the state: work.stage_pose, stage_twist, velocity
     move(model, work, scheme, group, h, stage, end, pose) -> status
-                            the pose and twist of a later stage, or of the end of the step
+                            pose and twist of a later stage, or of the end of the step
     accelerate(model, work, external) -> int
-                            accelerations of the stage; -1, or the joint whose rows depend on
-                            others
+                            accelerations of the stage; -1, or the joint with dependent rows
     store_slopes(model, work, scheme, group, stage)
                             slopes of the stage, from its accelerations
     check_end(model, work, h) -> status
-                            whether the end of the step is finite, and its turns can be counted
+                            not OK if the end is not finite, or an angle cannot be unwrapped
     turns_over(model, work, h) -> bool
-                            whether a spring may turn over in a step after a finished one
+                            True if a spring may reverse its direction in the next step
     error_norm(model, work, scheme, h, twist) -> float
-                            error estimate of the step that began with `twist`: good up to 1
+                            error estimate of the step from `twist`: accepted up to 1
     close(model, work) -> status
                             project the end of the step onto the constraints
     count_turns(model, work)
-                            angles of torsional springs at the end of the step
+                            unwrap the angles of torsional springs at the end of the step
 """
 
 from liegroup_core.compiling import Choice

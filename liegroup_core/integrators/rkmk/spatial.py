@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a Munthe-Kaas step does with bodies in space: states on SE(3)^n or (SO(3) x R^3)^n.
+"""Operations of a Munthe-Kaas step for bodies in space: states on SE(3)^n or (SO(3) x R^3)^n.
 
-The functions of this file stand in `spaces`, where planar.motion has the same for motions in a
-plane. Their model is a Model, their work a Work.
+spaces.py lists the functions; planar.py has the same for planar mechanisms. Here `model` is a Model
+and `work` a Work.
 """
 
 import math
@@ -48,13 +48,13 @@ from liegroup_core.status import (
 
 @kernel
 def enter(model, work, pose, twist, external):
-    """The arrays to integrate: those of the caller."""
+    """Arrays to integrate: those of the caller."""
     return pose, twist, external, OK
 
 
 @kernel
 def leave(model, work, pose, twist, pose_out, twist_out):
-    """Nothing to hand back: the caller's arrays have been integrated."""
+    """Do nothing: the caller's arrays were integrated in place."""
     return
 
 
@@ -68,7 +68,7 @@ def begin(model, work, group, pose, twist):
 
 @kernel
 def _increment(h, weights, row, stages, slopes, n, i):
-    """h sum_l weights[row, l] k_l of body i over so many stages: four vectors."""
+    """h sum_l weights[row, l] k_l of body i over the given number of stages: four vectors."""
     xi, eta, dw, dv = ZERO3, ZERO3, ZERO3, ZERO3
     for stage in range(stages):
         weight = weights[row, stage]
@@ -83,11 +83,11 @@ def _increment(h, weights, row, stages, slopes, n, i):
 
 @kernel
 def move(model, work, scheme, group, h, stage, end, pose):
-    """Place all bodies at X_0 exp Psi of a stage: work.stage_pose and stage_twist.
+    """Set all bodies to X_0 exp Psi of a stage: work.stage_pose and work.stage_twist.
 
-    stage : its Psi is left in work.slopes for `store_slopes`
-    end   : True for the end of a step, where R is also brought back to SO(3), and joints to ground
-            are cleared of rounding
+    stage : its Psi is written to work.slopes for `store_slopes`
+    end   : True at the end of a step: R is also projected to SO(3), and the round-off of velocities
+            at joints to ground is removed
     returns OK, ROTATION_TOO_LARGE or NOT_FINITE
     """
     n = len(model.bodies)
@@ -120,7 +120,7 @@ def move(model, work, scheme, group, h, stage, end, pose):
 def _store_slope(work, scheme, group, n, i, stage):
     """k of body i and a stage from work.stage_pose, stage_twist and acceleration.
 
-    Psi stands where k will. In the first stage Psi = 0, and dexp^-1 is the identity.
+    k replaces Psi. In the first stage Psi = 0, and dexp^-1 is the identity.
     """
     row = stage * n + i
     w = load3(work.stage_twist, i, 0)
@@ -150,13 +150,13 @@ def _store_slope(work, scheme, group, n, i, stage):
 
 @kernel
 def accelerate(model, work, external):
-    """Accelerations of a stage. Returns -1, or the joint whose rows depend on others."""
+    """Accelerations of a stage. Returns -1, or the joint with dependent rows."""
     return accelerations(model, work, work.stage_pose, work.stage_twist, external)
 
 
 @kernel
 def store_slopes(model, work, scheme, group, stage):
-    """k of all bodies, of a stage that has been evaluated."""
+    """Compute k of all bodies from the accelerations of a stage."""
     n = len(model.bodies)
     for i in range(n):
         _store_slope(work, scheme, group, n, i, stage)
@@ -175,13 +175,13 @@ def check_end(model, work, h):
 
 @kernel
 def turns_over(model, work, h):
-    """Whether a spring may turn over in a step h after the one that is finished."""
+    """True if a spring may reverse its direction in a step h after the finished one."""
     return kinds.turns_over(model.forces, h, work.stage_pose, work.stage_twist)
 
 
 @kernel
 def error_norm(model, work, scheme, h, twist):
-    """Norm of the error estimate of a step that began with `twist`: good up to 1; see rkmk.py."""
+    """Norm of the error estimate of a step from `twist`: accepted up to 1; see munthe_kaas.py."""
     n = len(model.bodies)
     largest = 0.0
     for i in range(n):
@@ -203,11 +203,11 @@ def error_norm(model, work, scheme, h, twist):
 
 @kernel
 def close(model, work):
-    """Project the end of a step onto the constraints. Returns OK or why that failed."""
+    """Project the end of a step onto the constraints. Returns a status."""
     return close_joints(model, work)
 
 
 @kernel
 def count_turns(model, work):
-    """Angles of the torsional springs at the end of a step."""
+    """Unwrap the angles of the torsional springs at the end of a step."""
     kinds.count_turns(model.forces, work.stage_pose, work.angle)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bodies as the rotation methods see them: each turns about one point, free or held there.
+"""Bodies for the rotation methods: each rotates about one point, free or on a spherical joint.
 
-A body turns about its centre of mass where it is free, about the ball joint where it is held, with
-I = I_com + m (|d|^2 1 - d d^T), d from the joint to the centre of mass. A held body's centre of
-mass is where R puts it, r = pivot + R d, v = w x d: the joint is closed to rounding in every step.
+A free body rotates about its centre of mass. A held body rotates about its spherical joint, with
+I = I_com + m (|d|^2 1 - d d^T), d from the joint to the centre of mass. R determines the centre of
+mass of a held body, r = pivot + R d, v = w x d: the joint is satisfied to machine precision.
 """
 
 import numpy as np
@@ -40,13 +40,13 @@ SPINNER = np.dtype(
 
 @kernel
 def place(spinner, i, rot, w, r, linear, pose_out, twist_out):
-    """Set a body to R and w; to r and m R v = linear where it is free."""
+    """Set a body to R and w; a free one also to r and m R v = linear."""
     if spinner["held"] == 1:
         arm = vector3(spinner["arm"])
         r = add3(vector3(spinner["pivot"]), matvec3(rot, arm))
         v = cross3(w, arm)
     else:
-        # Not R^T alone: R is a rotation to some roundings, the same ones for many steps.
+        # Not R^T alone: R is a rotation up to round-off, which is the same for many steps.
         v = tmatvec3(rot, linear)
         v = scale3(1.0 / spinner["mass"], add3(v, tmatvec3(rot, sub3(linear, matvec3(rot, v)))))
     store9(rot, pose_out, i, 0)
@@ -72,7 +72,7 @@ def linear_momentum(spinner, pose, twist, i):
 
 
 def misfit(layout):
-    """Why a scene (layout.Layout) has other bodies, in words, or ""."""
+    """Text why a scene (layout.Layout) does not fit, or ""."""
     held = set()
     for element, owner in zip(layout.model.elements, layout.owners):
         joint = layout.scene.joints[owner]
@@ -89,7 +89,7 @@ def misfit(layout):
 
 
 def make_spinners(model):
-    """The bodies of a model as records of SPINNER."""
+    """Bodies of a model as records of SPINNER."""
     spinners = np.zeros(len(model.bodies), dtype=SPINNER)
     for name in ("mass", "inertia", "inverse_inertia"):
         spinners[name] = model.bodies[name]

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """One step of one rotating body for each method of the rotation family.
 
-Inertia I about the centre of mass, or about the fixed point of a body that is held; w angular
-velocity, y = I w, T torque about that point, all in body axes. Q is the turn of a step, R+ = R Q;
-z^ the matrix of the cross product. A step keeps the spatial angular momentum R y up to the impulse
-of the torque when y+ is exactly Q^T y plus that impulse in body axes, whatever Q is.
+Inertia I about the centre of mass, or about the fixed point of a held body; angular velocity w,
+y = I w, torque T about that point, all in body axes. Q is the rotation of a step, R+ = R Q; z^ the
+matrix of the cross product. A step conserves the spatial angular momentum R y, except for the
+impulse of the torque, if y+ is exactly Q^T y plus that impulse in body axes, for any Q.
 
 KICKED, with T at both ends and p = y + (h/2) T:
     STOERMER_VERLET  w' = I^-1 exp(-(h/2) w) p ,  Q = exp(h w') ,  y+ = Q^T p + (h/2) T+
@@ -12,11 +12,11 @@ KICKED, with T at both ends and p = y + (h/2) T:
                      y+ + (h/2) w+ x y+ = y + (h/2) I a + (h/2) T+
     RATTLE           Q = exp f ,  Q Jd - Jd Q^T = h p^ ,  Jd = tr(I)/2 - I ;  y+ as by (6.42)
     AUSTIN           y_m + (h/2) w_m x y_m = p ,  Q = cay(h w_m) ;  y+ as by (6.42)
-ITERATED, with a torque that depends on the step itself and is found by repeating it:
+ITERATED, with a torque that depends on the step itself, found by iteration:
     LIE_MIDPOINT     I w_m = exp(-(h/2) w_m) y + (h/2) T_m ,  Q = exp(h w_m)
     SIMO_WONG        Q = exp(Theta) ,  Theta = (h/2) (w + w+)
                      both: y+ = Q^T y + h exp(-(h/2) w_m) T_m or h exp(-Theta/2) T_m; T_m is the
-                     torque halfway, in the axes halfway
+                     torque at the midpoint, in the axes of the midpoint
     BOTTASSO_BORRI   Q = exp(Psi) ,  Psi = (h/2) (w + dexpinv_{-Psi} w+) ,
                      y+ = Q^T (y + (h/2) T) + (h/2) T+
 """
@@ -48,18 +48,18 @@ OFF = 32 * 2.0**-53  # of R^T R from 1: reached in about a thousand steps
 
 @subroutine
 def turn(x):
-    """exp(x) as a function of its own: there are many calls, and each would be compiled anew."""
+    """exp(x), not inlined: it has many calls, each of which would be compiled."""
     return so3_exp(x)
 
 
 @kernel
 def velocity(inertia, inverse, y):
-    """w with I w = y, rounded so that I w is not off to the same side in every step.
+    """w with I w = y, with round-off that is not biased.
 
-    In principal axes a division; else one step of refinement of I^-1 y. I^-1 alone, rounded once
-    and for all, was measured to change |I w| of a free body by 2e-10 to 6e-10 in 1e7 steps; with
-    division it is 1e-13, a random walk. With refinement it is 3e-11 to 6e-11, nearly in proportion
-    to the steps: what is rounded is w, not y, and alike for as long as the body moves alike.
+    In principal axes by division, else I^-1 y with one refinement. Measured change of |I w| of a
+    free body in 1e7 steps: with the rounded I^-1 alone 2e-10 to 6e-10; with division 1e-13, a
+    random walk; with refinement 3e-11 to 6e-11, nearly proportional to the steps, because the
+    round-off of w is correlated along a regular motion.
     """
     if inertia[1] == 0.0 and inertia[2] == 0.0 and inertia[5] == 0.0:
         return (y[0] / inertia[0], y[1] / inertia[4], y[2] / inertia[8])
@@ -69,12 +69,12 @@ def velocity(inertia, inverse, y):
 
 @kernel
 def kept(rot):
-    """R, brought back to SO(3) where roundings have taken it off by more than OFF.
+    """R, projected to SO(3) if its round-off exceeds OFF.
 
-    As `motion.orthonormal` does, but not in every step: that rounds small corrections of large
-    entries away and those of small entries not, which turns R a little, to the same side for as
-    long as the body moves alike. In every step, R was measured to turn against Y by 7e-12 rad in
-    1e7 steps, in proportion to their number; so seldom, by 2e-13, like a random walk.
+    Like `motion.orthonormal`, but not in every step: round-off suppresses small corrections of
+    large entries but not of small ones, which rotates R slightly, always in the same direction
+    along a regular motion. Measured rotation of R against Y in 1e7 steps: 7e-12 rad if applied in
+    every step, proportional to their number; 2e-13 rad with this threshold, like a random walk.
     """
     x, y, z = (rot[0], rot[3], rot[6]), (rot[1], rot[4], rot[7]), (rot[2], rot[5], rot[8])
     xx, yy, zz = 1.0 - dot3(x, x), 1.0 - dot3(y, y), 1.0 - dot3(z, z)
@@ -119,9 +119,8 @@ def cayley(x):
 def kicked_turn(rule, inertia, inverse, h, w, torque):
     """First half of a KICKED step.
 
-    returns (Q, h times the angular velocity w' that Q stands for, momentum before the last half
-    kick, True), or False at the end where there is no solution. The momentum is what y+ is,
-    or for LIE_NEWMARK its right-hand side, without (h/2) T+.
+    returns (Q, h times the angular velocity w' of Q, momentum before the last half kick, solved).
+    The momentum is y+ without (h/2) T+; for LIE_NEWMARK the same of its right-hand side.
     """
     y = matvec3(inertia, w)
     p = axpy3(0.5 * h, torque, y)
@@ -153,7 +152,7 @@ def kicked_turn(rule, inertia, inverse, h, w, torque):
 
 @kernel
 def kicked_end(rule, inertia, inverse, h, guess, q, torque):
-    """w+ of a KICKED step from its momentum q before the last half kick and T+, and if it is."""
+    """(w+, solved) of a KICKED step from T+ and its momentum q before the last half kick."""
     y = axpy3(0.5 * h, torque, q)
     if rule != LIE_NEWMARK:
         return velocity(inertia, inverse, y), True
@@ -162,12 +161,12 @@ def kicked_end(rule, inertia, inverse, h, guess, q, torque):
 
 @kernel
 def iterated_step(rule, inertia, inverse, h, guess, w, first, torque):
-    """An ITERATED step with a torque as it was found last.
+    """ITERATED step with the torque of the last iteration.
 
     guess  : (h/2) w_m, Theta or Psi, rad
     first  : T at the start of the step, only for BOTTASSO_BORRI
     torque : T_m, or T+ of BOTTASSO_BORRI
-    returns (the same as the guess, rad, found or not)
+    returns (solution for the quantity of `guess`, rad; solved)
     """
     y = matvec3(inertia, w)
     if rule == LIE_MIDPOINT:
@@ -179,10 +178,10 @@ def iterated_step(rule, inertia, inverse, h, guess, w, first, torque):
 
 @kernel
 def iterated_end(rule, inertia, inverse, h, u, w, first, torque):
-    """What the unknown u of `iterated_step` stands for.
+    """Rotations and velocities from the unknown u of `iterated_step`.
 
-    returns (rotation vector of the whole step, rotation vector and angular velocity where the
-    torque acts, w+)
+    returns (rotation vector of the whole step, rotation vector and angular velocity at the point
+    where the torque acts, w+)
     """
     y = matvec3(inertia, w)
     if rule == BOTTASSO_BORRI:
@@ -190,7 +189,7 @@ def iterated_end(rule, inertia, inverse, h, u, w, first, torque):
         end = velocity(inertia, inverse, momentum)
         return u, u, end, end
     half = u if rule == LIE_MIDPOINT else scale3(0.5, u)
-    # Momentum is carried by the turn that the body makes, not by the half one twice.
+    # Momentum is transported by the rotation of the whole step, not twice by half of it.
     whole = scale3(2.0, half)
     momentum = add3(tmatvec3(turn(whole), y), scale3(h, tmatvec3(turn(half), torque)))
     end = velocity(inertia, inverse, momentum)

@@ -6,7 +6,7 @@ Vectors in body axes, I the inertia about the centre of mass or the fixed point,
     RATTLE      (sin t/t) I x + ((1-cos t)/t^2) x x I x = c                           x in rad
     EXPONENTIAL I x + x x I x / 2 + b x x (x x I x) = c,  b = (1 - (t/2) cot(t/2))/t^2  x in rad
     INCREMENT   (2/h) I x - I dexp_{-x} v - exp(-x) a - exp(-x/2) b = c               x in rad
-All are smooth, so Newton's method doubles the digits once it is near.
+All are smooth: Newton's method converges quadratically.
 """
 
 import math
@@ -29,13 +29,13 @@ from liegroup_core.lie.vec3 import (
 
 GYROSCOPIC, RATTLE, INCREMENT, EXPONENTIAL = 0, 1, 2, 3
 
-# Where Newton's method does not get there from its start, h is raised from zero in parts between
-# these two, each solution followed by no more than so many rad from where it was expected.
+# If Newton's method does not converge from its initial guess, h is increased from zero by fractions
+# between these two. A solution may differ from its prediction by at most this many rad.
 FIRST_PART, LEAST_PART = 0.125, 1e-3
 LARGEST_MOVE = 0.25
 
-# After a correction of this part of x, or of the start, the next one would be of its square: below
-# rounding, with room for a matrix that is nearly singular.
+# After a correction of this relative size the next one is below round-off, with a margin for a
+# nearly singular matrix.
 LAST_CORRECTION = 1e-9
 MOST_ITERATIONS = 60
 
@@ -64,7 +64,7 @@ def _hat(x):
 
 @kernel
 def _size(x):
-    """Sum of the components without their signs: squares of 1e-160 have not all their digits."""
+    """Sum of magnitudes of the components: squares of 1e-160 would lose digits."""
     return abs(x[0]) + abs(x[1]) + abs(x[2])
 
 
@@ -156,9 +156,9 @@ def _equation(kind, inertia, h, x, v, a, b, c):
 
 @subroutine
 def newton(kind, inertia, h, start, v, a, b, c):
-    """Solve an equation from a start; returns (x, True), or (x, False) where it does not converge.
+    """Solve an equation from an initial guess; returns (x, converged).
 
-    A correction that does not lessen what is left of the equation is halved.
+    A correction that does not reduce the residual is halved.
     """
     base = x = start
     scale = _size(start)
@@ -184,10 +184,10 @@ def newton(kind, inertia, h, start, v, a, b, c):
 
 @subroutine
 def follow(inertia, h, start, v, a, b, c):
-    """Solve an INCREMENT equation, from a start or else along the solutions for smaller h.
+    """Solve an INCREMENT equation from an initial guess, else by continuation in h.
 
-    returns (x, True), or (x, False) where that ends before h. At steps of much more than 1 rad
-    there are several solutions; the one that is followed is a small turn for a small h.
+    returns (x, converged). For steps of much more than 1 rad there are several solutions;
+    continuation follows the one that is a small rotation for small h.
     """
     x, found = newton(INCREMENT, inertia, h, start, v, a, b, c)
     if found:

@@ -1,27 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Momentum-preserving methods for bodies that are free or held by one ball joint to the ground.
+"""Momentum-preserving methods for bodies that are free or on one spherical joint to ground.
 
-What a method does to R and w of one body is in rotation_maps.py, where a held body is in
-rotation_bodies.py. Forces are evaluated for all bodies at once, so bodies may be coupled by
-springs. The centre of mass of a free body goes along in world axes, P = m R v:
+maps.py has the step of R and w of one body for each method, bodies.py the geometry of held bodies.
+Forces are evaluated for all bodies together, so that springs may couple bodies. The centre of mass
+of a free body is integrated in world axes, P = m R v:
     KICKED       P' = P + (h/2) f ,  r+ = r + (h/m) P' ,  P+ = P' + (h/2) f+        order 2
-    ITERATED     P+ = P + h f_m ,  r+ = r + (h/m) (P + P+)/2 ,  f_m halfway         order 2
-                 (BOTTASSO_BORRI: the mean of f and f+ in place of f_m)
+    ITERATED     P+ = P + h f_m ,  r+ = r + (h/m) (P + P+)/2 ,  f_m at the midpoint  order 2
+                 (BOTTASSO_BORRI: the mean of f and f+ instead of f_m)
     RUNGE_KUTTA  the same tableau                                               its order
 
-The coadjoint methods of Runge-Kutta type are Munthe-Kaas methods for the turn Psi of a step and
+The coadjoint methods of Runge-Kutta type are Munthe-Kaas methods for the rotation Psi of a step and
 the angular momentum Y = R y in world axes:
     Psi' = dexpinv_{-Psi} w ,  Y' = R T ,  R = R_0 exp Psi ,  I w = y = R^T Y
-which for T = 0 is (6.34), (6.38), (6.39) and (6.44): y+ = exp(-Psi) y. Components of Y about which
-no torque acts at any pose, as that along gravity of a top, are kept to rounding too.
+For T = 0 this is (6.34), (6.38), (6.39) and (6.44): y+ = exp(-Psi) y. Components of Y without
+torque at all poses, such as that along gravity of a top, are conserved to machine precision too.
 
-A torque or force that depends on velocity is taken at the end of a KICKED step at 2 w' - w, w' the
-angular velocity that Q stands for, and at 2 P' - P. That keeps the order 2, without a solve over
-all bodies; with w+ in its place, solved for, a drag was measured to give errors from the same to
-2000 times larger. ITERATED steps take it where they take the torque, the others in every stage.
-Orders under such forces: test/verification/test_rotation_forces.py.
+At the end of a KICKED step, forces that depend on velocity are evaluated at 2 w' - w, w' the
+angular velocity of Q, and at 2 P' - P. This keeps order 2 without a solve over all bodies. With the
+implicit w+ instead, errors under a drag were between equal and 2000 times larger (measured).
+ITERATED steps evaluate such forces together with the torque, the others in every stage. Orders
+under such forces: test/verification/test_rotation_forces.py.
 
-Poses move on SO(3) x R^3 whichever group the simulation names.
+The configuration group is SO(3) x R^3 for every `group` of the simulation.
 """
 
 import math
@@ -95,17 +95,17 @@ RULES = {
     if method.family == "rotation" and method.coefficients
 }
 
-# An ITERATED step is repeated with other loads until that moves no body by more than this, rad
-# and part of the largest coordinate or of 1 m; where rounding is larger, until it moves them by so
-# many times that and has not come down by half in two repetitions.
+# An ITERATED step is repeated until the loads change no displacement by more than this, in rad and
+# relative to the largest coordinate or 1 m. If round-off is larger: until the change is below this
+# multiple and has not been halved in two iterations.
 TOLERANCE, STUCK = 1e-15, 100.0
 MOST_REPEATS = 100
-# Corrections of the loads that Broyden's method remembers before it begins anew, and its `most`:
-# beyond, the forces nearly answer a displacement by driving it on, as a negative damping would.
+# Corrections of the loads that Broyden's method stores before it restarts, and its `most`: above it
+# forces nearly amplify a displacement, like a negative damping.
 REMEMBERED, MOST_PART = 16, 0.9
 
 # Columns of the memory of a step, per body: three of each, nine of Q. LINEAR, VELOCITY and PLACE
-# are m R v, w and r at the end of the step, as far as they are known.
+# are the present values of m R v, w and r at the end of the step.
 TURN, MOMENTUM, TORQUE, FORCE, LINEAR, VELOCITY, PLACE, Q = 0, 3, 6, 9, 12, 15, 18, 21
 COLUMNS = 30
 
@@ -174,7 +174,7 @@ def _kicked(rule, spinners, work, memory, h, evaluation, pose, twist):
 
 @kernel
 def _moved(one, other):
-    """Largest difference of two vectors' components; NaN is the largest."""
+    """Largest difference of two vectors' components; NaN propagates."""
     largest = 0.0
     for c in range(3):
         apart = abs(one[c] - other[c])
@@ -185,16 +185,16 @@ def _moved(one, other):
 
 @kernel
 def _rates(spinner):
-    """What loads are measured by: 1/(kg m^2) for torques and 1/kg for forces."""
+    """Scales of the loads: 1/(kg m^2) for torques and 1/kg for forces."""
     inertia = spinner["inertia"]
     return 3.0 / (inertia[0] + inertia[4] + inertia[8]), 1.0 / spinner["mass"]
 
 
 @kernel
 def _expect(spinners, work, loads, corrections, evaluation):
-    """The loads of the next repetition, from those that act where the last ones have led.
+    """Correct the loads for the next iteration from those at the last result.
 
-    loads (6 n,) : rad/s^2 and m/s^2, corrected
+    loads (6 n,) : rad/s^2 and m/s^2, in place
     """
     k = max(0, evaluation - 1) % REMEMBERED
     for i in range(len(spinners)):
@@ -213,10 +213,10 @@ def _expect(spinners, work, loads, corrections, evaluation):
 
 @kernel
 def _iterated(rule, spinners, work, memory, loads, h, evaluation, pose, twist):
-    """ITERATED step with the loads expected; leaves the bodies where forces act next.
+    """ITERATED step with the present loads; sets the bodies to where forces are evaluated next.
 
-    returns (status, largest displacement against the evaluation before: rad, and part of the
-    largest coordinate or of 1 m)
+    returns (status, largest change of a displacement since the last iteration, in rad and relative
+    to the largest coordinate or 1 m)
     """
     largest = 0.0
     for i in range(len(spinners)):
@@ -247,7 +247,7 @@ def _iterated(rule, spinners, work, memory, loads, h, evaluation, pose, twist):
         store3(u, memory, i, TURN)
         store3(w_end, memory, i, VELOCITY)
         store9(turn(whole), memory, i, Q)
-        # Where the solution turns less than the body does, it is no better for it.
+        # A solution with a smaller rotation than the body's is not better.
         work.report[1] = max(work.report[1], dot3(whole, whole), h * h * dot3(w, w))
 
         r, linear = load3(pose, i, 9), linear_momentum(spinner, pose, twist, i)
@@ -304,7 +304,7 @@ def _iterated_finish(spinners, work, memory, pose):
 
 @kernel
 def _weighted(slopes, weights, row, stages, n, i):
-    """sum_l weights[row, l] of so many slopes of body i: four vectors."""
+    """sum_l weights[row, l] of the given number of slopes of body i: four vectors."""
     turned, moved, torques, forces = ZERO3, ZERO3, ZERO3, ZERO3
     for stage in range(stages):
         weight = weights[row, stage]
@@ -319,7 +319,7 @@ def _weighted(slopes, weights, row, stages, n, i):
 
 @kernel
 def _staged(spinners, work, memory, weights, h, stage, pose, twist):
-    """Stage of a coadjoint method after its evaluation: go to the next one, or to the end.
+    """Go from an evaluated stage of a coadjoint method to the next stage, or to the end.
 
     weights : (s + 1, s) the tableau's a, below it its b
     """
@@ -387,11 +387,11 @@ def advance(
     """Take `steps` steps of size h in place of pose (n, 12) and twist (n, 6).
 
     external (n, 6) : applied wrenches in body axes, constant over these steps
-    returns (steps done, status): fewer than asked when status is not OK; pose and twist are then
-    those of the last good step. A body's number stands above the low byte of NO_RATTLE_STEP.
+    returns (steps done, status): fewer steps if status is not OK; pose and twist are then those of
+    the last valid step. The body's index is above the low byte of NO_RATTLE_STEP.
 
-    One loop holds all methods and one place the evaluation of the forces: these are compiled once
-    more for every place they are inlined into.
+    All methods share one loop with one evaluation of the forces, because these are inlined, and so
+    compiled, at every call.
     """
     spinners = borrowed(spinners)
     memory, weights = borrowed(memory), borrowed(weights)
@@ -450,7 +450,7 @@ def advance(
 
 
 class Rotation:
-    """A method of the family on a model: its memory. Nothing lasts between steps."""
+    """Rotation method for a model; it has no memory between steps."""
 
     kernels = "rotation"
     substeps = (0, 0)
@@ -472,15 +472,15 @@ class Rotation:
 
     @staticmethod
     def options(method):
-        """{name: (default, what it may be, check)}: there are none."""
+        """Options of the method: none."""
         return {}
 
     def restart(self):
-        """Forget what lasts between calls: nothing does."""
+        """Do nothing: there is no memory between calls."""
 
     @property
     def memory(self):
-        """The arrays that last between calls: there are none."""
+        """Arrays of the memory between calls: none."""
         return ()
 
     def advance(self, h, steps, pose, twist, external):
@@ -508,7 +508,7 @@ class Rotation:
         )
 
     def _look(self, h, pose, twist, external):
-        """Doubt a step that is beyond what is stable at a state."""
+        """Warn of a step size beyond the stability limit at a state."""
 
         def step(size, steps, pose, twist):
             _, status = self._take(size, steps, pose, twist, external)

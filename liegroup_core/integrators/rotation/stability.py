@@ -1,37 +1,37 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The step beyond which a rotation method makes errors grow that the motion does not.
+"""Stability limit of a rotation method: the step size beyond which its errors grow exponentially.
 
 Methods that are explicit in the forces have such a limit: h omega = 2 for KICKED ones, omega the
-fastest oscillation of the bodies on their springs or in gravity, and h c = 2 or so for dampers of
-rate c. Beyond it energy grows without bound, and no number becomes infinite for long: a body just
-tumbles. So it is looked for at the start of a run: in the derivative of one step by the state, and
-in that of the same method in many parts of the step, both taken by differences in world axes, where
-free bodies have constant attitudes and momenta. Errors that grow in the first and not in the
-second are those of the method. What a step does elsewhere in the motion is not seen.
+fastest oscillation of the bodies on their springs or in gravity, and about h c = 2 for dampers of
+rate c. Beyond it the energy grows without bound, while all numbers stay finite for long: a body
+tumbles. The limit is checked at the start of a run. The derivative of one step with respect to the
+state is compared with that of the same method in many parts of the step, both by differences in
+world axes, where free bodies have constant attitudes and momenta. Errors that grow only in the
+first are those of the method. The check does not cover other states of the motion.
 """
 
 import numpy as np
 
 from liegroup_core.lie.groups import SO3
 
-# Growth of an error in one step, beside that of the motion: of one that changes its sign, as those
-# of oscillations do, and of any. A step far from the equilibrium stretches a little by itself.
+# Bounds on the growth of an error in one step, relative to the motion: of one with alternating
+# sign, as in oscillations, and of any. Far from an equilibrium a step has some growth by itself.
 OSCILLATING, ANY = 1.05, 1.2
-# Parts of a step that show the motion: so many, and so many for each unit of h times the largest
-# rate; beyond the most there is no explicit method that is stable.
+# Parts of a step for the motion: a constant, and a number per unit of h times the largest rate.
+# Beyond the maximum no explicit method is stable.
 PARTS, PARTS_BY_RATE, MOST_PARTS = 16, 4, 2000
 DIFFERENCE = 1e-6  # rad, m, and times the fastest motion or 1 rad/s, m/s
-# rad; where a body turns by more within a step, growth need not be that of an oscillation.
+# rad; if a body rotates by more within a step, growth need not be that of an oscillation.
 LARGEST_TURN = 0.5 * np.pi
 MOST_BODIES = 30  # the cost grows with the square of their number and more
 HALVINGS = 6
 
 
 def stability_limit(step, spinners, h, pose, twist):
-    """Largest step, s, at which errors do not grow as above, if h is beyond it; else None.
+    """Largest stable step, s, if h is beyond it; else None.
 
-    step     : function (h, steps, pose, twist) -> (pose, twist) at the end, or None where it fails
-    spinners : (n,) records of rotation_bodies.SPINNER
+    step     : function (h, steps, pose, twist) -> (pose, twist) at the end, or None if it fails
+    spinners : (n,) records of bodies.SPINNER
     """
     if len(pose) > MOST_BODIES or h * np.linalg.norm(twist[:, :3], axis=1).max() > LARGEST_TURN:
         return None
@@ -50,7 +50,7 @@ def stability_limit(step, spinners, h, pose, twist):
 
 
 def _grows(step, spinners, h, pose, twist):
-    """Whether errors grow in a step that do not in the motion."""
+    """True if errors grow in a step but not in the motion."""
     values = _eigenvalues(step, spinners, h, 1, pose, twist)
     sizes = np.abs(values)
     growth = max(
@@ -68,7 +68,7 @@ def _grows(step, spinners, h, pose, twist):
 
 
 def _eigenvalues(step, spinners, h, parts, pose, twist):
-    """Those of the derivative of the end of a step, taken in parts, by its start; none if it fails."""
+    """Eigenvalues of the derivative of a step, taken in parts; empty if it fails."""
     size = DIFFERENCE * max(1.0, np.abs(twist).max())
     columns = []
     for i, spinner in enumerate(spinners):
@@ -87,7 +87,7 @@ def _eigenvalues(step, spinners, h, parts, pose, twist):
 
 
 def _displaced(spinners, pose, twist, i, kind, by):
-    """State with body i turned, pushed or moved a little, in world axes."""
+    """State with one component of body i perturbed, in world axes."""
     pose, twist, spinner = pose.copy(), twist.copy(), spinners[i]
     inertia = spinner["inertia"].reshape(3, 3)
     rotation = pose[i, :9].reshape(3, 3)
@@ -110,7 +110,7 @@ def _displaced(spinners, pose, twist, i, kind, by):
 
 
 def _difference(spinners, one, other):
-    """The difference of two states that are near each other, in the same components."""
+    """Difference of two close states in the same components."""
     found = []
     for spinner, pose, twist, pose_2, twist_2 in zip(spinners, *one, *other):
         inertia = spinner["inertia"].reshape(3, 3)
