@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command line liegroup_sim: one file a subcommand.
+"""The command line liegroup_sim: one file per subcommand.
 
-In: arguments. Out: files, tables and an exit code. What a command computes is elsewhere.
+In: arguments. Out: files, tables and an exit code. Computations are elsewhere.
 """

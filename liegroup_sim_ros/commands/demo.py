@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`liegroup_sim demo`: simulate in real time, push, record, analyse; each as a user would do it.
+"""`liegroup_sim demo`: simulate in real time, apply a force, record and analyse.
 
-The simulation node and the push are processes of their own, in a ROS domain of their own on this
-machine. Whatever happens, both have ended when the demo ends.
+The simulation node and the publisher of the force are separate processes in their own ROS domain,
+limited to this machine. Both have ended when the demo ends, also after an error.
 """
 
 import math
@@ -31,7 +31,7 @@ PUSHING = ENDING = 10.0  # s
 
 
 class DemoError(LieGroupSimError):
-    """The demo cannot go on; one line of text, exit code 2."""
+    """The demo cannot continue; one line of text, exit code 2."""
 
 
 def add_arguments(parser):
@@ -102,7 +102,7 @@ def _analyse(log, page, figures):
 
 
 def _simulate(seconds, log, output, console):
-    """Run the node for so many seconds of simulated time, with a push on the way."""
+    """Run the node for some seconds of simulated time, with a force in between."""
     os.environ.update(
         ROS_DOMAIN_ID=str(random.randint(1, 100)), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST"
     )
@@ -133,12 +133,12 @@ def _simulate(seconds, log, output, console):
 
 
 def _watch(seconds, node, output, processes, console):
-    """Show what the node says of itself for so many seconds; push it in between."""
+    """Show the node's diagnostics for some seconds; apply the force in between."""
     push, answered, elapsed = None, False, 0.0
     start = time.monotonic()
 
     def going_on():
-        # On a loaded machine a push takes long to start; the run waits for it.
+        # On a loaded machine the publisher starts slowly; the run waits for it.
         return elapsed < seconds or not answered and elapsed < seconds + PUSHING
 
     with (
@@ -186,7 +186,7 @@ def _watch(seconds, node, output, processes, console):
 
 @contextmanager
 def _diagnostics():
-    """A function latest(seconds): waits so long, returns the last figures from /diagnostics."""
+    """Function latest(seconds): waits that long and returns the last figures of /diagnostics."""
     try:
         import rclpy
         from diagnostic_msgs.msg import DiagnosticArray
@@ -224,7 +224,7 @@ def _diagnostics():
 
 
 def _start(module, arguments, stream, processes):
-    """A process of this package in a session of its own: Ctrl-C reaches it through us only."""
+    """Start a process of this package in its own session: only the demo forwards Ctrl-C."""
     # -P: the working folder must not come before the installed package.
     process = subprocess.Popen(
         [
@@ -263,7 +263,7 @@ def _last_line(output):
 
 
 def _end_all(processes):
-    """End what still runs: politely, then not."""
+    """End running processes: SIGINT first, then SIGKILL."""
     for number, patience in ((signal.SIGINT, 5.0), (signal.SIGKILL, 5.0)):
         running = [process for process in processes if process.poll() is None]
         for process in running:
@@ -278,7 +278,7 @@ def _end_all(processes):
 
 @contextmanager
 def _ended_by_signals():
-    """Make SIGTERM and a closed terminal end the demo as Ctrl-C does, with its processes."""
+    """Make SIGTERM and SIGHUP end the demo and its processes like Ctrl-C."""
 
     def interrupt(*_):
         raise KeyboardInterrupt

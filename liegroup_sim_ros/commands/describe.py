@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`liegroup_sim describe`: what a scene is to the solver, what it keeps, what a step costs.
+"""`liegroup_sim describe`: degrees of freedom, conserved quantities and cost per step of a scene.
 
-The facts come from liegroup_core.describe; only the cost of a step is measured. No ROS.
+Only the cost of a step is measured; the rest is from liegroup_core.describe. No ROS.
 """
 
 import json
@@ -18,7 +18,7 @@ from liegroup_core.layout import make_layout
 
 METHODS = ("rkmk4", "rkmk8")
 MEASURING, LEAST_RUNS = 0.2, 3  # s per method, and runs of which the fastest counts
-STEP = 1e-5  # s: small, so that no scene gets into trouble
+STEP = 1e-5  # s: small enough for every scene
 MOST_ROWS = 40  # of a list on the terminal; JSON has all
 
 
@@ -49,9 +49,9 @@ def run(args):
 
 
 def step_cost(scene, method, seconds=MEASURING):
-    """Measured cost of a step: {"step_us", "runs", "steps"}, or {"failed": why}.
+    """Measured cost of a step: {"step_us", "runs", "steps"}, or {"failed": text}.
 
-    step_us : the fastest of some runs of many steps each; what else the machine does only adds
+    step_us : minimum of several runs of many steps each; other load of the machine only adds time
     """
     simulation = Simulation(scene, method, STEP)
     steps, times = 1, []
@@ -62,7 +62,7 @@ def step_cost(scene, method, seconds=MEASURING):
             start = time.perf_counter()
             simulation.advance(steps)
             taken = time.perf_counter() - start
-            if taken < seconds / 40.0:  # too short to be timed: what it took does not count
+            if taken < seconds / 40.0:  # too short to be timed
                 steps *= 2
             else:
                 times.append(taken / steps)
@@ -101,7 +101,7 @@ def print_facts(facts, console):
 
 
 def sections(facts):
-    """The tables: [(title, [(what, value, remark)])]."""
+    """Tables of a description: [(title, [(quantity, value, remark)])]."""
     return [
         ("Bodies", [(body["name"], f"{body['mass']:.6g} kg", "") for body in facts["bodies"]]),
         (

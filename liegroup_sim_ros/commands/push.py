@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`liegroup_sim push`: push a body of a running simulation from another process.
+"""`liegroup_sim push`: apply a wrench to a body of a running simulation from another process.
 
-Publishes a wrench at a steady rate, a zero wrench at the end, also after Ctrl-C, and reports what
-the simulation says it applied. The duration is wall time.
+Publishes the wrench at a fixed rate and a zero wrench at the end, also after Ctrl-C. Reports the
+wrench that the simulation applied. The duration is wall time.
 """
 
 import math
@@ -12,11 +12,11 @@ import time
 from liegroup_core.errors import LieGroupSimError
 
 DISCOVERY = 10.0  # s; processes see each other after 0.05 to 2.5 s
-ANSWER = 2.0  # s that a running simulation needs at most to follow
+ANSWER = 2.0  # s: longest response time of a running simulation
 
 
 class PushError(LieGroupSimError):
-    """The push cannot be made; one line of text, exit code 2."""
+    """The wrench cannot be applied; one line of text, exit code 2."""
 
 
 def add_arguments(parser):
@@ -88,7 +88,7 @@ def _check(args):
 
 
 def _push(args):
-    """Push; returns what to tell the user."""
+    """Apply the wrench; returns a line for the user."""
     import rclpy
     from geometry_msgs.msg import WrenchStamped
     from rclpy.duration import Duration
@@ -104,7 +104,7 @@ def _push(args):
     node.create_subscription(WrenchStamped, f"{name}/applied_wrench", applied.append, 100)
 
     def spin_until(done, seconds):
-        """True as soon as done() holds, False after so many seconds."""
+        """Spin until done() is true; returns False after the given number of seconds."""
         end = time.monotonic() + seconds
         while not done():
             if (left := end - time.monotonic()) <= 0.0:
@@ -120,7 +120,7 @@ def _push(args):
             if topic.startswith(prefix) and topic.endswith(suffix)
         )
 
-    # Both ways, or the answer would be missed.
+    # Both directions, else the response would be missed.
     if not spin_until(
         lambda: (
             publisher.get_subscription_count() and node.count_publishers(f"{name}/applied_wrench")

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`liegroup_sim run`: simulate without a clock and without ROS, into arrays or into a recording.
+"""`liegroup_sim run`: simulate as fast as possible, without ROS, to arrays or to a recording.
 
-Exit code 1 when the integration had to stop, 130 after Ctrl-C; what was computed is written then
-too. Wrong input is refused before a file is opened.
+Exit code 1 if the integration had to stop, 130 after Ctrl-C; all computed samples are written in
+both cases. Wrong input is refused before a file is opened.
 """
 
 import math
@@ -21,9 +21,9 @@ from liegroup_core.study.trade.accuracy import choose
 from liegroup_sim_ros.recording.write_run import ArrayFile, LogFile, TableFile
 
 EXIT_STOPPED = 1
-AT_ONCE = 10_000  # steps between two looks at the clock, at most
+AT_ONCE = 10_000  # largest number of steps between two checks of the clock
 REDRAW = 0.1  # s
-# Handed on to Simulation if given.
+# Passed on to Simulation if given.
 SETTINGS = (
     "method",
     "step",
@@ -39,7 +39,7 @@ SETTINGS = (
 
 
 class RunError(LieGroupSimError):
-    """The run cannot be made; one line of text, exit code 2."""
+    """The run is not possible; one line of text, exit code 2."""
 
 
 def add_arguments(parser):
@@ -75,7 +75,7 @@ def add_arguments(parser):
 
 
 def add_settings(parser):
-    """Add the options that say how to simulate."""
+    """Add the options of the simulation: method, step and others."""
     parser.add_argument(
         "--accuracy",
         type=float,
@@ -127,7 +127,7 @@ def add_settings(parser):
 
 
 def given_settings(args):
-    """Arguments of Simulation among those of a command line. Raises RunError."""
+    """Arguments of Simulation from those of a command line. Raises RunError."""
     if args.horizon is not None and args.accuracy is None:
         raise RunError("--horizon requires --accuracy")
     settings = {name: getattr(args, name) for name in SETTINGS if getattr(args, name) is not None}
@@ -185,10 +185,10 @@ def run(args):
 
 
 def chosen(scene, args, every=None):
-    """Choice that keeps the accuracy asked for, with a step that goes into the duration.
+    """Choice with the requested accuracy whose step divides the duration.
 
-    every : s, which it goes into as well, or None
-    raises RunError, AccuracyError, SceneError
+    every : s, which the step divides as well, or None
+    Raises RunError, AccuracyError, SceneError.
     """
 
     def usable(step):
@@ -216,7 +216,7 @@ def chosen(scene, args, every=None):
 
 
 def _simulate(simulation, steps, every, file, console):
-    """Take all steps and hand every sample that is due to the file."""
+    """Take all steps and write the samples that are due to the file."""
     with Progress(
         TextColumn("simulating"),
         BarColumn(),
@@ -242,7 +242,7 @@ def whole_steps(duration, step, name="--duration"):
     if not (math.isfinite(duration) and duration > 0.0):
         raise RunError(f"{name} must be a positive number of seconds, got {duration:g}")
     steps = round(duration / step)
-    # Far above rounding, far below what anyone would not see.
+    # Far above round-off, far below any relevant difference.
     if steps < 1 or abs(duration / step - steps) > 1e-6 * steps:
         nearest = max(1, steps) * step
         raise RunError(

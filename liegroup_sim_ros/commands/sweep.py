@@ -143,7 +143,7 @@ def run(args):
 
 
 def _asked_for(scene, args):
-    """(Sweep, its description for the file), from the arguments."""
+    """(Sweep, its description for the file) of the arguments."""
     settings, accuracy = given_settings(args), None
     if args.accuracy is not None:
         accuracy = {"accuracy": args.accuracy, "horizon": args.horizon}

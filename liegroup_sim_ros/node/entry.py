@@ -2,8 +2,8 @@
 """ROS 2 node: simulates a scene in real time, publishes poses and twists, takes wrenches, records.
 
 Exit code 0 after SIGINT or SIGTERM, 2 with one line on stderr for wrong parameters or a wrong
-scene, 1 when the simulation thread was ended by a defect. The node itself is in node.py, which is
-imported when the signals are caught already: that takes a second.
+scene, 1 if a defect ended the simulation thread. The node itself is in node.py. Its import takes a
+second and happens after the signal handlers are installed.
 """
 
 import signal
@@ -19,10 +19,10 @@ USAGE = (
 
 
 class Signals:
-    """Notes SIGINT and SIGTERM, as often as they come; `received` is looked at, nothing is raised.
+    """Handlers of SIGINT and SIGTERM that set `received` and raise nothing, however often.
 
-    rclpy's own handlers would shut its context down at once, with messages still to be published;
-    and `ros2 launch` sends a second SIGINT, which must not interrupt the clean-up.
+    rclpy's own handlers would shut down its context at once, with messages still to be published.
+    `ros2 launch` sends a second SIGINT, which must not interrupt the clean-up.
     """
 
     def __init__(self):
@@ -55,7 +55,7 @@ def main(args=None):
     try:
         return run(args, signals)
     finally:
-        # A signal that comes now would meet Python's own handlers, in the middle of its end.
+        # From here on Python's own handlers would interrupt its shutdown.
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The simulation node and its services.
 
-Topics, services and parameters: docs/reference/node.md. The simulation has a thread of its own
-(server.py); the main thread runs the callbacks and ends everything in order.
+Topics, services and parameters: docs/reference/node.md. The simulation runs in its own thread
+(simulation_thread.py). The main thread runs the callbacks and shuts everything down in order.
 """
 
 import concurrent.futures
@@ -30,12 +30,12 @@ from .scene_run import ATTENTION, Interrupted, SceneRun, make_simulation
 from .simulation_thread import CommandError
 
 try:
-    # A callback costs a fifth of what it does in rclpy's own executor (docs/reference/node.md).
+    # A callback takes a fifth of its time in rclpy's default executor (docs/reference/node.md).
     from rclpy.experimental import EventsExecutor as Executor
 except ImportError:
     Executor = SingleThreadedExecutor
 
-# What a user can mend.
+# Errors that a user can correct.
 WRONG_INPUT = (
     ParameterError,
     SceneError,
@@ -44,14 +44,14 @@ WRONG_INPUT = (
     NameValidationException,
 )
 
-# A thread that wants the interpreter waits at most so long for one that computes, s. Python's own
-# 5 ms would make a tick late whenever a callback is at work.
+# Longest time that a thread waits for the interpreter lock, s. Python's default of 5 ms would delay
+# a tick whenever a callback runs.
 SWITCH = 1e-4
 EXIT_OK, EXIT_DEFECT, EXIT_WRONG_INPUT = 0, 1, 2
 
 
 class LogHandler(logging.Handler):
-    """Passes records of Python's logging to the node's logger, and so to /rosout."""
+    """Handler that passes records of Python's logging to the node's logger and to /rosout."""
 
     def __init__(self, logger):
         super().__init__()
@@ -60,7 +60,7 @@ class LogHandler(logging.Handler):
     def emit(self, record):
         """Log one record."""
         text = record.getMessage()
-        # One call for each severity: rclpy's logger refuses one call with several of them.
+        # One call per severity: rclpy's logger refuses several severities from one line of code.
         if record.levelno >= logging.ERROR:
             self._logger.error(text)
         elif record.levelno >= logging.WARNING:
@@ -70,10 +70,10 @@ class LogHandler(logging.Handler):
 
 
 class SimNode(Node):
-    """The node: parameters, services, and the scene that runs. Raises WRONG_INPUT."""
+    """Simulation node: parameters, services, and the running scene. Raises WRONG_INPUT."""
 
     def __init__(self, signals):
-        # This node makes the simulated time: use_sim_time would make it its own listener.
+        # This node publishes the simulated time: with use_sim_time it would subscribe to itself.
         try:
             super().__init__(
                 "sim_node",
@@ -112,7 +112,7 @@ class SimNode(Node):
         return serve
 
     def ask(self, name, *arguments):
-        """(True, result) of a command to the server once it is done, or (False, text)."""
+        """Execute a command in the simulation thread: (True, result) or (False, text)."""
         server = self.scene_run.server
         future = server.call(name, *arguments)
         while not concurrent.futures.wait([future], ATTENTION).done:
@@ -163,7 +163,7 @@ class SimNode(Node):
 
 @contextlib.contextmanager
 def _refused_by_rcl():
-    """Make a ParameterError of what ROS itself does not accept in the arguments."""
+    """Convert errors of ROS about its arguments to ParameterError."""
     try:
         yield
     except RuntimeError as error:  # its class is private to rclpy
@@ -200,7 +200,7 @@ def run(args, signals):
 
 
 def _spin(node, signals):
-    """Run the callbacks until a signal comes or the simulation thread ends; the exit code."""
+    """Run the callbacks until a signal arrives or the simulation thread ends; returns the exit code."""
     executor = Executor()
     executor.add_node(node)
     while not signals.received and node.scene_run.server.is_alive():

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Output of a simulation to ROS topics and to a recording: one message, encoded once, to both.
+"""Output of a simulation to ROS topics and to a recording; each message is encoded once.
 
-Topics, types and frames are in docs/reference/node.md. Stamps are simulated time in ns. A topic whose rate
-is 0 is not there, and nothing is computed for it.
+Topics, types and frames: docs/reference/node.md. Stamps are simulated time in ns. A topic with
+rate 0 is not created, and nothing is computed for it.
 """
 
 import importlib
@@ -39,7 +39,7 @@ class Stream:
             profile,
             qos_overriding_options=overrides.options(node, topic, "publisher"),
         )
-        # Publisher.publish enters this context for every message, which takes as long as sending.
+        # Publisher.publish would enter this context for every message, which doubles the time.
         self._handle = self._publisher.handle
         self._handle.__enter__()
         self._publish = self._handle.publish_raw
@@ -50,7 +50,7 @@ class Stream:
 
     @property
     def topic(self):
-        """The topic's resolved name."""
+        """Resolved name of the topic."""
         return self._publisher.topic_name
 
     def record_to(self, recorder):
@@ -74,24 +74,24 @@ class Stream:
             self._write(self._channel, stamp_ns, data)
 
     def close(self):
-        """Take the topic away."""
+        """Destroy the publisher."""
         self._handle.__exit__(None, None, None)
         self._node.destroy_publisher(self._publisher)
 
 
 class Outputs:
-    """All topics of a simulation; the methods are what SimulationServer calls.
+    """All published topics of a simulation; SimulationServer calls its methods.
 
     node      : rclpy Node
     layout    : Layout of the scene
     values    : parameters
     figures   : function that returns {name: number or text}, added to the diagnostics
     overrides : QosOverrides
-    raises ParameterError for a topic whose message type is not installed
+    Raises ParameterError for a topic whose message type is not installed.
 
-    timed                    : [(steps from one message to the next, send(stamp_ns, sample))]
-    clock_steps, state_steps : steps between two messages of /clock and ~/state, 0: none
-    acting                   : {body: total wrench on it}, of those that are not zero
+    timed                    : [(steps between messages, send(stamp_ns, sample))]
+    clock_steps, state_steps : steps between messages of /clock and ~/state, 0: none
+    acting                   : {body: total wrench} of bodies with a nonzero wrench
     """
 
     def __init__(self, node, layout, values, figures, overrides):
@@ -151,7 +151,7 @@ class Outputs:
 
     def _add_optional(self, parameter, entries, steps):
         for topic, message_type, encode in entries:
-            # A viewer that comes while the time stands still shall see the scene, too.
+            # For viewers that start while the simulation is paused.
             qos = "transient_local" if parameter == "marker_rate" else "reliable"
             try:
                 stream = self._stream(topic, message_type, qos=qos)
@@ -192,18 +192,18 @@ class Outputs:
             stream.record_to(recorder)
 
     def close(self, stamp_ns=None):
-        """Take all topics away; with the last stamp, also the markers from those who saw them."""
+        """Destroy all publishers; with the last stamp, delete the markers in viewers first."""
         if self._marked is not None and stamp_ns is not None:
             self._marked.publish(self._markers.encode_end(stamp_ns))
         for stream in self._streams:
             stream.close()
 
     def clock(self, stamp_ns):
-        """/clock."""
+        """Publish /clock."""
         self._clock.send(stamp_ns, ClockCodec.encode(stamp_ns))
 
     def applied_wrench(self, stamp_ns, body, wrench):
-        """The total wrench (torque, force) on a body from this stamp on."""
+        """Publish the total wrench (torque, force) on a body from this stamp on."""
         self.acting.pop(body, None)
         self._sent += 1
         if any(wrench):
@@ -226,12 +226,12 @@ class Outputs:
             self._applied.publish(self._encode_wrench[body](stamp_ns, wrench))
 
     def record_acting(self, stamp_ns):
-        """Say anew, in the recording only, which wrenches act: a part of it begins."""
+        """Record all acting wrenches again, without publishing: a new file of the recording starts."""
         for body, wrench in self.acting.items():
             self._applied.record(stamp_ns, self._encode_wrench[body](stamp_ns, wrench))
 
     def event(self, stamp_ns, name, text, failed=False):
-        """Something that happened to the run; what ends it is logged, too."""
+        """Publish an event of the run; one that ends it is also logged."""
         if failed:
             self._node.get_logger().error(text)
         self._events.send(
@@ -240,14 +240,14 @@ class Outputs:
         )
 
     def state(self, stamp_ns, figures):
-        """~/state: the figures of the diagnostics, in simulated time."""
+        """Publish ~/state: the figures of the diagnostics, in simulated time."""
         self._state.send(stamp_ns, self._encoded(stamp_ns, figures))
 
     def diagnostics(self, stamp_ns, figures):
-        """/diagnostics: the server's figures and those of the node."""
+        """Publish /diagnostics: figures of the simulation thread and of the node."""
         self._diagnostics.send(stamp_ns, self._encoded(stamp_ns, figures))
         if figures["state"] != "running" and self._clock is not None:
-            # For listeners that come while the time stands still; recordings have it already.
+            # For subscribers that start while the simulation is paused; recordings have it already.
             self._clock.publish(ClockCodec.encode(stamp_ns))
 
     def _encoded(self, stamp_ns, figures):

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of the simulation node: one table that declares, checks and documents them.
 
-A wrong value, a wrong type or an unknown name raises ParameterError, one line that names the
-parameter, what is wrong and what would be right. Where a real number is asked for, a whole one
-will do.
+A wrong value, a wrong type or an unknown name raises ParameterError: one line with the parameter,
+what is wrong and what to do. An integer is accepted for a floating-point parameter.
 """
 
 import difflib
@@ -33,7 +32,7 @@ CHOSEN = ("method", "stabilisation", "group", "step")  # what an accuracy takes 
 
 
 class ParameterError(LieGroupSimError):
-    """A parameter that cannot be used; one line of text for the user, exit code 2."""
+    """Invalid parameter; one line of text, exit code 2."""
 
 
 class Entry(NamedTuple):
@@ -170,13 +169,13 @@ TABLE = (
 )
 _ENTRIES = {entry.name: entry for entry in TABLE}
 _TYPE_NAMES = {str: "a text", bool: "true or false", int: "a whole number", float: "a number"}
-# Declared by rclpy itself. A node that makes the simulated time cannot run on it: what a launch
-# file says to all of its nodes is ignored at the start, and refused later.
+# Declared by rclpy itself. This node publishes the simulated time and cannot use it: a value from a
+# launch file is ignored at start and refused later.
 _BUILT_IN = ("use_sim_time", "start_type_description_service")
 
 
 def check(name, value):
-    """The value in its parameter's type. Raises ParameterError."""
+    """Convert a value to its parameter's type. Raises ParameterError."""
     entry = _ENTRIES[name]
     wanted = type(entry.default)
     if wanted is float and type(value) is int:
@@ -201,12 +200,12 @@ def check(name, value):
 def read_parameters(node):
     """Declare all parameters of `node` and return their values, `.name` for each of the table.
 
-    node : was created with automatically_declare_parameters_from_overrides=True; that is how
-           names that nobody knows, which ROS would ignore, are seen and refused
-    returns the values, `.steps`: {rate: steps between two messages, 0 for none}, which with an
-            accuracy `set_step` says when a step is chosen, and `.qos`: names of parameters for
-            the quality of service, which qos.py reads
-    raises ParameterError
+    node : created with automatically_declare_parameters_from_overrides=True, so that unknown names,
+           which ROS ignores, can be refused
+    returns the values; `.steps`: {rate: steps between messages, 0 for none}, set by `set_step` if an
+            accuracy chooses the step; `.qos`: names of the parameters for quality of service, which
+            qos.py reads
+    Raises ParameterError.
     """
     given = {
         name: parameter.value
@@ -258,7 +257,7 @@ def set_step(values, step):
 
 
 def step_fits(values, step):
-    """Whether a step is allowed and all rates are whole numbers of it."""
+    """True if a step is valid and the periods of all rates are multiples of it."""
     try:
         check("step", step)
         for name in _ENTRIES:
@@ -270,7 +269,7 @@ def step_fits(values, step):
 
 
 def watch_parameters(node, changed):
-    """Check what is set while the node runs, then call changed(name, value)."""
+    """Check parameters that are set while the node runs, then call changed(name, value)."""
 
     def convert(parameters):
         return [
@@ -307,7 +306,7 @@ def watch_parameters(node, changed):
 
 
 def table_text():
-    """The table in Markdown, as docs/reference/node.md has it (test_node.py)."""
+    """Table of the parameters in Markdown, as in docs/reference/node.md (test_node.py)."""
     rows = [
         "| parameter | default | allowed | settable while running | meaning |",
         "|---|---|---|---|---|",
@@ -343,7 +342,7 @@ def _whole_steps(name, rate, step):
 
 
 def _check_qos(name, value):
-    """Raise ParameterError for a value that no topic can have: rclpy says it in riddles."""
+    """Raise ParameterError for an invalid QoS value, with a clearer text than that of rclpy."""
     policy = name.rpartition(".")[2]
     if policy == "reliability" and value not in RELIABILITIES:
         raise ParameterError(

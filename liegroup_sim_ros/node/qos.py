@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Quality of service as the user wants it: parameters qos_overrides.TOPIC.KIND.POLICY.
+"""Quality of service set by the user: parameters qos_overrides.TOPIC.KIND.POLICY.
 
-TOPIC is a topic's full name, KIND is publisher or subscription, POLICY is depth or reliability. They
-are declared where they are given only: there would be four for every body otherwise.
+TOPIC is a topic's full name, KIND is publisher or subscription, POLICY is depth or reliability. Only
+given ones are declared: otherwise there would be four per body.
 """
 
 import difflib
@@ -16,7 +16,7 @@ POLICIES = {"depth": QoSPolicyKind.DEPTH, "reliability": QoSPolicyKind.RELIABILI
 
 
 class QosOverrides:
-    """Those that a node was given.
+    """QoS parameters of a node.
 
     names : full names of the parameters
     """
@@ -26,7 +26,7 @@ class QosOverrides:
         self._possible = []
 
     def options(self, node, topic, kind):
-        """Options for the topic's creation, None if nothing was given for it."""
+        """Options for creating the topic, None if no parameter is given for it."""
         names = {
             f"{QOS_PREFIX}{node.resolve_topic_name(topic)}.{kind}.{policy}": number
             for policy, number in POLICIES.items()
@@ -36,7 +36,7 @@ class QosOverrides:
         return QoSOverridingOptions(given) if given else None
 
     def check(self):
-        """All topics were made: raises ParameterError for a name that is not one of them."""
+        """Raise ParameterError for a name that belongs to no topic; call after creating all."""
         for name in self._names:
             if name not in self._possible:
                 (near,) = difflib.get_close_matches(name, self._possible, n=1, cutoff=0.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One scene on its way: simulation thread, topics and recording. ~/reload replaces it."""
+"""Run of one scene: simulation thread, topics and recording. ~/reload replaces it."""
 
 import threading
 from concurrent.futures import Future, wait
@@ -15,22 +15,22 @@ from .qos import QosOverrides
 from .simulation_thread import SimulationServer
 from .wrench_topics import WrenchTopics
 
-# How long the main thread may not notice that it shall end, s.
+# Longest delay until the main thread checks for signals, s.
 ATTENTION = 0.1
 
 
 class Interrupted(Exception):
-    """A signal to end that came before the simulation was ready."""
+    """Signal to end, before the simulation was ready."""
 
 
 class SceneRun:
-    """A simulation, what it says, takes and records. Raises ParameterError, RecorderError.
+    """Simulation with its topics and its recording. Raises ParameterError, RecorderError.
 
     node       : rclpy Node
     values     : parameters
     simulation : liegroup_core.Simulation at step 0
-    before     : SceneRun that this one takes over from, which must stand still; its stamps and its
-                 recording are continued, the latter in a file of its own. None: the first one
+    before     : paused SceneRun that this one replaces; stamps and recording continue, the latter
+                 in a new file. None: the first one
     paused     : start paused
     """
 
@@ -66,7 +66,7 @@ class SceneRun:
         qos = QosOverrides(values.qos)
         self.outputs = Outputs(node, layout, values, self._figures, qos)
         if path and (values.record_split_size or values.record_split_duration):
-            # Before the samples: the first one of a part is its initial state.
+            # Before the samples: the first sample of a file is its initial state.
             self.outputs.timed.insert(0, (self._sample_steps, self._divide_if_due))
         self.server = SimulationServer(
             simulation, self.outputs, values.real_time_factor, paused, base_ns, origin
@@ -76,7 +76,7 @@ class SceneRun:
         )
         if before is None:  # later on, the bodies that were meant may be gone
             qos.check()
-        # Last of what can fail: nothing else leaves a trace on the disk.
+        # Last step that can fail: earlier ones leave no files.
         if path:
             try:
                 self.recorder = Recorder(
@@ -94,7 +94,7 @@ class SceneRun:
                 raise
 
     def start(self):
-        """Start the simulation thread, and say so."""
+        """Start the simulation thread and log it."""
         self.server.start()
         simulation = self.simulation
         count = len(simulation.layout.body_names)
@@ -112,7 +112,7 @@ class SceneRun:
         )
 
     def _attachments(self, stamp_ns, state):
-        """What makes a file complete in itself, at the present state."""
+        """Attachments that make a file self-contained, for the present state."""
         values = self._values
         return attachments.at_start(
             self.simulation,
@@ -130,7 +130,7 @@ class SceneRun:
         )
 
     def _divide_if_due(self, stamp_ns, _):
-        """Begin a new part of the recording, in the simulation thread."""
+        """Start a new file of the recording if it is time, in the simulation thread."""
         recorder = self.recorder
         if recorder is not None and recorder.is_part_due(stamp_ns):
             self._attach_pacing()
@@ -148,7 +148,7 @@ class SceneRun:
         )
 
     def _figures(self):
-        """What the diagnostics say beside the server's figures."""
+        """Figures of the diagnostics besides those of the simulation thread."""
         recorder = self.recorder
         return {
             **self.wrenches.figures(),
@@ -159,7 +159,7 @@ class SceneRun:
         }
 
     def close(self):
-        """End the simulation, then the recording, then the topics."""
+        """Close the simulation, then the recording, then the topics."""
         self.server.stop()
         if self.recorder is not None:
             self._attach_pacing()
@@ -176,12 +176,12 @@ class SceneRun:
 
 
 def make_simulation(values, signals):
-    """Simulation of the scene that the parameters name.
+    """Create the simulation that the parameters describe.
 
     signals : has `received`; raises Interrupted when it becomes true. Compiling may take half a
-              minute, in a thread of its own because an exception out of a signal handler may be
-              lost in it: the compiler has callbacks that no exception passes
-    raises SceneError, ParameterError
+              minute. It runs in its own thread, because an exception from a signal handler can get
+              lost in the compiler's callbacks
+    Raises SceneError, ParameterError.
     """
     if not values.scene:
         raise ParameterError(
@@ -218,7 +218,7 @@ def _make(values):
 
 
 def _chosen(scene, values):
-    """Simulation that keeps the accuracy asked for, in the real time asked for."""
+    """Simulation with the requested accuracy at the requested real-time factor."""
     choice = choose(
         scene,
         values.accuracy,

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulation thread: the only one that touches the simulation; it paces, obeys and puts out.
+"""Simulation thread: paces and advances the simulation, executes commands, calls the outputs.
 
-Commands and wrenches come in from other threads and take effect between two steps. Samples, clock,
-applied wrenches, events and diagnostics go to an output object, Outputs in outputs.py.
-Simulated time is an integer of nanoseconds that never goes back: the step count restarts at a
-reset, the stamps continue one step after the last one. Imports no ROS.
+No other thread accesses the simulation. Commands and wrenches arrive from other threads and take
+effect between two steps. Samples, clock, applied wrenches, events and diagnostics go to an output
+object (Outputs in outputs.py). Stamps are simulated time in integer nanoseconds and increase
+monotonically: a reset restarts the step count, but the stamps continue one step after the last one.
+Imports no ROS.
 """
 
 import math
@@ -21,22 +22,22 @@ IDLE_TICK = 0.01  # s of simulated time, where nothing is put out by time
 
 
 class CommandError(LieGroupSimError):
-    """A command that makes no sense in the present state; one line of text."""
+    """Command that is not possible in the present state; one line of text."""
 
 
 class SimulationServer(threading.Thread):
-    """Runs a simulation in real time.
+    """Thread that runs a simulation in real time.
 
-    simulation : liegroup_core.Simulation; belongs to this thread from `start` to its end
-    output     : Outputs, or what has its attributes timed, clock_steps, state_steps and acting
-                 and its methods clock, state, applied_wrench, event and diagnostics
-    factor     : real-time factor, 0: as fast as it goes
+    simulation : liegroup_core.Simulation; only this thread uses it from `start` to its end
+    output     : Outputs, or an object with the attributes timed, clock_steps, state_steps, acting
+                 and the methods clock, state, applied_wrench, event, diagnostics
+    factor     : real-time factor, 0: as fast as possible
     paused     : start paused
     base_ns    : stamp of step 0
-    origin     : what the event `start` says beside the name of the scene
+    origin     : text of the event `start` besides the name of the scene
 
-    The state is "running", "paused" or "faulted": after a SimulationError the last good state
-    stays, and only a reset leads out. `failure` is an exception that ended the thread, or None.
+    The state is "running", "paused" or "faulted". After a SimulationError the last valid state is
+    kept, and only a reset continues. `failure` is the exception that ended the thread, or None.
     """
 
     def __init__(self, simulation, output, factor=1.0, paused=False, base_ns=0, origin=""):
@@ -49,7 +50,7 @@ class SimulationServer(threading.Thread):
         ]
         self._sent_ns = [None] * len(self._timed)  # stamp of the last message of each
         periods = {steps for steps, _ in self._timed} | {output.clock_steps} - {0}
-        # Multiples of another one bring no further ticks.
+        # Multiples of another period add no ticks.
         self._periods = [
             period
             for period in periods
@@ -73,12 +74,13 @@ class SimulationServer(threading.Thread):
     # From other threads:
 
     def call(self, command, *arguments):
-        """Future of a command: "pause", "resume", "reset", "step" (count), "speed" (factor),
-        "clear" (prefix of sources), "look" or "hold".
+        """Submit a command; returns its Future.
 
-        Its result is one line of text; of "look" (stamp_ns, Sample, state); of "hold", a pause
-        that a fault does not refuse, whether the simulation was running. Its exception is
-        CommandError. It is cancelled if the server ends first.
+        Commands: "pause", "resume", "reset", "step" (count), "speed" (factor), "clear" (prefix of
+        sources), "look", "hold". The result is one line of text; that of "look" is (stamp_ns,
+        Sample, state); that of "hold", a pause that also works after a fault, whether the
+        simulation was running. The exception is CommandError. The Future is cancelled if the
+        thread ends first.
         """
         future = Future()
         method = {
@@ -97,19 +99,19 @@ class SimulationServer(threading.Thread):
         return future
 
     def push(self, push, duration):
-        """Apply a wrench, instead of what its source applied before.
+        """Apply a wrench; it replaces the previous one of its source.
 
         push     : Push
-        duration : s of simulated time, None: until the next one of this source
+        duration : s of simulated time, None: until the next wrench of this source
         """
-        # While nothing moves, a later push with the same start takes the place of the earlier one,
-        # so what waits here does not grow with time.
+        # While the simulation is paused, a later wrench with the same start replaces the earlier
+        # one, so that the queue is bounded.
         with self._lock:
             self._wrenches.pop((push.source, push.start_ns), None)
             self._wrenches[push.source, push.start_ns] = push, duration
 
     def clear(self, prefix):
-        """End the wrenches of all sources whose names begin with `prefix`."""
+        """End the wrenches of all sources whose names start with `prefix`."""
         with self._lock:  # what comes after this is not ended
             for key in [key for key in self._wrenches if key[0].startswith(prefix)]:
                 del self._wrenches[key]
@@ -117,11 +119,11 @@ class SimulationServer(threading.Thread):
 
     @property
     def wrenches_held(self):
-        """Number of wrenches that act or wait."""
+        """Number of wrenches that act or start later."""
         return self._simulation.wrench_count + len(self._wrenches)
 
     def stop(self):
-        """End the thread after the present tick, and wait for it."""
+        """End the thread after the current tick and join it."""
         self._stopping = True
         self._wake.set()
         if self.is_alive():
@@ -130,7 +132,7 @@ class SimulationServer(threading.Thread):
     # In the simulation thread:
 
     def run(self):
-        """Run until `stop`; what ends it otherwise is left in `failure`."""
+        """Run until `stop`; another exception is stored in `failure`."""
         try:
             self._begin()
             while not self._stopping:
@@ -158,7 +160,7 @@ class SimulationServer(threading.Thread):
             self.pacer.start(self._seconds())
 
     def _run_on(self):
-        """Take the next tick when it is due; else wait for it, for a command or diagnostics."""
+        """Take the next tick if it is due; else wait for it, for a command or for diagnostics."""
         idle = max(0.0, self._next_diagnostics - time.monotonic())
         if self.state == "running":
             tick = self._next_tick()
@@ -189,19 +191,19 @@ class SimulationServer(threading.Thread):
         return self.stamp_ns * 1e-9
 
     def _next_tick(self):
-        """The next step with something to put out; ticks stay on the grid after single steps."""
+        """Next step with an output; ticks stay on their grid after single steps."""
         steps = self._simulation.steps
         return min([(steps // period + 1) * period for period in self._periods])
 
     def _advance(self, end):
-        """Advance to step `end`, with all output on the way; True if it got there."""
+        """Advance to step `end` with all outputs on the way; True if it was reached."""
         while self._simulation.steps < end and not self._stopping:
             if not self._advance_to(min(end, self._next_tick())):
                 return False
         return self._simulation.steps == end
 
     def _advance_to(self, tick):
-        """Advance to a step before which nothing is to be put out; False after a fault."""
+        """Advance to a step without outputs before it; False after a fault."""
         if self._wrenches:
             self._hand_over_wrenches()
         try:
@@ -222,7 +224,7 @@ class SimulationServer(threading.Thread):
             )
 
     def _put_out(self, everything=False):
-        """Put out what is due at the present step, in the order of the stamps."""
+        """Send the outputs of the present step, in the order of the stamps."""
         steps = self._simulation.steps
         for change in self._simulation.drain_applied():
             self._put_out_wrench(self._stamp(change.step), change.body, change.wrench)
@@ -279,7 +281,7 @@ class SimulationServer(threading.Thread):
         return f"running from {self._seconds():.9g} s"
 
     def _reset(self):
-        # Between the old time and the new one lies one step, so that no stamp comes twice.
+        # The new time is one step after the old one, so that no stamp occurs twice.
         self._base_ns = self.stamp_ns + max(1, round(self._simulation.step * 1e9))
         self.stamp_ns = self._base_ns
         with self._lock:

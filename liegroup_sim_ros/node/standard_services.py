@@ -17,7 +17,7 @@ SCOPE_DEFAULT, SCOPE_STATE, SCOPE_ALL = 0, 2, 255  # ResetSimulation
 
 
 def offer(node, signals, world_frame):
-    """Create the services of a SimNode; without simulation_interfaces, none."""
+    """Create the services of a SimNode; none if simulation_interfaces is not installed."""
     try:
         from simulation_interfaces import msg, srv
     except ImportError:
@@ -34,7 +34,7 @@ def offer(node, signals, world_frame):
 
 
 class StandardServices:
-    """Between requests and responses of simulation_interfaces and commands of the server.
+    """Callbacks that translate services of simulation_interfaces to commands of the simulation.
 
     ask          : function (command, *arguments) -> (True, result) or (False, text): SimNode.ask
     signals      : `received` is set to end the node
@@ -47,7 +47,7 @@ class StandardServices:
         self._world_frame, self._entity_state = world_frame, entity_state
 
     def reset_simulation(self, request, response):
-        """The initial state; simulated time goes on, so a reset of time alone is not supported."""
+        """Reset to the initial state; simulated time continues, so time alone cannot be reset."""
         if request.scope not in (SCOPE_DEFAULT, SCOPE_STATE, SCOPE_ALL):
             return _answer(
                 response,
@@ -58,11 +58,11 @@ class StandardServices:
         return _answer(response, *_result(self._ask("reset"), FAILED))
 
     def step_simulation(self, request, response):
-        """Exactly so many steps, while paused."""
+        """Take the requested number of steps while paused."""
         return _answer(response, *_result(self._ask("step", request.steps), INCORRECT_STATE))
 
     def get_simulation_state(self, request, response):
-        """Stopped, playing or paused."""
+        """Return stopped, playing or paused."""
         response.state.state, text = self._state()
         return _answer(response, OK, text)
 

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Wrench commands: what a WrenchStamped on one of the wrench topics means, and what is refused.
+"""Wrench messages: decoding and validation of WrenchStamped on the wrench topics.
 
-On ~/wrench and ~/wrench/persistent frame_id names the body, and components are in its axes; on
-~/BODY/wrench it names the axes, the body's or the world's. The frame of a body is its name behind
-the node's prefix. Torques are about the origin of the body frame. A name behind a slash, as in
-`top/left`, tells commanders of one topic apart: wrenches of different topics and names add, a
-later one of the same replaces the earlier one.
-A zero stamp, or one that is past, means the next step; a stamp to come means that simulated time.
-A message is taken whole or refused whole; refusals are counted by reason. No ROS is imported here.
+On ~/wrench and ~/wrench/persistent, frame_id names the body, and components are in its axes. On
+~/BODY/wrench, frame_id names the axes: those of the body or of the world. The frame of a body is
+the node's prefix and its name. Torques are about the origin of the body frame. A name after a
+slash, as in `top/left`, distinguishes publishers of one topic: wrenches of different topics and
+names add, a later one with the same name replaces the earlier one.
+A zero or past stamp means the next step; a future stamp means that simulated time. A message is
+accepted or refused as a whole; refusals are counted by reason. Imports no ROS.
 """
 
 import math
@@ -15,9 +15,9 @@ from typing import NamedTuple
 
 from liegroup_sim_ros.messages.codecs import MessageError, WrenchStampedCodec
 
-# A stamp further ahead than this is a sender that does not run on simulated time.
+# A stamp further ahead indicates a publisher that does not use simulated time.
 FARTHEST = 3600 * 10**9  # ns
-# So many may act or wait for their time: what senders can make the node remember is bounded.
+# Largest number of wrenches that act or start later: bounds the memory of the node.
 MOST = 10_000
 LONGEST_NAME = 64
 
@@ -25,10 +25,10 @@ REASONS = ("not_finite", "no_frame", "unknown_frame", "stamp_too_far", "too_many
 
 
 class Refusal(Exception):
-    """A message that is not applied.
+    """Refused message.
 
     reason : one of REASONS, for counting
-    first  : True if it is the first one for this reason
+    first  : True for the first one with this reason
     """
 
     def __init__(self, reason, text, first):
@@ -48,16 +48,16 @@ class Push(NamedTuple):
 
 
 def source_prefix(kind, target):
-    """What the names of all sources of one topic begin with that push a body, or a BODY/NAME."""
+    """Common prefix of the names of all sources of one topic for a body, or for BODY/NAME."""
     return f"{kind}/{target}/" if target else f"{kind}/"
 
 
 class WrenchInput:
-    """Reads and counts wrench messages.
+    """Decoder and counter of wrench messages.
 
     bodies       : names of the bodies
     world_frame  : frame id of the world
-    frame_prefix : what the frame ids of the bodies begin with
+    frame_prefix : prefix of the frame ids of the bodies
     """
 
     def __init__(self, bodies, world_frame, frame_prefix=""):
@@ -70,9 +70,9 @@ class WrenchInput:
         """Push of a serialized WrenchStamped. Raises Refusal.
 
         kind   : of the topic: "wrench", "persistent" or "body"
-        body   : that of the topic, None if frame_id names it
-        now_ns : the present stamp
-        held   : number of wrenches that act or wait
+        body   : body of the topic, None if frame_id names it
+        now_ns : present stamp
+        held   : number of wrenches that act or start later
         """
         try:
             start_ns, frame_id, wrench = WrenchStampedCodec.decode_one(payload)
@@ -143,7 +143,7 @@ class WrenchInput:
         )
 
     def named(self, frame_id):
-        """(body, name of the commander) of the frame of a body; (None, "") of another one."""
+        """(body, name of the publisher) of the frame id of a body; (None, "") of another one."""
         if frame_id.startswith(self._prefix):
             body, _, name = frame_id[len(self._prefix) :].partition("/")
             if body in self._bodies:
@@ -151,7 +151,7 @@ class WrenchInput:
         return None, ""
 
     def _refuse(self, reason, text):
-        """text: function that makes it, for it is read the first time only."""
+        """Count and raise a Refusal; text: function, called only for the first one."""
         self.refused[reason] += 1
         first = self.refused[reason] == 1
         raise Refusal(reason, text() if first else reason, first)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Subscriptions to the wrench topics: what comes is read, refused or handed to the simulation."""
+"""Subscriptions to the wrench topics: messages are decoded and passed to the simulation."""
 
 from geometry_msgs.msg import WrenchStamped
 from rclpy.qos import QoSProfile
@@ -7,8 +7,8 @@ from std_msgs.msg import String
 
 from .wrench_input import Refusal, WrenchInput, source_prefix
 
-# Messages that may wait for the executor; DDS replaces the oldest beyond. At 10 kHz the process
-# may be held up for a second: a tenth of that is often exceeded on a busy machine.
+# Depth of the queues; DDS replaces the oldest message beyond. At 10 kHz it covers a delay of one
+# second: a busy machine often delays a process by more than a tenth of that.
 DEPTH = 10_000
 
 
@@ -17,7 +17,7 @@ class WrenchTopics:
 
     node   : rclpy Node
     bodies : names of the bodies
-    values : parameters; wrench_hold and wrench_timeout are read anew for every message
+    values : parameters; wrench_hold and wrench_timeout are read for every message
     step   : s, of the simulation
     server : SimulationServer
     qos    : QosOverrides
@@ -36,7 +36,7 @@ class WrenchTopics:
         )
 
     def _listen(self, topic, kind, body=None):
-        # Bytes: they are read in a few microseconds, an object takes longer to be made.
+        # Raw bytes: decoding them takes a few microseconds, less than creating a message object.
         self._subscriptions.append(
             self._node.create_subscription(
                 WrenchStamped,
@@ -81,7 +81,7 @@ class WrenchTopics:
             self._node.get_logger().warning(str(refusal))
 
     def figures(self):
-        """What the diagnostics say about them."""
+        """Figures of the wrench topics for the diagnostics."""
         refused = self.input.refused
         return {
             "wrenches_accepted": self.input.accepted,
@@ -90,6 +90,6 @@ class WrenchTopics:
         }
 
     def close(self):
-        """Listen no longer."""
+        """Destroy the subscriptions."""
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
