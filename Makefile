@@ -28,15 +28,22 @@ demo: .venv/installed ## simulate, record, analyse
 PYTEST = PYTHONSAFEPATH=1 .venv/bin/python -m pytest -n 2 --dist loadfile
 
 test: .venv/installed ## run all tests against the installed package (about 6 min on two cores)
-	@$(PYTEST) $(ARGS)
+	@$(PYTEST) -m "not compiler" $(ARGS)
+
+plain: .venv/installed ## run the tests of the plain compilation of every method family (about 3 min)
+	@$(PYTEST) -m compiler --dist load test/core/test_plain_numba.py
 
 quick: .venv/installed ## run the quick tests of the core (below 60 s once the kernels are compiled)
-	@$(PYTEST) -m "not slow" test/contract test/core $(ARGS)
+	@$(PYTEST) -m "not slow and not compiler" test/contract test/core $(ARGS)
 
 lint: .venv/lint ## check format, style, docstrings and types
 	@.venv/bin/ruff format --check .
 	@.venv/bin/ruff check .
 	@.venv/bin/mypy
+
+texts: .venv/installed ## write the files that are generated from tables of the code
+	@.venv/bin/python -P -m liegroup_core.scene.schema > docs/scene.schema.json
+	@.venv/bin/python -P -m liegroup_sim_ros.node.parameter_texts .
 
 bench: .venv/peers ## measure, side by side with other software; ARGS=--quick is shorter
 	@set -e; for script in peers growth; do \

@@ -305,24 +305,11 @@ def watch_parameters(node, changed):
     node.add_post_set_parameters_callback(apply)
 
 
-def table_text():
-    """Table of the parameters in Markdown, as in docs/reference/node.md (test_node.py)."""
-    rows = [
-        "| parameter | default | allowed | settable while running | meaning |",
-        "|---|---|---|---|---|",
-    ]
-    for entry in TABLE:
-        default = {"": "empty", False: "false", True: "true"}.get(
-            entry.default if isinstance(entry.default, (str, bool)) else None, entry.default
-        )
-        allowed = _listed(entry.choices) or (
-            _range(entry) if entry.low is not None else _TYPE_NAMES[type(entry.default)]
-        )
-        rows.append(
-            f"| `{entry.name}` | {default} | {allowed} | "
-            f"{'no' if entry.read_only else 'yes'} | {entry.text} |"
-        )
-    return "\n".join(rows)
+def allowed_values(entry):
+    """Allowed values of an Entry as text."""
+    return _listed(entry.choices) or (
+        _range(entry) if entry.low is not None else _TYPE_NAMES[type(entry.default)]
+    )
 
 
 def _whole_steps(name, rate, step):

@@ -133,7 +133,8 @@ def flat(matrices):
 
 def test_every_kind_is_known_everywhere():
     types = [cls.model_fields["type"].default for cls in FORCES]
-    assert list(kinds.KINDS) == list(kinds.Forces.__dataclass_fields__) == types == list(EXAMPLES)
+    assert list(kinds.KINDS) == list(kinds.Forces.__dataclass_fields__) == types
+    assert set(EXAMPLES) == set(types)
 
 
 @pytest.mark.parametrize("kind", [k for k, m in kinds.KINDS.items() if "parent" in m.ROW.names])
@@ -209,7 +210,9 @@ def test_work_is_energy_taken_plus_power(kind, seed):
     assert work == pytest.approx(state.power(state.twist) - rate, rel=1e-10, abs=1e-8)
 
 
-@pytest.mark.parametrize("kind", [kind for kind in kinds.KINDS if kind not in DRIVEN])
+@pytest.mark.parametrize(
+    "kind", [k for k, module in kinds.KINDS.items() if hasattr(module, "power") and k not in DRIVEN]
+)
 def test_what_dissipates_never_gives_power(kind):
     powers = [State(kind, seed).power(State(kind, seed).twist) for seed in range(20)]
     assert max(powers) < 0.0

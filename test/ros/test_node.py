@@ -16,7 +16,8 @@ from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 
-from liegroup_sim_ros.node.parameters import TABLE, check, table_text
+from liegroup_sim_ros.node.parameter_texts import preset_text, table_text
+from liegroup_sim_ros.node.parameters import TABLE, check
 
 STEP_NS = 1_000_000
 PERIOD_NS = 10 * STEP_NS
@@ -346,6 +347,7 @@ def test_preset_has_the_defaults_of_all_parameters():
     given = preset["/**"]["ros__parameters"]
     assert given == {entry.name: entry.default for entry in TABLE} | {"scene": "heavy_top"}
     assert [type(given[entry.name]) for entry in TABLE] == [type(e.default) for e in TABLE]
+    assert (SOURCE / "config" / "default.yaml").read_text() == preset_text()
 
 
 @pytest.mark.parametrize("path", sorted((SOURCE / "config").glob("*.yaml")), ids=lambda p: p.stem)

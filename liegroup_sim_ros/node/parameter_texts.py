@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Texts generated from the table of parameters: the reference table and config/default.yaml.
+
+    python -m liegroup_sim_ros.node.parameter_texts FOLDER
+
+writes both into the repository in FOLDER. test/ros/test_node.py compares them with the table.
+"""
+
+import re
+import sys
+import textwrap
+from pathlib import Path
+
+import yaml
+
+from .parameters import TABLE, allowed_values
+
+HEAD = "| parameter | default | allowed | settable while running | meaning |"
+PRESET_HEAD = """\
+# All parameters of the simulation node with their defaults (the scene is an example). To use other
+# values, copy this file, change it, and start the node with --ros-args --params-file FILE.
+# Generated from the table in liegroup_sim_ros/node/parameters.py.
+/**:
+  ros__parameters:
+"""
+
+
+def table_text():
+    """Table of the parameters in Markdown, as in docs/reference/node.md."""
+    rows = [HEAD, "|---|---|---|---|---|"]
+    for entry in TABLE:
+        default = {"": "empty", False: "false", True: "true"}.get(
+            entry.default if isinstance(entry.default, (str, bool)) else None, entry.default
+        )
+        rows.append(
+            f"| `{entry.name}` | {default} | {allowed_values(entry)} | "
+            f"{'no' if entry.read_only else 'yes'} | {entry.text} |"
+        )
+    return "\n".join(rows)
+
+
+def preset_text():
+    """Text of config/default.yaml: every parameter with its meaning and its default."""
+    text = PRESET_HEAD
+    for entry in TABLE:
+        value = entry.default if entry.name != "scene" else "heavy_top"
+        meaning = entry.text + (f": {', '.join(entry.choices)}" if entry.choices else "")
+        text += textwrap.indent(textwrap.fill(meaning, 90), "    # ") + "\n"
+        text += f"    {yaml.safe_dump({entry.name: value}, width=1000)}"
+    return text
+
+
+def write(folder):
+    """Write both texts into the repository in a folder."""
+    page = Path(folder) / "docs" / "reference" / "node.md"
+    text = page.read_text(encoding="utf-8")
+    old = re.search(re.escape(HEAD) + r"\n(\|.*\n)+", text)
+    page.write_text(text.replace(old[0], table_text() + "\n"), encoding="utf-8")
+    (Path(folder) / "config" / "default.yaml").write_text(preset_text(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    write(sys.argv[1])
