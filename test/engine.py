@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the engine's kernels compute, as dense arrays that tests can compare."""
+"""Results of the engine's kernels as dense arrays, for tests."""
 
 import naive
 import numpy as np
@@ -17,7 +17,7 @@ def residual(model, found):
 def rows(simulation, pose=None, twist=None):
     """Jacobian (all rows, 6 n) and bias of a state, by default the simulation's.
 
-    Its rows are in the order of `residual`; those that are not solved for are zero.
+    Rows are in the order of `residual`; redundant rows are zero.
     """
     model, work = simulation.layout.model, simulation._work
     pose = simulation.state()[0] if pose is None else pose

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenes made for tests: random mechanisms of every kind of joint, consistent by construction."""
+"""Scenes for tests: random mechanisms with every type of joint, consistent by construction."""
 
 import functools
 
@@ -34,7 +34,7 @@ def random_pose(rng, size=1.0):
 
 
 def random_body(rng, name, pose):
-    """A body with a full inertia matrix that keeps the triangle inequality."""
+    """Random body with a full inertia matrix that satisfies the triangle inequality."""
     points = rng.normal(size=(4, 3)) * 0.3
     inertia = sum(0.5 * ((p @ p) * np.eye(3) - np.outer(p, p)) for p in points)
     return Body(
@@ -47,7 +47,7 @@ def random_body(rng, name, pose):
 
 
 def allowed_motion(rng, kind):
-    """A random pose that a kind of joint allows its two frames, angles beyond a turn included."""
+    """Random relative pose that a type of joint allows, angles beyond a full turn included."""
     angle, slide = 4.0 * rng.normal(), rng.normal(size=3)
     turn, shift = {
         "spherical": (rng.normal(size=3), (0, 0, 0)),
@@ -68,7 +68,7 @@ def allowed_motion(rng, kind):
 
 
 def joint(kind, **keys):
-    """A joint of any kind between two frames."""
+    """Joint of any type between two frames."""
     if kind == "screw":
         return ScrewJoint(pitch=PITCH, **keys)
     return DistanceJoint(**keys) if kind == "distance" else Joint(type=kind, **keys)
@@ -79,12 +79,10 @@ def frame(pose):
 
 
 def mechanism(rng, links, springs=2, loops=()):
-    """A scene from links (parent, child, kind), the parents first; loops close what is there.
+    """Scene from links (parent, child, kind), parents first, and loops (a, b, kind).
 
-    A link of kind None is a body without a joint.
-
-    Each loop (a, b, kind) is a joint whose frame on b is left to the poses, or a distance that is.
-    All bodies move, with twists in the null space of the joints' Jacobian.
+    A link of kind None is a body without a joint. The joint of a loop has no frame on b, or no
+    length: the poses determine it. Twists are random in the null space of the joints' Jacobian.
     """
     poses, joints = {"world": np.eye(4)}, []
     for parent, child, kind in links:
@@ -141,12 +139,12 @@ def mechanism(rng, links, springs=2, loops=()):
 
 
 def moving(rng, scene):
-    """The scene with random twists that its joints allow."""
+    """Scene with random twists that its joints allow."""
     matrices = {body.name: body.pose for body in scene.bodies}
     rows = naive.jacobian(scene, resolve_frames(scene), matrices)
     free = null_space(rows, rcond=1e-6) if len(rows) else np.eye(6 * len(matrices))
     twists = (free @ rng.normal(size=free.shape[1])).reshape(-1, 6)
-    # The differences leave 1e-10: exact rows take the rest away.
+    # Differences leave an error of 1e-10; exact rows remove it.
     rows = exact_jacobian(scene)
     twists = twists.ravel() - np.linalg.pinv(rows) @ (rows @ twists.ravel())
     bodies = [
@@ -185,7 +183,7 @@ def exact_jacobian(scene):
 
 
 def chain(n, kind="spherical", length=0.1, mass=0.1):
-    """n equal rods along x, pinned to the world and to each other; hinges turn about y."""
+    """Chain of n equal rods along x; axes of revolute joints along y."""
     inertia = (mass * length**2 / 600, mass * length**2 / 12, mass * length**2 / 12)
     bodies = [
         Body(name=f"rod{i}", mass=mass, inertia=inertia, position=((i + 0.5) * length, 0, 0))
@@ -206,7 +204,7 @@ def chain(n, kind="spherical", length=0.1, mass=0.1):
 
 
 def two_links(second_length):
-    """Links of 1 m and `second_length` m on ball joints between ground points 2 m apart."""
+    """Links of 1 m and `second_length` m on spherical joints between ground points 2 m apart."""
     angle = np.arccos((1 + 4 - second_length**2) / 4)
     corner = np.array([np.cos(angle), np.sin(angle), 0.0])
     pin = np.array([2.0, 0.0, 0.0])
@@ -313,14 +311,14 @@ MECHANISMS = {
 
 @functools.lru_cache(maxsize=None)
 def named(name, seed=0):
-    """One of MECHANISMS, random but the same each time."""
+    """Mechanism of MECHANISMS, random with a fixed seed."""
     links, loops = MECHANISMS[name]
     return mechanism(np.random.default_rng([seed, len(name)]), links, loops=loops)
 
 
 @functools.lru_cache(maxsize=None)
 def rotors():
-    """Bodies that are free or on a ball joint, coupled by springs and dampers."""
+    """Bodies, free or on a spherical joint, coupled by springs and dampers."""
     return mechanism(
         np.random.default_rng(7),
         [("world", "a", "spherical"), ("world", "b", None), ("world", "c", "spherical")],
@@ -329,5 +327,5 @@ def rotors():
 
 
 def fitting(method, name="net"):
-    """One of MECHANISMS that a method can serve, "rotors" where only that will do."""
+    """Mechanism of MECHANISMS that fits a method; "rotors" for rotation methods."""
     return rotors() if METHODS[method].family == "rotation" else named(name)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Slow, obvious twins of kernels: dense matrices, differences, nothing shared with the engine."""
+"""Simple dense implementations of kernels for comparison; they share nothing with the engine."""
 
 import numpy as np
 from scipy.linalg import expm
@@ -31,11 +31,12 @@ def flat(found):
 
 
 def joint_residual(joint, parent, child, length):
-    """What a joint forbids, as products of the axes of its frames and of the way between them.
+    """Residual of a joint, from products of the axes of its frames and the vector between them.
 
     parent, child : (4, 4) poses of the joint frames in the world
     length        : m, of a distance joint
-    returns (rows,), zero where the joint is closed; other rows than the engine's, of the same span
+    returns (rows,), zero if the joint is satisfied; the rows differ from the engine's but have the
+    same span
     """
     (x, y, z), (u, v, w) = parent[:3, :3].T, child[:3, :3].T
     d = child[:3, 3] - parent[:3, 3]
@@ -64,7 +65,7 @@ def residual(scene, frames, matrices):
     starts = {body.name: body.pose for body in scene.bodies} | {"world": np.eye(4)}
     parts = [np.zeros(0)]
     for joint, (parent, child) in zip(scene.joints, frames):
-        # a distance that the scene leaves out is the one at the start
+        # default of a length: the initial distance
         length = getattr(joint, "length", None) or np.linalg.norm(
             (starts[joint.parent] @ parent)[:3, 3] - (starts[joint.child] @ child)[:3, 3]
         )

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenes whose body frames sit away from the centres of mass."""
+"""Scenes with body frames away from the centres of mass."""
 
 import numpy as np
 
 
 def described_elsewhere(scene, com):
-    """The scene with body frames away from the centres of mass, which are at com[name] in them.
+    """Same mechanism with centres of mass at com[name] in the body frames.
 
-    Written down from what the keys mean: everything in a body's frame moves by the offset.
+    Follows the meaning of the keys: everything in a body's frame is shifted by the offset.
     """
     com = com | {"world": np.zeros(3)}
 

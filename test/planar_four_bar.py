@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The four-bar in its plane, by a program of its own: Munthe-Kaas RK4 on SE(2)^3.
+"""Four-bar in its plane, an independent program: Munthe-Kaas RK4 on SE(2)^3.
 
-Shares nothing with the engine. Here the rows of a joint are those of
-r_a + R_a p_a - r_b - R_b p_b, in world axes and with points of the bodies; they do not
-depend on where the bodies are. The engine's rows are seen from the child's joint frame: once a
-joint is open, the two differ.
+It shares nothing with the engine. The rows of a joint are those of r_a + R_a p_a - r_b - R_b p_b,
+in world axes. The engine's rows are in the child's joint frame: if a joint drifts, the two differ.
 """
 
 import numpy as np
@@ -74,7 +72,7 @@ class PlanarFourBar:
         return q
 
     def gaps(self):
-        """(4,) m, how far joints 1 to 4 are open."""
+        """(4,) m, position residuals of joints 1 to 4."""
 
         def place(body, point):
             return point if body is None else self.q[body, 1:] + turn(self.q[body, 0]) @ point
@@ -90,7 +88,7 @@ def _left_jacobian(angle):
 
 
 def _dexpinv(x, v):
-    """Its series with Bernoulli numbers; steps turn by a tenth of a radian."""
+    """dexpinv by its series with Bernoulli numbers; steps rotate by a tenth of a radian."""
 
     def ad(y):
         return np.array([0.0, *(x[0] * (QUARTER @ y[1:]) - y[0] * (QUARTER @ x[1:]))])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The scene files that come along, for tests."""
+"""Example scenes, for tests."""
 
 from pathlib import Path
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What holds for every kind of force; a new kind is tested by giving examples of it here."""
+"""Properties of every kind of force. A new kind only needs examples in EXAMPLES."""
 
 import os
 import subprocess
@@ -31,7 +31,7 @@ BODIES = ("a", "b", "c")
 INDEX = {"a": 0, "b": 1, "c": 2, "world": WORLD}
 ON_JOINTS = {"between": ("a", "b"), "ground": ("world", "c")}
 
-# Of each kind one force between bodies, where there is such a thing, and one to the world.
+# Of each kind one force between bodies, if possible, and one to the world.
 EXAMPLES = {
     "spring_damper": [
         SpringDamper(
@@ -86,10 +86,10 @@ SEEDS = range(4)
 
 
 class State:
-    """A random state of three free bodies and a force of one kind on them.
+    """Random state of three free bodies with forces of one kind.
 
-    Its joints are frames only: the poses are far from what a joint would allow, up to 0.4 rad of
-    tilt, so that what holds here holds where a method lets a joint drift, too.
+    The joints are frames only. The poses violate them, with tilts up to 0.4 rad, so that the
+    properties also hold for joints with drift.
     """
 
     def __init__(self, kind, seed, described=None):
@@ -117,7 +117,7 @@ class State:
         return out
 
     def energy(self, motion=np.zeros((3, 6))):
-        """Energy after all bodies have moved along these body twists."""
+        """Energy after a motion of all bodies along the given body twists."""
         moved = [displaced(matrix, twist) for matrix, twist in zip(self.matrices, motion)]
         return kinds.energy(self.forces, self.angle, flat(moved))
 
@@ -194,7 +194,7 @@ def test_gravity_is_minus_the_gradient_of_its_energy():
                 moved = matrices.copy()
                 moved[body] = displaced(matrices[body], sign * 1e-4 * np.eye(6)[c])
                 ends.append(gravity.energy(model, flat(moved)))
-            # the energy is linear in the place, so that only eps / 1e-4 of it is left
+            # the energy is linear in the position: only round-off, eps / 1e-4 of it, remains
             assert wrench[body, c] == pytest.approx((ends[1] - ends[0]) / 2e-4, abs=1e-9)
 
 
@@ -258,7 +258,7 @@ def test_a_wrench_in_body_axes_is_that_in_world_axes_turned(seed):
 
 
 def busy_scene():
-    """A chain of three hinges with every kind of force that hinges can have."""
+    """Chain with three revolute joints and every kind of force that applies to them."""
     scene = mechanisms.named("chain of hinges")
     forces = [
         *scene.forces,
@@ -317,7 +317,7 @@ def test_the_same_bits_however_the_steps_are_asked_for(group):
 
 @pytest.mark.slow
 def test_without_the_compiler_the_same_numbers():
-    """Plain Python rounds as machine code does; libm's last bit may differ."""
+    """Plain Python has the round-off of machine code; the last bit of libm may differ."""
     code = (
         "import sys; sys.path[:0] = sys.argv[1:]; import test_forces; "
         "s = test_forces.Simulation(test_forces.busy_scene()); s.advance(20); "

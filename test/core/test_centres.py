@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Centres of mass away from the body frames: the same mechanism, described otherwise."""
+"""Centres of mass away from the body frames: the same mechanism in other frames."""
 
 import mechanisms
 import numpy as np
@@ -15,12 +15,12 @@ from liegroup_core.scene import Body, Frame, Joint, Scene, scene_from_text
 from liegroup_core.scene.centres import PLACES, Offsets, at_centres_of_mass
 from liegroup_core.scene.description import FORCES, JOINTS
 
-# What a Sample says of frames; all else is of the mechanism, wherever its frames are.
+# Properties of a Sample that depend on the body frames; all others belong to the mechanism.
 OF_FRAMES = {"pose", "twist", "rows", "poses", "twists", "positions", "pose_matrices"}
 
 
 def pair(name, seed=0):
-    """A random mechanism twice: frames at the centres of mass, and elsewhere."""
+    """Random mechanism twice: frames at the centres of mass, and elsewhere."""
     scene = mechanisms.named(name, seed)
     rng = np.random.default_rng(seed)
     com = {body.name: 0.5 * rng.normal(size=3) for body in scene.bodies}
@@ -28,7 +28,7 @@ def pair(name, seed=0):
 
 
 def public(sample):
-    """{name: value} of all that a Sample says of the mechanism."""
+    """{name: value} of all properties of a Sample that belong to the mechanism."""
     names = [name for name in dir(Sample) if not name.startswith("_")] + ["time", "steps"]
     return {name: getattr(sample, name) for name in names if name not in OF_FRAMES}
 
@@ -92,7 +92,7 @@ def test_the_same_motion_wherever_the_frames_are(name, group):
 
 @pytest.mark.parametrize("name", ["ball", "net"])
 def test_a_wrench_is_about_the_origin_of_the_body_frame(name):
-    """A force at that origin, seen from the centre of mass, has the torque -c x f."""
+    """A force at the frame's origin has the torque -c x f about the centre of mass."""
     scene, elsewhere, com = pair(name, seed=3)
     one, other = Simulation(scene), Simulation(elsewhere)
     torque, force = np.array([0.3, -0.2, 0.5]), np.array([4.0, 5.0, -6.0])
@@ -109,7 +109,7 @@ def test_a_wrench_is_about_the_origin_of_the_body_frame(name):
 
 
 def test_a_recorded_run_is_repeated_to_the_bit():
-    """From the scene's text, the initial state and the wrenches, as a recording has them."""
+    """From the scene's text, the initial state and the wrenches, the contents of a recording."""
     _, scene, _ = pair("net", seed=5)
     scene = scene_from_text(scene.text)
     first = Simulation(scene)
@@ -147,7 +147,7 @@ def test_a_recorded_pose_makes_the_sample_it_came_from():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["chain of hinges", "tree"])
 def test_the_reference_integration_means_the_same_frames(name):
-    """What recordings are judged against takes a state and wrenches, and gives body frames."""
+    """The reference integration takes states and wrenches, and returns motions, of body frames."""
     _, scene, _ = pair(name, seed=1)
     simulation = Simulation(scene, step=5e-4)
     start = simulation.state()
@@ -169,7 +169,7 @@ def test_the_reference_integration_means_the_same_frames(name):
 
 
 def test_kept_momentum_does_not_depend_on_the_frames():
-    """Two bodies on a ball joint in space, and one that spins alone: all their momentum is kept."""
+    """Two free bodies on a spherical joint, and a single one: all momentum is conserved."""
     bodies = [
         Body(
             name=name,
@@ -223,7 +223,7 @@ def test_without_offsets_nothing_is_touched():
 
 
 def test_offsets_there_and_back_for_whole_motions():
-    """Arrays of samples, as an analysis has them, like single ones."""
+    """Arrays of samples, as in an analysis, give the same as single samples."""
     _, scene, _ = pair("tree")
     rng = np.random.default_rng(1)
     offsets, n = Offsets(scene), len(scene.bodies)
@@ -240,7 +240,7 @@ def test_offsets_there_and_back_for_whole_motions():
 
 @pytest.mark.parametrize("kind", [*JOINTS, *FORCES], ids=lambda kind: kind.__name__)
 def test_every_place_of_every_kind_is_known(kind):
-    """A new kind of joint or force with a point or a frame in a body must be shifted as well."""
+    """Every point or frame in a body, of any joint or force, is listed in PLACES."""
     for key, field in kind.model_fields.items():
         holds_frame = Frame in (field.annotation, *getattr(field.annotation, "__args__", ()))
         if "point" in key or "position" in key and "rest" not in key or holds_frame:
@@ -248,7 +248,7 @@ def test_every_place_of_every_kind_is_known(kind):
 
 
 def test_a_pendulum_about_the_origin_of_its_frame():
-    """A plate on a hinge at its frame's origin, its centre of mass 0.4 m off: q'' = -k sin q."""
+    """Plate on a revolute joint at its frame's origin, centre of mass 0.4 m away: q'' = -k sin q."""
     com, moment = np.array([0.24, 0.0, -0.32]), 0.05
     scene = Scene(
         name="p",

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Initial values: what the joints allow is taken, inconsistent starts are named.
+"""Initial values: consistent ones are accepted, inconsistent ones are refused with a location.
 
-The expected values come from plain vector algebra (cross products of angular velocities and
-distances), not from the adjoints the code uses.
+Expected values come from vector algebra (cross products of angular velocities and distances), not
+from the adjoints that the code uses.
 """
 
 import re
@@ -30,7 +30,7 @@ EPS = np.finfo(float).eps
 
 
 def random_frame(rng):
-    """Pose and the keys that describe it in a scene."""
+    """Random pose and its keys in a scene."""
     rotation, position = Rotation.from_quat(rng.normal(size=4)), rng.normal(size=3)
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation.as_matrix(), position
@@ -41,7 +41,7 @@ def random_frame(rng):
 
 
 def two_bodies(rng, kind="revolute", **joint):
-    """World - a - b with random poses; frames of the two joints chosen to close."""
+    """World - a - b with random poses; the joint frames satisfy both joints."""
     (C_a, a), (C_b, b) = random_frame(rng), random_frame(rng)
     bodies = [
         Body(name=name, mass=1, inertia=[1, 1, 1], **keys) for name, keys in (("a", a), ("b", b))
@@ -82,7 +82,7 @@ def test_frames_that_are_given_are_taken_as_they_are():
 
 
 def pinned(offset=(0, 0, 0), kind="spherical", at=(0, 0, 0), **frame):
-    """A body at `at` with both joint frames given, the child's one shifted by `offset`."""
+    """Body at `at` with both joint frames given, the child's one shifted by `offset`."""
     return Scene(
         name="s",
         gravity=(0, 0, 0),
@@ -140,7 +140,7 @@ def test_a_pair_may_start_turned_the_way_it_turns():
 
 
 def rod(length=None, reach=(3, 0, 4), at=(0, 0, 0)):
-    """A body at `at` on a distance joint to the point `reach` further on."""
+    """Body at `at` on a distance joint to the point `at` + `reach`."""
     return Scene(
         name="s",
         gravity=(0, 0, 0),
@@ -183,7 +183,7 @@ def test_a_distance_left_out_is_the_one_at_the_start():
     ],
 )
 def test_a_rod_without_length_is_refused(reach, length, at):
-    """What is small against the round-off of the positions has no direction."""
+    """A distance below the round-off of the positions has no direction."""
     with pytest.raises(
         SceneError, match="the two points coincide, .*; use a spherical joint"
     ) as caught:
@@ -202,7 +202,7 @@ def test_of_several_open_joints_the_first_is_named():
 
 
 def allowed_velocity(rng, kind, axes, way, cross_axis):
-    """Relative angular velocity, and that of the child's point against the parent's body there.
+    """Relative angular velocity, and velocity of the child's point relative to the parent.
 
     axes : columns x, y, z of the parent's joint frame in the world
     way  : from its origin to that of the child's one; cross_axis: y axis of the child's frame
@@ -225,14 +225,14 @@ def allowed_velocity(rng, kind, axes, way, cross_axis):
 
 
 def forbidden_direction(kind, axes, way):
-    """A direction in which the joint lets nothing move."""
+    """Direction in which the joint forbids translation."""
     if kind == "distance":
         return way / np.linalg.norm(way)
     return axes[:, 2] if kind == "planar" else axes[:, 0]
 
 
 def moving(rng, kind, error=0.0, turn=np.zeros(3)):
-    """World - a - b that move as their two joints allow, and a velocity against the second one.
+    """World - a - b with consistent velocities, plus a violation of the second joint.
 
     error : m/s of b along a forbidden direction; turn: rad/s of b
     In world axes, with the child's point at q, its relative velocity s and the relative angular
@@ -301,7 +301,7 @@ def test_a_velocity_against_a_joint_is_named_with_its_size(kind):
 
 
 def test_a_turn_against_a_hinge_is_named():
-    """The hinge is at the centre of mass, so that nothing slips; turning about z is free."""
+    """Revolute joint at the centre of mass: no linear violation; rotation about z is free."""
     scene = pinned(kind="revolute")
     turning = scene.bodies[0].model_copy(update={"angular_velocity": (0.1, 0.0, 5.0)})
     message = r"by 0 m/s and 0\.1 rad/s; .* angular_velocity \[0, 0, 5\]"
@@ -330,7 +330,7 @@ def test_the_velocities_the_message_gives_are_consistent(kind):
 
 
 def test_the_heavy_top_at_rest_at_its_centre_is_refused_with_the_right_velocity():
-    """Half a radian per second about z, half a metre from the pivot."""
+    """0.5 rad/s about z, 0.5 m from the pivot."""
     text = load_scene("heavy_top").text
     wrong = text.replace("linear_velocity: [0.0, 0.25, 0.0]", "linear_velocity: [0.0, 0.0, 0.0]")
     assert wrong != text

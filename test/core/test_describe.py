@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Facts about a scene: counted by hand, or against the dense matrix."""
+"""`describe` against counts by hand and the dense matrix."""
 
 import mechanisms
 import numpy as np
@@ -37,7 +37,7 @@ def test_heavy_top():
 
 
 def test_a_loop_says_which_row_is_left_out():
-    """A four-bar of three hinges and a ball: 18 rows of rank 17."""
+    """Four-bar with three revolute joints and a spherical one: 18 rows of rank 17."""
     facts = describe(make_layout(four_bar()))
     assert (facts["rows"], facts["solved_rows"], facts["degrees_of_freedom"]) == (18, 17, 1)
     assert facts["dropped_rows"] == [["coupler_rocker", "vz"]]
@@ -78,7 +78,7 @@ def test_structure_of_the_solve_is_that_of_the_matrix(name):
 
 
 def test_operations_of_a_dense_factor():
-    """A body and a ball joint whose blocks all change: those of dense Cholesky of 9, about."""
+    """Body and spherical joint with changing blocks: about those of a dense Cholesky of size 9."""
     *_, ranges, columns, updates = block_layout(np.array([6, 3]), [[1], []], [(0, 0)])
     vertices = np.array([(0, k, 0, *each) for k, each in zip((6, 3), ranges)], dtype=VERTEX)
     factor, solve = operations(vertices, columns, updates)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The index-1 solve against a dense one, and its structure."""
+"""The index-1 solve against a dense solve, and its structure."""
 
 import engine
 import mechanisms
@@ -49,14 +49,14 @@ def test_accelerations_are_those_of_the_dense_saddle_point(name, seed):
     )
     expected = naive.accelerations(scene, frames, matrices, twists, rate)
     found = engine_accelerations(Simulation(scene))
-    # A body that is welded to the world does not accelerate: gravity is there all the same.
+    # A body on a fixed joint to the world does not accelerate, but gravity acts on it.
     size = max(9.81, *(np.abs(value).max() for value in expected.values()))
     for body, value in expected.items():
         assert np.abs(found[body] - value).max() <= 1e-6 * size, body
 
 
 def random_tree(rng):
-    """Five bodies, and joints of any kind."""
+    """Tree of five bodies with random types of joints."""
     links = [
         (
             f"b{rng.integers(max(0, i - 2), i)}" if i else "world",
@@ -69,7 +69,7 @@ def random_tree(rng):
 
 
 def distance_to_dense(simulation):
-    """Of the accelerations from those of the dense K of the same rows, of the largest of them."""
+    """Difference of the accelerations to a dense solve with the same rows, relative to the largest."""
     J, bias = engine.rows(simulation)
     solved = np.abs(J).sum(axis=1) > 0.0
     J, bias = J[solved], bias[solved]
@@ -116,10 +116,10 @@ def test_both_ways_through_a_tree(monkeypatch, bodies_first, seed):
 @pytest.mark.parametrize("thin", [1e-2, 1e-4, 1e-6])
 @pytest.mark.parametrize("seed", range(4))
 def test_no_digits_are_lost_to_levers_across_thin_bodies(thin, seed):
-    """Bodies that turn easily about one axis: a refinement finds what elimination has lost.
+    """Bodies with one small moment of inertia: a refinement recovers the digits that elimination loses.
 
-    Without one it loses the digits of the lever's m p^2 against the inertia, five for 1e-4; up to
-    three are left to be lost. The dense solve was found to be right to 2e-14 with 40 digits.
+    Without refinement it loses the digits of the ratio of m p^2 to the inertia, five for 1e-4; up
+    to three are allowed. The dense solve is accurate to 2e-14 (checked with 40 digits).
     """
     rng = np.random.default_rng(seed)
     scene = random_tree(rng)
@@ -139,9 +139,9 @@ def test_no_digits_are_lost_to_levers_across_thin_bodies(thin, seed):
 @pytest.mark.parametrize("radius", [0.02, 1e-3, 1e-4, 1e-5])
 @pytest.mark.parametrize("turn", [(0.0, 0.0, 0.785), (0.3, 0.5, 0.785)])
 def test_no_digits_are_lost_to_slender_rods_on_hinges(radius, turn):
-    """Rows that mix turns about a rod's axis with others: 1e-11 to 1e-4 are lost on the way.
+    """Rows that mix rotations about a rod's axis with others: elimination loses 1e-11 to 1e-4.
 
-    1e-13: the dense solve itself is right to some 1e-14 here.
+    1e-13: the dense solve itself is accurate to about 1e-14 here.
     """
     bodies = [
         Body(
@@ -189,7 +189,7 @@ def test_a_joint_does_not_care_which_side_is_called_parent():
 
 
 def saddle_graph(joints, bodies):
-    """Sizes and neighbours of bodies, then joints; a joint is a tuple of the bodies it holds."""
+    """Sizes and neighbours of bodies, then joints; a joint is a tuple of its bodies."""
     neighbours = [set() for _ in range(bodies + len(joints))]
     for j, held in enumerate(joints):
         for body in held:
@@ -239,7 +239,7 @@ def test_bodies_first_leave_the_joints_of_a_body_coupled():
 
 
 def test_what_depends_on_a_pose_changes_and_nothing_else():
-    """A body on two joints, 6 + 3 + 3: the block of the second joint changes."""
+    """Body on two joints, 6 + 3 + 3: the block of the second joint changes."""
     place, (summed, fresh, size, end), ranges, columns, updates = block_layout(
         np.array([6, 3, 3]), [[1, 2], [2], []], [(2, 0)]
     )
@@ -258,14 +258,14 @@ def test_what_depends_on_a_pose_changes_and_nothing_else():
 
 @pytest.mark.parametrize("name", mechanisms.MECHANISMS)
 def test_what_is_written_anew_has_no_constant_part(name):
-    """`assemble` writes those blocks of J over, so nothing may have been added to them."""
+    """`assemble` overwrites these blocks of J, so elimination must not have added to them."""
     model = Simulation(mechanisms.named(name)).layout.model
     assert not model.matrix[model.summed : model.fresh].any()
 
 
 @pytest.mark.parametrize("name", mechanisms.MECHANISMS)
 def test_power_balance(name):
-    """Energy changes by what the dampers take: dE/dt from the accelerations equals their power.
+    """dE/dt from the accelerations equals the power of the dampers.
 
     One step of 1e-6 s: E is smooth, so (E(h) - E(0)) / h = Edot + O(h), with E'' below 1e5 W/s.
     """

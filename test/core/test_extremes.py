@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The map of extremes: its verdicts catch planted wrong answers, and none is silent."""
+"""The robustness map: its verdicts detect planted errors, and no error is undetected."""
 
 from dataclasses import replace
 
@@ -42,7 +42,7 @@ def verdict(problem, method, make=Simulation, **more):
 
 
 def slow(scene, method, step, **settings):
-    """A mutant: every step is one of 0.9 h, so halves of it agree, and energy is kept."""
+    """Mutant: steps of 0.9 h. Halved steps agree with it, and energy is conserved."""
     simulation = Simulation(scene, method, step, **settings)
     advance = simulation._integrator.advance
     simulation._integrator.advance = lambda h, *rest: advance(0.9 * h, *rest)
@@ -50,7 +50,7 @@ def slow(scene, method, step, **settings):
 
 
 def lighter(scene, method, step, **settings):
-    """Another: it falls by 4/5 of gravity."""
+    """Mutant: 4/5 of gravity."""
     gravity = tuple(0.8 * g for g in scene.gravity)
     return Simulation(scene.model_copy(update={"gravity": gravity}), method, step, **settings)
 
@@ -68,7 +68,7 @@ def test_plausible_wrong_answers_are_silent(mutant, amplitude):
     "method", ["constrained_rattle", "constrained_rattle4", "constrained_rattle8"]
 )
 def test_squares_that_have_no_digits(method):
-    """Around 1e-160 rad those of angles are below the least normal number, or zero."""
+    """Squares of angles around 1e-160 rad are subnormal or zero."""
     errors = []
     for amplitude in (1e-4, 1e-155, 1e-158, 1e-160, 1e-161, 1e-162, 1e-165):
         problem = problems.angle(amplitude, part=1.0)
@@ -91,7 +91,7 @@ def test_the_other_verdicts():
 
 
 def test_a_loss_of_accuracy_along_a_scale_is_wrong():
-    """1 % is right where nothing better is due, and wrong where the scale 1 has 1e-6."""
+    """1 % is correct if nothing better is expected, and wrong if the scale 1 has 1e-6."""
     cells = [
         {
             "method": "rkmk4",
@@ -108,7 +108,7 @@ def test_a_loss_of_accuracy_along_a_scale_is_wrong():
 
 
 def test_sizes_are_those_of_the_motion():
-    """Angles of 1e-300 are told apart, as are turns of nearly pi."""
+    """Angles of 1e-300 are distinguished, and so are rotations of nearly pi."""
     about = problems.motions.about
     R = about(1, np.array([0.0, 1e-300]))[:, None]
     none = np.zeros((2, 1, 3))
@@ -153,7 +153,7 @@ def test_no_answer_of_the_quick_map_is_silently_wrong():
 
 @pytest.mark.slow
 def test_what_was_run_is_not_run_again(tmp_path, monkeypatch):
-    """A map that is ended goes on where it was, with the same cells, and judges them the same."""
+    """An interrupted map continues with the same cells and the same verdicts."""
     axes = [axis for axis in AXES if axis.name in ("angle", "step_free")]
     methods = ("rkmk4", "rattle")
 
@@ -184,7 +184,7 @@ def test_what_was_run_is_not_run_again(tmp_path, monkeypatch):
 
 def test_a_scene_that_cannot_be_made_is_refused_by_the_methods_that_are_for_it():
     def far(distance):
-        """The four-bar, its last joint so many metres away."""
+        """Four-bar with its last joint at the given distance in m."""
         made = problems.length_bars(1.0)
         *joints, last = made.scene.joints
         last = last.model_copy(update={"parent_frame": Frame(position=(distance, 0, 0))})

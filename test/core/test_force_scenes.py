@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Forces in scene files: what is read, and every mistake in one line that says where and what."""
+"""Forces in scene files: correct ones are read, wrong ones refused in one line with location."""
 
 import math
 

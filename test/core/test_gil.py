@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Steps are taken without the interpreter's lock: other threads of the process go on meanwhile."""
+"""Steps are taken without the interpreter lock: other threads of the process keep running."""
 
 import threading
 import time

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Angles and ways of joints, and their rates, against closed forms and differences in time."""
+"""Joint positions and velocities against closed forms and differences in time."""
 
 import math
 
@@ -8,8 +8,8 @@ import pytest
 from liegroup_core import Simulation, load_scene
 from liegroup_core.scene.load import scene_from_text
 
-# Two flywheels on one tilted axis, the turns of one counted by a spring without stiffness, and a
-# slider along an axis of its own; no gravity, so every rate stays what it is.
+# Two flywheels on one tilted axis, the angle of one unwrapped by a spring without stiffness, and a
+# slider along another axis. Without gravity all rates are constant.
 SCENE = """
 name: wheels
 gravity: [0, 0, 0]

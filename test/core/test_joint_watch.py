@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A motion that left its joints is not silent."""
+"""Constraint violations are reported."""
 
 import logging
 
@@ -66,7 +66,7 @@ def test_it_is_said_however_the_steps_are_asked_for():
 
 
 def test_a_push_is_no_singular_pose():
-    """From rest joints do not open at all; under a push they do, and nothing was before that."""
+    """At rest there is no drift; under an external wrench there is, without an earlier rate to compare."""
     simulation = Simulation(
         load_scene("double_pendulum").model_copy(update={"gravity": (0, 0, 0)}), step=5e-3
     )

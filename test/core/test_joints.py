@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Joints: rows and residuals of every kind, against the motions they allow and differences.
+"""Joints: rows and residuals of every type, against allowed motions and finite differences.
 
-What a joint allows is said here once more, as motions along single directions and as formulas of
-machines (the thread of a screw, Hooke's joint, the conical pendulum), without the table of rows.
+The allowed motions are defined here independently of the table of rows: motions along single
+directions, and formulas of machines (thread of a screw, Hooke's joint, conical pendulum).
 """
 
 import math
@@ -59,7 +59,7 @@ def residual(kind, C, **parameters):
 
 
 def allowed(rng, kind, pitch=0.7, size=1.0):
-    """A pose that a joint allows, from motions along single directions, and its elements."""
+    """Pose that a joint allows, composed of motions along single directions, and its elements."""
     if kind == "universal":
         return motion(size * rng.normal() * WX) @ motion(size * rng.normal() * WY), elements(kind)
     if kind == "distance":
@@ -81,7 +81,7 @@ def test_the_rows_forbid_all_but_the_free_motions(kind, pitch):
     pair = LOWER_PAIRS[kind]
     A, free = pair.forbidden(pitch), np.reshape(FREE[kind](pitch), (-1, 6))
     assert not (A @ free.T).any()
-    # No row says what another one says, and rows and free motions make up all six directions.
+    # Rows are independent; rows and free motions together span all six directions.
     assert np.linalg.matrix_rank(A) == len(A) == 6 - len(free)
     assert pair.turns_freely == (not A[:, :3].any()) == (len(free) == 3 and not free[:, 3:].any())
     assert pair.text
@@ -117,7 +117,7 @@ def test_a_screw_may_turn_many_times(pitch):
 
 @pytest.mark.parametrize("pitch", [0.5, -0.5])
 def test_a_screw_is_on_the_thread_next_to_it(pitch):
-    """Half a thread further on the next one is nearer."""
+    """Beyond half a thread the next thread is nearer."""
     lead = 2.0 * math.pi * abs(pitch)
     for angle in (-2.0, 0.0, 1.0):
         for off in (-0.49, -0.1, 0.2, 0.49):
@@ -230,7 +230,7 @@ def test_a_universal_joint_turns_its_shafts_as_hookes_joint_does():
 
 
 def conical_pendulum(angle=0.6, length=0.8):
-    """A ball on a rod that goes round; its period is 2 pi sqrt(l cos(angle) / g)."""
+    """Conical pendulum: a ball on a rod; its period is 2 pi sqrt(l cos(angle) / g)."""
     period = 2.0 * math.pi * math.sqrt(length * math.cos(angle) / 9.81)
     radius = length * math.sin(angle)
     ball = Body(
@@ -248,7 +248,7 @@ def conical_pendulum(angle=0.6, length=0.8):
 
 
 def test_a_rod_carries_a_conical_pendulum():
-    """After one period the ball, which turns as it likes, is where it began: order four."""
+    """After one period the ball is at its initial position, with an error of order four."""
     period, scene = conical_pendulum()
     errors = {}
     for steps in (250, 500, 1000):
@@ -266,7 +266,7 @@ def test_a_rod_carries_a_conical_pendulum():
 
 @pytest.mark.parametrize("name", mechanisms.MECHANISMS)
 def test_the_kernel_has_the_residuals_of_the_joints(name):
-    """At poses where nothing is closed, too."""
+    """Also at poses that violate the joints."""
     rng = np.random.default_rng(3)
     simulation = Simulation(mechanisms.named(name))
     layout = simulation.layout

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the kernels of SO(3) and SE(3) promise beyond the group contract.
+"""Kernels of SO(3) and SE(3): properties beyond the group contract.
 
 The contract test reaches exp, log, dexp, dexpinv, Ad, ad and the inverse through the matrix
 classes; here are the remaining kernels, the quaternions, the edges, and plain Python.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A run that is continued from a saved state goes on to the bit, whatever its method keeps."""
+"""A run continued from a saved state is bit-identical, for methods with any memory."""
 
 import pytest
 

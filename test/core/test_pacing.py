@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pacing, with a clock that the test turns."""
+"""Pacing, with a simulated clock."""
 
 import json
 import time
@@ -13,7 +13,7 @@ GLANCE = 1e-6  # s for a look at the clock: the most a watched tick can be late
 
 
 class Clock:
-    """Monotonic time that passes only by sleeping, by looking at it and by `work`."""
+    """Monotonic time that advances only by sleeping, by reading it and by `work`."""
 
     def __init__(self, oversleep=0.0):
         self.now = 1000.0

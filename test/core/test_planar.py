@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mechanisms that are held in a plane, integrated there: the same motion as in space.
+"""Planar mechanisms integrated in their plane have the same motion as in space.
 
-In space the same equations are solved with six scalars a body, by code that shares neither the
-joints' rows nor the Lie group with the planar one.
+In space the equations have six scalars per body; this code shares neither joint rows nor Lie group
+with the planar one.
 """
 
 import mechanisms
@@ -55,7 +55,7 @@ LOOPS = {
 
 
 def turned_about(normal, angle):
-    """Rotation about a world axis, to round-off exact in the axis' own entries."""
+    """Rotation about a world axis; the entries of the axis are exact."""
     R = np.eye(3)
     i, j = (normal + 1) % 3, (normal + 2) % 3
     R[i, i] = R[j, j] = np.cos(angle)
@@ -65,15 +65,15 @@ def turned_about(normal, angle):
 
 
 def axis_turns(rng):
-    """A random rotation that takes axes to axes."""
+    """Random rotation that maps axes to axes."""
     R = np.eye(3)[rng.permutation(3)] * rng.choice([-1.0, 1.0], 3)
     return R if np.linalg.det(R) > 0.0 else -R
 
 
 def mechanism(name, normal, seed=0):
-    """A random mechanism in a plane: axes of bodies in all orders, joints and forces off the plane.
+    """Random planar mechanism: permuted body axes, joints and forces outside the plane.
 
-    Inertias are full, gravity and springs pull across the plane too: the joints must hold it.
+    Inertias are full, and gravity and springs also act across the plane: joints balance this.
     """
     rng = np.random.default_rng([seed, normal, len(name)])
     tree, loops = LOOPS.get(name, (name, []))
@@ -228,7 +228,7 @@ def test_pairs_to_ground_stay_closed_to_round_off(name):
 
 
 def test_a_run_does_not_depend_on_how_it_is_cut():
-    """What goes from the plane to space and back between calls is the same to the bit."""
+    """Conversions between plane and space at the ends of calls are bit-identical."""
     scene = mechanism("chain with a loop", 0)
     runs = [
         Simulation(scene, group=group, method=method)
@@ -317,13 +317,13 @@ def test_what_is_not_held_in_a_plane_of_axes_is_not_taken_for_it():
     "name", ["double_pendulum", "hinge_chain", "four_bar", "n_four_bar", "andrews_squeezer"]
 )
 def test_planar_scenes_are_found_and_agree(name):
-    """Loops drift alike: to rounding, as long as no drift has become large."""
+    """Loops drift alike, up to round-off, as long as the drift is small."""
     planar, space = both(load_scene(name), steps=100, step=1e-4, push=np.zeros(6))
     assert difference(planar, space) <= 1e-9
 
 
 def test_redundant_rows_in_the_plane_are_left_out():
-    """A parallelogram with a third crank: 4 bars of 3 scalars and 12 rows of rank 11, one freedom."""
+    """Parallelogram with a third crank: 4 bars of 3 scalars, 12 rows of rank 11, one DOF."""
 
     def bar(name, start, end):
         (x0, y0), (x1, y1) = start, end

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stabilisation: projection is least squares and no more, Baumgarte's errors die out."""
+"""Stabilisation: projection is the least-squares solution, Baumgarte's method damps errors."""
 
 import engine
 import mechanisms
@@ -15,7 +15,7 @@ from liegroup_core.status import DEPENDENT_ROWS, NOT_PROJECTED, OK
 
 
 def disturbed(simulation, rng, size):
-    """The state of a simulation, bodies displaced and pushed at random by some size."""
+    """State of a simulation with random perturbations of poses and twists."""
     pose, twist = simulation.state()
     displacement = size * rng.normal(size=twist.shape)
     pose = naive.flat(naive.matrices(pose) @ SE3.exp(displacement))
@@ -32,7 +32,7 @@ def projected(simulation, pose, twist):
 @pytest.mark.parametrize("name", mechanisms.MECHANISMS)
 @pytest.mark.parametrize("size, most_rounds", [(1e-9, 1), (1e-5, 2), (1e-2, 4)])
 def test_projection_closes_all_joints_to_rounding(name, size, most_rounds):
-    """Newton's method squares the error: 1e-9, 1e-18; 1e-2, 1e-4, 1e-8, 1e-16 and one for luck."""
+    """Newton's method squares the error: 1e-9, 1e-18; 1e-2, 1e-4, 1e-8, 1e-16, plus one iteration."""
     simulation = Simulation(mechanisms.named(name))
     model = simulation.layout.model
     rng = np.random.default_rng(1)
@@ -48,10 +48,10 @@ def test_projection_closes_all_joints_to_rounding(name, size, most_rounds):
 
 @pytest.mark.parametrize("name", mechanisms.MECHANISMS)
 def test_the_change_is_the_least_one(name):
-    """M X and M dV are combinations of the rows: nothing is moved that the joints do not ask for.
+    """M X and M dV are combinations of the rows: the condition of the least-squares solution.
 
-    The displacement up to second order in its size, 1e-5; the velocity to the rounding of twists
-    of size 10.
+    For the displacement up to second order in its size, 1e-5; for the velocity up to the round-off
+    of twists of size 10.
     """
     scene = mechanisms.named(name)
     simulation = Simulation(scene)
@@ -61,7 +61,7 @@ def test_the_change_is_the_least_one(name):
     _, _, pose, twist = projected(simulation, start_pose, start_twist)
     J, _ = engine.rows(simulation, pose, twist)
     X = SE3.log(np.linalg.inv(naive.matrices(start_pose)) @ naive.matrices(pose)).ravel()
-    # At the closed pose, from the velocity as the first part of the projection leaves it.
+    # At the projected pose, from the velocity after the first part of the projection.
     _, _, same, pushed = projected(simulation, pose, start_twist)
     dV = (pushed - start_twist).ravel()
     assert same.tobytes() == pose.tobytes()
@@ -107,7 +107,7 @@ def test_inner_joints_change_no_momentum():
 
 
 def test_closing_the_joints_keeps_linear_momentum_energy_and_centre_of_mass():
-    """Energy by Pythagoras: what the second part takes away is the energy of its change."""
+    """Energy by Pythagoras: the second part removes exactly the energy of its change."""
     simulation = Simulation(mechanisms.named("floating"))
     M = engine.masses(simulation.scene)
     rng = np.random.default_rng(4)
@@ -129,7 +129,7 @@ def test_closing_the_joints_keeps_linear_momentum_energy_and_centre_of_mass():
 
 @pytest.mark.parametrize("kind", LOWER_PAIRS)
 def test_at_ground_joints_projection_changes_nothing(kind):
-    """On SE(3) they are closed to rounding: the runs differ by that, magnified by the motion."""
+    """SE(3) satisfies them to machine precision: the runs differ by amplified round-off."""
     scene = mechanisms.named(f"{kind} to ground")
     with_it, without = (
         Simulation(scene, step=2e-3, stabilisation=s) for s in ("projection", "none")
@@ -144,7 +144,7 @@ def test_at_ground_joints_projection_changes_nothing(kind):
 @pytest.mark.parametrize("name", ["chain of hinges", "every kind", "net", "floating"])
 @pytest.mark.parametrize("group", ["se3", "so3xr3"])
 def test_projection_keeps_order_and_joints(name, group):
-    """Order 4 against a run without projection of a step so small that joints stay closed."""
+    """Order 4 against a run without projection whose step is so small that drift is negligible."""
     scene = mechanisms.named(name)
     reference = Simulation(scene, step=1e-4)
     reference.advance(1000)
@@ -162,7 +162,7 @@ def test_projection_keeps_order_and_joints(name, group):
 
 
 def test_what_cannot_be_closed_is_reported():
-    """A pendulum of 1 m on a rod that became too short: the last good state stays."""
+    """Pendulum of 1 m on a rod that becomes too short: the last valid state is kept."""
     scene = mechanisms.mechanism(
         np.random.default_rng(5), [("world", "a", "spherical")], loops=[("world", "a", "distance")]
     )
@@ -185,7 +185,7 @@ def test_what_cannot_be_closed_is_reported():
 @pytest.mark.parametrize("name", ["net", "every kind"])
 @pytest.mark.parametrize("group", ["se3", "so3xr3"])
 def test_errors_die_out_as_baumgarte_says(name, group):
-    """g = g0 (1 + a t) exp(-a t) for a small gap g0, whose velocity is zero at first."""
+    """g = g0 (1 + a t) exp(-a t) for a small residual g0 with zero initial rate."""
     time = 0.02
     simulation = Simulation(
         mechanisms.named(name),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""docs/reference/python.md says what is so: its pieces of code run, one after the other, and print."""
+"""The code blocks of docs/reference/python.md run in sequence and print what the page shows."""
 
 import re
 from pathlib import Path

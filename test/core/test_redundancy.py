@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Closed loops: which rows are dropped, singular poses, and ratios of masses."""
+"""Closed loops: redundant rows, singular poses, mass ratios."""
 
 import mpmath
 import numpy as np
@@ -13,7 +13,7 @@ from liegroup_core.scene.description import Body, Frame, Joint
 
 
 def bar(name, start, end, rate=0.0, start_velocity=(0.0, 0.0), mass=1.0):
-    """A bar in the x-y plane from start to end, turning about z at `rate`; x along the bar."""
+    """Bar in the x-y plane from start to end, rotating about z at `rate`; x along the bar."""
     start, end = np.array(start, dtype=float), np.array(end, dtype=float)
     along = end - start
     length, angle = np.linalg.norm(along), np.arctan2(along[1], along[0])
@@ -41,7 +41,7 @@ def hinge(name, parent, child, offset, kind="revolute"):
 
 
 def parallelogram(angle, rate, kinds=("revolute",) * 4, gravity=(0.0, 0.0, 0.0)):
-    """Crank and rocker of 1 m, coupler and ground of 2 m, turning as a parallelogram."""
+    """Crank and rocker of 1 m, coupler and ground of 2 m, moving as a parallelogram."""
     tip = np.array([np.cos(angle), np.sin(angle)])
     speed = rate * np.array([-tip[1], tip[0]])
     pin = np.array([2.0, 0.0])
@@ -78,7 +78,7 @@ def test_planar_four_bar_drops_the_row_out_of_its_plane():
 
 @pytest.mark.parametrize("angle", [1.0, 0.0])
 def test_a_singular_start_is_not_taken_for_redundancy(angle):
-    """Four hinges: 20 rows of rank 17, also when the start is flat, where the rank is 16."""
+    """Four revolute joints: 20 rows of rank 17, also for a flat start, where the rank is 16."""
     layout = Simulation(parallelogram(angle, 2.0)).layout
     assert len(layout.dropped_rows) == 3
     assert {row for _, row in layout.dropped_rows} <= {"wx", "wy", "vz"}
@@ -132,7 +132,7 @@ def test_a_flat_parallelogram_is_crossed_at_speed(angle):
 
 @pytest.mark.parametrize("rate, step", [(3.0, 1e-4), (0.3, 1e-3)])
 def test_energy_that_leaps_at_a_flat_pose_is_told(rate, step):
-    """Half a step from the flat pose RATTLE takes velocities of another motion, its joints closed."""
+    """Half a step from the flat pose RATTLE jumps to another motion that satisfies the joints."""
     simulation = Simulation(parallelogram(0.5, rate), method="constrained_rattle", step=step)
     start = simulation.energy()
     simulation.advance(round(3.0 / rate / step))
@@ -141,7 +141,7 @@ def test_energy_that_leaps_at_a_flat_pose_is_told(rate, step):
 
 
 def exact_accelerations(model, pose, scene):
-    """Vdot at rest from the rows of the model, solved with 60 digits."""
+    """Vdot at rest from the model's rows, solved with 60 digits."""
     mpmath.mp.dps = 60
     n = len(scene.bodies)
 
@@ -199,10 +199,10 @@ def exact_accelerations(model, pose, scene):
     ],
 )
 def test_no_digits_are_lost_to_the_ratio_of_masses(masses):
-    """A bent chain of balls, each body's acceleration against 60 digits.
+    """Bent chain with spherical joints: accelerations against 60 digits.
 
-    Rounding of the rows alone moves the accelerations by a few 1e-16 of their size; 1e-13 leaves
-    room for the condition of the chain's shape, and none for a ratio of masses of 1e8.
+    Round-off of the rows alone changes accelerations by a few 1e-16. The bound 1e-13 allows for the
+    condition of the chain's shape, but not for a mass ratio of 1e8.
     """
     at, bodies, joints = np.zeros(2), [], []
     for i, mass in enumerate(masses):

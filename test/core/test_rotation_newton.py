@@ -26,7 +26,7 @@ def inertia_of(rng):
 
 
 def left_hand_side(kind, I, h, x, v, a, b):
-    """The equations as they are written, with series and matrices of other code."""
+    """Left-hand sides with series and matrices of independent code."""
     x, v, a, b = map(np.array, (x, v, a, b))
     t = np.linalg.norm(x)
     if kind == GYROSCOPIC:
@@ -64,7 +64,7 @@ def test_equations_and_their_derivatives(kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_it_converges_to_rounding(kind):
-    """From the start that a step of half a turn at the most begins with."""
+    """From the initial guess of a step of at most half a turn."""
     rng = np.random.default_rng(10 + kind)
     for _ in range(200):
         I = inertia_of(rng)

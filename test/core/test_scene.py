@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenes: every number is kept, files are found, models made in code are checked as well."""
+"""Scenes: numbers are preserved, files are found, models made in code are checked."""
 
 import math
 import pickle
@@ -106,7 +106,7 @@ def test_numbers_follow_yaml_1_2(parser, text, value):
 
 
 def test_plain_words_follow_yaml_1_2(parser):
-    """YAML 1.1 reads `on`, `no` and dates as something else than text."""
+    """YAML 1.1 would read `on`, `no` and dates as other types than text."""
     scene = scene_from_text(GOOD.replace("rig", "on").replace("Two bodies", "2001-01-01"))
     assert (scene.name, scene.description) == ("on", "2001-01-01")
 
@@ -260,7 +260,7 @@ def test_a_file_goes_before_a_scene_of_the_same_name(tmp_path, monkeypatch):
 
 
 def test_loading_takes_a_few_milliseconds():
-    """Promised: below 20 ms. The best of five leaves out what else the machine does."""
+    """Limit: 20 ms. The minimum of five excludes other load of the machine."""
 
     def once():
         start = time.perf_counter()
@@ -386,7 +386,7 @@ def test_wrong_values_in_code_raise_scene_error(make, message):
 
 
 def test_a_copy_carries_its_own_text():
-    """A log must never carry the text of another scene than the one that ran."""
+    """A recording must contain the text of the scene that was simulated."""
     scene = load_scene("free_body")
     moved = scene.model_copy(update={"gravity": (0, 0, -1)})
     assert scene_from_text(moved.text).gravity == (0, 0, -1)

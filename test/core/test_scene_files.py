@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every scene file that comes along builds, starts closed and keeps what it should."""
+"""Every example scene builds, satisfies its joints initially and conserves what it should."""
 
 import numpy as np
 import pytest
@@ -79,7 +79,7 @@ def test_a_chain_begins_to_fall_as_it_should(kind, n):
 
 
 def test_both_chains_fall_alike():
-    """In the plane a hinge only forbids what nothing causes."""
+    """In the plane a revolute joint adds only constraints that are satisfied anyway."""
     ball, hinge = (Simulation(chain(5, kind)) for kind in ("spherical", "revolute"))
     ball.advance(200)
     hinge.advance(200)

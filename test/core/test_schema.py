@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The JSON schema of scene files: up to date, valid, and of one mind with the loader."""
+"""The JSON schema of scene files: up to date, valid, and consistent with the loader."""
 
 import json
 
@@ -38,7 +38,7 @@ def test_every_scene_that_comes_along_validates(path):
 
 
 def test_every_key_tells_what_it_is():
-    """What an editor shows: each key of each kind has its description."""
+    """Every key of every model has a description, which editors show."""
     schema = scene_schema()
     for model in ("Body", "Frame", *(kind.__name__ for kind in (*JOINTS, *FORCES, *SHAPES))):
         for key, part in schema["$defs"][model]["properties"].items():

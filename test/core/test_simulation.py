@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulation as its user sees it: stepping, settings, and what happens when it cannot go on."""
+"""Simulation for users: stepping, options, and errors that end an integration."""
 
 import os
 import subprocess
@@ -51,7 +51,7 @@ def test_a_sample_is_a_copy_with_names():
 
 
 def test_steps_too_large_stop_with_the_last_good_state():
-    """At 150 rad/s a step of 0.1 s asks for 15 rad: beyond 2 pi there is no solution."""
+    """At 150 rad/s a step of 0.1 s rotates by 15 rad: beyond 2 pi there is no solution."""
     simulation = Simulation(load_scene("lagrangian_top"), step=0.1)
     before = simulation.state()
     with pytest.raises(SimulationError, match="smaller step") as failure:
@@ -162,7 +162,7 @@ def test_what_is_no_scene_or_method_is_refused(given, message):
 
 @pytest.mark.slow
 def test_without_the_compiler_the_same_numbers():
-    """Plain Python rounds as machine code does: no fast-math. libm's last bit may differ."""
+    """Plain Python has the round-off of machine code (no fast-math); the last bit of libm may differ."""
     code = (
         "import sys; sys.path.insert(0, sys.argv[1]); import mechanisms; "
         "from liegroup_core import Simulation; "

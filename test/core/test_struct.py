@@ -1,4 +1,4 @@
-"""What a kernel reads of a Struct is what Python reads of it, at any time and in any copy."""
+"""Kernels and Python read the same values of a Struct, at any time and in any copy."""
 
 import copy
 import gc
@@ -79,7 +79,7 @@ either = Choice("either", {Inner: of_inner, Outer: of_outer})
 
 @kernel
 def both(outer):
-    """The two meanings of one function."""
+    """Calls of both alternatives of a Choice."""
     return either(outer, 2.0), either(outer.inner, 2.0)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ensembles: parameters by name, the Latin hypercube, runs that depend on their number alone."""
+"""Sweeps: parameters by name, Latin hypercube, runs that depend only on their number."""
 
 import math
 import os
@@ -84,7 +84,7 @@ def same(first, second):
 
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
 def test_every_number_of_a_scene_is_a_parameter(path):
-    """Set to what it is, nothing changes; set to another number, nothing else changes."""
+    """Its own value changes nothing; another value changes nothing else."""
     scene = scene_as_written(path.read_text())
     before = parameters(scene)
     assert all(f"bodies.{body.name}.position.0" in before for body in scene.bodies)
@@ -151,7 +151,7 @@ def test_a_wrong_range_is_one_line(text, said):
 
 @pytest.mark.parametrize("samples", [1, 7, 64])
 def test_latin_hypercube(samples):
-    """Of every parameter each of N equal shares of its range has exactly one value."""
+    """Each of N equal intervals of a parameter's range has exactly one value."""
     sweep = oscillator(samples)
     mass, stiffness, position, velocity = sweep.values.T
     shares = (np.log(mass) / math.log(4.0), (stiffness - 4.0) / 5.0, ndtr(velocity / 0.5))
@@ -187,7 +187,7 @@ def test_closed_form_of_all_runs():
 
 @pytest.mark.slow
 def test_the_same_bits_with_other_workers_and_pieces_and_a_death(monkeypatch, tmp_path):
-    """One of two workers is killed over run 5, once."""
+    """One of two workers is killed once, in run 5."""
     died = tmp_path / "died"
 
     def simulate(work, limit=math.inf):
@@ -225,7 +225,7 @@ def test_a_run_can_be_made_again_from_its_scene():
 
 
 def test_runs_that_fail_are_rows_that_say_why():
-    """A start that the joint does not allow, one that is assembled, a step that is too long."""
+    """Initial states that violate a joint, one that is assembled, a step that is too large."""
     top = load_scene("heavy_top")
     vary = ["angular_velocity.2=-1,0.5,1"]
     settings = {"step": 1e-3}
@@ -264,7 +264,7 @@ def test_runs_that_fail_are_rows_that_say_why():
 
 
 def test_what_assembly_cannot_keep_is_told():
-    """Velocities that no motion has are a failure; a pose that closes elsewhere, a warning."""
+    """Inconsistent velocities are a failure; a pose that closes elsewhere is a warning."""
     top = load_scene("heavy_top")
     settings = {"step": 1e-3}
     found = joined(
@@ -293,7 +293,7 @@ def test_what_assembly_cannot_keep_is_told():
 
 
 def test_a_linkage_is_looked_at_once():
-    """What is found of one with other masses is that of a fresh look; another length is another."""
+    """A cached result is that of a new analysis for other masses; other lengths are not cached."""
     for kept in (generic_poses, redundancy._chosen, planar_build._chosen):
         kept.cache_clear()
     base = scene_as_written((SCENES[0].parent / "four_bar.yaml").read_text())

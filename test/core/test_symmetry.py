@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `conserved_momentum` names is kept, and what it does not name is not kept.
+"""`conserved_momentum` lists the conserved components, and no others are conserved.
 
-Checked along integrations by `liegroup_core.reference`, which knows nothing of symmetries. Runs
-last 1.5 s at speeds of some rad/s; the reference is right to about 1e-11 of values of size 10.
+Checked along integrations of `liegroup_core.reference`, which does not use symmetries. Runs last
+1.5 s at several rad/s; the reference is accurate to about 1e-11 for values of size 10.
 """
 
 import numpy as np
@@ -20,7 +20,7 @@ SPOILT = 1e-4  # what is not kept changes by far more within 1.5 s
 
 
 def body(name="a", position=(0.3, -0.2, 0.4), pivot=None, axis=None):
-    """A body with a generic motion, one that a ball joint or hinge at `pivot` allows."""
+    """Body with a generic motion, consistent with a spherical or revolute joint at `pivot`."""
     turn = np.array(axis if axis is not None else (0.7, -1.1, 1.9))
     speed = np.cross(turn, np.subtract(position, pivot)) if pivot is not None else (0.5, 0.2, -0.3)
     return Body(
@@ -207,7 +207,7 @@ def test_named_components_stay(name):
     ],
 )
 def test_nothing_else_stays(name):
-    """Of all combinations xi . L + eta . P only the named ones stay: the others span 6 - k.
+    """Of all combinations xi . L + eta . P only the listed ones are constant: the others span 6 - k.
 
     L and P are recorded about the world origin; their changes from the mean are a matrix whose
     null space are the kept combinations of this motion. Hinges are left with those that a plane

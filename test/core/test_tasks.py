@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Work in parallel: nothing is lost or done twice in the result, whoever dies on the way.
+"""Parallel work: no result is lost or duplicated, even if workers are killed.
 
-Functions are made inside the tests: such ones are handed to the workers as a whole.
+Functions are defined inside the tests, so that they are sent to the workers by value.
 """
 
 import os
@@ -18,7 +18,7 @@ def square(x):
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_items_that_follow_from_results(workers):
-    """Numbers of items go on; a worker dies over one of them, and its work is done again."""
+    """Items that follow from results; a worker is killed once, and its item is repeated."""
 
     def halve(x):
         return x // 2
@@ -59,7 +59,7 @@ def test_work_that_kills_every_worker_is_told(monkeypatch):
 
 
 def test_an_interrupt_while_workers_start_ends_the_run_when_they_have(monkeypatch):
-    """And they do not hear it, nor any later one."""
+    """Workers ignore this and later interrupts."""
     import dask.distributed
     import psutil
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The trade: errors repeat and fall with the order, what is measured is kept, promises hold."""
+"""Trade-off of accuracy and cost: repeatable errors, orders, cached measurements, kept promises."""
 
 import json
 from itertools import islice
@@ -51,7 +51,7 @@ def trade(scene, tmp_path_factory):
 
 @pytest.mark.slow
 def test_errors_are_the_same_bits_with_two_workers(scene, trade, tmp_path):
-    """How far ladders are climbed depends on costs: those cells are compared that both have."""
+    """The number of step sizes depends on costs: only cells of both runs are compared."""
     other = made(scene, tmp_path)
     for _ in other.measure(["rkmk4"], stabilisations=["none"], budget=0.05, workers=2):
         pass
@@ -110,7 +110,7 @@ def test_the_front_and_the_cheapest(trade):
 
 
 def test_a_step_that_is_right_by_chance_is_not_chosen(scene, trade):
-    """A coarse step without an error is as good as the two finer ones, and no better."""
+    """A coarse step with an accidentally zero error counts as accurate as the two finer steps."""
     lucky = made(scene, trade._store.folder.parent.parent)
     cells = [
         cell
@@ -128,7 +128,7 @@ def test_a_step_that_is_right_by_chance_is_not_chosen(scene, trade):
 
 
 def test_what_is_measured_is_kept(scene, tmp_path):
-    """A run that is ended goes on where it was, even with a line that was cut off."""
+    """An interrupted run continues, even with a truncated line in the cache."""
     first = made(scene, tmp_path)
     running = first.measure(["rkmk4"], budget=0.02, workers=1)
     taken = [cell for cell, _ in islice(running, 5)]
@@ -147,7 +147,7 @@ def test_what_is_measured_is_kept(scene, tmp_path):
 
 
 def test_a_damaged_store_is_measured_again(scene, trade, tmp_path):
-    """Lines that are no whole cell, bytes that are no text, a horizon that is none."""
+    """Incomplete cells, invalid text, an invalid horizon."""
     here = made(scene, tmp_path)
     good = trade.cells[0]
     here._store.keep_cell(here.truth.horizon, good)
@@ -172,7 +172,7 @@ def test_a_damaged_store_is_measured_again(scene, trade, tmp_path):
 
 
 def test_what_is_asked_for_is_answered_whatever_was_measured_before(scene, trade):
-    """Methods that do not fit are none; if that leaves none at all it is said."""
+    """Methods that do not fit are excluded; if none is left, the error says so."""
     asked = made(scene, trade._store.folder.parent.parent)
     asked.keep_only(["rkmk4", "stoermer_verlet"], ["se3"], steps=[1e-2, 5e-3])
     assert {(cell["method"], cell["group"], cell["step"]) for cell in asked.cells} == {
@@ -196,7 +196,7 @@ def test_a_full_disk_keeps_nobody_from_measuring(scene, tmp_path, caplog):
 
 
 def test_another_scene_version_or_processor_finds_nothing(scene, trade, monkeypatch):
-    """The key notices each; what was kept of the first is found again afterwards."""
+    """The key of the cache changes with each; the first entries are found again afterwards."""
     root = trade._store.folder.parent.parent
     horizon = trade.truth.horizon
     here = store.Store(scene, root)
@@ -216,7 +216,7 @@ def test_another_scene_version_or_processor_finds_nothing(scene, trade, monkeypa
 
 @pytest.mark.parametrize("name", ["double_pendulum", "heavy_top", "slider_crank"])
 def test_the_accuracy_is_kept(name, tmp_path, monkeypatch):
-    """At instants that the choice was not made from, against an integration of their own."""
+    """At other times than those of the choice, against another integration."""
     monkeypatch.setenv("LIEGROUP_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(accuracy, "SHORTLIST", ("rkmk4", "rkmk8"))
     monkeypatch.setattr(accuracy, "BUDGET", 0.05)
@@ -322,7 +322,7 @@ def test_steps_divide_the_samples():
 
 
 def test_the_horizon_is_as_long_as_the_motion_is_known(scene, tmp_path, monkeypatch):
-    """Kept with the scene; the samples are those of a reference that is asked for them alone."""
+    """Cached with the scene; samples equal those of a reference for these times only."""
     monkeypatch.setattr(truth, "HORIZONS", truth.HORIZONS[-5:-2])
     found = Trade(scene, None, store.Store(scene, tmp_path))
     assert found.truth.known <= truth.KNOWN

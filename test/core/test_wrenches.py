@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Applied wrenches: who acts when, and the momentum a known push leaves behind."""
+"""Applied wrenches: schedule, and momentum after a known impulse."""
 
 import numpy as np
 import pytest
@@ -75,7 +75,7 @@ def test_a_known_push_gives_the_closed_form_momentum(group, steps_at_once):
 
 
 def test_a_spinning_body_takes_up_the_same_linear_momentum():
-    """A force along the spin axis: p = f t, and the spin is untouched."""
+    """Force along the spin axis: p = f t, and the spin does not change."""
     simulation = Simulation(load_scene("free_body"), step=1e-3)
     pose, _ = simulation.state()
     simulation.set_state(pose, [[0, 0, 20.0, 0, 0, 0]])
