@@ -9,7 +9,7 @@ Poses are {body: (4, 4)}, the world included.
 from functools import cached_property
 
 import numpy as np
-import scipy.linalg
+import scipy
 
 from liegroup_core.lie.groups import SE3
 

@@ -20,7 +20,7 @@ Blocks that no pose changes are eliminated here, once.
 import heapq
 
 import numpy as np
-import scipy.linalg
+import scipy
 
 from liegroup_core.joints.elements import WORLD
 

@@ -29,7 +29,7 @@ with a joint that is not a lower pair.
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
+import scipy
 
 from liegroup_core.forces import gravity, kinds
 from liegroup_core.joints.elements import PAIR

@@ -14,7 +14,7 @@ of the spatial ones, without round-off.
 from functools import lru_cache
 
 import numpy as np
-import scipy.linalg
+import scipy
 
 from liegroup_core.joints.elements import PAIR, WORLD
 from liegroup_core.joints.linkage import Linkage
