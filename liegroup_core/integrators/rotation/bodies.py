@@ -25,6 +25,11 @@ from liegroup_core.lie.vec3 import (
     vector3,
 )
 
+# Columns of the memory of a step, per body: three of each, nine of Q. LINEAR, VELOCITY and PLACE
+# are the present values of m R v, w and r at the end of the step.
+TURN, MOMENTUM, TORQUE, FORCE, LINEAR, VELOCITY, PLACE, Q = 0, 3, 6, 9, 12, 15, 18, 21
+COLUMNS = 30
+
 SPINNER = np.dtype(
     [
         ("held", "i8"),  # 1: by a ball joint

@@ -28,39 +28,17 @@ import math
 
 import numpy as np
 
-from liegroup_core.compiling import SameTypes, borrowed, kernel, stepper
+from liegroup_core.compiling import SameTypes, borrowed, stepper
 from liegroup_core.forces.gravity import add_wrench as add_gravity
 from liegroup_core.forces.kinds import add_wrenches, turns_over
-from liegroup_core.integrators.broyden import broyden
 from liegroup_core.integrators.methods import METHODS, refuse_stabilisation
 from liegroup_core.integrators.motion import copy_state, is_finite
-from liegroup_core.lie.so3 import so3_dexpinv
-from liegroup_core.lie.vec3 import (
-    ZERO3,
-    add3,
-    axpy3,
-    dot3,
-    load3,
-    load9,
-    matmul3,
-    matrix3,
-    matvec3,
-    scale3,
-    store3,
-    store9,
-    tmatvec3,
-)
 from liegroup_core.model.arrays import MET, WAIT, make_work
-from liegroup_core.status import (
-    DIVERGED,
-    HOPELESS_ROTATION,
-    NO_RATTLE_STEP,
-    NOT_CONVERGED,
-    NOT_FINITE,
-    OK,
-)
+from liegroup_core.status import DIVERGED, HOPELESS_ROTATION, NOT_CONVERGED, NOT_FINITE, OK
 
-from .bodies import linear_momentum, load, make_spinners, place
+from .bodies import COLUMNS, make_spinners
+from .iterated import REMEMBERED, expect, iterated, iterated_finish
+from .kicked import kicked
 from .maps import (
     AUSTIN,
     BOTTASSO_BORRI,
@@ -71,15 +49,9 @@ from .maps import (
     RUNGE_KUTTA,
     SIMO_WONG,
     STOERMER_VERLET,
-    iterated_end,
-    iterated_step,
-    kept,
-    kicked_end,
-    kicked_turn,
-    turn,
-    velocity,
 )
 from .stability import stability_limit
+from .staged import staged
 
 RULES = {
     "stoermer_verlet": STOERMER_VERLET,
@@ -100,272 +72,6 @@ RULES = {
 # multiple and has not been halved in two iterations.
 TOLERANCE, STUCK = 1e-15, 100.0
 MOST_REPEATS = 100
-# Corrections of the loads that Broyden's method stores before it restarts, and its `most`: above it
-# forces nearly amplify a displacement, like a negative damping.
-REMEMBERED, MOST_PART = 16, 0.9
-
-# Columns of the memory of a step, per body: three of each, nine of Q. LINEAR, VELOCITY and PLACE
-# are the present values of m R v, w and r at the end of the step.
-TURN, MOMENTUM, TORQUE, FORCE, LINEAR, VELOCITY, PLACE, Q = 0, 3, 6, 9, 12, 15, 18, 21
-COLUMNS = 30
-
-
-@kernel
-def _kicked(rule, spinners, work, memory, h, evaluation, pose, twist):
-    """KICKED step after the first or second evaluation of the forces; returns (status, done)."""
-    for i in range(len(spinners)):
-        spinner = spinners[i]
-        inertia, inverse = matrix3(spinner["inertia"]), matrix3(spinner["inverse_inertia"])
-        torque, force = load(spinner, work, i)
-        if evaluation == 0:
-            w = load3(twist, i, 0)
-            change, x, momentum, found = kicked_turn(rule, inertia, inverse, h, w, torque)
-            squared = dot3(x, x)
-            if not squared < math.inf:
-                return NOT_FINITE, True
-            work.report[1] = max(work.report[1], squared)
-            if not found:
-                if rule == RATTLE:
-                    x = scale3(h, matvec3(inverse, axpy3(0.5 * h, torque, matvec3(inertia, w))))
-                    work.report[1] = dot3(x, x)
-                    return NO_RATTLE_STEP + (i << 8), True
-                return NOT_CONVERGED, True
-            linear = axpy3(0.5 * h, force, linear_momentum(spinner, pose, twist, i))
-            guess = axpy3(2.0 / h, x, scale3(-1.0, w))
-            store3(momentum, memory, i, MOMENTUM)
-            store3(guess, memory, i, VELOCITY)
-            store3(linear, memory, i, LINEAR)
-            rot = kept(matmul3(load9(pose, i, 0), change))
-            r = axpy3(h / spinner["mass"], linear, load3(pose, i, 9))
-            place(
-                spinner,
-                i,
-                rot,
-                guess,
-                r,
-                axpy3(0.5 * h, force, linear),
-                work.stage_pose,
-                work.stage_twist,
-            )
-        else:
-            w, found = kicked_end(
-                rule,
-                inertia,
-                inverse,
-                h,
-                load3(memory, i, VELOCITY),
-                load3(memory, i, MOMENTUM),
-                torque,
-            )
-            if not found:
-                return NOT_CONVERGED, True
-            place(
-                spinner,
-                i,
-                load9(work.stage_pose, i, 0),
-                w,
-                load3(work.stage_pose, i, 9),
-                axpy3(0.5 * h, force, load3(memory, i, LINEAR)),
-                work.stage_pose,
-                work.stage_twist,
-            )
-    return OK, evaluation == 1
-
-
-@kernel
-def _moved(one, other):
-    """Largest difference of two vectors' components; NaN propagates."""
-    largest = 0.0
-    for c in range(3):
-        apart = abs(one[c] - other[c])
-        if not apart <= largest:
-            largest = apart
-    return largest
-
-
-@kernel
-def _rates(spinner):
-    """Scales of the loads: 1/(kg m^2) for torques and 1/kg for forces."""
-    inertia = spinner["inertia"]
-    return 3.0 / (inertia[0] + inertia[4] + inertia[8]), 1.0 / spinner["mass"]
-
-
-@kernel
-def _expect(spinners, work, loads, corrections, evaluation):
-    """Correct the loads for the next iteration from those at the last result.
-
-    loads (6 n,) : rad/s^2 and m/s^2, in place
-    """
-    k = max(0, evaluation - 1) % REMEMBERED
-    for i in range(len(spinners)):
-        torque, force = load(spinners[i], work, i)
-        by_torque, by_force = _rates(spinners[i])
-        for c in range(3):
-            if evaluation == 0:
-                loads[6 * i + c] = loads[6 * i + 3 + c] = 0.0
-            corrections[k, 6 * i + c] = by_torque * torque[c] - loads[6 * i + c]
-            corrections[k, 6 * i + 3 + c] = by_force * force[c] - loads[6 * i + 3 + c]
-    if evaluation > 0:
-        broyden(corrections, k, MOST_PART)
-    for r in range(len(loads)):
-        loads[r] += corrections[k, r]
-
-
-@kernel
-def _iterated(rule, spinners, work, memory, loads, h, evaluation, pose, twist):
-    """ITERATED step with the present loads; sets the bodies to where forces are evaluated next.
-
-    returns (status, largest change of a displacement since the last iteration, in rad and relative
-    to the largest coordinate or 1 m)
-    """
-    largest = 0.0
-    for i in range(len(spinners)):
-        spinner = spinners[i]
-        inertia, inverse = matrix3(spinner["inertia"]), matrix3(spinner["inverse_inertia"])
-        by_torque, by_force = _rates(spinner)
-        torque = (
-            loads[6 * i] / by_torque,
-            loads[6 * i + 1] / by_torque,
-            loads[6 * i + 2] / by_torque,
-        )
-        force = (
-            loads[6 * i + 3] / by_force,
-            loads[6 * i + 4] / by_force,
-            loads[6 * i + 5] / by_force,
-        )
-        w = load3(twist, i, 0)
-        before = load3(memory, i, TURN)
-        if evaluation == 0:
-            store3(torque, memory, i, TORQUE)
-            store3(force, memory, i, FORCE)
-            before = scale3(0.5 * h if rule == LIE_MIDPOINT else h, w)
-        first = load3(memory, i, TORQUE)
-        u, found = iterated_step(rule, inertia, inverse, h, before, w, first, torque)
-        if not found:
-            return NOT_CONVERGED, 0.0
-        whole, at, w_at, w_end = iterated_end(rule, inertia, inverse, h, u, w, first, torque)
-        store3(u, memory, i, TURN)
-        store3(w_end, memory, i, VELOCITY)
-        store9(turn(whole), memory, i, Q)
-        # A solution with a smaller rotation than the body's is not better.
-        work.report[1] = max(work.report[1], dot3(whole, whole), h * h * dot3(w, w))
-
-        r, linear = load3(pose, i, 9), linear_momentum(spinner, pose, twist, i)
-        if rule == BOTTASSO_BORRI:
-            force = scale3(0.5, add3(load3(memory, i, FORCE), force))
-        halfway, end = axpy3(0.5 * h, force, linear), axpy3(h, force, linear)
-        r_end = axpy3(h / spinner["mass"], halfway, r)
-        store3(end, memory, i, LINEAR)
-        store3(r_end, memory, i, PLACE)
-        # Where the forces act: halfway, or at the end.
-        there, moving = axpy3(0.5 * h / spinner["mass"], halfway, r), halfway
-        if rule == BOTTASSO_BORRI:
-            there, moving = r_end, end
-        length = 1.0
-        for c in range(3):
-            length = max(length, abs(there[c]))
-        apart = max(
-            _moved(u, before),
-            _moved(there, load3(work.stage_pose, i, 9)) / length if spinner["held"] == 0 else 0.0,
-        )
-        if evaluation == 0:
-            apart = math.inf
-        if not apart <= largest:
-            largest = apart
-        place(
-            spinner,
-            i,
-            matmul3(load9(pose, i, 0), turn(at)),
-            w_at,
-            there,
-            moving,
-            work.stage_pose,
-            work.stage_twist,
-        )
-    return OK, largest
-
-
-@kernel
-def _iterated_finish(spinners, work, memory, pose):
-    """Place the bodies at the end of an ITERATED step."""
-    for i in range(len(spinners)):
-        rot = kept(matmul3(load9(pose, i, 0), load9(memory, i, Q)))
-        place(
-            spinners[i],
-            i,
-            rot,
-            load3(memory, i, VELOCITY),
-            load3(memory, i, PLACE),
-            load3(memory, i, LINEAR),
-            work.stage_pose,
-            work.stage_twist,
-        )
-
-
-@kernel
-def _weighted(slopes, weights, row, stages, n, i):
-    """sum_l weights[row, l] of the given number of slopes of body i: four vectors."""
-    turned, moved, torques, forces = ZERO3, ZERO3, ZERO3, ZERO3
-    for stage in range(stages):
-        weight = weights[row, stage]
-        if weight != 0.0:
-            k = stage * n + i
-            turned = axpy3(weight, load3(slopes, k, 0), turned)
-            moved = axpy3(weight, load3(slopes, k, 3), moved)
-            torques = axpy3(weight, load3(slopes, k, 6), torques)
-            forces = axpy3(weight, load3(slopes, k, 9), forces)
-    return turned, moved, torques, forces
-
-
-@kernel
-def _staged(spinners, work, memory, weights, h, stage, pose, twist):
-    """Go from an evaluated stage of a coadjoint method to the next stage, or to the end.
-
-    weights : (s + 1, s) the tableau's a, below it its b
-    """
-    n, stages = len(spinners), weights.shape[1]
-    end = stage + 1 == stages
-    for i in range(n):
-        spinner = spinners[i]
-        torque, force = load(spinner, work, i)
-        row = stage * n + i
-        w = load3(work.stage_twist, i, 0)
-        if stage > 0:
-            w = so3_dexpinv(scale3(-1.0, load3(memory, i, TURN)), w)
-        rot = load9(work.stage_pose, i, 0)
-        store3(w, work.slopes, row, 0)
-        store3(matvec3(rot, load3(work.stage_twist, i, 3)), work.slopes, row, 3)
-        store3(matvec3(rot, torque), work.slopes, row, 6)
-        store3(force, work.slopes, row, 9)
-
-        turned, moved, torques, forces = _weighted(work.slopes, weights, stage + 1, stage + 1, n, i)
-        psi = scale3(h, turned)
-        squared = dot3(psi, psi)
-        if not squared < math.inf:
-            return NOT_FINITE, True
-        work.report[1] = max(work.report[1], squared)
-        store3(psi, memory, i, TURN)
-        start = load9(pose, i, 0)
-        inertia = matrix3(spinner["inertia"])
-        y = add3(matvec3(inertia, load3(twist, i, 0)), tmatvec3(start, scale3(h, torques)))
-        change = turn(psi)
-        y = tmatvec3(change, y)
-        r = axpy3(h, moved, load3(pose, i, 9))
-        linear = axpy3(h, forces, linear_momentum(spinner, pose, twist, i))
-        rot = matmul3(start, change)
-        if end:
-            rot = kept(rot)
-        place(
-            spinner,
-            i,
-            rot,
-            velocity(inertia, matrix3(spinner["inverse_inertia"]), y),
-            r,
-            linear,
-            work.stage_pose,
-            work.stage_twist,
-        )
-    return OK, end
 
 
 @stepper
@@ -416,12 +122,12 @@ def advance(
                 work.wrench,
             )
             if rule == RUNGE_KUTTA:
-                status, ended = _staged(spinners, work, memory, weights, h, evaluation, pose, twist)
+                status, ended = staged(spinners, work, memory, weights, h, evaluation, pose, twist)
             elif rule < FIRST_ITERATED:
-                status, ended = _kicked(rule, spinners, work, memory, h, evaluation, pose, twist)
+                status, ended = kicked(rule, spinners, work, memory, h, evaluation, pose, twist)
             else:
-                _expect(spinners, work, loads, corrections, evaluation)
-                status, apart = _iterated(
+                expect(spinners, work, loads, corrections, evaluation)
+                status, apart = iterated(
                     rule, spinners, work, memory, loads, h, evaluation, pose, twist
                 )
                 ended = (
@@ -431,7 +137,7 @@ def advance(
                 )
                 previous, earlier = apart, previous
                 if ended and status == OK:
-                    _iterated_finish(spinners, work, memory, pose)
+                    iterated_finish(spinners, work, memory, pose)
                 elif evaluation == MOST_REPEATS:
                     status, ended = NOT_CONVERGED, True
             evaluation += 1

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stages of the coadjoint Runge-Kutta methods for all bodies.
+
+rotation.py has the loop over the steps and the equations.
+"""
+
+import math
+
+from liegroup_core.compiling import kernel
+from liegroup_core.lie.so3 import so3_dexpinv
+from liegroup_core.lie.vec3 import (
+    ZERO3,
+    add3,
+    axpy3,
+    dot3,
+    load3,
+    load9,
+    matmul3,
+    matrix3,
+    matvec3,
+    scale3,
+    store3,
+    tmatvec3,
+)
+from liegroup_core.status import NOT_FINITE, OK
+
+from .bodies import TURN, linear_momentum, load, place
+from .maps import kept, turn, velocity
+
+
+@kernel
+def _weighted(slopes, weights, row, stages, n, i):
+    """sum_l weights[row, l] of the given number of slopes of body i: four vectors."""
+    turned, moved, torques, forces = ZERO3, ZERO3, ZERO3, ZERO3
+    for stage in range(stages):
+        weight = weights[row, stage]
+        if weight != 0.0:
+            k = stage * n + i
+            turned = axpy3(weight, load3(slopes, k, 0), turned)
+            moved = axpy3(weight, load3(slopes, k, 3), moved)
+            torques = axpy3(weight, load3(slopes, k, 6), torques)
+            forces = axpy3(weight, load3(slopes, k, 9), forces)
+    return turned, moved, torques, forces
+
+
+@kernel
+def staged(spinners, work, memory, weights, h, stage, pose, twist):
+    """Go from an evaluated stage of a coadjoint method to the next stage, or to the end.
+
+    weights : (s + 1, s) the tableau's a, below it its b
+    """
+    n, stages = len(spinners), weights.shape[1]
+    end = stage + 1 == stages
+    for i in range(n):
+        spinner = spinners[i]
+        torque, force = load(spinner, work, i)
+        row = stage * n + i
+        w = load3(work.stage_twist, i, 0)
+        if stage > 0:
+            w = so3_dexpinv(scale3(-1.0, load3(memory, i, TURN)), w)
+        rot = load9(work.stage_pose, i, 0)
+        store3(w, work.slopes, row, 0)
+        store3(matvec3(rot, load3(work.stage_twist, i, 3)), work.slopes, row, 3)
+        store3(matvec3(rot, torque), work.slopes, row, 6)
+        store3(force, work.slopes, row, 9)
+
+        turned, moved, torques, forces = _weighted(work.slopes, weights, stage + 1, stage + 1, n, i)
+        psi = scale3(h, turned)
+        squared = dot3(psi, psi)
+        if not squared < math.inf:
+            return NOT_FINITE, True
+        work.report[1] = max(work.report[1], squared)
+        store3(psi, memory, i, TURN)
+        start = load9(pose, i, 0)
+        inertia = matrix3(spinner["inertia"])
+        y = add3(matvec3(inertia, load3(twist, i, 0)), tmatvec3(start, scale3(h, torques)))
+        change = turn(psi)
+        y = tmatvec3(change, y)
+        r = axpy3(h, moved, load3(pose, i, 9))
+        linear = axpy3(h, forces, linear_momentum(spinner, pose, twist, i))
+        rot = matmul3(start, change)
+        if end:
+            rot = kept(rot)
+        place(
+            spinner,
+            i,
+            rot,
+            velocity(inertia, matrix3(spinner["inverse_inertia"]), y),
+            r,
+            linear,
+            work.stage_pose,
+            work.stage_twist,
+        )
+    return OK, end
