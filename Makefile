@@ -1,30 +1,30 @@
-# Everything is made in .venv. A fresh machine needs python3 (3.11 or 3.12), python3-venv and make.
+# All targets work in .venv. A fresh machine needs python3 (3.11 or 3.12), python3-venv and make.
 PYTHON ?= python3
 ARGS ?=
 PIP = .venv/bin/python -m pip --disable-pip-version-check install -q -c config/constraints.txt
 ROS_WHEELS = 'ros-jazzy-rclpy[fastrtps]' ros-jazzy-common-interfaces
 
-# Which Python and which ROS 2: a Jazzy that is sourced and works, else its wheels from PyPI.
+# Version of Python, and source of ROS 2: a sourced Jazzy that can be imported, else wheels from PyPI.
 VERSION := $(shell $(PYTHON) -c 'import sys; print("python%d.%d" % sys.version_info[:2])')
 ROS := wheels
 ifeq ($(ROS_DISTRO),jazzy)
 ROS := $(shell $(PYTHON) -c 'import rclpy' 2>/dev/null && echo sourced || echo wheels)
 endif
 ifeq ($(ROS),wheels)
-# What another environment left in the shell would be found before the wheels.
+# Variables of another ROS environment would hide the wheels.
 unexport PYTHONPATH LD_LIBRARY_PATH AMENT_PREFIX_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
 endif
-# Changes with either of the two, and .venv is made anew.
+# If either of the two changes, .venv is rebuilt.
 MADE = .venv/$(VERSION)-$(ROS)
 
-help: ## say what there is; ARGS="..." is passed on to demo, test, quick and bench
+help: ## list the targets; ARGS="..." is passed to demo, test, quick and bench
 	@sed -n 's/^\([a-z]*\):.*## /make \1 \t/p' Makefile
 
 demo: .venv/installed ## simulate, record, analyse
 	@.venv/bin/liegroup_sim demo $(ARGS)
 
-# Safe path: neither pytest nor a process that a test starts imports this folder in place of the
-# installed package. Two processes: more of them disturb the tests that watch the clock.
+# PYTHONSAFEPATH: pytest and the processes of the tests import the installed package, not this folder.
+# Two workers: more of them disturb the tests that measure time.
 PYTEST = PYTHONSAFEPATH=1 .venv/bin/python -m pytest -n 2 --dist loadfile
 
 test: .venv/installed ## run all tests against the installed package (about 6 min on two cores)
@@ -51,7 +51,7 @@ bench: .venv/peers ## measure, side by side with other software; ARGS=--quick is
 	@set -e; for script in step_cost top_accuracy rotation node recording; do \
 	    echo "== $$script"; .venv/bin/python benchmarks/$$script.py; done
 
-clean: ## remove all that was made here
+clean: ## remove all generated files
 	rm -rf .venv build install log demo_out *.egg-info .pytest_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
@@ -68,19 +68,19 @@ check:
 	         "install and source ROS 2 Jazzy first"; exit 1;; esac
 
 $(MADE): config/constraints.txt | check
-	@echo "Making .venv, $(VERSION), ROS 2 Jazzy: $(ROS) (once; about a minute, 0.8 GB)"
+	@echo "Creating .venv, $(VERSION), ROS 2 Jazzy: $(ROS) (once; about a minute, 0.8 GB)"
 	@$(PYTHON) -m venv --clear $(if $(filter sourced,$(ROS)),--system-site-packages) .venv
 	@$(PIP) setuptools
 	@touch $@
 
-# With the folders: their time changes when a file goes.
+# Folders included: their time changes when a file is removed.
 SOURCES = setup.py setup.cfg package.xml \
     $(shell find $(wildcard liegroup_core liegroup_sim_ros config launch resource) \
             -name __pycache__ -prune -o -print)
 
-# Not -e: that leaves out the ament marker, the share files and the launcher. Without isolation the
-# pinned setuptools builds. `build` would bring back modules that are gone. The kernels keep the
-# times of their sources, else their compiled code would look stale after every installation.
+# Not -e: that omits the ament marker, the share files and the launcher. --no-build-isolation: build
+# with the pinned setuptools. An old `build` folder would restore deleted modules. The kernels keep the
+# times of their sources; otherwise every installation would invalidate their compiled code.
 .venv/installed: $(MADE) $(SOURCES) | check
 	@echo "Installing liegroup_sim_ros into .venv"
 	@touch $@.started && rm -rf build *.egg-info
@@ -91,9 +91,9 @@ SOURCES = setup.py setup.cfg package.xml \
 .venv/lint: .venv/installed
 	@$(PIP) ruff mypy && touch $@
 
-# Without them the benchmarks still run, and say what is left out.
+# Without the peers the benchmarks still run and report which peers are missing.
 .venv/peers: .venv/installed
-	@echo "Installing the software to compare with into .venv (once; 0.5 GB)"
+	@echo "Installing the peers of the benchmarks into .venv (once; 0.5 GB)"
 	@$(PIP) $$(.venv/bin/python -c 'from importlib.metadata import requires; \
 	    print(*(each.split(";")[0] for each in requires("liegroup_sim_ros") if "bench" in each))') \
 	    && touch $@ || echo "It cannot be installed here"
@@ -110,4 +110,4 @@ constraints: | check
 	    | grep -v ^liegroup | cat build/header - > config/constraints.txt
 	@rm -rf build *.egg-info
 
-.PHONY: help demo test quick lint bench clean check constraints
+.PHONY: help demo test plain quick lint texts bench clean check constraints

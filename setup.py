@@ -47,9 +47,9 @@ setup(
     ],
     extras_require={
         "figures": ["matplotlib", "mpmath"],
-        # Of `liegroup_sim analyze`: exact solutions; many logs or runs at once, here or on a
-        # cluster, and the files of `liegroup_sim sweep`; addresses such as s3:// (other kinds than
-        # the web's have a package each, such as s3fs).
+        # exact: exact solutions in `liegroup_sim analyze`. many: many recordings or runs in
+        # parallel or on a cluster, and the files of `liegroup_sim sweep`. remote: recordings at
+        # http(s) addresses; other kinds need their own package, such as s3fs for s3://.
         "exact": ["mpmath"],
         "many": ["dask", "distributed", "pyarrow"],
         "pandas": ["pandas"],
@@ -72,7 +72,7 @@ setup(
             "small-mcap",
         ],
         "lint": ["mypy", "ruff"],
-        # What benchmarks/ compares with; Eigen's headers, for the loop around Pinocchio.
+        # Peers of benchmarks/; cmeel-eigen has the Eigen headers to compile the Pinocchio loop.
         "bench": ["cmeel-eigen", "exudyn", "mujoco", "pin"],
     },
     entry_points={

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which wrong formulas the tests catch: one change at a time, and the test that notices.
+"""Mutation test: wrong formulas in the sources, and the test that fails for each of them.
 
-    python .ci/mutants.py [WORD ...]       all of them, or those whose name has one of the words
+    python .ci/mutants.py [WORD ...]       all mutants, or those whose name contains one of the words
 
-Every mutant is one change of a formula in a copy of the sources: a sign, a factor, a frame. The
-tests that belong to it run on the copy, as plain Python, until one fails. Prints a table in
-Markdown; exit code 1 when a mutant survives, or when a test fails without one.
+A mutant is one change of a formula in a copy of the sources: a sign, a factor or a frame. Its tests
+run on the copy, as plain Python, until one fails. Prints a Markdown table. Exit code 1 if a mutant
+survives, or if a test fails on the unchanged sources.
 """
 import os
 import re
@@ -32,7 +32,7 @@ PLANE = ("core/test_planar.py", "-k", "in_space and se3 and x- and not loop")
 
 
 class Mutant(NamedTuple):
-    """One wrong formula. `right` stands exactly once in the file."""
+    """One wrong formula. `right` occurs exactly once in the file."""
 
     name: str
     file: str           # in liegroup_core/

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Proof that colcon builds this package and that ROS 2 finds and runs what it built.
+"""Test that colcon builds this package, and that ROS 2 finds and runs the result.
 
-`colcon build` into a temporary workspace; with nothing in the environment but what the workspace's
-setup.bash puts there, the ament index must name the new prefix, and <prefix>/lib/liegroup_sim_ros/
-sim_node, which is what `ros2 run` and launch files start, must be seen over DDS by this process
-and end with exit code 0 at one SIGINT.
+Runs `colcon build` in a temporary workspace and takes the environment from its setup.bash alone.
+The ament index must then name the new prefix. `ros2 run` and launch files start
+<prefix>/lib/liegroup_sim_ros/sim_node: this process must receive its messages over DDS, and one
+SIGINT must end it with exit code 0.
 """
 
 import os
@@ -18,7 +18,7 @@ from pathlib import Path
 
 NAME = "liegroup_sim_ros"
 REPOSITORY = Path(__file__).resolve().parents[1]
-# By this Python, whatever colcon is on the PATH: the executables get the Python that ran colcon.
+# Not the colcon on the PATH: the executables get the Python that runs colcon.
 COLCON = [sys.executable, "-c", "from colcon_core.command import main; raise SystemExit(main())"]
 # Discovery takes up to 2.5 s; compiling the kernels for the first time a minute or two.
 DEADLINE_S = 120.0
@@ -48,7 +48,7 @@ def build(workspace):
 
 
 def sourced_environment(workspace):
-    """The environment a clean shell has after sourcing the workspace."""
+    """Environment of a clean shell after sourcing the workspace."""
     printed = subprocess.run(
         ["bash", "-c", "source install/setup.bash && exec env -0"],
         cwd=workspace,
@@ -60,7 +60,7 @@ def sourced_environment(workspace):
 
 
 def wait_for_pose(node):
-    """Listen over DDS until the process `node` has sent a pose of its top; return the seconds."""
+    """Wait for the first pose from the process `node` over DDS; returns the waiting time in s."""
     import rclpy
     from geometry_msgs.msg import PoseStamped
 
@@ -81,7 +81,7 @@ def prove(workspace):
     prefix = build(workspace)
     environment = sourced_environment(workspace)
 
-    # In this process, too: the ament index and DDS read the environment when they are asked.
+    # In this process too: the ament index and DDS read the environment when they are used.
     os.environ["AMENT_PREFIX_PATH"] = environment["AMENT_PREFIX_PATH"]
     domain = {
         "ROS_DOMAIN_ID": str(random.randint(1, 100)),

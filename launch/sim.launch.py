@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Launch file: one simulation node, and RViz or the bridge to Foxglove if wanted.
+"""Launch file: one simulation node, and on request RViz or foxglove_bridge.
 
 ros2 launch liegroup_sim_ros sim.launch.py scene:=heavy_top record:=/tmp/run.mcap
 ros2 launch liegroup_sim_ros sim.launch.py preset:=show rviz:=true
@@ -33,14 +33,14 @@ ARGUMENTS = {
     "rviz": ("false", "true: start RViz with config/scene.rviz; use it with preset:=show"),
     "foxglove": ("false", "true: start foxglove_bridge; the layout is config/foxglove.json"),
 }
-# Of these, the parameters of the node, which win over the preset where they are given.
+# Arguments that are parameters of the node; a value that is not empty overrides the preset.
 PARAMETERS = ("scene", "record", "frame_prefix")
 
 
 def _simulation(context):
     """The simulation node."""
-    # Texts, also where they look like numbers.
-    given = {
+    # value_type=str: a text that looks like a number stays a text.
+    overrides = {
         name: ParameterValue(text, value_type=str)
         for name in PARAMETERS
         if (text := LaunchConfiguration(name).perform(context))
@@ -56,17 +56,17 @@ def _simulation(context):
                 ("/clock", LaunchConfiguration("clock_topic")),
                 ("/tf", LaunchConfiguration("tf_topic")),
             ],
-            parameters=[LaunchConfiguration("params_file"), given]
-            if given
+            parameters=[LaunchConfiguration("params_file"), overrides]
+            if overrides
             else [LaunchConfiguration("params_file")],
         )
     ]
 
 
 def _viewers(context):
-    """RViz and foxglove_bridge if requested; one that is not installed must not stop the node."""
-    # Lists of substitutions are joined as texts.
-    wanted = {
+    """RViz and foxglove_bridge if requested. The node starts even if they are not installed."""
+    # launch joins a list of substitutions to one text.
+    viewers = {
         "rviz2": (
             LaunchConfiguration("rviz"),
             {
@@ -79,7 +79,7 @@ def _viewers(context):
         "foxglove_bridge": (LaunchConfiguration("foxglove"), {}),
     }
     actions = []
-    for package, (argument, settings) in wanted.items():
+    for package, (argument, settings) in viewers.items():
         if argument.perform(context).lower() not in ("true", "1"):
             continue
         try:

@@ -3,7 +3,7 @@
 
 A subcommand is a module of this folder, named as the subcommand, with
 
-    add_arguments(parser)   fills an argparse parser
+    add_arguments(parser)   sets the description and the arguments of an argparse parser
     run(args)               runs it and returns the exit code
 
 and a line in COMMANDS. Only the module of the chosen subcommand is imported.
@@ -20,7 +20,7 @@ from importlib import import_module
 from liegroup_core.errors import LieGroupSimError
 from liegroup_sim_ros.version import __version__
 
-# Before NumPy is loaded: threads make small solves slower, on a busy machine many times.
+# Before NumPy is loaded: threads make small solves slower, on a busy machine by large factors.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 COMMANDS = {

@@ -4,7 +4,7 @@
 In: Samples, numbers, time stamps in nanoseconds. Out: CDR bytes, message definitions, topics. This
 folder imports no ROS and knows no files and no clocks.
 
-A message has one place, which names its type and encodes it: a function of samples.py for what a
-Sample gives, markers.py, diagnostics.py, or a class of codecs.py for the messages that are also
-decoded. schemas.py finds the definition of any type. topics.py names the topics of every recording.
+Each message type is encoded in one place: a function of samples.py if a Sample is enough,
+markers.py, diagnostics.py, or a class of codecs.py if messages are also decoded. schemas.py finds
+the definition of any type. topics.py names the topics of every recording.
 """

@@ -18,7 +18,7 @@ ENCAPSULATION = b"\x00\x01\x00\x00"  # plain CDR, little endian
 
 
 class Template:
-    """Builder of a message; `pack` completes one message."""
+    """Builder of a message type; `pack` serializes one message."""
 
     def __init__(self):
         self._data = bytearray(ENCAPSULATION)
@@ -27,7 +27,7 @@ class Template:
         self._slots = []
 
     def _place(self, form):
-        """(layout, offset) of a new field; an empty one takes no padding, but reserves it."""
+        """(layout, offset) of a new field. An empty field reserves its padding without inserting it."""
         layout, item = struct.Struct("<" + form), struct.calcsize("<" + form[-1])
         start = self._end + (-self._end % item if layout.size else 0)
         self._end = start + layout.size
@@ -47,7 +47,7 @@ class Template:
         self.put(f"{len(characters)}s", characters)
 
     def slot(self, form):
-        """Append numbers of one type that `pack` takes as one sequence."""
+        """Append a slot: numbers of one type, one sequence among the arguments of `pack`."""
         layout, offset = self._place(form)
         self._slots.append((layout.pack_into, offset))
 

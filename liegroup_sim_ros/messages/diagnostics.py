@@ -49,7 +49,7 @@ def judge(figures):
         return ERROR, "stopped by an error: see ~/events, call ~/reset"
     if figures.get("recorder_failure"):
         return ERROR, figures["recorder_failure"]
-    wanted, achieved = figures["real_time_factor_wanted"], figures["real_time_factor"]
-    if figures["state"] == "running" and 0.0 < achieved < SLOW * wanted:
-        return WARN, f"too slow: real-time factor {achieved:.3g} of {wanted:.3g}"
+    requested, achieved = figures["real_time_factor_wanted"], figures["real_time_factor"]
+    if figures["state"] == "running" and 0.0 < achieved < SLOW * requested:
+        return WARN, f"too slow: real-time factor {achieved:.3g} of {requested:.3g}"
     return OK, figures["state"]

@@ -22,7 +22,7 @@ JOINT_COLOR = (0.9, 0.6, 0.1, 1.0)
 FORCE_COLOR, TORQUE_COLOR = (0.8, 0.1, 0.1, 1.0), (0.5, 0.1, 0.7, 1.0)
 # Relative to the size of the largest body of the scene.
 JOINT_SIZE, SHAFT, HEAD = 0.08, 0.03, 0.06
-THINNEST = 0.01  # smallest size of a marker; RViz does not draw size 0
+THINNEST = 0.01  # smallest edge of a marker; RViz does not draw size 0
 TYPES = {"box": CUBE, "cylinder": CYLINDER, "rod": CYLINDER, "sphere": SPHERE}
 
 

@@ -22,7 +22,7 @@ def poses_and_twists(body_names, world_frame, frame_prefix=""):
     places = [(k * _BODY, k * _BODY + _POSE, (k + 1) * _BODY) for k in range(len(body_names))]
 
     def encode(stamp_ns, sample):
-        # Bytes of all bodies at once: single numbers cost several times more.
+        # Bytes of all bodies at once: packing single numbers costs several times more.
         time, rows = pack_stamp(stamp_ns), sample.rows.tobytes()
         return [
             (encode_pose(time, rows[first:middle]), encode_twist(time, rows[middle:end]))
@@ -89,9 +89,9 @@ def pose_array(layout, world_frame, frame_prefix=""):
 def joint_states(layout, world_frame, frame_prefix=""):
     """sensor_msgs/JointState of the revolute and prismatic joints; every effort is NaN.
 
-    NaN as of an effort that is not known (ros2_control's joint_state_broadcaster does so, too). An
-    empty sequence would end the message, and readers differ in the padding that they accept there:
-    rosbags takes at most 3 bytes more than ROS sends, pybag-sdk needs up to 4.
+    NaN marks an unknown effort, as in ros2_control's joint_state_broadcaster. An empty sequence at
+    the end of the message would not do, because readers differ in the padding that they accept
+    there: rosbags takes at most 3 bytes more than ROS sends, pybag-sdk needs up to 4.
     """
     names = layout.coordinates.names
     template = Template()
@@ -133,8 +133,8 @@ def transforms(layout, world_frame, frame_prefix=""):
     return [("/tf", "tf2_msgs/msg/TFMessage", encode)]
 
 
-# Optional topics: the parameter with the rate, the function above, and the topic for people. The
-# node declares the parameters and publishes the topics from this table.
+# Optional topics: {parameter of the rate: (function above, topic as in the documentation)}. The node
+# declares the parameters and publishes the topics from this table.
 OPTIONAL = {
     "odometry_rate": (odometry, "~/BODY/odometry"),
     "velocity_rate": (velocities, "~/BODY/velocity"),
@@ -145,11 +145,11 @@ OPTIONAL = {
 
 
 def _pose(sample, body):
-    """[x, y, z, qx, qy, qz, qw]"""
+    """[x, y, z, qx, qy, qz, qw], m, world frame."""
     return [*sample.positions[body].tolist(), *sample.quaternions[body].tolist()]
 
 
 def _twist(sample, body):
-    """[vx, vy, vz, wx, wy, wz]: linear first, as in the messages."""
+    """[vx, vy, vz, wx, wy, wz], m/s and rad/s, body axes; linear first, as in the messages."""
     twist = sample.twists[body].tolist()
     return twist[3:] + twist[:3]

@@ -2,7 +2,7 @@
 """Topics that are in every recording of a run: name, message type, quality of service.
 
 The node publishes and records them; `liegroup_sim run` records the same ones, without those that
-need a clock. Optional topics, each made by one function: samples.py, markers.py.
+need a clock. Optional topics, each encoded by one function, are in samples.py and markers.py.
 """
 
 from typing import NamedTuple
@@ -34,7 +34,7 @@ def twist(body):
     return Topic(f"~/{body}/twist", TwistStampedCodec.TYPE)
 
 
-# Late subscribers learn what acts; many wrenches may change at one step.
+# Late subscribers receive the acting wrenches; many wrenches may change at one step.
 APPLIED_WRENCH = Topic("~/applied_wrench", WrenchStampedCodec.TYPE, "transient_local", 1000)
 EVENTS = Topic("~/events", LogCodec.TYPE, "transient_local")
 CLOCK = Topic("/clock", ClockCodec.TYPE, depth=1)

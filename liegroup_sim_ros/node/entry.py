@@ -19,9 +19,9 @@ USAGE = (
 
 
 class Signals:
-    """Handlers of SIGINT and SIGTERM that set `received` and raise nothing, however often.
+    """Handlers of SIGINT and SIGTERM that only set `received`.
 
-    rclpy's own handlers would shut down its context at once, with messages still to be published.
+    rclpy's own handlers would shut down its context at once, before the last messages are published.
     `ros2 launch` sends a second SIGINT, which must not interrupt the clean-up.
     """
 
@@ -55,7 +55,7 @@ def main(args=None):
     try:
         return run(args, signals)
     finally:
-        # From here on Python's own handlers would interrupt its shutdown.
+        # Python's own handlers would interrupt its shutdown.
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
 

@@ -133,7 +133,7 @@ class SimNode(Node):
             if not held:
                 raise Interrupted
             try:
-                after = SceneRun(self, self._values, simulation, before, not was_running)
+                after = SceneRun(self, self._values, simulation, before, paused=not was_running)
             except WRONG_INPUT:
                 if was_running:
                     self.ask("resume")
@@ -166,9 +166,9 @@ def _refused_by_rcl():
     """Convert errors of ROS about its arguments to ParameterError."""
     try:
         yield
-    except RuntimeError as error:  # its class is private to rclpy
+    except RuntimeError as error:  # a subclass that is private to rclpy
         text = str(error).partition(", at /")[0]
-        if type(error).__name__ == "UnknownROSArgsError":  # its text is a list and no more
+        if type(error).__name__ == "UnknownROSArgsError":  # its text is only a list
             text = f"unknown ROS arguments: {text}"
         raise ParameterError(text) from None
 

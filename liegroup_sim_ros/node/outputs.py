@@ -54,7 +54,7 @@ class Stream:
         return self._publisher.topic_name
 
     def record_to(self, recorder):
-        """From now on, record what is published."""
+        """Record all messages that are published from now on."""
         self._channel = recorder.add_channel(self.topic, self._type, self._qos, self.depth)
         self._write = recorder.write
 
@@ -109,13 +109,14 @@ class Outputs:
                 bodies, world_frame, values.frame_prefix, values.steps["publish_rate"]
             )
         self._applied = self._stream(*topics.APPLIED_WRENCH)
-        self._sent, self._sent_at = 0, {}  # wrenches; {body that has one: number of its last}
+        self._sent = 0  # messages of ~/applied_wrench
+        self._sent_at = {}  # {body with a nonzero wrench: number of its last message}
         self._encode_wrench = {
             body: WrenchStampedCodec(frame).encode for body, frame in self._frames.items()
         }
         self._events = self._stream(*topics.EVENTS)
         self._diagnostics = self._stream(*topics.DIAGNOSTICS)
-        self._clock = self._state = self._marked = None
+        self._clock = self._state = self._marker_stream = None
         if self.clock_steps:
             self._clock = self._stream(*topics.CLOCK)
         if self.state_steps:
@@ -170,7 +171,7 @@ class Outputs:
                 )
             )
             if parameter == "marker_rate":
-                self._marked = stream
+                self._marker_stream = stream
 
     def topics(self):
         """Resolved names, as in a recording's settings."""
@@ -187,14 +188,14 @@ class Outputs:
         self._markers.arrow_scale = value
 
     def record_to(self, recorder):
-        """From now on, record all topics."""
+        """Record all topics from now on."""
         for stream in self._streams:
             stream.record_to(recorder)
 
     def close(self, stamp_ns=None):
         """Destroy all publishers; with the last stamp, delete the markers in viewers first."""
-        if self._marked is not None and stamp_ns is not None:
-            self._marked.publish(self._markers.encode_end(stamp_ns))
+        if self._marker_stream is not None and stamp_ns is not None:
+            self._marker_stream.publish(self._markers.encode_end(stamp_ns))
         for stream in self._streams:
             stream.close()
 
@@ -215,8 +216,8 @@ class Outputs:
     def _keep_in_history(self, stamp_ns):
         """Publish the oldest acting wrench again before newer messages displace it.
 
-        Late subscribers get what the topic keeps: it must hold every wrench that acts. The
-        recording has it already.
+        Late subscribers receive the history of the topic, so it must contain every acting wrench.
+        The recording contains it already.
         """
         body = next(iter(self.acting), None)
         if body is not None and self._sent - self._sent_at[body] >= self._applied.depth // 2:
@@ -226,12 +227,12 @@ class Outputs:
             self._applied.publish(self._encode_wrench[body](stamp_ns, wrench))
 
     def record_acting(self, stamp_ns):
-        """Record all acting wrenches again, without publishing: a new file of the recording starts."""
+        """Record all acting wrenches again, without publishing, at the start of a new file."""
         for body, wrench in self.acting.items():
             self._applied.record(stamp_ns, self._encode_wrench[body](stamp_ns, wrench))
 
     def event(self, stamp_ns, name, text, failed=False):
-        """Publish an event of the run; one that ends it is also logged."""
+        """Publish an event of the run; log it as well if it is a failure."""
         if failed:
             self._node.get_logger().error(text)
         self._events.send(
@@ -247,7 +248,7 @@ class Outputs:
         """Publish /diagnostics: figures of the simulation thread and of the node."""
         self._diagnostics.send(stamp_ns, self._encoded(stamp_ns, figures))
         if figures["state"] != "running" and self._clock is not None:
-            # For subscribers that start while the simulation is paused; recordings have it already.
+            # For subscribers that start while the simulation is paused; the recording has it already.
             self._clock.publish(ClockCodec.encode(stamp_ns))
 
     def _encoded(self, stamp_ns, figures):

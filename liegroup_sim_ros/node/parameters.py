@@ -25,10 +25,10 @@ from liegroup_sim_ros.messages.samples import OPTIONAL
 
 QOS_PREFIX = "qos_overrides."
 RELIABILITIES = ("reliable", "best_effort")
-DEEPEST = 1_000_000  # messages that a topic may keep
-LONGEST_SHOWN = 60  # characters of a wrong value in its error
+DEEPEST = 1_000_000  # largest QoS depth, messages
+LONGEST_SHOWN = 60  # characters of a wrong value in an error text
 HOLDS = ("one_step", "timeout", "until_replaced")
-CHOSEN = ("method", "stabilisation", "group", "step")  # what an accuracy takes the place of
+CHOSEN = ("method", "stabilisation", "group", "step")  # an accuracy replaces these
 
 
 class ParameterError(LieGroupSimError):
@@ -45,14 +45,14 @@ class Entry(NamedTuple):
     choices: tuple = ()
     low: float | None = None
     high: float | None = None
-    above: bool = False  # `low` itself is refused
+    above: bool = False  # True: the value must be greater than `low`
 
 
-def _rate(name, default, text):
+def _rate(name, default, topics, remark=""):
     return Entry(
         name,
         default,
-        f"rate of {text} in Hz of simulated time; 0: not published",
+        f"rate of {topics} in Hz of simulated time; 0: not published{remark}",
         low=0.0,
         high=1e5,
     )
@@ -135,7 +135,7 @@ TABLE = (
         "",
         "prefix of the frame ids of all bodies, such as robot1/; world_frame has no prefix",
     ),
-    _rate("publish_rate", 100.0, "~/BODY/pose and ~/BODY/twist, required for recordings"),
+    _rate("publish_rate", 100.0, "~/BODY/pose and ~/BODY/twist", "; recordings require it"),
     _rate("clock_rate", 100.0, "/clock"),
     _rate("state_rate", 10.0, "~/state"),
     *(_rate(name, 0.0, topic) for name, (_, topic) in OPTIONAL.items()),
@@ -169,8 +169,8 @@ TABLE = (
 )
 _ENTRIES = {entry.name: entry for entry in TABLE}
 _TYPE_NAMES = {str: "a text", bool: "true or false", int: "a whole number", float: "a number"}
-# Declared by rclpy itself. This node publishes the simulated time and cannot use it: a value from a
-# launch file is ignored at start and refused later.
+# Declared by rclpy itself. This node publishes simulated time, so it cannot use it: a value from a
+# launch file is ignored at start, and a later change is refused.
 _BUILT_IN = ("use_sim_time", "start_type_description_service")
 
 
@@ -198,14 +198,14 @@ def check(name, value):
 
 
 def read_parameters(node):
-    """Declare all parameters of `node` and return their values, `.name` for each of the table.
+    """Declare all parameters of `node` and return their values, one attribute per parameter.
 
     node : created with automatically_declare_parameters_from_overrides=True, so that unknown names,
            which ROS ignores, can be refused
     returns the values; `.steps`: {rate: steps between messages, 0 for none}, set by `set_step` if an
             accuracy chooses the step; `.qos`: names of the parameters for quality of service, which
             qos.py reads
-    Raises ParameterError.
+    raises ParameterError
     """
     given = {
         name: parameter.value
@@ -213,7 +213,7 @@ def read_parameters(node):
         if name not in _BUILT_IN
     }
     for name in given:
-        node.undeclare_parameter(name)  # to be declared again, with its descriptor
+        node.undeclare_parameter(name)  # declared again below, with its descriptor
         if name not in _ENTRIES and not name.startswith(QOS_PREFIX):
             near = difflib.get_close_matches(name, _ENTRIES, n=1)
             hint = f"did you mean {near[0]}?" if near else f"choose one of: {', '.join(_ENTRIES)}"
@@ -318,7 +318,9 @@ def _whole_steps(name, rate, step):
         return 0
     steps = 1.0 / (rate * step)
     whole = max(1, round(steps))
-    if abs(steps - whole) > 1e-6 * whole:  # far above rounding, far below a step in any log
+    if (
+        abs(steps - whole) > 1e-6 * whole
+    ):  # far above round-off, far below one step in any recording
         nearest = sorted({1.0 / (max(1, n) * step) for n in (math.floor(steps), math.ceil(steps))})
         raise ParameterError(
             f"parameter {name}: {rate:g} Hz is one message every {steps:.6g} steps of "

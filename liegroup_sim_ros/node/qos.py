@@ -2,7 +2,7 @@
 """Quality of service set by the user: parameters qos_overrides.TOPIC.KIND.POLICY.
 
 TOPIC is a topic's full name, KIND is publisher or subscription, POLICY is depth or reliability. Only
-given ones are declared: otherwise there would be four per body.
+parameters that the user sets are declared; otherwise there would be four per body.
 """
 
 import difflib

@@ -20,7 +20,7 @@ ATTENTION = 0.1
 
 
 class Interrupted(Exception):
-    """Signal to end, before the simulation was ready."""
+    """SIGINT or SIGTERM arrived before the simulation was ready."""
 
 
 class SceneRun:
@@ -74,7 +74,7 @@ class SceneRun:
         self.wrenches = WrenchTopics(
             node, layout.body_names, values, simulation.step, self.server, qos
         )
-        if before is None:  # later on, the bodies that were meant may be gone
+        if before is None:  # a reloaded scene may lack the bodies of these parameters
             qos.check()
         # Last step that can fail: earlier ones leave no files.
         if path:
@@ -94,7 +94,7 @@ class SceneRun:
                 raise
 
     def start(self):
-        """Start the simulation thread and log it."""
+        """Start the simulation thread and log the configuration."""
         self.server.start()
         simulation = self.simulation
         count = len(simulation.layout.body_names)
@@ -112,7 +112,7 @@ class SceneRun:
         )
 
     def _attachments(self, stamp_ns, state):
-        """Attachments that make a file self-contained, for the present state."""
+        """Attachments that make a file self-contained, with the current state."""
         values = self._values
         return attachments.at_start(
             self.simulation,
@@ -130,7 +130,7 @@ class SceneRun:
         )
 
     def _divide_if_due(self, stamp_ns, _):
-        """Start a new file of the recording if it is time, in the simulation thread."""
+        """Continue the recording in a new file if one is due; runs in the simulation thread."""
         recorder = self.recorder
         if recorder is not None and recorder.is_part_due(stamp_ns):
             self._attach_pacing()
@@ -178,10 +178,11 @@ class SceneRun:
 def make_simulation(values, signals):
     """Create the simulation that the parameters describe.
 
-    signals : has `received`; raises Interrupted when it becomes true. Compiling may take half a
-              minute. It runs in its own thread, because an exception from a signal handler can get
-              lost in the compiler's callbacks
-    Raises SceneError, ParameterError.
+    signals : Signals
+    raises SceneError, ParameterError; Interrupted as soon as `signals.received` is true
+
+    Compiling may take half a minute. It runs in its own thread, because an exception from a signal
+    handler can get lost in the compiler's callbacks.
     """
     if not values.scene:
         raise ParameterError(

@@ -18,11 +18,11 @@ from liegroup_core.errors import LieGroupSimError
 from liegroup_core.pacing import Pacer
 
 DIAGNOSTICS_PERIOD = 1.0  # s of wall time
-IDLE_TICK = 0.01  # s of simulated time, where nothing is put out by time
+IDLE_TICK = 0.01  # s of simulated time between two ticks if no output has a period
 
 
 class CommandError(LieGroupSimError):
-    """Command that is not possible in the present state; one line of text."""
+    """The current state does not allow the command; one line of text."""
 
 
 class SimulationServer(threading.Thread):
@@ -46,11 +46,11 @@ class SimulationServer(threading.Thread):
         self._output = output
         self._timed = [
             *output.timed,
-            *([(output.state_steps, self._put_out_state)] if output.state_steps else []),
+            *([(output.state_steps, self._send_state)] if output.state_steps else []),
         ]
         self._sent_ns = [None] * len(self._timed)  # stamp of the last message of each
         periods = {steps for steps, _ in self._timed} | {output.clock_steps} - {0}
-        # Multiples of another period add no ticks.
+        # A period that is a multiple of another one needs no ticks of its own.
         self._periods = [
             period
             for period in periods
@@ -64,7 +64,7 @@ class SimulationServer(threading.Thread):
         self._base_ns = base_ns
         self._origin = origin
         self._factor_seen = 0.0  # achieved real-time factor at the last diagnostics
-        self._reference_energy = None  # J, of the last moment known without a push
+        self._reference_energy = None  # J, at the last known instant without an applied wrench
         self.pacer = Pacer(factor, sleep=self._wake.wait)
         self.state = "paused" if paused else "running"
         self._state_before_fault = self.state
@@ -77,10 +77,10 @@ class SimulationServer(threading.Thread):
         """Submit a command; returns its Future.
 
         Commands: "pause", "resume", "reset", "step" (count), "speed" (factor), "clear" (prefix of
-        sources), "look", "hold". The result is one line of text; that of "look" is (stamp_ns,
-        Sample, state); that of "hold", a pause that also works after a fault, whether the
-        simulation was running. The exception is CommandError. The Future is cancelled if the
-        thread ends first.
+        sources), "sample", "hold". The result is one line of text, with two exceptions: "sample"
+        returns (stamp_ns, Sample, state), and "hold" returns whether the simulation was running.
+        "hold" is a pause that also works after a fault. The exception of the Future is
+        CommandError. The Future is cancelled if the thread ends first.
         """
         future = Future()
         method = {
@@ -90,7 +90,7 @@ class SimulationServer(threading.Thread):
             "step": self._step,
             "speed": self._speed,
             "clear": self._clear,
-            "look": self._look,
+            "sample": self._sample,
             "hold": self._hold,
         }[command]
         with self._lock:
@@ -112,14 +112,14 @@ class SimulationServer(threading.Thread):
 
     def clear(self, prefix):
         """End the wrenches of all sources whose names start with `prefix`."""
-        with self._lock:  # what comes after this is not ended
+        with self._lock:  # wrenches that arrive later are not cleared
             for key in [key for key in self._wrenches if key[0].startswith(prefix)]:
                 del self._wrenches[key]
         self.call("clear", prefix)
 
     @property
     def wrenches_held(self):
-        """Number of wrenches that act or start later."""
+        """Number of wrenches that act now or start later."""
         return self._simulation.wrench_count + len(self._wrenches)
 
     def stop(self):
@@ -136,10 +136,10 @@ class SimulationServer(threading.Thread):
         try:
             self._begin()
             while not self._stopping:
-                if self._wake.is_set():  # it is set behind every command
+                if self._wake.is_set():  # set after each command is queued
                     self._wake.clear()
-                    self._obey()
-                self._run_on()
+                    self._execute_commands()
+                self._tick_or_wait()
             self.pacer.stop()
             self._event("stop", f"stopped at step {self._simulation.steps}")
         except Exception as error:
@@ -153,14 +153,14 @@ class SimulationServer(threading.Thread):
     def _begin(self):
         scene = self._simulation.scene.name
         self._event("start", f"{scene} at step 0, {self.state}{self._origin}")
-        self._put_out()
+        self._send_outputs()
         self._reference_energy = self._simulation.sample().energy
         self._next_diagnostics = time.monotonic() + DIAGNOSTICS_PERIOD
         if self.state == "running":
             self.pacer.start(self._seconds())
 
-    def _run_on(self):
-        """Take the next tick if it is due; else wait for it, for a command or for diagnostics."""
+    def _tick_or_wait(self):
+        """Advance to the next tick if it is due; else wait for it, a command or the diagnostics."""
         idle = max(0.0, self._next_diagnostics - time.monotonic())
         if self.state == "running":
             tick = self._next_tick()
@@ -175,7 +175,7 @@ class SimulationServer(threading.Thread):
                 self._next_diagnostics + DIAGNOSTICS_PERIOD, time.monotonic()
             )
 
-    def _obey(self):
+    def _execute_commands(self):
         with self._lock:
             commands, self._commands = self._commands, []
         for future, method, arguments in commands:
@@ -196,25 +196,25 @@ class SimulationServer(threading.Thread):
         return min([(steps // period + 1) * period for period in self._periods])
 
     def _advance(self, end):
-        """Advance to step `end` with all outputs on the way; True if it was reached."""
+        """Advance to step `end` and send all outputs before it; True if `end` was reached."""
         while self._simulation.steps < end and not self._stopping:
             if not self._advance_to(min(end, self._next_tick())):
                 return False
         return self._simulation.steps == end
 
     def _advance_to(self, tick):
-        """Advance to a step without outputs before it; False after a fault."""
+        """Advance to the next step with outputs and send them; False after a fault."""
         if self._wrenches:
-            self._hand_over_wrenches()
+            self._apply_wrenches()
         try:
             self._simulation.advance(tick - self._simulation.steps)
         except SimulationError as error:
             self._fault(str(error))
             return False
-        self._put_out()
+        self._send_outputs()
         return True
 
-    def _hand_over_wrenches(self):
+    def _apply_wrenches(self):
         with self._lock:
             wrenches, self._wrenches = self._wrenches, {}
         for push, duration in wrenches.values():
@@ -223,11 +223,11 @@ class SimulationServer(threading.Thread):
                 push.body, push.wrench, start, duration, push.source, push.axes
             )
 
-    def _put_out(self, everything=False):
-        """Send the outputs of the present step, in the order of the stamps."""
+    def _send_outputs(self, everything=False):
+        """Send the outputs of the current step, in the order of their stamps."""
         steps = self._simulation.steps
         for change in self._simulation.drain_applied():
-            self._put_out_wrench(self._stamp(change.step), change.body, change.wrench)
+            self._send_wrench(self._stamp(change.step), change.body, change.wrench)
         self.stamp_ns = self._stamp(steps)
         period = self._output.clock_steps
         if period and (everything or steps % period == 0):
@@ -239,10 +239,10 @@ class SimulationServer(threading.Thread):
                 sample = sample or self._simulation.sample()
                 send(self.stamp_ns, sample)
 
-    def _put_out_state(self, stamp_ns, sample):
+    def _send_state(self, stamp_ns, sample):
         self._output.state(stamp_ns, self._figures(sample))
 
-    def _put_out_wrench(self, stamp_ns, body, wrench):
+    def _send_wrench(self, stamp_ns, body, wrench):
         self._output.applied_wrench(stamp_ns, body, wrench)
         self._reference_energy = None
 
@@ -250,20 +250,20 @@ class SimulationServer(threading.Thread):
         self._output.event(self.stamp_ns, name, text, failed)
 
     def _fault(self, text):
-        self._put_out(everything=True)
+        self._send_outputs(everything=True)
         self._state_before_fault = self.state
         self.state = "faulted"
         self.pacer.stop()
         self._event("fault", f"{text}; the last valid state is kept, ~/reset restarts", True)
 
-    def _must_not_be_faulted(self):
+    def _refuse_if_faulted(self):
         if self.state == "faulted":
             raise CommandError("the simulation has stopped with an error: call ~/reset first")
 
     # Commands:
 
     def _pause(self):
-        self._must_not_be_faulted()
+        self._refuse_if_faulted()
         if self.state == "paused":
             return "already paused"
         self.state = "paused"
@@ -272,7 +272,7 @@ class SimulationServer(threading.Thread):
         return f"paused at {self._seconds():.9g} s"
 
     def _resume(self):
-        self._must_not_be_faulted()
+        self._refuse_if_faulted()
         if self.state == "running":
             return "already running"
         self.state = "running"
@@ -289,8 +289,8 @@ class SimulationServer(threading.Thread):
         self._simulation.reset()
         self._event("reset", "initial state, step 0")
         for body in list(self._output.acting):
-            self._put_out_wrench(self.stamp_ns, body, (0.0,) * 6)
-        self._put_out(everything=True)
+            self._send_wrench(self.stamp_ns, body, (0.0,) * 6)
+        self._send_outputs(everything=True)
         self._reference_energy = self._simulation.sample().energy
         if self.state == "faulted":
             self.state = self._state_before_fault
@@ -299,14 +299,14 @@ class SimulationServer(threading.Thread):
         return f"initial state at {self._seconds():.9g} s, {self.state}"
 
     def _step(self, count):
-        self._must_not_be_faulted()
+        self._refuse_if_faulted()
         if self.state != "paused":
             raise CommandError("the simulation is running: call ~/pause first")
         first = self._simulation.steps
         reached = self._advance(first + count)
         done = self._simulation.steps - first
         if reached:
-            self._put_out(everything=True)
+            self._send_outputs(everything=True)
         steps = f"{done} step{'s' if done != 1 else ''}"
         self._event("step", f"{steps}, at step {self._simulation.steps}")
         if not reached:
@@ -326,7 +326,7 @@ class SimulationServer(threading.Thread):
                 self._simulation.clear_wrenches(source)
         return f"wrenches of {prefix} end with the next step"
 
-    def _look(self):
+    def _sample(self):
         return self.stamp_ns, self._simulation.sample(), self.state
 
     def _hold(self):
@@ -338,10 +338,10 @@ class SimulationServer(threading.Thread):
         return running
 
     def _figures(self, sample):
-        """{name: number or text} for the diagnostics; units are at the end of the names."""
+        """{name: number or text} for the diagnostics; each name ends with its unit."""
         pacing = self.pacer.report()
         if self._output.acting:
-            drift = math.nan  # a push changes the energy
+            drift = math.nan  # an applied wrench changes the energy
         else:
             if self._reference_energy is None:
                 self._reference_energy = sample.energy

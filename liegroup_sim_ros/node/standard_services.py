@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Services of the package simulation_interfaces, where it is installed, under Gazebo's names.
+"""Services of the package simulation_interfaces, if it is installed, under Gazebo's names.
 
     ~/reset_simulation  ~/step_simulation  ~/set_simulation_state  ~/get_simulation_state
     ~/get_entities_states
@@ -17,7 +17,7 @@ SCOPE_DEFAULT, SCOPE_STATE, SCOPE_ALL = 0, 2, 255  # ResetSimulation
 
 
 def offer(node, signals, world_frame):
-    """Create the services of a SimNode; none if simulation_interfaces is not installed."""
+    """Create the services of a SimNode. Does nothing if simulation_interfaces is not installed."""
     try:
         from simulation_interfaces import msg, srv
     except ImportError:
@@ -37,7 +37,7 @@ class StandardServices:
     """Callbacks that translate services of simulation_interfaces to commands of the simulation.
 
     ask          : function (command, *arguments) -> (True, result) or (False, text): SimNode.ask
-    signals      : `received` is set to end the node
+    signals      : Signals; setting `received` ends the node
     world_frame  : frame id of poses and twists
     entity_state : class of the message EntityState
     """
@@ -95,7 +95,7 @@ class StandardServices:
             matches = re.compile(filters.filter or ".*").fullmatch
         except re.error as error:
             return _answer(response, FAILED, f"filter {filters.filter!r}: {error}")
-        done, result = self._ask("look")
+        done, result = self._ask("sample")
         if not done:
             return _answer(response, FAILED, result)
         stamp_ns, sample, _ = result
@@ -105,7 +105,7 @@ class StandardServices:
 
     def _state(self):
         """(SimulationState, text)."""
-        done, result = self._ask("look")
+        done, result = self._ask("sample")
         if not done:
             return QUITTING, result
         _, sample, state = result
@@ -130,9 +130,9 @@ class StandardServices:
         return state
 
 
-def _result(answer, code_if_not):
+def _result(answer, failure_code):
     done, text = answer
-    return (OK if done else code_if_not), text
+    return (OK if done else failure_code), text
 
 
 def _answer(response, code, text):

@@ -4,8 +4,9 @@
 On ~/wrench and ~/wrench/persistent, frame_id names the body, and components are in its axes. On
 ~/BODY/wrench, frame_id names the axes: those of the body or of the world. The frame of a body is
 the node's prefix and its name. Torques are about the origin of the body frame. A name after a
-slash, as in `top/left`, distinguishes publishers of one topic: wrenches of different topics and
-names add, a later one with the same name replaces the earlier one.
+slash, as in `top/left`, distinguishes publishers of one topic. Wrenches of different topics and
+names add up; a wrench replaces the previous one of the same topic and name.
+
 A zero or past stamp means the next step; a future stamp means that simulated time. A message is
 accepted or refused as a whole; refusals are counted by reason. Imports no ROS.
 """
@@ -17,9 +18,9 @@ from liegroup_sim_ros.messages.codecs import MessageError, WrenchStampedCodec
 
 # A stamp further ahead indicates a publisher that does not use simulated time.
 FARTHEST = 3600 * 10**9  # ns
-# Largest number of wrenches that act or start later: bounds the memory of the node.
+# Largest number of wrenches that act now or start later. Bounds the memory of the node.
 MOST = 10_000
-LONGEST_NAME = 64
+LONGEST_NAME = 64  # characters
 
 REASONS = ("not_finite", "no_frame", "unknown_frame", "stamp_too_far", "too_many", "damaged")
 
@@ -38,13 +39,13 @@ class Refusal(Exception):
 
 
 class Push(NamedTuple):
-    """A wrench that is applied."""
+    """An accepted wrench."""
 
-    source: str  # topic, body and name of the commander: source_prefix
+    source: str  # topic, body and name of the publisher, see source_prefix
     body: str
     wrench: tuple  # (6,) torque N m, force N, about the origin of the body frame
     axes: str  # of the components: "body" or "world"
-    start_ns: int  # stamp from which on it acts; 0: the next step
+    start_ns: int  # stamp at which it starts to act; 0: at the next step
 
 
 def source_prefix(kind, target):
@@ -71,8 +72,8 @@ class WrenchInput:
 
         kind   : of the topic: "wrench", "persistent" or "body"
         body   : body of the topic, None if frame_id names it
-        now_ns : present stamp
-        held   : number of wrenches that act or start later
+        now_ns : current stamp
+        held   : number of wrenches that act now or start later
         """
         try:
             start_ns, frame_id, wrench = WrenchStampedCodec.decode_one(payload)
@@ -80,7 +81,7 @@ class WrenchInput:
             text = str(error)
             self._refuse("damaged", lambda: text)
         axes = "body"
-        target, name = self.named(frame_id)
+        target, name = self.body_and_name(frame_id)
         if (
             body is not None
             and target != body
@@ -142,8 +143,8 @@ class WrenchInput:
             ),
         )
 
-    def named(self, frame_id):
-        """(body, name of the publisher) of the frame id of a body; (None, "") of another one."""
+    def body_and_name(self, frame_id):
+        """(body, name of the publisher) in a frame id; (None, "") if it names no body."""
         if frame_id.startswith(self._prefix):
             body, _, name = frame_id[len(self._prefix) :].partition("/")
             if body in self._bodies:
@@ -151,7 +152,7 @@ class WrenchInput:
         return None, ""
 
     def _refuse(self, reason, text):
-        """Count and raise a Refusal; text: function, called only for the first one."""
+        """Count and raise a Refusal; text : function, called only for the first one of a reason."""
         self.refused[reason] += 1
         first = self.refused[reason] == 1
         raise Refusal(reason, text() if first else reason, first)

@@ -7,8 +7,8 @@ from std_msgs.msg import String
 
 from .wrench_input import Refusal, WrenchInput, source_prefix
 
-# Depth of the queues; DDS replaces the oldest message beyond. At 10 kHz it covers a delay of one
-# second: a busy machine often delays a process by more than a tenth of that.
+# Depth of the queues; DDS drops the oldest message of a full queue. At 10 kHz this covers a delay of
+# 1 s. A busy machine often delays a process by more than 0.1 s.
 DEPTH = 10_000
 
 
@@ -27,34 +27,34 @@ class WrenchTopics:
         self._node, self._values, self._step, self._server = node, values, step, server
         self.input = WrenchInput(bodies, values.world_frame, values.frame_prefix)
         self._qos, self._subscriptions = qos, []
-        self._listen("~/wrench", "wrench")
-        self._listen("~/wrench/persistent", "persistent")
+        self._subscribe("~/wrench", "wrench")
+        self._subscribe("~/wrench/persistent", "persistent")
         for body in bodies if values.body_wrenches else ():
-            self._listen(f"~/{body}/wrench", "body", body)
+            self._subscribe(f"~/{body}/wrench", "body", body)
         self._subscriptions.append(
             node.create_subscription(String, "~/wrench/clear", self._clear, DEPTH)
         )
 
-    def _listen(self, topic, kind, body=None):
+    def _subscribe(self, topic, kind, body=None):
         # Raw bytes: decoding them takes a few microseconds, less than creating a message object.
         self._subscriptions.append(
             self._node.create_subscription(
                 WrenchStamped,
                 topic,
-                lambda payload: self._take(payload, kind, body),
+                lambda payload: self._receive(payload, kind, body),
                 QoSProfile(depth=DEPTH),
                 raw=True,
                 qos_overriding_options=self._qos.options(self._node, topic, "subscription"),
             )
         )
 
-    def _take(self, payload, kind, body):
+    def _receive(self, payload, kind, body):
         try:
             push = self.input.read(
                 payload, kind, body, self._server.stamp_ns, self._server.wrenches_held
             )
         except Refusal as refusal:
-            self._say(refusal)
+            self._log(refusal)
             return
         values = self._values
         hold = "until_replaced" if kind == "persistent" else values.wrench_hold
@@ -66,17 +66,17 @@ class WrenchTopics:
         )
 
     def _clear(self, message):
-        body, name = self.input.named(message.data)
+        body, name = self.input.body_and_name(message.data)
         if message.data and body is None:
             try:
                 self.input.refuse_clear(message.data)
             except Refusal as refusal:
-                self._say(refusal)
+                self._log(refusal)
             return
         target = f"{body}/{name}" if name else body
         self._server.clear(source_prefix("persistent", target if message.data else ""))
 
-    def _say(self, refusal):
+    def _log(self, refusal):
         if refusal.first:
             self._node.get_logger().warning(str(refusal))
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Node `replay`: publishes the topics of a recording and /clock, with pause and seek.
+"""Node `replay`: publishes the topics of a recording and /clock; supports pause and seek.
 
 Services (std_srvs/Trigger) have the names of `ros2 bag play`: ~/pause ~/resume ~/toggle_paused
 ~/play_next. Parameters: `rate` in simulated seconds per second; setting `position` seeks to a time
@@ -36,9 +36,9 @@ except ImportError:
 
 POLL = 0.01  # s between two checks of services and keys
 ACKNOWLEDGED = 2.0  # s to wait for the acknowledgement of the last messages
-BACK = 5.0  # s that the left cursor key goes back
-FASTER = 1.1
-LARGEST_RATE = 1e6
+BACK = 5.0  # s, seek distance of the left cursor key
+FASTER = 1.1  # factor on the rate of the up cursor key
+LARGEST_RATE = 1e6  # simulated seconds per second
 _KEYS = {
     b" ": "toggle_paused",
     b"\x1b[A": "faster",
@@ -53,8 +53,8 @@ def play(file, args):
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     try:
         player = Player(file, args.rate, args.start, args.loop, args.start_paused, args.clock_rate)
-        # A flag, as an exception may be lost in a callback. SIGINT too: a shell starts background
-        # processes with SIGINT ignored.
+        # The handler sets a flag: an exception may be lost in a callback. SIGINT has a handler too,
+        # because a shell starts background processes with SIGINT ignored.
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, player.interrupt)
         with Keys(player):
@@ -75,19 +75,19 @@ class Player:
         self._executor.add_node(self._node)
         self._publishers, self.topics = {}, []
         for topic in dict.fromkeys(file.topics.values()):
-            self._add(topic)
+            self._add_publisher(topic)
         self._clock = None
         if not file.has_clock and clock_rate > 0.0:
             self._clock = self._node.create_publisher(Clock, "/clock", 1)
             self._clock_period = max(1, round(1e9 / clock_rate))
         self.published, self.paused, self._interrupted = 0, paused, False
         self._pacer = Pacer(rate)
-        self._go_to = file.first_ns + round(start * 1e9)
+        self._seek_to = file.first_ns + round(start * 1e9)
         self._next = None  # (stamp, messages) to publish next
-        self._now_ns = self._go_to
+        self._now_ns = self._seek_to
         self._polled = 0.0
         for name in ("pause", "resume", "toggle_paused", "play_next"):
-            self._node.create_service(Trigger, f"~/{name}", self._serve(name))
+            self._node.create_service(Trigger, f"~/{name}", self._callback(name))
         for name, value, text in (
             ("rate", rate, "simulated seconds per second; 0: as fast as possible"),
             ("position", start, "seek to this time, s after the first message"),
@@ -98,7 +98,7 @@ class Player:
         self._node.add_on_set_parameters_callback(self._check)
         self._node.add_post_set_parameters_callback(self._set)
 
-    def _add(self, topic):
+    def _add_publisher(self, topic):
         package, _, name = topic.type.split("/")
         try:
             message = getattr(importlib.import_module(f"{package}.msg"), name)
@@ -126,9 +126,9 @@ class Player:
             ) from None
         self.topics.append(topic.name)
 
-    # Commands, executed between two messages:
+    # Commands; they are executed between two messages.
 
-    def _serve(self, name):
+    def _callback(self, name):
         def serve(_, response):
             response.success, response.message = True, self.command(name)
             return response
@@ -141,7 +141,7 @@ class Player:
             name = "resume" if self.paused else "pause"
         if name in ("pause", "resume"):
             self.paused = name == "pause"
-            self._begin()
+            self._restart_pacing()
         elif name == "play_next":
             if not self.paused:
                 return "not paused: call pause first"
@@ -150,7 +150,7 @@ class Player:
             self.seek((self._now_ns - self._file.first_ns) * 1e-9 - BACK)
         else:
             self._pacer.factor *= FASTER if name == "faster" else 1.0 / FASTER
-            self._begin()
+            self._restart_pacing()
         return (
             f"{'paused' if self.paused else 'playing'} at "
             f"{(self._now_ns - self._file.first_ns) * 1e-9:.9g} s, rate "
@@ -159,8 +159,8 @@ class Player:
 
     def seek(self, position):
         """Continue from a time, s after the first message."""
-        self._go_to = self._file.first_ns + round(max(0.0, position) * 1e9)
-        self._now_ns = self._go_to
+        self._seek_to = self._file.first_ns + round(max(0.0, position) * 1e9)
+        self._now_ns = self._seek_to
 
     def _check(self, parameters):
         limits = {"rate": LARGEST_RATE, "position": self._file.seconds}
@@ -182,7 +182,7 @@ class Player:
         for parameter in parameters:
             if parameter.name == "rate":
                 self._pacer.factor = float(parameter.value)
-                self._begin()
+                self._restart_pacing()
             elif parameter.name == "position":
                 self.seek(float(parameter.value))
 
@@ -193,15 +193,15 @@ class Player:
         self._interrupted = True
 
     def run(self):
-        """Publish to the end; returns the exit code, 130 after a signal."""
-        while self._go_to is not None:
-            since, self._go_to = self._go_to, None
-            self._messages = self._file.messages(since)
-            self._take()
-            self._begin()
+        """Publish until the end of the file; returns the exit code: 0, or 130 after a signal."""
+        while self._seek_to is not None:
+            start_ns, self._seek_to = self._seek_to, None
+            self._messages = self._file.messages(start_ns)
+            self._load_next()
+            self._restart_pacing()
             self._publish_all()
-            if self._go_to is None and self._loop and self._next is None:
-                self._go_to = self._file.first_ns
+            if self._seek_to is None and self._loop and self._next is None:
+                self._seek_to = self._file.first_ns
             if self._interrupted:
                 return 130
         for publisher in self._publishers.values():
@@ -211,17 +211,17 @@ class Player:
 
     def _publish_all(self):
         """Publish until the end of the file, a seek or a signal."""
-        while self._next is not None and self._go_to is None and not self._interrupted:
+        while self._next is not None and self._seek_to is None and not self._interrupted:
             now = time.monotonic()
             if self.paused or now - self._polled > POLL:
                 self._polled = now
                 self._executor.spin_once(timeout_sec=POLL if self.paused else 0.0)
                 self.keys.poll()
                 continue
-            if self._pacer.wait(self._due() * 1e-9, POLL):
+            if self._pacer.wait(self._due_ns() * 1e-9, POLL):
                 self._publish_next()
 
-    def _due(self):
+    def _due_ns(self):
         """Stamp of the next output: /clock of this node, or recorded messages."""
         stamp = self._next[0]
         if self._clock is None:
@@ -231,7 +231,7 @@ class Player:
     def _publish_next(self):
         if self._next is None:
             return
-        due = self._due()
+        due = self._due_ns()
         self._now_ns = due
         if self._clock is not None:
             self._clock.publish(ClockCodec.encode(due))
@@ -242,12 +242,12 @@ class Player:
             if publisher is not None:
                 publisher.publish(payload)
                 self.published += 1
-        self._take()
+        self._load_next()
 
-    def _take(self):
+    def _load_next(self):
         self._next = next(self._messages, None)
 
-    def _begin(self):
+    def _restart_pacing(self):
         """Start pacing at the current position."""
         if self.paused:
             self._pacer.stop()
@@ -256,7 +256,7 @@ class Player:
 
 
 class Keys:
-    """Keys of a terminal, if there is one; a `with` block restores its settings."""
+    """Keys of the terminal, if stdin is one; a `with` block restores its settings."""
 
     def __init__(self, player):
         self._player, self._before = player, None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recording to publish: its topics, and its messages from a given time on."""
+"""Topics of a recording, and its messages from a start time, for publishing."""
 
 import re
 from typing import NamedTuple
@@ -13,7 +13,7 @@ from liegroup_sim_ros.recording.read_file import ErrorsWithPath
 from liegroup_sim_ros.recording.read_mcap import McapStream
 
 _TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
-LONGEST_QOS = 65536  # bytes of YAML
+LONGEST_QOS = 65536  # characters of YAML
 
 
 class PlayError(LieGroupSimError):
@@ -56,18 +56,18 @@ class PlayFile:
 
     def _index(self):
         """(offset, first, last stamp) of all readable chunks."""
-        found = []
+        chunks = []
         for messages, _ in self._source.messages(self._recording.channels):
             offset = self._source.stream.offset
-            found.append((offset, int(messages.log_time.min()), int(messages.log_time.max())))
-        return found
+            chunks.append((offset, int(messages.log_time.min()), int(messages.log_time.max())))
+        return chunks
 
     def messages(self, since_ns):
-        """Generator of (stamp ns, [(Topic, payload)]) from a stamp on, in the order of stamps.
+        """Generator of (stamp ns, [(Topic, payload)]) from a start stamp, in the order of stamps.
 
-        Messages with the same stamp are returned together. A message that follows later ones in
-        the file, as in recordings of other software, is returned together with those. Raises
-        RecordingError.
+        Messages with the same stamp are yielded together. Recordings of other software may not be
+        sorted: a message with an earlier stamp than the last one gets the stamp of that one.
+        Raises RecordingError.
         """
         wanted = {offset for offset, _, last in self._chunks if last >= since_ns}
         reached = since_ns

@@ -12,9 +12,9 @@ from liegroup_core.reference import Trajectory, distance
 from liegroup_sim_ros.recording.attachments import restore
 from liegroup_sim_ros.recording.read import RecordingError
 
-# Limit of the steps that a damaged file can request; a step takes a microsecond or more.
+# Limit on the number of steps, for damaged files; a step takes at least about 1 us.
 MOST_STEPS = 10**9
-# Tolerance, in steps, for samples to lie on whole steps of another step size.
+# Tolerance, in steps, when samples are matched to whole steps of another step size.
 ROUNDING = 1e-6
 
 
@@ -23,7 +23,7 @@ class ReplayError(LieGroupSimError):
 
 
 def make_simulation(scene, settings, **other):
-    """Simulation with the settings of a recording; other: settings that replace them.
+    """Simulation with the settings of a recording; other : settings that replace recorded ones.
 
     Raises ValueError, one line, for settings that this version cannot simulate.
     """
@@ -36,15 +36,15 @@ def make_simulation(scene, settings, **other):
         **(settings.get("options") or {}),
     }
     if other.get("method", settings["method"]) != settings["method"]:
-        for name in settings.get("options") or {}:  # they belong to the recorded method
+        for name in settings.get("options") or {}:  # options of the recorded method
             del chosen[name]
     return Simulation(scene, **(chosen | other))
 
 
 class Repeat:
-    """Repeats the simulation of a recording and compares every number of every sample.
+    """Repetition of a recorded simulation that compares every number of every sample.
 
-    simulation : Simulation with the recorded settings, or with others to measure the difference
+    simulation : Simulation with the recorded settings, or with other settings to measure their effect
     """
 
     def __init__(self, recording, simulation):
@@ -71,26 +71,26 @@ class Repeat:
         pose, twist = self._states(block)
         k = len(pose)
         offsets = self._simulation.layout.offsets
-        if not offsets.none:  # one by one, as in the recorded run
+        if not offsets.none:  # sample by sample, as in the recorded run: same round-off
             for row in range(k):
                 pose[row], twist[row] = offsets.to_bodies(pose[row], twist[row])
-        turned = quaternions(pose)
+        quaternion = quaternions(pose)
         same = (
-            _same(turned, block.quaternion[:k])
+            _same(quaternion, block.quaternion[:k])
             & _same(pose[..., 9:], block.position[:k])
             & _same(twist, block.twist[:k])
         )
-        good = same.all(axis=1)
-        self._identical += int(good.sum())
-        if good.all():
+        identical = same.all(axis=1)
+        self._identical += int(identical.sum())
+        if identical.all():
             return
         if self._first is None:
-            row = int(np.argmin(good))
+            row = int(np.argmin(identical))
             self._first = {
                 "at_s": float(block.log_times[row]),
                 "body": block.stretch.bodies[int(np.argmin(same[row]))],
             }
-        rotation = Rotation.from_quat(turned.reshape(-1, 4)).as_matrix()
+        rotation = Rotation.from_quat(quaternion.reshape(-1, 4)).as_matrix()
         apart = distance(
             Trajectory(None, rotation.reshape(k, -1, 3, 3), pose[..., 9:], twist),
             Trajectory(None, block.rotation[:k], block.position[:k], block.twist[:k]),
@@ -102,7 +102,7 @@ class Repeat:
 
     def _begin(self, stretch):
         self._stretch, self._broken, self._next = stretch, False, 0
-        # With another step size, wrenches begin with the next step.
+        # With another step size, a wrench starts at the next whole step.
         self._changes = np.ceil(stretch.change_steps * self._ratio - ROUNDING).astype(np.int64)
         start = stretch.start * self._ratio
         if start != round(start):
@@ -153,7 +153,7 @@ class Repeat:
         return pose[:done], twist[:done]
 
     def _advance_to(self, step):
-        # Not by zero steps: that would restart a method whose memory depends on the wrenches.
+        # Never advance by zero steps: that restarts a method whose memory depends on the wrenches.
         if step > self._simulation.steps:
             self._simulation.advance(step - self._simulation.steps)
 
@@ -174,7 +174,7 @@ class Repeat:
 
 
 def _same(one, other):
-    """(k, n) whether all numbers of a body are bit-identical."""
+    """(k, n) bool: whether all numbers of a body are bit-identical."""
     return (
         np.ascontiguousarray(one).view(np.int64) == np.ascontiguousarray(other).view(np.int64)
     ).all(axis=2)

@@ -14,14 +14,14 @@ from liegroup_sim_ros.recording.motion import Motion
 
 from .repeat import Repeat, ReplayError, make_simulation
 
-# Entries that may affect the bits; older recordings lack some of them.
+# Entries that may affect the bits of the result; older recordings lack some of them.
 _VERSIONS = ("liegroup_sim_ros", "numpy", "scipy", "numba", "llvmlite")
 _MACHINE = ("processor", "libc", "target", "features")
-LONGEST = 40  # characters of a value that is quoted; the features are some hundreds
+LONGEST = 40  # characters of a quoted value; the list of processor features is much longer
 
 
 def resimulate(recording, progress=lambda text: None, **other):
-    """Figures of a repeated Recording; other: settings that replace the recorded ones.
+    """Figures of a repeated Recording; other : settings that replace recorded ones.
 
     progress : function of one line of text
     returns the entries of Repeat.figures, "experiment": {setting: [recorded, now]}, "platform":

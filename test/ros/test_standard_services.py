@@ -136,14 +136,14 @@ def test_states_and_steps(services, messages):
 
     assert state(services, messages) == STOPPED
     assert step(7) == 1 and state(services, messages) == PAUSED
-    stamp_ns, sample, _ = services._ask("look")[1]
+    stamp_ns, sample, _ = services._ask("sample")[1]
     assert (stamp_ns, sample.steps) == (7_000_000, 7)
     assert go(PLAYING) == 1 and state(services, messages) == PLAYING
     assert go(PLAYING) == 101  # already there
     assert step(1) == 3  # incorrect state: it runs
     assert go(PAUSED) == 1 and state(services, messages) == PAUSED
     assert go(STOPPED) == 1 and state(services, messages) == STOPPED
-    assert services._ask("look")[1][1].steps == 0
+    assert services._ask("sample")[1][1].steps == 0
     assert go(77) == 0  # not supported
     assert not services._signals.received
     assert go(QUITTING) == 1 and services._signals.received
@@ -153,9 +153,9 @@ def test_reset_is_of_the_state_not_of_time(services, messages):
     call(services, messages, "step_simulation", steps=5)
     assert call(services, messages, "reset_simulation", scope=1)[0] == 0
     for scope in (0, 2, 255):
-        before = services._ask("look")[1][0]
+        before = services._ask("sample")[1][0]
         assert call(services, messages, "reset_simulation", scope=scope)[0] == 1
-        stamp_ns, sample, _ = services._ask("look")[1]
+        stamp_ns, sample, _ = services._ask("sample")[1]
         assert stamp_ns > before and sample.steps == 0
 
 
