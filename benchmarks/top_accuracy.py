@@ -54,7 +54,7 @@ def main():
         table.add_column(column, justify="left" if column == "method" else "right")
     for name in options.methods:
         method = METHODS[name]
-        controlled = method.coefficients is not None and method.tableau.e is not None
+        controlled = method.controlled
         for value in TOLERANCES if controlled else STEPS:
             settings = (
                 {"step": 1.0, "rtol": value, "atol": value} if controlled else {"step": value}

@@ -32,7 +32,7 @@ SAMPLES = 2000
 def put(turn):
     """Let the method make another turn; before anything is compiled."""
     from liegroup_core.compiling import subroutine
-    from liegroup_core.integrators.rattle import rattle as constrained
+    from liegroup_core.integrators.rattle import half_steps
     from liegroup_core.integrators.rotation.newton import INCREMENT, RATTLE, newton
     from liegroup_core.lie.vec3 import ZERO3
 
@@ -46,7 +46,7 @@ def put(turn):
         return newton(RATTLE, inertia, h, start, v, a, b, c)
 
     if turn != TURNS[0]:
-        constrained.newton = midpoint if turn == TURNS[1] else moser_veselov
+        half_steps.newton = midpoint if turn == TURNS[1] else moser_veselov
 
 
 def chain():

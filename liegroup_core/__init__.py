@@ -7,7 +7,7 @@
     simulation.advance(1000)
     print(simulation.sample().poses["top"])
 
-The names are imported when they are first used, so that `import liegroup_core` is quick.
+Names are imported when they are first used, which keeps `import liegroup_core` fast.
 """
 
 from importlib import import_module

@@ -12,7 +12,7 @@ from .integrators.families import fitting_methods
 
 
 def describe(layout):
-    """Properties of a mechanism.
+    """Return the properties of a mechanism.
 
     layout : layout.Layout, from `make_layout(scene)` or `Simulation.layout`
     returns dict of
@@ -20,18 +20,18 @@ def describe(layout):
         bodies              [{name, mass}], kg
         joints              [{name, type, parent, child, rows, dropped}]: names of all rows, wx..vz,
                             and of the redundant ones, which are eliminated
-        forces              [{name, type, on}]: on, names of the bodies or the joint
-        degrees_of_freedom  6 n - rows that are solved for; more at singular poses
-        rows, solved_rows   numbers of rows of all joints, with and without redundant ones
+        forces              [{name, type, on}]; on: names of its bodies, or of its joint
+        degrees_of_freedom  6 n minus the number of independent rows; larger at singular poses
+        rows, solved_rows   number of rows of all joints, with and without redundant ones
         dropped_rows        [[joint, row]] of redundant rows
-        plane               normal, x, y or z, of the plane in which the joints keep all bodies and
-                            Munthe-Kaas methods integrate them; None: bodies in space
-        solve               structure of K in (6.22), for bodies in that plane or in space, see
+        plane               normal, x, y or z, of the plane in which the joints keep all bodies;
+                            Munthe-Kaas methods then integrate in that plane. None: no such plane
+        solve               structure of K in (6.22), in that plane or in space, see
                             `solve_structure`
-        methods             names of the integration methods that fit
+        methods             names of the integration methods that can integrate the scene
         groups              [[body]]: bodies that joints or forces connect, not counting the world
-        kept_momentum       [{bodies, components}] as text; None if a joint is not a lower pair, so
-                            that no component can be named
+        kept_momentum       [{bodies, components}] of the conserved momentum, as text; None if a
+                            joint is not a lower pair: then they are not determined
     Raises SceneError.
     """
     scene, model = layout.scene, layout.model
@@ -81,19 +81,19 @@ def describe(layout):
 
 
 def solve_structure(model):
-    """Structure of the block factorisation of K, see model.sparsity.
+    """Structure of the block factorisation of K, see model/sparsity.py.
 
     returns dict of
         unknowns            accelerations and multipliers: size of K
         vertices            diagonal blocks: bodies, and joints with a row
         blocks              dense blocks below the diagonal, fill included
-        fill                blocks that K itself does not have
+        fill                blocks that are zero in K but not in its factor
         numbers             float64 numbers of all blocks, diagonal ones in full
-        dense_share         their share of a dense K
+        dense_share         ratio of `numbers` to those of a dense K
         factor_flops        additions and multiplications of a factorisation at a new pose
-        solve_flops         the same of a solve with the factor, refinements included
-        constant            True: no pose changes K, it is factorised once
-        refinements         steps of iterative refinement of each solve
+        solve_flops         additions and multiplications of a solve, refinements included
+        constant            True: K does not depend on the pose and is factorised once
+        refinements         number of iterative refinements of each solve
     """
     unknowns = int(model.vertices["size"].sum())
     edges = int(len(model.joints) + (model.joints["parent"] != WORLD).sum())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Engine: one scene integrated by one method with one step; advance, sample, apply wrenches."""
+"""Engine: integrates one scene with one method and one step size."""
 
 import copy
 import logging
@@ -42,15 +42,15 @@ Floats = NDArray[np.float64]
 
 
 STABILISATIONS = ("none", "projection", "baumgarte")
-# Default of Baumgarte's time constant, in steps. Explicit methods are stable down to half a step.
+# Default of Baumgarte's time constant, in steps. Explicit methods are stable above half a step.
 BAUMGARTE_STEPS = 10
 # Largest entry of R R^T - 1 that `set_state` accepts.
 NO_ROTATION = 1e-6
-METHOD, STEP = "rkmk4", 1e-3  # if none is given; s
+METHOD, STEP = "rkmk4", 1e-3  # defaults; s
 
 
 def _stabilised(model, kind, time, step):
-    """Model with a stabilisation enabled; ValueError for a wrong option."""
+    """Enable a stabilisation in a model. Raises ValueError for an invalid option."""
     if kind not in STABILISATIONS:
         raise ValueError(
             f"unknown stabilisation {kind!r}; choose one of: {', '.join(STABILISATIONS)}"
@@ -75,20 +75,22 @@ class Engine:
     scene  : Scene, from `load_scene` or built in code
     method : name of METHODS; default "rkmk4"
     step   : step size h, s; default 1e-3. A method with error control takes substeps within it
-    group  : "se3" for SE(3)^n, or "so3xr3" for (SO(3) x R^3)^n; "auto" is "se3", except for methods
-             that have only "so3xr3"
+    group  : "se3" for SE(3)^n, "so3xr3" for (SO(3) x R^3)^n, or "auto": "se3" except for methods
+             that support only "so3xr3"
     stabilisation : treatment of constraint drift: "none"; "projection" of poses and velocities
                     after every step; or "baumgarte", which damps the drift with the time constant
                     baumgarte_time
     baumgarte_time : s, at least the step; default: ten steps
     options: further options of the method, see its family in `integrators`:
-             dexpinv="exact" or "truncated"  of all Runge-Kutta methods
-             rtol=1e-6, atol=1e-6            tolerances of rkmk54
+             dexpinv="exact" or "truncated"  of all Munthe-Kaas methods
+             space="auto" or "space"         of all Munthe-Kaas methods; "auto": planar mechanisms
+                                             are integrated in their plane
+             rtol=1e-6, atol=1e-6            tolerances of methods with error control (rkmk54)
              rho_inf=0.8                     damping of generalized_alpha
-    watch    : False: disable the step check (monitor/step_watch.py). For many short runs whose step
-               is known to be small enough: one check takes longer than a step
-    Raises SceneError for a scene that cannot be simulated, ValueError for a wrong option or a
-    method that does not fit the scene.
+    watch    : False: disable the step check (monitor/step_watch.py), which takes longer than a step.
+               For many short runs whose step is known to be small enough
+    Raises SceneError for a scene that cannot be simulated, ValueError for an invalid option or a
+    method that cannot integrate the scene.
 
     `doubt` is None, or the text of accuracy warnings: a constraint residual or its increase is too
     large (monitor/joint_watch.py), or the accumulated error of the steps may be a considerable part
@@ -140,10 +142,10 @@ class Engine:
         warm_up(self._touch, self._integrator.kernels)
 
     def __copy__(self) -> "Engine":
-        return copy.deepcopy(self)  # copies would share the state
+        return copy.deepcopy(self)  # a shallow copy would share the state
 
     def _touch(self):
-        """Call every kernel once, so that none is compiled later, during a run."""
+        """Call every kernel once, so that no kernel is compiled during a run."""
         self.reset()
         self._advance(0)
         sample = self.sample()
@@ -157,7 +159,7 @@ class Engine:
         )
 
     def reset(self) -> None:
-        """Back to the initial state of the scene, at step 0, without wrenches."""
+        """Return to the initial state of the scene at step 0, and clear all applied wrenches."""
         self.set_state(*self._start)
 
     def set_state(
@@ -168,15 +170,15 @@ class Engine:
         angles: ArrayLike | None = None,
         memory: bytes | None = None,
     ) -> None:
-        """Continue from a state: pose (n, 12), twist (n, 6), at a step count.
+        """Continue from a state at a step count.
 
-        pose, twist : of frames at the centres of mass, as `state()` returns them
+        pose, twist : (n, 12), (n, 6) of frames at the centres of mass, as `state()` returns them
         angles : (k,) rad, `Sample.angles` of the state: unwrapped angles of torsional springs. None:
-                 all are within half a turn, as at the start of a scene
+                 all are in (-pi, pi], as at the start of a scene
         memory : bytes from `memory()` at this state: the run continues bit-identically. None: a
                  method with memory restarts
         Clears the wrenches of `apply_wrench`. The wrenches of the scene follow the step count.
-        Raises ValueError for values that are no state.
+        Raises ValueError for wrong shapes, non-finite numbers or matrices that are no rotations.
         """
         n = len(self._body)
         pose, twist = (np.array(given, dtype=float, order="C") for given in (pose, twist))
@@ -232,8 +234,8 @@ class Engine:
     def memory(self) -> bytes:
         """Bytes of the method's memory between steps, for `set_state`.
 
-        Empty for most methods. Methods with error control keep the size of the substep, implicit
-        ones accelerations and initial guesses.
+        Empty for most methods. Methods with error control store the size of the substep, implicit
+        methods accelerations and initial guesses.
         """
         return b"".join(array.tobytes() for array in self._integrator.memory)
 
@@ -244,21 +246,22 @@ class Engine:
 
     @property
     def time_ns(self) -> int:
-        """The same as an integer of nanoseconds, rounded from the step count."""
+        """Simulated time in integer nanoseconds, rounded from step count times step."""
         return round(self.steps * self.step * 1e9)
 
     @property
     def singular_solves(self) -> int:
         """Number of acceleration solves at a singular pose so far.
 
-        At a singular pose rows become dependent (a flat parallelogram). The solve is regularised
-        and refined; accelerations that the joints leave undetermined follow from the masses.
+        At a singular pose, such as a flat parallelogram, constraint rows become dependent. The solve
+        is regularised and refined; accelerations that the joints leave undetermined follow from the
+        masses.
         """
         return int(self._work.report[2])
 
     @property
     def substeps(self) -> tuple[int, int]:
-        """Numbers of accepted and attempted substeps since the state was set; (0, 0) without error control."""
+        """Accepted and attempted substeps since the state was set; (0, 0) without error control."""
         return self._integrator.substeps
 
     def apply_wrench(
@@ -273,7 +276,7 @@ class Engine:
         """Apply a wrench to a body over whole steps.
 
         body     : name of the body
-        wrench   : (6,) torque N m, force N; about the body frame's origin. Zero ends it.
+        wrench   : (6,) torque N m, force N; about the origin of the body frame. Zero ends it
         start    : simulated time, s, rounded up to a step; None or a past time: the next step
         duration : s, rounded to whole steps, at least one; None: until it is replaced
         source   : each source has one wrench per body; wrenches of different sources add
@@ -297,7 +300,7 @@ class Engine:
                 raise ValueError(f"{name} must be finite, or None, got {value!r}")
         first = self.steps
         if start is not None:
-            # A start within round-off of a step is that step, not the next one.
+            # A start time that equals that of a step up to round-off refers to that step.
             first = max(first, math.ceil(start / self.step - 1e-6))
         end = NEVER
         if duration is not None:
@@ -308,12 +311,12 @@ class Engine:
 
     @property
     def wrench_count(self) -> int:
-        """Number of wrenches of `apply_wrench` that act or start later."""
+        """Number of wrenches of `apply_wrench` that act now or start later."""
         return len(self._schedule)
 
     @property
     def wrench_sources(self):
-        """Names of their sources."""
+        """Names of the sources of these wrenches."""
         return self._schedule.sources
 
     def clear_wrenches(self, source: str = "api") -> None:
@@ -321,10 +324,10 @@ class Engine:
         self._schedule.clear(source)
 
     def drain_applied(self) -> list[AppliedWrench]:
-        """Changes of the total wrench on each body since the last call: [AppliedWrench].
+        """Return the changes of the total wrench on each body since the last call.
 
-        Applied at the same steps by `apply_wrench(body, wrench)`, they reproduce the run
-        bit-identically (test/core/test_simulation.py).
+        If `apply_wrench(body, wrench)` applies them at the same steps, the run is bit-identical
+        (test/core/test_simulation.py).
         """
         applied, self._applied = self._applied, []
         return applied
@@ -376,7 +379,7 @@ class Engine:
             done, status = self._take(wanted)
             self.steps += done
             met = self._work.report[3] == MET
-            if getattr(self._integrator, "doubt", None):  # one line is enough
+            if getattr(self._integrator, "doubt", None):  # replaces the step check
                 self._say(self._integrator.doubt)
                 self._integrator.doubt, compares = None, False
                 self._step_watch.rest()
@@ -425,7 +428,7 @@ class Engine:
             log.warning(doubt)
 
     def _take(self, steps):
-        """Take steps without a change of wrenches, or one step in parts if a wrench changes in it.
+        """Take steps in which no wrench of the scene changes, or one step in parts if one changes.
 
         returns (steps done, status)
         """
@@ -442,18 +445,21 @@ class Engine:
         return 1, OK
 
     def _integrate(self, h, acting, steps):
-        """Take steps of size h under the wrenches `acting` of the scene: see `integrators`."""
+        """Take steps of size h; acting: mask of the applied wrenches of the scene.
+
+        returns (steps done, status)
+        """
         if acting is not self._acting:
             self._work.acting[:] = self._acting = acting
         return self._integrator.advance(h, steps, self._pose, self._twist, self._external)
 
     def _joint_name(self, element):
-        """Name of the scene joint of an element of the model."""
+        """Name of the scene joint to which an element of the model belongs."""
         return self.scene.joints[self.layout.owners[element]].name
 
     def _explain(self, status):
         joint = force = body = hint = ""
-        # RATTLE reports the rotation of the step equation, including the part of the torque.
+        # RATTLE reports the rotation of its step equation, which includes the effect of the torque.
         angle = math.sqrt(self._work.report[1])
         if status & 0xFF == NO_RATTLE_STEP:
             body = self.layout.body_names[status >> 8]
@@ -476,7 +482,7 @@ class Engine:
         )
 
     def sample(self) -> Sample:
-        """The present state as a Sample."""
+        """Create a Sample of the present state."""
         return Sample(
             self.layout, self.time, self.time_ns, self.steps, *self.state(), self._work.angle.copy()
         )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Layout: names and frames of the arrays of a model."""
+"""Layout of a scene: its model, and the names and frames of its arrays."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,24 +21,24 @@ from .scene.description import Scene
 
 @dataclass(frozen=True)
 class Layout:
-    """Model of a scene with the names of its indices and the frames of its numbers.
+    """Model of a scene, with the names of its indices and the frames of its quantities.
 
     Model and states refer to frames at the centres of mass. Samples and external wrenches refer to
     the body frames of the scene.
     """
 
-    scene: Scene  # as its author wrote it, but assembled
-    centred: Scene  # the same with its frames at the centres of mass
-    offsets: Offsets  # between the two
+    scene: Scene  # as written, but assembled
+    centred: Scene  # the same with body frames at the centres of mass
+    offsets: Offsets  # from the body frames to the centres of mass
     model: Model
     joint_frames: tuple  # (parent frame, child frame) of the joints of `centred`
     owners: tuple  # scene joint of each element of the model
     row_names: tuple  # names of the rows of each element
-    kept_rows: tuple  # numbers of the rows of each element that are solved for
+    kept_rows: tuple  # numbers of the independent rows of each element
 
     @cached_property
     def plane(self):
-        """PlanarModel if the joints keep all bodies in a plane, else None; None with baumgarte."""
+        """PlanarModel if the joints keep all bodies in a plane, else None; None with Baumgarte."""
         if self.model.baumgarte_rate > 0.0:
             return None
         try:
@@ -48,12 +48,12 @@ class Layout:
 
     @cached_property
     def joint_of_row(self):
-        """(all rows,) index of the scene's joint of each position residual."""
+        """Index of the scene joint of each position residual, (all rows,)."""
         return np.repeat(np.array(self.owners, dtype=np.int64), self.model.elements["rows"])
 
     @property
     def body_names(self):
-        """Names of the bodies in the order of all arrays."""
+        """Names of the bodies, in the order of all arrays."""
         return tuple(body.name for body in self.scene.bodies)
 
     @property
@@ -72,10 +72,10 @@ class Layout:
         return JointCoordinates(self.centred, self.joint_frames)
 
     def sample(self, pose, twist, time=0.0, time_ns=0, steps=0, near=None):
-        """Sample from pose (n, 12) and twist (n, 6) of the body frames, as a recording has them.
+        """Create a Sample from pose (n, 12) and twist (n, 6) of the body frames, as in a recording.
 
-        near : (k,) rad, `Sample.angles` less than half a turn before: a pose gives angles modulo
-               2 pi only. None: all are within half a turn
+        near : (k,) rad, earlier `Sample.angles` that differ by less than pi: a pose determines
+               angles only modulo 2 pi. None: all angles are in (-pi, pi]
         """
         near = None if near is None else np.array(near)
         pose, twist = self.offsets.to_centres(
@@ -84,7 +84,7 @@ class Layout:
         return Sample(self, time, time_ns, steps, pose, twist, near)
 
     def angles(self, pose, near=None):
-        """Angles (k,) of the torsional springs at a pose (n, 12), rad; near: as in `sample`."""
+        """Angles (k,) of the torsional springs at a pose (n, 12), rad; near: see `sample`."""
         forces = self.model.forces
         angles = np.full(kinds.count_of_angles(forces), UNKNOWN_TURN)
         if near is not None:
@@ -94,7 +94,7 @@ class Layout:
 
 
 def make_layout(scene):
-    """Build the model of a scene. Raises SceneError."""
+    """Build the Layout of a scene. Raises SceneError."""
     try:
         try:
             described, centred = ready(scene)
@@ -106,7 +106,7 @@ def make_layout(scene):
 
 
 def _unsolvable(scene):
-    """SceneError for matrices that are singular in floating point, with the most likely body."""
+    """SceneError for matrices that are singular in floating point; names the most likely body."""
 
     def spread(i):
         moments = np.linalg.eigvalsh(scene.bodies[i].inertia_matrix)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulation: a mechanism integrated with a given method and step, or to a given accuracy."""
+"""Simulation of a scene with a given method and step, or to a given accuracy."""
 
 from typing import Any
 
@@ -10,13 +10,14 @@ from .scene.description import Scene
 class Simulation(Engine):
     """Mechanism that is integrated on its Lie group, with a given step or to a given accuracy.
 
-    Takes the arguments of Engine, or instead:
+    Takes the arguments of Engine. Instead of method, step, group and stabilisation it takes:
 
-    accuracy : largest error over `horizon`. The configuration comes from measurements of this scene
-               on this machine; missing ones are made first, once (docs/how-to/choose_accuracy.md)
+    accuracy : largest error over `horizon`. Selects the configuration from measurements of this
+               scene on this machine. Missing measurements are made first, once
+               (docs/how-to/choose_accuracy.md)
     horizon  : s; None: chosen for the scene
 
-    `promise` is None, or the accuracy that is promised (study/trade/accuracy.py).
+    `promise` is None, or the accuracy that is guaranteed (study/trade/accuracy.py).
     Raises SceneError for a scene that cannot be simulated, ValueError for a wrong option or a
     method that does not fit the scene.
     """
@@ -57,7 +58,7 @@ class Simulation(Engine):
                 "accuracy cannot be combined with method, step, group, stabilisation or their "
                 "options: remove them"
             )
-        from .study.trade.accuracy import choose  # not needed otherwise, and slow to import
+        from .study.trade.accuracy import choose  # slow to import, and only needed here
 
         choice = choose(scene, accuracy, horizon)
         super().__init__(scene, watch=watch, **choice.settings)

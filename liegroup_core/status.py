@@ -12,16 +12,16 @@ SUBSTEP_TOO_SMALL = 5
 TOO_MANY_SUBSTEPS = 6
 NOT_CONVERGED = 7
 NOT_PROJECTED = 8
-OFF_PLANE = 9  # not for a user: the same steps are taken in space
+OFF_PLANE = 9  # internal: the steps are repeated in space
 NO_RATTLE_STEP = 10
 DIVERGED = 11
 
-# dexp^-1 is singular at a rotation of 2 pi within a step and loses digits near it: its norm is
+# rad in one step. dexp^-1 is singular at 2 pi and loses digits near it: its norm is
 # (t/2)/sin(t/2), 62 at 2 pi - 0.1. Beyond pi a step is valid but rarely accurate.
 LARGEST_ROTATION = 2.0 * math.pi - 0.1
 LARGE_ROTATION = math.pi
-# rad in a step, of methods for which 2 pi is no bound. More is no motion of a mechanism: explicit
-# methods get there where damping or a spring is too much for the step.
+# rad in one step, for methods without a limit at 2 pi. A larger rotation means that the integration
+# is unstable: a damper or spring is too stiff for the step of an explicit method.
 HOPELESS_ROTATION = 1e3
 
 MESSAGES = {

@@ -58,7 +58,7 @@ def scene_of(problem):
 
 
 def _has_error_control(method):
-    return METHODS[method].tableau.e is not None
+    return METHODS[method].controlled
 
 
 class _Run:

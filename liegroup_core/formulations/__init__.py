@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Equations of motion of a model, one folder per choice of configuration space.
 
-    absolute/   SE(3)^n or (SO(3) x R^3)^n: all bodies with six degrees of freedom, all joints as
-                constraint equations
+    absolute/   SE(3)^n or (SO(3) x R^3)^n: six coordinates per body, all joints as constraint
+                equations
     planar/     SE(2)^n: mechanisms whose joints keep every body in a plane
 
 In: a model, poses, twists, applied wrenches. Out: accelerations, constraint residuals, projections.

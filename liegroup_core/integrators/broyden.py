@@ -8,23 +8,23 @@ from liegroup_core.compiling import kernel
 
 
 @kernel
-def broyden(corrections, k, most):
+def broyden(corrections, k, bound):
     """Convert correction k of the initial Jacobian into Broyden's correction, in place.
 
-    corrections (many, size) : rows 0 to k - 1 are the previous corrections; row k is changed
-    most : bound on the component of correction k along the last one. Above it the correction is
-           not lengthened: the update of the Jacobian would be too large
+    corrections (m, size) : rows 0 to k - 1 are the previous corrections; row k is changed
+    bound : limit of the component of correction k along correction k - 1, relative to that one.
+            From it on correction k is not lengthened: the Jacobian update would be too large
     """
     size = corrections.shape[1]
     for j in range(k):
-        along = square = 0.0
+        product = square = 0.0
         for r in range(size):
-            along += corrections[j, r] * corrections[k, r]
+            product += corrections[j, r] * corrections[k, r]
             square += corrections[j, r] * corrections[j, r]
-        part = along / square if square > 0.0 else 0.0
+        ratio = product / square if square > 0.0 else 0.0
         if j < k - 1:
             for r in range(size):
-                corrections[k, r] += part * corrections[j + 1, r]
-        elif part < most:
+                corrections[k, r] += ratio * corrections[j + 1, r]
+        elif ratio < bound:
             for r in range(size):
-                corrections[k, r] /= 1.0 - part
+                corrections[k, r] /= 1.0 - ratio

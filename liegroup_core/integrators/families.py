@@ -1,15 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Integrator classes by family: each implements the methods of METHODS that name it.
+"""Integrator class of each method family: it implements all methods of METHODS of that family.
 
 `family(method, layout, group, step, options)` creates an integrator. It has
-    options(method)  {name: (default, description of valid values, check)} of its options, static
-    kernels          name of the kernels it uses, compiled once on a machine
+    options(method)  static; {name: (default, description of valid values, check)} of its options
+    kernels          name of the kernels it uses; they are compiled once on a machine
     work             scratch memory; work.report[0] is the largest squared rotation of a stage
     restart()        clear the memory between calls, because a state was set
     memory           arrays of the memory between calls; writing to them restores it
     advance(h, steps, pose, twist, external) -> (steps done, status), in place; external (n, 6) is
                      constant over these steps; on failure pose and twist are the last valid ones
     substeps         (accepted, attempted) since the restart; (0, 0) without error control
+and optionally
+    doubt            one-line accuracy warning of the last `advance`, or None
+    swings_in        True if the first step after a change of the step size is less accurate
+    tighten(part)    multiply the tolerances of the options by `part`
 """
 
 from liegroup_core.integrators.generalized_alpha.generalized_alpha import GeneralizedAlpha
@@ -30,7 +34,7 @@ NOT_ON_SE3 = ("rotation", "constrained")  # families with a group of their own
 
 
 def check_options(method, options):
-    """Options of a method, completed by its defaults. Raises ValueError, one line."""
+    """Complete the options of a method with its defaults. Raises ValueError, one line."""
     known = FAMILIES[METHODS[method].family].options(METHODS[method])
     for name, value in options.items():
         if name not in known:
@@ -43,13 +47,13 @@ def check_options(method, options):
 
 
 def check_group(method, group):
-    """Name of the group that a method uses. Raises ValueError, one line."""
+    """Return the name of the group that a method uses. Raises ValueError, one line."""
     if group not in ("auto", *GROUPS):
         raise ValueError(f"unknown group {group!r}; choose one of: auto, {', '.join(GROUPS)}")
-    alone = METHODS[method].family in NOT_ON_SE3
+    fixed_group = METHODS[method].family in NOT_ON_SE3
     if group == "auto":
-        return "so3xr3" if alone else "se3"
-    if alone and group != "so3xr3":
+        return "so3xr3" if fixed_group else "se3"
+    if fixed_group and group != "so3xr3":
         raise ValueError(
             f"method {method} integrates on SO(3) x R^3 only: group must be 'so3xr3' or "
             f"'auto', got {group!r}"
@@ -58,12 +62,12 @@ def check_group(method, group):
 
 
 def misfit(method, layout):
-    """Text why a method does not fit a scene (layout.Layout), or ""."""
+    """Reason why a method cannot integrate a scene (layout.Layout), or ""."""
     return rotation_misfit(layout) if METHODS[method].family == "rotation" else ""
 
 
 def fitting_methods(layout):
-    """Names of the methods that fit a scene."""
+    """Names of the methods that can integrate a scene (layout.Layout)."""
     return [name for name in METHODS if not misfit(name, layout)]
 
 
@@ -73,10 +77,10 @@ def make_integrator(method, layout, group, step, options):
     Raises ValueError, one line, if the method does not fit the scene or its stabilisation.
     """
     entry = METHODS[method]
-    why = misfit(method, layout)
-    if why:
+    reason = misfit(method, layout)
+    if reason:
         raise ValueError(
-            f"method {method} cannot integrate this scene: {why}. Use one of: "
+            f"method {method} cannot integrate this scene: {reason}. Use one of: "
             f"{', '.join(fitting_methods(layout))}"
         )
     return FAMILIES[entry.family](entry, layout, group, step, options)

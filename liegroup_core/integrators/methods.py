@@ -1,26 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Integration methods as data: an explicit Runge-Kutta tableau defines a Munthe-Kaas method.
+"""Table of integration methods; a Munthe-Kaas method is defined by a Runge-Kutta tableau.
 
-A new explicit method is one entry of METHODS. Tests check row sums, the order conditions of all
-rooted trees up to the stated order, and the order on problems with non-commuting rotations:
-test/contract/test_methods.py, test/verification/test_orders.py.
+A new explicit Runge-Kutta method is one entry of _RUNGE_KUTTA. Tests find it. They check row sums,
+the order conditions of all rooted trees up to the stated order, and the order on problems with
+non-commuting rotations: test/contract/test_methods.py, test/verification/test_orders.py.
 
-    name         stages  what it is
-    rkmk1          1     Lie-Euler
-    rkmk2          2     explicit midpoint
-    rkmk2_heun     2     Heun: explicit trapezium
-    rkmk3          3     Ralston; the advancing method of Bogacki and Shampine's pair
-    rkmk4          4     the classical method: the chapter's (6.25)
-    rkmk54         6+1   Dormand and Prince 5(4): substeps between samples by error control
-    rkmk8         12     the advancing method of Dormand and Prince's 8(5,3)
-    generalized_alpha    implicit, for stiff scenes; joints at position level
+Methods for every scene:
+    rkmk...              explicit; constraints at acceleration level. A pair with an error estimate
+                         divides each step into substeps by error control
+    generalized_alpha    implicit, for stiff scenes; constraints at position level
     constrained_rattle, constrained_rattle4, constrained_rattle8    orders 2, 4, 8; symplectic,
-                         for long runs; explicit in forces, joints at position level
+                         for long runs; explicit in forces, constraints at position level
 
-For bodies that are free or on one spherical joint to ground (rotation.py). All except the last one
-conserve the angular momentum of free bodies to machine precision at any step size:
+Methods for bodies that are free or on one spherical joint to ground (folder rotation). All except
+the last one conserve the angular momentum of free bodies to machine precision at any step size:
     stoermer_verlet      explicit, (6.42)
-    coadjoint_rkmk2, _rkmk2_heun, _rkmk4, _rkmk8    explicit, of the tableaux above
+    coadjoint_rkmk...    explicit, with the tableau of that name
     rattle, austin_krishnaprasad_wang               implicit for each body, explicit in forces
     simo_wong, lie_midpoint, bottasso_borri_candidate    implicit
     lie_newmark          velocities implicit for each body: (6.41); does not conserve momentum
@@ -33,21 +28,21 @@ from numbers import Real
 
 import numpy as np
 
-# Configuration groups of a pose; GROUPS[name] is the code for kernels.
+# Groups of the pose of a body, with their codes for kernels.
 SE3, SO3XR3 = 0, 1
 GROUPS = {"se3": SE3, "so3xr3": SO3XR3}
 
-EXACT = -1                  # in place of the last power of ad in dexpinv: closed form
+EXACT = -1                  # instead of the last power of ad in dexpinv: closed form
 
 
 def is_positive(value):
-    """True for a finite number greater than zero."""
+    """True for a finite real number greater than zero."""
     return (isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
             and value > 0.0)
 
 
 def refuse_stabilisation(method, model):
-    """Raise ValueError for a stabilised model and a method that satisfies the joints by itself."""
+    """Raise ValueError if a model is stabilised: the method satisfies the constraints itself."""
     if model.projects or model.baumgarte_rate > 0.0:
         raise ValueError(f"{method.name} satisfies the constraints itself: stabilisation must be 'none'")
 
@@ -59,8 +54,8 @@ class Tableau:
     a : (s, s) strictly lower triangular
     b : (s,) weights
     c : (s,) nodes, the row sums of a
-    e : (s + 1,) weights of the error estimate, the last one of the slope at the end of the step;
-        None for a method without error control
+    e : (s + 1,) weights of the error estimate, b - b_hat. The last weight is that of the stage
+        derivative at the end of the step. None for a method without error control
     """
 
     a: np.ndarray
@@ -71,11 +66,14 @@ class Tableau:
 
 @dataclass(frozen=True)
 class Method:
-    """Properties of one method, for integrators, users and documentation.
+    """Properties of one method.
 
     family       : family that implements it, see families.py
-    coefficients : of a Runge-Kutta method, function without arguments that returns (a, b) or
-                   (a, b, e), a without the zeros on and above the diagonal
+    order        : of global convergence
+    source       : literature
+    coefficients : of a Runge-Kutta method, else None: function without arguments that returns
+                   (a, b), or (a, b, e) with an error estimate. a omits the zeros on and above the
+                   diagonal
     """
 
     name: str
@@ -84,9 +82,14 @@ class Method:
     source: str
     coefficients: Callable | None = None
 
+    @property
+    def controlled(self):
+        """Whether each step is divided into substeps by error control."""
+        return self.family == "rkmk" and self.tableau.e is not None
+
     @cached_property
     def tableau(self):
-        """Tableau of a Runge-Kutta method."""
+        """Tableau; only for a method with coefficients."""
         a, b, *e = self.coefficients()
         full = np.zeros((len(b), len(b)))
         for i, row in enumerate(a):
@@ -96,7 +99,7 @@ class Method:
 
 
 def _dormand_prince_5():
-    """The pair's fifth-order method, and the difference to its fourth-order one."""
+    """Coefficients of the fifth-order method, and its difference to the fourth-order one."""
     a = [[], [1 / 5], [3 / 40, 9 / 40], [44 / 45, -56 / 15, 32 / 9],
          [19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729],
          [9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656]]
@@ -106,32 +109,36 @@ def _dormand_prince_5():
 
 
 def _dormand_prince_8():
-    """Coefficients from SciPy, imported on use: its import takes as long as that of this package."""
+    """Coefficients from SciPy, imported on use: that takes as long as importing this package."""
     from scipy.integrate import DOP853
     return DOP853.A, DOP853.B
 
 
 _RUNGE_KUTTA = {method.name: method for method in (
-    Method("rkmk1", "rkmk", 1, "Euler 1768",
+    Method("rkmk1", "rkmk", 1, "Lie-Euler method: Euler 1768",
            lambda: ([[]], [1])),
-    Method("rkmk2", "rkmk", 2, "Runge 1895",
+    Method("rkmk2", "rkmk", 2, "explicit midpoint rule: Runge 1895",
            lambda: ([[], [1 / 2]], [0, 1])),
-    Method("rkmk2_heun", "rkmk", 2, "Heun 1900",
+    Method("rkmk2_heun", "rkmk", 2, "explicit trapezoidal rule: Heun 1900",
            lambda: ([[], [1]], [1 / 2, 1 / 2])),
-    Method("rkmk3", "rkmk", 3, "Ralston 1962; Bogacki and Shampine, Appl. Math. Lett. 2 (1989)",
+    Method("rkmk3", "rkmk", 3, "Ralston 1962; advancing method of the pair of "
+           "Bogacki and Shampine, Appl. Math. Lett. 2 (1989)",
            lambda: ([[], [1 / 2], [0, 3 / 4]], [2 / 9, 1 / 3, 4 / 9])),
     Method("rkmk4", "rkmk", 4,
-           "Kutta 1901, as Munthe-Kaas method: Munthe-Kaas, BIT 38 (1998) 92-111; (6.25)",
+           "classical method: Kutta 1901, as Munthe-Kaas method: Munthe-Kaas, BIT 38 (1998) "
+           "92-111; (6.25)",
            lambda: ([[], [1 / 2], [0, 1 / 2], [0, 0, 1]], [1 / 6, 1 / 3, 1 / 3, 1 / 6])),
-    Method("rkmk54", "rkmk", 5, "Dormand and Prince, J. Comput. Appl. Math. 6 (1980) 19-26",
+    Method("rkmk54", "rkmk", 5,
+           "5(4) pair: Dormand and Prince, J. Comput. Appl. Math. 6 (1980) 19-26",
            _dormand_prince_5),
-    Method("rkmk8", "rkmk", 8, "Hairer, Norsett and Wanner, Solving ODEs I, DOP853",
+    Method("rkmk8", "rkmk", 8, "advancing method of the 8(5,3) pair of Dormand and Prince: "
+           "Hairer, Norsett and Wanner, Solving ODEs I, DOP853",
            _dormand_prince_8),
 )}
 
 
 def _coadjoint(name):
-    """The coadjoint method of a tableau."""
+    """Coadjoint method of the rotation family with the tableau of a Munthe-Kaas method."""
     method = _RUNGE_KUTTA[name]
     return Method(f"coadjoint_{name}", "rotation", method.order,
                   f"(6.34), (6.38), (6.39), (6.44); Engo and Faltinsen 1999; {method.source}",
@@ -163,7 +170,7 @@ METHODS = {method.name: method for method in (
            "Andersen, J. Comput. Phys. 52 (1983) 24-34; Bou-Rabee and Marsden, Found. Comput. "
            "Math. 9 (2009) 197-219"),
     Method("constrained_rattle4", "constrained", 4,
-           "its composition of five: Suzuki, Phys. Lett. A 146 (1990) 319-323"),
+           "composition of five steps: Suzuki, Phys. Lett. A 146 (1990) 319-323"),
     Method("constrained_rattle8", "constrained", 8,
-           "its composition of seventeen: Kahan and Li, Math. Comp. 66 (1997) 1089-1099"),
+           "composition of seventeen steps: Kahan and Li, Math. Comp. 66 (1997) 1089-1099"),
 )}

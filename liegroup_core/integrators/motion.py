@@ -14,7 +14,10 @@ from .methods import SE3
 
 @kernel
 def group_velocity(group, pose, twist, i, out):
-    """Velocity on the group of body i from its body twist."""
+    """Write the velocity on the group of body i, from its body twist (omega, v), to out (n, 6).
+
+    It is (omega, v) on SE(3) and (omega, R v) on SO(3) x R^3.
+    """
     v = load3(twist, i, 3)
     if group != SE3:
         v = matvec3(load9(pose, i, 0), v)
@@ -24,7 +27,7 @@ def group_velocity(group, pose, twist, i, out):
 
 @kernel
 def displace(group, pose, i, xi, eta):
-    """Product of the pose of body i and exp(xi, eta): rotation and position."""
+    """Product of the pose of body i and exp(xi, eta), as (rotation (9), position (3) in m)."""
     rot = load9(pose, i, 0)
     r = load3(pose, i, 9)
     if group == SE3:
@@ -37,7 +40,8 @@ def displace(group, pose, i, xi, eta):
 def orthonormal(rot):
     """One Newton iteration for the nearest rotation, R (3 I - R^T R) / 2.
 
-    Products of rotations drift from SO(3) by round-off. The iteration is quadratic: one is enough.
+    Round-off makes products of rotations drift from SO(3). The iteration converges quadratically,
+    so that one iteration is enough.
     """
     x, y, z = (rot[0], rot[3], rot[6]), (rot[1], rot[4], rot[7]), (rot[2], rot[5], rot[8])
     xy, xz, yz = -0.5 * dot3(x, y), -0.5 * dot3(x, z), -0.5 * dot3(y, z)
@@ -56,8 +60,8 @@ def orthonormal(rot):
 
 
 @kernel
-def turn_status(squared):
-    """Status for the rotation within a step, given as its square in rad^2."""
+def rotation_status(squared):
+    """Status of a step in which a body rotates; squared: squared rotation angle, rad^2."""
     if squared < LARGEST_ROTATION * LARGEST_ROTATION:
         return OK
     if squared < math.inf:
@@ -67,7 +71,7 @@ def turn_status(squared):
 
 @kernel
 def copy_state(source_pose, source_twist, pose_out, twist_out):
-    """Copy a state."""
+    """Copy pose (n, ...) and twist (n, ...) of a state."""
     for i in range(len(source_pose)):
         for c in range(source_pose.shape[1]):
             pose_out[i, c] = source_pose[i, c]
@@ -77,7 +81,7 @@ def copy_state(source_pose, source_twist, pose_out, twist_out):
 
 @kernel
 def is_finite(pose, twist):
-    """True if all numbers of a state are finite."""
+    """True if pose and twist are finite: neither NaN nor infinity."""
     total = 0.0
     for i in range(len(pose)):
         for c in range(pose.shape[1]):

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scalar functions of the rotation angle that exp, dexp and dexpinv of SO(3) and SE(3) consist of.
+"""Scalar coefficients of exp, dexp and dexpinv on SO(3) and SE(3), as functions of the angle.
 
-The argument of all is x = t^2 with t = |xi| in rad, so the series need no square root. The closed
-forms cancel near t = 0. There, twelve terms of the power series in x are summed, with a relative
-truncation error below 3e-18. Elsewhere exp uses the half angle and dexpinv the formula for the
-doubled angle. Neither cancels.
+The argument is x = t^2 with t = |xi| in rad, so that the series need no square root. The closed
+forms suffer from cancellation near t = 0. There, twelve terms of the power series in x are summed,
+with a relative truncation error below 3e-18. Elsewhere exp uses the half angle, and dexpinv the
+formula for the doubled angle. Neither suffers from cancellation.
 
-t = 0, or x underflowed to 0, gives the limit. Non-finite x (|xi| beyond 1e154) gives NaN. The
+t = 0, and x underflowed to 0, give the limit. Non-finite x (|xi| beyond 1e154) gives NaN. The
 coefficients of dexpinv have poles at t = 2 pi k, k > 0; all others are smooth everywhere.
 Up to t = 2 only + - * / are used: results are bit-identical on every machine.
 
@@ -17,8 +17,8 @@ import math
 
 from liegroup_core.compiling import kernel
 
-EXP_SERIES_BELOW = 4.0      # x = t^2, rad^2: series below, half-angle form from it on
-DEXPINV_SERIES_BELOW = 1.0  # x = t^2, rad^2: series below, halved angles from it on
+EXP_SERIES_BELOW = 4.0      # x = t^2, rad^2: series below, half-angle form above
+DEXPINV_SERIES_BELOW = 1.0  # x = t^2, rad^2: series below, halved angles above
 
 # (-1)^k / (2k+1)!
 SINC_SERIES = (
@@ -72,10 +72,10 @@ DEXPINV_SLOPE_SERIES = (
 
 @kernel
 def sum_series(c, x):
-    """c[0] + c[1] x + ... + c[11] x^11.
+    """Sum the polynomial c[0] + c[1] x + ... + c[11] x^11.
 
-    Grouped by powers of x^4 (Estrin): the groups are independent of each other, so the sum takes
-    two thirds of the time of Horner's scheme, with the same error.
+    Estrin's scheme groups it by powers of x^4. The groups are independent of each other: the sum
+    takes two thirds of the time of Horner's scheme, with the same error.
     """
     x2 = x * x
     x4 = x2 * x2
@@ -92,7 +92,7 @@ def exp_coefficients(x):
     x : t^2, rad^2
     returns (sin t / t, (1 - cos t) / t^2, (t - sin t) / t^3)
 
-    Error for t <= 3: 12, 5 and 4 units. Beyond, the first two pass through zeros and the error is
+    Error for t <= 3: 12, 5 and 4 units. Beyond t = 3 the first two have zeros, and their error is
     absolute: 8 + t/2 units of 1/t and of 1/t^2.
     """
     if x < EXP_SERIES_BELOW:
@@ -100,7 +100,7 @@ def exp_coefficients(x):
                 sum_series(CUBIC_SERIES, x))
     if not x < math.inf:
         return math.nan, math.nan, math.nan
-    # 1 - cos t = 2 sin^2(t/2): no cancellation.
+    # 1 - cos t = 2 sin^2(t/2) avoids cancellation.
     half = 0.5 * math.sqrt(x)
     a = math.sin(half) / half
     sinc = a * math.cos(half)
@@ -114,8 +114,8 @@ def dexp_slopes(x):
     x : t^2, rad^2
     returns (1/t d/dt (1 - cos t)/t^2, 1/t d/dt (t - sin t)/t^3)
 
-    Error for t <= 3: 9 and 50 units. The second is largest from t = 2 on, where its value is a
-    fifth of the first's. Beyond: 16 + t/2 units of 1/t^3 and of 1/t^4.
+    Error for t <= 3: 9 and 50 units. The second error is largest from t = 2 on, where the second
+    value is a fifth of the first. Beyond t = 3: 16 + t/2 units of 1/t^3 and of 1/t^4.
     """
     if x < EXP_SERIES_BELOW:
         return sum_series(VERSINC_SLOPE_SERIES, x), sum_series(CUBIC_SLOPE_SERIES, x)
@@ -131,9 +131,9 @@ def dexpinv_coefficients(x):
     returns (b, u), b = (1 - gamma)/t^2, u = (1/beta + gamma - 2)/t^4 = 1/t db/dt with
         gamma = (t/2) cot(t/2), beta = (sin(t/2)/(t/2))^2; NaN exactly at a pole
 
-    Error for t <= pi: 4 and 10 units. Beyond: times pi/(2 pi - t), because the
-    round-off of t^2 alone changes the values near the pole.
-    Source: (6.12), (6.13) with gamma and h_X corrected; u is the last term's whole factor.
+    Error for t <= pi: 4 and 10 units. Beyond pi: multiplied by pi/(2 pi - t), because the round-off
+    of t^2 alone changes the values near the pole.
+    Source: (6.12), (6.13) with gamma and h_X corrected; u is the whole factor of the last term.
     """
     if not x < math.inf:
         return math.nan, math.nan
@@ -143,8 +143,8 @@ def dexpinv_coefficients(x):
         doublings += 1
     b = sum_series(DEXPINV_SERIES, x)
     u = sum_series(DEXPINV_SLOPE_SERIES, x)
-    # gamma(2t) = gamma(t) - t^2 / (4 gamma(t)), written for b, and its derivative for u.
-    # Every term is positive up to 2 pi: nothing cancels but gamma itself, at the pole.
+    # gamma(2t) = gamma(t) - t^2 / (4 gamma(t)), written for b, and its derivative for u. Every term
+    # is positive up to 2 pi: there is no cancellation except in gamma itself, at the pole.
     for _ in range(doublings):
         gamma = 1.0 - b * x
         if gamma == 0.0:
@@ -158,11 +158,11 @@ def dexpinv_coefficients(x):
 
 @kernel
 def truncated_dexpinv_coefficients(highest, x):
-    """Coefficients of the series of dexpinv, sum of (B_j / j!) ad^j, up to a power of ad.
+    """Coefficients of the series of dexpinv, sum of (B_j / j!) ad^j, truncated at a power of ad.
 
     highest : last power j of the sum, 0 or more; terms beyond 7 are omitted
     x       : t^2, rad^2
-    returns (first, b, u): factor of -ad, and b and u as above
+    returns (first, b, u): factor of -ad, and b and u as `dexpinv_coefficients`
 
     An RK method of order p keeps its order with highest = p - 2 (test/contract/test_methods.py).
     Source: (6.40), its sum with (-ad)^j.

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""SO(3) and SE(3) for use from Python: NumPy matrices in and out, over the kernels.
+"""SO(3) and SE(3) for NumPy arrays, computed by the kernels of so3.py and se3.py.
 
-Group elements are matrices, (3, 3) and (4, 4); elements of the algebra are coordinate vectors,
-(3,) rotation vector in rad and (6,) screw (xi, eta), angular part first; operators on the
-algebra are (3, 3) and (6, 6) matrices. Quaternions are (x, y, z, w). dexp is right-translated:
+Group elements are matrices, (3, 3) and (4, 4). Elements of the algebra are coordinate vectors: a
+rotation vector (3,) in rad, or a screw (xi, eta) (6,), angular part first, in rad and m. Operators
+on the algebra are (3, 3) and (6, 6) matrices. Quaternions are (x, y, z, w). dexp is right-translated:
 d/dt exp(X) exp(X)^-1 = hat(dexp(X) Xdot), so the body-fixed twist is dexp(-X) Xdot.
 
-Every function takes arrays with any leading dimensions. A wrong shape, a number that is not
-finite and a matrix that is not in the group raise ValueError. Accuracy: see the kernels and
-test/contract/test_lie_groups.py. A call takes microseconds per element. In loops
-over steps, call the kernels from a kernel.
+Every function takes arrays with any leading dimensions. It raises ValueError for a wrong shape, a
+non-finite number or a matrix that is not in the group. Accuracy: see the kernels and
+test/contract/test_lie_groups.py. A call takes microseconds per element: loops over steps belong in
+a kernel that calls the kernels.
 """
 
 import numpy as np
@@ -18,8 +18,8 @@ from .se3 import se3_Ad, se3_ad, se3_dexp, se3_dexpinv, se3_exp, se3_inverse, se
 from .so3 import so3_dexp, so3_dexpinv, so3_exp, so3_from_quaternion, so3_log, so3_to_quaternion
 from .vec3 import cross3, transpose3
 
-# Largest entry of R^T R - I that is accepted: a rotation rounded to single precision (a few 6e-8)
-# passes, a scaled one does not.
+# Largest accepted entry of R^T R - I. A rotation in single precision has a few times 6e-8 and is
+# accepted; a scaled one is not.
 ROTATION_TOLERANCE = 1e-6
 
 UNIT3 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -28,14 +28,17 @@ UNIT6 = tuple((e, ZERO3) for e in UNIT3) + tuple((ZERO3, e) for e in UNIT3)
 
 
 def _checked(value, shape, what):
-    """`value` as float64 (..., *shape), all finite, or ValueError; `what` names the argument."""
-    wanted = f"(..., {', '.join(map(str, shape))})"
+    """Convert `value` to a finite float64 array (..., *shape), or raise ValueError.
+
+    what : name of the argument for the message
+    """
+    expected = f"(..., {', '.join(map(str, shape))})"
     try:
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
-        raise ValueError(f"{what} must be numbers of shape {wanted}") from None
+        raise ValueError(f"{what} must be numbers of shape {expected}") from None
     if array.shape[-len(shape) :] != shape:
-        raise ValueError(f"{what} must have shape {wanted}, got {array.shape}")
+        raise ValueError(f"{what} must have shape {expected}, got {array.shape}")
     if not np.isfinite(array).all():
         raise ValueError(f"{what} must be finite, got NaN or infinity")
     return array
@@ -66,26 +69,26 @@ def _screw(value, what):
     return X[..., :3], X[..., 3:]
 
 
-def _each(function, shape, *arrays):
-    """Apply `function`, tuples in and `shape` out, to the last dimension of all arrays."""
-    lead = arrays[0].shape[:-1]
+def _map(function, shape, *arrays):
+    """Apply `function`, from tuples to a result of `shape`, to the last dimension of all arrays."""
+    leading = arrays[0].shape[:-1]
     rows = (array.reshape(-1, array.shape[-1]).tolist() for array in arrays)
-    items = [function(*map(tuple, row)) for row in zip(*rows)]
-    return np.array(items, dtype=np.float64).reshape(lead + shape)
+    results = [function(*map(tuple, row)) for row in zip(*rows)]
+    return np.array(results, dtype=np.float64).reshape(leading + shape)
 
 
 def _matrix3(kernel, a):
-    """The matrix of the map w -> kernel(a, w): its columns are the images of the axes."""
+    """Matrix of the map w -> kernel(a, w): its columns are the images of the axes."""
     return np.transpose([kernel(a, e) for e in UNIT3])
 
 
 def _matrix6(kernel, a, b):
-    """The matrix of the map (w, v) -> kernel(a, b, w, v)."""
+    """Matrix of the map (w, v) -> kernel(a, b, w, v)."""
     return np.transpose([np.concatenate(kernel(a, b, *e)) for e in UNIT6])
 
 
 def _matrix4(R, r):
-    """The matrix of a pose."""
+    """Matrix of a pose (R, r), as a flat tuple."""
     return (*R[:3], r[0], *R[3:6], r[1], *R[6:], r[2], 0.0, 0.0, 0.0, 1.0)
 
 
@@ -94,12 +97,12 @@ class SO3:
 
     @staticmethod
     def hat(xi):
-        """The antisymmetric matrix of xi: hat(xi) w = xi x w."""
-        return _each(lambda x: _matrix3(cross3, x), (3, 3), _checked(xi, (3,), "xi"))
+        """Antisymmetric matrix of xi: hat(xi) w = xi x w."""
+        return _map(lambda x: _matrix3(cross3, x), (3, 3), _checked(xi, (3,), "xi"))
 
     @staticmethod
     def vee(matrix):
-        """The vector of (the antisymmetric part of) a matrix: the inverse of hat."""
+        """Vector of the antisymmetric part of a matrix: the inverse of hat."""
         m = _checked(matrix, (3, 3), "matrix")
         m = 0.5 * (m - np.swapaxes(m, -1, -2))
         return np.stack((m[..., 2, 1], m[..., 0, 2], m[..., 1, 0]), axis=-1)
@@ -107,22 +110,22 @@ class SO3:
     @staticmethod
     def exp(xi):
         """Rotation matrix of a rotation vector of any length."""
-        return _each(so3_exp, (3, 3), _checked(xi, (3,), "xi"))
+        return _map(so3_exp, (3, 3), _checked(xi, (3,), "xi"))
 
     @staticmethod
     def log(R):
         """Rotation vector of a rotation matrix, |xi| <= pi; at pi the sign is undefined."""
-        return _each(so3_log, (3,), _rotation(R, "R"))
+        return _map(so3_log, (3,), _rotation(R, "R"))
 
     @staticmethod
     def inverse(R):
-        """R^T."""
-        return _each(transpose3, (3, 3), _rotation(R, "R"))
+        """Inverse rotation, R^T."""
+        return _map(transpose3, (3, 3), _rotation(R, "R"))
 
     @staticmethod
     def Ad(R):
         """Matrix of the adjoint action, Ad w = vee(R hat(w) R^-1): R itself."""
-        return _each(tuple, (3, 3), _rotation(R, "R"))
+        return _map(tuple, (3, 3), _rotation(R, "R"))
 
     @staticmethod
     def ad(xi):
@@ -132,17 +135,17 @@ class SO3:
     @staticmethod
     def dexp(xi):
         """Right-translated differential of exp (left Jacobian), Rdot R^T = hat(dexp xidot)."""
-        return _each(lambda x: _matrix3(so3_dexp, x), (3, 3), _checked(xi, (3,), "xi"))
+        return _map(lambda x: _matrix3(so3_dexp, x), (3, 3), _checked(xi, (3,), "xi"))
 
     @staticmethod
     def dexpinv(xi):
         """Inverse of dexp, |xi| < 2 pi; grows like 1/(2 pi - |xi|)."""
-        return _each(lambda x: _matrix3(so3_dexpinv, x), (3, 3), _checked(xi, (3,), "xi"))
+        return _map(lambda x: _matrix3(so3_dexpinv, x), (3, 3), _checked(xi, (3,), "xi"))
 
     @staticmethod
     def to_quaternion(R):
         """Unit quaternion (x, y, z, w), w >= 0, of a rotation matrix."""
-        return _each(so3_to_quaternion, (4,), _rotation(R, "R"))
+        return _map(so3_to_quaternion, (4,), _rotation(R, "R"))
 
     @staticmethod
     def from_quaternion(quaternion):
@@ -151,7 +154,7 @@ class SO3:
         norm = np.linalg.norm(q, axis=-1)
         if ((norm < 1e-100) | (norm > 1e100)).any():
             raise ValueError("the norm of a quaternion must be between 1e-100 and 1e100")
-        return _each(so3_from_quaternion, (3, 3), q)
+        return _map(so3_from_quaternion, (3, 3), q)
 
 
 class SE3:
@@ -159,7 +162,7 @@ class SE3:
 
     @staticmethod
     def hat(X):
-        """The matrix [[hat(xi), eta], [0, 0]] of a screw."""
+        """Matrix [[hat(xi), eta], [0, 0]] of a screw."""
         xi, eta = _screw(X, "X")
         out = np.zeros(xi.shape[:-1] + (4, 4))
         out[..., :3, :3] = SO3.hat(xi)
@@ -168,41 +171,41 @@ class SE3:
 
     @staticmethod
     def vee(matrix):
-        """The screw of a matrix: the inverse of hat."""
+        """Screw of a matrix: the inverse of hat."""
         m = _checked(matrix, (4, 4), "matrix")
         return np.concatenate((SO3.vee(m[..., :3, :3]), m[..., :3, 3]), axis=-1)
 
     @staticmethod
     def exp(X):
         """Pose of a screw, |xi| of any size."""
-        return _each(lambda x, e: _matrix4(*se3_exp(x, e)), (4, 4), *_screw(X, "X"))
+        return _map(lambda x, e: _matrix4(*se3_exp(x, e)), (4, 4), *_screw(X, "X"))
 
     @staticmethod
     def log(C):
         """Screw of a pose, |xi| <= pi; at pi the sign of xi is undefined."""
-        return _each(lambda R, r: np.concatenate(se3_log(R, r)), (6,), *_pose(C, "C"))
+        return _map(lambda R, r: np.concatenate(se3_log(R, r)), (6,), *_pose(C, "C"))
 
     @staticmethod
     def inverse(C):
-        """C^-1."""
-        return _each(lambda R, r: _matrix4(*se3_inverse(R, r)), (4, 4), *_pose(C, "C"))
+        """Inverse pose, C^-1."""
+        return _map(lambda R, r: _matrix4(*se3_inverse(R, r)), (4, 4), *_pose(C, "C"))
 
     @staticmethod
     def Ad(C):
         """Matrix of the adjoint action, Ad V = vee(C hat(V) C^-1): [[R, 0], [hat(r) R, R]]."""
-        return _each(lambda R, r: _matrix6(se3_Ad, R, r), (6, 6), *_pose(C, "C"))
+        return _map(lambda R, r: _matrix6(se3_Ad, R, r), (6, 6), *_pose(C, "C"))
 
     @staticmethod
     def ad(X):
         """Matrix of the Lie bracket with X: [[hat(xi), 0], [hat(eta), hat(xi)]]."""
-        return _each(lambda x, e: _matrix6(se3_ad, x, e), (6, 6), *_screw(X, "X"))
+        return _map(lambda x, e: _matrix6(se3_ad, x, e), (6, 6), *_screw(X, "X"))
 
     @staticmethod
     def dexp(X):
         """Right-translated differential of exp (left Jacobian), Cdot C^-1 = hat(dexp Xdot)."""
-        return _each(lambda x, e: _matrix6(se3_dexp, x, e), (6, 6), *_screw(X, "X"))
+        return _map(lambda x, e: _matrix6(se3_dexp, x, e), (6, 6), *_screw(X, "X"))
 
     @staticmethod
     def dexpinv(X):
         """Inverse of dexp, |xi| < 2 pi; grows like |eta|/(2 pi - |xi|)^2."""
-        return _each(lambda x, e: _matrix6(se3_dexpinv, x, e), (6, 6), *_screw(X, "X"))
+        return _map(lambda x, e: _matrix6(se3_dexpinv, x, e), (6, 6), *_screw(X, "X"))

@@ -4,9 +4,9 @@
 Kernels on tuples. Pose C = (R, r): R (9, row by row) body -> world, r (3) in world axes, m.
 Screw X = (xi, eta), twist V = (w, v), wrench (torque, force): angular part first. dexp is
 right-translated, Cdot C^-1 = dexp_X Xdot, so the body-fixed twist is V = dexp_{-X} Xdot and
-Xdot = dexpinv_{-X} V. All 6x6 operators are applied by cross products and never formed.
+Xdot = dexpinv_{-X} V. Operators are applied by cross products; no 6x6 matrix is formed.
 
-Non-finite arguments raise no exception: exp, dexp and dexpinv of them are not finite.
+Non-finite arguments raise no exception: exp, dexp and dexpinv return non-finite values.
 """
 
 from liegroup_core.compiling import kernel
@@ -33,8 +33,8 @@ def se3_inverse(R, r):
 def se3_exp(xi, eta):
     """Pose of a screw: (exp xi, dexp_xi eta).
 
-    Error of an entry: (6 + 1.5 t) (1 + |eta|) units of 2^-53 (test/contract/test_lie_groups.py, as
-    all below).
+    Error of an entry: (6 + 1.5 t) (1 + |eta|) units of 2^-53. This bound and those below:
+    test/contract/test_lie_groups.py.
     Source: (6.15). The form with the pitch, (6.5), is 0/0 at xi = 0 and loses digits near it.
     """
     return so3_exp(xi), so3_dexp(xi, eta)
@@ -49,7 +49,7 @@ def se3_log(R, r):
 
 @kernel
 def se3_Ad(R, r, w, v):
-    """Ad_C V: a body-frame twist in the frame that C maps to: (R w, r x R w + R v)."""
+    """Ad_C V, the body-frame twist V in the frame that C maps to: (R w, r x R w + R v)."""
     Rw = matvec3(R, w)
     return Rw, add3(cross3(r, Rw), matvec3(R, v))
 
@@ -76,7 +76,7 @@ def se3_ad_transpose(xi, eta, torque, force):
 def se3_dexp(xi, eta, w, v):
     """Right-translated differential of exp, dexp_X applied to (w, v).
 
-    The lower left block is the derivative of dexp_xi in the direction eta, hence the derivatives.
+    The lower left block is the derivative of dexp_xi in the direction eta: it needs `dexp_slopes`.
     Error of an entry of the matrix: 5e-16 (1 + |eta|), for t <= 2 pi.
     """
     x = dot3(xi, xi)
@@ -104,7 +104,7 @@ def se3_dexpinv(xi, eta, w, v):
     """Inverse of dexp_X applied to (w, v), |xi| < 2 pi.
 
     Lower left block: -1/2 eta^ + b (xi^ eta^ + eta^ xi^) + (xi . eta) u xi^ xi^.
-    Error of an entry of the matrix: 5e-16 (1 + |eta|) for t <= pi; beyond, times
+    Error of an entry of the matrix: 5e-16 (1 + |eta|) for t <= pi; beyond pi, multiplied by
     (pi / (2 pi - t))^3.
     Source: (6.12), (6.13), corrected: lower right block dexp_xi^-1, gamma = (t/2) cot(t/2),
     factor (xi . eta)/t^4 of the last term.
@@ -115,9 +115,10 @@ def se3_dexpinv(xi, eta, w, v):
 
 @kernel
 def se3_dexpinv_of(first, b, u, xi, eta, w, v):
-    """w - first ad_X + b ad_X^2 + ... applied to (w, v), see `dexpinv_coefficients`.
+    """Series 1 - first ad_X + b ad_X^2 + ... applied to (w, v), see `dexpinv_coefficients`.
 
-    All even powers of ad_X are multiples of the second. On SE(3) their derivative u also enters.
+    On SO(3) all even powers of ad are multiples of its square. On SE(3) the derivative u of the
+    factor b enters too.
     """
     q = dot3(xi, eta) * u
     a = cross3(xi, w)

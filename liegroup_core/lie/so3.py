@@ -5,7 +5,7 @@ Kernels on tuples: xi rotation vector (3), rad; R rotation matrix (9, row by row
 (x, y, z, w). dexp is right-translated, Rdot R^T = hat(dexp_xi xidot), so the body-fixed angular
 velocity is omega = dexp_{-xi} xidot, and xidot = dexpinv_{-xi} omega.
 
-Non-finite arguments raise no exception: exp, dexp and dexpinv of them are not finite.
+Non-finite arguments raise no exception: exp, dexp and dexpinv return non-finite values.
 """
 
 import math
@@ -20,7 +20,8 @@ from .vec3 import cross3, dot3
 def so3_exp(xi):
     """Rotation matrix of a rotation vector (Rodrigues): I + sin t/t xi^ + (1-cos t)/t^2 xi^ xi^.
 
-    Error of an entry: 6 + 1.5 t units of 2^-53 (test/contract/test_lie_groups.py, as all below).
+    Error of an entry: 6 + 1.5 t units of 2^-53. This bound and those below:
+    test/contract/test_lie_groups.py.
     Source: (6.6).
     """
     s, c, _ = exp_coefficients(dot3(xi, xi))
@@ -40,10 +41,10 @@ def so3_exp(xi):
 
 @kernel
 def so3_to_quaternion(R):
-    """Unit quaternion (x, y, z, w), w >= 0, of a rotation matrix (Shepperd's choice of the root).
+    """Unit quaternion (x, y, z, w), w >= 0, of a rotation matrix, by Shepperd's method.
 
-    The largest component is the square root of a number >= 1 for every R. The others are divided
-    by it. At a rotation by pi (w = 0) the sign of the axis is undefined.
+    For every R the largest component is half the square root of a number >= 1; the other components
+    are divided by it. At a rotation by pi (w = 0) the sign of the axis is undefined.
     """
     trace = R[0] + R[4] + R[8]
     if trace >= R[0] and trace >= R[4] and trace >= R[8]:
@@ -90,13 +91,13 @@ def so3_from_quaternion(q):
 def so3_log(R):
     """Rotation vector of a rotation matrix, |xi| <= pi: the inverse of exp.
 
-    The quaternion and atan2 lose no digits near 0 and pi. Trace and arccos lose half of them
+    The quaternion and atan2 lose no digits near 0 and pi; trace and arccos would lose half of them
     at both ends. At a rotation by pi the sign of the axis is undefined.
     Error: 10 units of 2^-53 of t, after the error of exp, down to t = 1e-300.
     """
     x, y, z, w = so3_to_quaternion(R)
     n = math.sqrt(x * x + y * y + z * z)
-    # If the squares underflow, n = 0 and the limit is exact. The error of a coarse n cancels.
+    # If the squares underflow, n = 0 and the limit is exact. An inaccurate n cancels: atan2(n, w) / n.
     f = 2.0 * math.atan2(n, w) / n if n > 0.0 else 2.0 / w
     return (f * x, f * y, f * z)
 
@@ -120,7 +121,8 @@ def so3_dexpinv(xi, w):
     """Inverse of dexp_xi applied to w, |xi| < 2 pi: w - 1/2 xi x w + b xi x (xi x w).
 
     Grows like 1 / (2 pi - t) near a rotation by 2 pi, where dexp_xi is singular.
-    Error of an entry of the matrix: 5e-16 for t <= pi; beyond, times (pi / (2 pi - t))^3.
+    Error of an entry of the matrix: 5e-16 for t <= pi; beyond pi, multiplied by
+    (pi / (2 pi - t))^3.
     """
     b, _ = dexpinv_coefficients(dot3(xi, xi))
     return so3_dexpinv_of(0.5, b, xi, w)

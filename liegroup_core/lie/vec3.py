@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Vectors and matrices of R^3 as tuples: the arithmetic every kernel is written in.
+"""Arithmetic of 3-vectors and 3x3 matrices as tuples, for all kernels.
 
 A vector is (x, y, z), a matrix its nine entries row by row. Tuples stay in registers: a cross
-product of tuples takes about 1 ns, of arrays 15 ns and an allocation. Arrays are indexed by row and
-column, never sliced: a slice costs two atomic operations on a reference count.
+product of tuples takes about 1 ns, one of arrays 15 ns and an allocation. Arrays are indexed by row
+and column, never sliced: a slice costs two atomic operations on a reference count.
 """
 
 import math
@@ -16,7 +16,7 @@ IDENTITY3 = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
 @kernel
 def load3(array, row, start):
-    """Three entries of a row of a two-dimensional array, from `start` on."""
+    """Read three entries of a row of a two-dimensional array, from `start` on."""
     return (array[row, start], array[row, start + 1], array[row, start + 2])
 
 
@@ -30,7 +30,7 @@ def store3(vector, array_out, row, start):
 
 @kernel
 def load9(array, row, start):
-    """Nine entries of a row of a two-dimensional array: a matrix, row by row."""
+    """Read nine entries of a row of a two-dimensional array, from `start` on: a matrix."""
     return (
         array[row, start],
         array[row, start + 1],
@@ -46,20 +46,20 @@ def load9(array, row, start):
 
 @kernel
 def store9(matrix, array_out, row, start):
-    """Write a matrix, row by row, to a row of a two-dimensional array, from `start` on."""
+    """Write a matrix to a row of a two-dimensional array, from `start` on."""
     for i in range(9):
         array_out[row, start + i] = matrix[i]
 
 
 @kernel
 def vector3(field):
-    """A three-component field of a record as a vector."""
+    """Convert a three-component field of a record to a vector."""
     return (field[0], field[1], field[2])
 
 
 @kernel
 def matrix3(field):
-    """A nine-component field of a record as a matrix."""
+    """Convert a nine-component field of a record to a matrix."""
     return (
         field[0],
         field[1],
@@ -159,7 +159,7 @@ def tmatmul3(m, n):
 
 @kernel
 def solve3(m, b):
-    """x with m x = b, by Cramer's rule; not finite where m is singular.
+    """Solve m x = b by Cramer's rule; the result is not finite if m is singular.
 
     For Newton's method: accurate if the condition number of m is far below 1/eps.
     """

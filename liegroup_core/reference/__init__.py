@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reference solutions: exact motions, and an independent, tight integration of a scene.
+"""Reference solutions: exact motions, and an independent integration with tight tolerances.
 
-Exact rotations of a free body and of a symmetric heavy top are in elliptic.py, for which mpmath is
-needed.
+elliptic.py has the exact rotations of a free body and of a symmetric heavy top; it needs mpmath.
 """
 
 from .trajectory import Distance, Reference, Trajectory, WrenchChange, distance, integrate

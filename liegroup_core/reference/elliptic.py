@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Exact rotations in Jacobi's elliptic functions, to any number of digits: free body, heavy top.
+"""Exact rotations of a free body and of a heavy top in Jacobi's elliptic functions, to any precision.
 
-They share nothing with the engine and take no steps: the only error is round-off, at any time.
-They need mpmath (pip install mpmath). R maps body axes to world axes; w is in body axes.
+They share no code with the engine and take no steps: the only error is round-off, at any time. They
+need mpmath (pip install mpmath). R maps body axes to world axes; w is in body axes.
 
 Source: Landau and Lifshitz, Mechanics, sections 35 to 37, with the precession angles as integrals
 of the third kind. Accuracy: test/verification/test_elliptic.py, against Taylor series.
@@ -11,7 +11,7 @@ of the third kind. Accuracy: test/verification/test_elliptic.py, against Taylor 
 import mpmath as mp
 import numpy as np
 
-GUARD = 20  # additional digits: next to a separatrix half of all digits cancel
+GUARD = 20  # guard digits: next to a separatrix half of all digits cancel
 
 
 def free_body(inertia, rotation, omega, time, digits=30):
@@ -21,7 +21,7 @@ def free_body(inertia, rotation, omega, time, digits=30):
     rotation : (3, 3) at time 0
     omega    : (3,) rad/s, at time 0
     time     : s
-    digits   : number of correct digits; fewer next to a separatrix
+    digits   : number of correct digits; fewer are correct next to a separatrix
     returns (R (3, 3), w (3,)) as mpmath matrices; `to_floats` rounds them
     """
     with mp.workdps(digits + GUARD):
@@ -31,40 +31,40 @@ def free_body(inertia, rotation, omega, time, digits=30):
         moments, axes = mp.eigsy(I)
         if mp.det(axes) < 0:
             axes[:, 2] = -axes[:, 2]
-        turned, w_end = _principal(list(moments), axes.T * w, mp.mpf(time))
-        return R * axes * turned * axes.T, axes * w_end
+        rotation_since, w_end = _principal(list(moments), axes.T * w, mp.mpf(time))
+        return R * axes * rotation_since * axes.T, axes * w_end
 
 
 def _principal(I, w, time):
     """Rotation since time 0 and angular velocity, in principal axes with I[0] <= I[1] <= I[2]."""
     m = mp.matrix([i * c for i, c in zip(I, w)])
     L2, E2 = _dot(m, m), _dot(m, w)  # squared momentum, twice the energy
-    # Axis c about which the momentum circles in the body: that of the largest or of the smallest
-    # moment of inertia, depending on the side of the separatrix L^2 = 2 E I_1.
+    # c is the axis about which the momentum circles in the body: that of the largest or of the
+    # smallest moment of inertia, depending on the side of the separatrix L^2 = 2 E I_1.
     a, b, c = (0, 1, 2) if L2 >= E2 * I[1] else (2, 1, 0)
-    even = 1 if c == 2 else -1
+    parity = 1 if c == 2 else -1
     rate2 = (I[c] - I[b]) * (L2 - E2 * I[a]) / (I[0] * I[1] * I[2])
     if rate2 <= 0 or sum(x == 0 for x in m) >= 2:
-        return _turn(w, time), w  # a steady rotation
-    size = [
+        return _exp(w, time), w  # steady rotation
+    amplitude = [
         mp.sqrt((E2 * I[c] - L2) / (I[a] * (I[c] - I[a]))),
         mp.sqrt((E2 * I[c] - L2) / (I[b] * (I[c] - I[b]))),
         mp.sqrt((L2 - E2 * I[a]) / (I[c] * (I[c] - I[a]))),
     ]
     k2 = (I[b] - I[a]) * (E2 * I[c] - L2) / ((I[c] - I[b]) * (L2 - E2 * I[a]))
     sign_c = mp.sign(w[c])
-    sign_b = even * mp.sign(I[c] - I[b]) * sign_c
+    sign_b = parity * mp.sign(I[c] - I[b]) * sign_c
     rate = mp.sqrt(rate2)
-    start = mp.atan2(sign_b * w[b] / size[1], w[a] / size[0])
+    start = mp.atan2(sign_b * w[b] / amplitude[1], w[a] / amplitude[0])
     tau = mp.ellipf(start, k2) + rate * time
     end = _amplitude(tau, k2)
     w_end = mp.matrix(3, 1)
-    w_end[a] = size[0] * mp.cos(end)
-    w_end[b] = sign_b * size[1] * mp.sin(end)
-    w_end[c] = sign_c * size[2] * mp.sqrt(1 - k2 * mp.sin(end) ** 2)
+    w_end[a] = amplitude[0] * mp.cos(end)
+    w_end[b] = sign_b * amplitude[1] * mp.sin(end)
+    w_end[c] = sign_c * amplitude[2] * mp.sqrt(1 - k2 * mp.sin(end) ** 2)
     # Precession of the plane of m and c about m: L (2 E - m_c^2/I_c) / (L^2 - m_c^2).
-    D = (I[a] * size[0]) ** 2
-    n = -k2 * (I[c] * size[2]) ** 2 / D
+    D = (I[a] * amplitude[0]) ** 2
+    n = -k2 * (I[c] * amplitude[2]) ** 2 / D
     L = mp.sqrt(L2)
     angle = L * time / I[c] + L * (E2 - L2 / I[c]) / (D * rate) * (
         mp.ellippi(n, end, k2) - mp.ellippi(n, start, k2)
@@ -77,23 +77,23 @@ def _principal(I, w, time):
 def heavy_top(inertia, spin_inertia, moment, axis, gravity, rotation, omega, time, digits=30):
     """Attitude and angular velocity of a symmetric heavy top (Lagrange's) about its fixed point.
 
-    inertia      : kg m^2, about the fixed point, across the axis of symmetry
-    spin_inertia : kg m^2, about that axis
+    inertia      : kg m^2, about the fixed point, perpendicular to the axis of symmetry
+    spin_inertia : kg m^2, about the axis of symmetry
     moment       : kg m, mass times distance of the centre of mass from the fixed point, positive
     axis         : (3,) from the fixed point to the centre of mass, unit vector in body axes
     gravity      : (3,) m/s^2, world axes, not zero
     rotation, omega, time, digits, returns: as in `free_body`
-    Raises ValueError if the axis is or becomes vertical: the angles are undefined there.
+    Raises ValueError if the axis is or becomes vertical, where the angles are undefined.
     """
     with mp.workdps(digits + GUARD):
         I1, I3, e = mp.mpf(inertia), mp.mpf(spin_inertia), _matrix(axis)
         R, w, g = _matrix(rotation), _matrix(omega), _matrix(gravity)
-        size = mp.sqrt(_dot(g, g))
-        S, P = _completed(-g / size), _completed(e)
+        g_norm = mp.sqrt(_dot(g, g))
+        S, P = _completed(-g / g_norm), _completed(e)
         start = S.T * R * P
         u = start[2, 2]
         # u = cos theta: u'^2 = (1 - u^2)(alpha - beta u) - (b - a u)^2
-        a, beta = I3 * _dot(w, e) / I1, 2 * mp.mpf(moment) * size / I1
+        a, beta = I3 * _dot(w, e) / I1, 2 * mp.mpf(moment) * g_norm / I1
         across = w - _dot(w, e) * e
         b = _dot(S.T[2, :].T, R * (across + I3 / I1 * _dot(w, e) * e))
         alpha = _dot(across, across) + beta * u
@@ -103,8 +103,8 @@ def heavy_top(inertia, spin_inertia, moment, axis, gravity, rotation, omega, tim
             raise ValueError("the axis of the top becomes vertical")
         rate = mp.sqrt(beta * (u3 - u1)) / 2
         k2 = (u2 - u1) / (u3 - u1)
-        part = mp.sqrt(min(max((u - u1) / (u2 - u1), 0), 1)) if u2 > u1 else mp.mpf(0)
-        first = mp.asin(part) * (-1 if u_rate < 0 else 1)
+        sine_start = mp.sqrt(min(max((u - u1) / (u2 - u1), 0), 1)) if u2 > u1 else mp.mpf(0)
+        first = mp.asin(sine_start) * (-1 if u_rate < 0 else 1)
         last = _amplitude(mp.ellipf(first, k2) + rate * mp.mpf(time), k2)
         u = u1 + (u2 - u1) * mp.sin(last) ** 2
         # Integrals of (b -+ a) / (2 (1 -+ u)) over time: the two parts of phi' = (b - a u)/(1 - u^2)
@@ -138,7 +138,7 @@ def to_floats(matrix):
 
 
 def _matrix(values):
-    """Convert numbers of any type, exactly, to an mpmath matrix or column."""
+    """Convert numbers of any type exactly to an mpmath matrix or column."""
     if isinstance(values, mp.matrix):
         return values.copy()
     rows = np.asarray(values, dtype=object)
@@ -147,7 +147,7 @@ def _matrix(values):
 
 
 def _cubic_roots(a, b, c, d):
-    """The roots of a u^3 + b u^2 + c u + d, all real, a > 0, in increasing order (Viete)."""
+    """Real roots of a u^3 + b u^2 + c u + d, a > 0, in increasing order, by Viete's formula."""
     with mp.extradps(mp.mp.dps):  # double roots lose half of the digits
         p = (b * b - 3 * a * c) / (9 * a * a)
         q = (b * (2 * b * b - 9 * a * c) + 27 * a * a * d) / (54 * a**3)
@@ -159,19 +159,19 @@ def _cubic_roots(a, b, c, d):
 
 
 def _third_kind(n, first, last, k2):
-    """Integral of 1 / (1 - n sn^2) between two amplitudes."""
+    """Elliptic integral of the third kind, of 1 / (1 - n sn^2), between two amplitudes."""
     return mp.ellippi(n, last, k2) - mp.ellippi(n, first, k2)
 
 
 def _amplitude(tau, k2):
-    """am(tau | k2): unwrapped angle with sine sn and cosine cn."""
+    """Jacobi amplitude am(tau | k2): the unwrapped angle with sine sn and cosine cn."""
     if k2 == 1:
         return 2 * mp.atan(mp.tanh(tau / 2))
     quarter = mp.ellipk(k2)
     turns = mp.floor(tau / (4 * quarter) + mp.mpf(1) / 2)
-    rest = tau - 4 * quarter * turns
+    remainder = tau - 4 * quarter * turns
     return 2 * mp.pi * turns + mp.atan2(
-        mp.ellipfun("sn", rest, m=k2), mp.ellipfun("cn", rest, m=k2)
+        mp.ellipfun("sn", remainder, m=k2), mp.ellipfun("cn", remainder, m=k2)
     )
 
 
@@ -190,14 +190,14 @@ def _columns(*vectors):
 
 
 def _node_axes(m, axis):
-    """Axes along the node m x axis, across it, and along m."""
+    """Columns: axes along the node m x axis, perpendicular to it, and along m."""
     node = _cross(m, axis)
     node, up = node / mp.sqrt(_dot(node, node)), m / mp.sqrt(_dot(m, m))
     return _columns(node, _cross(up, node), up)
 
 
 def _completed(z):
-    """A rotation with the unit vector z as its last column."""
+    """Rotation matrix with z, normalised, as its last column."""
     z = z / mp.sqrt(_dot(z, z))
     smallest = min(range(3), key=lambda i: abs(z[i]))
     return _node_axes(z, mp.matrix([int(i == smallest) for i in range(3)]))
@@ -208,8 +208,8 @@ def _about_z(angle):
     return mp.matrix([[c, -s, 0], [s, c, 0], [0, 0, 1]])
 
 
-def _turn(w, time):
-    """exp(w time)."""
+def _exp(w, time):
+    """Rotation matrix exp(w time)."""
     speed = mp.sqrt(_dot(w, w))
     if speed == 0:
         return mp.eye(3)

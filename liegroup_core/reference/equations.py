@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Joints as equations of geometry between directions and points, in world axes.
+"""Joints as geometric equations between directions and points, in world axes.
 
-Every joint is made of three kinds of equations, one row each, as in Haug, Computer Aided
+Every joint consists of three kinds of equations, one row each, as in Haug, Computer Aided
 Kinematics and Dynamics of Mechanical Systems, 1989, chapter 9 (dot-1, dot-2, distance):
 
     ACROSS    e . f = 0                             a direction e of the parent, f of the child
-    LEVEL     e . d - pitch theta - offset = 0      d from the parent's point to the child's one
+    LEVEL     e . d - pitch theta - offset = 0      d from the point of the parent to that of the child
     DISTANCE  (d . d - length^2) / (2 length) = 0
 
-theta is the angle of a screw: its rate is integrated with the motion, so that it is unwrapped. Each
-equation g = 0 is given with its first and second time derivative.
+theta is the angle of a screw. Its rate is integrated with the motion, so that it is unwrapped. Each
+equation g = 0 is given with its first and second time derivatives.
 """
 
 from typing import NamedTuple
@@ -43,7 +43,7 @@ JOINTS = {
 
 
 class Equations(NamedTuple):
-    """Equations of all joints of a scene; k rows, t joints with an integrated angle."""
+    """Equations of all joints of a scene: k rows, t joints with an integrated angle."""
 
     kind: np.ndarray  # (k,) ACROSS, LEVEL or DISTANCE
     body: np.ndarray  # (k, 2) parent, child; GROUND = -1
@@ -51,7 +51,7 @@ class Equations(NamedTuple):
     axis: np.ndarray  # (k, 2, 3) e in the parent's axes, f in the child's
     length: np.ndarray  # (k,) m, of a DISTANCE; the offset of a LEVEL
     pitch: np.ndarray  # (k,) m/rad
-    turn: np.ndarray  # (k,) number of the angle theta, or -1
+    turn: np.ndarray  # (k,) index of the angle theta, or -1
 
 
 @subroutine
@@ -72,7 +72,10 @@ def rotate_back(q, x):
 
 @subroutine
 def direction(state, body, fixed):
-    """World components of a body-fixed direction, first derivative, second one without omegadot."""
+    """World components (3, 3) of a body-fixed direction and its first two time derivatives.
+
+    The second derivative is without the terms of omegadot.
+    """
     out = np.zeros((3, 3))
     if body == GROUND:
         out[0] = fixed
@@ -88,7 +91,10 @@ def direction(state, body, fixed):
 
 @subroutine
 def point(state, body, fixed):
-    """Position, velocity, and acceleration without that of the body, of a body-fixed point."""
+    """Position, velocity and acceleration (3, 3) of a body-fixed point, world axes.
+
+    The acceleration is without the terms of rddot and omegadot.
+    """
     out = direction(state, body, fixed)
     if body != GROUND:
         out[0] += state[body, 4:7]
@@ -108,19 +114,22 @@ def turning(state, parent, child):
 
 
 @subroutine
-def _add_translation(row, state, body, place, way):
-    """Add to a row the acceleration along `way` of a point of a body."""
+def _add_translation(row, state, body, offset, axis):
+    """Add to a row the acceleration along a world vector of a point of a body.
+
+    offset : (3,) m, of the point in the body frame
+    """
     if body != GROUND:
-        row[6 * body : 6 * body + 3] += way
-        # way . (R (omegadot x p)) = omegadot . (p x R^T way)
-        row[6 * body + 3 : 6 * body + 6] += np.cross(place, rotate_back(state[body, 0:4], way))
+        row[6 * body : 6 * body + 3] += axis
+        # axis . (R (omegadot x p)) = omegadot . (p x R^T axis)
+        row[6 * body + 3 : 6 * body + 6] += np.cross(offset, rotate_back(state[body, 0:4], axis))
 
 
 @subroutine
-def _add_rotation(row, state, body, about):
+def _add_rotation(row, state, body, axis):
     """Add to a row the angular acceleration of a body about a world vector."""
     if body != GROUND:
-        row[6 * body + 3 : 6 * body + 6] += rotate_back(state[body, 0:4], about)
+        row[6 * body + 3 : 6 * body + 6] += rotate_back(state[body, 0:4], axis)
 
 
 @subroutine
@@ -130,7 +139,8 @@ def joint_equations(equations, state, angle, rows_out, gap_out):
     state    : (n, 13) quaternion, position, velocity (world), omega (body) of each body
     angle    : (t,) rad
     rows_out : (k, 6 n) A, so that gddot = A a + gap_out[2] with a = (rddot, omegadot) per body
-    gap_out  : (3, k) g (m; for the axes the cosine, rad when small), gdot, gddot at a = 0
+    gap_out  : (3, k) g, gdot, and gddot at a = 0. g is in m; for ACROSS it is the cosine, which is an
+               angle in rad if small
     """
     rows_out[:] = 0.0
     for r in range(len(equations.kind)):
@@ -142,9 +152,9 @@ def joint_equations(equations, state, angle, rows_out, gap_out):
             gap_out[0, r] = np.dot(e[0], f[0])
             gap_out[1, r] = np.dot(e[1], f[0]) + np.dot(e[0], f[1])
             gap_out[2, r] = np.dot(e[2], f[0]) + 2.0 * np.dot(e[1], f[1]) + np.dot(e[0], f[2])
-            about = np.cross(f[0], e[0])
-            _add_rotation(row, state, child, about)
-            _add_rotation(row, state, parent, -about)
+            axis = np.cross(f[0], e[0])
+            _add_rotation(row, state, child, axis)
+            _add_rotation(row, state, parent, -axis)
             continue
         d = point(state, child, equations.point[r, 1]) - point(state, parent, equations.point[r, 0])
         length = equations.length[r]
@@ -152,15 +162,15 @@ def joint_equations(equations, state, angle, rows_out, gap_out):
             gap_out[0, r] = (np.dot(d[0], d[0]) / length - length) / 2.0
             gap_out[1, r] = np.dot(d[0], d[1]) / length
             gap_out[2, r] = (np.dot(d[1], d[1]) + np.dot(d[0], d[2])) / length
-            way = d[0] / length
+            axis = d[0] / length
         else:
             gap_out[0, r] = np.dot(e[0], d[0]) - length
             gap_out[1, r] = np.dot(e[1], d[0]) + np.dot(e[0], d[1])
             gap_out[2, r] = np.dot(e[2], d[0]) + 2.0 * np.dot(e[1], d[1]) + np.dot(e[0], d[2])
-            way = e[0]
+            axis = e[0]
             _add_rotation(row, state, parent, np.cross(e[0], d[0]))
-        _add_translation(row, state, child, equations.point[r, 1], way)
-        _add_translation(row, state, parent, equations.point[r, 0], -way)
+        _add_translation(row, state, child, equations.point[r, 1], axis)
+        _add_translation(row, state, parent, equations.point[r, 0], -axis)
         if equations.turn[r] >= 0:
             pitch, spin = equations.pitch[r], turning(state, parent, child)
             gap_out[0, r] -= pitch * angle[equations.turn[r]]

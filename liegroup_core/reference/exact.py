@@ -1,24 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """Exact motions of free bodies and of the symmetric heavy top.
 
-They use Jacobi's elliptic functions (elliptic.py), which need mpmath. No steps are taken, so the
-error of a run of any length can be evaluated at any of its times.
+They use Jacobi's elliptic functions (elliptic.py), which need mpmath. They take no steps: the error
+of a run of any length can be evaluated at any of its times.
 """
 
 import numpy as np
 
 from .trajectory import Distance, Trajectory
 
-DIGITS = 25  # more digits than float64, also after the loss next to a separatrix
-# Relative difference of inertias below which a body counts as symmetric: round-off.
+DIGITS = 25  # more than those of float64, even after the loss next to a separatrix
+# Relative difference of inertias below which a body is symmetric: round-off.
 ROUND_OFF = 1e-14
 EPS = np.finfo(float).eps
 
 
 def exact_solution(layout, pose, twist):
-    """Exact motion of a layout's scene without external wrenches, or None.
+    """Exact motion of the scene of a layout without external wrenches, or None if not known.
 
-    pose (n, 12), twist (n, 6) at time 0, of the frames at the centres of mass
+    pose (n, 12), twist (n, 6) : at time 0, of the frames at the centres of mass
     """
     try:
         from . import elliptic
@@ -44,19 +44,24 @@ def exact_solution(layout, pose, twist):
     try:
         motion = _heavy_top(elliptic, *top, pose[0], twist[0], scene.gravity)
         motion(0.0)
-    except ValueError:  # its axis is vertical
+    except ValueError:  # the axis of the top is or becomes vertical
         return None
     return Exact("symmetric heavy top", layout, pose, twist, [motion])
 
 
 class Exact:
-    """Exact motion: `at(times)` is a Trajectory of the body frames, `name` its text."""
+    """Exact motion of a scene.
+
+    name    : for messages
+    motions : one function per body, time in s -> (R (3, 3), position (3,), twist (6,)) of the frame
+              at the centre of mass
+    """
 
     def __init__(self, name, layout, pose, twist, motions):
         self.name, self._offsets, self._motions = name, layout.offsets, motions
 
     def at(self, times):
-        """Trajectory at (k,) times, s."""
+        """Trajectory of the body frames at times (k,), s."""
         k, n = len(times), len(self._motions)
         pose, twist = np.empty((k, n, 12)), np.empty((k, n, 6))
         for row, time in enumerate(times.tolist()):
@@ -67,19 +72,22 @@ class Exact:
         return Trajectory(times, pose[..., :9].reshape(k, n, 3, 3), pose[..., 9:], twist)
 
     @staticmethod
-    def uncertainty(found):
+    def uncertainty(trajectory):
         """Distance (k, n) caused by round-off of initial state, times and result."""
-        time = np.abs(found.times)[:, None]
+        time = np.abs(trajectory.times)[:, None]
         w, v = (
-            np.linalg.norm(part, axis=2) for part in (found.twist[..., :3], found.twist[..., 3:])
+            np.linalg.norm(part, axis=2)
+            for part in (trajectory.twist[..., :3], trajectory.twist[..., 3:])
         )
-        turn = 4 * EPS * (1.0 + w * time)
-        reach = np.linalg.norm(found.position, axis=2) + v * time
-        return Distance(4 * EPS * reach, turn, turn, turn * (w + EPS), turn * (v + w * reach + EPS))
+        angle = 4 * EPS * (1.0 + w * time)
+        reach = np.linalg.norm(trajectory.position, axis=2) + v * time
+        return Distance(
+            4 * EPS * reach, angle, angle, angle * (w + EPS), angle * (v + w * reach + EPS)
+        )
 
 
 def _free_body(elliptic, body, pose, twist, gravity):
-    """Function of time: (R, position, twist) of a body in free flight."""
+    """Motion of a body in free flight: function of time, see Exact."""
     R, position, gravity = pose[:9].reshape(3, 3), pose[9:], np.array(gravity)
     velocity = R @ twist[3:]
 
@@ -98,10 +106,10 @@ def _free_body(elliptic, body, pose, twist, gravity):
 
 
 def _top_of(layout):
-    """Parameters of a symmetric top on a spherical joint, or None.
+    """Parameters of a symmetric top on a spherical joint to the world, or None.
 
-    returns (body, moment of inertia across its axis, about it, both about the centre of mass;
-    pivot in the frame at the centre of mass, pivot in the world)
+    returns (body, moments of inertia perpendicular to its axis and about it, both about the centre
+    of mass, pivot in the frame at the centre of mass, pivot in the world)
     """
     scene = layout.centred
     if not (
@@ -126,8 +134,12 @@ def _top_of(layout):
     return body, across, spin, pivot, np.asarray(parent)[:3, 3]
 
 
-def _heavy_top(elliptic, body, across, spin, pivot, place, pose, twist, gravity):
-    """Function of time: (R, position of the centre of mass, twist) of a top about its pivot."""
+def _heavy_top(elliptic, body, across, spin, pivot, pivot_world, pose, twist, gravity):
+    """Motion of a top about its pivot: function of time, see Exact.
+
+    across, spin : kg m^2, moments of inertia as from `_top_of`
+    pivot, pivot_world : (3,) m, in the frame at the centre of mass and in the world
+    """
     length = np.linalg.norm(pivot)
 
     def motion(time):
@@ -147,7 +159,7 @@ def _heavy_top(elliptic, body, across, spin, pivot, place, pose, twist, gravity)
         )
         return (
             rotation,
-            place - rotation @ pivot,
+            pivot_world - rotation @ pivot,
             np.concatenate([omega, np.cross(omega, -pivot)]),
         )
 

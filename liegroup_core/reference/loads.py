@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Gravity and all forces of a scene, with unit quaternions and in world axes.
 
-Forces between bodies act along the line of two points, about the z axis of a joint, or along that
-axis. Each of them is linear in coordinate and rate,
+Forces between bodies act along the line between two points, about the z axis of a joint, or along
+that axis. Each of them is linear in coordinate and rate:
 
-    constant - stiffness * coordinate - damping * rate ,
+    constant - stiffness * coordinate - damping * rate
 
-so a spring at rest at x0 has constant = stiffness * x0, and a motor with a limit has
+A spring at rest at x0 has constant = stiffness * x0. A motor with a rate limit has
 damping = |its force| / limit.
 """
 
@@ -28,29 +28,29 @@ class Loads(NamedTuple):
     line_law: np.ndarray  # (l, 3) N, N/m, N s/m; coordinate: the length
     turn_body: np.ndarray  # (t, 2)
     turn_axis: np.ndarray  # (t, 3) z of the joint in the parent's axes
-    turn_law: np.ndarray  # (t, 3) N m, N m/rad, N m s/rad; coordinate: the angle; screws: zero
+    turn_law: np.ndarray  # (t, 3) N m, N m/rad, N m s/rad; coordinate: the angle; zero for screws
     slide_body: np.ndarray  # (s, 2)
     slide_point: np.ndarray  # (s, 2, 3) m, origins of the joint frames
     slide_axis: np.ndarray  # (s, 3) z of the joint in the parent's axes
-    slide_law: np.ndarray  # (s, 3) N, N/m, N s/m; coordinate: of the child's origin along z
-    drag: np.ndarray  # (n, 4) linear, quadratic, angular, angular quadratic
-    push_body: np.ndarray  # (p,) of the applied wrenches
-    push_world: np.ndarray  # (p,) True: constant in world axes, False: in the body's
+    slide_law: np.ndarray  # (s, 3) N, N/m, N s/m; coordinate: origin of the child's frame along z
+    drag: np.ndarray  # (n, 4) N s/m, N s^2/m^2, N m s, N m s^2: linear, quadratic, the same angular
+    push_body: np.ndarray  # (p,) bodies of the applied wrenches
+    push_world: np.ndarray  # (p,) True: constant in world axes, False: in body axes
     push_point: np.ndarray  # (p, 3) m
     push_load: np.ndarray  # (p, 6) torque N m, force N
 
 
 @subroutine
-def _push(force, state, body, place, pull):
-    """Add a world force at a body-fixed point, given in the body frame."""
+def _add_force(force, state, body, offset, f):
+    """Add a force, world axes, at a body-fixed point; offset: (3,) m, body frame."""
     if body != GROUND:
-        force[body, 0:3] += pull
-        force[body, 3:6] += np.cross(place, rotate_back(state[body, 0:4], pull))
+        force[body, 0:3] += f
+        force[body, 3:6] += np.cross(offset, rotate_back(state[body, 0:4], f))
 
 
 @subroutine
-def _twist(force, state, body, torque):
-    """Add a world torque on a body."""
+def _add_torque(force, state, body, torque):
+    """Add a torque, world axes, on a body."""
     if body != GROUND:
         force[body, 3:6] += rotate_back(state[body, 0:4], torque)
 
@@ -64,12 +64,12 @@ def _lines(loads, state, force):
         constant, stiffness, damping = loads.line_law[i]
         d = end[0] - start[0]
         length = np.sqrt(np.dot(d, d))
-        pull = -stiffness * d
+        f = -stiffness * d
         if length > 0.0:
             unit = d / length
-            pull += (constant - damping * np.dot(unit, end[1] - start[1])) * unit
-        _push(force, state, child, loads.line_point[i, 1], pull)
-        _push(force, state, parent, loads.line_point[i, 0], -pull)
+            f += (constant - damping * np.dot(unit, end[1] - start[1])) * unit
+        _add_force(force, state, child, loads.line_point[i, 1], f)
+        _add_force(force, state, parent, loads.line_point[i, 0], -f)
 
 
 @subroutine
@@ -80,8 +80,8 @@ def _turns(loads, state, angle, force, angle_rate_out):
         angle_rate_out[i] = np.dot(axis, turning(state, parent, child))
         constant, stiffness, damping = loads.turn_law[i]
         torque = (constant - stiffness * angle[i] - damping * angle_rate_out[i]) * axis
-        _twist(force, state, child, torque)
-        _twist(force, state, parent, -torque)
+        _add_torque(force, state, child, torque)
+        _add_torque(force, state, parent, -torque)
 
 
 @subroutine
@@ -92,26 +92,28 @@ def _slides(loads, state, force):
         end = point(state, child, loads.slide_point[i, 1])
         d = end - point(state, parent, loads.slide_point[i, 0])
         constant, stiffness, damping = loads.slide_law[i]
-        pull = (
+        f = (
             constant
             - stiffness * np.dot(axis[0], d[0])
             - damping * (np.dot(axis[1], d[0]) + np.dot(axis[0], d[1]))
         ) * axis[0]
-        _push(force, state, child, loads.slide_point[i, 1], pull)
-        if parent != GROUND:  # at the same point of the world: the total wrench is zero
+        _add_force(force, state, child, loads.slide_point[i, 1], f)
+        if parent != GROUND:  # at the same point, so that the wrenches on both bodies cancel
             arm = end[0] - state[parent, 4:7]
-            force[parent, 0:3] -= pull
-            force[parent, 3:6] -= rotate_back(state[parent, 0:4], np.cross(arm, pull))
+            force[parent, 0:3] -= f
+            force[parent, 3:6] -= rotate_back(state[parent, 0:4], np.cross(arm, f))
 
 
 @subroutine
 def add_loads(loads, mass, state, angle, wrench, acting, force, angle_rate_out):
-    """Add all forces at one state.
+    """Add gravity, external wrenches and all forces of the scene at one state to `force`.
 
     mass   : (n,) kg
-    state  : (n, 13), see equations.py; angle (t,) rad, of the turning joints
-    wrench : (n, 6) external wrenches, body axes; acting: (p,) mask of the applied wrenches
-    force  : (n, 6) world force in N, torque in body axes in N m; about the centres of mass
+    state  : (n, 13), see rigid_body_dae.py
+    angle  : (t,) rad, of the joints with an integrated angle
+    wrench : (n, 6) external wrenches, body axes, about the centres of mass
+    acting : (p,) mask of the applied wrenches
+    force  : (n, 6) force in N, world axes; torque in N m, body axes, about the centre of mass
     angle_rate_out : (t,) rad/s
     """
     for i in range(len(mass)):
@@ -131,8 +133,8 @@ def add_loads(loads, mass, state, angle, wrench, acting, force, angle_rate_out):
     for i in range(len(loads.push_body)):
         if acting[i]:
             body = loads.push_body[i]
-            torque, pull = loads.push_load[i, 0:3], loads.push_load[i, 3:6]
+            torque, f = loads.push_load[i, 0:3], loads.push_load[i, 3:6]
             if not loads.push_world[i]:
-                torque, pull = rotate(state[body, 0:4], torque), rotate(state[body, 0:4], pull)
-            _twist(force, state, body, torque)
-            _push(force, state, body, loads.push_point[i], pull)
+                torque, f = rotate(state[body, 0:4], torque), rotate(state[body, 0:4], f)
+            _add_torque(force, state, body, torque)
+            _add_force(force, state, body, loads.push_point[i], f)

@@ -1,20 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Classical formulation of multibody dynamics: independent reference for the Lie group engine.
 
-It shares nothing with the engine but the Scene: unit quaternions instead of rotation matrices,
-world instead of body velocities, joints as geometric equations (equations.py) instead of subgroups
-of SE(3), integrated angles instead of angles of poses, the null space of all rows instead of
-multipliers of independent ones.
+It shares only the Scene with the engine. It uses
+    unit quaternions                          instead of rotation matrices
+    velocities in world axes                  instead of body axes
+    geometric equations (equations.py)        instead of subgroups of SE(3)
+    integrated angles                         instead of angles of poses
+    the null space of all constraint rows     instead of multipliers of independent rows
 
 The state of one body is 13 numbers,
     quaternion (w, x, y, z)   position r   velocity v = rdot, world axes   omega, body axes
-followed by the angles of the joints that need one. With the joint equations
+The angles of the joints that need one follow after all bodies. With the joint equations
 differentiated twice, A a = b, the accelerations a = (rddot, omegadot) of all bodies are
     a = A^+ b + N y ,   (N^T M N) y = N^T (f - M A^+ b) ,   A N = 0
 (Laulusa and Bauchau, J. Comput. Nonlinear Dyn. 3 (2008) 011004, section 4). A^+ and N come from
-the singular value decomposition of A, independent of the masses; the smallest values belong to
-redundant rows of closed loops. The terms -2 c gdot - c^2 g in b vanish on the exact motion. They
-prevent an accumulation of round-off in g.
+the singular value decomposition of A, independent of the masses. The smallest singular values
+belong to redundant rows of closed loops. The terms -2 c gdot - c^2 g in b vanish on the exact
+motion. They prevent an accumulation of round-off in g.
 """
 
 from typing import NamedTuple
@@ -26,7 +28,7 @@ from liegroup_core.compiling import subroutine
 from .equations import STATE, Equations, joint_equations
 from .loads import Loads, add_loads
 
-DRIFT_DAMPING = 10.0  # 1/s; far below 1/step of a tight integration, so it costs no step size
+DRIFT_DAMPING = 10.0  # 1/s, c; far below 1/step of a tight integration: it does not limit the step
 
 
 class System(NamedTuple):
@@ -34,14 +36,14 @@ class System(NamedTuple):
 
     mass: np.ndarray  # (n,) kg
     inertia: np.ndarray  # (n, 3, 3) kg m^2, about the centre of mass, body axes
-    size: float  # m, of the mechanism: makes turns and ways comparable in A
+    size: float  # m, characteristic length: scales rotations to displacements in A
     equations: Equations
     loads: Loads
 
 
 @subroutine
-def scaled_equations(system, state, angle, missing_out):
-    """Unit rows (k, 6 n) for (rddot, size omegadot), and their right-hand side b (k,)."""
+def scaled_equations(system, state, angle, right_out):
+    """Return the unit rows (k, 6 n) of A for (rddot, size omegadot); write b (k,) to right_out."""
     n, k = len(system.mass), len(system.equations.kind)
     rows, gap = np.zeros((k, 6 * n)), np.zeros((3, k))
     joint_equations(system.equations, state, angle, rows, gap)
@@ -51,25 +53,26 @@ def scaled_equations(system, state, angle, missing_out):
         length = np.sqrt(np.dot(rows[r], rows[r]))
         scale = 1.0 / length if length > 0.0 else 0.0
         rows[r] *= scale
-        missing_out[r] = -scale * (
+        right_out[r] = -scale * (
             gap[2, r] + 2.0 * DRIFT_DAMPING * gap[1, r] + DRIFT_DAMPING**2 * gap[0, r]
         )
     return rows
 
 
 @subroutine
-def _jointed(system, rank, state, angle, force, acceleration_out):
-    """Accelerations (n, 6) under forces (n, 6), consistent with the joints.
+def _constrained_accelerations(system, rank, state, angle, force, acceleration_out):
+    """Compute the accelerations (n, 6) under forces (n, 6) that satisfy the joints.
 
+    rank : of the joint equations
     returns the smallest singular value within the rank, and the largest one beyond it
     """
     n, k = len(system.mass), len(system.equations.kind)
-    missing = np.zeros(k)
-    rows = scaled_equations(system, state, angle, missing)
+    b = np.zeros(k)
+    rows = scaled_equations(system, state, angle, b)
     left, singular, right = np.linalg.svd(rows)
-    wanted = np.zeros(6 * n)
-    wanted[:rank] = (left.T @ missing)[:rank] / singular[:rank]
-    given = right.T @ wanted
+    components = np.zeros(6 * n)
+    components[:rank] = (left.T @ b)[:rank] / singular[:rank]
+    a = right.T @ components
     free = np.ascontiguousarray(right[rank:])  # N^T
     mass = np.zeros((6 * n, 6 * n))  # for (rddot, size omegadot)
     load = np.zeros(6 * n)
@@ -81,21 +84,21 @@ def _jointed(system, rank, state, angle, force, acceleration_out):
         mass[6 * i + 3 : 6 * i + 6, 6 * i + 3 : 6 * i + 6] = system.inertia[i] / system.size**2
     if rank < 6 * n:
         reduced = free @ mass @ free.T
-        given += free.T @ np.linalg.solve(reduced, free @ (load - mass @ given))
+        a += free.T @ np.linalg.solve(reduced, free @ (load - mass @ a))
     for i in range(n):
-        acceleration_out[i, 0:3] = given[6 * i : 6 * i + 3]
-        acceleration_out[i, 3:6] = given[6 * i + 3 : 6 * i + 6] / system.size
+        acceleration_out[i, 0:3] = a[6 * i : 6 * i + 3]
+        acceleration_out[i, 3:6] = a[6 * i + 3 : 6 * i + 6] / system.size
     return singular[rank - 1], singular[rank] if rank < len(singular) else 0.0
 
 
 @subroutine
 def rate(system, rank, flat_state, wrench, acting, flat_out):
-    """Time derivative of the whole state (13 n + t,).
+    """Compute the time derivative of the whole state (13 n + t,); NaN for non-finite input.
 
     rank   : of the joint equations
-    wrench : (n, 6) external wrenches, body axes; acting: (p,) mask of the applied wrenches
-    returns the smallest singular value of the rows within the rank, and the largest one beyond it.
-    If state or forces are not finite, the derivative is NaN
+    wrench : (n, 6) external wrenches, body axes
+    acting : (p,) mask of the applied wrenches
+    returns the smallest singular value of the rows within the rank, and the largest one beyond it
     """
     n = len(system.mass)
     state, angle = flat_state[: STATE * n].reshape(n, STATE), flat_state[STATE * n :]
@@ -107,11 +110,11 @@ def rate(system, rank, flat_state, wrench, acting, flat_out):
         omega = state[i, 10:13]
         force[i, 3:6] -= np.cross(omega, system.inertia[i] @ omega)
     if not (np.isfinite(flat_state).all() and np.isfinite(force).all()):
-        flat_out[:] = np.nan  # LAPACK refuses such numbers
+        flat_out[:] = np.nan  # LAPACK rejects non-finite numbers
         return 1.0, 0.0
-    least, left_out = 1.0, 0.0
+    least, beyond = 1.0, 0.0
     if rank > 0:
-        least, left_out = _jointed(system, rank, state, angle, force, acceleration)
+        least, beyond = _constrained_accelerations(system, rank, state, angle, force, acceleration)
     else:
         for i in range(n):
             acceleration[i, 0:3] = force[i, 0:3] / system.mass[i]
@@ -123,4 +126,4 @@ def rate(system, rank, flat_state, wrench, acting, flat_out):
         out[i, 1:4] = 0.5 * (q[0] * omega + np.cross(q[1:4], omega))
         out[i, 4:7] = state[i, 7:10]
         out[i, 7:13] = acceleration[i]
-    return least, left_out
+    return least, beyond

@@ -10,7 +10,7 @@ from .equations import DISTANCE, GROUND, JOINTS, Equations, X
 from .loads import Loads
 from .rigid_body_dae import System
 
-# A joint at half a turn has the angle pi, not -pi, whatever its round-off.
+# An angle within HALF_TURN rad of -pi is pi, independent of its round-off.
 HALF_TURN = 1e-9
 TURNING = ("torsional_spring_damper", "motor")
 SLIDING = ("linear_spring_damper", "linear_motor")
@@ -20,13 +20,13 @@ def build_system(scene, pose):
     """Arrays of a scene with body frames at the centres of mass.
 
     pose : (n, 12) R row by row (body -> world), then r in m, at the start of the integration
-    returns (System, angles (t,) rad of the joints with an angle at that pose, within half a turn)
+    returns (System, angles (t,) in (-pi, pi] rad, at that pose, of the joints that need an angle)
     Raises SimulationError for a joint or force without equations here.
     """
     index = {body.name: i for i, body in enumerate(scene.bodies)} | {"world": GROUND}
-    known = {*JOINTS, "spring_damper", *TURNING, *SLIDING, "drag", "applied_wrench"}
+    supported = {*JOINTS, "spring_damper", *TURNING, *SLIDING, "drag", "applied_wrench"}
     for entry in (*scene.joints, *scene.forces):
-        if entry.type not in known:
+        if entry.type not in supported:
             raise SimulationError(
                 f"the reference integration does not support {entry.type} ({entry.name})"
             )
@@ -55,7 +55,10 @@ def build_system(scene, pose):
 
 
 def _relative(scene, frames, start):
-    """Poses (4, 4) of the child's joint frame in the parent's one, by the joint's name."""
+    """Poses (4, 4) of the child's joint frame relative to the parent's, by name of the joint.
+
+    start : {body: pose (4, 4)}
+    """
     start = start | {"world": np.eye(4)}
     return {
         joint.name: np.linalg.solve(
@@ -71,8 +74,8 @@ def _angle(relative):
     return angle if angle > HALF_TURN - np.pi else angle + 2.0 * np.pi
 
 
-def _table(rows, shape, kind=float):
-    return np.array(rows, dtype=kind).reshape((len(rows), *shape))
+def _table(rows, shape, dtype=float):
+    return np.array(rows, dtype=dtype).reshape((len(rows), *shape))
 
 
 def _ends(link, index):
@@ -131,12 +134,12 @@ def _law(force):
     if force.type == "linear_motor":
         limit = force.speed_limit
         return force.force, 0.0, 0.0 if limit is None else abs(force.force) / limit
-    rest = {
+    at_rest = {
         "spring_damper": "rest_length",
         "torsional_spring_damper": "rest_angle",
         "linear_spring_damper": "rest_position",
     }[force.type]
-    return force.stiffness * getattr(force, rest), force.stiffness, force.damping
+    return force.stiffness * getattr(force, at_rest), force.stiffness, force.damping
 
 
 def _loads(scene, index, frames, turns, slides):

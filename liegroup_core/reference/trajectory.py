@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tight integration of a scene under piecewise constant wrenches, with its uncertainty."""
+"""Reference integration of a scene under piecewise constant wrenches, with its uncertainty."""
 
 from typing import NamedTuple
 
@@ -19,17 +19,18 @@ from .system import build_system
 # a run with a tolerance ten times larger.
 TIGHT = 1e-13
 LOOSER = 10.0
-# This limit is about ten minutes. A scene that needs more is too stiff for an explicit method of
-# high order.
+# Reached after about ten minutes. A scene that needs more steps is too stiff for an explicit method
+# of high order.
 MOST_STEPS = 2_000_000
-# Singular values of the unit rows of all joints. At the start, values below the first number belong
-# to redundant rows (the pose is accurate to 1e-9 or better). Later no other value may fall below
-# the second number, and none of them may exceed it. Ten rods on revolute joints have 1e-2.
+# Bounds of the singular values of the unit rows of all joints. At the start, values below REDUNDANT
+# belong to redundant rows (the pose is accurate to 1e-9 or better). Later, values of independent
+# rows must stay above SINGULAR, those of redundant rows below it. Ten rods on revolute joints have
+# 1e-2.
 REDUNDANT, SINGULAR = 1e-8, 1e-6
 
 
 class WrenchChange(NamedTuple):
-    """Total external wrench on a body from `time` on."""
+    """Total external wrench that acts on a body from `time` on."""
 
     time: float  # s
     body: str
@@ -46,7 +47,7 @@ class Trajectory(NamedTuple):
 
 
 class Distance(NamedTuple):
-    """Distance of two trajectories, per time and body: each (k, n)."""
+    """Distances of two trajectories per time and body, each (k, n)."""
 
     position: np.ndarray  # m
     attitude: np.ndarray  # |R_1 - R_2|_2 = 2 sin(angle / 2), at most 2
@@ -56,10 +57,10 @@ class Distance(NamedTuple):
 
 
 def distance(one, other):
-    """Distance of two trajectories of the same times and bodies.
+    """Distance of two trajectories with the same times and bodies.
 
-    For rotations |R_1 - R_2|_2 is the Frobenius norm over sqrt(2), without a singular value
-    decomposition per sample.
+    For rotations |R_1 - R_2|_2 is the Frobenius norm divided by sqrt(2): no singular value
+    decomposition is needed.
     """
     chord = np.linalg.norm(one.rotation - other.rotation, axis=(2, 3)) / np.sqrt(2.0)
     twist = one.twist - other.twist
@@ -73,22 +74,23 @@ def distance(one, other):
 
 
 def integrate(scene, pose, twist, times, changes=(), start=0.0, rtol=TIGHT):
-    """Integrate from a state at `start`, with steps that end exactly where a wrench changes.
+    """Integrate from a state at `start`. Steps end exactly where a wrench changes.
 
     scene   : Scene
-    pose    : (n, 12) R row by row (body -> world), then r in m, at `start`; like the twist of the
-              frames at the centres of mass, as Simulation.state has them
-    twist   : (n, 6) body-fixed, at `start`
+    pose    : (n, 12) R row by row (body -> world), then r in m, at `start`
+    twist   : (n, 6) body-fixed, at `start`. Pose and twist are those of the frames at the centres of
+              mass, as from Simulation.state
     times   : (k,) s, increasing, not before `start`
     changes : WrenchChange in the order of their times; no wrench acts before the first one
+    rtol    : relative and absolute tolerance of DOP853
     returns (Trajectory at `times`, its uncertainty as a Distance: the largest distance so far to
     a run with a tolerance ten times larger)
 
-    Angles of torsional springs are within half a turn at `start` and unwrapped from there.
+    Angles of torsional springs are in (-pi, pi] at `start` and unwrapped from there.
     Raises SimulationError if the integration cannot continue, for instance at a singular pose.
     Accuracy: test_reference.py, against 45-digit end states; test_reference_kinds.py, every kind
     of joint and force against the engine. Use one BLAS thread (OPENBLAS_NUM_THREADS=1): on a busy
-    machine more threads make these small solves many times slower.
+    machine, several threads make these small solves many times slower.
     """
     times = np.asarray(times, dtype=float)
     if len(times) and (times[0] < start or np.any(np.diff(times) < 0.0)):
@@ -98,11 +100,11 @@ def integrate(scene, pose, twist, times, changes=(), start=0.0, rtol=TIGHT):
 
 
 class Reference:
-    """The integration of `integrate`, continued from one call to the next.
+    """Integration as by `integrate`, continued from one call of `at` to the next.
 
     end    : s, last time that can be requested
-    angles : (t,) rad, unwrapped, of the torsional springs at `start`; None: within half a turn.
-             The other arguments are those of `integrate`
+    angles : (t,) rad, unwrapped, of the torsional springs at `start`; None: in (-pi, pi]
+    The other arguments are those of `integrate`.
     """
 
     def __init__(
@@ -110,8 +112,8 @@ class Reference:
     ):
         scene = assembled(scene)
         pose, self._offsets = np.asarray(pose, dtype=float), Offsets(scene)
-        system, found = build_system(at_centres_of_mass(scene), pose)
-        angles = found if angles is None else np.asarray(angles, dtype=float)
+        system, initial_angles = build_system(at_centres_of_mass(scene), pose)
+        angles = initial_angles if angles is None else np.asarray(angles, dtype=float)
         state = np.concatenate([_to_state(pose, np.asarray(twist, dtype=float)), angles])
         pieces = _pieces(scene, self._offsets, changes, start, end)
         rank = _rank(system, state)
@@ -120,26 +122,28 @@ class Reference:
             _Run(system, rank, state, start, pieces, tolerance)
             for tolerance in (rtol, LOOSER * rtol)
         ]
-        self._apart = None
+        self._largest = None
 
     @property
     def steps(self):
-        """Number of steps of the tighter of the two integrations so far."""
-        return self._runs[0].taken
+        """Number of steps so far of the integration with the smaller tolerance."""
+        return self._runs[0].steps_taken
 
     def at(self, times):
-        """(Trajectory, its uncertainty so far) at (k,) increasing times after earlier ones."""
+        """Trajectory at times (k,), increasing and after earlier calls, with its uncertainty so far."""
         times = np.asarray(times, dtype=float)
         tight, loose = (
             _at_bodies(self._offsets, _to_trajectory(times, run.at(times)[:, : self._size]))
             for run in self._runs
         )
-        apart = Distance(*(np.maximum.accumulate(part, axis=0) for part in distance(tight, loose)))
-        if self._apart is not None:
-            apart = Distance(*map(np.maximum, apart, self._apart))
+        largest = Distance(
+            *(np.maximum.accumulate(part, axis=0) for part in distance(tight, loose))
+        )
+        if self._largest is not None:
+            largest = Distance(*map(np.maximum, largest, self._largest))
         if len(times):
-            self._apart = Distance(*(part[-1] for part in apart))
-        return tight, apart
+            self._largest = Distance(*(part[-1] for part in largest))
+        return tight, largest
 
 
 def _pieces(scene, offsets, changes, start, end):
@@ -149,7 +153,7 @@ def _pieces(scene, offsets, changes, start, end):
     """
     index = {body.name: i for i, body in enumerate(scene.bodies)}
     pushes = [force for force in scene.forces if force.type == "applied_wrench"]
-    # In the order of their times; those of the same time in the given order.
+    # Sorted by time; changes at the same time keep their order.
     switches = sorted(
         [(change.time, change) for change in changes]
         + [(time, None) for push in pushes for time in (push.start, push.end) if time is not None],
@@ -161,7 +165,7 @@ def _pieces(scene, offsets, changes, start, end):
     for time, change in [*switches, (end, None)]:
         if min(time, end) > since:
             until = min(time, end)
-            # The middle is away from all starts and ends: round-off has no influence.
+            # The middle is away from all starts and ends, so that round-off does not matter.
             middle = 0.5 * (since + until)
             acting = np.array(
                 [
@@ -179,10 +183,11 @@ def _pieces(scene, offsets, changes, start, end):
 
 
 def _rank(system, state):
-    """Rank of the joint equations at the start, at the largest ratio of singular values.
+    """Rank of the joint equations at the start: at the largest ratio of successive singular values.
 
-    Redundant rows give singular values of the size of round-off or of the initial residual, up to
-    1e-9 (scene/consistency.py). Those of independent unit rows are angles between them.
+    Singular values of redundant rows are of the size of round-off or of the initial residual, up to
+    1e-9 (scene/consistency.py). Those of independent unit rows are of the size of the angles between
+    them.
     """
     n, k = len(system.mass), len(system.equations.kind)
     if k == 0:
@@ -199,44 +204,44 @@ def _rank(system, state):
 
 
 class _Run:
-    """One integration with one tolerance, continued from call to call."""
+    """Integration with one tolerance, continued from one call of `at` to the next."""
 
     def __init__(self, system, rank, state, start, pieces, rtol):
         self._system, self._rank, self._rtol = system, rank, rtol
-        self._waiting = list(pieces)
+        self._pending = list(pieces)
         self._state, self._reached = state, start
         self._solver = self._dense = self._step = None
         self._singular = [1.0, 0.0]
-        self.taken = 0
+        self.steps_taken = 0
 
     def at(self, times):
-        """States (k, 13 n + t) at increasing times."""
+        """States (k, 13 n + t) at increasing times (k,)."""
         out = np.empty((len(times), len(self._state)))
         done = 0
         while True:
-            upto = done + int(np.searchsorted(times[done:], self._reached, side="right"))
-            if upto > done:
+            ready = done + int(np.searchsorted(times[done:], self._reached, side="right"))
+            if ready > done:
                 if self._solver is not None and self._dense is None:
                     self._dense = self._solver.dense_output()
-                out[done:upto] = (
-                    self._state if self._dense is None else self._dense(times[done:upto]).T
+                out[done:ready] = (
+                    self._state if self._dense is None else self._dense(times[done:ready]).T
                 )
-                done = upto
+                done = ready
             if done == len(times):
                 return out
-            if not self._advance():  # the last time is the end, up to rounding
+            if not self._advance():  # the last time is the end, up to round-off
                 out[done:] = self._state
                 return out
 
     def _advance(self):
-        """Take one step; False at the end of the last piece."""
+        """Take one step; returns False at the end of the last interval."""
         if self._solver is None or self._solver.status == "finished":
-            if not self._waiting:
+            if not self._pending:
                 return False
-            self._begin(*self._waiting.pop(0))
+            self._begin(*self._pending.pop(0))
         solver = self._solver
-        self.taken += 1
-        if self.taken > MOST_STEPS:
+        self.steps_taken += 1
+        if self.steps_taken > MOST_STEPS:
             raise SimulationError(
                 f"the reference integration stopped at t = {solver.t:.6g} s after {MOST_STEPS} "
                 "steps; compare a shorter time"
@@ -247,9 +252,9 @@ class _Run:
                 f"the reference integration stopped at t = {solver.t:.6g} s: {message}"
             )
         self._steps.append(solver.step_size)
-        # The last evaluation of a step is at its end; earlier ones may be far from the motion.
-        least, left_out = self._singular
-        if least < SINGULAR or left_out > SINGULAR:
+        # The last evaluation of a step is at its end. Earlier ones may be far from the motion.
+        smallest, beyond = self._singular
+        if smallest < SINGULAR or beyond > SINGULAR:
             raise SimulationError(
                 "the reference integration reached a singular configuration at t = "
                 f"{solver.t:.6g} s, where the constraints do not determine the motion"
@@ -266,14 +271,15 @@ class _Run:
         def function(t, y):
             slope = np.empty_like(y)
             self._singular[:] = rate(self._system, self._rank, y, wrench, acting, slope)
-            if not np.isfinite(slope).all():  # DOP853 would look for a step for ever
+            if not np.isfinite(slope).all():  # DOP853 would reduce its step without end
                 raise SimulationError(
                     f"the reference integration stopped at t = {t:.6g} s: the state or a wrench is "
                     "not finite"
                 )
             return slope
 
-        # A piece starts with the step of the one before; a short piece must not reduce it.
+        # An interval starts with the step size of the previous one; a short interval does not reduce
+        # it.
         self._solver = DOP853(
             function,
             begin,

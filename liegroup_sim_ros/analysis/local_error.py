@@ -48,7 +48,7 @@ def local_error(scene, recording, motion, layout):
             orders.append(order)
     share = 1.0 - 0.5**method.order
     remark = None
-    if method.name == "rkmk54":
+    if method.controlled:
         remark, orders = "its error depends on the tolerances, not on the step", []
     elif not orders:
         remark = "differences are at round-off, or not yet proportional to a power of the step"

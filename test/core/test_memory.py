@@ -9,7 +9,8 @@ from liegroup_core.integrators.methods import METHODS
 # A wrench begins before the state is saved and goes on: who restarts at changes must not there.
 SAVED, END = 23, 60
 # Tolerances that substeps are needed for, else their size would be that of a step all the time.
-OPTIONS = {"rkmk54": {"step": 1e-2, "rtol": 1e-12, "atol": 1e-12}}
+FINE = {"step": 1e-2, "rtol": 1e-12, "atol": 1e-12}
+OPTIONS = {name: FINE for name, method in METHODS.items() if method.controlled}
 
 
 def run(scene, method, steps, start=None):

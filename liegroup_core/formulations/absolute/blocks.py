@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Operations on small dense blocks in one flat array, for the elimination.
 
-A block is given by the address of its first entry in the array `solve`; entries are row by row. A
-vector is given by an address too. Sizes are arguments: for constant arguments the loops are
-unrolled, since all of this is inlined.
+A block is given by the address of its first entry in the array `solve`; its entries are stored row
+by row. A vector is given by an address too. Sizes are arguments. All functions are inlined, so that
+the compiler unrolls their loops for constant sizes.
 """
 
 from liegroup_core.compiling import kernel
@@ -11,11 +11,12 @@ from liegroup_core.compiling import kernel
 
 @kernel
 def invert_diagonal(solve, place, k, sign, floor, first, shift):
-    """W, and on its diagonal d, of one k x k block, in place.
+    """Replace a k x k block by W below its diagonal and d on it; saddle_point.py defines both.
 
-    floor : smallest regular pivot of every scalar, from entry `first` on
-    shift : multiple of that floor to add to the diagonal
-    returns False if a pivot is below it
+    sign  : +1 for a positive, -1 for a negative definite block
+    floor : array of the smallest regular pivots; those of the block begin at entry `first`
+    shift : multiple of these pivots to add to the diagonal
+    returns False if a pivot is not above its floor
     """
     # L / d below the diagonal, d on it
     for r in range(k):
@@ -47,7 +48,7 @@ def invert_diagonal(solve, place, k, sign, floor, first, shift):
 
 @kernel
 def times_inverse(solve, at, scratch, place, rows, k, sign):
-    """Y = K_iv W^T of one block of `rows` rows into scratch memory; s Y d in its place."""
+    """Write Y = K_iv W^T of one block of `rows` rows to scratch memory, and s Y d in its place."""
     for r in range(rows):
         for c in range(k - 1, -1, -1):
             total = solve[at + r * k + c]
@@ -61,18 +62,19 @@ def times_inverse(solve, at, scratch, place, rows, k, sign):
 def over_mass(solve, place, x, at, scratch, body):
     """x_at = M^-1 x_at of one body; the old x_at goes to scratch memory.
 
-    place : of the inverse of the inertia, then 1 / mass
+    place : address of the inverse of the inertia, followed by 1 / mass
+    body  : number of coordinates of a body, 6 or 3
     """
     for r in range(body):
         solve[scratch + r] = x[at + r]
-    turns = body // 2
-    for r in range(turns):
+    angular = body // 2  # 3 of 6, 1 of 3
+    for r in range(angular):
         total = 0.0
-        for q in range(turns):
-            total += solve[place + r * turns + q] * solve[scratch + q]
+        for q in range(angular):
+            total += solve[place + r * angular + q] * solve[scratch + q]
         x[at + r] = total
-    for r in range(turns, body):
-        x[at + r] = solve[place + turns * turns] * solve[scratch + r]
+    for r in range(angular, body):
+        x[at + r] = solve[place + angular * angular] * solve[scratch + r]
 
 
 @kernel

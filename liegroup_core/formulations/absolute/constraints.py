@@ -1,22 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Constraint equations of the joints: residual, Jacobian and acceleration bias.
 
-A lower pair forbids the directions A (k x 6) of the relative twist of its two frames. With
-C_ba = C_b^-1 C_a, W = Ad(C_ba) V_a the parent's twist in the child's axes, and the constant
-J_b = A Ad(F_b^-1), the equations are
+A lower pair constrains the components A (k x 6) of the relative twist of its two frames. Let
+C_ba = C_b^-1 C_a, let W = Ad(C_ba) V_a be the twist of the parent in the axes of the child, and let
+F_b be the frame of the joint in the child. With the constant J_b = A Ad(F_b^-1) the equations are
     velocity      J_b (V_b - W) = 0     so  J_a = -J_b Ad(C_ba)
     acceleration  J Vdot = -J_b [V_b, W] - J_b (0, omega_b x e)
-because [V_b - W, W] = [V_b, W]. e is the velocity residual at the joint's origin; the last term is
-zero if the velocities satisfy the joint. The term keeps a velocity residual constant in world
-axes, as g'' = 0, (6.29), does, instead of in the child's axes: on a fast four-bar the drift is
-smaller (measured). For a joint to ground W = 0 and only J_b remains: therefore SE(3) satisfies
+because [V_b - W, W] = [V_b, W]. e is the velocity residual at the origin of the joint; the last term
+is zero if the velocities satisfy the joint. The term keeps a velocity residual constant in world
+axes, as g'' = 0, (6.29), does, instead of in the axes of the child: on a fast four-bar the drift is
+smaller (measured). For a joint to ground W = 0 and only J_b remains. Therefore SE(3) satisfies
 joints to ground exactly.
 
-Other elements (joints.elements) have a J_b that depends on the pose. It is evaluated at every
+Other elements (joints/elements.py) have a J_b that depends on the pose. It is evaluated at every
 pose, and the bias has the additional term -Jdot_b (V_b - W).
 
-Baumgarte's terms damp a residual g of position and velocity, gddot + 2 a gdot + a^2 g = 0: the
-bias gets -2 a J V - a^2 g.
+Baumgarte's terms damp the residuals of position and velocity, gddot + 2 a gdot + a^2 g = 0: they
+add -2 a J V - a^2 g to the bias.
 """
 
 from liegroup_core.compiling import borrowed, kernel, subroutine
@@ -54,7 +54,7 @@ def _frame(pose, body, rotation, point):
 
 @subroutine
 def position_residuals(model, pose, residual_out):
-    """Position residuals of all rows of all elements, rad and m; see joints.elements.
+    """Position residuals of all rows of all elements, rad and m; see joints/elements.py.
 
     pose (n, 12), residual_out (all rows,)
     """
@@ -95,8 +95,9 @@ def position_residuals(model, pose, residual_out):
 
 @kernel
 def _child_row(model, work, j, rot, p, w, v):
-    """Row of an element that is no PAIR, at this pose, into work.child_jacobian and K.
+    """Write the row of an element other than a PAIR into work.child_jacobian and K.
 
+    j      : index in model.joints
     rot, p : C_ba, pose of the parent in the body frame of the child
     w, v   : V_b - W
     returns Jdot_b (V_b - W)
@@ -105,7 +106,7 @@ def _child_row(model, work, j, rot, p, w, v):
     row_w, row_v, rate = variable_row(element, rot, p, w, v)
     store3(row_w, work.child_jacobian, model.joints[j]["first"], 0)
     store3(row_v, work.child_jacobian, model.joints[j]["first"], 3)
-    # One row: its block is the same transposed or not.
+    # A block of one row is stored alike whether it is transposed or not.
     place = model.joints[j]["child_place"]
     for c in range(3):
         work.matrix[place + c] = row_w[c]
@@ -115,11 +116,12 @@ def _child_row(model, work, j, rot, p, w, v):
 
 @kernel
 def _set_bias(model, work, j, omega, bracket_w, bracket_v, error_w, error_v, rate):
-    """Bias of the rows of joint j into work.solution, and J V into work.slip.
+    """Write the bias of the rows of joint j into work.solution, and J V into work.slip.
 
     omega   : angular velocity of the child, body axes
-    bracket : [V_b, W]; error : V_b - W; both in body axes of the child
-    rate    : Jdot_b (V_b - W) of an element that is no PAIR, else 0
+    bracket : [V_b, W], body axes of the child
+    error   : V_b - W, body axes of the child
+    rate    : Jdot_b (V_b - W) of an element other than a PAIR, else 0
     """
     start = model.joints[j]["start"]
     first = model.joints[j]["first"]
@@ -140,10 +142,10 @@ def _set_bias(model, work, j, omega, bracket_w, bracket_v, error_w, error_v, rat
 
 @kernel
 def _set_parent_rows(model, work, j, rot, p):
-    """J_a = -J_b Ad(C_ba) of joint j into its block of K; rot, p: C_ba."""
+    """Write J_a = -J_b Ad(C_ba) of joint j into its block of K; rot, p: C_ba."""
     rows, first = model.joints[j]["rows"], model.joints[j]["first"]
     place = model.joints[j]["parent_place"]
-    # The entries of a row, or of a column if the block is transposed.
+    # Strides from row to row and within a row; the block may be transposed.
     row_step, step = 6, 1
     if model.joints[j]["parent_turned"] == 1:
         row_step, step = 1, rows
@@ -196,8 +198,8 @@ def assemble(model, work, pose, twist):
 def clear_ground_slip(model, twist):
     """Remove the round-off of J V at lower pairs to ground from the twists (n, 6).
 
-    SE(3) satisfies these joints exactly, except for round-off: a constant error of 1e-16 of the
-    forces would let the joint drift with the square of time.
+    SE(3) satisfies these joints exactly except for round-off. An acceleration error of 1e-16 of the
+    forces, constant in time, would let the joint drift with the square of time.
     """
     for j in range(len(model.joints)):
         if model.joints[j]["parent"] == WORLD and model.joints[j]["kind"] == PAIR:
@@ -213,7 +215,7 @@ def clear_ground_slip(model, twist):
 def subtract_joint_forces(model, work, multipliers, at, wrench_out):
     """Subtract J^T lambda from the wrenches (n, 6), with the rows written by `assemble`.
 
-    multipliers : lambda of Model.row_residual from entry `at` on
+    multipliers : array with lambda, in the order of Model.row_residual, from entry `at` on
     """
     for j in range(len(model.joints)):
         a = model.joints[j]["parent"]

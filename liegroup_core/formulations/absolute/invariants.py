@@ -9,9 +9,9 @@ from liegroup_core.lie.vec3 import add3, cross3, dot3, load3, load9, matrix3, ma
 
 @kernel
 def energy(model, angle, pose, twist):
-    """Kinetic plus potential energy (gravity, springs), J.
+    """Kinetic plus potential energy of gravity and springs, J.
 
-    angle : (k,) rad, of each torsional spring; pose (n, 12), twist (n, 6)
+    angle : (k,) rad, unwrapped, of each torsional spring; pose (n, 12), twist (n, 6)
     """
     total = gravity_energy(model, pose) + kinds.energy(model.forces, angle, pose)
     for i in range(len(model.bodies)):
@@ -26,9 +26,9 @@ def energy(model, angle, pose, twist):
 
 @kernel
 def spatial_momentum(model, pose, twist):
-    """Angular momentum about the world origin and linear momentum, world axes: two vectors.
+    """Angular momentum about the world origin, N m s, and linear momentum, N s; world axes.
 
-    sum of (R Theta w + r x m R v, m R v)
+    Sum of (R Theta w + r x m R v, m R v) over all bodies.
     """
     angular = (0.0, 0.0, 0.0)
     linear = (0.0, 0.0, 0.0)

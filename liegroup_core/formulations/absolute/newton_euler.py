@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Index-1 accelerations: Newton-Euler equations of all bodies with the joints' accelerations.
+"""Index-1 accelerations: Newton-Euler equations of all bodies with acceleration constraints.
 
 Solves (6.22)
     M Vdot + J^T lambda = Q,   J Vdot = bias
-In body frames at the centre of mass M is block diagonal (Theta, m I). Q holds the gyroscopic
+In body frames at the centre of mass M is block diagonal (Theta, m I). Q contains the gyroscopic
 terms with the sign that (6.30) misses: torque -w x Theta w, force -m w x v.
 """
 
@@ -15,14 +15,14 @@ from liegroup_core.lie.vec3 import cross3, load3, matrix3, matvec3
 from .constraints import add_baumgarte, assemble
 from .saddle_point import REGULARISATION, solve
 
-# The shift is 1e-8 of a row. Each refinement multiplies the error in regular directions by this
-# number, divided by the squared sine of the angle between rows.
+# The regularisation shifts a row by 1e-8. Each refinement multiplies the error in regular directions
+# by 1e-8 divided by the squared sine of the angle between rows.
 REFINEMENTS_WHEN_SINGULAR = 4
 
 
 @kernel
 def wrenches(model, work, pose, twist, external, wrench_out):
-    """Q: applied wrenches, forces and gyroscopic terms of all bodies into wrench_out (n, 6)."""
+    """Write Q, applied wrenches, forces and gyroscopic terms of all bodies, to wrench_out (n, 6)."""
     for i in range(len(model.bodies)):
         w = load3(twist, i, 0)
         gyro_w = cross3(matvec3(matrix3(model.bodies[i]["inertia"]), w), w)
@@ -36,8 +36,8 @@ def wrenches(model, work, pose, twist, external, wrench_out):
 
 
 @kernel
-def _move_freely(model, wrench):
-    """M^-1 Q of all bodies in place of Q (n, 6)."""
+def _unconstrained(model, wrench):
+    """Replace Q (n, 6) by M^-1 Q."""
     for i in range(len(model.bodies)):
         angular = matvec3(matrix3(model.bodies[i]["inverse_inertia"]), load3(wrench, i, 0))
         inverse_mass = model.bodies[i]["inverse_mass"]
@@ -48,10 +48,10 @@ def _move_freely(model, wrench):
 
 @kernel
 def accelerations(model, work, pose, twist, external):
-    """Vdot of all bodies into work.acceleration, with the multipliers work.solution.
+    """Write Vdot of all bodies to work.acceleration, and Vdot and lambda to work.solution.
 
-    pose (n, 12), twist (n, 6), external (n, 6): applied wrenches in body axes about the centre
-    of mass; work.angle and work.acting: see Work
+    pose (n, 12), twist (n, 6); work.angle and work.acting: see Work
+    external (n, 6) : applied wrenches in body axes about the centre of mass
     returns -1, or the joint with dependent rows if the regularised solve fails too
     """
     dependent = -1
@@ -59,7 +59,7 @@ def accelerations(model, work, pose, twist, external):
     for _ in range(2):
         wrenches(model, work, pose, twist, external, work.acceleration)
         if len(model.joints) == 0:
-            _move_freely(model, work.acceleration)
+            _unconstrained(model, work.acceleration)
             break
         assemble(model, work, pose, twist)
         if model.baumgarte_rate > 0.0:
@@ -67,7 +67,8 @@ def accelerations(model, work, pose, twist, external):
         dependent = solve(model, work, refinements, shift, True)
         if dependent < 0:
             break
-        # Singular pose: regularised solve. The masses determine what the joints leave undetermined.
+        # Singular pose: regularised solve. Accelerations that the joints leave undetermined follow
+        # from the masses.
         refinements, shift = REFINEMENTS_WHEN_SINGULAR, REGULARISATION
         work.report[2] += 1.0
     return dependent

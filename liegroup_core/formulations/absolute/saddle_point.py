@@ -4,17 +4,17 @@
     K = | M  J^T |
         | J   0  |
 
-The pattern (model.sparsity) is fixed when the model is built. A vertex (body or joint) of k scalars
-owns k columns; a block (i, j) is k_i x k_j, row by row, in the flat array `solve`. Diagonal blocks
-of bodies are positive definite, those of joints negative definite, s = -1:
+The pattern (model/sparsity.py) is fixed when the model is built. A vertex (body or joint) of k
+scalars owns k columns; a block (i, j) is k_i x k_j, row by row, in the flat array `solve`. Diagonal
+blocks of bodies are positive definite, s = 1, those of joints negative definite, s = -1:
     s K_vv = (W^T d W)^-1 ,     W unit lower triangular, d diagonal
-The inverses W and d replace the block, and s K_iv W^T d replaces a block below it. So no small
-triangular systems are solved, which would take most of the time because of their latency. If the
-block of a body is its constant mass matrix, W and d are not computed: M^-1, a small matrix and a
-number, and K_iv M^-1 are stored.
+W and d replace the block, and s K_iv W^T d replaces a block below it. This avoids the solution of
+small triangular systems: their latency would take most of the time. If the block of a body is its
+constant mass matrix, W and d are not computed: M^-1 (a small matrix and a number) and K_iv M^-1 are
+stored.
 
 The most frequent sizes (a body, 6 scalars or 3 in a plane, and two kinds of joints) are passed as
-constants: the compiler then unrolls the loops over a block, which reduces the time to a quarter or
+constants. The compiler then unrolls the loops over a block, which reduces the time to a quarter or
 a third (measured).
 """
 
@@ -31,21 +31,20 @@ from .blocks import (
     times_inverse,
 )
 
-# Scalars of a body and of the most frequent joints. For constant sizes LLVM unrolls the loops over a
-# block: they take a third less time.
-SPATIAL_SIZES = (6, 3, 5)  # body; spherical; revolute, prismatic
-PLANAR_SIZES = (3, 2, 1)  # hinge, slider; what is left of a loop
-NONE = 0  # no usual size
+# Scalars of a body and of the two most frequent kinds of joints.
+SPATIAL_SIZES = (6, 3, 5)  # body; spherical; revolute or prismatic
+PLANAR_SIZES = (3, 2, 1)  # body; revolute or prismatic; one remaining row of a loop
+NONE = 0  # no second frequent size
 
-# A dependent row gets this multiple of its pivot floor on its diagonal.
+# Diagonal entry of dependent rows, as a multiple of their pivot floor.
 REGULARISATION = 1e2
 
 
 @kernel
-def _update(model, solve, v, k, usual, other):
-    """Update the blocks of the vertices that vertex v, of k scalars, is coupled with.
+def _update(model, solve, v, k, frequent, second):
+    """Update the blocks of the vertices that are coupled with vertex v of k scalars.
 
-    usual, other : most frequent sizes of these vertices, as constants
+    frequent, second : most frequent sizes of these vertices, as constants
     """
     vertices = model.vertices
     for u in range(vertices[v]["update_start"], vertices[v]["update_end"]):
@@ -54,23 +53,23 @@ def _update(model, solve, v, k, usual, other):
         right = model.updates[u, 2]
         rows = vertices[model.updates[u, 3]]["size"]
         if model.updates[u, 3] == model.updates[u, 4]:
-            if rows == usual:
-                subtract_square(solve, target, left, right, usual, k)
-            elif rows == other:
-                subtract_square(solve, target, left, right, other, k)
+            if rows == frequent:
+                subtract_square(solve, target, left, right, frequent, k)
+            elif rows == second:
+                subtract_square(solve, target, left, right, second, k)
             else:
                 subtract_square(solve, target, left, right, rows, k)
             continue
         columns = vertices[model.updates[u, 4]]["size"]
-        if rows == usual and columns == usual:
-            subtract_product(solve, target, left, right, usual, usual, k)
+        if rows == frequent and columns == frequent:
+            subtract_product(solve, target, left, right, frequent, frequent, k)
         else:
             subtract_product(solve, target, left, right, rows, columns, k)
 
 
 @kernel
-def _eliminate(model, solve, v, k, sign, usual, other, shift):
-    """Eliminate vertex v of k scalars; False if one of its pivots is too small."""
+def _eliminate(model, solve, v, k, sign, frequent, second, shift):
+    """Eliminate vertex v of k scalars; returns False if one of its pivots is too small."""
     vertices = model.vertices
     place = vertices[v]["diagonal"]
     if vertices[v]["is_constant"] == 0 and not invert_diagonal(
@@ -80,19 +79,19 @@ def _eliminate(model, solve, v, k, sign, usual, other, shift):
     for b in range(vertices[v]["column_fresh"], vertices[v]["column_end"]):
         rows = vertices[model.columns[b, 0]]["size"]
         at, scratch = model.columns[b, 1], model.columns[b, 2]
-        if rows == usual:
-            times_inverse(solve, at, scratch, place, usual, k, sign)
-        elif rows == other:
-            times_inverse(solve, at, scratch, place, other, k, sign)
+        if rows == frequent:
+            times_inverse(solve, at, scratch, place, frequent, k, sign)
+        elif rows == second:
+            times_inverse(solve, at, scratch, place, second, k, sign)
         else:
             times_inverse(solve, at, scratch, place, rows, k, sign)
-    _update(model, solve, v, k, usual, other)
+    _update(model, solve, v, k, frequent, second)
     return True
 
 
 @kernel
-def _eliminate_mass(model, solve, v, body, usual, other):
-    """Eliminate body v, whose block is its mass matrix: K_iv M^-1 below it, K_iv to scratch memory."""
+def _eliminate_mass(model, solve, v, body, frequent, second):
+    """Eliminate body v with a constant mass matrix: K_iv M^-1 below it, K_iv to scratch memory."""
     vertices = model.vertices
     for b in range(vertices[v]["column_fresh"], vertices[v]["column_end"]):
         for r in range(vertices[model.columns[b, 0]]["size"]):
@@ -104,48 +103,49 @@ def _eliminate_mass(model, solve, v, body, usual, other):
                 model.columns[b, 2] + r * body,
                 body,
             )
-    _update(model, solve, v, body, usual, other)
+    _update(model, solve, v, body, frequent, second)
 
 
 @kernel
-def _push(model, solve, x, v, k, usual, other):
-    """Subtract the part of vertex v, of k scalars, from the entries of later vertices."""
+def _push(model, solve, x, v, k, frequent, second):
+    """Forward substitution: subtract the contribution of vertex v from later vertices."""
     vertices = model.vertices
     at = vertices[v]["start"]
     for b in range(vertices[v]["column_start"], vertices[v]["column_end"]):
         below = vertices[model.columns[b, 0]]
         rows = below["size"]
-        if rows == usual:
-            push_block(solve, model.columns[b, 1], x, below["start"], at, usual, k)
-        elif rows == other:
-            push_block(solve, model.columns[b, 1], x, below["start"], at, other, k)
+        if rows == frequent:
+            push_block(solve, model.columns[b, 1], x, below["start"], at, frequent, k)
+        elif rows == second:
+            push_block(solve, model.columns[b, 1], x, below["start"], at, second, k)
         else:
             push_block(solve, model.columns[b, 1], x, below["start"], at, rows, k)
 
 
 @kernel
-def _pull(model, solve, x, v, k, usual, other):
-    """Subtract the parts of later vertices from the entries of vertex v, of k scalars."""
+def _pull(model, solve, x, v, k, frequent, second):
+    """Back substitution: subtract the contributions of later vertices from vertex v."""
     vertices = model.vertices
     at = vertices[v]["start"]
     for b in range(vertices[v]["column_start"], vertices[v]["column_end"]):
         below = vertices[model.columns[b, 0]]
         rows = below["size"]
-        if rows == usual:
-            pull_block(solve, model.columns[b, 1], x, at, below["start"], usual, k)
-        elif rows == other:
-            pull_block(solve, model.columns[b, 1], x, at, below["start"], other, k)
+        if rows == frequent:
+            pull_block(solve, model.columns[b, 1], x, at, below["start"], frequent, k)
+        elif rows == second:
+            pull_block(solve, model.columns[b, 1], x, at, below["start"], second, k)
         else:
             pull_block(solve, model.columns[b, 1], x, at, below["start"], rows, k)
 
 
 @kernel
-def _take(model, solve, x, v, k, sign, usual, other, shift, fresh):
-    """Eliminate vertex v of k scalars from K, if K is fresh, and from the right-hand side.
+def _forward(model, solve, x, v, k, sign, frequent, second, shift, fresh):
+    """Eliminate vertex v of k scalars from K, if K is fresh, and from the right-hand side x.
 
-    The entries of the vertex become s d W x_v.
+    The entries of the vertex in x become s d W x_v.
+    returns False if one of its pivots is too small
     """
-    if fresh and not _eliminate(model, solve, v, k, sign, usual, other, shift):
+    if fresh and not _eliminate(model, solve, v, k, sign, frequent, second, shift):
         return False
     place = model.vertices[v]["diagonal"]
     at = model.vertices[v]["start"]
@@ -154,18 +154,18 @@ def _take(model, solve, x, v, k, sign, usual, other, shift, fresh):
         for q in range(r):
             total += solve[place + r * k + q] * x[at + q]
         x[at + r] = total
-    _push(model, solve, x, v, k, usual, other)
+    _push(model, solve, x, v, k, frequent, second)
     for r in range(k):
         x[at + r] *= sign * solve[place + r * k + r]
     return True
 
 
 @kernel
-def _take_mass(model, solve, x, v, body, usual, other, fresh):
-    """The same for a body whose block is its mass matrix; its entries become M^-1 x_v."""
+def _forward_mass(model, solve, x, v, body, frequent, second, fresh):
+    """`_forward` for a body with a constant mass matrix; its entries in x become M^-1 x_v."""
     if fresh:
-        _eliminate_mass(model, solve, v, body, usual, other)
-    _push(model, solve, x, v, body, usual, other)
+        _eliminate_mass(model, solve, v, body, frequent, second)
+    _push(model, solve, x, v, body, frequent, second)
     over_mass(
         solve,
         model.vertices[v]["diagonal"],
@@ -177,9 +177,9 @@ def _take_mass(model, solve, x, v, body, usual, other, fresh):
 
 
 @kernel
-def _give_back(model, solve, x, v, k, usual, other):
-    """Back substitution of vertex v of k scalars: subtract later parts, multiply by W^T."""
-    _pull(model, solve, x, v, k, usual, other)
+def _backward(model, solve, x, v, k, frequent, second):
+    """Back substitution of vertex v of k scalars: subtract contributions, multiply by W^T."""
+    _pull(model, solve, x, v, k, frequent, second)
     place = model.vertices[v]["diagonal"]
     at = model.vertices[v]["start"]
     for r in range(k - 1):
@@ -191,15 +191,15 @@ def _give_back(model, solve, x, v, k, usual, other):
 
 @kernel
 def eliminate(model, solve, x, fresh, shift, sizes):
-    """Forward elimination of K (Vdot, lambda) = (Q, bias), in place of K and its right-hand side.
+    """Forward elimination of K (Vdot, lambda) = (Q, bias), in place of K and the right-hand side.
 
     solve : lower triangle of K if `fresh`, else the result of an earlier call; then scratch memory
-    x     : (unknowns,) of bodies, then of joints
-    shift : 0, or multiple of the pivot floors to subtract from the zeros on the joints' diagonal
+    x     : (unknowns,) right-hand side: bodies, then joints
+    shift : 0, or multiple of the pivot floors to subtract from the zero diagonal of the joints
     sizes : SPATIAL_SIZES or PLANAR_SIZES
     returns -1, or the joint (index in model.joints) with dependent rows: K is singular
 
-    Factor and right-hand side are eliminated together, vertex by vertex: this hides the latency of
+    K and the right-hand side are eliminated together, vertex by vertex: this hides the latency of
     divisions.
     """
     body, first, second = sizes
@@ -208,15 +208,15 @@ def eliminate(model, solve, x, fresh, shift, sizes):
         good = True
         if model.vertices[v]["joint"] < 0:
             if model.vertices[v]["is_constant"] == 1:
-                _take_mass(model, solve, x, v, body, first, second, fresh)
+                _forward_mass(model, solve, x, v, body, first, second, fresh)
             else:
-                good = _take(model, solve, x, v, body, 1.0, first, second, 0.0, fresh)
+                good = _forward(model, solve, x, v, body, 1.0, first, second, 0.0, fresh)
         elif k == first:
-            good = _take(model, solve, x, v, first, -1.0, first, body, shift, fresh)
+            good = _forward(model, solve, x, v, first, -1.0, first, body, shift, fresh)
         elif k == second:
-            good = _take(model, solve, x, v, second, -1.0, second, body, shift, fresh)
+            good = _forward(model, solve, x, v, second, -1.0, second, body, shift, fresh)
         else:
-            good = _take(model, solve, x, v, k, -1.0, body, NONE, shift, fresh)
+            good = _forward(model, solve, x, v, k, -1.0, body, NONE, shift, fresh)
         if not good:
             return model.vertices[v]["joint"]
     return -1
@@ -232,18 +232,18 @@ def _substitute(model, solve, x, sizes):
             if model.vertices[v]["is_constant"] == 1:
                 _pull(model, solve, x, v, body, first, second)
             else:
-                _give_back(model, solve, x, v, body, first, second)
+                _backward(model, solve, x, v, body, first, second)
         elif k == first:
-            _give_back(model, solve, x, v, first, first, body)
+            _backward(model, solve, x, v, first, first, body)
         elif k == second:
-            _give_back(model, solve, x, v, second, second, body)
+            _backward(model, solve, x, v, second, second, body)
         else:
-            _give_back(model, solve, x, v, k, body, NONE)
+            _backward(model, solve, x, v, k, body, NONE)
 
 
 @kernel
 def _subtract_rows(matrix, place, turned, rows, body, x, row_start, body_start, y_out):
-    """Both products of the block J of a joint and a body: y -= (J^T lambda, J x)."""
+    """Subtract both products of the block J of a joint and a body: y -= (J^T lambda, J x)."""
     for r in range(rows):
         for c in range(body):
             value = matrix[place + (c * rows + r if turned == 1 else r * body + c)]
@@ -253,7 +253,7 @@ def _subtract_rows(matrix, place, turned, rows, body, x, row_start, body_start, 
 
 @kernel
 def _subtract_image(model, matrix, x, y_out, body):
-    """y -= K x with the rows written by `assemble`; size: scalars of a body."""
+    """y -= K x, with K as written by `assemble`; body: scalars of a body."""
     for v in range(len(model.vertices)):
         if model.vertices[v]["joint"] < 0:
             at = model.vertices[v]["start"]
@@ -297,10 +297,10 @@ def _solve(model, work, refinements, shift, sizes, fresh):
 
     work.matrix   : K, overwritten; constant vertices are already eliminated
     work.solution : b, overwritten by x
-    fresh         : False: work.matrix is the result of an earlier call; with refinement work.kept
+    fresh         : False: work.matrix is the result of an earlier call; with refinement, work.kept
                     is K
-    shift, sizes  : of `eliminate`. Refinements remove the effect of the shift, except in directions
-                    in which K is singular: there the joints are ignored
+    shift, sizes  : see `eliminate`. Refinement removes the effect of the shift, except in directions
+                    in which K is singular: there the constraints have no effect
     returns -1, or the joint with dependent rows
     """
     if refinements > 0:

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The arrays that planar kernels see: what Model and Work are for motions in space.
+"""Arrays of the planar kernels, as Model and Work for motions in space.
 
-World and body axes are permuted so that the first two span the plane. These rotations only move
-numbers and change their signs. In these axes a body rotates by an angle theta about the third.
-Its pose is (cos theta, sin theta, x, y), of
-the centre of mass; its twist (omega, v_1, v_2), v in body axes; a wrench (torque, force_1,
-force_2). The rows of a joint are rows for (omega, v_1, v_2).
+World and body axes are permuted so that the first two span the plane. The permutation only moves
+numbers and changes their signs. In these axes a body rotates by an angle theta about the third axis:
+    pose      (cos theta, sin theta, x, y), position of the centre of mass in m
+    twist     (omega, v_1, v_2), v in body axes
+    wrench    (torque, force_1, force_2), body axes
+The rows of a joint are rows for (omega, v_1, v_2).
 """
 import numpy as np
 
@@ -16,12 +17,12 @@ from .tree import COLUMNS
 
 PLANAR_BODY = np.dtype([
     ("mass", "f8"), ("inertia", "f8"),          # kg; kg m^2 about the normal and the COM
-    ("axes", "f8", (9,)),                       # rows: its planar axes in its body axes
+    ("axes", "f8", (9,)),                       # rows: planar axes in body axes
 ], align=True)
 
 
 class PlanarModel(Struct):
-    """Constants of a planar mechanism; fields as in Model."""
+    """Constants of a planar mechanism; fields without a comment as in Model."""
 
     space: Model                   # the same mechanism in space
     has_forces: bool               # any force other than gravity
@@ -41,20 +42,20 @@ class PlanarModel(Struct):
     fresh: int
     refinements: int
     projects: bool
-    links: np.ndarray              # (n,) of tree.LINK where K is not needed, else none
+    links: np.ndarray              # (n,) of tree.LINK for the O(n) solve of trees, else (0,): K is solved
 
 
 class PlanarWork(Struct):
-    """Scratch memory of one simulation; fields as in Work, some of them shared with it."""
+    """Scratch memory of one simulation; fields without a comment as in Work."""
 
     space: Work
-    angle: np.ndarray              # shared
-    start_angle: np.ndarray        # shared
-    report: np.ndarray             # shared
+    angle: np.ndarray              # that of `space`
+    start_angle: np.ndarray        # that of `space`
+    report: np.ndarray             # that of `space`
     pose: np.ndarray               # (n, 4)
     twist: np.ndarray              # (n, 3)
     external: np.ndarray           # (n, 3) applied wrenches
-    wrench: np.ndarray             # (n, 3) those of the forces
+    wrench: np.ndarray             # (n, 3) wrenches of the forces
     stage_pose: np.ndarray         # (n, 4)
     stage_twist: np.ndarray        # (n, 3)
     start_pose: np.ndarray         # (n, 4)
@@ -70,7 +71,7 @@ class PlanarWork(Struct):
 
 
 def make_planar_work(model, work, stages):
-    """Allocate the scratch memory of a PlanarModel beside the Work of the same mechanism."""
+    """Allocate the scratch memory of a PlanarModel; work: Work of the same mechanism."""
     n, unknowns = len(model.bodies), len(model.pivot_floor)
     return PlanarWork(
         space=work, angle=work.angle, start_angle=work.start_angle, report=work.report,

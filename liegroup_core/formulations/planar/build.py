@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Detection of planar mechanisms, and their PlanarModel.
 
-A lower pair is planar if all motions that it allows are planar: a revolute joint along the normal,
-a prismatic joint in the plane, a planar joint. If such pairs connect every body to the world, no
-body can leave the plane for any wrench and any inertia: their constraint wrenches balance all
-out-of-plane loads. The in-plane part of (6.22) with three coordinates per body is then exact. The
-other joints close loops and keep only the in-plane part of their rows.
+A lower pair is planar if it allows planar motions only: a revolute joint along the normal, a
+prismatic joint in the plane, a planar joint. If such pairs connect every body to the world, no body
+can leave the plane, for any wrench and any inertia: their constraint wrenches balance all
+out-of-plane loads. The in-plane part of (6.22) with three coordinates per body is then exact. All
+other joints close loops; only the in-plane part of their rows is kept.
 
-The normal must be a world axis and an axis of each body. The planar numbers are then a permutation
-of the spatial ones, without round-off.
+The normal must be a world axis and an axis of each body. Planar coordinates are then a permutation
+of spatial ones, without round-off.
 """
 
 from functools import lru_cache
@@ -37,20 +37,21 @@ ROW_TOLERANCE = 1e-6
 def planar_model(scene, model):
     """PlanarModel of a mechanism, or None if it is not planar.
 
-    scene : its body frames at the centres of mass; model : the Model made of it
+    scene : Scene with body frames at the centres of mass
+    model : its Model
     """
     if len(model.elements) == 0 or (model.elements["kind"] != PAIR).any():
         return None
     pose, _ = initial_state(scene)
     for world in PLANES:
         axes = _body_axes(world, pose)
-        if axes is not None and _is_held(world[2], pose, model.elements):
+        if axes is not None and _is_connected(world[2], pose, model.elements):
             return _build(scene, model, world, axes)
     return None
 
 
 def _body_axes(world, pose):
-    """(n, 3, 3) rows: planar axes of every body in its body axes, or None if there are none.
+    """Planar axes of every body in its body axes, as rows (n, 3, 3); None if there are none.
 
     A body axis must be parallel to the normal; the two others are then the planar axes.
     """
@@ -60,7 +61,7 @@ def _body_axes(world, pose):
         k = int(np.argmax(np.abs(normal)))
         if np.abs(np.delete(normal, k)).max() > IN_PLANE:
             return None
-        # (k+1, k+2, k) is right-handed; for a normal along -k the first two change places.
+        # (k+1, k+2, k) is right-handed; for a normal along -k the first two are exchanged.
         sign = 1.0 if normal[k] > 0.0 else -1.0
         first, second = (k + 1) % 3, (k + 2) % 3
         if sign < 0.0:
@@ -71,7 +72,7 @@ def _body_axes(world, pose):
     return np.array(axes)
 
 
-def _is_held(normal, pose, elements):
+def _is_connected(normal, pose, elements):
     """True if planar pairs connect every body to the world."""
     reached, last = {WORLD}, 0
     links = [
@@ -98,7 +99,7 @@ def _moves_in_plane(normal, pose, element):
 
 def _build(scene, model, world, axes):
     """PlanarModel of a planar mechanism."""
-    # (6, 3): twist of space of a planar one
+    # Per body (6, 3): maps a planar twist to the spatial twist.
     lift = np.zeros((len(axes), 6, 3))
     lift[:, :3, 0] = axes[:, 2]
     lift[:, 3:, 1:] = axes[:, :2].transpose(0, 2, 1)
@@ -121,7 +122,7 @@ def _build(scene, model, world, axes):
         model.bodies["mass"],
         inertias,
         ends,
-        _turned(model.elements, axes, model.bodies["mass"], inertias),
+        _lever_ratios(model.elements, axes, model.bodies["mass"], inertias),
     )
     structure = cheapest_structure(
         3, n, [len(jacobian) for jacobian in jacobians], ends, [False] * m, not unlike
@@ -130,7 +131,7 @@ def _build(scene, model, world, axes):
     joints["element"] = solved
     projectors = np.zeros((m, 9))
     floor = np.zeros(structure.unknowns)
-    # Every joint is one element here: all are pairs.
+    # Every joint has one element, because all are lower pairs.
     loops = set(loop_joints([(joint.parent, joint.child) for joint in scene.joints]))
     for j, ((parent, child), jacobian) in enumerate(zip(ends, jacobians)):
         mobility = jacobian / np.diag(masses[child])
@@ -165,24 +166,24 @@ def _build(scene, model, world, axes):
     )
 
 
-def _turned(elements, axes, masses, inertias):
-    """m p^2 / I of every end of an element: p its point in the plane, from the centre of mass."""
-    turned = []
+def _lever_ratios(elements, axes, masses, inertias):
+    """m p^2 / I at both ends of each element; p: its point in the plane, from the centre of mass."""
+    ratios = []
     for end in ("parent", "child"):
-        held = elements[elements[end] != WORLD]
-        body = held[end]
-        points = np.einsum("erc,ec->er", axes[body, :2], held[f"{end}_point"])
-        turned.extend(masses[body] * (points**2).sum(axis=1) / inertias[body])
-    return turned
+        movable = elements[elements[end] != WORLD]
+        body = movable[end]
+        points = np.einsum("erc,ec->er", axes[body, :2], movable[f"{end}_point"])
+        ratios.extend(masses[body] * (points**2).sum(axis=1) / inertias[body])
+    return ratios
 
 
 def _are_alike(*sizes):
-    """True if no mass or inertia is far from the others: otherwise tree.py loses digits."""
+    """True if masses and inertias differ by less than LARGE_RATIO: tree.py would lose digits."""
     return all(np.ptp(np.log(size)) <= np.log(LARGE_RATIO) for size in sizes)
 
 
 def _kept_rows(scene, elements, lift):
-    """Rows (k, 3) of every element for the planar twist of its child, independent of each other."""
+    """Independent rows (k, 3) of each element, for the planar twist of its child."""
     rows = []
     for element in elements:
         frame = np.eye(4)
@@ -215,7 +216,10 @@ def _kept_rows(scene, elements, lift):
 
 @lru_cache(maxsize=REMEMBERED)
 def _chosen(linkage, in_space, lifts):
-    """Mask of the rows to keep: bytes of (k, 6) of every joint, of (6, 3) of every body."""
+    """Mask of the rows to keep.
+
+    in_space : bytes of the rows (k, 6) of each joint; lifts: bytes of (6, 3) of each body
+    """
     in_space = [np.frombuffer(rows).reshape(-1, 6) for rows in in_space]
     flat = scipy.linalg.block_diag(*(np.frombuffer(lift).reshape(6, 3) for lift in lifts))
     flat[:, ::3] /= linkage.length
@@ -232,7 +236,7 @@ def _chosen(linkage, in_space, lifts):
 
 
 def _independent(matrix):
-    """Linearly independent rows of a joint for motions in the plane."""
+    """Linearly independent rows of a matrix (k, 3)."""
     _, R, order = scipy.linalg.qr(matrix.T, mode="economic", pivoting=True)
     size = np.abs(np.diag(R))
     count = int((size > ROW_TOLERANCE * max(size.max(initial=0.0), 1.0)).sum())

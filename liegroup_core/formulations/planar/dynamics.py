@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Index-1 accelerations in the plane: dynamics.constraints and newton_euler, written for SE(2).
+"""Index-1 accelerations in the plane: constraints.py and newton_euler.py of `absolute` for SE(2).
 
-With p and R(phi) the parent's place and turn seen from the child, J v = (-v_2, v_1), the twist of
-the parent at the child is W = (omega_a, R v_a - omega_a J p), and (alpha, beta) a row of the child
-    velocity      alpha (omega_b - omega_a) + beta . (v_b - W_v) = 0
-    parent's row  -(alpha - p x beta, R^T beta)
-    acceleration  bias = -beta . (omega_b J W_v - omega_a J v_b + omega_b J e)
-e is the velocity error of the joint, as in dynamics.constraints.
+Let p and R(phi) be the position and rotation of the parent relative to the child, and
+J v = (-v_2, v_1). The twist of the parent at the child is W = (omega_a, R v_a - omega_a J p). A row
+(alpha, beta) of the child gives
+    velocity          alpha (omega_b - omega_a) + beta . (v_b - W_v) = 0
+    row of the parent -(alpha - p x beta, R^T beta)
+    acceleration      bias = -beta . (omega_b J W_v - omega_a J v_b + omega_b J e)
+e is the velocity residual of the joint, as in constraints.py.
 """
 
 from liegroup_core.compiling import kernel
@@ -40,10 +41,11 @@ def _wrenches(model, work, external):
 
 @kernel
 def _set_bias(model, work, j, w, error, bracket_x, bracket_y):
-    """Bias of the rows of joint j into work.solution.
+    """Write the bias of the rows of joint j into work.solution.
 
-    w : of the child; error : (omega, v_1, v_2) of the child less that of the parent
-    bracket : linear part of [V_b, W], its angular part is 0
+    w       : angular velocity of the child, rad/s
+    error   : V_b - W, (omega, v_1, v_2)
+    bracket : linear part of [V_b, W]; its angular part is 0
     """
     start, first = model.joints[j]["start"], model.joints[j]["first"]
     rows = model.joints[j]["rows"]
@@ -108,9 +110,9 @@ def assemble(model, work):
 
 @kernel
 def accelerations(model, work, external):
-    """Accelerations of the stage and multipliers into work.solution; external (n, 3).
+    """Write accelerations of the stage, and multipliers, to work.solution; external (n, 3).
 
-    returns -1, or the joint whose rows are dependent if the regularised solve fails
+    returns -1, or the joint with dependent rows if the regularised solve fails too
     """
     if len(model.links) > 0:
         _wrenches(model, work, external)
@@ -131,7 +133,7 @@ def accelerations(model, work, external):
 
 @kernel
 def clear_ground_slip(model, twist):
-    """Remove the round-off in velocities across joints to ground from the twists (n, 3)."""
+    """Remove the round-off of J V at joints to ground from the twists (n, 3)."""
     for j in range(len(model.joints)):
         if model.joints[j]["parent"] == WORLD:
             b = model.joints[j]["child"]

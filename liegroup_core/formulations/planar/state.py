@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Conversion between spatial and planar states, bit-identical, and forces computed in space.
+"""Conversion between spatial and planar states, and forces of planar mechanisms.
 
-Planar axes are axes of the world and of the bodies (arrays.py). Products with them are exact, so a
-state that is converted to the plane and back does not change.
+Planar axes are axes of the world and of the bodies (arrays.py). Products with them are exact:
+conversion to the plane and back is bit-identical. Forces are computed in space.
 """
 
 from liegroup_core.compiling import kernel
@@ -22,7 +22,7 @@ from liegroup_core.lie.vec3 import (
 )
 from liegroup_core.status import OFF_PLANE, OK
 
-# A direction or a component of a twist below this is zero up to round-off.
+# Components of a direction or of a twist below this bound are zero up to round-off.
 IN_PLANE = 1e-13
 
 
@@ -30,8 +30,8 @@ IN_PLANE = 1e-13
 def to_plane(model, pose, twist, pose_out, twist_out):
     """Convert spatial pose (n, 12) and twist (n, 6) to planar ones, (n, 4) and (n, 3).
 
-    returns OK, or OFF_PLANE if a body is tilted or moves out of the plane. Its position along the
-    normal is arbitrary.
+    returns OK, or OFF_PLANE if a body is tilted or moves out of the plane. Positions along the
+    normal are arbitrary.
     """
     world = load9(model.world, 0, 0)
     status = OK
@@ -55,7 +55,7 @@ def to_plane(model, pose, twist, pose_out, twist_out):
 
 @kernel
 def wrench_to_plane(model, wrench, wrench_out):
-    """Convert spatial wrenches (n, 6) to planar ones (n, 3): joints balance the rest."""
+    """Convert spatial wrenches (n, 6) to planar ones (n, 3); joints balance the other components."""
     for i in range(len(model.bodies)):
         axes = matrix3(model.bodies[i]["axes"])
         torque = matvec3(axes, load3(wrench, i, 0))
@@ -67,7 +67,7 @@ def wrench_to_plane(model, wrench, wrench_out):
 def to_space(model, pose, twist, pose_out, twist_out):
     """Convert planar pose (n, 4) and twist (n, 3) to spatial ones, (n, 12) and (n, 6).
 
-    pose_out : keeps its values of the positions along the normal
+    pose_out : its positions along the normal are unchanged
     """
     world = load9(model.world, 0, 0)
     for i in range(len(model.bodies)):

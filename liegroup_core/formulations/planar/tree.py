@@ -1,16 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Accelerations of planar trees in O(n) by articulated bodies.
+"""Accelerations of planar trees in O(n) by the articulated-body algorithm.
 
-Each body has one revolute or prismatic joint to its parent.
-
-With X = Ad(C_ba), s the free direction of a joint in the axes of its child b, and c the part of
-the relative acceleration that depends on velocities only, V'_b = X V'_a + c + s q''. From the
-leaves to the ground, each joint passes inertia and wrench of its articulated body to its parent,
+Each body has one revolute, prismatic or fixed joint to its parent. Let X = Ad(C_ba), let s be the
+free direction of the joint in the axes of its child b, and let c be the part of the relative
+acceleration that depends on velocities only: V'_b = X V'_a + c + s q''. From the leaves to the
+ground, each joint adds the inertia and wrench of its articulated body to its parent,
     I_a += X^T (I - U U^T / D) X ,   Q_a += X^T (Q - I c - U u / D)
     U = I s ,   D = s . U ,   u = s . (Q - I c)
-and back from the ground q'' = (u - U . X V'_a) / D. It is the elimination of K (planar.dynamics)
+From the ground to the leaves q'' = (u - U . X V'_a) / D. This is the elimination of K (dynamics.py)
 with a joint and its child combined: one division per body instead of five. The subtraction loses as
-many digits as neighbouring masses differ by, so mechanisms with large mass ratios are solved by K.
+many digits as neighbouring masses differ by. Mechanisms with large mass ratios are solved with K.
 
 Source: Featherstone, Rigid Body Dynamics Algorithms, section 7.3.
 """
@@ -21,48 +20,52 @@ from liegroup_core.compiling import kernel
 from liegroup_core.joints.elements import WORLD
 
 LINK = np.dtype(
-    [  # a joint of a tree, from the leaves to the ground
+    [  # joint of a tree; joints are ordered from the leaves to the ground
         ("parent", "i8"),
         ("child", "i8"),
-        ("free", "f8", (3,)),  # s: (omega, v_1, v_2) that it leaves to the child; 0: fixed
-        ("point", "f8", (6,)),  # (2, 3) velocity error of its point, of that of the twist
+        ("free", "f8", (3,)),  # s: free (omega, v_1, v_2) of the child; 0: fixed joint
+        ("point", "f8", (6,)),  # (2, 3) maps V_b - W to the velocity residual at the joint
     ],
     align=True,
 )
 
-# A row of PlanarWork.links: I (ww, w1, w2, 11, 12, 22), U, 1 / D, u, turn and place of the parent
-# seen from the child, linear part of c (its angular part is 0).
+# Columns of PlanarWork.links: I (ww, w1, w2, 11, 12, 22), U, 1 / D, u, rotation and position of the
+# parent relative to the child, linear part of c (its angular part is 0).
 COLUMNS = 17
 
 
 def tree_links(n, ends, jacobians):
     """(n,) of LINK; empty if the joints are not a tree of revolute, prismatic and fixed joints.
 
-    n : number of bodies; ends : (parent, child) of each joint; jacobians : their (k, 3)
+    n         : number of bodies
+    ends      : (parent, child) of each joint
+    jacobians : rows (k, 3) of each joint for its child
     """
-    none = np.zeros(0, dtype=LINK)
+    no_links = np.zeros(0, dtype=LINK)
     if sorted(child for _, child in ends) != list(range(n)):
-        return none
+        return no_links
     if not jacobians or any(len(jacobian) < 2 for jacobian in jacobians):
-        return none
-    above = dict((child, (parent, jacobian)) for (parent, child), jacobian in zip(ends, jacobians))
-    links, placed = [], {WORLD}
-    while above:
-        ready = [child for child, (parent, _) in above.items() if parent in placed]
+        return no_links
+    pending = dict(
+        (child, (parent, jacobian)) for (parent, child), jacobian in zip(ends, jacobians)
+    )
+    links, reached = [], {WORLD}
+    while pending:
+        ready = [child for child, (parent, _) in pending.items() if parent in reached]
         if not ready:
-            return none
+            return no_links
         for child in ready:
-            parent, jacobian = above.pop(child)
+            parent, jacobian = pending.pop(child)
             free = np.cross(jacobian[0], jacobian[1]) if len(jacobian) == 2 else np.zeros(3)
             size = np.abs(free).max(initial=0.0) or 1.0
             links.append((parent, child, free / size, (jacobian[:, 1:].T @ jacobian).ravel()))
-        placed.update(ready)
+        reached.update(ready)
     return np.array(links[::-1], dtype=LINK)
 
 
 @kernel
 def _gather(model, work, pose, twist):
-    """From the leaves to the ground: articulated inertia and wrench of every joint."""
+    """Compute articulated inertias and wrenches, from the leaves to the ground."""
     links, rows, force = model.links, work.links, work.solution
     for i in range(len(model.bodies)):
         inertia, mass = model.bodies[i]["inertia"], model.bodies[i]["mass"]

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""LU factors of a dense square matrix with row exchanges (Gaussian elimination).
-
-In place and without allocation, as kernels need it.
-"""
+"""LU factorisation of a dense square matrix with partial pivoting, in place."""
 
 import math
 
@@ -11,7 +8,10 @@ from liegroup_core.compiling import kernel
 
 @kernel
 def lu_factorise(matrix, pivots):
-    """LU factors with row exchanges, in place; False for a singular matrix."""
+    """Replace matrix (n, n) by its LU factors; returns False if it is singular.
+
+    pivots : (n,) int64; row exchanged with row k
+    """
     size = len(pivots)
     for k in range(size):
         best = k
@@ -35,7 +35,7 @@ def lu_factorise(matrix, pivots):
 
 @kernel
 def lu_solve(matrix, pivots, x):
-    """Solve with the factors of `lu_factorise`; x is the right-hand side, then the solution."""
+    """Replace the right-hand side x (n,) by the solution, with the factors of `lu_factorise`."""
     size = len(pivots)
     for k in range(size):
         x[k], x[pivots[k]] = x[pivots[k]], x[k]

@@ -3,7 +3,7 @@
 
 The unknowns x = (Vdot_1, lambda) determine the end of the step (`move`) and the residual of
     Vdot_1 - M^-1 (Q - J^T lambda) = 0 ,   g / sigma = 0
-in m/s^2 and rad/s^2 (`residual`). g: position residuals of all rows that are solved for.
+in m/s^2 and rad/s^2 (`residual`). g are the position residuals of the independent rows.
 """
 
 import numpy as np
@@ -16,7 +16,7 @@ from liegroup_core.formulations.absolute.constraints import (
 )
 from liegroup_core.formulations.absolute.newton_euler import wrenches
 from liegroup_core.integrators.methods import SE3
-from liegroup_core.integrators.motion import displace, turn_status
+from liegroup_core.integrators.motion import displace, rotation_status
 from liegroup_core.lie.vec3 import (
     axpy3,
     cross3,
@@ -34,7 +34,7 @@ from liegroup_core.status import OK
 
 
 class Coefficients(Struct):
-    """Coefficients of the method."""
+    """Coefficients of the method, see generalized_alpha.py."""
 
     alpha_m: float
     alpha_f: float
@@ -52,11 +52,11 @@ class Memory(Struct):
     x: np.ndarray  # (N,) Vdot_1, then lambda
     start: np.ndarray  # (N,) x before the first iteration
     residual: np.ndarray  # (N,)
-    base: np.ndarray  # (N,) residual that differences are taken from
-    correction: np.ndarray  # (N,) by which x was corrected last
+    base: np.ndarray  # (N,) unperturbed residual of the finite differences
+    correction: np.ndarray  # (N,) last correction of x
     next: np.ndarray  # (N,) residual, then the next correction
     matrix: np.ndarray  # (N, N) factors of the derivative of the residual
-    pivots: np.ndarray  # (N,) row that was exchanged with each
+    pivots: np.ndarray  # (N,) see lu_factorise
     factored: np.ndarray  # (1,) bool: `matrix` holds factors
 
 
@@ -68,16 +68,17 @@ def sigma(numbers, h):
 
 @kernel
 def move(model, work, memory, numbers, group, h, pose):
-    """Compute the state from the unknowns: work.stage_pose, work.stage_twist, memory.body_rate.
+    """Compute the end of a step from the unknowns memory.x.
 
+    Writes work.stage_pose, work.stage_twist and memory.body_rate.
     returns OK, ROTATION_TOO_LARGE or NOT_FINITE
     """
-    part = (1.0 - numbers.alpha_f) / (1.0 - numbers.alpha_m)
+    factor = (1.0 - numbers.alpha_f) / (1.0 - numbers.alpha_m)
     for i in range(len(model.bodies)):
         for c in range(0, 6, 3):
             rate = (memory.x[6 * i + c], memory.x[6 * i + c + 1], memory.x[6 * i + c + 2])
             a0 = load3(memory.mean, i, c)
-            a1 = axpy3(part, rate, load3(memory.old, i, c))
+            a1 = axpy3(factor, rate, load3(memory.old, i, c))
             v0 = load3(work.velocity, i, c)
             store3(
                 axpy3(
@@ -96,7 +97,7 @@ def move(model, work, memory, numbers, group, h, pose):
             store3(rate, memory.body_rate, i, c)
         xi, eta = load3(work.slopes, i, 0), load3(work.slopes, i, 3)
         rotation = dot3(xi, xi)
-        status = turn_status(rotation)
+        status = rotation_status(rotation)
         if status != OK:
             return status
         work.report[1] = max(work.report[1], rotation)
@@ -114,7 +115,7 @@ def move(model, work, memory, numbers, group, h, pose):
 
 @subroutine
 def residual(model, work, memory, numbers, group, h, pose, external):
-    """Write the residual of one step at memory.x into memory.residual; the state as by `move`.
+    """Write the residual of one step at memory.x into memory.residual, and the state as `move`.
 
     returns OK, ROTATION_TOO_LARGE or NOT_FINITE
     """

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Generalised-alpha method on the group with position-level constraints (index 3).
 
-For stiff scenes: implicit, of order 2, with numerical damping of frequencies that the step does not
-resolve: rho_inf from 1 (no damping) to 0 (damped within one step). One step, with velocities V on
-the group:
+The method is for stiff scenes. It is implicit, of order 2, and damps frequencies that the step does
+not resolve: rho_inf from 1 (no damping) to 0 (damped within one step). One step, with velocities V
+on the group:
     q_1 = q_0 exp psi ,   psi = h V_0 + h^2 ((1/2 - beta) a_0 + beta a_1)
     V_1 = V_0 + h ((1 - gamma) a_0 + gamma a_1)
     (1 - alpha_m) a_1 + alpha_m a_0 = (1 - alpha_f) Vdot_1 + alpha_f Vdot_0
@@ -15,9 +15,9 @@ step size, without stabilisation (test/verification/test_orders.py). Velocity re
 On SO(3) x R^3 V is (omega, rdot), see munthe_kaas.py.
 
 Newton's method in x = (Vdot_1, lambda): with sigma = d psi/d Vdot_1 the constraints are
-g / sigma = 0. The matrix is then [[I, M^-1 J^T], [J, 0]] plus O(h), which does not degenerate for
-small steps like the matrix for psi. The matrix comes from finite differences, so that all forces
-are implicit without further formulas. It is dense: its factorisation takes (6 n + rows)^3 / 3
+g / sigma = 0. The matrix is then [[I, M^-1 J^T], [J, 0]] plus O(h). Unlike the matrix for psi, it
+stays well conditioned for small steps. Finite differences give the matrix, so that all forces are
+implicit without further formulas. It is dense: its factorisation takes (6 n + rows)^3 / 3
 multiplications, suitable for about ten bodies, not for a hundred. The factors are reused over
 iterations and steps as long as the iteration converges quickly.
 
@@ -41,28 +41,31 @@ from liegroup_core.status import DEPENDENT_ROWS, NOT_CONVERGED, NOT_FINITE, OK, 
 from .dense_lu import lu_factorise, lu_solve
 from .equations import Coefficients, Memory, move, residual, sigma
 
-# Newton's method ends when the correction of the poses, rad and m, is below this fraction of the
-# largest coordinate or of 1: about ten times round-off. Its effect on velocities is larger by 2 / h.
-# If round-off is larger, corrections stop decreasing: then the bound is this multiple.
+# Newton's method ends when the correction of the poses, rad and m, is below TOLERANCE times the
+# largest coordinate or 1: about ten times round-off. Its effect on velocities is larger by 2 / h.
+# If round-off is larger and corrections stop decreasing, the bound is STUCK times that.
 TOLERANCE, STUCK = 2e-15, 100.0
 # The matrix is factorised again if a correction exceeds SLOW times the one before. A correction is
 # halved if the next one exceeds GROWTH times it. Some growth is allowed: if the initial guess
 # stretches a stiff spring, corrections increase before they decrease.
 SLOW, GROWTH = 0.1, 10.0
 MOST_ITERATIONS = 50
-DISPLACEMENT = 1e-7  # rad and m, of a pose for differences: half the digits are right
+DISPLACEMENT = 1e-7  # rad and m, perturbation of a pose: the derivative has half of all digits
 
 
 @kernel
 def _differentiate(model, work, memory, numbers, group, h, pose, external):
-    """Factorise the residual's derivative at memory.x, where the residual is memory.base."""
+    """Factorise the Jacobian of the residual at memory.x; memory.base is the residual there.
+
+    returns a status
+    """
     rates = 6 * len(model.bodies)
     for c in range(len(memory.x)):
-        kept = memory.x[c]
-        memory.x[c] += DISPLACEMENT / sigma(numbers, h) if c < rates else 1.0 + abs(kept)
-        change = memory.x[c] - kept
+        value = memory.x[c]
+        memory.x[c] += DISPLACEMENT / sigma(numbers, h) if c < rates else 1.0 + abs(value)
+        change = memory.x[c] - value
         status = residual(model, work, memory, numbers, group, h, pose, external)
-        memory.x[c] = kept
+        memory.x[c] = value
         if status != OK:
             return status
         for r in range(len(memory.x)):
@@ -73,7 +76,10 @@ def _differentiate(model, work, memory, numbers, group, h, pose, external):
 
 @kernel
 def _correct(model, memory, numbers, h):
-    """Replace the residual in memory.next by the correction; returns its largest displacement."""
+    """Replace the residual in memory.next by the Newton correction.
+
+    returns the largest displacement of a pose that it causes, rad or m
+    """
     lu_solve(memory.matrix, memory.pivots, memory.next)
     largest = 0.0
     for k in range(6 * len(model.bodies)):
@@ -85,7 +91,7 @@ def _correct(model, memory, numbers, h):
 
 @kernel
 def _tolerance(model, pose):
-    """Correction of a pose at which Newton's method ends, m and rad."""
+    """Correction of a pose below which Newton's method ends, m and rad."""
     largest = 1.0
     for i in range(len(model.bodies)):
         r = load3(pose, i, 9)
@@ -101,7 +107,7 @@ def _tolerance(model, pose):
 
 @kernel
 def _newton(model, work, memory, numbers, group, h, pose, external):
-    """Solve one step for memory.x, starting from memory.x; returns a status."""
+    """Solve one step for memory.x, with memory.x as the initial guess; returns a status."""
     size = len(memory.x)
     tolerance = _tolerance(model, pose)
     for k in range(size):
@@ -117,7 +123,7 @@ def _newton(model, work, memory, numbers, group, h, pose, external):
             correction = _correct(model, memory, numbers, h)
         if (STUCK * tolerance < previous < math.inf) and not correction < GROWTH * previous:
             if old_factors:
-                # Diverged with old factors: restart with new ones.
+                # The iteration diverged with old factors: restart it with new ones.
                 old_factors = memory.factored[0] = False
                 previous = math.inf
                 for k in range(size):
@@ -155,7 +161,7 @@ def advance(model, work, memory, numbers, group, h, steps, pose, twist, external
     """Take `steps` steps of size h in place of pose (n, 12) and twist (n, 6).
 
     external (n, 6) : applied wrenches in body axes, constant over these steps
-    returns (steps done, status), as for rkmk; if status is not OK, memory is invalid
+    returns (steps done, status), as munthe_kaas.advance; if status is not OK, memory is invalid
     """
     pose, twist, external = borrowed(pose), borrowed(twist), borrowed(external)
     n = len(model.bodies)
@@ -199,12 +205,12 @@ class GeneralizedAlpha:
 
     rho_inf : spectral radius at infinite step size, 0..1
 
-    The memory has Vdot, its mean a, lambda and the factors. It is initialised from the index-1
+    The memory holds Vdot, its mean a, lambda and the factors. It is initialised from the index-1
     accelerations after `restart`, after a failed step, and when wrenches or the step size change.
     """
 
     kernels = "generalized_alpha"
-    # J V is zero up to the square of the step only: a smaller one first swings into its own.
+    # Velocity residuals J V are O(h^2): after a reduction of the step they first oscillate.
     swings_in = True
     substeps = (0, 0)
 
@@ -235,14 +241,14 @@ class GeneralizedAlpha:
         self._model, self._group = model, GROUPS[group]
         self.work = make_work(model, 1)
         self._advance = SameTypes(advance)
-        # Step size and wrenches for which the memory was initialised; NaN: it was not.
+        # Step size and wrenches for which the memory was initialised; NaN: not initialised.
         self._started_for = np.zeros(1 + 6 * n + len(self.work.acting))
         self.restart()
 
     @staticmethod
     def options(method):
         """{name: (default, description of valid values, check)} of the method's options."""
-        return {"rho_inf": (0.8, "a number from 0 to 1", _is_part)}
+        return {"rho_inf": (0.8, "a number from 0 to 1", _is_fraction)}
 
     def restart(self):
         """Clear the memory between calls: the state was set."""
@@ -255,12 +261,12 @@ class GeneralizedAlpha:
 
     def advance(self, h, steps, pose, twist, external):
         """Take steps of size h in place; returns (steps done, status)."""
-        now = np.concatenate(((h,), external.ravel(), self.work.acting))
-        if self._started_for.tobytes() != now.tobytes():
+        inputs = np.concatenate(((h,), external.ravel(), self.work.acting))
+        if self._started_for.tobytes() != inputs.tobytes():
             dependent = self._start(h, pose, twist, external)
             if dependent >= 0:
                 return 0, DEPENDENT_ROWS + (self._model.joints[dependent]["element"] << 8)
-            self._started_for[:] = now
+            self._started_for[:] = inputs
         done, status = self._advance(
             self._model,
             self.work,
@@ -278,7 +284,10 @@ class GeneralizedAlpha:
         return done, status
 
     def _start(self, h, pose, twist, external):
-        """Initialise Vdot, a, lambda from the index-1 equations; -1, or the joint with dependent rows."""
+        """Initialise Vdot, a and lambda from the index-1 equations.
+
+        returns -1, or the joint with dependent rows
+        """
         work, memory = self.work, self._memory
         dependent = accelerations(self._model, work, pose, twist, external)
         if dependent < 0:
@@ -298,7 +307,7 @@ class GeneralizedAlpha:
         """Shift a by alpha_m - alpha_f steps from Vdot, by a trial step.
 
         A step that starts with a = Vdot is only of order 1. If wrenches change at every step, the
-        whole run would be.
+        whole run would be of order 1.
         """
         memory, angle = self._memory, self.work.angle.copy()
         rate, x = memory.rate.copy(), memory.x.copy()
@@ -314,7 +323,7 @@ class GeneralizedAlpha:
             twist.copy(),
             external,
         )
-        # If the trial fails, a is unchanged.
+        # If the trial step fails, a is unchanged.
         shift = self._numbers.alpha_m - self._numbers.alpha_f
         memory.mean[:] = rate + shift * (memory.rate - rate)
         memory.rate[:], memory.x[:], self.work.angle[:] = rate, x, angle
@@ -322,6 +331,6 @@ class GeneralizedAlpha:
             memory.factored[0] = False
 
 
-def _is_part(value):
+def _is_fraction(value):
     """True for a number from 0 to 1."""
     return isinstance(value, (int, float)) and 0.0 <= value <= 1.0

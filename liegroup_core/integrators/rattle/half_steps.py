@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The two halves of a RATTLE step, with the equations for lambda and mu; see rattle.py."""
+"""Both halves of a RATTLE step for mechanisms; rattle.py has the equations.
+
+The first half finds V' and the poses at the end, so that the constraints are satisfied there. The
+second half finds V at the end, so that the velocity constraints are satisfied.
+"""
 
 import math
 
@@ -7,9 +11,9 @@ import numpy as np
 
 from liegroup_core.compiling import Struct, kernel
 from liegroup_core.formulations.absolute.constraints import position_residuals
-from liegroup_core.formulations.absolute.projection import is_closed
+from liegroup_core.formulations.absolute.projection import is_satisfied
 from liegroup_core.integrators.broyden import broyden
-from liegroup_core.integrators.motion import copy_state, orthonormal, turn_status
+from liegroup_core.integrators.motion import copy_state, orthonormal, rotation_status
 from liegroup_core.integrators.rotation.maps import turn, velocity
 from liegroup_core.integrators.rotation.newton import EXPONENTIAL, newton
 from liegroup_core.lie.vec3 import (
@@ -30,13 +34,13 @@ from liegroup_core.status import NOT_CONVERGED, OK
 
 from .solve import loads, respond
 
-MOST_ITERATIONS = 50
+MAX_ITERATIONS = 50
 # Corrections that Broyden's method stores before it restarts.
-REMEMBERED = 8
-# Forces that depend on velocity are iterated until no velocity changes by more than this fraction
-# of the largest. If round-off is larger: until changes below this multiple stop decreasing.
+HISTORY = 8
+# Velocity-dependent forces are iterated until no velocity changes by more than TOLERANCE times the
+# largest one. If round-off is larger: until changes below STUCK times that stop decreasing.
 TOLERANCE, STUCK = 1e-15, 100.0
-MOST_REPEATS = 100
+MAX_REPEATS = 100
 
 
 class Memory(Struct):
@@ -45,21 +49,21 @@ class Memory(Struct):
     half: np.ndarray  # (n, 6) V', then V'+
     turn: np.ndarray  # (n, 3) rad, x
     load: np.ndarray  # (n, 6) Q at the start of a substep, then at its end
-    impulse: np.ndarray  # (n, 6) right-hand side of the bodies, N m s and N s
-    target: np.ndarray  # (rows,) right-hand side of the rows: change of J V wanted
-    corrections: np.ndarray  # (REMEMBERED, rows) of J V' in this substep
+    impulse: np.ndarray  # (n, 6) N m s and N s, right-hand side of the bodies
+    target: np.ndarray  # (rows,) right-hand side of the rows: required J V', or change of J V
+    corrections: np.ndarray  # (HISTORY, rows) of J V' in this substep
     bias: np.ndarray  # (rows,) (2/h) J V' of the last substep
-    growth: np.ndarray  # (rows,) its rate
-    size: np.ndarray  # (1,) s, the last substep; 0: there is none
+    growth: np.ndarray  # (rows,) time derivative of `bias`
+    size: np.ndarray  # (1,) s, the last substep; 0: none yet
 
 
 @kernel
-def _place(model, work, memory, h):
-    """Poses at the end of a substep for the present V': work.stage_pose. Returns a status."""
+def _update_poses(model, work, memory, h):
+    """Compute the poses at the end of a substep from V', into work.stage_pose. Returns a status."""
     for i in range(len(model.bodies)):
         inertia = matrix3(model.bodies[i]["inertia"])
         momentum = matvec3(inertia, load3(memory.half, i, 0))
-        x, found = newton(
+        x, converged = newton(
             EXPONENTIAL,
             inertia,
             h,
@@ -69,10 +73,10 @@ def _place(model, work, memory, h):
             ZERO3,
             scale3(h, momentum),
         )
-        status = turn_status(dot3(x, x))
+        status = rotation_status(dot3(x, x))
         if status != OK:
             return status
-        if not found:
+        if not converged:
             return NOT_CONVERGED
         store3(x, memory.turn, i, 0)
         rot = load9(work.start_pose, i, 0)
@@ -87,10 +91,11 @@ def _place(model, work, memory, h):
 
 
 @kernel
-def _guess(memory, h):
-    """Extrapolate J V' from the last substeps into memory.target; returns s since the last one.
+def _extrapolate(memory, h):
+    """Extrapolate J V' from the last substeps, into memory.target.
 
-    (2/h) J V' is the constraint acceleration h/3 after the start of a substep, up to O(h^2).
+    (2/h) J V' is the constraint acceleration at h/3 after the start of a substep, up to O(h^2).
+    returns the time in s between these points of the last substep and of this one
     """
     since = (2.0 * memory.size[0] + h) / 3.0
     for r in range(len(memory.bias)):
@@ -99,23 +104,23 @@ def _guess(memory, h):
 
 
 @kernel
-def _remember(memory, h, since):
-    """Store J V' of a finished substep, in memory.target, for `_guess`."""
-    # Backward substeps may be at nearly the same time: too close for a difference.
-    differ = memory.size[0] != 0.0 and abs(since) > 0.2 * abs(h)
+def _store_history(memory, h, since):
+    """Store J V' of a finished substep, which is memory.target, for `_extrapolate`."""
+    # With backward substeps these points may be too close in time for a difference quotient.
+    are_apart = memory.size[0] != 0.0 and abs(since) > 0.2 * abs(h)
     for r in range(len(memory.bias)):
-        now = 2.0 / h * memory.target[r]
-        if differ:
-            memory.growth[r] = (now - memory.bias[r]) / since
-        memory.bias[r] = now
+        bias = 2.0 / h * memory.target[r]
+        if are_apart:
+            memory.growth[r] = (bias - memory.bias[r]) / since
+        memory.bias[r] = bias
     memory.size[0] = h
 
 
 @kernel
 def _correct(model, work, memory, h, k):
-    """Write correction k of J V' for the residuals in work.gap into memory.corrections.
+    """Write correction k of J V' into memory.corrections, from the residuals in work.gap.
 
-    The square Jacobian is d gap / d (J V') = h + O(h^2): Broyden's method starts from h.
+    Broyden's method starts from h times the identity: the Jacobian d gap / d (J V') is h + O(h^2).
     """
     step, rows = memory.corrections, len(model.row_residual)
     for r in range(rows):
@@ -125,12 +130,13 @@ def _correct(model, work, memory, h, k):
 
 @kernel
 def first_half(model, work, memory, h, fresh):
-    """V' and the pose at the end, with all joints satisfied. Returns a status.
+    """Find V' and the poses at the end that satisfy all constraints. Returns a status.
 
-    fresh : True: the saddle-point matrix at the start must be computed
+    h     : s, substep
+    fresh : True: the saddle-point matrix at the start is not factorised yet
     """
     n, rows = len(model.bodies), len(model.row_residual)
-    since = _guess(memory, h)
+    since = _extrapolate(memory, h)
     for i in range(n):
         for c in range(6):
             memory.impulse[i, c] = 0.5 * h * memory.load[i, c]
@@ -151,19 +157,19 @@ def first_half(model, work, memory, h, fresh):
     for i in range(n):
         for c in range(6):
             memory.impulse[i, c] = 0.0
-    closed = rows == 0
-    for iteration in range(MOST_ITERATIONS):
+    satisfied = rows == 0
+    for iteration in range(MAX_ITERATIONS):
         if status == OK:
-            status = _place(model, work, memory, h)
+            status = _update_poses(model, work, memory, h)
         if status != OK:
             return status
-        if closed:
-            _remember(memory, h, since)
+        if satisfied:
+            _store_history(memory, h, since)
             return OK
         position_residuals(model, work.stage_pose, work.gap)
-        # At round-off level: after one more correction the round-off has no preferred sign.
-        closed = is_closed(model, work, work.stage_pose)
-        k = iteration % REMEMBERED
+        # At round-off level, one more correction removes the bias of the remaining residual.
+        satisfied = is_satisfied(model, work, work.stage_pose)
+        k = iteration % HISTORY
         _correct(model, work, memory, h, k)
         for r in range(rows):
             memory.target[r] += memory.corrections[k, r]
@@ -182,29 +188,30 @@ def first_half(model, work, memory, h, fresh):
 
 
 @kernel
-def _carry(model, work, memory, h):
-    """Write V'+ into memory.half, and the initial guess 2 V'+ - V of V+ into work.stage_twist."""
+def _transport(model, work, memory, h):
+    """Write V'+ into memory.half, and 2 V'+ - V, the initial guess of V+, into work.stage_twist."""
     for i in range(len(model.bodies)):
         inertia = matrix3(model.bodies[i]["inertia"])
         inverse = matrix3(model.bodies[i]["inverse_inertia"])
         x = load3(memory.turn, i, 0)
-        change = turn(x)
+        rotation = turn(x)
         w, v = load3(work.start_twist, i, 0), load3(work.start_twist, i, 3)
         store3(axpy3(2.0 / h, x, scale3(-1.0, w)), work.stage_twist, i, 0)
         half = load3(memory.half, i, 3)
-        store3(tmatvec3(change, axpy3(2.0, half, scale3(-1.0, v))), work.stage_twist, i, 3)
-        y = tmatvec3(change, matvec3(inertia, load3(memory.half, i, 0)))
+        store3(tmatvec3(rotation, axpy3(2.0, half, scale3(-1.0, v))), work.stage_twist, i, 3)
+        y = tmatvec3(rotation, matvec3(inertia, load3(memory.half, i, 0)))
         store3(velocity(inertia, inverse, y), memory.half, i, 0)
-        store3(tmatvec3(change, half), memory.half, i, 3)
+        store3(tmatvec3(rotation, half), memory.half, i, 3)
 
 
 @kernel
-def _new_impulse(model, work, memory, h):
-    """Impulse of the change of Q+, from memory.load to work.wrench; memory.load is updated.
+def _update_impulse(model, work, memory, h):
+    """Compute the impulse of the change of Q+ from memory.load to work.wrench; update memory.load.
 
-    returns (largest component of the velocity change of a free body, and of work.stage_twist)
+    returns (largest component of its velocity change of a free body, largest component of
+    work.stage_twist)
     """
-    apart = speed = 0.0
+    change = speed = 0.0
     for i in range(len(model.bodies)):
         for c in range(6):
             memory.impulse[i, c] = 0.5 * h * (work.wrench[i, c] - memory.load[i, c])
@@ -214,32 +221,35 @@ def _new_impulse(model, work, memory, h):
         dv = scale3(model.bodies[i]["inverse_mass"], load3(memory.impulse, i, 3))
         for c in range(3):
             # NaN propagates.
-            if not abs(dw[c]) <= apart:
-                apart = abs(dw[c])
-            if not abs(dv[c]) <= apart:
-                apart = abs(dv[c])
-    return apart, speed
+            if not abs(dw[c]) <= change:
+                change = abs(dw[c])
+            if not abs(dv[c]) <= change:
+                change = abs(dv[c])
+    return change, speed
 
 
 @kernel
 def second_half(model, work, memory, h, external):
-    """V+ into work.stage_twist, Q+ into memory.load. Returns a status."""
-    _carry(model, work, memory, h)
+    """Find V+ at the end of a substep, into work.stage_twist. Returns a status.
+
+    Also writes Q+ into memory.load. external (n, 6) : applied wrenches in body axes
+    """
+    _transport(model, work, memory, h)
     for i in range(len(model.bodies)):
         for c in range(6):
             memory.load[i, c] = 0.0
     for r in range(len(memory.target)):
         memory.target[r] = 0.0
     previous = math.inf
-    for repeat in range(MOST_REPEATS):
+    for repeat in range(MAX_REPEATS):
         loads(model, work, work.stage_pose, work.stage_twist, external)
-        apart, speed = _new_impulse(model, work, memory, h)
+        change, speed = _update_impulse(model, work, memory, h)
         if repeat == 0:
             copy_state(work.stage_pose, memory.half, work.stage_pose, work.stage_twist)
-        elif apart <= TOLERANCE * speed or (0.5 * previous < apart <= STUCK * TOLERANCE * speed):
+        elif change <= TOLERANCE * speed or (0.5 * previous < change <= STUCK * TOLERANCE * speed):
             return OK
         else:
-            previous = apart
+            previous = change
         # The first iteration makes J V+ zero; later ones do not change it.
         status = respond(
             model,

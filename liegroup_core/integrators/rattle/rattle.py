@@ -1,17 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """RATTLE for mechanisms: variational, symmetric, satisfies all constraints in every step.
 
-The unknowns are the velocities V' = (w', v') at half step, in the axes of the start. One step from
-(R, r, V), with the wrenches Q of gravity, forces and external wrenches, M = diag(I, m):
-    M V' = M V + (h/2) (Q - J^T lambda)                     lambda: all joints satisfied
+The unknowns are the velocities V' = (w', v') at half step, in the body axes of the start. One step
+from (R, r, V), with the wrenches Q of gravity, forces and external wrenches, M = diag(I, m):
+    M V' = M V + (h/2) (Q - J^T lambda)                     lambda: constraints satisfied
     R+ = R exp x ,  h I w' = dexpinv_{-x} I x ,  r+ = r + h R v'                    at R+, r+
     M V+ = M V'+ + (h/2) (Q+ - J+^T mu)                     mu: J+ V+ = 0
-V'+ is M V' in the axes of the end: I w'+ = exp(-x) I w', v'+ = exp(-x) v'. This is the step of the
-discrete Lagrangian with the kinetic energy of the constant velocity (x/h, (r+ - r)/h) and half of
-the potential energy at each end; J^T lambda acts at the start and J+^T mu at the end, as in RATTLE.
+V'+ has the momentum of V', in the axes of the end: I w'+ = exp(-x) I w', v'+ = exp(-x) v'. This is
+the step of a discrete Lagrangian: the kinetic energy of the constant velocity (x/h, (r+ - r)/h),
+and half of the potential energy at each end. J^T lambda acts at the start and J+^T mu at the end,
+as in RATTLE.
 Properties, shown by test/verification/test_constrained_geometric.py:
   * order 2 and symmetric: a step h followed by a step -h returns to the start, to machine
-    precision. This includes forces that depend on velocity: the equation for V+ in Q+ is solved
+    precision. This includes velocity-dependent forces: the equation for V+ with Q+(V+) is solved
   * symplectic if all forces have a potential: the energy error is O(h^2) and does not drift. Other
     symmetric maps are compared in docs/explanation/long_runs.md
   * constraints and J V = 0 are satisfied to machine precision; momentum components that joints and
@@ -20,11 +21,11 @@ Steps g_1 h, ..., g_k h with symmetric g, sum g = 1, compose a step of higher or
 properties, see SUBSTEPS. docs/explanation/long_runs.md compares them with rkmk4 and rkmk8.
 
 Broyden's method finds lambda, in terms of J V', from the saddle-point matrix at the start of the
-step: one elimination per step, otherwise substitutions. The configuration group is SO(3) x R^3 for
-every `group` of the simulation.
+step. A step takes one elimination; all other solves are substitutions. The configuration group is
+SO(3) x R^3 for every `group` of the simulation. half_steps.py has both halves of a step.
 
 Source: Andersen, J. Comput. Phys. 52 (1983) 24-34; Marsden and West, Acta Numerica 2001, 3.5.2;
-Bou-Rabee and Marsden, Found. Comput. Math. 9 (2009) 197-219 for the turn.
+Bou-Rabee and Marsden, Found. Comput. Math. 9 (2009) 197-219 for the rotation.
 """
 
 import numpy as np
@@ -37,18 +38,19 @@ from liegroup_core.lie.vec3 import dot3, load3
 from liegroup_core.model.arrays import MET, WAIT, make_work
 from liegroup_core.status import NOT_FINITE, OK, TURNS_NOT_COUNTED
 
-from .half_steps import REMEMBERED, Memory, first_half, second_half
+from .half_steps import HISTORY, Memory, first_half, second_half
 from .solve import loads
 
 
 def _mirrored(*half):
-    """Symmetric sequence of substeps from its first half and its middle."""
+    """Symmetric sequence of substeps; half: its first half with the middle one."""
     return np.array([*half[:-1], *half[::-1]])
 
 
 _SUZUKI = 1.0 / (4.0 - 4.0 ** (1.0 / 3.0))
-# Parts g of a step. Order 4: Suzuki, Phys. Lett. A 146 (1990); order 8: Kahan and Li, Math. Comp.
-# 66 (1997), as in Hairer, Lubich and Wanner, Geometric Numerical Integration, (V.3.13).
+# Substeps g as fractions of a step. Order 4: Suzuki, Phys. Lett. A 146 (1990); order 8: Kahan and
+# Li, Math. Comp. 66 (1997), as in Hairer, Lubich and Wanner, Geometric Numerical Integration,
+# (V.3.13).
 SUBSTEPS = {
     "constrained_rattle": np.ones(1),
     "constrained_rattle4": _mirrored(_SUZUKI, _SUZUKI, 1.0 - 4.0 * _SUZUKI),
@@ -70,9 +72,10 @@ SUBSTEPS = {
 def advance(model, work, memory, parts, h, steps, pose, twist, external):
     """Take `steps` steps of size h in place of pose (n, 12) and twist (n, 6).
 
-    parts           : of SUBSTEPS
+    parts           : (k,) substeps as fractions of a step, an entry of SUBSTEPS
     external (n, 6) : applied wrenches in body axes, constant over these steps
-    returns (steps done, status), as for rkmk; if status is not OK, the guesses are invalid
+    returns (steps done, status), as munthe_kaas.advance; if status is not OK, the initial guesses
+    are invalid
     """
     pose, twist, external, parts = (
         borrowed(pose),
@@ -129,7 +132,7 @@ class Constrained:
             load=np.zeros((n, 6)),
             impulse=np.zeros((n, 6)),
             target=np.zeros(rows),
-            corrections=np.zeros((REMEMBERED, rows)),
+            corrections=np.zeros((HISTORY, rows)),
             bias=np.zeros(rows),
             growth=np.zeros(rows),
             size=np.zeros(1),

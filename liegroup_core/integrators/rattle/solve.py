@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Evaluations of forces and joints for a step of rattle.py, each compiled once."""
+"""Forces, and responses to impulses, for a RATTLE step; each function is compiled once."""
 
 from liegroup_core.compiling import borrowed, subroutine
 from liegroup_core.forces.gravity import add_wrench as add_gravity
@@ -12,7 +12,7 @@ from liegroup_core.status import DEPENDENT_ROWS, OK
 
 @subroutine
 def loads(model, work, pose, twist, external):
-    """Write the sum of all wrenches without gyroscopic terms into work.wrench (n, 6)."""
+    """Write the sum of all wrenches, without gyroscopic terms, into work.wrench (n, 6)."""
     pose, twist, external = borrowed(pose), borrowed(twist), borrowed(external)
     for i in range(len(model.bodies)):
         for c in range(6):
@@ -23,13 +23,14 @@ def loads(model, work, pose, twist, external):
 
 @subroutine
 def respond(model, work, impulse, target, fresh, less, pose, twist, velocity_out):
-    """Add the velocity change (n, 6) of all bodies under an impulse and the joints' reactions.
+    """Add the velocity change dV of all bodies under an impulse and the joint reactions.
 
     Solves M dV + J^T lambda = impulse, J dV = target - less J V.
-    impulse (n, 6), target (rows,)
-    fresh        : J is that of pose, and V is twist; else J is that of the last fresh call, and
-                   less must be 0
-    velocity_out : dV is added to it
+    impulse      : (n, 6) N m s, N s
+    target       : (rows,)
+    fresh        : True: J is evaluated at `pose`, and V is `twist`. False: J is that of the last
+                   fresh call, and `less` must be 0
+    velocity_out : (n, 6); dV is added to it
     returns OK, or DEPENDENT_ROWS + (element << 8)
     """
     impulse, target = borrowed(impulse), borrowed(target)
@@ -49,7 +50,7 @@ def respond(model, work, impulse, target, fresh, less, pose, twist, velocity_out
         dependent = solve(model, work, refinements, shift, fresh)
         if dependent < 0:
             break
-        # A singular pose: see newton_euler.accelerations.
+        # Singular pose: regularised solve, see newton_euler.accelerations.
         refinements, shift = REFINEMENTS_WHEN_SINGULAR, REGULARISATION
         work.report[2] += 1.0
     if dependent >= 0:

@@ -7,16 +7,17 @@ One step of (6.25), stages j = 1..s, on G x R^6n with G = SE(3)^n or (SO(3) x R^
 On the vector part (velocities) exp and dexp are the identity. On SO(3) x R^3 the velocity of the
 group is (omega in body axes, rdot in WORLD axes): (6.26) and the note to it.
 
-The number of stages is data, so that all tableaux share one compiled `advance`. A tableau with an
-error estimate divides each step into substeps:
+The number of stages is data, so that all tableaux share one compiled `advance`. With an error
+estimate each step is divided into substeps. The estimate is the difference of two such methods in
+the algebra:
     delta = h sum_j e_j k_j ,   k_s+1 = dexp^-1_{-Psi} F(X_1) ,   Psi = h sum_j b_j k_j
-is the difference of two such methods in the algebra, one screw (dxi, deta) and one twist
-difference (dw, dv) for every body. A substep is accepted if for every body
+It has one screw (dxi, deta) and one twist difference (dw, dv) for every body. A substep is accepted
+if for every body
     |dxi|^2/atol^2 + |deta|^2/atol^2 + |dw|^2/tol_w^2 + |dv|^2/tol_v^2 <= 1
     tol_w = atol + rtol max(|w_0|, |w_1|),   tol_v = atol + rtol max(|v_0|, |v_1|)
-in rad, m, rad/s and m/s. Errors of poses have an absolute tolerance: they must not depend on the
-world's origin. The body with the largest error decides, not a mean, which would hide one fast body
-among many slow ones.
+in rad, m, rad/s and m/s. The tolerance of poses is absolute, so that it does not depend on the
+origin of the world. The largest error of a body decides: a mean would hide one fast body among many
+slow ones.
 """
 
 import math
@@ -32,7 +33,7 @@ from liegroup_core.status import DEPENDENT_ROWS, OFF_PLANE, OK, SUBSTEP_TOO_SMAL
 
 from . import spaces
 
-# Bounds of one change of the substep, and safety factor of the next error.
+# Bounds of the ratio of two successive substeps, and safety factor of the next one.
 LARGEST_GROWTH, LARGEST_CUT, SAFETY = 5.0, 0.2, 0.9
 # Smallest substep as a fraction of a step; its inverse is the largest number of substeps.
 SMALLEST_SUBSTEP = 1e-9
@@ -43,7 +44,7 @@ class Scheme(Struct):
     """Data of a Munthe-Kaas method: tableau of s stages, series of dexpinv, tolerances."""
 
     a: np.ndarray  # (s + 1, s) the tableau's a, below it its b
-    error: np.ndarray  # (1, s + 1) weights of the error estimate, or (0, s + 1): none
+    error: np.ndarray  # (1, s + 1) weights of the error estimate; (0, s + 1) without one
     highest: int  # last power of ad in dexpinv, or EXACT
     rtol: float  # of velocities
     atol: float  # rad, m, rad/s, m/s
@@ -51,10 +52,10 @@ class Scheme(Struct):
 
 @kernel
 def _change(error):
-    """Factor of the next substep for an error near 1: 0.9 error^(-3/16), within bounds.
+    """Ratio of the next substep to this one: 0.9 error^(-3/16), within bounds.
 
-    The estimate is of fourth order: error ~ h^5. The exponent 3/16 instead of 1/5 needs only square
-    roots, which are bit-identical on every machine; so is then the run.
+    For an estimate of order 4 the error is proportional to h^5. The exponent 3/16 instead of 1/5
+    needs only square roots. They are bit-identical on every machine, and so is the run.
     """
     if not error < 1e4:
         return LARGEST_CUT
@@ -64,8 +65,11 @@ def _change(error):
 
 @kernel
 def _judge(model, work, scheme, h, size, status, twist, control):
-    """Accept or reject a substep, a given part of a step h, and set the size of the next one.
+    """Accept or reject a substep of the given size, and set the size of the next one.
 
+    h       : s, the whole step
+    status  : of the substep; a substep that failed is rejected
+    control : see `advance`
     returns (status, accepted): status is not OK if no smaller substep is allowed
     """
     error = math.inf
@@ -82,8 +86,8 @@ def _judge(model, work, scheme, h, size, status, twist, control):
 
 
 @kernel
-def _keep(work, pose, twist, control):
-    """Save the state at the start of a step that is taken in substeps."""
+def _save(work, pose, twist, control):
+    """Save the state at the start of a step for `_restore`."""
     copy_state(pose, twist, work.start_pose, work.start_twist)
     for i in range(len(work.angle)):
         work.start_angle[i] = work.angle[i]
@@ -92,7 +96,7 @@ def _keep(work, pose, twist, control):
 
 @kernel
 def _restore(work, pose, twist, control):
-    """Restore the state saved by `_keep`."""
+    """Restore the state saved by `_save`."""
     copy_state(work.start_pose, work.start_twist, pose, twist)
     for i in range(len(work.angle)):
         work.angle[i] = work.start_angle[i]
@@ -108,12 +112,12 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
     control (4,)    : next substep in s, numbers of accepted and of attempted substeps so far, next
                       substep at the start of the step; only for schemes with error control
     returns (steps done, status): fewer steps if status is not OK, or if work.report[3] becomes MET
-    (model.arrays). The low byte of status is the code; the rest is the element of DEPENDENT_ROWS or
-    the torsional spring of TURNS_NOT_COUNTED. Pose, twist and work.angle are then those of the last
-    valid step. OFF_PLANE: the state is not in the plane of a PlanarModel; it is unchanged.
+    (model/arrays.py). Pose, twist and work.angle are those of the last valid step. The low byte of
+    status is the code. The other bytes are the element of DEPENDENT_ROWS or the torsional spring of
+    TURNS_NOT_COUNTED. OFF_PLANE: the state is not in the plane of a PlanarModel; it is unchanged.
 
-    Steps, substeps and stages are loops of one function, because the mechanics are inlined, and so
-    compiled, at every call.
+    Steps, substeps and stages are loops of one function: the mechanics are inlined and compiled at
+    every call.
     """
     pose_in, twist_in = borrowed(pose_in), borrowed(twist_in)
     external_in, control = borrowed(external_in), borrowed(control)
@@ -122,23 +126,23 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
         return 0, status
     stages = scheme.a.shape[1]
     controlled = len(scheme.error) > 0
-    first = 0  # 1: slopes of the first stage are there, the last ones of the substep before
+    first = 0  # 1: the last substep has already written the derivatives of stage 0
     done = 0
     while done < steps and status == OK:
         if controlled:
-            _keep(work, pose, twist, control)
-        left = h
+            _save(work, pose, twist, control)
+        remaining = h
         attempts = 0
-        while left > 0.0 and status == OK:
+        while remaining > 0.0 and status == OK:
             count = 1
             if controlled:
-                # Equal substeps up to the end of the step: no tiny one is left over.
-                count = max(1, math.ceil(left / control[0] - 1e-6))
-            size = left / count
+                # Equal substeps up to the end of the step, so that the last one is not tiny.
+                count = max(1, math.ceil(remaining / control[0] - 1e-6))
+            size = remaining / count
             attempts += 1
             work.report[1] = 0.0
             spaces.begin(model, work, group, pose, twist)
-            # The end is one more stage: nothing to evaluate there but for an error estimate.
+            # The end is one more stage. Accelerations there are for the error estimate only.
             for stage in range(first, stages + 1):
                 if stage > 0:
                     status = spaces.move(
@@ -157,24 +161,24 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
             if controlled:
                 if status == OK:
                     first = 1
-                status, good = _judge(model, work, scheme, h, size, status, twist, control)
-                if status == OK and attempts >= MOST_SUBSTEPS and not (good and count == 1):
+                status, accepted = _judge(model, work, scheme, h, size, status, twist, control)
+                if status == OK and attempts >= MOST_SUBSTEPS and not (accepted and count == 1):
                     status = TOO_MANY_SUBSTEPS
-                if status == OK and not good:
+                if status == OK and not accepted:
                     continue
             if status == OK and model.projects:
                 status = spaces.close(model, work)
             if status != OK:
                 break
             if controlled:
-                # The slope at the end is the first of the next substep, taken there as it is;
-                # a projected end has another.
+                # First same as last: the end of a substep is stage 0 of the next one, where Psi is
+                # zero. Projection changes the end, so that it must be evaluated again.
                 spaces.store_slopes(model, work, scheme, group, 0)
                 first = 0 if model.projects else 1
             spaces.count_turns(model, work)
             copy_state(work.stage_pose, work.stage_twist, pose, twist)
             work.report[0] = max(work.report[0], work.report[1])
-            left = left - size if count > 1 else 0.0
+            remaining = remaining - size if count > 1 else 0.0
         if status == OK:
             done += 1
             if work.report[3] == WAIT and spaces.turns_over(model, work, h):
@@ -190,16 +194,16 @@ class MuntheKaas:
     """Munthe-Kaas method of a tableau of METHODS for a model, with its memory between calls.
 
     dexpinv    : "exact", or "truncated" to the powers of ad that the method's order needs
-    space      : "auto": a planar mechanism is integrated in its plane, see planar.build; "space":
-                 always in space
-    rtol, atol : tolerances of error control, only for a tableau with an estimate; see above
+    space      : "auto": planar mechanisms (formulations/planar/build.py) are integrated in their
+                 plane; "space": all mechanisms are integrated in space
+    rtol, atol : tolerances of error control, only for a tableau with an error estimate; see above
     """
 
     def __init__(self, method, layout, group, step, options):
         tableau = method.tableau
         stages = len(tableau.b)
-        error = np.zeros((0, stages + 1)) if tableau.e is None else tableau.e.reshape(1, -1)
-        self.controlled = tableau.e is not None
+        self.controlled = method.controlled
+        error = tableau.e.reshape(1, -1) if self.controlled else np.zeros((0, stages + 1))
         self._schemes = {
             1.0: Scheme(
                 np.vstack([tableau.a, tableau.b]),
@@ -224,25 +228,23 @@ class MuntheKaas:
     @staticmethod
     def options(method):
         """{name: (default, description of valid values, check)} of the method's options."""
-        kinds = ("exact", "truncated")
-        spaces = ("auto", "space")
-        found = {
-            "dexpinv": (kinds[0], " or ".join(map(repr, kinds)), kinds.__contains__),
-            "space": (spaces[0], " or ".join(map(repr, spaces)), spaces.__contains__),
+        options = {
+            name: (values[0], " or ".join(map(repr, values)), values.__contains__)
+            for name, values in (("dexpinv", ("exact", "truncated")), ("space", ("auto", "space")))
         }
-        if method.tableau.e is not None:
-            found["rtol"] = found["atol"] = (1e-6, "a positive number", is_positive)
-        return found
+        if method.controlled:
+            options["rtol"] = options["atol"] = (1e-6, "a positive number", is_positive)
+        return options
 
     def restart(self):
         """Clear the memory between calls: the state was set."""
         self._control[:] = self._longest, 0.0, 0.0, self._longest
 
     def tighten(self, part):
-        """Set the tolerances to this fraction of those of the options."""
+        """Set the tolerances to a fraction of those of the options."""
         if part not in self._schemes:
-            given = self._schemes[1.0]
-            self._schemes[part] = given.replace(rtol=part * given.rtol, atol=part * given.atol)
+            scheme = self._schemes[1.0]
+            self._schemes[part] = scheme.replace(rtol=part * scheme.rtol, atol=part * scheme.atol)
         self._scheme = self._schemes[part]
 
     @property

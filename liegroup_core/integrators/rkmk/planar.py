@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Operations of a Munthe-Kaas step for planar bodies: states on SE(2)^n or (SO(2) x R^2)^n.
 
-The same steps as in spatial.py, written for a constant axis of rotation: a stage gives the same
-numbers except for round-off (test/core/test_planar.py). SO(2) x R^2 is commutative: exp is a
-rotation and a translation, dexp the identity.
+The steps are those of spatial.py, written for a constant axis of rotation: results agree to
+machine precision (test/core/test_planar.py). SO(2) x R^2 is commutative: exp is a rotation and a
+translation, dexp the identity.
 """
 
 import math
@@ -31,7 +31,7 @@ from liegroup_core.status import (
 
 @kernel
 def enter(model, work, pose, twist, external):
-    """Planar state from the caller's arrays; OFF_PLANE if there is none."""
+    """Convert the caller's state to the plane; the status is OFF_PLANE if it is not planar."""
     # Forces and projection need the positions along the normal.
     copy_state(pose, twist, work.space.stage_pose, work.space.stage_twist)
     wrench_to_plane(model, external, work.external)
@@ -49,7 +49,7 @@ def leave(model, work, pose, twist, pose_out, twist_out):
 
 @kernel
 def begin(model, work, group, pose, twist):
-    """Stage 0: the state itself."""
+    """Set stage 0 to the state."""
     for i in range(len(model.bodies)):
         vx, vy = twist[i, 1], twist[i, 2]
         if group != SE3:
@@ -61,7 +61,10 @@ def begin(model, work, group, pose, twist):
 
 @kernel
 def _increment(h, weights, row, stages, slopes, n, i):
-    """h sum_l weights[row, l] k_l of body i over the given number of stages: six numbers."""
+    """Sum h weights[row, l] k_l of body i over the first stages l: six numbers.
+
+    returns rotation, two translations, and the changes of omega, v_1, v_2
+    """
     xi, ex, ey, dw, dx, dy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for stage in range(stages):
         weight = weights[row, stage]
@@ -95,7 +98,7 @@ def move(model, work, scheme, group, h, stage, end, pose):
         c0, s0 = pose[i, 0], pose[i, 1]
         c, s = c0 * ct - s0 * st, s0 * ct + c0 * st
         if end:
-            # One step of Newton's iteration for the nearest rotation.
+            # One Newton iteration for the nearest rotation, see motion.orthonormal.
             scale = 1.5 - 0.5 * (c * c + s * s)
             c, s = c * scale, s * scale
         if group == SE3:
@@ -145,7 +148,7 @@ def store_slopes(model, work, scheme, group, stage):
 
 @kernel
 def check_end(model, work, h):
-    """OK, NOT_FINITE or TURNS_NOT_COUNTED + (spring << 8) for the end of a step of size h."""
+    """Check the end of a step of size h; see spaces.py."""
     if not is_finite(work.stage_pose, work.stage_twist):
         return NOT_FINITE
     if len(work.angle) > 0:
@@ -159,7 +162,7 @@ def check_end(model, work, h):
 
 @kernel
 def turns_over(model, work, h):
-    """True if a spring may reverse its direction in a step h after the finished one."""
+    """True if a spring may reverse its direction in the next step, of size h."""
     space = work.space
     to_space(model, work.stage_pose, work.stage_twist, space.stage_pose, space.stage_twist)
     return kinds.turns_over(model.space.forces, h, space.stage_pose, space.stage_twist)
@@ -167,7 +170,10 @@ def turns_over(model, work, h):
 
 @kernel
 def error_norm(model, work, scheme, h, twist):
-    """Norm of the error estimate of a step from `twist`: accepted up to 1; see munthe_kaas.py."""
+    """Norm of the error estimate of a step from `twist`; a step is accepted up to 1.
+
+    See munthe_kaas.py.
+    """
     n = len(model.bodies)
     largest = 0.0
     for i in range(n):

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Operations of a Munthe-Kaas step, selected by the type of the model: in space or in a plane.
 
-munthe_kaas.py takes the steps for both. The operations are in spatial.py for a Model and in
-planar.py for a PlanarModel:
+munthe_kaas.py takes the steps for both. spatial.py has the operations for a Model, planar.py those
+for a PlanarModel:
 
     enter(model, work, pose, twist, external) -> (pose, twist, external, status)
-                            arrays to integrate, from the caller's; unchanged if not OK
+                            arrays to integrate, from the arrays of the caller, which stay
+                            unchanged if the status is not OK
     leave(model, work, pose, twist, pose_out, twist_out)
-                            write them back to the caller's arrays
+                            write the result back to the arrays of the caller
     begin(model, work, group, pose, twist)
                             set stage 0 to the state: work.stage_pose, stage_twist, velocity
     move(model, work, scheme, group, h, stage, end, pose) -> status
@@ -15,9 +16,10 @@ planar.py for a PlanarModel:
     accelerate(model, work, external) -> int
                             accelerations of the stage; -1, or the joint with dependent rows
     store_slopes(model, work, scheme, group, stage)
-                            slopes of the stage, from its accelerations
+                            stage derivatives k, from the accelerations of the stage
     check_end(model, work, h) -> status
-                            not OK if the end is not finite, or an angle cannot be unwrapped
+                            status of the end of a step of size h: NOT_FINITE, or
+                            TURNS_NOT_COUNTED + (spring << 8) if its angle cannot be unwrapped
     turns_over(model, work, h) -> bool
                             True if a spring may reverse its direction in the next step
     error_norm(model, work, scheme, h, twist) -> float

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Operations of a Munthe-Kaas step for bodies in space: states on SE(3)^n or (SO(3) x R^3)^n.
 
-spaces.py lists the functions; planar.py has the same for planar mechanisms. Here `model` is a Model
+spaces.py lists these functions; planar.py has those for planar mechanisms. Here `model` is a Model
 and `work` a Work.
 """
 
@@ -48,7 +48,7 @@ from liegroup_core.status import (
 
 @kernel
 def enter(model, work, pose, twist, external):
-    """Arrays to integrate: those of the caller."""
+    """Return the caller's arrays: they are integrated in place."""
     return pose, twist, external, OK
 
 
@@ -60,7 +60,7 @@ def leave(model, work, pose, twist, pose_out, twist_out):
 
 @kernel
 def begin(model, work, group, pose, twist):
-    """Stage 0: the state itself."""
+    """Set stage 0 to the state."""
     for i in range(len(model.bodies)):
         group_velocity(group, pose, twist, i, work.velocity)
     copy_state(pose, twist, work.stage_pose, work.stage_twist)
@@ -68,7 +68,10 @@ def begin(model, work, group, pose, twist):
 
 @kernel
 def _increment(h, weights, row, stages, slopes, n, i):
-    """h sum_l weights[row, l] k_l of body i over the given number of stages: four vectors."""
+    """Sum h weights[row, l] k_l of body i over the first stages l: four vectors.
+
+    returns rotation, translation, and the changes of omega and v
+    """
     xi, eta, dw, dv = ZERO3, ZERO3, ZERO3, ZERO3
     for stage in range(stages):
         weight = weights[row, stage]
@@ -85,7 +88,7 @@ def _increment(h, weights, row, stages, slopes, n, i):
 def move(model, work, scheme, group, h, stage, end, pose):
     """Set all bodies to X_0 exp Psi of a stage: work.stage_pose and work.stage_twist.
 
-    stage : its Psi is written to work.slopes for `store_slopes`
+    stage : number of the stage; its Psi is written to work.slopes for `store_slopes`
     end   : True at the end of a step: R is also projected to SO(3), and the round-off of velocities
             at joints to ground is removed
     returns OK, ROTATION_TOO_LARGE or NOT_FINITE
@@ -118,9 +121,9 @@ def move(model, work, scheme, group, h, stage, end, pose):
 
 @kernel
 def _store_slope(work, scheme, group, n, i, stage):
-    """k of body i and a stage from work.stage_pose, stage_twist and acceleration.
+    """Compute k of body i from stage_pose, stage_twist and acceleration of `work`.
 
-    k replaces Psi. In the first stage Psi = 0, and dexp^-1 is the identity.
+    k replaces Psi in work.slopes. In stage 0 Psi = 0, so that dexp^-1 is the identity.
     """
     row = stage * n + i
     w = load3(work.stage_twist, i, 0)
@@ -150,7 +153,7 @@ def _store_slope(work, scheme, group, n, i, stage):
 
 @kernel
 def accelerate(model, work, external):
-    """Accelerations of a stage. Returns -1, or the joint with dependent rows."""
+    """Compute the accelerations of a stage. Returns -1, or the joint with dependent rows."""
     return accelerations(model, work, work.stage_pose, work.stage_twist, external)
 
 
@@ -164,7 +167,7 @@ def store_slopes(model, work, scheme, group, stage):
 
 @kernel
 def check_end(model, work, h):
-    """OK, NOT_FINITE or TURNS_NOT_COUNTED + (spring << 8) for the end of a step of size h."""
+    """Check the end of a step of size h; see spaces.py."""
     if not is_finite(work.stage_pose, work.stage_twist):
         return NOT_FINITE
     fast = kinds.too_fast(model.forces, h, work.stage_pose, work.stage_twist)
@@ -175,13 +178,16 @@ def check_end(model, work, h):
 
 @kernel
 def turns_over(model, work, h):
-    """True if a spring may reverse its direction in a step h after the finished one."""
+    """True if a spring may reverse its direction in the next step, of size h."""
     return kinds.turns_over(model.forces, h, work.stage_pose, work.stage_twist)
 
 
 @kernel
 def error_norm(model, work, scheme, h, twist):
-    """Norm of the error estimate of a step from `twist`: accepted up to 1; see munthe_kaas.py."""
+    """Norm of the error estimate of a step from `twist`; a step is accepted up to 1.
+
+    See munthe_kaas.py.
+    """
     n = len(model.bodies)
     largest = 0.0
     for i in range(n):

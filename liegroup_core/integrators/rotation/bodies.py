@@ -2,8 +2,8 @@
 """Bodies for the rotation methods: each rotates about one point, free or on a spherical joint.
 
 A free body rotates about its centre of mass. A held body rotates about its spherical joint, with
-I = I_com + m (|d|^2 1 - d d^T), d from the joint to the centre of mass. R determines the centre of
-mass of a held body, r = pivot + R d, v = w x d: the joint is satisfied to machine precision.
+I = I_com + m (|d|^2 1 - d d^T), d from the joint to the centre of mass. Its centre of mass follows
+from R and w: r = pivot + R d, v = w x d. The joint is satisfied to machine precision.
 """
 
 import numpy as np
@@ -32,9 +32,9 @@ COLUMNS = 30
 
 SPINNER = np.dtype(
     [
-        ("held", "i8"),  # 1: by a ball joint
-        ("inertia", "f8", (9,)),
-        ("inverse_inertia", "f8", (9,)),  # kg m^2, about its point
+        ("held", "i8"),  # 1: on a spherical joint; 0: free
+        ("inertia", "f8", (9,)),  # kg m^2, about the point of rotation, body axes
+        ("inverse_inertia", "f8", (9,)),  # 1/(kg m^2)
         ("arm", "f8", (3,)),  # m, from the joint to the centre of mass, body axes
         ("pivot", "f8", (3,)),  # m, the joint in the world
         ("mass", "f8"),  # kg
@@ -42,16 +42,21 @@ SPINNER = np.dtype(
     align=True,
 )
 
+# Columns of the memory of a step, per body: three of each, nine of Q. LINEAR, VELOCITY and PLACE
+# are the present values of m R v, w and r at the end of the step.
+TURN, MOMENTUM, TORQUE, FORCE, LINEAR, VELOCITY, PLACE, Q = 0, 3, 6, 9, 12, 15, 18, 21
+COLUMNS = 30
+
 
 @kernel
 def place(spinner, i, rot, w, r, linear, pose_out, twist_out):
-    """Set a body to R and w; a free one also to r and m R v = linear."""
+    """Set body i to rotation R and angular velocity w; a free body also to r and m R v = linear."""
     if spinner["held"] == 1:
         arm = vector3(spinner["arm"])
         r = add3(vector3(spinner["pivot"]), matvec3(rot, arm))
         v = cross3(w, arm)
     else:
-        # Not R^T alone: R is a rotation up to round-off, which is the same for many steps.
+        # R^T is the inverse of R up to round-off, which is the same for many steps: refine once.
         v = tmatvec3(rot, linear)
         v = scale3(1.0 / spinner["mass"], add3(v, tmatvec3(rot, sub3(linear, matvec3(rot, v)))))
     store9(rot, pose_out, i, 0)
@@ -62,7 +67,7 @@ def place(spinner, i, rot, w, r, linear, pose_out, twist_out):
 
 @kernel
 def load(spinner, work, i):
-    """Torque about the point of a body in body axes, force in world axes."""
+    """Torque about the point of rotation, body axes, and force, world axes, from work.wrench."""
     force = load3(work.wrench, i, 3)
     torque = load3(work.wrench, i, 0)
     if spinner["held"] == 1:
@@ -72,12 +77,12 @@ def load(spinner, work, i):
 
 @kernel
 def linear_momentum(spinner, pose, twist, i):
-    """m R v of a body, world axes."""
+    """Linear momentum m R v of body i, world axes."""
     return scale3(spinner["mass"], matvec3(load9(pose, i, 0), load3(twist, i, 3)))
 
 
 def misfit(layout):
-    """Text why a scene (layout.Layout) does not fit, or ""."""
+    """Reason why the methods cannot integrate a scene (layout.Layout), or ""."""
     held = set()
     for element, owner in zip(layout.model.elements, layout.owners):
         joint = layout.scene.joints[owner]
@@ -94,7 +99,7 @@ def misfit(layout):
 
 
 def make_spinners(model):
-    """Bodies of a model as records of SPINNER."""
+    """Create the (n,) records of SPINNER of a model."""
     spinners = np.zeros(len(model.bodies), dtype=SPINNER)
     for name in ("mass", "inertia", "inverse_inertia"):
         spinners[name] = model.bodies[name]

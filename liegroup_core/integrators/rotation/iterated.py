@@ -23,55 +23,57 @@ from liegroup_core.lie.vec3 import (
 from liegroup_core.status import NOT_CONVERGED, OK
 
 from .bodies import FORCE, LINEAR, PLACE, TORQUE, TURN, VELOCITY, Q, linear_momentum, load, place
-from .maps import BOTTASSO_BORRI, LIE_MIDPOINT, iterated_end, iterated_step, kept, turn
+from .maps import BOTTASSO_BORRI, LIE_MIDPOINT, iterated_end, iterated_step, renormalised, turn
 
-# Corrections of the loads that Broyden's method stores before it restarts, and its `most`: above it
-# forces nearly amplify a displacement, like a negative damping.
-REMEMBERED, MOST_PART = 16, 0.9
+# Corrections of the loads that Broyden's method stores before it restarts, and its `bound`: above
+# it forces nearly amplify a displacement, as negative damping does.
+HISTORY, BROYDEN_BOUND = 16, 0.9
 
 
 @kernel
-def _moved(one, other):
-    """Largest difference of two vectors' components; NaN propagates."""
+def _largest_difference(a, b):
+    """Largest absolute difference of the components of two vectors; NaN propagates."""
     largest = 0.0
     for c in range(3):
-        apart = abs(one[c] - other[c])
-        if not apart <= largest:
-            largest = apart
+        difference = abs(a[c] - b[c])
+        if not difference <= largest:
+            largest = difference
     return largest
 
 
 @kernel
-def _rates(spinner):
-    """Scales of the loads: 1/(kg m^2) for torques and 1/kg for forces."""
+def _scales(spinner):
+    """Scales of torque and force, 1/(kg m^2) and 1/kg, that turn loads into accelerations."""
     inertia = spinner["inertia"]
     return 3.0 / (inertia[0] + inertia[4] + inertia[8]), 1.0 / spinner["mass"]
 
 
 @kernel
-def expect(spinners, work, loads, corrections, evaluation):
-    """Correct the loads for the next iteration from those at the last result.
+def update_loads(spinners, work, loads, corrections, evaluation):
+    """Update the loads of an ITERATED step from the forces at its last iterate, by Broyden's method.
 
-    loads (6 n,) : rad/s^2 and m/s^2, in place
+    loads (6 n,)             : rad/s^2 and m/s^2, in place
+    corrections (HISTORY, 6 n) : previous corrections of the loads
+    evaluation               : number of the iteration, from 0
     """
-    k = max(0, evaluation - 1) % REMEMBERED
+    k = max(0, evaluation - 1) % HISTORY
     for i in range(len(spinners)):
         torque, force = load(spinners[i], work, i)
-        by_torque, by_force = _rates(spinners[i])
+        by_torque, by_force = _scales(spinners[i])
         for c in range(3):
             if evaluation == 0:
                 loads[6 * i + c] = loads[6 * i + 3 + c] = 0.0
             corrections[k, 6 * i + c] = by_torque * torque[c] - loads[6 * i + c]
             corrections[k, 6 * i + 3 + c] = by_force * force[c] - loads[6 * i + 3 + c]
     if evaluation > 0:
-        broyden(corrections, k, MOST_PART)
+        broyden(corrections, k, BROYDEN_BOUND)
     for r in range(len(loads)):
         loads[r] += corrections[k, r]
 
 
 @kernel
 def iterated(rule, spinners, work, memory, loads, h, evaluation, pose, twist):
-    """ITERATED step with the present loads; sets the bodies to where forces are evaluated next.
+    """Take an ITERATED step with the present loads; place the bodies where forces act next.
 
     returns (status, largest change of a displacement since the last iteration, in rad and relative
     to the largest coordinate or 1 m)
@@ -80,7 +82,7 @@ def iterated(rule, spinners, work, memory, loads, h, evaluation, pose, twist):
     for i in range(len(spinners)):
         spinner = spinners[i]
         inertia, inverse = matrix3(spinner["inertia"]), matrix3(spinner["inverse_inertia"])
-        by_torque, by_force = _rates(spinner)
+        by_torque, by_force = _scales(spinner)
         torque = (
             loads[6 * i] / by_torque,
             loads[6 * i + 1] / by_torque,
@@ -92,20 +94,21 @@ def iterated(rule, spinners, work, memory, loads, h, evaluation, pose, twist):
             loads[6 * i + 5] / by_force,
         )
         w = load3(twist, i, 0)
-        before = load3(memory, i, TURN)
+        guess = load3(memory, i, TURN)
         if evaluation == 0:
             store3(torque, memory, i, TORQUE)
             store3(force, memory, i, FORCE)
-            before = scale3(0.5 * h if rule == LIE_MIDPOINT else h, w)
+            guess = scale3(0.5 * h if rule == LIE_MIDPOINT else h, w)
         first = load3(memory, i, TORQUE)
-        u, found = iterated_step(rule, inertia, inverse, h, before, w, first, torque)
-        if not found:
+        u, converged = iterated_step(rule, inertia, inverse, h, guess, w, first, torque)
+        if not converged:
             return NOT_CONVERGED, 0.0
-        whole, at, w_at, w_end = iterated_end(rule, inertia, inverse, h, u, w, first, torque)
+        whole, to_load, w_load, w_end = iterated_end(rule, inertia, inverse, h, u, w, first, torque)
         store3(u, memory, i, TURN)
         store3(w_end, memory, i, VELOCITY)
         store9(turn(whole), memory, i, Q)
-        # A solution with a smaller rotation than the body's is not better.
+        # For large steps there are several solutions. One that rotates less than the body does is
+        # no better: the larger of both rotations is reported.
         work.report[1] = max(work.report[1], dot3(whole, whole), h * h * dot3(w, w))
 
         r, linear = load3(pose, i, 9), linear_momentum(spinner, pose, twist, i)
@@ -115,28 +118,30 @@ def iterated(rule, spinners, work, memory, loads, h, evaluation, pose, twist):
         r_end = axpy3(h / spinner["mass"], halfway, r)
         store3(end, memory, i, LINEAR)
         store3(r_end, memory, i, PLACE)
-        # Where the forces act: halfway, or at the end.
-        there, moving = axpy3(0.5 * h / spinner["mass"], halfway, r), halfway
+        # Forces are evaluated halfway, or at the end for BOTTASSO_BORRI.
+        r_load, momentum_load = axpy3(0.5 * h / spinner["mass"], halfway, r), halfway
         if rule == BOTTASSO_BORRI:
-            there, moving = r_end, end
+            r_load, momentum_load = r_end, end
         length = 1.0
         for c in range(3):
-            length = max(length, abs(there[c]))
-        apart = max(
-            _moved(u, before),
-            _moved(there, load3(work.stage_pose, i, 9)) / length if spinner["held"] == 0 else 0.0,
+            length = max(length, abs(r_load[c]))
+        change = max(
+            _largest_difference(u, guess),
+            _largest_difference(r_load, load3(work.stage_pose, i, 9)) / length
+            if spinner["held"] == 0
+            else 0.0,
         )
         if evaluation == 0:
-            apart = math.inf
-        if not apart <= largest:
-            largest = apart
+            change = math.inf
+        if not change <= largest:
+            largest = change
         place(
             spinner,
             i,
-            matmul3(load9(pose, i, 0), turn(at)),
-            w_at,
-            there,
-            moving,
+            matmul3(load9(pose, i, 0), turn(to_load)),
+            w_load,
+            r_load,
+            momentum_load,
             work.stage_pose,
             work.stage_twist,
         )
@@ -144,10 +149,10 @@ def iterated(rule, spinners, work, memory, loads, h, evaluation, pose, twist):
 
 
 @kernel
-def iterated_finish(spinners, work, memory, pose):
+def finish_iterated(spinners, work, memory, pose):
     """Place the bodies at the end of an ITERATED step."""
     for i in range(len(spinners)):
-        rot = kept(matmul3(load9(pose, i, 0), load9(memory, i, Q)))
+        rot = renormalised(matmul3(load9(pose, i, 0), load9(memory, i, Q)))
         place(
             spinners[i],
             i,

@@ -21,24 +21,27 @@ from liegroup_core.lie.vec3 import (
 from liegroup_core.status import NO_RATTLE_STEP, NOT_CONVERGED, NOT_FINITE, OK
 
 from .bodies import LINEAR, MOMENTUM, VELOCITY, linear_momentum, load, place
-from .maps import RATTLE, kept, kicked_end, kicked_turn
+from .maps import RATTLE, kicked_end, kicked_rotation, renormalised
 
 
 @kernel
 def kicked(rule, spinners, work, memory, h, evaluation, pose, twist):
-    """KICKED step after the first or second evaluation of the forces; returns (status, done)."""
+    """Take half of a KICKED step: evaluation 0 of the forces at its start, 1 at its end.
+
+    returns (status, True if the step is done)
+    """
     for i in range(len(spinners)):
         spinner = spinners[i]
         inertia, inverse = matrix3(spinner["inertia"]), matrix3(spinner["inverse_inertia"])
         torque, force = load(spinner, work, i)
         if evaluation == 0:
             w = load3(twist, i, 0)
-            change, x, momentum, found = kicked_turn(rule, inertia, inverse, h, w, torque)
+            rotation, x, momentum, converged = kicked_rotation(rule, inertia, inverse, h, w, torque)
             squared = dot3(x, x)
             if not squared < math.inf:
                 return NOT_FINITE, True
             work.report[1] = max(work.report[1], squared)
-            if not found:
+            if not converged:
                 if rule == RATTLE:
                     x = scale3(h, matvec3(inverse, axpy3(0.5 * h, torque, matvec3(inertia, w))))
                     work.report[1] = dot3(x, x)
@@ -49,7 +52,7 @@ def kicked(rule, spinners, work, memory, h, evaluation, pose, twist):
             store3(momentum, memory, i, MOMENTUM)
             store3(guess, memory, i, VELOCITY)
             store3(linear, memory, i, LINEAR)
-            rot = kept(matmul3(load9(pose, i, 0), change))
+            rot = renormalised(matmul3(load9(pose, i, 0), rotation))
             r = axpy3(h / spinner["mass"], linear, load3(pose, i, 9))
             place(
                 spinner,
@@ -62,7 +65,7 @@ def kicked(rule, spinners, work, memory, h, evaluation, pose, twist):
                 work.stage_twist,
             )
         else:
-            w, found = kicked_end(
+            w, converged = kicked_end(
                 rule,
                 inertia,
                 inverse,
@@ -71,7 +74,7 @@ def kicked(rule, spinners, work, memory, h, evaluation, pose, twist):
                 load3(memory, i, MOMENTUM),
                 torque,
             )
-            if not found:
+            if not converged:
                 return NOT_CONVERGED, True
             place(
                 spinner,

@@ -1,25 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """Momentum-preserving methods for bodies that are free or on one spherical joint to ground.
 
-maps.py has the step of R and w of one body for each method, bodies.py the geometry of held bodies.
-Forces are evaluated for all bodies together, so that springs may couple bodies. The centre of mass
-of a free body is integrated in world axes, P = m R v:
+maps.py has the step of R and w of one body for each method, bodies.py the geometry of held bodies;
+kicked.py, iterated.py and staged.py have the parts of a step of all bodies between two evaluations
+of the forces. Forces are evaluated for all bodies together, so that springs may couple bodies. The
+centre of mass of a free body is integrated in world axes, P = m R v:
     KICKED       P' = P + (h/2) f ,  r+ = r + (h/m) P' ,  P+ = P' + (h/2) f+        order 2
     ITERATED     P+ = P + h f_m ,  r+ = r + (h/m) (P + P+)/2 ,  f_m at the midpoint  order 2
                  (BOTTASSO_BORRI: the mean of f and f+ instead of f_m)
-    RUNGE_KUTTA  the same tableau                                               its order
+    RUNGE_KUTTA  with the tableau of the rotation                      order of the tableau
 
 The coadjoint methods of Runge-Kutta type are Munthe-Kaas methods for the rotation Psi of a step and
 the angular momentum Y = R y in world axes:
     Psi' = dexpinv_{-Psi} w ,  Y' = R T ,  R = R_0 exp Psi ,  I w = y = R^T Y
-For T = 0 this is (6.34), (6.38), (6.39) and (6.44): y+ = exp(-Psi) y. Components of Y without
-torque at all poses, such as that along gravity of a top, are conserved to machine precision too.
+For T = 0 this is (6.34), (6.38), (6.39) and (6.44): y+ = exp(-Psi) y. Components of Y on which no
+torque acts at any pose, as along gravity for a top, are conserved to machine precision too.
 
-At the end of a KICKED step, forces that depend on velocity are evaluated at 2 w' - w, w' the
-angular velocity of Q, and at 2 P' - P. This keeps order 2 without a solve over all bodies. With the
+At the end of a KICKED step, velocity-dependent forces are evaluated at 2 w' - w and at 2 P' - P,
+where w' is the angular velocity of Q. This keeps order 2 without a solve over all bodies. With the
 implicit w+ instead, errors under a drag were between equal and 2000 times larger (measured).
-ITERATED steps evaluate such forces together with the torque, the others in every stage. Orders
-under such forces: test/verification/test_rotation_forces.py.
+ITERATED steps evaluate such forces together with the torque, RUNGE_KUTTA steps in every stage.
+Orders under such forces: test/verification/test_rotation_forces.py.
 
 The configuration group is SO(3) x R^3 for every `group` of the simulation.
 """
@@ -37,7 +38,7 @@ from liegroup_core.model.arrays import MET, WAIT, make_work
 from liegroup_core.status import DIVERGED, HOPELESS_ROTATION, NOT_CONVERGED, NOT_FINITE, OK
 
 from .bodies import COLUMNS, make_spinners
-from .iterated import REMEMBERED, expect, iterated, iterated_finish
+from .iterated import HISTORY, finish_iterated, iterated, update_loads
 from .kicked import kicked
 from .maps import (
     AUSTIN,
@@ -67,11 +68,11 @@ RULES = {
     if method.family == "rotation" and method.coefficients
 }
 
-# An ITERATED step is repeated until the loads change no displacement by more than this, in rad and
-# relative to the largest coordinate or 1 m. If round-off is larger: until the change is below this
-# multiple and has not been halved in two iterations.
+# An ITERATED step is repeated until no displacement changes by more than TOLERANCE, in rad and
+# relative to the largest coordinate or 1 m. If round-off is larger: until the change is below STUCK
+# times that and two iterations have not halved it.
 TOLERANCE, STUCK = 1e-15, 100.0
-MOST_REPEATS = 100
+MAX_REPEATS = 100
 
 
 @stepper
@@ -92,12 +93,16 @@ def advance(
 ):
     """Take `steps` steps of size h in place of pose (n, 12) and twist (n, 6).
 
-    external (n, 6) : applied wrenches in body axes, constant over these steps
+    spinners            : (n,) records of bodies.SPINNER
+    memory              : (n, COLUMNS) scratch; loads (6 n,), corrections (HISTORY, 6 n): scratch
+    rule                : method, a code of maps.py
+    weights             : (s + 1, s) a of the tableau, below it b; (1, 0) without a tableau
+    external (n, 6)     : applied wrenches in body axes, constant over these steps
     returns (steps done, status): fewer steps if status is not OK; pose and twist are then those of
-    the last valid step. The body's index is above the low byte of NO_RATTLE_STEP.
+    the last valid step. NO_RATTLE_STEP has the index of the body above its low byte.
 
-    All methods share one loop with one evaluation of the forces, because these are inlined, and so
-    compiled, at every call.
+    All methods share one loop with one evaluation of the forces: forces are inlined and compiled at
+    every call.
     """
     spinners = borrowed(spinners)
     memory, weights = borrowed(memory), borrowed(weights)
@@ -106,9 +111,9 @@ def advance(
     for done in range(steps):
         copy_state(pose, twist, work.stage_pose, work.stage_twist)
         work.report[1] = 0.0
-        status, ended = OK, False
+        status, finished = OK, False
         evaluation, previous, earlier = 0, math.inf, math.inf
-        while not ended:
+        while not finished:
             for i in range(len(spinners)):
                 for c in range(6):
                     work.wrench[i, c] = external[i, c]
@@ -122,24 +127,26 @@ def advance(
                 work.wrench,
             )
             if rule == RUNGE_KUTTA:
-                status, ended = staged(spinners, work, memory, weights, h, evaluation, pose, twist)
+                status, finished = staged(
+                    spinners, work, memory, weights, h, evaluation, pose, twist
+                )
             elif rule < FIRST_ITERATED:
-                status, ended = kicked(rule, spinners, work, memory, h, evaluation, pose, twist)
+                status, finished = kicked(rule, spinners, work, memory, h, evaluation, pose, twist)
             else:
-                expect(spinners, work, loads, corrections, evaluation)
-                status, apart = iterated(
+                update_loads(spinners, work, loads, corrections, evaluation)
+                status, change = iterated(
                     rule, spinners, work, memory, loads, h, evaluation, pose, twist
                 )
-                ended = (
+                finished = (
                     status != OK
-                    or apart <= TOLERANCE
-                    or (0.5 * max(previous, earlier) < apart <= STUCK * TOLERANCE)
+                    or change <= TOLERANCE
+                    or (0.5 * max(previous, earlier) < change <= STUCK * TOLERANCE)
                 )
-                previous, earlier = apart, previous
-                if ended and status == OK:
-                    iterated_finish(spinners, work, memory, pose)
-                elif evaluation == MOST_REPEATS:
-                    status, ended = NOT_CONVERGED, True
+                previous, earlier = change, previous
+                if finished and status == OK:
+                    finish_iterated(spinners, work, memory, pose)
+                elif evaluation == MAX_REPEATS:
+                    status, finished = NOT_CONVERGED, True
             evaluation += 1
         if status == OK and not is_finite(work.stage_pose, work.stage_twist):
             status = NOT_FINITE
@@ -165,14 +172,14 @@ class Rotation:
         model = layout.model
         refuse_stabilisation(method, model)
         self._model, self._name, self._rule = model, method.name, RULES[method.name]
-        self._looked = False  # for steps that are too large at the start
-        self.doubt = None  # what that look has found, one line
+        self._stability_checked = False
+        self.doubt = None  # one-line warning of the stability check
         self._spinners = make_spinners(model)
         tableau = method.tableau if method.coefficients else None
         self._weights = np.zeros((1, 0)) if tableau is None else np.vstack([tableau.a, tableau.b])
         self._memory = np.zeros((len(model.bodies), COLUMNS))
         self._loads = np.zeros(6 * len(model.bodies))
-        self._corrections = np.zeros((REMEMBERED, 6 * len(model.bodies)))
+        self._corrections = np.zeros((HISTORY, 6 * len(model.bodies)))
         self.work = make_work(model, self._weights.shape[1])
         self._advance = SameTypes(advance)
 
@@ -191,9 +198,9 @@ class Rotation:
 
     def advance(self, h, steps, pose, twist, external):
         """Take steps of size h in place; returns (steps done, status)."""
-        if steps > 0 and not self._looked:
-            self._looked = True
-            self._look(h, pose, twist, external)
+        if steps > 0 and not self._stability_checked:
+            self._stability_checked = True
+            self._check_stability(h, pose, twist, external)
         return self._take(h, steps, pose, twist, external)
 
     def _take(self, h, steps, pose, twist, external):
@@ -213,8 +220,8 @@ class Rotation:
             external,
         )
 
-    def _look(self, h, pose, twist, external):
-        """Warn of a step size beyond the stability limit at a state."""
+    def _check_stability(self, h, pose, twist, external):
+        """Warn if the step size is beyond the stability limit at a state."""
 
         def step(size, steps, pose, twist):
             _, status = self._take(size, steps, pose, twist, external)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stages of the coadjoint Runge-Kutta methods for all bodies.
 
-rotation.py has the loop over the steps and the equations.
+rotation.py has the equations and the loop over the steps.
 """
 
 import math
@@ -25,29 +25,30 @@ from liegroup_core.lie.vec3 import (
 from liegroup_core.status import NOT_FINITE, OK
 
 from .bodies import TURN, linear_momentum, load, place
-from .maps import kept, turn, velocity
+from .maps import renormalised, turn, velocity
 
 
 @kernel
 def _weighted(slopes, weights, row, stages, n, i):
-    """sum_l weights[row, l] of the given number of slopes of body i: four vectors."""
-    turned, moved, torques, forces = ZERO3, ZERO3, ZERO3, ZERO3
+    """Sum weights[row, l] times the derivatives of body i over the first stages l: four vectors."""
+    rotation, shift, torque, force = ZERO3, ZERO3, ZERO3, ZERO3
     for stage in range(stages):
         weight = weights[row, stage]
         if weight != 0.0:
             k = stage * n + i
-            turned = axpy3(weight, load3(slopes, k, 0), turned)
-            moved = axpy3(weight, load3(slopes, k, 3), moved)
-            torques = axpy3(weight, load3(slopes, k, 6), torques)
-            forces = axpy3(weight, load3(slopes, k, 9), forces)
-    return turned, moved, torques, forces
+            rotation = axpy3(weight, load3(slopes, k, 0), rotation)
+            shift = axpy3(weight, load3(slopes, k, 3), shift)
+            torque = axpy3(weight, load3(slopes, k, 6), torque)
+            force = axpy3(weight, load3(slopes, k, 9), force)
+    return rotation, shift, torque, force
 
 
 @kernel
 def staged(spinners, work, memory, weights, h, stage, pose, twist):
-    """Go from an evaluated stage of a coadjoint method to the next stage, or to the end.
+    """Go from a stage of a coadjoint method, with its forces, to the next stage or to the end.
 
-    weights : (s + 1, s) the tableau's a, below it its b
+    weights : (s + 1, s) a of the tableau, below it b
+    returns (status, True if the step is done)
     """
     n, stages = len(spinners), weights.shape[1]
     end = stage + 1 == stages
@@ -64,8 +65,8 @@ def staged(spinners, work, memory, weights, h, stage, pose, twist):
         store3(matvec3(rot, torque), work.slopes, row, 6)
         store3(force, work.slopes, row, 9)
 
-        turned, moved, torques, forces = _weighted(work.slopes, weights, stage + 1, stage + 1, n, i)
-        psi = scale3(h, turned)
+        rotation, shift, torque, force = _weighted(work.slopes, weights, stage + 1, stage + 1, n, i)
+        psi = scale3(h, rotation)
         squared = dot3(psi, psi)
         if not squared < math.inf:
             return NOT_FINITE, True
@@ -73,14 +74,14 @@ def staged(spinners, work, memory, weights, h, stage, pose, twist):
         store3(psi, memory, i, TURN)
         start = load9(pose, i, 0)
         inertia = matrix3(spinner["inertia"])
-        y = add3(matvec3(inertia, load3(twist, i, 0)), tmatvec3(start, scale3(h, torques)))
-        change = turn(psi)
-        y = tmatvec3(change, y)
-        r = axpy3(h, moved, load3(pose, i, 9))
-        linear = axpy3(h, forces, linear_momentum(spinner, pose, twist, i))
-        rot = matmul3(start, change)
+        y = add3(matvec3(inertia, load3(twist, i, 0)), tmatvec3(start, scale3(h, torque)))
+        Q_psi = turn(psi)
+        y = tmatvec3(Q_psi, y)
+        r = axpy3(h, shift, load3(pose, i, 9))
+        linear = axpy3(h, force, linear_momentum(spinner, pose, twist, i))
+        rot = matmul3(start, Q_psi)
         if end:
-            rot = kept(rot)
+            rot = renormalised(rot)
         place(
             spinner,
             i,

@@ -48,8 +48,7 @@ class Ladder(NamedTuple):
     @property
     def controlled(self):
         """Whether the rungs are tolerances."""
-        method = METHODS[self.method]
-        return method.family == "rkmk" and method.tableau.e is not None
+        return METHODS[self.method].controlled
 
 
 class Setting(NamedTuple):
