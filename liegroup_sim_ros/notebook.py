@@ -22,11 +22,11 @@ FRAMES_PER_SECOND = 100  # samples of a simulation that is shown
 
 
 class Shown:
-    """A report: shows itself as the last line of a notebook cell.
+    """HTML report; a notebook cell that ends with it displays it.
 
-    html    : the report, a self-contained page
-    verdict : its first line
-    height  : px, of the frame in the cell
+    html    : self-contained page
+    verdict : first line of the report
+    height  : height of the frame in the cell, px
     """
 
     def __init__(self, html: str, verdict: str, height: int):
@@ -63,7 +63,7 @@ def show(
     reference: bool = True,
     height: int = 900,
 ) -> Shown:
-    """Report of a recording, or of a simulation over the next seconds: motion, curves, figures.
+    """HTML report of a recording, or of the next seconds of a simulation: motion, plots, tables.
 
     what      : path or address of a recording, a Recording, or a Simulation. A Simulation is not
                 changed: a copy without applied wrenches continues from its current state

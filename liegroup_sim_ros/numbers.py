@@ -3,7 +3,7 @@
 
 import math
 
-UNSURE = 0.1  # share of an error from which on its uncertainty is shown with it
+UNSURE = 0.1  # relative uncertainty from which on it is shown with an error
 NO_NUMBER = ("not a number", "infinite")
 GROUPS = {"se3": "SE(3)", "so3xr3": "SO(3) x R^3"}
 
@@ -23,7 +23,7 @@ def counted(number, noun):
 
 
 def error_text(entry):
-    """Error with its uncertainty if that is large; the uncertainty alone if it is larger."""
+    """Error as text, with its uncertainty if that is large; else the larger uncertainty alone."""
     size, uncertainty = entry["max"], entry["uncertainty"]
     if 0.0 < uncertainty >= size:
         return f"{shown(uncertainty, entry['unit'])} (the reference uncertainty)"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numerical error of a recorded run: figures and curves of one recording.
+"""Numerical error of one recorded run: figures and curves.
 
 The file is the only input: recorded poses and twists, scene, initial state and applied wrenches.
 No ROS is needed. The samples are read once, in blocks, so memory does not grow with the length of
@@ -37,7 +37,7 @@ from .verdict import find_problems, verdict
 
 # Default of the simulated time that the reference integration covers, s.
 REFERENCE_SECONDS = 60.0
-MOST_PUSHES = 1000  # whose times are in the figures
+MOST_PUSHES = 1000  # intervals with an applied wrench that are listed in the figures
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ def analyse(recording, reference=True, tell=lambda text: None, reference_seconds
     """Analysis of a Recording.
 
     reference         : whether to compare with a reference solution
-    tell              : function that is called with the progress as text
+    tell              : function of one line of text, called with the progress
     reference_seconds : simulated time in s that a reference integration covers; an exact solution,
                         if the scene has one, replaces it and covers the whole run
     raises RecordingError, SceneError
@@ -164,7 +164,7 @@ class _Parts:
             figures["local"] = _failed(error)
 
 
-# Unknown method or joint type, options of another version, singular configuration.
+# Raised for an unknown method or joint type, options of another version, a singular configuration.
 _NO_RESULT = (SimulationError, ReplayError, ValueError, TypeError)
 
 
@@ -173,7 +173,7 @@ def _failed(error):
 
 
 class _Guarded:
-    """Part of the analysis that may fail; its result is then the reason."""
+    """Part of the analysis that may fail; `figures` then returns the reason."""
 
     def __init__(self, make):
         self._failure = None

@@ -9,7 +9,7 @@ from liegroup_sim_ros.recording.read import RecordingError
 
 from .drift import MOST_POINTS, thinned
 
-# Settings that are compared; time and place of a run do not matter.
+# Settings that are compared; time and machine of a run are not.
 SETTINGS = (
     "scene",
     "method",

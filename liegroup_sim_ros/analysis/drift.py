@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Drift of conserved quantities along a run, block by block: largest, final, trend, curve."""
+"""Drift of conserved quantities, block by block: largest and final change, trend, curve."""
 
 import numpy as np
 
 MOST_POINTS = 20_000  # of a curve; minimum and maximum of each group of neighbours are kept
-MOST_PIECES = 2000  # of a curve, if many wrenches divide it; the figures cover all
+MOST_PIECES = 2000  # intervals in a curve; the figures cover all intervals
 
 
 def extremes(values, every):

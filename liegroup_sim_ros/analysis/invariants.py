@@ -17,14 +17,16 @@ class Energy:
 
     def __init__(self, layout, expected):
         self._bodies = layout.body_names
-        self._feeding = [force.name for force in layout.scene.forces if not force.is_conservative]
+        self._non_conservative = [
+            force.name for force in layout.scene.forces if not force.is_conservative
+        ]
         self._drift = Drift(1, self._bodies, expected)
         self._kinetic = 0.0
 
     def add(self, block, energies, kinetic):
         """Add the energies (k,) in J of a Block."""
         self._kinetic = float(np.maximum(self._kinetic, kinetic.max()))  # keeps NaN
-        if not self._feeding:
+        if not self._non_conservative:
             self._drift.add(block, energies[:, None])
 
     def figures(self, motion):
@@ -42,8 +44,8 @@ class Energy:
             "relative_drift": worst / self._kinetic if kept and self._kinetic > 0.0 else None,
             "intervals": drift.intervals,
             "seconds": drift.seconds,
-            "left_out": "non-conservative forces: " + ", ".join(self._feeding)
-            if self._feeding
+            "left_out": "non-conservative forces: " + ", ".join(self._non_conservative)
+            if self._non_conservative
             else _pushed_text(motion, self._bodies),
         }, drift.curves[0]
 
@@ -96,7 +98,7 @@ class Momentum:
         figures, curves = [], []
         for kept, drift, largest, scale in self._kept:
             drift.close()
-            some = drift.intervals > 0
+            evaluated = drift.intervals > 0
             for k, (label, unit) in enumerate(zip(kept.labels, kept.units)):
                 size = float(scale[0 if unit == "N m s" else 1])
                 figures.append(
@@ -104,12 +106,12 @@ class Momentum:
                         "component": label,
                         "bodies": list(kept.bodies),
                         "unit": unit,
-                        "drift": float(drift.worst[k]) if some else None,
+                        "drift": float(drift.worst[k]) if evaluated else None,
                         "relative_drift": float(drift.worst[k]) / size
-                        if some and size > 0.0
+                        if evaluated and size > 0.0
                         else None,
-                        "trend_per_s": float(drift.trend[k]) if some else None,
-                        "trend_explains": float(drift.explained[k]) if some else None,
+                        "trend_per_s": float(drift.trend[k]) if evaluated else None,
+                        "trend_explains": float(drift.explained[k]) if evaluated else None,
                         "largest": float(largest[k]),
                         "intervals": drift.intervals,
                         "seconds": drift.seconds,
@@ -121,7 +123,7 @@ class Momentum:
 
 
 class Joints:
-    """Largest position residual of each joint; if in m and rad, the norm of both parts."""
+    """Largest position residual of each joint: m, or the norm of its parts in m and rad."""
 
     def __init__(self, layout, expected):
         self._names = [joint.name for joint in layout.scene.joints]
@@ -171,6 +173,6 @@ class Joints:
 
 
 def _pushed_text(motion, bodies):
-    """Time that is excluded because of applied wrenches, in words; None if there is none."""
+    """Time excluded because of applied wrenches, as text; None if no wrench was applied."""
     seconds = sum(stretch.seconds - stretch.free_seconds(bodies) for stretch in motion.stretches)
     return f"{seconds:.4g} s with an applied wrench" if seconds > 1e-12 else None

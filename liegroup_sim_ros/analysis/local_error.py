@@ -15,10 +15,10 @@ from liegroup_core.integrators.methods import METHODS
 from liegroup_core.monitor.joint_watch import mechanism_size
 from liegroup_sim_ros.playback.repeat import make_simulation
 
-WINDOWS = 8  # states of the recording that are looked at
+WINDOWS = 8  # states of the recording at which the error is estimated
 LENGTH = 16  # steps
-RUNGS = (4.0, 2.0, 1.0, 0.5, 0.25)  # of the step
-# Differences of less are rounding: LENGTH / 0.25 steps, each of a few units of 2^-53.
+RUNGS = (4.0, 2.0, 1.0, 0.5, 0.25)  # step sizes, relative to the recorded step
+# Smaller differences are round-off: LENGTH / 0.25 steps, each with a few units of 2^-53.
 FLOOR = 500 * np.finfo(float).eps
 
 
@@ -34,7 +34,7 @@ def local_error(scene, recording, motion, layout):
         for rung in RUNGS
     }
     method = METHODS[settings["method"]]
-    largest, orders, looked = np.zeros(2), [], 0
+    largest, orders, windows = np.zeros(2), [], 0
     for stretch, row in _windows(motion):
         try:
             one, two = (_advance(simulations[rung], stretch, row, 1) for rung in (1.0, 0.5))
@@ -42,7 +42,7 @@ def local_error(scene, recording, motion, layout):
         except SimulationError:
             continue
         largest = np.maximum(largest, apart)
-        looked += 1
+        windows += 1
         order = _order(simulations, stretch, row, size)
         if order is not None:
             orders.append(order)
@@ -55,9 +55,9 @@ def local_error(scene, recording, motion, layout):
     elif largest.max() < FLOOR:
         remark = "at round-off"
     return {
-        "windows": looked,
-        "position_m": float(largest[0] / share) if looked else None,
-        "angle_rad": float(largest[1] / share) if looked else None,
+        "windows": windows,
+        "position_m": float(largest[0] / share) if windows else None,
+        "angle_rad": float(largest[1] / share) if windows else None,
         "order": float(np.median(orders)) if orders else None,
         "order_expected": method.order,
         "remark": remark,
@@ -101,7 +101,7 @@ def _apart(one, other):
     turn = np.einsum(
         "nji,njk->nik", one[0][:, :9].reshape(-1, 3, 3), other[0][:, :9].reshape(-1, 3, 3)
     )
-    # The sine of a small angle has no cancellation, its cosine has.
+    # For a small angle, the sine is free of cancellation; 1 - cosine is not.
     sine = 0.5 * np.stack(
         [
             turn[:, 2, 1] - turn[:, 1, 2],
@@ -116,7 +116,7 @@ def _apart(one, other):
 
 
 def _order(simulations, stretch, row, size):
-    """Observed order at a sample, from the finest steps above round-off; None if there are none."""
+    """Observed order at a sample, from the finest steps above round-off; None if all are below."""
     states = []
     for rung in RUNGS:
         try:

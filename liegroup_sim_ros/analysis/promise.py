@@ -2,7 +2,7 @@
 """Check of the guaranteed accuracy of a run (liegroup_core.study.trade.accuracy).
 
 The guarantee covers the first `horizon` seconds from the initial state, and ends with the first
-applied wrench. Later errors are reported, but do not violate it.
+applied wrench. Later errors are reported but do not violate it.
 """
 
 import math
@@ -16,7 +16,10 @@ ROUNDING = 1e-9
 
 
 class Promise:
-    """Accumulates errors and checks a guaranteed accuracy; promise None: nothing is guaranteed."""
+    """Check of a guaranteed accuracy, block by block.
+
+    promise : entry of the recorded settings; None: nothing is guaranteed
+    """
 
     def __init__(self, promise):
         self._promise = promise
@@ -66,8 +69,8 @@ class Promise:
         }
 
 
-def told(found):
-    """Result of the check in words; found : as returned by Promise.figures."""
+def promise_text(found):
+    """Result of the check as text; found : as returned by Promise.figures."""
     accuracy = f"the guaranteed accuracy of {found['accuracy']:g}"
     if found["seconds"] is None:
         return (
@@ -79,8 +82,12 @@ def told(found):
         if found["error"] <= found["uncertainty"]
         else f"{found['error']:.3g}"
     )
-    said = {True: "is kept", False: "is not kept", None: "cannot be checked with this reference"}
-    text = f"{accuracy} {said[found['kept']]}: {error} in the first {found['seconds']:.4g} s"
+    verdicts = {
+        True: "is kept",
+        False: "is not kept",
+        None: "cannot be checked with this reference",
+    }
+    text = f"{accuracy} {verdicts[found['kept']]}: {error} in the first {found['seconds']:.4g} s"
     if found["beyond"]:
         text += (
             ". Nothing is guaranteed after that (longer time, or a wrench): error "

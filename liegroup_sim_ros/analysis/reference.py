@@ -103,7 +103,7 @@ class ReferenceError:
         if k == 0:
             return
         if self._reference is None:
-            # Later changes are not needed.
+            # Only wrench changes up to the end of the reference.
             when = stretch.change_steps * stretch.step
             upto = int(np.searchsorted(when, self._end, "right"))
             changes = [

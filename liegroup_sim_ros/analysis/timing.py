@@ -105,7 +105,7 @@ def _mean_factor(requests, motion):
 
 
 def number(text):
-    """Number from a text or number of a recording, None if it is neither."""
+    """Float of a number or numeric text from a recording, else None."""
     try:
         return float(text)
     except (TypeError, ValueError):
@@ -113,7 +113,7 @@ def number(text):
 
 
 def requested_text(timing):
-    """Requested real-time factor in words; timing : as returned by timing_figures."""
+    """Requested real-time factor as text; timing : as returned by timing_figures."""
     last = timing["factor_wanted"]
     if not timing["factor_changes"]:
         return "requested: as fast as possible" if last == FASTEST else f"requested {shown(last)}"

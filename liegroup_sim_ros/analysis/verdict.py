@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Verdict on a run in one sentence, and the problems of the run and of its recording."""
+"""Numerical error of a run in one sentence, and the problems of the run and its recording."""
 
 import math
 
@@ -8,7 +8,7 @@ from liegroup_core.pacing import SLOW
 from liegroup_sim_ros.numbers import counted, error_text, shown
 from liegroup_sim_ros.playback.resimulate import difference_cause
 
-from .promise import told
+from .promise import promise_text
 from .timing import requested_text
 
 
@@ -40,7 +40,7 @@ def find_problems(figures):
     problems += _replay_problems(figures)
     promise = figures.get("promise")
     if promise and promise["kept"] is False:
-        problems.append(told(promise))
+        problems.append(promise_text(promise))
     timing = figures["timing"]
     factor, requested = timing.get("real_time_factor"), timing["factor_wanted_mean"]
     if requested and factor is not None and not factor >= SLOW * requested:
@@ -114,7 +114,7 @@ def verdict(figures):
         f"{figures['scene']}, {shown(figures['sim_seconds'], 's')} with {figures['method']} "
         f"at {shown(figures['step'] * 1e3, 'ms')}"
     )
-    said = []
+    statements = []
     reference = figures.get("reference")
     if reference and "failed" not in reference:
         part = (
@@ -122,23 +122,23 @@ def verdict(figures):
             if reference["seconds"] >= figures["sim_seconds"] * (1.0 - 1e-9)
             else f" in the first {shown(reference['seconds'], 's')}"
         )
-        said.append(
+        statements.append(
             f"error at most {error_text(reference['position'])} and "
             f"{error_text(reference['angle'])}{part}"
         )
     if figures.get("promise"):
-        said.append(told(figures["promise"]))
+        statements.append(promise_text(figures["promise"]))
     if figures.get("joints"):
         worst = max(figures["joints"].values(), key=lambda joint: joint["largest"])
-        said.append(f"constraint residual at most {shown(worst['largest'], worst['unit'])}")
+        statements.append(f"constraint residual at most {shown(worst['largest'], worst['unit'])}")
     if figures.get("energy") and figures["energy"]["relative_drift"] is not None:
-        said.append(
+        statements.append(
             f"energy drift {shown(figures['energy']['relative_drift'])} of the largest "
             "kinetic energy"
         )
     repeat = figures.get("repeat", {})
     if repeat and repeat.get("identical") == repeat.get("samples"):
-        said.append("re-simulation bit-identical")
+        statements.append("re-simulation bit-identical")
     if figures["timing"].get("real_time_factor"):
-        said.append(f"real-time factor {figures['timing']['real_time_factor']:.3f}")
-    return f"{head}: {'; '.join(said) or 'nothing could be checked'}."
+        statements.append(f"real-time factor {figures['timing']['real_time_factor']:.3f}")
+    return f"{head}: {'; '.join(statements) or 'nothing could be checked'}."

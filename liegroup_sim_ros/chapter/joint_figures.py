@@ -13,8 +13,8 @@ from .joint_runs import STEPS, four_bar_runs, heavy_top_runs
 
 # Largest errors of an independent implementation, m: spherical joint of the top over 6 s,
 # joints 1 to 4 of the four-bar over 1 s (0.15 s at the largest step).
-TOP_ELSEWHERE = {"se3": (8.0e-15, 3.9e-15, 1.5e-14), "so3xr3": (7.499e-3, 7.985e-7, 8.031e-11)}
-FOUR_BAR_ELSEWHERE = {
+TOP_INDEPENDENT = {"se3": (8.0e-15, 3.9e-15, 1.5e-14), "so3xr3": (7.499e-3, 7.985e-7, 8.031e-11)}
+FOUR_BAR_INDEPENDENT = {
     "se3": (
         (1.6e-13, 3.67e-4, 8.07e-4, 1.1e-16),
         (7.3e-16, 3.59e-4, 3.86e-6, 4.6e-15),
@@ -28,7 +28,7 @@ FOUR_BAR_ELSEWHERE = {
 }
 
 COLOURS = ("#b3432b", "#2c6e9b", "#3f8f4f")  # of the step sizes
-LOWEST = 1e-17  # m; exact zeros are not drawn
+LOWEST = 1e-17  # m, lower limit of the log axis; exact zeros are not drawn
 
 
 def count_joint_runs():
@@ -63,13 +63,13 @@ def make_table(top, bars):
         table.add_column(column, no_wrap=True)
     for group in GROUPS:
         for i, step in enumerate(STEPS):
-            here = (*top[group, step].gap.max(axis=0), *bars[group, step].gap.max(axis=0))
-            elsewhere = TOP_ELSEWHERE[group][i], *FOUR_BAR_ELSEWHERE[group][i]
+            own = (*top[group, step].gap.max(axis=0), *bars[group, step].gap.max(axis=0))
+            independent = TOP_INDEPENDENT[group][i], *FOUR_BAR_INDEPENDENT[group][i]
             table.add_row(
-                GROUP_NAMES[group], f"{step:g} s", "here", *(f"{error:.2e}" for error in here)
+                GROUP_NAMES[group], f"{step:g} s", "here", *(f"{error:.2e}" for error in own)
             )
             table.add_row(
-                "", "", "elsewhere", *(f"{error:.2e}" for error in elsewhere), style="dim"
+                "", "", "elsewhere", *(f"{error:.2e}" for error in independent), style="dim"
             )
     return table
 
@@ -84,7 +84,10 @@ def _draw(path, runs, panels):
         for axis, (joint, title) in zip(row, panels):
             for step, colour in zip(STEPS, COLOURS):
                 run = runs[group, step]
-                times, gap = run.times[1:], run.gap[1:, joint]  # exact at the start
+                times, gap = (
+                    run.times[1:],
+                    run.gap[1:, joint],
+                )  # without the start, where the error is zero
                 axis.semilogy(
                     times[gap > LOWEST],
                     gap[gap > LOWEST],

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Figs. 6.6 to 6.9 of the chapter: errors of the rotation methods against their step.
 
-    6.6, 6.8  |Y - Y0| of the free body at 16 s, which all steps divide (1 s, as printed, is
-              no multiple of steps of 8, 4 and 2 s)
+    6.6, 6.8  |Y - Y0| of the free body at 16 s, a multiple of all steps (the printed 1 s is not a
+              multiple of 8, 4 and 2 s)
     6.7       ||R - Rref||_2 of the Lagrangian top at 1 s
     6.9       ||R - Rref||_2 of the free body at 10 s
 and the largest deviations of the integrals of motion of the top over 10 s.
-The exact end states come from elliptic functions (liegroup_core.reference.elliptic). The error of
-a run with a small step would show at the smallest steps. Needs no ROS.
+The exact end states come from elliptic functions (liegroup_core.reference.elliptic). A run
+with a small step is no reference here: its own error would show at the smallest steps. Needs no ROS.
 """
 
 from dataclasses import dataclass, field
@@ -230,7 +230,7 @@ def top_integrals(method, step):
 
 
 def _integrals_table(say):
-    """Integrals of the top for the methods and steps with known independent results."""
+    """Table of the integrals of motion, for methods and steps with independent results."""
     table = _new_table("Lagrangian top, 10 s: largest deviation from the start")
     for column in ("method", "step", "", "energy, J", "vertical momentum, N m s", "spin, rad/s"):
         table.add_column(column, min_width=9)

@@ -30,7 +30,7 @@ class AnalysisError(LieGroupSimError):
 def add_arguments(parser):
     """Arguments of the subcommand."""
     parser.description = (
-        "Analyse recordings: error against the exact solution or an independent integration, "
+        "Analyse recordings: error against the exact solution or a reference integration, "
         "drift of energy and momentum, constraint residuals, bitwise re-simulation, real-time "
         "figures, lost messages."
     )
@@ -147,8 +147,8 @@ def run(args):
         print_comparison(differing, console)
     failed = [entry for entry in found if "failed" in entry]
     if failed:
-        rest = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
-        raise AnalysisError(f"{failed[0]['failed']}{rest}")
+        more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
+        raise AnalysisError(f"{failed[0]['failed']}{more}")
     if exceeded:
         print(f"liegroup_sim: {'; '.join(exceeded)}", file=sys.stderr)
         return EXIT_EXCEEDED

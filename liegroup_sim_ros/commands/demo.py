@@ -24,10 +24,10 @@ from liegroup_core.errors import LieGroupSimError
 SCENE, BODY = "heavy_top", "top"
 STEP, PUBLISH_RATE = 1e-3, 500.0  # s, Hz
 PUSH = ("push", BODY, "--force", "0", "250", "0", "--duration", "0.4")  # N in body axes, s
-PUSH_AT = 0.3  # part of the run
+PUSH_AT = 0.3  # start of the push, fraction of the run
 SHORTEST = 4.0  # s: discovery of the push may take 2.5 s
-STARTING = 240.0  # s; the first start on a machine compiles
-PUSHING = ENDING = 10.0  # s
+STARTING = 240.0  # s, time limit of the start; the first start on a machine compiles
+PUSHING = ENDING = 10.0  # s, time limits of the push and of the shutdown
 
 
 class DemoError(LieGroupSimError):
@@ -146,12 +146,12 @@ def _watch(seconds, node, output, processes, console):
         Progress(
             TextColumn("{task.description}"),
             BarColumn(),
-            TextColumn("{task.fields[said]}"),
+            TextColumn("{task.fields[status_text]}"),
             TimeElapsedColumn(),
             console=console,
         ) as progress,
     ):
-        task = progress.add_task("simulating", total=seconds, said="")
+        task = progress.add_task("simulating", total=seconds, status_text="")
         while going_on():
             if node.poll() is not None:
                 raise DemoError(
@@ -172,14 +172,14 @@ def _watch(seconds, node, output, processes, console):
                     raise DemoError(f"the push failed: {answer}")
                 progress.console.print(answer, highlight=False, soft_wrap=True)
             figures = latest(0.1)
-            said = (
+            status_text = (
                 "real-time factor {real_time_factor:.3f}, scheduling latency p99 "
                 "{lateness_p99_us:.0f} us".format(**figures)
                 if figures
                 else ""
             )
             elapsed = time.monotonic() - start
-            progress.update(task, completed=elapsed, said=said)
+            progress.update(task, completed=elapsed, status_text=status_text)
     if not answered:
         raise DemoError(f"the push did not end within {seconds + PUSHING:g} s")
 

@@ -17,7 +17,7 @@ from liegroup_core.describe import describe
 from liegroup_core.layout import make_layout
 
 METHODS = ("rkmk4", "rkmk8")
-MEASURING, LEAST_RUNS = 0.2, 3  # s per method, and runs of which the fastest counts
+MEASURING, LEAST_RUNS = 0.2, 3  # per method: s, and smallest number of runs; the fastest counts
 STEP = 1e-5  # s: small enough for every scene
 MOST_ROWS = 40  # of a list on the terminal; JSON has all
 
@@ -123,7 +123,7 @@ def sections(facts):
         ("Degrees of freedom", _freedom_rows(facts)),
         ("Solve", _solve_rows(facts["solve"], facts["plane"])),
         ("Applicable methods", [("", ", ".join(facts["methods"]), "")]),
-        ("Conserved quantities", _kept_rows(facts)),
+        ("Conserved quantities", _conserved_rows(facts)),
         (
             "Cost of a step on this machine",
             [
@@ -188,7 +188,7 @@ def _solve_rows(solve, plane):
     ]
 
 
-def _kept_rows(facts):
+def _conserved_rows(facts):
     rows = [
         (
             "groups of bodies",
@@ -199,9 +199,9 @@ def _kept_rows(facts):
     if facts["kept_momentum"] is None:
         return rows + [("momentum", "not searched", "a joint is not a lower pair")]
     rows += [
-        ("momentum", component, _listed(kept["bodies"]))
-        for kept in facts["kept_momentum"]
-        for component in kept["components"]
+        ("momentum", component, _listed(conserved["bodies"]))
+        for conserved in facts["kept_momentum"]
+        for component in conserved["components"]
     ]
     return rows if facts["kept_momentum"] else rows + [("momentum", "none", "")]
 

@@ -20,8 +20,8 @@ TABLE_WIDTH = 160
 
 NOTE = (
     "none: no solution at this step (RATTLE), or the step is refused (RKMK4, if a stage rotates "
-    "by almost 2 pi).\nelsewhere: independent implementations; for the differences "
-    "see docs/explanation/figures.md."
+    "by almost 2 pi).\nhere: this package; elsewhere: independent implementations. "
+    "docs/explanation/figures.md explains the differences."
 )
 
 
@@ -61,8 +61,8 @@ def run(args):
     except OSError as error:
         raise FiguresError(f"{error.filename}: cannot be written: {error.strerror}") from None
     console = Console(file=sys.stdout)
-    for each in (table, *tables):  # not cropped in a narrow terminal
-        console.print(each, width=max(console.width, TABLE_WIDTH), crop=False)
+    for result in (table, *tables):  # not cropped in a narrow terminal
+        console.print(result, width=max(console.width, TABLE_WIDTH), crop=False)
     console.print(NOTE, soft_wrap=True, highlight=False)
     print(*paths, *more_paths, sep="\n")
     return 0
@@ -81,7 +81,7 @@ class _Progress(logging.Handler):
             console=Console(stderr=True),
         )
         self._task = self._bar.add_task("", total=runs)
-        self._runs, self._made, self._name = runs, -1, ""
+        self._runs, self._done, self._name = runs, -1, ""
 
     def __enter__(self):
         logging.getLogger("liegroup_core").addHandler(self)
@@ -95,8 +95,8 @@ class _Progress(logging.Handler):
         logging.getLogger("liegroup_core").removeHandler(self)
 
     def _say(self, name):
-        self._made, self._name = self._made + 1, name
-        self._bar.update(self._task, completed=self._made, description=name)
+        self._done, self._name = self._done + 1, name
+        self._bar.update(self._task, completed=self._done, description=name)
 
     def emit(self, record):
         figure = self._name.partition(",")[0]

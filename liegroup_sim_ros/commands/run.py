@@ -21,8 +21,8 @@ from liegroup_core.study.trade.accuracy import choose
 from liegroup_sim_ros.recording.write_run import ArrayFile, LogFile, TableFile
 
 EXIT_STOPPED = 1
-AT_ONCE = 10_000  # largest number of steps between two checks of the clock
-REDRAW = 0.1  # s
+AT_ONCE = 10_000  # largest number of steps between two updates of the progress bar
+REDRAW = 0.1  # s between two updates
 # Passed on to Simulation if given.
 SETTINGS = (
     "method",
@@ -187,7 +187,7 @@ def run(args):
 def chosen(scene, args, every=None):
     """Choice with the requested accuracy whose step divides the duration.
 
-    every : s, which the step divides as well, or None
+    every : period in s that the step must divide as well, or None
     Raises RunError, AccuracyError, SceneError.
     """
 
@@ -197,7 +197,7 @@ def chosen(scene, args, every=None):
         except RunError:
             return False
 
-    whole_steps(args.duration, args.duration)  # a duration that is none is refused as such
+    whole_steps(args.duration, args.duration)  # raises RunError for an invalid duration
     choice = choose(
         scene,
         args.accuracy,
@@ -216,15 +216,15 @@ def chosen(scene, args, every=None):
 
 
 def _simulate(simulation, steps, every, file, console):
-    """Take all steps and write the samples that are due to the file."""
+    """Take all steps and write every sample that is due to the file."""
     with Progress(
         TextColumn("simulating"),
         BarColumn(),
-        TextColumn("{task.fields[said]}"),
+        TextColumn("{task.fields[status_text]}"),
         TimeRemainingColumn(),
         console=console,
     ) as progress:
-        task = progress.add_task("", total=steps, said="")
+        task = progress.add_task("", total=steps, status_text="")
         drawn = 0.0
         while simulation.steps < steps:
             due = min(steps, (simulation.steps // every + 1) * every)
@@ -233,8 +233,10 @@ def _simulate(simulation, steps, every, file, console):
                 file.sample(simulation.sample())
             if time.monotonic() > drawn + REDRAW:
                 drawn = time.monotonic()
-                progress.update(task, completed=simulation.steps, said=f"{simulation.time:.3f} s")
-        progress.update(task, completed=steps, said=f"{simulation.time:.3f} s")
+                progress.update(
+                    task, completed=simulation.steps, status_text=f"{simulation.time:.3f} s"
+                )
+        progress.update(task, completed=steps, status_text=f"{simulation.time:.3f} s")
 
 
 def whole_steps(duration, step, name="--duration"):

@@ -23,7 +23,7 @@ from liegroup_sim_ros.version import __version__
 from .run import RunError, add_settings, chosen, given_settings, whole_steps
 
 EXIT_ALL_FAILED, EXIT_INTERRUPTED = 1, 130
-# Parts of errors about an initial state that violates the joints.
+# Parts of error texts about an initial state that violates the joints.
 CLOSING = "velocities violate the joint", "does not close at the initial poses"
 
 
@@ -117,7 +117,7 @@ def run(args):
         raise RunError(f"--workers must be at least 1, got {args.workers}")
     console = Console(stderr=True)
     with console.status("starting (the first start on a machine compiles for about 20 s)"):
-        sweep, description = _asked_for(scene, args)
+        sweep, description = _sweep_of(scene, args)
     unknown = [name for name in args.show or () if sweep.columns.get(name) != "float"]
     if unknown:
         raise RunError(
@@ -125,7 +125,7 @@ def run(args):
             + ", ".join(name for name, kind in sweep.columns.items() if kind == "float")
         )
     with SweepFile(args.out, description).writing() as file:
-        interrupted = _make(sweep, file, args, console)
+        interrupted = _run_missing(sweep, file, args, console)
         if interrupted:
             print(
                 f"liegroup_sim: interrupted; {sweep.samples - len(file.missing)} of "
@@ -142,12 +142,14 @@ def run(args):
     return 0 if OK in statuses else EXIT_ALL_FAILED
 
 
-def _asked_for(scene, args):
-    """(Sweep, its description for the file) of the arguments."""
+def _sweep_of(scene, args):
+    """(Sweep, description for the file) from the arguments."""
     settings, accuracy = given_settings(args), None
     if args.accuracy is not None:
         accuracy = {"accuracy": args.accuracy, "horizon": args.horizon}
-        settings = _begun(args.out, accuracy) or chosen(scene, args, args.keep).settings
+        settings = (
+            _started_configuration(args.out, accuracy) or chosen(scene, args, args.keep).settings
+        )
     step = settings.get("step", STEP)
     try:
         if not step > 0.0:
@@ -175,7 +177,7 @@ def _asked_for(scene, args):
     }
 
 
-def _begun(path, accuracy):
+def _started_configuration(path, accuracy):
     """Configuration of a started sweep with the same accuracy, or None.
 
     All runs of a sweep have the same configuration, even if another one is now measured as cheaper.
@@ -187,8 +189,8 @@ def _begun(path, accuracy):
     return description["settings"] if description.get("accuracy") == accuracy else None
 
 
-def _make(sweep, file, args, console):
-    """Run the missing samples; returns whether that was interrupted."""
+def _run_missing(sweep, file, args, console):
+    """Run the missing samples; returns True after Ctrl-C."""
     missing = file.missing
     if not len(missing):
         return False
@@ -204,16 +206,18 @@ def _make(sweep, file, args, console):
         TextColumn("{task.completed:.0f}/{task.total:.0f} runs"),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
-        TextColumn("{task.fields[said]}"),
+        TextColumn("{task.fields[status_text]}"),
         console=console,
     ) as progress:
-        task = progress.add_task(sweep.name, total=sweep.samples, completed=done, said="")
+        task = progress.add_task(sweep.name, total=sweep.samples, completed=done, status_text="")
         try:
             for columns in sweep.run(missing, args.scheduler, args.workers):
                 file.add(columns)
                 failed += sum(status != "ok" for status in columns["status"])
                 progress.update(
-                    task, advance=len(columns["run"]), said=f"{failed} failed" if failed else ""
+                    task,
+                    advance=len(columns["run"]),
+                    status_text=f"{failed} failed" if failed else "",
                 )
         except KeyboardInterrupt:
             return True

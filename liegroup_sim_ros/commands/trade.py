@@ -122,10 +122,10 @@ def measured(scene, args):
             BarColumn(),
             TextColumn("{task.completed:.0f}/{task.total:.0f} ladders"),
             TimeElapsedColumn(),
-            TextColumn("{task.fields[said]}"),
+            TextColumn("{task.fields[status_text]}"),
             console=console,
         ) as progress:
-            task = progress.add_task(scene.name, total=1, said="")
+            task = progress.add_task(scene.name, total=1, status_text="")
             for cell, (done, total) in trade.measure(
                 args.methods,
                 args.groups,
@@ -134,12 +134,15 @@ def measured(scene, args):
                 args.budget,
                 args.scheduler,
                 args.workers,
-                lambda text: progress.update(task, said=text),
+                lambda text: progress.update(task, status_text=text),
             ):
                 progress.update(
-                    task, completed=done, total=total, said=f"{cell['method']} {cell['step']:g} s"
+                    task,
+                    completed=done,
+                    total=total,
+                    status_text=f"{cell['method']} {cell['step']:g} s",
                 )
-            progress.update(task, completed=progress.tasks[task].total, said="")
+            progress.update(task, completed=progress.tasks[task].total, status_text="")
         trade.keep_only(args.methods, args.groups, args.stabilisation, args.steps)
         return trade
     except SimulationError as error:

@@ -47,7 +47,7 @@ __all__ = ["RecordingError", "read_recording"]
 
 
 def __getattr__(name):
-    """Import the reader when it is first needed: it loads compiled code, the errors do not."""
+    """Import the reader on first use: it loads compiled code, the errors do not."""
     if name == "read_recording":
         from .read import read_recording
 

@@ -34,14 +34,14 @@ from .mcap_records import (
     parsed,
 )
 
-_TRIES = 16  # the search for chunks reads at most so many times the file size
+_TRIES = 16  # the search for chunks reads at most this many times the file size
 
 _FOOTER = RECORD.size + 20
 _ZSTD = struct.pack("<I", 4) + b"zstd"  # present in every chunk of the recorder
 
 
 class Damage(NamedTuple):
-    """A damaged part, which is omitted."""
+    """A damaged part of the file; it is skipped."""
 
     text: str
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Contents of an MCAP file and what is missing: counts, gaps in sequence numbers, problems.
+"""Survey of an MCAP file: contents, message counts, gaps in sequence numbers, problems.
 
 The file may be truncated, damaged or hostile; it is read once, in bounded memory (damaged_scan.py).
 For `info` and `recover`.
@@ -24,7 +24,7 @@ NO_END = (
     "its end is missing: it is still being recorded, the process was killed, the disk was full "
     "or the file is truncated"
 )
-_KEPT = ("settings.json", "initial_state.json")  # attachments whose content is kept
+_PARSED = ("settings.json", "initial_state.json")  # attachments that are parsed
 _PLAIN = frozenset(string.printable) - frozenset("\t\n\r\x0b\x0c")
 
 
@@ -41,7 +41,7 @@ class ChannelFigures:
     last_ns: int | None = None
 
     def expect(self, before):
-        """Set the sequence numbers {topic: last one} before this file; None: unknown."""
+        """Set the last sequence numbers before this file, {topic: number}; None: unknown."""
         if before is not None and self.count == 0:
             self.expected = (before.get(self.topic, 0) + 1) % 2**32
 
@@ -82,7 +82,7 @@ class Survey:
     figures: dict = field(default_factory=dict)  # id -> ChannelFigures
     attachments: list = field(default_factory=list)  # (name, media type, bytes)
     metadata: dict = field(default_factory=dict)  # name -> {key: text}
-    contents: dict = field(default_factory=dict)  # name -> parsed JSON of _KEPT
+    contents: dict = field(default_factory=dict)  # name -> parsed JSON of _PARSED
     before: dict | None = None  # topic -> last sequence number before the file; None: unknown
     problems: dict = field(default_factory=dict)  # text -> number of occurrences
     chunks: int = 0
@@ -218,7 +218,7 @@ def _count(found, block, on_block):
 
 def _attachment(found, piece):
     found.attachments.append((piece.name, piece.media_type, len(piece.data)))
-    if piece.name in _KEPT and piece.name not in found.contents:
+    if piece.name in _PARSED and piece.name not in found.contents:
         try:
             content = json.loads(piece.data)
             json.dumps(content, allow_nan=False)
@@ -237,7 +237,7 @@ def _is_flat(value, levels=20):
 
 
 def _first_numbers(found, settings):
-    """Take the last sequence numbers of the previous part from our own settings; none: zeros."""
+    """Read the last sequence numbers of the previous part from settings.json; default: zeros."""
     if settings.get("format") != 1:
         return
     before = settings.get("sequences")

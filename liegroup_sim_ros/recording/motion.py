@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from .errors import RecordingError
 
-# Samples kept for plots and details: of all bodies together, and at least.
+# Samples kept for plots: the limit for all bodies together, and the smallest limit per body.
 KEPT, LEAST_KEPT = 40_000, 2000
 LATEST = 2**62  # ns; larger stamps are invalid
 
@@ -54,7 +54,7 @@ class Stretch:
 
     @property
     def seconds(self):
-        """From the first sample to the last one."""
+        """Time from the first to the last sample, s."""
         return (self.last_step - self.first_step) * self.step
 
     def pushes_on(self, body):
@@ -89,7 +89,7 @@ class Stretch:
         return intervals[intervals[:, 1] > intervals[:, 0]]
 
     def free_seconds(self, bodies):
-        """Time between the samples in which no wrench acts on any of the bodies."""
+        """Time between the first and last sample without a wrench on any of the bodies, s."""
         inside = np.clip(self.free(bodies), self.first_step, self.last_step)
         return float((inside[:, 1] - inside[:, 0]).sum() * self.step)
 

@@ -163,7 +163,7 @@ class Recording:
         yield from self._merged(wanted, waiting, counts)
 
     def _merged(self, wanted, waiting, counts):
-        """Yield the complete samples and remove them from the waiting messages."""
+        """Yield the complete samples and remove their messages from `waiting`."""
         tracks = {
             topic: (np.concatenate(stamps), np.concatenate(values))
             if stamps

@@ -3,8 +3,8 @@
 
 The caller's thread packs messages into chunks. The recorder's own thread compresses and writes
 whole chunks; no other thread touches the file. The two threads therefore seldom wait for each
-other: handing over every message interrupted the simulation a thousand times a second, which cost
-more than the recording.
+other. Passing on single messages would interrupt the simulation a thousand times a second, which
+costs more than the recording itself.
 
 A chunk ends when it reaches CHUNK_SIZE, and `flush_interval` seconds of wall time after the last
 flush. Every write goes straight to the operating system. A killed process loses at most that
@@ -49,8 +49,8 @@ class Recorder:
     metadata       : {name: {key: text}}, written to every file
     queue_size     : messages that may be queued before `write` blocks; QUEUE_BYTES also applies
     flush_interval : s of wall time, the most that a killed process loses
-    max_size       : bytes after which a part is due to end, 0: no limit
-    max_duration   : ns of stamps after which a part is due to end, 0: no limit
+    max_size       : file size in bytes from which on a new part is due, 0: no limit
+    max_duration   : duration in ns of stamps from which on a new part is due, 0: no limit
     part           : number of the first part; part 2 of run.mcap is run_part2.mcap
     bag            : Bag that the files are added to and whose metadata.yaml is written beside
                      them; True: a new bag; None: no metadata.yaml
@@ -92,14 +92,14 @@ class Recorder:
         self._queue = deque()  # chunks, and functions for the recorder's thread
         self._lock = threading.Lock()  # of the chunk and of the end of the queue
         self._queue_size = queue_size
-        self._given = 0  # messages passed to `write` so far
+        self._submitted = 0  # messages passed to `write` so far
         self._bytes_in = self._bytes_out = 0  # of all chunks queued, and taken from the queue
         self._flush_interval = flush_interval
         self._flush_at = time.monotonic() + flush_interval
         self._flushing = None  # the chunk that is to end with the current instant
         self._max_size, self._max_duration = max_size, max_duration
         self._part_since = None  # stamp, ns; None: no sample of this part yet
-        self._dividing = False
+        self._is_dividing = False
         self._closing = threading.Event()
         self._closed = False
         try:
@@ -123,7 +123,7 @@ class Recorder:
 
     @property
     def queued(self):
-        return self._given - self.written - self.lost
+        return self._submitted - self.written - self.lost
 
     @property
     def bytes(self):
@@ -168,7 +168,7 @@ class Recorder:
             self._wait_for_queue(stamp_ns)
         channel = self._channels[channel]
         with self._lock:  # sequence numbers in the order of the chunks
-            self._given += 1
+            self._submitted += 1
             if self._closed or self.failure is not None:
                 self.lost += 1
                 return
@@ -184,7 +184,7 @@ class Recorder:
             if self._chunk.count and not self._chunk.may_end_before(stamp_ns):
                 return  # an instant is not divided
         while self._is_full() and not self._closed:
-            with self._lock:  # in each turn: another thread may have filled the next chunk
+            with self._lock:  # in every iteration: another thread may have filled the next chunk
                 self._close_chunk()
             time.sleep(_IDLE)
 
@@ -216,7 +216,7 @@ class Recorder:
         """Whether the current part has reached its size or, at this stamp, its duration."""
         if self._part_since is None:
             self._part_since = stamp_ns
-        if self._dividing or self.failure or not (self._max_size or self._max_duration):
+        if self._is_dividing or self.failure or not (self._max_size or self._max_duration):
             return False
         return bool(
             self._max_size
@@ -226,8 +226,11 @@ class Recorder:
         )
 
     def divide(self, attachments):
-        """Continue in a new file: the next part, with its attachments."""
-        self._dividing, self._part_since = True, None
+        """Continue in a new file, the next part.
+
+        attachments : {name: (media_type, bytes)} of the new file
+        """
+        self._is_dividing, self._part_since = True, None
         self.part += 1
         path = self.part_path(self.part)
 
@@ -238,7 +241,7 @@ class Recorder:
             self.path = path
             for channel in self._registered:  # the others are still in the queue
                 self._add_to_file(channel)
-            self._dividing = False
+            self._is_dividing = False
 
         self._in_order(open_next)
 
@@ -251,7 +254,7 @@ class Recorder:
         self._thread.join()
         atexit.unregister(self.close)
         self.lost = (
-            self._given - self.written
+            self._submitted - self.written
         )  # including those that arrived while the thread ended
 
     # The methods below run in the recorder's thread.
@@ -360,7 +363,7 @@ class Recorder:
                 f"{f': {name}' if name else ''}; the simulation continues without recording"
             )
             self._chunk = Chunk()
-            self.lost = self._given - self.written
+            self.lost = self._submitted - self.written
         _log.error(self.failure)
 
 

@@ -165,7 +165,7 @@ class TableFile:
         self.count, self.last_step = self.count + 1, sample.steps
 
     def finish(self, simulation, stopped, failed, wall_seconds):
-        """Nothing is left to write: rows are complete."""
+        """Do nothing: all rows are written."""
 
 
 class LogFile:

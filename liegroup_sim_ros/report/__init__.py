@@ -2,5 +2,5 @@
 """HTML reports, plots, images and tables of analyses and studies. Needs no ROS.
 
 In: figures and curves of analysis/ and liegroup_core.study. Out: text for a terminal, HTML, images.
-Computes no figure of its own.
+Computes no results of its own.
 """

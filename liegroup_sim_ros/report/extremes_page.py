@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robustness map as Markdown: counts, undetected errors, and a table of signs for each axis."""
+"""Robustness map as Markdown: counts, undetected errors, and a table of verdicts per axis."""
 
 import statistics
 
 from liegroup_core.study.extremes.extremes import VERDICTS, counts, silent
 
 SIGNS = dict(zip(VERDICTS, ".fxs?!"))
-# Warnings of the step check, monitor/step_watch.py.
+# Parts of the warnings of the step check (liegroup_core/monitor/step_watch.py).
 WATCH = ("errors may have added up", "no likeness to two")
 
 
@@ -49,7 +49,7 @@ def _numbers(cells):
             f"{cell['error']:.2g} of the motion"
         )
     flagged = [cell for cell in cells if cell["verdict"] == "flagged"]
-    alone = [
+    only_step_check = [
         cell
         for cell in flagged
         if all(any(part in text for part in WATCH) for text in cell["says"])
@@ -59,8 +59,8 @@ def _numbers(cells):
     )
     yield ""
     yield (
-        f"{len(alone)} of the {len(flagged)} flagged cells are flagged by the step "
-        "check alone: without it their errors would be undetected."
+        f"{len(only_step_check)} of the {len(flagged)} flagged cells are flagged by the step "
+        "check only_step_check: without it their errors would be undetected."
     )
     if warned:
         yield (

@@ -36,7 +36,7 @@ def document(axes, cells):
 
 
 def _finite(value):
-    """JSON has no infinity: an error that is not finite is null."""
+    """None for a number that is not finite, because JSON has no infinity."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
@@ -66,7 +66,7 @@ def print_axis(axis, cells, methods, console):
 
 
 def print_end(cells, console):
-    """Print the number of cells for each verdict, and each silent error."""
+    """Print the number of cells for each verdict, and each undetected error."""
     console.print(
         Text(", ".join(f"{SIGNS[name]} {name} {number}" for name, number in counts(cells).items()))
     )

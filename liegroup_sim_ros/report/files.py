@@ -14,7 +14,7 @@ class ReportError(LieGroupSimError):
 
 
 def check_files(*paths, picture=None):
-    """Raise ReportError for a path that cannot be written; None and "" stand for no file.
+    """Raise ReportError for a path that cannot be written; None or "": no file.
 
     picture : path of a picture, whose format follows from the ending of its name
     """

@@ -34,7 +34,7 @@ def analyse_many(logs, options, scheduler=None, page=False):
     """([figures], [part of the HTML report]) in the order of the recordings, see analyse_log.
 
     scheduler : address of a Dask cluster; None: the cores of this machine
-    page      : False for no report; the first MOST_PARTS recordings have plots in it
+    page      : whether an HTML report is needed; its first MOST_PARTS recordings have plots
     """
     work = [(log, options, k < MOST_PARTS if page else None) for k, log in enumerate(logs)]
     with Progress(

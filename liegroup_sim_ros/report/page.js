@@ -1,12 +1,12 @@
-// Plots and 3D view of the page; their data are in the element "data", see page.py.
+// Plots and 3D view of the HTML report. The element "data" holds their data as JSON, see page.py.
 "use strict";
 const DATA = JSON.parse(document.getElementById("data").textContent);
 const touch = matchMedia("(pointer: coarse)").matches;
 const narrow = () => matchMedia("(max-width: 40rem)").matches;
-const drawn = new Map();                // element -> function that draws it, also in another theme
-const views = [];                       // one of each motion that is drawn
+const drawn = new Map();                // element -> function that draws it in the current theme
+const views = [];                       // state of each 3D view
 
-// Replace the names of CSS variables in entries whose key contains "color".
+// Replace names of CSS variables by their values in all entries whose key contains "color".
 function themed(value, key = "") {
   if (typeof value === "string")
     return /color/i.test(key) && value.startsWith("--")
@@ -94,7 +94,7 @@ function placed(matrix, offset, [x, y, z]) {
     offset[i] + matrix[r] * x + matrix[r + 1] * y + matrix[r + 2] * z);
 }
 
-// The 3D view: what is drawn of frame k, and the range of all of them.
+// Geometry of the 3D view: points and colours of frame k, paths, ranges of the axes.
 class Motion {
   constructor(view) {
     this.view = view;
@@ -163,10 +163,10 @@ class Motion {
           red.push([...this.point(k, i, this.bodies[i].com), `${this.times[k].toFixed(3)} s`]);
       red.push([null, null, null, ""]);
     }
-    return red.some(([x]) => x !== null) ? [...all, curve(red, "pushed", "--red", 7)] : all;
+    return red.some(([x]) => x !== null) ? [...all, curve(red, "wrench applied", "--red", 7)] : all;
   }
 
-  // Axes as long as the motion, and at least a quarter of the longest, so that a plane is a slab.
+  // Each axis covers the motion, and at least a quarter of the longest axis for planar motions.
   axes() {
     const low = [Infinity, Infinity, Infinity], high = low.map(x => -x);
     const take = (place, radius) => place.forEach((x, axis) => {
@@ -196,19 +196,19 @@ class Motion {
   }
 }
 
-// Where the whole box is in sight, looking rather across a plane of motion than along it.
+// Camera that shows the whole box; it views a plane of motion from the side, not along the plane.
 function camera({x, y, z}, width, height) {
-  const box = [x, y, z], thin = Math.min(...box), way = [.62, -.95, .5].map(
+  const box = [x, y, z], thin = Math.min(...box), view = [.62, -.95, .5].map(
     (part, i) => box[i] === thin && thin < .6 * Math.max(...box) ? 2 * part : part);
-  const size = Math.hypot(...way), to = way.map(part => part / size);
+  const size = Math.hypot(...view), to = view.map(part => part / size);
   const flat = Math.hypot(to[0], to[1]), right = [-to[1] / flat, to[0] / flat, 0];
   const up = [to[1] * right[2] - to[2] * right[1], to[2] * right[0] - to[0] * right[2],
               to[0] * right[1] - to[1] * right[0]];
   const reach = along => box.reduce((sum, edge, i) => sum + Math.abs(along[i]) * edge / 2, 0);
   const slope = Math.tan(Math.PI / 8);        // plotly's field of view is 45 degrees high
-  const away = .7 * reach(to) + 1.05 * Math.max(reach(up) / slope,
+  const distance = .7 * reach(to) + 1.05 * Math.max(reach(up) / slope,
                                                1.2 * reach(right) / slope / (width / height));
-  return {eye: {x: away * to[0], y: away * to[1], z: away * to[2]}, center: {x: 0, y: 0, z: -.06}};
+  return {eye: {x: distance * to[0], y: distance * to[1], z: distance * to[2]}, center: {x: 0, y: 0, z: -.06}};
 }
 
 function curve(path, name, colour, width) {
@@ -254,7 +254,7 @@ function drawView(root, view, planes) {
 
   function show(time) {
     state.time = Math.min(end, Math.max(start, time));
-    let low = 0, high = count - 1;          // the last frame that is not later
+    let low = 0, high = count - 1;          // binary search for the last frame at or before this time
     while (low < high) {
       const middle = low + high + 1 >> 1;
       if (motion.times[middle] <= state.time) low = middle; else high = middle - 1;

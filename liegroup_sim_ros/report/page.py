@@ -18,8 +18,8 @@ from .plots import difference_plot, make_plots
 from .summary import OVERVIEW, comparison_rows, headline, overview, sections, short_names
 from .view import make_view, speeds
 
-MOST_PARTS = 20  # recordings with plots on one page; the others have tables only
-MOST_LISTED = 20  # problems of several logs at the top
+MOST_PARTS = 20  # recordings with plots in one report; the others have tables only
+MOST_LISTED = 20  # problems in the list at the top
 LONGEST = 200_000  # characters of a text
 NUMBER = re.compile(
     r"\d[\d.]*(?:e[+-]\d+)?"
@@ -123,8 +123,8 @@ def _one(part, number, exceeded=(), bounds=()):
         + _bounds(bounds, exceeded)
         + _tiles(figures)
         + (f'<p class="soft">{escape(part["description"])}</p>' if part["description"] else "")
-        + f'<div data-part="{number}">{_drawn(part)}</div>'
-        + _told(part)
+        + f'<div data-part="{number}">{_plots(part)}</div>'
+        + _tables(part)
     )
 
 
@@ -132,24 +132,24 @@ def _several(parts, exceeded, bounds):
     """Overview of several recordings, with a section for each that can be expanded."""
     found = [part["figures"] for part in parts]
     names = short_names(found)
-    wrong = [figures.get("problems", [figures.get("failed")]) for figures in found]
-    bad, count = (sum(map(kind, wrong)) for kind in (bool, len))
+    problems_of = [figures.get("problems", [figures.get("failed")]) for figures in found]
+    bad, count = (sum(map(kind, problems_of)) for kind in (bool, len))
     verdict = f"{bad} of {len(parts)} recordings have problems." if bad else "No problems found."
     lines = "".join(
-        f'<tr><td data-what="log"><a href="#log{k}">{escape(name)}</a></td>'
+        f'<tr><td data-what="recording"><a href="#log{k}">{escape(name)}</a></td>'
         + "".join(
             f'<td data-what="{what}"{_alarm(value)}>{escape(value)}</td>'
             for what, value in zip(OVERVIEW, overview(figures))
         )
         + f'<td data-what="problems" class="{"bad" if problems else "good"}">'
         f"{len(problems) or 'none'}</td></tr>"
-        for k, (name, figures, problems) in enumerate(zip(names, found, wrong))
+        for k, (name, figures, problems) in enumerate(zip(names, found, problems_of))
     )
-    heads = "".join(f"<th>{what}</th>" for what in ("log", *OVERVIEW, "problems"))
+    heads = "".join(f"<th>{what}</th>" for what in ("recording", *OVERVIEW, "problems"))
     body = (
         f"<header><h1>{len(parts)} recordings</h1>{_state(count + len(exceeded))}</header>"
         f'<p class="verdict">{verdict}</p>'
-        + _problems(_listed(found, names, wrong, exceeded))
+        + _problems(_listed(found, names, problems_of, exceeded))
         + _bounds(bounds, exceeded)
         + f'<section class="card"><table class="logs"><thead><tr>{heads}</tr></thead>'
         f"<tbody>{lines}</tbody></table></section>"
@@ -162,8 +162,8 @@ def _several(parts, exceeded, bounds):
             else f'<p class="verdict">{unbroken(figures["verdict"])}</p>'
             + _problems(figures["problems"])
             + _tiles(figures)
-            + _drawn(part)
-            + _told(part)
+            + _plots(part)
+            + _tables(part)
         )
         body += (
             f'<details class="log" id="log{k}" data-part="{k}"><summary>{escape(name)}'
@@ -172,13 +172,13 @@ def _several(parts, exceeded, bounds):
     return body
 
 
-def _listed(found, names, wrong, exceeded):
-    """First problems of several recordings."""
+def _listed(found, names, problems_of, exceeded):
+    """List of the first problems of several recordings."""
     listed = [
         *exceeded,
         *(
             f"{name}: {text.removeprefix(figures['log'] + ': ')}"
-            for figures, name, problems in zip(found, names, wrong)
+            for figures, name, problems in zip(found, names, problems_of)
             for text in problems
         ),
     ]
@@ -186,7 +186,7 @@ def _listed(found, names, wrong, exceeded):
     return listed if more <= 0 else [*listed[:MOST_LISTED], f"and {more} more"]
 
 
-def _drawn(part):
+def _plots(part):
     return (_view(part["view"], bool(part["plots"])) if part["view"] else "") + (
         '<div class="cards">'
         + "".join(plot_card(title, remark) for title, remark, _ in part["plots"])
@@ -194,7 +194,7 @@ def _drawn(part):
     )
 
 
-def _told(part):
+def _tables(part):
     """Tables, scene and configuration of a recording."""
     figures, settings = part["figures"], part["settings"]
     rows = "".join(
@@ -208,7 +208,7 @@ def _told(part):
         + "</div>"
         + _details("Events", f"<pre>{_shortened(part['events'])}</pre>")
         + _details("Scene", f"<pre>{_shortened(part['scene'])}</pre>")
-        + _details("Settings", f'<table class="settings">{rows}</table>')
+        + _details("Configuration", f'<table class="settings">{rows}</table>')
         + f'<p class="soft">{escape(figures["log"])}</p>'
     )
 
@@ -233,7 +233,7 @@ def _view(view, has_plots):
         f'<option value="{speed:g}"{" selected" if speed == first else ""}>{speed:g} ×</option>'
         for speed in choices
     )
-    remark = f"{view['frames']} frames; drag to rotate; the tools zoom and pan" + (
+    remark = f"{view['frames']} frames; drag to rotate; toolbar: zoom and pan" + (
         "; click on a plot below to go to that time" if has_plots else ""
     )
     return (
@@ -242,7 +242,7 @@ def _view(view, has_plots):
         '<button type="button">Play</button>'
         f'<input type="range" min="0" max="{view["frames"] - 1}" value="0" step="1" '
         'aria-label="time">'
-        f'<output></output><select aria-label="speed, times real time">{options}</select>'
+        f'<output></output><select aria-label="playback speed relative to real time">{options}</select>'
         "</div></section>"
     )
 
@@ -287,8 +287,8 @@ def _problems(problems):
 def _bounds(bounds, exceeded):
     if not bounds:
         return ""
-    said = "Not kept" if exceeded else "Kept"
-    return f'<p class="{"bad" if exceeded else "good"}">{said}: {escape("; ".join(bounds))}</p>'
+    result = "Bounds exceeded" if exceeded else "Within bounds"
+    return f'<p class="{"bad" if exceeded else "good"}">{result}: {escape("; ".join(bounds))}</p>'
 
 
 def _details(title, inside):

@@ -9,10 +9,11 @@ from html import escape
 
 import numpy as np
 
-BINS = 1000  # bins of a curve; minimum and maximum of each are drawn
+BINS = 1000  # of a curve; the minimum and the maximum of each bin are drawn
 PATH_POINTS = 4000
 HEIGHT = 340  # px
-FEW, ODD = 0.02, 1e-2  # values of log plots out of sight: these few, where so far below the rest
+# A log axis omits at most this fraction of its smallest values, if they are this factor below the rest.
+FEW, ODD = 0.02, 1e-2
 COLOURS = ("--blue", "--orange", "--green", "--violet", "--red", "--grey")
 
 
@@ -25,11 +26,7 @@ def make_plots(analysis):
     bands = _push_bands(figures, analysis.motion)
     if curves.get("reference"):
         kind = figures["reference"]["kind"]
-        source = (
-            "an independent integration at tight tolerances"
-            if kind == "integration"
-            else ("the exact solution")
-        )
+        source = "the reference integration" if kind == "integration" else "the exact solution"
         plots.append(
             (
                 "Error",
@@ -54,7 +51,7 @@ def make_plots(analysis):
         plots.append(
             (
                 "Conserved momentum components",
-                "change, as for the energy",
+                "change since the start of each interval without applied wrenches",
                 _plane(
                     _interval_traces(kept[:6]),
                     bands,
@@ -79,7 +76,7 @@ def make_plots(analysis):
         plots.append(
             (
                 "Scheduling latency",
-                "of the ticks, since the start",
+                "of all ticks since the start",
                 _plane(late, bands, "µs", log=True),
             )
         )
@@ -256,7 +253,7 @@ def label(name):
 
 
 def _extremes(y):
-    """Rows of minimum, maximum and gaps (NaN) of each bin of neighbours."""
+    """Indices of the minimum, the maximum and a gap (NaN) in each bin of successive values."""
     gaps = ~np.isfinite(y)
     low, high = np.where(gaps, np.inf, y), np.where(gaps, -np.inf, y)
     edges = np.linspace(0, len(y), BINS + 1).astype(int)

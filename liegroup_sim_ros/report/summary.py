@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of an analysis in words: rows of the tables, headline and overview."""
+"""Results of an analysis as text: rows of the tables, headline and overview."""
 
 from liegroup_sim_ros.analysis.timing import requested_text
 from liegroup_sim_ros.numbers import GROUPS, counted, error_text, shown
 
 MOST_JOINTS = 8  # in the table; the JSON document has all
-OVERVIEW = ("position", "attitude", "energy", "joints", "same bits", "lost")
+OVERVIEW = ("position", "attitude", "energy", "joints", "bit-identical", "dropped")
 
 
 def headline(figures):
@@ -66,7 +66,7 @@ def sections(figures):
         kind = figures["reference"]["kind"]
         found.append(
             (
-                "Error against an independent integration"
+                "Error against the reference integration"
                 if kind == "integration"
                 else f"Error against the exact solution: {kind}",
                 _error_rows(figures),
@@ -76,7 +76,7 @@ def sections(figures):
     if local and "failed" not in local:
         found.append(("Error of one step, by step halving", _local_rows(local)))
     if "energy" in figures:
-        found.append(("Conserved quantities and constraints", _kept_rows(figures)))
+        found.append(("Conserved quantities and constraints", _conserved_rows(figures)))
     repeat = figures.get("repeat", {})
     if "identical" in repeat:
         found.append(
@@ -157,7 +157,7 @@ def _local_rows(local):
         (
             "position",
             shown(local["position_m"], "m"),
-            _joined(f"largest of {local['windows']} places", local["remark"]),
+            _joined(f"largest at {local['windows']} samples", local["remark"]),
         ),
         ("attitude", shown(local["angle_rad"], "rad"), ""),
         (
@@ -169,13 +169,13 @@ def _local_rows(local):
 
 
 def _trend(slope, explained, unit):
-    """Linear trend of a drift in words; None if it explains less than half of the variance."""
+    """Linear trend of a drift as text; None if it explains at most half of the variance."""
     if slope is None or not explained > 0.5:
         return None
     return f"{'falls' if slope < 0.0 else 'grows'} by {shown(abs(slope), unit)}"
 
 
-def _kept_rows(figures):
+def _conserved_rows(figures):
     energy = figures["energy"]
     rows = [
         (
@@ -221,7 +221,7 @@ def _kept_rows(figures):
             )
         )
     if len(joints) > MOST_JOINTS:
-        rows.append((f"{len(joints) - MOST_JOINTS} other joints", "less", ""))
+        rows.append((f"{len(joints) - MOST_JOINTS} other joints", "smaller", ""))
     return rows
 
 
@@ -265,7 +265,7 @@ def _file_rows(figures):
     lost = sum(figures["lost_messages"].values()) + figures["missing_samples"]
     return [
         ("messages", str(sum(figures["messages"].values())), f"{len(figures['messages'])} topics"),
-        ("lost", str(lost), "by sequence number and by the grid of samples"),
+        ("dropped", str(lost), "by sequence numbers and sampling period"),
         ("complete", "yes" if figures["complete"] else "no", figures["file_problem"] or ""),
     ]
 

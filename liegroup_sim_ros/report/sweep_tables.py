@@ -15,8 +15,8 @@ from .terminal import plain_table
 WIDTH = 130  # characters; a narrower terminal folds the lines
 QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
 BODIES = 2  # bodies whose states are shown by default
-REASONS = 10
-# Least number of runs for a rank correlation: with fewer, 5 % exceed 0.6 by chance.
+REASONS = 10  # different texts that are printed
+# Smallest number of runs for a rank correlation: with fewer, 5 % exceed 0.6 by chance.
 LEAST = 10
 
 
@@ -85,15 +85,15 @@ def print_sweep(file, show, console):
             style="dim",
         )
     )
-    _tell(console, "failed", [s for s in table["status"] if s != OK])
-    _tell(console, "warned of", [w for w in table["warning"] if w])
+    _print_reasons(console, "failed", [s for s in table["status"] if s != OK])
+    _print_reasons(console, "with warning", [w for w in table["warning"] if w])
     for name in dict.fromkeys((*sweep.paths, *columns)):
         table[name] = np.where(ok, table[name], np.nan)
     found = spread(table, (*sweep.paths, *columns))
     _print(
         console,
         "Distribution of the completed runs",
-        ("", "least", "5 %", "median", "95 %", "largest"),
+        ("", "minimum", "5 %", "median", "95 %", "maximum"),
         [(name, *map(shown, values)) for name, values in found.items() if values is not None],
     )
     ranks = dependence(table, sweep.paths, columns)
@@ -123,7 +123,7 @@ def _usual(sweep):
     ]
 
 
-def _tell(console, what, texts):
+def _print_reasons(console, what, texts):
     counted = reasons(texts)
     for count, text in counted[:REASONS]:
         console.print(Text(f"{count} {what}: {text}"))

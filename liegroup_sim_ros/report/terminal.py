@@ -33,13 +33,13 @@ def print_table(figures, console):
         console.print(table)
 
 
-def print_overview(found, console):
+def print_overview(analyses, console):
     """Print a line for each recording, then their problems."""
     table = Table(box=None, padding=(0, 2, 0, 0))
-    names = short_names(found)
-    for title in ("log", *OVERVIEW):
-        table.add_column(Text(title), overflow="fold", no_wrap=title != "log")
-    for name, figures in zip(names, found):
+    names = short_names(analyses)
+    for title in ("recording", *OVERVIEW):
+        table.add_column(Text(title), overflow="fold", no_wrap=title != "recording")
+    for name, figures in zip(names, analyses):
         table.add_row(
             Text(name),
             *(
@@ -48,7 +48,7 @@ def print_overview(found, console):
             ),
         )
     console.print(table)
-    for name, figures in zip(names, found):
+    for name, figures in zip(names, analyses):
         for problem in figures.get("problems") or [
             figures[key] for key in ("failed",) if key in figures
         ]:

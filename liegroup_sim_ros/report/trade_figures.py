@@ -11,9 +11,20 @@ from liegroup_sim_ros.recording.attachments import versions
 from .terminal import plain_table
 
 WIDTH = 130  # characters; a narrower terminal folds the lines
-CHEAPEST_HEAD = ("accuracy", "setting", "error", "CPU s per s", "times real time")
-FRONT_HEAD = ("error", "CPU s per s", "setting", "rad/s", "m/s", "energy", "momentum", "joints")
-FRONT_TITLE = "Pareto front; the right columns are errors of twist, energy, momentum, joints"
+CHEAPEST_HEAD = ("accuracy", "configuration", "error", "CPU s per s", "real-time factor")
+FRONT_HEAD = (
+    "error",
+    "CPU s per s",
+    "configuration",
+    "rad/s",
+    "m/s",
+    "energy",
+    "momentum",
+    "joints",
+)
+FRONT_TITLE = (
+    "Pareto front; right columns: errors of angular velocity, velocity, energy, momentum, joints"
+)
 
 
 def document_part(trade):
@@ -68,7 +79,7 @@ def setting(cell):
 
 
 def error_text(value, known):
-    """Error in words; the reference uncertainty if that is larger."""
+    """Error in words; "below" the reference uncertainty if that is larger."""
     return f"below {shown(known)}" if value <= known else shown(value)
 
 
@@ -76,12 +87,12 @@ def reference_text(part):
     """Reference solution in words."""
     reference = part["reference"]
     text = (
-        "an independent integration"
+        "the reference integration"
         if reference["kind"] == "integration"
         else f"the closed form ({reference['kind']})"
     )
     if reference["agrees"] is not None:
-        text += f", confirmed by an independent integration within {shown(reference['agrees'])}"
+        text += f"; the reference integration agrees within {shown(reference['agrees'])}"
     return f"{text}; reference uncertainty {shown(reference['known'])}"
 
 

@@ -16,7 +16,7 @@ from .trade_figures import (
     setting,
 )
 
-DASHES = ("solid", "dash", "dot", "longdashdot")  # with 6 colours: more combinations than methods
+DASHES = ("solid", "dash", "dot", "longdashdot")  # times 6 colours: distinct for all methods
 SYMBOLS = ("circle", "square", "triangle-up", "diamond", "triangle-down", "cross")
 HEIGHT = 560  # px
 MARKS = ("o", "s", "^", "D", "v", "P")
@@ -204,7 +204,7 @@ def write_picture(part, path):
     title = axes.set_title(
         f"{part['scene']}, {part['horizon']:g} s; errors against "
         + (
-            "an independent integration"
+            "the reference integration"
             if part["reference"]["kind"] == "integration"
             else "the closed form"
         ),

@@ -12,7 +12,7 @@ from liegroup_sim_ros.messages.markers import CUBE, CYLINDER, THINNEST, solid
 
 from .plots import BASE, label
 
-# Poses of all bodies, and frames: more would make the page large, fewer the motion jerky.
+# Limits on poses of all bodies and on frames: more make the page large, fewer the motion jerky.
 MOST_PLACES, MOST_FRAMES, LEAST_FRAMES = 15_000, 3000, 200
 MOST_PUSHES = 1000
 # Red marks bodies with an applied wrench, grey the links between joints and bodies.
@@ -24,7 +24,7 @@ def make_view(analysis):
 
     times, places : base64 of (k,) float64, and of (k, n, 7) float32: position and x y z w of the
                     body frames
-    breaks        : frames before a reset
+    breaks        : last frames before a reset
     """
     scene, stretches = analysis.scene, analysis.motion.stretches
     layout = make_layout(scene)
