@@ -191,8 +191,8 @@ class _Guarded:
         self._try(lambda: self._part.add(block))
 
     def figures(self):
-        found = self._try(lambda: self._part.figures())
-        return self._failure or found
+        result = self._try(lambda: self._part.figures())
+        return self._failure or result
 
 
 def _run_figures(recording, motion):

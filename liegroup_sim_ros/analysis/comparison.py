@@ -113,9 +113,9 @@ class _Track:
     def take(self, stamps, upto):
         rows = np.searchsorted(self.stamps, stamps)
         left = np.searchsorted(self.stamps, upto, "right")
-        found = [part[rows] for part in self.values]
+        taken = [part[rows] for part in self.values]
         self.stamps, self.values = self.stamps[left:], [part[left:] for part in self.values]
-        return found
+        return taken
 
 
 def _next(tracks):

@@ -15,8 +15,8 @@ def extremes(values, every):
     size = 2 * every
     rows = np.arange(-(-count // size) * size).clip(max=count - 1).reshape(-1, size)
     groups = np.arange(len(rows))
-    found = [rows[groups, values[rows].argmin(axis=1)], rows[groups, values[rows].argmax(axis=1)]]
-    return np.unique(found)
+    indices = [rows[groups, values[rows].argmin(axis=1)], rows[groups, values[rows].argmax(axis=1)]]
+    return np.unique(indices)
 
 
 def thinned(times, values, every):

@@ -57,31 +57,33 @@ class Momentum:
         self._scene = scene
         self._kept = [
             (
-                kept,
-                Drift(len(kept.labels), kept.bodies, expected),
-                np.zeros(len(kept.labels)),
+                conserved,
+                Drift(len(conserved.labels), conserved.bodies, expected),
+                np.zeros(len(conserved.labels)),
                 np.zeros(2),
             )
-            for kept in conserved_momentum(scene)
+            for conserved in conserved_momentum(scene)
         ]
 
     def add(self, block):
         """Add a Block."""
-        for kept, drift, largest, scale in self._kept:
-            values = momentum_values(self._scene, kept, block.rotation, block.position, block.twist)
+        for conserved, drift, largest, scale in self._kept:
+            values = momentum_values(
+                self._scene, conserved, block.rotation, block.position, block.twist
+            )
             np.maximum(largest, np.abs(values).max(axis=0), out=largest)
-            np.maximum(scale, self._scale(kept, block), out=scale)
+            np.maximum(scale, self._scale(conserved, block), out=scale)
             drift.add(block, values)
 
-    def _scale(self, kept, block):
+    def _scale(self, conserved, block):
         """Sums of the magnitudes of the bodies' momenta, the scale of all components.
 
         returns (angular N m s, linear N s), upper bounds
         """
         angular = linear = 0.0
-        about = np.zeros(3) if kept.point is None else kept.point
+        about = np.zeros(3) if conserved.point is None else conserved.point
         for i, body in enumerate(self._scene.bodies):
-            if body.name in kept.bodies:
+            if body.name in conserved.bodies:
                 twist = block.twist[:, i]
                 momentum = body.mass * np.linalg.norm(twist[:, 3:], axis=1)
                 arm = np.linalg.norm(block.position[:, i] - about, axis=1)
@@ -96,15 +98,15 @@ class Momentum:
     def figures(self, motion):
         """(list of figures, one per component; [(times, change)] of each)."""
         figures, curves = [], []
-        for kept, drift, largest, scale in self._kept:
+        for conserved, drift, largest, scale in self._kept:
             drift.close()
             evaluated = drift.intervals > 0
-            for k, (label, unit) in enumerate(zip(kept.labels, kept.units)):
+            for k, (label, unit) in enumerate(zip(conserved.labels, conserved.units)):
                 size = float(scale[0 if unit == "N m s" else 1])
                 figures.append(
                     {
                         "component": label,
-                        "bodies": list(kept.bodies),
+                        "bodies": list(conserved.bodies),
                         "unit": unit,
                         "drift": float(drift.worst[k]) if evaluated else None,
                         "relative_drift": float(drift.worst[k]) / size
@@ -115,7 +117,7 @@ class Momentum:
                         "largest": float(largest[k]),
                         "intervals": drift.intervals,
                         "seconds": drift.seconds,
-                        "left_out": _pushed_text(motion, kept.bodies),
+                        "left_out": _pushed_text(motion, conserved.bodies),
                     }
                 )
                 curves.append(drift.curves[k])

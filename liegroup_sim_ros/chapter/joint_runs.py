@@ -90,12 +90,12 @@ def four_bar_runs(say=lambda text: None):
 
 
 def _runs(name, scene, horizon, say):
-    found = {}
+    runs = {}
     for group in GROUPS:
         for step in STEPS:
             say(f"{name}, rkmk4 on {group}, {step:g} s")
-            found[group, step] = joint_errors(scene, step, group, horizon(step))
-    return found
+            runs[group, step] = joint_errors(scene, step, group, horizon(step))
+    return runs
 
 
 def four_bar(ball="coupler_rocker"):
@@ -114,7 +114,7 @@ def four_bar(ball="coupler_rocker"):
     tip_velocity = CRANK_RATE * _turned(tip)
     sides = np.array([_turned(corner - tip), -_turned(corner - pin)]).T
     coupler_rate, rocker_rate = np.linalg.solve(sides, -tip_velocity)
-    rest = np.zeros(2)
+    at_rest = np.zeros(2)
     kinds = dict.fromkeys(
         ("ground_crank", "crank_coupler", "coupler_rocker", "ground_rocker"), "revolute"
     ) | {ball: "spherical"}
@@ -128,9 +128,9 @@ def four_bar(ball="coupler_rocker"):
         name="four_bar",
         gravity=(0.0, 0.0, 0.0),
         bodies=[
-            _bar("crank", 0.5, rest, tip, CRANK_RATE, rest),
+            _bar("crank", 0.5, at_rest, tip, CRANK_RATE, at_rest),
             _bar("coupler", 1.0, tip, corner, coupler_rate, tip_velocity),
-            _bar("rocker", 1.0, pin, corner, rocker_rate, rest),
+            _bar("rocker", 1.0, pin, corner, rocker_rate, at_rest),
         ],
         joints=[
             Joint(

@@ -155,9 +155,9 @@ def make_rotation_figures(out, say=lambda text: None):
     """
     paths, tables = [], []
     for panel in PANELS:
-        found = errors(panel, say)
-        paths.append(_draw(out / f"fig_{panel.number.replace('.', '_')}.png", panel, found))
-        tables.append(make_table(panel, found))
+        panel_errors = errors(panel, say)
+        paths.append(_draw(out / f"fig_{panel.number.replace('.', '_')}.png", panel, panel_errors))
+        tables.append(make_table(panel, panel_errors))
     tables.append(_integrals_table(say))
     return paths, tables
 
@@ -190,43 +190,45 @@ def end_attitude(scene, time):
 def errors(panel, say=lambda text: None):
     """{method: errors at the steps of a panel}, None if the method has no solution."""
     reference = end_attitude(panel.scene, panel.time) if panel.quantity == "attitude" else None
-    found = {}
+    result = {}
     for method in panel.methods:
-        found[method] = []
+        result[method] = []
         for step in panel.steps:
             say(f"Fig. {panel.number}, {method}, {step_text(step)}")
-            found[method].append(_error(panel, method, step, reference))
-    return found
+            result[method].append(_error(panel, method, step, reference))
+    return result
 
 
-def order_and_constant(steps, found, order):
+def order_and_constant(steps, step_errors, order):
     """(order, C) from the last two errors above round-off; C = error / h^order, `order` as stated.
 
     NaN if there are fewer than two.
     """
-    good = [(step, error) for step, error in zip(steps, found) if error and error > ROUNDING]
-    if len(good) < 2:
+    usable = [
+        (step, error) for step, error in zip(steps, step_errors) if error and error > ROUNDING
+    ]
+    if len(usable) < 2:
         return np.nan, np.nan
-    (step, error), (last_step, last) = good[-2:]
+    (step, error), (last_step, last) = usable[-2:]
     return np.log(error / last) / np.log(step / last_step), last / last_step**order
 
 
 def top_integrals(method, step):
     """Largest deviations over 10 s of energy, J, vertical momentum, N m s, and spin, rad/s."""
     simulation = Simulation(load_scene("lagrangian_top"), method=method, step=step)
-    start, found = simulation.sample(), []
+    start, deviations = simulation.sample(), []
     # Every tenth step: slightly underestimates the peaks of the nutation.
     for _ in range(round(10 / step) // 10):
         simulation.advance(10)
         sample = simulation.sample()
-        found.append(
+        deviations.append(
             (
                 sample.energy - start.energy,
                 sample.spatial_momentum[2] - start.spatial_momentum[2],
                 sample.twist[0, 1] - start.twist[0, 1],
             )
         )
-    return np.abs(found).max(axis=0)
+    return np.abs(deviations).max(axis=0)
 
 
 def _integrals_table(say):

@@ -72,21 +72,21 @@ def add_arguments(parser):
 
 def run(args):
     """Run the subcommand; returns the exit code. Raises ExtremesError, SceneError, TasksError."""
-    axes, kept = _wanted(args)
+    axes, cache = _wanted(args)
     console = Console(file=sys.stdout)
-    found = {axis.name: [] for axis in axes}
+    cells_of = {axis.name: [] for axis in axes}
     try:
         with Progress(
             BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), console=Console(stderr=True)
         ) as bar:
             task = bar.add_task("")
             for total, axis, cells, complete in survey(
-                axes, args.quick, tuple(args.methods), args.scheduler, args.workers, kept
+                axes, args.quick, tuple(args.methods), args.scheduler, args.workers, cache
             ):
                 bar.update(task, total=total, advance=1)
-                found[axis.name] += cells
+                cells_of[axis.name] += cells
                 if complete:
-                    print_axis(axis, found[axis.name], args.methods, console)
+                    print_axis(axis, cells_of[axis.name], args.methods, console)
     except KeyboardInterrupt:
         print(
             "liegroup_sim: interrupted; finished cells are saved, the same command continues",
@@ -97,7 +97,7 @@ def run(args):
         cell
         for axis in axes
         for value in axis.values
-        for cell in found[axis.name]
+        for cell in cells_of[axis.name]
         if cell["value"] == value
     ]
     if args.json:
@@ -123,13 +123,13 @@ def _wanted(args):
     if not (math.isfinite(args.horizon) and args.horizon >= SHORTEST):
         raise ExtremesError(f"--horizon must be at least {SHORTEST:g} s, got {args.horizon:g}")
     check_files(args.json, args.markdown, picture=args.png)
-    kept = Kept.of(args.scene and load_scene(args.scene), args.horizon)
+    cache = Kept.of(args.scene and load_scene(args.scene), args.horizon)
     axes = _axes(args)
     if args.quick:
         axes = tuple(axis for axis in axes if axis.quick)
         if not axes:
             raise ExtremesError(f"--quick does not include {', '.join(args.axes)}; remove --quick")
-    return axes, kept
+    return axes, cache
 
 
 def _axes(args):

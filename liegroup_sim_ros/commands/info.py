@@ -89,13 +89,13 @@ def as_json(found):
         "bodies": state.get("bodies"),
         "topics": [
             {
-                "topic": each.topic,
-                "type": each.type,
-                "messages": each.count,
-                "rate_hz": each.rate,
-                "lost": each.lost,
+                "topic": channel.topic,
+                "type": channel.type,
+                "messages": channel.count,
+                "rate_hz": channel.rate,
+                "lost": channel.lost,
             }
-            for each in _in_order(found)
+            for channel in _in_order(found)
         ],
         "attachments": [
             {"name": name, "media_type": kind, "bytes": size}
@@ -109,7 +109,7 @@ def as_json(found):
 
 def print_survey(found, console):
     """A Survey as tables."""
-    said = as_json(found)
+    content = as_json(found)
     table = Table(show_header=False, box=None, pad_edge=False)
 
     def row(name, text):
@@ -120,29 +120,31 @@ def print_survey(found, console):
         row(
             "complete",
             "yes"
-            + (f", recovered from {said['recovered_from']}" if said["recovered_from"] else ""),
+            + (
+                f", recovered from {content['recovered_from']}" if content["recovered_from"] else ""
+            ),
         )
     else:
         row("complete", "no: " + "; ".join(listed(found.problems)))
         row("", "use `liegroup_sim recover` to make it readable")
     row(
         "duration",
-        f"{said['duration_s']:.9g} s, from {said['start_ns'] * 1e-9:.9g} s to "
-        f"{said['end_ns'] * 1e-9:.9g} s",
+        f"{content['duration_s']:.9g} s, from {content['start_ns'] * 1e-9:.9g} s to "
+        f"{content['end_ns'] * 1e-9:.9g} s",
     )
-    row("messages", f"{found.count}, dropped: {said['lost']}")
-    if said["scene"] is not None:
+    row("messages", f"{found.count}, dropped: {content['lost']}")
+    if content["scene"] is not None:
         row(
             "scene",
-            f"{said['scene']}, {said['method']}, step {said['step']} s, "
-            f"group {said['group']}, stabilisation {said['stabilisation']}",
+            f"{content['scene']}, {content['method']}, step {content['step']} s, "
+            f"group {content['group']}, stabilisation {content['stabilisation']}",
         )
         row(
             "part",
-            f"{said['part']}, from step {said['start_step']}"
-            + (f", after {said['previous']}" if said["previous"] else ""),
+            f"{content['part']}, from step {content['start_step']}"
+            + (f", after {content['previous']}" if content["previous"] else ""),
         )
-        row("created", f"{said['wall_start']}, {found.library}")
+        row("created", f"{content['wall_start']}, {found.library}")
     else:
         row("created by", found.library or "unknown")
     row(
@@ -171,13 +173,13 @@ def topics_table(found):
         ("dropped", "right"),
     ):
         table.add_column(name, justify=side, overflow="fold", no_wrap=side == "right")
-    for each in _in_order(found)[:MOST_ROWS]:
+    for channel in _in_order(found)[:MOST_ROWS]:
         table.add_row(
-            Text(clean(each.topic)),
-            Text(clean(each.type).replace("/msg/", "/")),
-            str(each.count),
-            _rate(each),
-            str(each.lost),
+            Text(clean(channel.topic)),
+            Text(clean(channel.type).replace("/msg/", "/")),
+            str(channel.count),
+            _rate(channel),
+            str(channel.lost),
         )
     if len(found.figures) > MOST_ROWS:
         table.add_row(f"and {len(found.figures) - MOST_ROWS} more", "", "", "", "")
@@ -187,12 +189,12 @@ def topics_table(found):
 MOST_ROWS = 200
 
 
-def _rate(each):
-    return "" if each.rate is None else f"{each.rate:.3f}".rstrip("0").rstrip(".")
+def _rate(channel):
+    return "" if channel.rate is None else f"{channel.rate:.3f}".rstrip("0").rstrip(".")
 
 
 def _in_order(found):
-    return sorted(found.figures.values(), key=lambda each: each.topic)
+    return sorted(found.figures.values(), key=lambda channel: channel.topic)
 
 
 def _recovered_from(found):

@@ -309,9 +309,9 @@ def _decode_same(type_name, rows, nvalues):
     )[:, 0]
     frames = rows["frame_id"]
     if (frames == frames[:1]).all():
-        found, which = frames[:1], np.zeros(len(rows), dtype=np.int64)
+        distinct, which = frames[:1], np.zeros(len(rows), dtype=np.int64)
     else:
-        found, which = np.unique(frames, axis=0, return_inverse=True)
-    names = [name.tobytes().partition(b"\0")[0].decode(errors="replace") for name in found]
+        distinct, which = np.unique(frames, axis=0, return_inverse=True)
+    names = [name.tobytes().partition(b"\0")[0].decode(errors="replace") for name in distinct]
     stamp_ns = rows["sec"].astype(np.int64) * 1_000_000_000 + rows["nanosec"]
     return stamp_ns, names, which.reshape(-1), rows["values"].astype(float)

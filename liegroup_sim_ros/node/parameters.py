@@ -177,18 +177,18 @@ _BUILT_IN = ("use_sim_time", "start_type_description_service")
 def check(name, value):
     """Convert a value to its parameter's type. Raises ParameterError."""
     entry = _ENTRIES[name]
-    wanted = type(entry.default)
-    if wanted is float and type(value) is int:
+    expected = type(entry.default)
+    if expected is float and type(value) is int:
         value = float(value)
-    if type(value) is not wanted:
+    if type(value) is not expected:
         raise ParameterError(
-            f"parameter {name}: must be {_TYPE_NAMES[wanted]}, got {_shown(value)}"
+            f"parameter {name}: must be {_TYPE_NAMES[expected]}, got {_shown(value)}"
         )
     if entry.choices and value not in entry.choices:
         raise ParameterError(
             f"parameter {name}: must be {_listed(entry.choices)}, got {_shown(value)}"
         )
-    if wanted is float and not math.isfinite(value):
+    if expected is float and not math.isfinite(value):
         raise ParameterError(f"parameter {name}: must be finite, got {_shown(value)}")
     if entry.low is not None and (
         not entry.low <= value <= entry.high or entry.above and value == entry.low
@@ -207,12 +207,12 @@ def read_parameters(node):
             qos.py reads
     raises ParameterError
     """
-    given = {
+    overrides = {
         name: parameter.value
         for name, parameter in node.get_parameters_by_prefix("").items()
         if name not in _BUILT_IN
     }
-    for name in given:
+    for name in overrides:
         node.undeclare_parameter(name)  # declared again below, with its descriptor
         if name not in _ENTRIES and not name.startswith(QOS_PREFIX):
             near = difflib.get_close_matches(name, _ENTRIES, n=1)
@@ -220,12 +220,12 @@ def read_parameters(node):
             raise ParameterError(f"parameter {name}: unknown; {hint}")
     values = SimpleNamespace()
     for entry in TABLE:
-        value = check(entry.name, given.get(entry.name, entry.default))
+        value = check(entry.name, overrides.get(entry.name, entry.default))
         node.declare_parameter(entry.name, value, _descriptor(entry), ignore_override=True)
         setattr(values, entry.name, value)
     if values.accuracy:
         for name in CHOSEN:
-            if name in given:
+            if name in overrides:
                 raise ParameterError(
                     f"parameter accuracy: cannot be combined with {name}; remove one of them"
                 )
@@ -235,9 +235,9 @@ def read_parameters(node):
                 "parameter accuracy_horizon: requires accuracy; set both or neither"
             )
         set_step(values, values.step)
-    values.qos = [name for name in given if name.startswith(QOS_PREFIX)]
+    values.qos = [name for name in overrides if name.startswith(QOS_PREFIX)]
     for name in values.qos:
-        _check_qos(name, given[name])
+        _check_qos(name, overrides[name])
     if values.record and not values.publish_rate:
         raise ParameterError(
             "parameter publish_rate: must be greater than 0 to record, because a recording "

@@ -26,14 +26,14 @@ class QosOverrides:
         self._possible = []
 
     def options(self, node, topic, kind):
-        """Options for creating the topic, None if no parameter is given for it."""
+        """Options for creating the topic, None if no parameter is set for it."""
         names = {
             f"{QOS_PREFIX}{node.resolve_topic_name(topic)}.{kind}.{policy}": number
             for policy, number in POLICIES.items()
         }
         self._possible += names
-        given = [number for name, number in names.items() if name in self._names]
-        return QoSOverridingOptions(given) if given else None
+        policies = [number for name, number in names.items() if name in self._names]
+        return QoSOverridingOptions(policies) if policies else None
 
     def check(self):
         """Raise ParameterError for a name that belongs to no topic; call after creating all."""

@@ -68,17 +68,17 @@ class StandardServices:
 
     def set_simulation_state(self, request, response):
         """Stop (pause and reset), play, pause or quit."""
-        wanted, (present, _) = request.state.state, self._state()
-        if wanted == present:
+        requested, (current, _) = request.state.state, self._state()
+        if requested == current:
             return _answer(response, ALREADY_THERE, "")
-        if wanted == QUITTING:
+        if requested == QUITTING:
             self._signals.received = True
             return _answer(response, OK, "the node is shutting down")
         commands = {STOPPED: ("hold", "reset"), PLAYING: ("resume",), PAUSED: ("pause",)}.get(
-            wanted
+            requested
         )
         if commands is None:
-            return _answer(response, NOT_SUPPORTED, f"unknown state {wanted}")
+            return _answer(response, NOT_SUPPORTED, f"unknown state {requested}")
         for command in commands:
             done, text = self._ask(command)
             if not done:

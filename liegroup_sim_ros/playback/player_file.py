@@ -69,10 +69,10 @@ class PlayFile:
         sorted: a message with an earlier stamp than the last one gets the stamp of that one.
         Raises RecordingError.
         """
-        wanted = {offset for offset, _, last in self._chunks if last >= since_ns}
+        chunks = {offset for offset, _, last in self._chunks if last >= since_ns}
         reached = since_ns
         with ErrorsWithPath(self.path), open(self._source.path, "rb") as file:
-            stream = McapStream(file, self._source.size, lambda at, *_: at in wanted)
+            stream = McapStream(file, self._source.size, lambda at, *_: at in chunks)
             stream.channels.update(self._recording.channels)
             for item in stream:
                 if isinstance(item, AttachmentPiece):

@@ -122,9 +122,9 @@ class Repeat:
     def _states(self, block):
         """States of the simulation at the samples of a block, (k, n, 12) and (k, n, 6)."""
         simulation, stretch = self._simulation, block.stretch
-        wanted = block.steps * self._ratio
-        steps = np.rint(wanted).astype(np.int64)
-        if np.abs(wanted - steps).max() > ROUNDING * max(1.0, self._ratio):
+        exact_steps = block.steps * self._ratio
+        steps = np.rint(exact_steps).astype(np.int64)
+        if np.abs(exact_steps - steps).max() > ROUNDING * max(1.0, self._ratio):
             raise ReplayError(
                 f"the samples do not lie on steps of {simulation.step:g} s: their "
                 "period must be a whole number of steps"

@@ -60,17 +60,20 @@ def resimulate(recording, progress=lambda text: None, **other):
 
 
 def platform_changes(settings):
-    """{entry: [recorded, here]} of versions and machine properties that differ."""
-    found = {}
-    for key, names, here in (("versions", _VERSIONS, versions()), ("machine", _MACHINE, machine())):
+    """{entry: [recorded, present]} of versions and machine properties that differ."""
+    changes = {}
+    for key, names, present in (
+        ("versions", _VERSIONS, versions()),
+        ("machine", _MACHINE, machine()),
+    ):
         recorded = settings.get(key)
         recorded = recorded if isinstance(recorded, dict) else {}
-        found |= {
-            name: [recorded[name], here.get(name)]
+        changes |= {
+            name: [recorded[name], present.get(name)]
             for name in names
-            if name in recorded and recorded[name] != here.get(name)
+            if name in recorded and recorded[name] != present.get(name)
         }
-    return found
+    return changes
 
 
 def difference_cause(platform):

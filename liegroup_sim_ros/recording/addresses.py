@@ -25,23 +25,23 @@ def expand(addresses):
     A folder stands for the *.mcap files in it. A name that exists is not treated as a pattern.
     Raises AddressError for a pattern without a match.
     """
-    found = []
+    paths = []
     for address in map(str, addresses):
         if is_remote(address):
-            found += _remote_matches(address) if glob.has_magic(address) else [address]
+            paths += _remote_matches(address) if glob.has_magic(address) else [address]
         elif Path(address).is_dir():
             matches = sorted(map(str, Path(address).glob("*.mcap")))
             if not matches:
                 raise AddressError(f"{address}: a folder without *.mcap in it")
-            found += matches
+            paths += matches
         elif glob.has_magic(address) and not Path(address).exists():
             matches = sorted(glob.glob(address, recursive=True))
             if not matches:
                 raise AddressError(f"{address}: no file matches")
-            found += matches
+            paths += matches
         else:
-            found.append(address)
-    return found
+            paths.append(address)
+    return paths
 
 
 def fetch(address):

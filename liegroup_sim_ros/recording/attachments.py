@@ -109,13 +109,13 @@ def as_json(data):
 @lru_cache(maxsize=None)
 def versions():
     """{package: version}; None if not installed, such as numba in a run in plain Python."""
-    found = {"liegroup_sim_ros": __version__, "python": platform.python_version()}
+    result = {"liegroup_sim_ros": __version__, "python": platform.python_version()}
     for package in _PACKAGES:
         try:
-            found[package] = version(package)
+            result[package] = version(package)
         except PackageNotFoundError:
-            found[package] = None
-    return found
+            result[package] = None
+    return result
 
 
 @lru_cache(maxsize=None)

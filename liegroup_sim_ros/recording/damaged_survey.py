@@ -98,20 +98,23 @@ class Survey:
     @property
     def count(self):
         """Number of messages."""
-        return sum(each.count for each in self.figures.values())
+        return sum(channel.count for channel in self.figures.values())
 
     @property
     def lost(self):
         """{topic: messages missing by sequence number}."""
-        return {each.topic: each.lost for each in self.figures.values() if each.lost}
+        return {channel.topic: channel.lost for channel in self.figures.values() if channel.lost}
 
     @property
     def stamps(self):
         """(smallest, largest) stamp in ns, zeros without messages."""
-        known = [each for each in self.figures.values() if each.count]
+        channels = [channel for channel in self.figures.values() if channel.count]
         return (
-            (min(each.first_ns for each in known), max(each.last_ns for each in known))
-            if known
+            (
+                min(channel.first_ns for channel in channels),
+                max(channel.last_ns for channel in channels),
+            )
+            if channels
             else (0, 0)
         )
 
@@ -139,128 +142,128 @@ def survey(path):
     path = Path(path)
     stream, size = open_file(path)
     with stream:
-        found = Survey(path, size)
+        result = Survey(path, size)
         try:
-            walk(stream, found)
+            walk(stream, result)
         except Damaged as error:
             raise RecordingError(f"{path}: {clean(str(error))}") from None
         except OSError as error:
             raise RecordingError(f"{path}: {error.strerror or error}") from None
-    if not found.count and not found.attachments:
-        reasons = [text for text in found.problems if text != NO_END]
+    if not result.count and not result.attachments:
+        reasons = [text for text in result.problems if text != NO_END]
         raise RecordingError(
             f"{path}: "
             + (
                 "an MCAP file without content"
-                if found.complete
+                if result.complete
                 else f"has no readable content: {reasons[0]}"
                 if reasons
                 else "truncated before the first content"
             )
         )
-    return found
+    return result
 
 
-def walk(stream, found, on_block=None, on_attachment=None, on_metadata=None):
+def walk(stream, result, on_block=None, on_attachment=None, on_metadata=None):
     """Read a file and fill in a Survey; the functions receive each block and record.
 
     raises Damaged if it is not an MCAP file
     """
-    definitions, extras = _Definitions(found), 0
+    definitions, extras = _Definitions(result), 0
     try:  # the definitions before the messages may be damaged
-        for each in summary_of(stream, found.size).definitions:
-            definitions.add(each)
+        for definition in summary_of(stream, result.size).definitions:
+            definitions.add(definition)
     except Damaged:
         pass
-    for piece in pieces(stream, found.size):
+    for piece in pieces(stream, result.size):
         if isinstance(piece, Block):
-            found.chunks += 1
-            for each in piece.definitions:
-                definitions.add(each)
-            _count(found, piece, on_block)
+            result.chunks += 1
+            for definition in piece.definitions:
+                definitions.add(definition)
+            _count(result, piece, on_block)
         elif isinstance(piece, (AttachmentPiece, Metadata)):
             extras += 1
             if extras > MOST_EXTRAS:
-                found.problem(f"more than {MOST_EXTRAS} attachments; the rest is omitted")
+                result.problem(f"more than {MOST_EXTRAS} attachments; the rest is omitted")
             elif isinstance(piece, AttachmentPiece):
-                _attachment(found, piece)
+                _attachment(result, piece)
                 if on_attachment:
                     on_attachment(piece)
             else:
-                found.metadata[piece.name] = piece.metadata
+                result.metadata[piece.name] = piece.metadata
                 if on_metadata:
                     on_metadata(piece)
         elif isinstance(piece, Damage):
-            found.problem(piece.text)
+            result.problem(piece.text)
         elif isinstance(piece, Header):
-            found.profile, found.library = piece.profile, piece.library
+            result.profile, result.library = piece.profile, piece.library
         elif isinstance(piece, End):
-            _end(found, piece)
-    if found.stray:
-        found.problem("messages of an undefined channel")
-    if not found.finished:
-        found.problem(NO_END)
+            _end(result, piece)
+    if result.stray:
+        result.problem("messages of an undefined channel")
+    if not result.finished:
+        result.problem(NO_END)
 
 
-def _count(found, block, on_block):
-    figures, stray = found.figures, 0
+def _count(result, block, on_block):
+    figures, stray = result.figures, 0
     for channel, sequence, stamp_ns, _, _, _ in block.messages():
         try:
             figures[channel].add(sequence, stamp_ns)
         except KeyError:
             stray += 1
-    found.stray += stray
+    result.stray += stray
     if not block.is_whole:
-        found.unfinished += len(block.starts) - stray
+        result.unfinished += len(block.starts) - stray
     if on_block:
         on_block(block)
 
 
-def _attachment(found, piece):
-    found.attachments.append((piece.name, piece.media_type, len(piece.data)))
-    if piece.name in _PARSED and piece.name not in found.contents:
+def _attachment(result, piece):
+    result.attachments.append((piece.name, piece.media_type, len(piece.data)))
+    if piece.name in _PARSED and piece.name not in result.contents:
         try:
             content = json.loads(piece.data)
             json.dumps(content, allow_nan=False)
         except (ValueError, RecursionError):
             return  # written by other software
         if isinstance(content, dict) and _is_flat(content):
-            found.contents[piece.name] = content
+            result.contents[piece.name] = content
             if piece.name == "settings.json":
-                _first_numbers(found, content)
+                _first_numbers(result, content)
 
 
 def _is_flat(value, levels=20):
     """Whether a JSON value has at most this many levels."""
     inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-    return levels > 0 and all(_is_flat(each, levels - 1) for each in inner)
+    return levels > 0 and all(_is_flat(entry, levels - 1) for entry in inner)
 
 
-def _first_numbers(found, settings):
+def _first_numbers(result, settings):
     """Read the last sequence numbers of the previous part from settings.json; default: zeros."""
     if settings.get("format") != 1:
         return
     before = settings.get("sequences")
-    found.before = (
+    result.before = (
         {}
         if not isinstance(before, dict)
         else {topic: number for topic, number in before.items() if isinstance(number, int)}
     )
-    for figures in found.figures.values():
-        figures.expect(found.before)
+    for figures in result.figures.values():
+        figures.expect(result.before)
 
 
-def _end(found, end):
+def _end(result, end):
     statistics = end.statistics
     if statistics is not None and (
-        statistics.message_count != found.count
+        statistics.message_count != result.count
         or any(
             statistics.channel_message_counts.get(each, 0) != figures.count
-            for each, figures in found.figures.items()
+            for each, figures in result.figures.items()
         )
     ):
-        found.problem("its statistics contradict its messages")
-    found.finished = True
+        result.problem("its statistics contradict its messages")
+    result.finished = True
 
 
 class _Definitions:

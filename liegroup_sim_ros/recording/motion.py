@@ -200,15 +200,15 @@ class Motion:
         angles : function Block -> (k, t) numbers to keep with the samples
         """
         since = None  # index of the next kept sample
-        for found in self._recording.samples():
-            if abs(int(found.stamp_ns[0])) > LATEST or abs(int(found.stamp_ns[-1])) > LATEST:
+        for samples in self._recording.samples():
+            if abs(int(samples.stamp_ns[0])) > LATEST or abs(int(samples.stamp_ns[-1])) > LATEST:
                 raise RecordingError(f"{self._recording.path}: its stamps are out of range")
-            number = np.searchsorted(self._bases, found.stamp_ns, "right") - 1
+            number = np.searchsorted(self._bases, samples.stamp_ns, "right") - 1
             edges = [0, *(np.flatnonzero(np.diff(number)) + 1).tolist(), len(number)]
             for a, b in zip(edges, edges[1:]):
                 if number[a] < 0:
                     continue
-                block = self._block(self._all[number[a]], found, slice(a, b))
+                block = self._block(self._all[number[a]], samples, slice(a, b))
                 if block is None:
                     continue
                 since = since or 0
@@ -238,9 +238,9 @@ class Motion:
             )
         self.stretches = [stretch for stretch in self.stretches if stretch.kept]
 
-    def _block(self, stretch, found, part):
+    def _block(self, stretch, samples, part):
         """Block of the finite samples of a part, or None; counts missing and non-finite ones."""
-        stamps = found.stamp_ns[part]
+        stamps = samples.stamp_ns[part]
         unit = stretch.step * 1e9
         steps = np.rint((stamps - stretch.base_ns) / unit).astype(np.int64)
         # Stamps are rounded to ns from the step count.
@@ -249,21 +249,21 @@ class Motion:
                 f"{self._recording.path}: its stamps do not lie on steps of {stretch.step:g} s"
             )
         self._count(stretch, steps)
-        position, quaternion, twist = (values[part] for values in found[1:])
+        position, quaternion, twist = (values[part] for values in samples[1:])
         norm = np.linalg.norm(quaternion, axis=2)
-        good = (
+        finite = (
             np.isfinite(position).all(axis=(1, 2))
             & np.isfinite(twist).all(axis=(1, 2))
             & (np.isfinite(norm) & (norm > 0.0)).all(axis=1)
         )
-        if not good.all():
-            self.not_finite += int((~good).sum())
+        if not finite.all():
+            self.not_finite += int((~finite).sum())
             if self.first_not_finite is None:
-                self.first_not_finite = float(stamps[~good][0] * 1e-9)
-            if not good.any():
+                self.first_not_finite = float(stamps[~finite][0] * 1e-9)
+            if not finite.any():
                 return None
-            steps, position = steps[good], position[good]
-            quaternion, twist = quaternion[good], twist[good]
+            steps, position = steps[finite], position[finite]
+            quaternion, twist = quaternion[finite], twist[finite]
         if not stretch.samples:
             self.stretches.append(stretch)
             stretch.first_step = int(steps[0])

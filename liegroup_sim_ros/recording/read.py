@@ -85,12 +85,12 @@ class Recording:
     @property
     def applied_wrench(self) -> list[AppliedWrench]:
         """Changes of the wrenches on all bodies: [AppliedWrench] in the order of stamps."""
-        found = [
+        changes = [
             AppliedWrench(stamp, body, tuple(wrench))
             for body, track in self.wrench.items()
             for stamp, wrench in zip(track.stamp_ns.tolist(), track.wrench.tolist())
         ]
-        return sorted(found, key=lambda change: change.stamp_ns)
+        return sorted(changes, key=lambda change: change.stamp_ns)
 
     @cached_property
     def _tracks(self):
@@ -108,10 +108,10 @@ class Recording:
             at = slice(done[topic], done[topic] + len(stamps))
             tracks[topic][0][at], tracks[topic][1][at] = stamps, values
             done[topic] += len(stamps)
-        found = {"pose": {}, "twist": {}}
+        result = {"pose": {}, "twist": {}}
         for topic, (kind, body) in wanted.items():
-            found[kind][body] = tracks[topic]
-        return found
+            result[kind][body] = tracks[topic]
+        return result
 
     @cached_property
     def joint_states(self) -> JointTrack | None:
@@ -123,12 +123,12 @@ class Recording:
                     if channel.type != JOINT_STATE:
                         continue
                     for k in index:
-                        found, stamp_ns, values = _joint_state(messages.payload(k))
-                        if found != (names or found):
+                        joint_names, stamp_ns, values = _joint_state(messages.payload(k))
+                        if joint_names != (names or joint_names):
                             raise RecordingError(
                                 "its joint states name different joints in different messages"
                             )
-                        names = found
+                        names = joint_names
                         stamps.append(stamp_ns)
                         numbers.append(values)
         if names is None:
@@ -179,7 +179,7 @@ class Recording:
             if common is None or not np.array_equal(common, ready):
                 common = ready if common is None else np.intersect1d(common, ready, True)
         n = len(self.bodies)
-        found = Samples(
+        samples = Samples(
             common,
             np.empty((len(common), n, 3)),
             np.empty((len(common), n, 4)),
@@ -190,14 +190,14 @@ class Recording:
             rows = values[np.searchsorted(stamps, common)]
             i = self.bodies.index(body)
             if kind == "pose":
-                found.position[:, i], found.quaternion[:, i] = rows[:, :3], rows[:, 3:]
+                samples.position[:, i], samples.quaternion[:, i] = rows[:, :3], rows[:, 3:]
             else:
-                found.twist[:, i] = rows
+                samples.twist[:, i] = rows
             left = np.searchsorted(stamps, upto, "right")
             waiting[topic][:] = [stamps[left:]], [values[left:]]
             counts[topic] = len(stamps) - left
         if len(common):
-            yield found
+            yield samples
 
     def _motion_topics(self):
         """{topic: (kind, body)} in the order of the bodies."""

@@ -174,10 +174,10 @@ class Scan:
         }
 
     def counts(self):
-        found = {}
+        result = {}
         for tally in self._tallies.values():
-            found[tally.topic] = found.get(tally.topic, 0) + tally.count
-        return found
+            result[tally.topic] = result.get(tally.topic, 0) + tally.count
+        return result
 
     def lost(self):
         return {tally.topic: tally.lost for tally in self._tallies.values()}

@@ -207,10 +207,12 @@ class McapFile:
         front, index = bytes(self._definitions), chunk.index
         if front:
             self._definitions.clear()
-            for each in index.values():
-                each[1::2] = array("Q", [len(front) + offset for offset in each[1::2]])
+            for entries in index.values():
+                entries[1::2] = array("Q", [len(front) + offset for offset in entries[1::2]])
         data = front + b"".join(chunk.parts)
-        first, last = (edge(edge(each[::2]) for each in index.values()) for edge in (min, max))
+        first, last = (
+            edge(edge(entries[::2]) for entries in index.values()) for edge in (min, max)
+        )
         compressed = self._compress(data)
         offset, length = self._write(
             ChunkRecord(
@@ -223,12 +225,12 @@ class McapFile:
             )
         )
         start, offsets, parts = offset + length, {}, b""
-        for channel, each in index.items():
+        for channel, entries in index.items():
             offsets[channel] = start + len(parts)
-            size = len(each) * each.itemsize
+            size = len(entries) * entries.itemsize
             parts += _INDEX.pack(Opcode.MESSAGE_INDEX, 2 + 4 + size, channel, size)
-            parts += struct.pack(f"<{len(each)}Q", *each)
-            self.counts[channel] += len(each) // 2
+            parts += struct.pack(f"<{len(entries)}Q", *entries)
+            self.counts[channel] += len(entries) // 2
         self._put(parts)
         self._chunks.append(
             ChunkIndex(

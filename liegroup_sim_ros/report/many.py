@@ -45,12 +45,12 @@ def analyse_many(logs, options, scheduler=None, page=False):
         auto_refresh=False,
     ) as progress:
         task = progress.add_task("", total=len(logs))
-        found = {}
+        results = {}
         for k, result in tasks.run(_analyse_work, work, scheduler):
-            found[k] = result
+            results[k] = result
             progress.advance(task)
             progress.refresh()
-    return tuple(list(part) for part in zip(*(found[k] for k in range(len(work)))))
+    return tuple(list(part) for part in zip(*(results[k] for k in range(len(work)))))
 
 
 def _analyse_work(work):

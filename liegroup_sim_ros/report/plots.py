@@ -42,18 +42,18 @@ def make_plots(analysis):
                 _plane(_interval_traces([("energy", curves["energy"])]), bands, "J"),
             )
         )
-    kept = [
+    conserved = [
         (f"{entry['component']}, {entry['unit']}", part)
         for entry, part in zip(figures["momentum"], curves["momentum"])
         if part
     ]
-    if kept:
+    if conserved:
         plots.append(
             (
                 "Conserved momentum components",
                 "change since the start of each interval without applied wrenches",
                 _plane(
-                    _interval_traces(kept[:6]),
+                    _interval_traces(conserved[:6]),
                     bands,
                     "N m s"
                     if all(entry["unit"] == "N m s" for entry in figures["momentum"][:6])

@@ -10,11 +10,11 @@ OVERVIEW = ("position", "attitude", "energy", "joints", "bit-identical", "droppe
 
 def headline(figures):
     """Most important figures: [(name, value, remark)]."""
-    found = []
+    rows = []
     reference = figures.get("reference")
     if reference and "failed" not in reference:
         known = "the reference uncertainty"
-        found += [
+        rows += [
             (
                 text,
                 shown(max(entry["max"], entry["uncertainty"]), entry["unit"]),
@@ -27,11 +27,11 @@ def headline(figures):
         ]
     if figures.get("joints"):
         name, worst = max(figures["joints"].items(), key=lambda item: item[1]["largest"])
-        found.append(
+        rows.append(
             ("constraint residual", shown(worst["largest"], worst["unit"]), f"maximum: {name}")
         )
     if figures.get("energy") and figures["energy"]["relative_drift"] is not None:
-        found.append(
+        rows.append(
             (
                 "energy drift",
                 shown(figures["energy"]["relative_drift"]),
@@ -41,7 +41,7 @@ def headline(figures):
     repeat = figures.get("repeat", {})
     if "identical" in repeat:
         same = repeat["identical"] == repeat["samples"]
-        found.append(
+        rows.append(
             (
                 "re-simulation",
                 "bit-identical" if same else "different",
@@ -49,22 +49,22 @@ def headline(figures):
             )
         )
     if figures["timing"].get("real_time_factor"):
-        found.append(
+        rows.append(
             (
                 "real-time factor",
                 f"{figures['timing']['real_time_factor']:.3f}",
                 requested_text(figures["timing"]),
             )
         )
-    return found
+    return rows
 
 
 def sections(figures):
     """Tables of an analysis: [(title, [(name, value, remark)])]."""
-    found = [("Run", _run_rows(figures))]
+    tables = [("Run", _run_rows(figures))]
     if "reference" in figures and "failed" not in figures["reference"]:
         kind = figures["reference"]["kind"]
-        found.append(
+        tables.append(
             (
                 "Error against the reference integration"
                 if kind == "integration"
@@ -74,12 +74,12 @@ def sections(figures):
         )
     local = figures.get("local", {})
     if local and "failed" not in local:
-        found.append(("Error of one step, by step halving", _local_rows(local)))
+        tables.append(("Error of one step, by step halving", _local_rows(local)))
     if "energy" in figures:
-        found.append(("Conserved quantities and constraints", _conserved_rows(figures)))
+        tables.append(("Conserved quantities and constraints", _conserved_rows(figures)))
     repeat = figures.get("repeat", {})
     if "identical" in repeat:
-        found.append(
+        tables.append(
             (
                 "Re-simulation",
                 [
@@ -91,9 +91,9 @@ def sections(figures):
                 ],
             )
         )
-    found.append(("Real time", _timing_rows(figures["timing"])))
-    found.append(("File", _file_rows(figures)))
-    return found
+    tables.append(("Real time", _timing_rows(figures["timing"])))
+    tables.append(("File", _file_rows(figures)))
+    return tables
 
 
 def _run_rows(figures):

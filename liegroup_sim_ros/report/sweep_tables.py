@@ -22,11 +22,11 @@ LEAST = 10
 
 def spread(table, columns):
     """{column: quantiles QUANTILES}; None for a column without numbers."""
-    found = {}
+    result = {}
     for name in columns:
         values = table[name][np.isfinite(table[name])]
-        found[name] = np.quantile(values, QUANTILES) if len(values) else None
-    return found
+        result[name] = np.quantile(values, QUANTILES) if len(values) else None
+    return result
 
 
 def dependence(table, parameters, columns):
@@ -34,15 +34,15 @@ def dependence(table, parameters, columns):
 
     Constant columns and those with fewer than LEAST runs are omitted.
     """
-    found = {}
+    result = {}
     for column in columns:
         for parameter in parameters:
             x, y = table[parameter], table[column]
             both = np.isfinite(x) & np.isfinite(y)
             x, y = x[both], y[both]
             if len(x) >= LEAST and np.ptp(x) > 0.0 and np.ptp(y) > 0.0:
-                found.setdefault(column, {})[parameter] = float(spearmanr(x, y).statistic)
-    return found
+                result.setdefault(column, {})[parameter] = float(spearmanr(x, y).statistic)
+    return result
 
 
 def reasons(texts):
@@ -61,8 +61,8 @@ def print_sweep(file, show, console):
     sweep = file.sweep
     kinds = sweep.columns
     columns = list(show or _usual(sweep))
-    wanted = ["run", "status", "warning", "cpu_s", "time", *sweep.paths, *columns]
-    read = file.table(list(dict.fromkeys(wanted)))
+    needed = ["run", "status", "warning", "cpu_s", "time", *sweep.paths, *columns]
+    read = file.table(list(dict.fromkeys(needed)))
     table = {
         name: read[name].to_numpy() if kinds[name] != "text" else read[name].to_pylist()
         for name in read.column_names
@@ -89,12 +89,16 @@ def print_sweep(file, show, console):
     _print_reasons(console, "with warning", [w for w in table["warning"] if w])
     for name in dict.fromkeys((*sweep.paths, *columns)):
         table[name] = np.where(ok, table[name], np.nan)
-    found = spread(table, (*sweep.paths, *columns))
+    distribution = spread(table, (*sweep.paths, *columns))
     _print(
         console,
         "Distribution of the completed runs",
         ("", "minimum", "5 %", "median", "95 %", "maximum"),
-        [(name, *map(shown, values)) for name, values in found.items() if values is not None],
+        [
+            (name, *map(shown, values))
+            for name, values in distribution.items()
+            if values is not None
+        ],
     )
     ranks = dependence(table, sweep.paths, columns)
     _print(

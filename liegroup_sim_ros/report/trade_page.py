@@ -29,15 +29,15 @@ COST, ERROR = (
 
 def curves(part):
     """[(method, cells)]: Pareto front of each method, from cheap to accurate."""
-    found = {}
+    fronts = {}
     for cell in sorted(
         (cell for cell in part["cells"] if not cell["stopped"]),
         key=lambda cell: (cell["cost_us"], cell["error"]),
     ):
-        mine = found.setdefault(cell["method"], [])
-        if not mine or cell["error"] < mine[-1]["error"]:
-            mine.append(cell)
-    return sorted(found.items())
+        front = fronts.setdefault(cell["method"], [])
+        if not front or cell["error"] < front[-1]["error"]:
+            front.append(cell)
+    return sorted(fronts.items())
 
 
 def make_plot(part):
