@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the cost of a step grows with the mechanism, and that steps allocate nothing.
+"""Growth of the cost of a step with the number of bodies, and memory allocated by steps.
 
     python benchmarks/growth.py [--quick] [--json FILE]
 
@@ -35,13 +35,13 @@ LARGEST = {
 
 
 def microseconds(code, problem, shortest, rounds):
-    """CPU us of one step."""
+    """CPU time of one step, us."""
     step = IMPLICIT_STEP if code.CODE == "exudyn" else STEP
     return 1e6 * seconds_per_step(code.stepper(problem, step), shortest, rounds)
 
 
 def allocations(take_steps, steps):
-    """Allocations of compiled code, and bytes of traced Python memory kept, by so many steps."""
+    """(allocations in compiled code, growth of traced Python memory in bytes) of `steps` steps."""
     take_steps(10)
     tracemalloc.start()
     before, kept = rtsys.get_allocation_stats().alloc, tracemalloc.get_traced_memory()[0]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Energy and joints of mechanisms over a million steps, every method at the same cost.
+"""Energy error and constraint drift over a million steps, every method at equal cost.
 
     python benchmarks/long_runs.py [--steps 1000000] [--scene NAME ...]
 
@@ -38,20 +38,20 @@ SAMPLES, BLOCKS = 2000, 10
 
 
 def microseconds(scene, step, method, settings, steps=2000, repeat=40):
-    """us of CPU time of one step, the fastest of so many runs."""
+    """CPU time of one step, us: the fastest of several runs."""
     simulation = Simulation(scene, method=method, step=step, **settings)
     return seconds_of_step(simulation, steps, repeat) * 1e6
 
 
 def kinetic_energy(simulation):
-    """J, of the present state."""
+    """Kinetic energy of the current state, J."""
     twist, bodies = simulation.state()[1], simulation.layout.model.bodies
     spin = np.einsum("ni,nij,nj->", twist[:, :3], bodies["inertia"].reshape(-1, 3, 3), twist[:, :3])
     return 0.5 * (spin + bodies["mass"] @ (twist[:, 3:] ** 2).sum(axis=1))
 
 
 def long_run(scene, step, duration, method, settings):
-    """Energy (SAMPLES,) as part of the mean kinetic energy, from 0 on, and the largest gap."""
+    """(energy error (SAMPLES,) relative to the mean kinetic energy, largest residual)."""
     simulation = Simulation(scene, method=method, step=step, **settings)
     total = round(duration / step)
     energy, kinetic, gap = [], [], 0.0
@@ -65,11 +65,11 @@ def long_run(scene, step, duration, method, settings):
 
 
 def trend(energy):
-    """(scatter, drift, its standard error) of samples even in time."""
+    """(scatter, drift, standard error of the drift) of equidistant samples."""
     when = np.linspace(-0.5, 0.5, len(energy))
     line = np.polyfit(when, energy, 1)
     rest = energy - np.polyval(line, when)
-    # Neighbouring samples tell the same; means of tenths of the run are taken as independent.
+    # Neighbouring samples are correlated; means of tenths of the run are treated as independent.
     blocks = rest.reshape(BLOCKS, -1).mean(axis=1)
     middle = when.reshape(BLOCKS, -1).mean(axis=1)
     error = np.sqrt(blocks @ blocks / (BLOCKS - 2) / (middle @ middle))

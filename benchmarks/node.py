@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulation node over real DDS, beside bare rclpy loops in the same run.
+"""The simulation node over DDS, compared with bare rclpy loops in the same run.
 
     python benchmarks/node.py            a few seconds for each part
     python benchmarks/node.py --long     the lengths that figures are quoted from: 60 and 30 s
 
-Real-time figures of a machine that does other things at the same time are worth their ratios only.
+On a machine with other load, only ratios of the real-time figures are meaningful.
 """
 
 import argparse
@@ -44,7 +44,7 @@ MANY = "name: many\ngravity: [0, 0, -9.81]\nbodies:\n" + "".join(
 
 
 class Process:
-    """A process whose CPU time and memory can be asked for; `with` ends it."""
+    """Process with readable CPU time and memory; `with` stops it."""
 
     def __init__(self, *command):
         self._process = subprocess.Popen(
@@ -71,7 +71,7 @@ class Process:
         return self._process.wait(30.0)
 
     def answer(self):
-        """The JSON it prints at its end."""
+        """JSON printed by the process at its end."""
         return json.loads(self._process.communicate()[0])
 
     def cpu(self):
@@ -95,7 +95,7 @@ def simulation(**parameters):
 
 
 class Listener:
-    """A ROS node of this process."""
+    """ROS node in this process that subscribes and calls services."""
 
     def __init__(self):
         rclpy.init()
@@ -120,14 +120,14 @@ class Listener:
             self._executor.spin_once(timeout_sec=left)
 
     def figures(self):
-        """Of the next diagnostics."""
+        """Values of the next diagnostics message."""
         count = len(self.diagnostics)
         self.until(lambda: len(self.diagnostics) > count)
         return {pair.key: pair.value for pair in self.diagnostics[-1].status[0].values}
 
 
 def paced(listener, folder, seconds, name, scene, rate):
-    """A scene in real time with pose, twist, /clock and recording: one line of figures."""
+    """Real-time run with pose, twist, /clock and recording: one line of figures."""
     path = folder / f"{name.replace(' ', '_')}.mcap"
     with simulation(scene=scene, publish_rate=rate, clock_rate=rate, record=path) as node:
         first, cpu = listener.figures(), node.cpu()
@@ -167,7 +167,7 @@ def real_time(listener, folder, seconds):
 
 
 def holds(listener, folder, seconds, kind, links):
-    """Whether a chain holds real time with 100 poses and twists per second of every body."""
+    """Whether a chain runs in real time with poses and twists of every body published at 100 Hz."""
     scene, path = folder / f"{kind}{links}.yaml", folder / f"{kind}{links}.mcap"
     # Long links fall slowly: a free end that whips about is no motion for steps of 1 ms.
     scene.write_text(chain(links, kind, length=10.0).text)
@@ -214,7 +214,7 @@ def largest(listener, folder, seconds):
 
 
 def trips(listener, target, count):
-    """Microseconds from a wrench that is sent to the twist that shows it."""
+    """Latency in us from publishing a wrench to receiving the twist that shows its effect."""
     seen = []
     subscription = listener.node.create_subscription(
         TwistStamped, f"{target}/puck/twist", lambda m: seen.append(m.twist.linear.x), 10
@@ -265,7 +265,7 @@ def round_trip(listener, folder, count):
 
 
 def cost_of(listener, path, seconds, scene, bodies):
-    """CPU us of the whole process, steps and recording included, for each message published."""
+    """CPU us per published message, of the whole process with steps and recording."""
     with simulation(
         scene=scene,
         publish_rate=1000.0,
@@ -335,7 +335,7 @@ def storm(listener, folder, seconds):
 
 
 def main():
-    """Run all parts, or those that are named."""
+    """Run all parts, or the named ones."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
         "parts",

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Side by side with MuJoCo, Pinocchio and Exudyn: what a true accuracy costs.
+"""Comparison with MuJoCo, Pinocchio and Exudyn: cost of a given true accuracy.
 
     python benchmarks/peers.py [--quick] [--only P1 P3 ...] [--json FILE]
 
 Four problems with exact ends (side_by_side/problems.py, references.py); every code in a native
 loop, on one core, in one process. Pinocchio's loop is compiled here if there is a C++ compiler.
-Whatever is not installed is left out, and said so: pip install '.[bench]'.
+Packages that are not installed are reported and omitted: pip install '.[bench]'.
 """
 
 import argparse
@@ -24,7 +24,7 @@ from side_by_side.report import as_data, costs_table, shortfalls
 
 
 def cases():
-    """{name: variants of a problem with the same exact end}."""
+    """{name: variants of a problem with the same exact end state}."""
     return {
         "P1": [problems.heavy_top()],
         "P2": [problems.free_body()],
@@ -40,7 +40,7 @@ def cases():
 
 
 def measure(variants, codes, ratio, budget, rounds):
-    """[(entry, rungs, {target: cost})] of all codes, and how well the exact end is known."""
+    """([(entry, rungs, {target: cost})] of all codes, uncertainty of the exact end state)."""
     exact = variants[0].exact(1)
     known = np.abs(exact - variants[0].exact(0)).max()
     entries, ladders = [], []

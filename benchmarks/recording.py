@@ -221,7 +221,7 @@ def disk(folder, _):
 
 
 def readers(folder, _):
-    """Every message of a recording with all topics, decoded by readers of other authors."""
+    """Every message of a recording with all topics, decoded by independent readers."""
     path = folder / "all_topics.mcap"
     subprocess.run([sys.executable, SIDE / "all_topics.py", path], check=True)
     found = survey(path)
@@ -269,7 +269,7 @@ def readers(folder, _):
 
 
 def main():
-    """Run all parts, or those that are named."""
+    """Run all parts, or the named ones."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
         "parts",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rotation methods: cost of a step, accuracy for it, and what very long runs keep.
+"""Rotation methods: cost of a step, and conservation of energy and momentum in long runs.
 
     python benchmarks/rotation.py [--steps 10000000] [--method NAME ...]
 
@@ -25,13 +25,13 @@ SAMPLES = 60  # of a long run, evenly in log steps
 
 
 def nanoseconds(scene, step, method, steps=100_000, repeat=7):
-    """ns of CPU time of one step, the fastest of so many runs."""
+    """CPU time of one step, ns: the fastest of several runs."""
     simulation = Simulation(load_scene(scene), method=method, step=step)
     return seconds_of_step(simulation, steps, repeat) * 1e9
 
 
 def long_run(scene, step, method, steps):
-    """Steps (k,), energy and momentum errors there, relative to the start: of a long run."""
+    """(step counts (k,), relative energy errors (k,), relative momentum errors (k,)) of a long run."""
     simulation = Simulation(load_scene(scene), method=method, step=step)
     parts = slice(0, 3) if scene == "free_body" else slice(2, 3)
     start = simulation.sample()
@@ -49,7 +49,7 @@ def long_run(scene, step, method, steps):
 
 
 def exponent(counts, errors):
-    """Slope of log error against log steps; next to zero errors are left out."""
+    """Slope of log error over log steps; errors near zero are omitted."""
     good = errors > 0.0
     return np.polyfit(np.log(counts[good]), np.log(errors[good]), 1)[0]
 

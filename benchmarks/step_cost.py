@@ -3,8 +3,8 @@
 
     python benchmarks/step_cost.py [--repeat 15]
 
-Prints medians with the fastest and slowest run. Nothing is asserted here: figures depend on the
-machine and on what else it does.
+Prints medians with the fastest and slowest run. Nothing is asserted: figures depend on the machine
+and its load. The compile times of all families take several minutes.
 """
 
 import argparse
@@ -22,7 +22,7 @@ from rich.table import Table
 from liegroup_core import Simulation, load_scene
 
 STEPS = 20_000
-# Simulations that together use all kernels there are.
+# Simulations that together use all kernels.
 FAMILIES = {
     "bodies in space": ("heavy_top", "rkmk4"),
     "bodies in a plane": ("four_bar", "rkmk4"),
@@ -42,7 +42,7 @@ print(time.process_time() - start)
 
 
 def microseconds_per_step(scene, group, repeat):
-    """Times of one step, us, one figure per run of STEPS steps from the initial state."""
+    """Times of one step, us: one value per run of STEPS steps from the initial state."""
     simulation = Simulation(load_scene(scene), method="rkmk4", step=1e-4, group=group)
     times = []
     for _ in range(repeat):
@@ -54,7 +54,7 @@ def microseconds_per_step(scene, group, repeat):
 
 
 def start_up_seconds(cache, *names):
-    """CPU seconds from `import` to ready simulations in a new process with this cache folder."""
+    """CPU time in s from `import` to ready simulations, in a new process with a cache folder."""
     run = subprocess.run(
         [sys.executable, "-c", START, *(" ".join(FAMILIES[name]) for name in names)],
         capture_output=True,
@@ -66,7 +66,7 @@ def start_up_seconds(cache, *names):
 
 
 def start_up(*names):
-    """CPU seconds of a first start and of a later one, median of 5."""
+    """(CPU s of a first start, CPU s of a later start, median of 5)."""
     with tempfile.TemporaryDirectory() as cache:
         return (
             start_up_seconds(cache, *names),
@@ -75,7 +75,7 @@ def start_up(*names):
 
 
 def bytes_allocated(steps):
-    """Growth of Python's and NumPy's traced memory over so many steps in one call."""
+    """Growth of traced Python and NumPy memory over `steps` steps in one call, bytes."""
     simulation = Simulation(load_scene("heavy_top"), step=1e-4)
     simulation.advance(10)
     tracemalloc.start()

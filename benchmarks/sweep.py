@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What many runs cost: one run besides its steps, a task, a worker's start, one worker and two.
+"""Cost of sweeps: overhead of a run and of a task, worker start, one worker compared with two.
 
     python benchmarks/sweep.py [--runs N]
 
-Rates are of wall time, so on a machine that does nothing else; CPU times, of all processes
-together, hold on a busy one too. What docs/how-to/sweep.md says of sizing a cluster is made of these.
+Rates are in wall time and need an idle machine. CPU times, summed over all processes, are valid on
+a busy one too. The advice on cluster sizes in docs/how-to/sweep.md uses these numbers.
 """
 
 import argparse
@@ -21,19 +21,19 @@ from liegroup_core import load_scene
 from liegroup_core.study.sweep.sweep import Sweep, simulate
 from liegroup_core.study.tasks import run
 
-# What varies leaves the joints closed: gravity.
+# Varying gravity does not violate any joint.
 SCENES = "free_body", "heavy_top", "double_pendulum", "four_bar"
 VARY, STEPS = "gravity.0=0:1", 1000
 TASKS = 1000
 
 
 def nothing(item):
-    """A task without work."""
+    """Empty task."""
     return item
 
 
 def costs(name):
-    """(CPU s of a run without a step to speak of, of one of STEPS steps): medians of 20."""
+    """(CPU s of a run with almost no steps, CPU s of a run of STEPS steps), medians of 20."""
     medians = []
     for steps in (1, STEPS):
         sweep = Sweep.of(load_scene(name), [VARY], 20, steps, settings={"step": 1e-3})
@@ -43,13 +43,13 @@ def costs(name):
 
 
 def cpu():
-    """CPU s of this process and of those of its children that have ended."""
+    """CPU s of this process and its finished child processes."""
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(each.ru_utime + each.ru_stime for each in used)
 
 
 def tasks(count):
-    """(wall s, CPU s) of so many tasks without work, two workers from their start to their end."""
+    """(wall s, CPU s) of `count` empty tasks on two workers, including their start and end."""
     wall, used = time.perf_counter(), cpu()
     for _ in run(nothing, range(count), workers=2):
         pass
@@ -64,7 +64,7 @@ def sweeping(runs, workers):
     start, used, first, pieces = time.perf_counter(), cpu(), None, []
     for columns in sweep.run(range(runs), workers=workers):
         pieces.append(columns)
-        # Not the first piece, which is made here, nor the second, which waits for the workers.
+        # Excludes the first piece, computed in this process, and the second, which waits for workers.
         if len(pieces) == 2:
             first = time.perf_counter()
     end, count = time.perf_counter(), runs - sum(len(piece["run"]) for piece in pieces[:2])
@@ -80,10 +80,12 @@ def sweeping(runs, workers):
 
 
 def main():
-    """Print the figures."""
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=4000, help="default: %(default)s")
     runs = parser.parse_args().runs
+    if runs < 1000:
+        parser.error("--runs must be at least 1000: rates are measured from the third piece on")
     print(f"CPU time of a run of {STEPS} steps, rkmk4, with 10 looks at energy and joints")
     for name in SCENES:
         least, all_ = costs(name)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How long a step of a simulation takes, and what two processes at once can have."""
+"""Time of a simulation step, and the slowdown of two concurrent processes."""
 
 import statistics
 import subprocess
@@ -19,7 +19,7 @@ print(time.perf_counter() - start)
 
 
 def seconds_of_step(simulation, steps, repeat):
-    """CPU seconds of one step: the fastest of so many runs of so many steps from the start."""
+    """CPU time of one step, s: the fastest of several runs from the initial state."""
     times = []
     for _ in range(repeat):
         simulation.reset()
@@ -30,7 +30,7 @@ def seconds_of_step(simulation, steps, repeat):
 
 
 def speed_kept(rounds=3):
-    """Part of its speed that a process keeps beside another one that shares nothing with it.
+    """Relative speed of a process while an independent process runs at the same time.
 
     Cores share a clock and a memory, virtual ones more: two workers cannot have more than this.
     """

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Accuracy against cost of every method on the Lagrangian top: 1 s, 150 rad/s, exact end known.
+"""Accuracy and cost of every method on the Lagrangian top: 1 s, 150 rad/s, exact end state.
 
     python benchmarks/top_accuracy.py [method ...]
 
-Prints ||R - Rref||_F at 1 s and the time taken: the least of several runs, as other load on the
-machine only adds to it. Methods with error control run over one step of 1 s.
+Prints ||R - Rref||_F at 1 s and the shortest time of several runs, because other load only adds
+time. Methods with error control run over one step of 1 s.
 """
 
 import argparse
@@ -30,7 +30,7 @@ TOLERANCES = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 
 
 def measure(repeat, **settings):
-    """(error, seconds, substeps) of one second, the fastest of so many runs."""
+    """(error, wall s, substeps) of one simulated second, the fastest of several runs."""
     simulation = Simulation(load_scene("lagrangian_top"), **settings)
     steps = round(1.0 / simulation.step)
     best = np.inf
@@ -62,7 +62,7 @@ def main():
             try:
                 error, seconds, steps = measure(options.repeat, method=name, **settings)
             except SimulationError:
-                continue  # a step too large for this method: that is said in its message
+                continue  # the step is too large for this method
             table.add_row(
                 name,
                 f"{value:g}",

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measure the trade of every example scene: docs/which_method.json, and its tables on stdout.
+"""Measure the trade of every example scene for docs/which_method.json, and print its tables.
 
     python benchmarks/trade_all.py
-    python benchmarks/trade_all.py --write          only write the page again, from its JSON
+    python benchmarks/trade_all.py --write          only print the tables from the JSON
 
-What was measured before of the same scene, version and processor is taken over, so a call that was
-ended goes on; to measure costs anew, remove the folder `trades` in the cache folder
-(~/.cache/liegroup_core, or LIEGROUP_CACHE_DIR). Then, for each scene and accuracy, the setting
-that `accuracy` chooses is run and held against the truth at other instants than the trade's.
+Cached measurements of the same scene, version and processor are reused, so an interrupted call
+resumes. To measure again, remove the folder `trades` in the cache folder (~/.cache/liegroup_core,
+or LIEGROUP_CACHE_DIR). For each scene and accuracy, the configuration that `accuracy` chooses is
+then run and compared with a reference integration at times other than those of the trade.
 """
 
 import argparse
@@ -32,11 +32,11 @@ from liegroup_sim_ros.report.trade_figures import document_part
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = ROOT / "docs" / "which_method.json"
-INSTANTS = 1000  # at most, of a horizon, at which a promise is looked at
+INSTANTS = 1000  # largest number of times in the horizon at which a requested accuracy is checked
 
 
 def measure(scene, methods, workers, budget):
-    """(Trade, the part of the document) of a scene."""
+    """(Trade, its part of the JSON document) of a scene."""
     trade = Trade(scene, tell=lambda text: print(f"  {text}", flush=True))
     count = 0
     for _ in trade.measure(methods, workers=workers, budget=budget):
@@ -46,7 +46,7 @@ def measure(scene, methods, workers, budget):
 
 
 def promises(scene, trade):
-    """[{accuracy, setting or refusal, promised error, measured error}] of each of ACCURACIES."""
+    """[{accuracy, configuration or refusal, stated error, measured error}] for ACCURACIES."""
     found, runs = [], []
     for wanted in ACCURACIES:
         try:
@@ -93,7 +93,7 @@ def promises(scene, trade):
 
 
 def condensed(part):
-    """A part with those cells alone that stand in one of its lists."""
+    """The part with only the cells on its Pareto front or in its list of cheapest cells."""
     wanted = sorted(
         {
             *part["front"],
@@ -118,20 +118,20 @@ def condensed(part):
 
 
 def main():
-    """Measure and write; with --write only the latter."""
+    """Measure and print; with --write only print."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--write", action="store_true", help="only write the page again")
+    parser.add_argument("--write", action="store_true", help="only print the tables from the JSON")
     parser.add_argument("--workers", type=int, help="processes (default: one for each core)")
-    parser.add_argument("--methods", nargs="+", help="default: all that fit")
+    parser.add_argument("--methods", nargs="+", help="default: all applicable methods")
     parser.add_argument(
         "--budget",
         type=float,
         default=BUDGET,
         help="CPU seconds of a run at most (default: %(default)g)",
     )
-    parser.add_argument("scenes", nargs="*", help="these alone; the others stay as they are")
+    parser.add_argument("scenes", nargs="*", help="measure only these and keep the others")
     args = parser.parse_args()
-    accuracy.BUDGET = args.budget  # a choice measures no more than that
+    accuracy.BUDGET = args.budget  # also the limit for missing measurements of a choice
     known = (
         {part["scene"]: part for part in json.loads(DATA.read_text())["scenes"]}
         if DATA.exists()

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What two workers gain: the same trade with one and with two, and that its errors are the same.
+"""Speed-up by two workers: the same trade with one and two, with bit-identical errors.
 
     python benchmarks/trade_scaling.py
 
-Wall time, so on a machine that does nothing else. The efficiency is that of the measuring alone,
-and that with the start of the workers, which takes a few seconds once.
+Wall time, so run it on an idle machine. Prints the efficiency of the measurement alone, and
+including the start of the workers, which takes a few seconds once.
 """
 
 import json
@@ -26,7 +26,7 @@ METHODS = ["rkmk2", "rkmk3", "rkmk4", "rkmk8", "generalized_alpha"]
 
 
 def measured(workers):
-    """(cells, wall time s, wall time from the first result on s) of a fixed list of runs."""
+    """(cells, wall time in s, wall time from the first result on in s) of a fixed list of runs."""
     with tempfile.TemporaryDirectory() as folder:
         trade = Trade(load_scene(SCENE), HORIZON, Store(load_scene(SCENE), folder))
         start, first = time.perf_counter(), None
@@ -37,8 +37,8 @@ def measured(workers):
 
 
 def main():
-    """Print the figures."""
-    measured(1)  # compiles
+    """Measure and print."""
+    measured(1)  # compiles the kernels
     one, two = measured(1), measured(2)
     same = [
         json.dumps({key: value for key, value in cell.items() if key not in ("cost_us", "timings")})

@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The trade held to motions made with other software: is what it calls an error one?
+"""Errors of the trade checked against motions computed with other software.
 
     python benchmarks/trade_truth_peers.py [--write]
 
-Accelerations of Pinocchio and of MuJoCo, integrated here by SciPy's DOP853 at 1e-13 from one
-instant of the trade to the next; uncertain by their distance to the same at 1e-12. The scenes are
-written down here anew, for the trees and the loop that these codes know. Then, for each scene:
+Accelerations of Pinocchio and MuJoCo, integrated by SciPy's DOP853 at tolerance 1e-13 between the
+sampling times of the trade. Their uncertainty is the difference to tolerance 1e-12. The scenes are
+written independently in this file, for the trees and the loop that these codes support. Output:
 
-    truth   how far the trade's truth is from the other one, against what both know
-    front   every setting on the front in docs/which_method.json is run again, and measured by the
-            other motion: its error there and its error in the file, which may be apart by as much
+    truth   distance of the trade's reference solution from the peer's, and both uncertainties
+    front   every configuration on the Pareto fronts in docs/which_method.json is run again. Its
+            error against the peer's motion and its error in the file may differ by that much
 
---write keeps every tenth instant of three scenes, with where it comes from, for the tests
-(test/verification/peers.json), which then need neither. Needs pip install '.[bench]'.
+--write stores every tenth sample of three scenes with its origin in test/verification/peers.json,
+so that the tests need neither package. Needs pip install '.[bench]'.
 """
 
 import argparse
@@ -45,7 +45,7 @@ DOWN, Y = np.array([0.0, 0.0, -9.81]), np.array([0.0, 1.0, 0.0])
 
 
 def rods(count, length, mass, radius):
-    """Solid cylinders in a row along x, at rest, on hinges about y."""
+    """Solid cylinders in a row along x, at rest, on revolute joints about y."""
     inertia = np.diag([mass * radius**2 / 2, *[mass * (3 * radius**2 + length**2) / 12] * 2])
     return Problem(
         "",
@@ -61,7 +61,7 @@ def rods(count, length, mass, radius):
 
 
 def top():
-    """A body on a ball joint, which a spring without length pulls by its centre of mass."""
+    """Body on a spherical joint; a zero-length spring acts on its centre of mass."""
     body = Body(
         21.6,
         np.diag([0.36, 0.306, 0.09]),
@@ -132,7 +132,7 @@ class Pinocchio:
             self._loop_data.append(self._loops[-1].createData())
         if problem.loops:
             pinocchio.initConstraintDynamics(model, self._data, self._loops, self._loop_data)
-        # Proximal steps until what the regularisation leaves is below rounding.
+        # Proximal iterations until the residual of the regularisation is below round-off.
         self._exactly = pinocchio.ProximalSettings(1e-15, 1e-10, 20)
         self.start = np.concatenate([pinocchio.neutral(model), start_speeds(problem)])
 
@@ -230,7 +230,7 @@ def quaternion_rate(q, omega):
 
 
 def start_speeds(problem):
-    """Speeds of the joints at the start, in their order."""
+    """Initial joint velocities, in order."""
     speeds, still = [], np.zeros(3)
     for joint, body in zip(problem.tree, problem.bodies):
         relative = body.omega - (
@@ -262,7 +262,7 @@ def motion(code, times, tolerance):
 
 
 def apart(turns, places, other_turns, other_places, length):
-    """The error between two motions, see truth.scaled."""
+    """Error between two motions, as defined by truth.scaled."""
     none = np.zeros((*turns.shape[:2], 6))
     off = distance(
         Trajectory(None, turns, places, none), Trajectory(None, other_turns, other_places, none)
@@ -271,7 +271,7 @@ def apart(turns, places, other_turns, other_places, length):
 
 
 def run(scene, cell, horizon):
-    """(rows of the instants that are whole steps, attitudes, places) of a setting."""
+    """(rows of times that are whole steps, attitudes, positions) of a configuration."""
     step, times = as_time(cell["step"]), sample_times(horizon)
     rows = [row for row, at in enumerate(times) if at % step == 0]
     simulation = Simulation(
@@ -280,7 +280,7 @@ def run(scene, cell, horizon):
         **cell["options"],
     )
     poses = []
-    with listening():  # of settings that are far off the engine says so itself
+    with listening():  # capture accuracy warnings of coarse configurations
         for row in rows:
             simulation.advance(round(times[row] / step) - simulation.steps)
             poses.append(simulation.sample().pose)
@@ -289,7 +289,7 @@ def run(scene, cell, horizon):
 
 
 def check(name, code, part, truth):
-    """(row of the table, what the tests keep) of a scene and a code."""
+    """(table row, data stored for the tests) of a scene and a code."""
     scene, length = load_scene(name), part["length"]
     times = truth.motion.times
 
@@ -333,9 +333,9 @@ def check(name, code, part, truth):
 
 
 def main():
-    """Make the motions, print the table, and keep some of them."""
+    """Compute the motions, print the table, and store some of them with --write."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--write", action="store_true", help="keep instants for the tests")
+    parser.add_argument("--write", action="store_true", help="store samples for the tests")
     parser.add_argument("--scenes", nargs="+", choices=list(SCENES), default=list(SCENES))
     args = parser.parse_args()
     parts = {part["scene"]: part for part in json.loads(DATA.read_text())["scenes"]}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which turn of a step a mechanism's RATTLE should make: three that are symmetric, compared.
+"""Comparison of three symmetric rotation updates for constrained RATTLE.
 
     python benchmarks/turns.py [--steps 50000]
 
@@ -30,7 +30,7 @@ SAMPLES = 2000
 
 
 def put(turn):
-    """Let the method make another turn; before anything is compiled."""
+    """Replace the rotation update of the method; call it before anything is compiled."""
     from liegroup_core.compiling import subroutine
     from liegroup_core.integrators.rattle import half_steps
     from liegroup_core.integrators.rotation.newton import INCREMENT, RATTLE, newton
@@ -50,7 +50,7 @@ def put(turn):
 
 
 def chain():
-    """Three bodies on ball joints, let go from the side, the last one spinning."""
+    """Three bodies on spherical joints, released sideways, the last one spinning."""
     from liegroup_core import Scene
     from liegroup_core.scene.description import Body, Frame, Joint
 
@@ -83,7 +83,7 @@ def chain():
 
 
 def measure(steps):
-    """Print errors and energies of the turn that is in place."""
+    """Print errors and energies of the active rotation update."""
     from liegroup_core import Simulation
     from liegroup_core.reference import integrate
 
@@ -116,7 +116,7 @@ def measure(steps):
 
 
 def main():
-    """Measure each turn in a process of its own and print."""
+    """Measure each rotation update in its own process and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--steps", type=int, default=50_000)
     parser.add_argument("--turn", choices=TURNS, help=argparse.SUPPRESS)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Processes that benchmarks/node.py measures the simulation node with and against."""
+"""Processes that benchmarks/node.py compares with the simulation node."""

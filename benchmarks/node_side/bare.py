@@ -25,7 +25,7 @@ from liegroup_core.pacing import Pacer
 
 
 def build(step):
-    """Pose, twist and clock of a step, as objects filled with numbers."""
+    """Pose, twist and clock messages of a step, as message objects."""
     pose, twist, clock = PoseStamped(), TwistStamped(), Clock()
     sec, nanosec = divmod(step * 1_000_000, 1_000_000_000)
     for message, frame in ((pose, "world"), (twist, "top")):
@@ -91,7 +91,7 @@ def echo(node):
 
 
 def storm(node, rate, seconds):
-    """Good, and one of four kinds of wrong, in turn."""
+    """Alternate valid wrenches and wrenches with one of four errors."""
     stream = node.create_publisher(WrenchStamped, "/sim_node/wrench", 1000)
     messages = []
     for frame, force, sec in (
@@ -123,7 +123,7 @@ def storm(node, rate, seconds):
 
 
 def main(role, *numbers):
-    """Play a role until it is over."""
+    """Run the process of the given kind to its end."""
     rclpy.init()
     node = rclpy.create_node(f"bare_{role}")
     numbers = [float(number) for number in numbers]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lets a node record with all its topics switched on, a push and a pause in it.
+"""Start a node that records all topics, with a wrench and a pause.
 
 all_topics.py FILE
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Decodes every message of a recording by another author's reader; JSON of counts by topic.
+"""Decode every message of a recording by an independent reader; prints JSON counts by topic.
 
 decode.py mcap_ros2|rosbags|pybag|small_mcap FILE
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A running node whose recording fills its disk; prints JSON about what happened then.
+"""Run a node whose recording fills the disk; prints JSON about its reaction.
 
 full.py FILE
 """

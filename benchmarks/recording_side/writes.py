@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Records poses whose stamps are the machine's monotonic clock, until it is killed.
+"""Record poses stamped with the machine's monotonic clock until the process is killed.
 
 writes.py FILE FLUSH_INTERVAL MESSAGES_PER_SECOND
 """

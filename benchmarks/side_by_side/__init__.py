@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The same problems in this package and in others: exact ends, native loops, one measure."""
+"""The same problems in several codes: exact end states, native loops, one error measure."""
 
 import importlib
 
@@ -7,7 +7,7 @@ PEERS = ("mujoco", "pinocchio", "exudyn")
 
 
 def load_peers(console):
-    """Modules of the peers that can run here; of the others it is said why they cannot."""
+    """Modules of the available peers; prints why the others are unavailable."""
     found = []
     for name in PEERS:
         try:

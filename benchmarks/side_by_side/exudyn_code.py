@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Exudyn, its fast module, with whichever of its solvers suits the problem.
+"""Exudyn (fast module) with the solver that suits each problem.
 
 one body  Lie group node and explicit Runge-Kutta methods. They ignore joints, so a body about
           a fixed point is a body there, with its inertia about it and its weight off it.
@@ -31,7 +31,7 @@ def version():
 
 
 def _one_body(mbs, problem):
-    """Lie group node at the fixed point, if there is one, else at the centre of mass."""
+    """Lie group node at the fixed point if there is one, else at the centre of mass."""
     body = problem.bodies[0]
     at = problem.tree[0].point if problem.tree else body.position
     arm = body.position - at
@@ -59,7 +59,7 @@ def _one_body(mbs, problem):
 
 
 def _tree_of_hinges(mbs, problem):
-    """Minimal coordinates; hinges about y."""
+    """Minimal coordinates of revolute joints about y."""
     count = len(problem.bodies)
     node = mbs.AddNode(
         items.NodeGenericODE2(
@@ -101,7 +101,7 @@ def _tree_of_hinges(mbs, problem):
 
 
 def _planar_bodies(mbs, problem):
-    """Three coordinates a body, hinges about z as constraints."""
+    """Three coordinates per body, revolute joints about z as constraints."""
     ground = mbs.AddObject(items.ObjectGround())
     nodes, made = [], {GROUND: (ground, np.zeros(3))}
     for i, body in enumerate(problem.bodies):
@@ -150,7 +150,7 @@ def _planar_bodies(mbs, problem):
 
 
 def _spatial_bodies(mbs, problem):
-    """Six coordinates a body, ball joints as constraints."""
+    """Six coordinates per body, spherical joints as constraints."""
     made = {GROUND: (mbs.AddObject(items.ObjectGround()), np.zeros(3))}
     for i, body in enumerate(problem.bodies):
         node = mbs.AddNode(
@@ -184,7 +184,7 @@ def _spatial_bodies(mbs, problem):
 
 
 class _Run:
-    """One of Exudyn's solvers with so many steps per duration; each of its runs starts anew."""
+    """One Exudyn solver with a number of steps per duration; each run restarts."""
 
     def __init__(self, problem, build, solver, steps, sparse=False):
         exu.config.printToConsole, exu.config.suppressWarnings = False, True
@@ -206,7 +206,7 @@ class _Run:
         """Nothing to do: SolveDynamic begins at the start."""
 
     def take(self, steps):
-        """So many steps from the start."""
+        """Take a number of steps from the initial state."""
         self.settings.timeIntegration.numberOfSteps = steps
         self.settings.timeIntegration.endTime = steps * self.step
         try:
@@ -226,7 +226,7 @@ class _Run:
 
 
 def entries(problem, ratio):
-    """Explicit methods where there is no constraint, else the implicit one."""
+    """Explicit methods for problems without constraints, else the implicit solver."""
     if problem.loops:
         chosen = [("index 2, planar", _planar_bodies, "TrapezoidalIndex2")]
     elif len(problem.bodies) == 1:
@@ -245,7 +245,7 @@ def entries(problem, ratio):
 
 
 def stepper(problem, step):
-    """Function that takes so many implicit steps of a size from the start; balls only, sparse."""
+    """Function take_steps(n) of implicit steps from the start; spherical joints, sparse solver."""
     return _Run(
         problem, _spatial_bodies, "TrapezoidalIndex2", round(problem.duration / step), sparse=True
     ).take

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What each setting of each code costs, and how wrong it is: one measure for all.
+"""Cost and error of each configuration of each code, measured in the same way.
 
 A ladder of ever finer settings is run once to its end for the errors. Then only the rungs around
 a target are timed, all codes in turn, round by round, so that a slow moment of the machine meets
@@ -23,13 +23,13 @@ LONG = 0.5
 
 
 class Run(Protocol):
-    """A code with a problem and a setting, ready to go."""
+    """A code with a problem and a configuration, ready to run."""
 
     def reset(self):
-        """Back to the start."""
+        """Restore the initial state."""
 
     def advance(self, times):
-        """So many durations of the problem onwards, natively; ArithmeticError if it fails."""
+        """Advance by `count` problem durations in a native loop; ArithmeticError on failure."""
 
     def end(self):
         """Attitudes (n, 3, 3) of all bodies, and the largest gap of a joint, m or rad."""
@@ -40,7 +40,7 @@ class Run(Protocol):
 
 @dataclass(frozen=True)
 class Entry:
-    """A code and what was chosen in it.
+    """A code and its configuration.
 
     levels  : settings from coarse to fine: steps per duration, or tolerances
     start   : level -> Run
@@ -56,7 +56,7 @@ class Entry:
 
 @dataclass(eq=False)
 class Rung:
-    """One level of an entry and what came out; steps, and CPU seconds, per simulated second."""
+    """One refinement level of an entry with its results; steps and CPU s per simulated second."""
 
     level: float
     attitude_error: float
@@ -68,7 +68,7 @@ class Rung:
 
     @property
     def error(self):
-        """Attitudes must be right, and joints closed."""
+        """Larger of the attitude error and the constraint residual."""
         return max(self.attitude_error, self.gap)
 
     @property
@@ -78,7 +78,7 @@ class Rung:
 
 @dataclass(frozen=True)
 class Cost:
-    """What it takes to meet a target: CPU seconds and steps, both per simulated second."""
+    """Cost of reaching a target error: CPU s and steps, both per simulated second."""
 
     cost: float
     steps: float
@@ -86,7 +86,7 @@ class Cost:
 
 
 def geometric(first, ratio, last=10_000_000):
-    """Whole numbers from first to last, each about `ratio` times the one before."""
+    """Integers from first to last, growing by about `ratio`."""
     return [
         round(first * ratio**k)
         for k in range(math.floor(math.log(last / first) / math.log(ratio)) + 1)
@@ -98,7 +98,7 @@ def _finite(value):
 
 
 def climb(entry, problem, exact, budget):
-    """Rungs of an entry, until two meet the last target or the next one would cost `budget` s."""
+    """Rungs of an entry until two meet the last target or the next would exceed `budget` s."""
     rungs, took = [], 0.0
     for level in entry.levels:
         run = entry.start(level)
@@ -125,12 +125,12 @@ def climb(entry, problem, exact, budget):
 
 
 def _settled_errors(rungs):
-    """For each rung the largest error from there on: those that vanish by chance do not count."""
+    """Largest error of each rung and all finer ones, which removes accidentally small errors."""
     return np.maximum.accumulate([rung.error for rung in rungs[::-1]])[::-1]
 
 
 def bracket(rungs, target):
-    """Indices (coarser or None, finer) of the rungs around a target, or None: it is not met."""
+    """Indices (coarser or None, finer) of the rungs around a target, or None if it is not met."""
     errors = _settled_errors(rungs)
     met = np.flatnonzero(errors <= target)
     if not len(met):
@@ -140,7 +140,7 @@ def bracket(rungs, target):
 
 
 def cost_at(rungs, target):
-    """Cost of meeting a target, or None; between rungs, error is taken as a power of the cost."""
+    """Cost of meeting a target, or None; the error is interpolated as a power of the cost."""
     found = bracket(rungs, target)
     if found is None:
         return None
@@ -159,7 +159,7 @@ def cost_at(rungs, target):
 
 
 def time_run(run, duration, estimate):
-    """CPU seconds per simulated second of a run, over SHORTEST at least."""
+    """CPU s per simulated second of a run, timed over at least SHORTEST."""
     times = max(1, math.ceil(SHORTEST / max(estimate * duration, 1e-7)))
     while True:
         run.reset()
@@ -175,7 +175,7 @@ def time_run(run, duration, estimate):
 
 
 def time_ladders(ladders, duration, rounds):
-    """Time the rungs around the targets, all ladders in turn, and let the other runs go."""
+    """Time the rungs around the targets, all ladders in turn, and release the other runs."""
     chosen = []
     for rungs in ladders:
         wanted = {i for target in TARGETS for i in bracket(rungs, target) or ()}
@@ -194,7 +194,7 @@ def time_ladders(ladders, duration, rounds):
 
 
 def seconds_per_step(take_steps, shortest, rounds):
-    """Median CPU seconds of a step; `take_steps(n)` takes n of them in one native loop."""
+    """Median CPU s of a step; `take_steps(n)` takes n steps in one native loop."""
     steps = 1
     while True:
         start = time.process_time()

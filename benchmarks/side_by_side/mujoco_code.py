@@ -30,7 +30,7 @@ def version():
 
 
 def model_of(problem, step):
-    """The problem as a model; bodies stand at their joints."""
+    """MuJoCo model of the problem, with body frames at the joints."""
     spec = mujoco.MjSpec()
     spec.option.timestep, spec.option.integrator = step, mujoco.mjtIntegrator.mjINT_RK4
     spec.option.gravity, spec.option.disableflags = problem.gravity, int(OFF)
@@ -69,7 +69,7 @@ def model_of(problem, step):
 
 
 class _Run:
-    """RK4 with so many steps per duration."""
+    """RK4 with a number of steps per duration."""
 
     def __init__(self, problem, steps):
         self.problem, self.steps = problem, steps
@@ -105,7 +105,7 @@ class _Run:
 
 
 def entries(problem, ratio):
-    """RK4; the joints are coordinates, loops are springs."""
+    """RK4 with joint coordinates; loops are closed by springs."""
     yield Entry(
         CODE,
         f"RK4 {problem.joints}".strip(),
@@ -115,7 +115,7 @@ def entries(problem, ratio):
 
 
 def stepper(problem, step):
-    """Function that takes so many RK4 steps of a size, for the cost of one."""
+    """Function take_steps(n) of RK4 steps, to measure the cost of a step."""
     run = _Run(problem, round(problem.duration / step))
     run.reset()
     return lambda count: mujoco.mj_step(run.model, run.data, nstep=count)

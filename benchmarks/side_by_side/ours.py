@@ -13,20 +13,20 @@ from .measure import Entry, geometric
 from .problems import BALL, GROUND, HINGE
 
 CODE = "liegroup_core"
-# Methods of lower order are no candidates for any target.
+# Methods of lower order are not competitive for any target.
 LOWEST_ORDER = 4
 JOINT_TYPES = {BALL: "spherical", HINGE: "revolute"}
 LOOSEST, TIGHTEST = 1e-2, 1e-13
 
 
 def prepare():
-    """Compile what has to be, and from then on say nothing of steps that are too coarse."""
+    """Compile the kernels and silence warnings of coarse steps."""
     Simulation(load_scene("heavy_top"))
     logging.getLogger("liegroup_core").setLevel(logging.ERROR)
 
 
 def scene_of(problem):
-    """The problem as a scene: joint frames at the joints' points, hinges turning about their z."""
+    """Scene of the problem: joint frames at the joint points, revolute joints about their z."""
 
     def name(body):
         return "world" if body == GROUND else f"body{body}"
@@ -62,14 +62,14 @@ def _has_error_control(method):
 
 
 class _Run:
-    """So many steps per duration, or substeps within it as a tolerance asks for them."""
+    """A number of steps per duration, or substeps chosen by a tolerance."""
 
     def __init__(self, problem, scene, method, level, **options):
         self.controlled = _has_error_control(method)
         self.steps = 1 if self.controlled else level
         if self.controlled:
             options = options | {"rtol": level, "atol": level}
-        # Without looks at its steps: the others do not check theirs either.
+        # Without the step check, which the other codes do not have either.
         self.simulation = Simulation(
             scene, method=method, step=problem.duration / self.steps, watch=False, **options
         )
@@ -101,7 +101,7 @@ class _Run:
 
 
 def _levels(problem, method, ratio):
-    """Numbers of steps, or tolerances, which make so many more of them."""
+    """Step counts, or tolerances that increase the number of substeps by the same ratio."""
     if not _has_error_control(method):
         return geometric(problem.coarsest, ratio)
     count = math.ceil(math.log(LOOSEST / TIGHTEST, ratio) / METHODS[method].order)
@@ -109,7 +109,7 @@ def _levels(problem, method, ratio):
 
 
 def entries(problem, ratio):
-    """Every method and group; with loops, every stabilisation."""
+    """All methods and groups; for loops also all stabilisations."""
     scene = scene_of(problem)
     for stabilisation in STABILISATIONS if problem.loops else ("none",):
         for group in GROUPS:
@@ -128,7 +128,7 @@ def entries(problem, ratio):
 
 
 def stepper(problem, step):
-    """Function that takes so many RKMK4 steps of a size from the start."""
+    """Function take_steps(n) of RKMK4 steps from the initial state."""
     simulation = Simulation(scene_of(problem), method="rkmk4", step=step, watch=False)
 
     def take_steps(count):

@@ -54,7 +54,7 @@ def version():
 
 
 def _library():
-    """The compiled loop, made once for each source, compiler and version."""
+    """Compiled loop, cached by source, compiler and version."""
     compiler = shutil.which(os.environ.get("CXX", "g++"))
     if compiler is None:
         raise ImportError("there is no C++ compiler for its loop (g++, or what CXX names)")
@@ -91,7 +91,7 @@ def _integers(values):
 
 
 class _Run:
-    """Munthe-Kaas steps of a tableau, so many per duration."""
+    """Munthe-Kaas method of a tableau with a number of steps per duration."""
 
     def __init__(self, problem, tableau, highest, steps):
         self.steps, self.count = steps, len(problem.bodies)
@@ -160,7 +160,7 @@ class _Run:
 
 
 def entries(problem, ratio):
-    """Order 4, and, not counted, our own order 8 around its accelerations."""
+    """Order 4; and, excluded from the ranking, order 8 with its accelerations."""
     levels = geometric(problem.coarsest, ratio)
     yield Entry(
         CODE, f"RK4 {problem.joints}".strip(), levels, lambda steps: _Run(problem, RK4, 2, steps)
@@ -176,6 +176,6 @@ def entries(problem, ratio):
 
 
 def stepper(problem, step):
-    """Function that takes so many RK4 steps of a size, for the cost of one."""
+    """Function take_steps(n) of RK4 steps, to measure the cost of a step."""
     run = _Run(problem, RK4, 2, round(problem.duration / step))
     return run.take

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The problems, in words that every code understands: P1..P4, and chains of any length.
+"""Code-independent descriptions of the problems P1..P4 and of chains of any length.
 
 All body frames are aligned with the world at the start, R_i(0) = I, and sit at the centre of
 mass; inertias (3, 3) are about it. So a joint is a point and an axis in the world at the start,
@@ -21,7 +21,7 @@ GRAVITY = 9.81
 
 @dataclass(frozen=True)
 class Body:
-    """Rigid body at the start; all vectors (3,) in world axes, which are its own then."""
+    """Rigid body in its initial state; vectors (3,) in world axes, which are its axes then."""
 
     mass: float
     inertia: np.ndarray
@@ -32,7 +32,7 @@ class Body:
 
 @dataclass(frozen=True)
 class Joint:
-    """Pair of kind BALL or HINGE at a point (3,) in the world; the axis is that of a hinge."""
+    """Joint of kind BALL or HINGE at a world point (3,); `axis` is that of a HINGE."""
 
     kind: str
     parent: int
@@ -43,7 +43,7 @@ class Joint:
 
 @dataclass(frozen=True)
 class Problem:
-    """Mechanism and what is asked of it.
+    """Mechanism with its duration and requested results.
 
     tree     : joint i holds body i to an earlier body or to the ground; empty for a free body
     loops    : further joints, which close loops
@@ -71,7 +71,7 @@ class Problem:
 
 
 def heavy_top():
-    """P1: a fast symmetric top about a fixed point."""
+    """P1: fast symmetric top about a fixed point."""
     mass, inertia = 15.0, np.diag([0.234375, 0.46875, 0.234375])
     arm, omega = np.array([0.0, 1.0, 0.0]), np.array([0.0, 150.0, -4.61538])
     gravity = np.array([0.0, 0.0, -GRAVITY])
@@ -93,7 +93,7 @@ def heavy_top():
 
 
 def free_body():
-    """P2: three different principal moments, no force."""
+    """P2: free body with three different principal moments, no force."""
     moments, omega = np.array([0.9144, 1.098, 1.66]), np.array([0.45549, 0.82623, 0.03476])
     return Problem(
         "P2",
@@ -112,21 +112,21 @@ def free_body():
 
 
 def _rod_inertia(mass, length, width, angle):
-    """Inertia of a square rod in the xy plane, `angle` from x."""
+    """Inertia (3, 3) of a square rod in the xy plane, at `angle` (rad) from x."""
     along, across = mass * width**2 / 6, mass * (length**2 + width**2) / 12
     turn = np.array([[cos(angle), -sin(angle), 0], [sin(angle), cos(angle), 0], [0, 0, 1]])
     return turn @ np.diag([along, across, across]) @ turn.T
 
 
 class _Planar:
-    """Rods in the xy plane, added one by one, and the joints they come with."""
+    """Builder of rods in the xy plane and their joints."""
 
     def __init__(self, width, density):
         self.width, self.density = width, density
         self.bodies, self.tree = [], []
 
     def add(self, start, length, angle, rate, parent, start_velocity):
-        """A rod on a hinge at its start: (index of the body, end, velocity of the end)."""
+        """Add a rod on a revolute joint: (body index, end point, velocity of the end point)."""
         arm = length / 2 * np.array([cos(angle), sin(angle), 0.0])
         omega = np.array([0.0, 0.0, rate])
         mass = self.density * self.width**2 * length
@@ -181,7 +181,7 @@ def four_bar(density=1000.0):
 
 
 def windows(count):
-    """So many square windows of 1 m side by side, upright, their top moving at 1 m/s."""
+    """n upright square windows of 1 m side by side, their top moving at 1 m/s."""
     rods, still = _Planar(sqrt(1e-3), 1000.0), np.zeros(3)
     loops = []
     last, tip, velocity = rods.add(np.zeros(3), 1.0, pi / 2, -1.0, GROUND, still)

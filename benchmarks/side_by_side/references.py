@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Exact attitudes at the end of each problem, by means that no code under test shares.
+"""Exact attitudes at the end of each problem, by methods independent of all tested codes.
 
 One rigid body: Taylor series of the quaternion equations in extended precision. Four-bar: one
 degree of freedom, so the time to an angle is an integral of the energy equation. Chain: Lagrange's

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The figures of `peers.py` as tables, as sentences about what falls short, and as plain data."""
+"""Results of `peers.py` as tables, as sentences about missed targets, and as JSON data."""
 
 import math
 
@@ -8,13 +8,13 @@ from rich.table import Table
 from .measure import TARGETS
 from .ours import CODE as OURS
 
-# How many times faster than the best of the others to be, at each of TARGETS.
+# Required speed ratio to the best of the other codes, at each of TARGETS.
 WANTED = (3.0, 5.0, 8.0)
 WORDS = tuple(f"{target:.0e}".replace("e-0", "e-") for target in TARGETS)
 
 
 def best(results, target, ours):
-    """(entry, Cost) of the cheapest counted result of ours or of the others; None: not met."""
+    """(entry, Cost) of the cheapest ranked result of ours or of the others; None if not met."""
     met = [
         (entry, costs[target])
         for entry, _, costs in results
@@ -24,7 +24,7 @@ def best(results, target, ours):
 
 
 def ratio(results, target):
-    """The others' best cost by ours: above 1 ours is cheaper. None: it is not known."""
+    """Best cost of the others divided by ours (above 1: ours is cheaper); None if unknown."""
     mine, theirs = best(results, target, True), best(results, target, False)
     if mine is None:
         return 0.0 if theirs is not None else None
@@ -32,7 +32,7 @@ def ratio(results, target):
 
 
 def _number(value, digits=3):
-    """Plain decimal notation with so many digits that count."""
+    """Plain decimal notation with a number of significant digits."""
     if value == 0.0:
         return "0"
     places = max(0, digits - 1 - math.floor(math.log10(abs(value))))
@@ -49,7 +49,7 @@ def _step(cost):
 
 
 def costs_table(name, title, duration, results):
-    """One problem: a line for each setting of the others, and for those of ours that are best."""
+    """Table of one problem: all configurations of the others, and our best ones."""
     table = Table(
         title=f"{name}, {title}, {duration:g} s: CPU ms per simulated s until "
         "||R - R_exact|| and gaps stay below",
@@ -103,7 +103,7 @@ def _verdict(value, wanted):
 
 
 def shortfalls(name, results):
-    """A sentence for each target that is missed: how, against whom, and what makes it so."""
+    """One sentence per missed target: by how much, against which code, and why."""
     for target, wanted, word in zip(TARGETS, WANTED, WORDS):
         value = ratio(results, target)
         if value is None or value >= wanted:
@@ -126,7 +126,7 @@ def shortfalls(name, results):
 
 
 def as_data(results):
-    """Everything that was measured on a problem, for a JSON file."""
+    """All measurements of a problem, for a JSON file."""
 
     def rung_data(rung):
         failed = rung.error == math.inf

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of what benchmarks/trade_all.py measured, in Markdown."""
+"""Markdown tables of the measurements of benchmarks/trade_all.py."""
 
 from liegroup_sim_ros.report.summary import shown
 from liegroup_sim_ros.report.trade_figures import error_text, reference_text, setting
 
 
 def by_method(part):
-    """{method: [cost_us of the cheapest setting for each accuracy with the margin, or None]}."""
+    """{method: {accuracy: us per simulated second of its cheapest configuration, or None}}."""
     found = {}
     for entry in part["cheapest"]:
         best = {}
@@ -24,7 +24,7 @@ def by_method(part):
 
 
 def text(parts):
-    """The page."""
+    """Markdown text of all scenes (`parts` of which_method.json)."""
     return (
         "\n\n".join(
             [
@@ -32,7 +32,7 @@ def text(parts):
                 words(parts),
                 "## For each scene",
                 *map(scene, parts),
-                "## Promised and measured",
+                "## Requested and measured accuracy",
                 PROMISED.strip(),
                 promised(parts),
                 FOOT.strip(),
@@ -43,16 +43,16 @@ def text(parts):
 
 
 def scene(part):
-    """The section of one scene."""
+    """Markdown section of one scene."""
     lines = [
         f"### {part['scene']}",
         "",
-        f"{_count(part['bodies'])} over {shown(part['horizon'], 's')}, lengths in parts of "
-        f"{shown(part['length'], 'm')}. {part['settings']} settings of "
-        f"{len(part['methods'])} methods, {part['stopped']} of which had to stop. Errors against "
+        f"{_count(part['bodies'])} over {shown(part['horizon'], 's')}, errors relative to "
+        f"{shown(part['length'], 'm')}. {part['settings']} configurations of "
+        f"{len(part['methods'])} methods, {part['stopped']} of which failed. Errors against "
         f"{reference_text(part)}.",
         "",
-        "| accuracy | the cheapest setting | its error | times real time | next methods |",
+        "| accuracy | cheapest configuration | its error | times real time | next methods |",
         "|---|---|---|---|---|",
     ]
     for entry in part["cheapest"]:
@@ -74,7 +74,7 @@ def _count(bodies):
 
 
 def _others(part, accuracy, cell):
-    """The three next methods and how many times more they cost."""
+    """The three next cheapest methods with their relative cost."""
     costs = sorted(
         (costs[f"{accuracy:g}"], name)
         for name, costs in part["methods"].items()
@@ -84,7 +84,7 @@ def _others(part, accuracy, cell):
 
 
 def words(parts):
-    """What the figures say, in words, of which every number is counted here."""
+    """Summary in sentences; every number in it is computed here."""
     lines = ["## In short", ""]
     for accuracy in (1e-3, 1e-6, 1e-9):
         won = {}
@@ -133,11 +133,10 @@ def words(parts):
             ) - len(worst)
             lines.append(
                 f"* taken everywhere, {method} costs {middle:.2g} times the cheapest in "
-                f"the middle of all cases, at most {most[0]:.2g} times ({most[1]} at "
+                f"the median, at most {most[0]:.2g} times ({most[1]} at "
                 f"{most[2]:g})"
                 + (
-                    f", and in {missed} of them does not reach the accuracy within the "
-                    "time that a run was given"
+                    f", and in {missed} of them misses the accuracy within the time limit of a run"
                     if missed
                     else ""
                 )
@@ -155,16 +154,16 @@ def words(parts):
         if factor < 2.0
     ]
     lines.append(
-        "* real time, with half of a core kept free, can be had "
-        + ("in all cases that can be had at all." if not slow else f"but for {', '.join(slow)}.")
+        "* real time with half of a core to spare is reached "
+        + ("in every attainable case." if not slow else f"except for {', '.join(slow)}.")
     )
     return "\n".join(lines)
 
 
 def promised(parts):
-    """The table of promises against what runs were measured to be."""
+    """Table of requested accuracies and measured errors."""
     lines = [
-        "| scene | horizon | promised | setting | measured | kept |",
+        "| scene | horizon | requested | configuration | measured | met |",
         "|---|---|---|---|---|---|",
     ]
     for part in parts:
@@ -193,7 +192,7 @@ def promised(parts):
     if ratios:
         lines += [
             "",
-            f"Between the samples of the trade the errors are at most {max(ratios):.2g} "
+            f"Between the samples of the trade, errors are at most {max(ratios):.2g} "
             "times those at the samples; the margin is "
             f"{parts[0]['margin']:g}.",
         ]
@@ -203,24 +202,24 @@ def promised(parts):
 HEAD = """
 # Which method and step?
 
-Measured, for every scene in `config/scenes/`: the cheapest setting for an accuracy, and how many
-times faster than the clock it runs on one core. What accuracy means, how it is measured and how
-far it can be trusted is in [trade.md](trade.md). This page is written by
-`benchmarks/trade_all.py` from `docs/which_method.json`; your machine has other costs:
-`liegroup_sim trade SCENE` measures them.
+Measured for every scene in `config/scenes/`: the cheapest configuration for an accuracy, and how many
+times faster than real time it runs on one core. docs/how-to/choose_accuracy.md defines accuracy
+and describes how it is measured and checked. `benchmarks/trade_all.py` writes this page from
+`docs/which_method.json`. Your machine has other costs: measure them with
+`liegroup_sim trade SCENE`.
 """
 
 PROMISED = """
-What `accuracy` chooses for each scene, run over the horizon, and its largest error at up to 1000
-instants, most of which the choice was not made from, against an integration of its own.
+The configuration that `accuracy` chooses for each scene, run over the horizon: its largest error at
+up to 1000 instants, most of them not used for the choice, against a separate reference integration.
 """
 
 FOOT = """
-## The same fronts against others
+## Checked against other software
 
-Whether the errors behind these tables are true: `test/verification/test_trade_truth.py` holds the
-truth that they are measured against to closed forms (free body, Lagrangian top), to 45-digit end
-states of the heavy top, to the crank angle of the four-bar by quadrature of its energy, and to
-motions by the accelerations of Pinocchio. `benchmarks/trade_truth_peers.py` measures every setting
-on the fronts of four scenes by motions of Pinocchio and MuJoCo: [trade.md](trade.md) has the table.
+`test/verification/test_trade_truth.py` checks the reference solutions behind these tables against
+closed forms (free body, Lagrangian top), 45-digit end states of the heavy top, the crank angle of
+the four-bar by quadrature of its energy, and motions with the accelerations of Pinocchio.
+`benchmarks/trade_truth_peers.py` measures every configuration on the Pareto fronts of four scenes
+against motions of Pinocchio and MuJoCo; docs/how-to/choose_accuracy.md has the table.
 """

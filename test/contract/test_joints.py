@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Properties of every type of joint. A new type only needs its parameters in PARAMETERS."""
+"""Contract of every joint type. A new type only needs its parameters in PARAMETERS."""
 
 import math
 from typing import get_args
@@ -27,13 +27,13 @@ EPS = np.finfo(float).eps
 
 
 def example(kind):
-    """Joint of a type."""
+    """Joint of a type, with its parameters from PARAMETERS."""
     (cls,) = (cls for cls in JOINTS if kind in get_args(cls.model_fields["type"].annotation))
     return cls(**ENDS, type=kind, **PARAMETERS.get(kind, {}))
 
 
 def closed_pose(kind, rng):
-    """Pose (4, 4) that a joint allows, found along its free directions from where it starts."""
+    """Pose (4, 4) that satisfies the joint, reached along its free directions from the start."""
     C = np.eye(4)
     if kind == "distance":
         C[:3, 3] = PARAMETERS[kind]["length"], 0.0, 0.0
@@ -48,7 +48,7 @@ def closed_pose(kind, rng):
     return elements, C
 
 
-def test_every_type_has_one_class():
+def test_every_joint_type_has_exactly_one_class():
     named = [kind for cls in JOINTS for kind in get_args(cls.model_fields["type"].annotation)]
     assert sorted(named) == sorted(TYPES)
     assert all(kind.text for kind in TYPES.values())
@@ -58,8 +58,8 @@ def test_every_type_has_one_class():
 
 
 @pytest.mark.parametrize("kind", TYPES)
-def test_rows_have_names_and_the_slope_of_the_residual(kind):
-    """residual(C exp X) = rows X + O(X^2): with |X| = 1e-6 and curvatures below 100, 1e-10."""
+def test_rows_are_named_and_are_the_derivative_of_the_residual(kind):
+    """residual(C exp X) = rows X + O(X^2). Tolerance: |X| = 1e-6, curvature below 100, so 1e-10."""
     rng = np.random.default_rng(7)
     elements, C = closed_pose(kind, rng)
     assert np.abs(position_residual(elements, C)).max() <= 100 * EPS
@@ -71,7 +71,7 @@ def test_rows_have_names_and_the_slope_of_the_residual(kind):
 
 
 @pytest.mark.parametrize("kind", TYPES)
-def test_rows_of_a_pair_are_constant_and_those_of_others_combine_their_directions(kind):
+def test_rows_of_lower_pairs_are_constant_and_other_rows_combine_directions(kind):
     elements, C = closed_pose(kind, np.random.default_rng(8))
     first = 0
     for element, rows in ((e, len(e.names)) for e in elements):
@@ -85,8 +85,8 @@ def test_rows_of_a_pair_are_constant_and_those_of_others_combine_their_direction
 
 
 @pytest.mark.parametrize("kind", TYPES)
-def test_turning_and_sliding_are_what_the_rows_allow(kind):
-    """At a closed pose, from the null space of the rows: (f, 6) free directions.
+def test_declared_rotation_and_translation_match_the_null_space_of_the_rows(kind):
+    """At a consistent pose; the null space of the rows has (f, 6) free directions.
 
     Torques about z need parallel z axes, forces along z also coincident ones.
     """
@@ -114,7 +114,7 @@ VARIABLE = {
 
 @pytest.mark.parametrize("kind", VARIABLE)
 @pytest.mark.parametrize("seed", range(5))
-def test_rows_and_rates_are_derivatives_of_the_residual(kind, seed):
+def test_rows_and_bias_are_time_derivatives_of_the_residual(kind, seed):
     """Along a motion of constant relative twist, by the five-point rule of step 1e-4.
 
     At rates below 20/s it leaves h^4 20^6 / 30 = 2e-10, and eps / h of values below 30: 1e-9 in

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Imports point downwards only: the floors are those of docs/architecture.md.
+"""Imports only point to lower layers; the layers are those of docs/architecture.md.
 
 The block `floors` of that page lists every room, the top floor first. A room is a module or a
 folder; `folder` holds for all modules below it that no longer entry names. A module may import
@@ -19,14 +19,14 @@ PACKAGES = ("liegroup_core", "liegroup_sim_ros")
 
 
 def floors_of(text):
-    """{room: floor}, counted from the bottom, of a page with a block `floors`."""
+    """{package: layer}, counted from the bottom, from the block `floors` of a page."""
     (block,) = re.findall(r"^```floors\n(.*?)^```", text, re.M | re.S)
     lines = [line.split("#")[0].split() for line in block.splitlines() if line.strip()]
     return {room: number for number, rooms in enumerate(reversed(lines)) for room in rooms}
 
 
 def modules():
-    """{module: path} of both packages; a package's `__init__` goes by the package's name."""
+    """{module: path} of both packages; an `__init__` has the name of its package."""
     found = {}
     for package in PACKAGES:
         for path in sorted((SOURCE / package).rglob("*.py")):
@@ -36,7 +36,7 @@ def modules():
 
 
 def imports_of(name, path, known):
-    """Modules of `known` that a module imports, wherever in its text the import stands."""
+    """Modules of `known` that a module imports, at module level or inside functions."""
     package = name if path.name == "__init__.py" else name.rpartition(".")[0]
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
@@ -50,14 +50,14 @@ def imports_of(name, path, known):
 
 
 def room_of(name, floors):
-    """The longest entry that a module's name begins with, or None."""
+    """Longest entry that is a prefix of the module's name, or None."""
     parts = name.split(".")
     entries = (".".join(parts[:n]) for n in range(len(parts), 0, -1))
     return next((entry for entry in entries if entry in floors), None)
 
 
 def violations(floors, imports):
-    """Imports that do not point downwards: [(module, imported module)]."""
+    """Imports that do not point to a lower layer: [(module, imported module)]."""
     wrong = []
     for name, targets in imports.items():
         room = room_of(name, floors)
@@ -69,7 +69,7 @@ def violations(floors, imports):
 
 
 def circles(imports):
-    """Modules that import each other, in any number of steps."""
+    """Modules that import each other, directly or indirectly."""
     left = {name: set(targets) - {name} for name, targets in imports.items()}
     while True:
         # Whatever imports nothing that is left is in no circle.
@@ -88,22 +88,22 @@ def imports():
     }
 
 
-def test_every_module_has_a_room(imports):
+def test_every_module_belongs_to_a_layer(imports):
     floors = floors_of(PAGE.read_text())
     assert not [name for name in imports if room_of(name, floors) is None]
     unused = floors.keys() - {room_of(name, floors) for name in imports}
     assert not unused, "rooms of the page that do not exist"
 
 
-def test_imports_point_downwards(imports):
+def test_imports_point_to_lower_layers(imports):
     assert not violations(floors_of(PAGE.read_text()), imports)
 
 
-def test_no_module_imports_itself_in_a_circle(imports):
+def test_there_are_no_import_cycles(imports):
     assert not circles({name: targets - {name} for name, targets in imports.items()})
 
 
-def test_the_core_imports_no_ros_side(imports):
+def test_the_core_does_not_import_the_ros_package(imports):
     assert not [
         (name, target)
         for name, targets in imports.items()
@@ -112,7 +112,7 @@ def test_the_core_imports_no_ros_side(imports):
     ]
 
 
-def test_an_import_upwards_and_a_circle_are_found():
+def test_an_upward_import_and_a_cycle_are_detected():
     floors = floors_of("```floors\ntop\nmiddle.a middle.b\nlow  # comment\n```\n")
     assert floors == {"top": 2, "middle.a": 1, "middle.b": 1, "low": 0}
     good = {"top.x": {"middle.a", "low"}, "middle.a": {"low"}, "middle.b": set(), "low": set()}

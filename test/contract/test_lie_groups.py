@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every Lie group here must satisfy, over angles from 0 to nearly 2 pi.
+"""Contract of every Lie group, over rotation angles from 0 to nearly 2 pi.
 
 The references are independent of the kernels: hat is written out here, exp is mpmath's matrix
 exponential, ad is the matrix commutator, Ad the conjugation, dexp the series of ad^k/(k+1)! and
@@ -35,7 +35,7 @@ def fifty_digits():
 
 
 def mp_hat(X):
-    """The matrix of an algebra element, from its definition."""
+    """Matrix of an algebra element by definition, 50 digits."""
     x, y, z = X[:3]
     rows = [[0, -z, y], [z, 0, -x], [-y, x, 0]]
     if len(X) == 6:
@@ -44,12 +44,12 @@ def mp_hat(X):
 
 
 def mp_vee(m):
-    """The coordinates of an algebra matrix, from its definition."""
+    """Coordinates of an algebra matrix by definition, 50 digits."""
     return [m[2, 1], m[0, 2], m[1, 0]] + ([m[i, 3] for i in range(3)] if m.rows == 4 else [])
 
 
 def mp_operator(dimension, action):
-    """The matrix of a linear map given on algebra matrices."""
+    """Matrix of a linear map that is given on algebra matrices."""
     units = [mp_hat([int(i == k) for i in range(dimension)]) for k in range(dimension)]
     return mp.matrix([mp_vee(action(unit)) for unit in units]).T
 
@@ -64,7 +64,7 @@ def mp_exp(X):
 
 
 def mp_dexp(X):
-    """sum of ad_X^k / (k+1)!, until the terms vanish in 50 digits."""
+    """Series sum ad_X^k / (k+1)!, until the terms vanish in 50 digits."""
     ad = mp_ad(X)
     term = total = mp.eye(len(X))
     k = 1
@@ -82,7 +82,7 @@ def difference(got, want):
 
 
 def element(group, angle, size, rng):
-    """An element of the algebra: rotation by `angle` about a random axis, |eta| = size."""
+    """Algebra element: rotation by `angle` (rad) about a random axis, |eta| = size."""
     axis = rng.standard_normal(3)
     xi = axis / np.linalg.norm(axis) * angle
     if group is SO3:
@@ -92,7 +92,7 @@ def element(group, angle, size, rng):
 
 
 def elements(group, angles, seed=1):
-    """Elements over `angles`: random axes, one axis of the frame, eta small, large, parallel."""
+    """Elements for all `angles`: random and coordinate axes; eta small, large, parallel."""
     rng = np.random.default_rng(seed)
     found = []
     for angle in angles:
@@ -103,17 +103,17 @@ def elements(group, angles, seed=1):
 
 
 def exp_units(X):
-    """Error of an entry of exp(X), for 1 + |eta| = 1, in units."""
+    """Error bound of an entry of exp(X) in units of round-off, for 1 + |eta| = 1."""
     return 6.0 + 1.5 * np.linalg.norm(X[:3])
 
 
 def scale(X):
-    """1 + |eta|, what the errors of the linear entries are relative to."""
+    """1 + |eta|, the scale of errors in the linear entries."""
     return 1.0 + float(np.linalg.norm(X[3:]))
 
 
 @pytest.mark.parametrize("group", GROUPS)
-def test_hat_and_vee(group):
+def test_hat_and_vee_against_their_definitions(group):
     X = np.arange(1.0, 1.0 + DIMENSION[group])
     assert difference(group.hat(X), mp_hat(list(X))) == 0.0
     assert (group.vee(group.hat(X)) == X).all()
@@ -175,7 +175,7 @@ def test_log_inverts_exp(group):
 
 
 @pytest.mark.parametrize("group", GROUPS)
-def test_log_beyond_pi_is_the_shorter_way_round(group):
+def test_log_beyond_pi_is_the_shorter_rotation(group):
     for X in elements(group, BEYOND_PI):
         back = group.log(group.exp(X))
         t = mp.norm(mp.matrix(X[:3]))
@@ -244,7 +244,7 @@ def test_dexpinv_against_the_inverse_of_the_series_of_ad(group):
 
 
 @pytest.mark.parametrize("group", GROUPS)
-def test_dexpinv_undoes_dexp(group):
+def test_dexpinv_is_the_inverse_of_dexp(group):
     # The errors of both, times the norm of the other: at most 1 + |eta| and (1 + |eta|) pi/2.
     for X in elements(group, SMALL + BELOW_PI):
         product = group.dexpinv(X) @ group.dexp(X)
@@ -253,7 +253,7 @@ def test_dexpinv_undoes_dexp(group):
 
 @pytest.mark.parametrize("group", GROUPS)
 def test_body_twist_is_dexp_of_minus_X(group):
-    """C^-1 Cdot = hat(dexp_{-X} Xdot) and Cdot C^-1 = hat(dexp_X Xdot), by differences."""
+    """C^-1 Cdot = hat(dexp_{-X} Xdot) and Cdot C^-1 = hat(dexp_X Xdot), by finite differences."""
     rng = np.random.default_rng(5)
     # Central difference of the 50-digit exponential: error step^2 times third derivative, 1e-27.
     step = mp.mpf(10) ** -15
@@ -274,7 +274,7 @@ def test_body_twist_is_dexp_of_minus_X(group):
 
 @pytest.mark.parametrize("group", GROUPS)
 @pytest.mark.parametrize("name", ["exp", "hat", "ad", "dexp", "dexpinv"])
-def test_leading_dimensions(group, name):
+def test_functions_vectorise_over_leading_dimensions(group, name):
     X = np.random.default_rng(7).standard_normal((2, 3, DIMENSION[group]))
     function = getattr(group, name)
     batch = function(X)
@@ -304,7 +304,7 @@ def test_wrong_coordinates_are_refused(group, name, bad, message):
 
 @pytest.mark.parametrize("group", GROUPS)
 @pytest.mark.parametrize("number", [math.nan, math.inf])
-def test_numbers_that_are_not_finite_are_refused(group, number):
+def test_non_finite_numbers_are_refused(group, number):
     X = np.zeros(DIMENSION[group])
     X[-1] = number
     for name in ("exp", "hat", "ad", "dexp", "dexpinv"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every registered method must do: its coefficients, and how it behaves behind Simulation.
+"""Contract of every registered method: its coefficients, and its behaviour in Simulation.
 
 The order on problems with references: test/verification/test_orders.py.
 """
@@ -43,14 +43,14 @@ UNIT = 2.0**-53
 
 
 def rooted_trees(order):
-    """All rooted trees with so many vertices; a tree is the sorted tuple of its subtrees."""
+    """All rooted trees with `order` vertices; a tree is the sorted tuple of its subtrees."""
     if order == 1:
         return [()]
     return sorted(set(forests(order - 1, order - 1)))
 
 
 def forests(vertices, largest):
-    """All sorted tuples of trees with so many vertices together, none above `largest`."""
+    """All sorted tuples of trees with `vertices` vertices in total, none above `largest`."""
     if vertices == 0:
         return [()]
     found = []
@@ -67,12 +67,12 @@ def vertices(tree):
 
 
 def density(tree):
-    """gamma(t), the product of the sizes of all subtrees."""
+    """Density gamma(t): the product of the sizes of all subtrees."""
     return vertices(tree) * math.prod(map(density, tree))
 
 
 def weights(a, tree):
-    """(s,) stage weights of a tree: product over the subtrees of a times theirs."""
+    """(s,) elementary weights: product over the subtrees of a times their weights."""
     product = np.ones(len(a))
     for subtree in tree:
         product = product * (a @ weights(a, subtree))
@@ -80,7 +80,7 @@ def weights(a, tree):
 
 
 def defect(a, b, tree, wanted):
-    """Violation of the tree's order condition, and what rounding of the coefficients explains.
+    """Violation of the tree's order condition, and its bound by round-off of the coefficients.
 
     Every factor is rounded once and every product and sum of up to s terms again: at most
     2 vertices (s + 2) units of the sum of all absolute values.
@@ -90,7 +90,7 @@ def defect(a, b, tree, wanted):
     return abs(value - wanted), 2 * vertices(tree) * (len(b) + 2) * UNIT * max(size, 1.0)
 
 
-def test_there_are_as_many_rooted_trees_as_known():
+def test_the_number_of_rooted_trees_is_the_published_one():
     """Numbers of rooted trees with 1..9 vertices: OEIS A000081."""
     assert [len(rooted_trees(n)) for n in range(1, 10)] == [1, 1, 2, 4, 9, 20, 48, 115, 286]
 
@@ -120,8 +120,8 @@ def test_all_order_conditions_up_to_the_stated_order(name):
 
 
 @pytest.mark.parametrize("name", CONTROLLED)
-def test_error_estimate_is_of_one_order_less(name):
-    """e is the difference of two methods with the slope at the end as one more stage."""
+def test_error_estimate_has_one_order_less(name):
+    """e is the difference of two methods, with the derivative at the end as an extra stage."""
     method = METHODS[name]
     tableau = method.tableau
     a = np.zeros((len(tableau.b) + 1,) * 2)
@@ -133,7 +133,7 @@ def test_error_estimate_is_of_one_order_less(name):
     assert max(defect(a, tableau.e, tree, 0.0)[0] for tree in rooted_trees(method.order)) > 1e-6
 
 
-def test_dormand_prince_is_that_of_scipy():
+def test_dormand_prince_tableau_equals_that_of_scipy():
     tableau = METHODS["rkmk54"].tableau
     assert np.abs(tableau.a[:, :5] - RK45.A).max() <= 2 * UNIT
     assert np.abs(tableau.b - RK45.B).max() <= UNIT
@@ -142,7 +142,7 @@ def test_dormand_prince_is_that_of_scipy():
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_entry_is_complete(name):
+def test_method_entry_is_complete(name):
     method = METHODS[name]
     assert method.name == name and method.order >= 1 and method.source
     assert set(check_options(name, {})) == set(FAMILIES[method.family].options(method))
@@ -150,8 +150,8 @@ def test_entry_is_complete(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name, group", ON_GROUPS)
-def test_the_same_bits_however_the_steps_are_asked_for(name, group):
-    """Also with a wrench that starts and ends in between, and again after a reset."""
+def test_runs_are_bit_identical_however_the_steps_are_split(name, group):
+    """Also with a wrench that starts and ends between the calls, and after a reset."""
     scene = mechanisms.fitting(name)
 
     def run(simulation, counts):
@@ -169,8 +169,8 @@ def test_the_same_bits_however_the_steps_are_asked_for(name, group):
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_a_copied_state_goes_on_as_a_new_simulation_does(name):
-    """Nothing that a method keeps between calls survives set_state."""
+def test_set_state_continues_like_a_new_simulation(name):
+    """set_state clears everything that a method stores between calls."""
     scene = load_scene("heavy_top")
     used, new = (Simulation(scene, method=name, step=1e-3) for _ in range(2))
     used.advance(37)
@@ -184,8 +184,8 @@ def test_a_copied_state_goes_on_as_a_new_simulation_does(name):
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_steps_too_large_stop_with_the_last_good_state(name, caplog):
-    """150 rad/s at 0.1 s asks for 15 rad; under error control substeps make that no trouble.
+def test_too_large_steps_stop_with_the_last_valid_state(name, caplog):
+    """150 rad/s and a step of 0.1 s give 15 rad; error control avoids that by substeps.
 
     Rotation methods but RATTLE may have a solution there, however useless, and warn.
     """
@@ -216,7 +216,7 @@ def test_steps_too_large_stop_with_the_last_good_state(name, caplog):
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_overflow_stops_with_the_last_good_state(name):
+def test_overflow_stops_with_the_last_valid_state(name):
     simulation = Simulation(load_scene("free_body"), method=name, step=1.0)
     simulation.apply_wrench("body", (0, 0, 0, 1e308, 0, 0), start=3.0)
     with pytest.raises(SimulationError) as failure:
@@ -237,8 +237,8 @@ def test_overflow_stops_with_the_last_good_state(name):
 
 
 @pytest.mark.parametrize("name", ANYWHERE)
-def test_a_singular_pose_is_solved_or_stops_with_the_state_kept(name):
-    """Two links in line between ground points: the middle joint's rows depend on the others'.
+def test_a_singular_pose_is_solved_or_stops_with_the_last_valid_state(name):
+    """Two collinear links between ground points: the middle joint's rows become dependent.
 
     It is open by half a metre there, which an implicit method cannot close within a step.
     """
@@ -268,7 +268,7 @@ def test_a_singular_pose_is_solved_or_stops_with_the_state_kept(name):
     ],
 )
 def test_a_rotation_beyond_pi_warns_once(name, caplog):
-    """A free body turns about an axis of inertia, which all but RATTLE follow at any step.
+    """A free body rotates about a principal axis; only RATTLE limits the step for that.
 
     Methods that take a step in several turn by less than pi in each.
     """
@@ -286,7 +286,7 @@ def test_a_rotation_beyond_pi_warns_once(name, caplog):
 
 
 @pytest.mark.parametrize("name, group", ON_GROUPS)
-def test_a_free_body_without_forces_or_motion_stays(name, group):
+def test_a_free_body_at_rest_without_forces_stays_at_rest(name, group):
     simulation = Simulation(load_scene("free_body"), method=name, group=group, step=0.25)
     pose = simulation.state()[0]
     simulation.set_state(pose, np.zeros((1, 6)))
@@ -294,7 +294,7 @@ def test_a_free_body_without_forces_or_motion_stays(name, group):
     assert (simulation.state()[0] == pose).all() and (simulation.state()[1] == 0.0).all()
 
 
-def test_options_are_refused_where_they_mean_nothing_or_are_wrong():
+def test_inapplicable_or_invalid_options_are_refused():
     scene = load_scene("free_body")
     for options, text in (
         ({"method": "rkmk4", "rtol": 1e-6}, "rkmk4 has no option 'rtol'; it has: dexpinv"),
@@ -324,7 +324,7 @@ def test_options_are_refused_where_they_mean_nothing_or_are_wrong():
     }
 
 
-def test_substeps_are_deterministic_counted_and_forgotten():
+def test_substeps_are_deterministic_counted_and_reset():
     simulation = Simulation(
         load_scene("heavy_top"), method="rkmk54", step=0.1, rtol=1e-9, atol=1e-9
     )
@@ -341,8 +341,8 @@ def test_substeps_are_deterministic_counted_and_forgotten():
     assert Simulation(load_scene("heavy_top")).substeps == (0, 0)
 
 
-def test_error_norm_is_the_documented_one():
-    """The largest body's |dxi|, |deta| by atol, |dw|, |dv| by atol + rtol |velocity|."""
+def test_the_error_norm_is_the_documented_one():
+    """Maximum over bodies of |dxi|, |deta| / atol and |dw|, |dv| / (atol + rtol |velocity|)."""
     simulation = Simulation(
         mechanisms.named("chain of balls"), method="rkmk54", rtol=3e-4, atol=2e-5
     )
@@ -363,8 +363,8 @@ def test_error_norm_is_the_documented_one():
     assert found == pytest.approx(expected, rel=1e-12)
 
 
-def test_a_tolerance_out_of_reach_ends_with_a_status():
-    """Far below rounding no substep is good; a long step needs too many of them."""
+def test_an_unattainable_tolerance_ends_with_a_status():
+    """Below round-off every substep is rejected; a long step needs too many substeps."""
     simulation = Simulation(
         load_scene("heavy_top"), method="rkmk54", step=0.01, rtol=1e-40, atol=1e-40
     )
@@ -381,8 +381,8 @@ def test_a_tolerance_out_of_reach_ends_with_a_status():
 
 
 @pytest.mark.slow
-def test_without_the_compiler_the_same_numbers():
-    """Plain Python rounds as machine code does: no fast-math. libm's last bit may differ."""
+def test_plain_python_gives_the_same_numbers():
+    """Without fast-math both round alike; only the last bit of libm functions may differ."""
     code = (
         "import sys; sys.path.insert(0, sys.argv[1]); import mechanisms\n"
         "from liegroup_core import Simulation\n"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Assembly: loops close, velocities follow, and what cannot be is named with its size."""
+"""Assembly: constraints are satisfied at position and velocity level, impossible scenes refused."""
 
 import re
 
@@ -71,7 +71,7 @@ def twists(scene):
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("name", mechanisms.MECHANISMS)
-def test_joints_close_and_velocities_follow(name, seed):
+def test_assembly_satisfies_position_and_velocity_constraints(name, seed):
     scene = mechanisms.named(name, seed)
     rough = disturbed(scene, np.random.default_rng(seed), 0.1)
     with pytest.raises(SceneError, match="is violated"):
@@ -92,7 +92,7 @@ def test_joints_close_and_velocities_follow(name, seed):
         assert np.linalg.norm(np.subtract(mine.position, theirs.position)) < 1.0
 
 
-def test_what_is_closed_keeps_its_bits():
+def test_an_assembled_scene_is_not_changed_bitwise():
     for name in ("heavy_top", "double_pendulum", "free_body"):
         scene = load_scene(name)
         again = scene_from_text(scene.text.replace("gravity:", "assemble: true\ngravity:"))
@@ -103,7 +103,7 @@ def test_what_is_closed_keeps_its_bits():
 
 @pytest.mark.parametrize("keep", ["a", "c"])
 @pytest.mark.parametrize("name", sorted(CLOSED))
-def test_a_fixed_body_keeps_its_pose_and_velocity_to_the_bit(name, keep):
+def test_a_fixed_body_keeps_its_pose_and_velocity_bitwise(name, keep):
     scene = mechanisms.named(name, 1)
     rough = disturbed(scene, np.random.default_rng(2), 0.05, keep=[keep])
     done = assembled(rough)
@@ -117,7 +117,7 @@ def test_a_fixed_body_keeps_its_pose_and_velocity_to_the_bit(name, keep):
     check_consistency(done)
 
 
-def test_a_fixed_body_keeps_only_what_it_was_given():
+def test_a_fixed_body_keeps_only_the_values_in_the_scene():
     """A crank set to an angle, its velocity from a rate: the four-bar; and the other way round."""
     scene = load_scene("four_bar")
     text = scene.text.replace("    initial: fixed  ", "    # ")
@@ -147,8 +147,8 @@ def test_a_fixed_body_keeps_only_what_it_was_given():
     assert (body.angular_velocity, body.linear_velocity) == ((0, 0, 2), (0, 1, 0))
 
 
-def test_rates_of_a_chain_are_met():
-    """Each hinge turns its child against its parent about z by its rate, in world axes."""
+def test_assembly_imposes_the_joint_rates_of_a_chain():
+    """Every child rotates relative to its parent about z at the joint's rate, in world axes."""
     scene = mechanisms.named("chain of hinges", 2)
     rates = (0.7, -2.0, 3.0)
     joints = [joint.remade(rate=rate) for joint, rate in zip(scene.joints, rates)]
@@ -165,7 +165,7 @@ def test_rates_of_a_chain_are_met():
 
 
 @pytest.mark.parametrize("pair", LOWER_PAIRS)
-def test_a_rate_is_of_a_freedom_of_its_joint(pair):
+def test_a_rate_belongs_to_a_free_direction_of_its_joint(pair):
     rows = LOWER_PAIRS[pair].forbidden()  # of a screw for a pitch of zero
     rate = LOWER_PAIRS[pair].rate
     if rate is not None:
@@ -174,8 +174,8 @@ def test_a_rate_is_of_a_freedom_of_its_joint(pair):
         assert len(rows) == 6 or not rows[:, :3].any()
 
 
-def test_the_same_motion_wherever_the_frames_are():
-    """The least change in kinetic energy does not depend on where body frames sit."""
+def test_assembled_velocities_do_not_depend_on_body_frames():
+    """The velocity change of least kinetic energy is independent of the body frames' origins."""
     scene = mechanisms.named("loop of hinges and balls", 4)
     rng = np.random.default_rng(0)
     com = {body.name: 0.3 * rng.normal(size=3) for body in scene.bodies}
@@ -186,7 +186,7 @@ def test_the_same_motion_wherever_the_frames_are():
     np.testing.assert_allclose(other.spatial_momentum, one.spatial_momentum, atol=1e-11)
 
 
-def test_bodies_without_a_pose_are_put_where_the_joints_put_them():
+def test_bodies_without_a_pose_are_placed_by_their_joints():
     scene = load_scene("hinge_chain")
     for i, body in enumerate(scene.bodies):
         np.testing.assert_allclose(body.position, (0.1 * i, 0, 0), atol=1e-15)
@@ -232,7 +232,7 @@ def test_bodies_without_a_pose_are_put_where_the_joints_put_them():
     np.testing.assert_allclose(a.pose @ end.pose, c.pose @ frame.pose, atol=1e-15)
 
 
-def test_frames_left_out_are_where_the_others_are_before_anything_is_moved():
+def test_an_omitted_joint_frame_is_the_other_frame_before_assembly():
     text = load_scene("four_bar").text
     scene = scene_from_text(
         text.replace("    child_frame: {position: [0.5, 0.0, 0.0]}  ", "    # ")
@@ -246,7 +246,7 @@ def test_frames_left_out_are_where_the_others_are_before_anything_is_moved():
     np.testing.assert_allclose(joint.child_frame.position, at[:3], atol=1e-15)
 
 
-def test_guesses_choose_the_branch():
+def test_pose_guesses_choose_the_assembly_branch():
     text = load_scene("four_bar").text
     below = (
         text.replace("[0.44, 0.75, 0.0]", "[0.1, 0.1, 0.0]")
@@ -259,7 +259,7 @@ def test_guesses_choose_the_branch():
     np.testing.assert_allclose(corner[:2], [0.1291901, -0.4916198], atol=1e-6)
 
 
-def test_guesses_from_anywhere_close_or_are_refused_in_one_line():
+def test_any_pose_guess_assembles_or_is_refused_in_one_line():
     rng = np.random.default_rng(3)
     closed = 0
     for name in ("loop of hinges and balls", "net"):
@@ -274,7 +274,7 @@ def test_guesses_from_anywhere_close_or_are_refused_in_one_line():
 
 
 @pytest.mark.slow
-def test_the_same_text_gives_the_same_bits_and_is_kept():
+def test_the_same_text_assembles_bit_identically_and_is_preserved():
     text = load_scene("four_bar").text
     one, other = scene_from_text(text), scene_from_text(text)
     assert one.text == text and not one.assemble
@@ -286,7 +286,7 @@ def test_the_same_text_gives_the_same_bits_and_is_kept():
     assert repr(scene_from_text(calm.text).model_dump()) == repr(calm.model_dump())
 
 
-def test_a_scene_made_in_code_is_assembled_when_it_is_simulated():
+def test_a_scene_built_in_code_is_assembled_by_simulation():
     bodies = [Body(name="a", mass=1, inertia=(1, 1, 1), position=(0.2, 0.1, 0.9))]
     joint = Joint(
         name="j",
@@ -308,7 +308,7 @@ def test_a_scene_made_in_code_is_assembled_when_it_is_simulated():
 
 
 def bar_between(distance, **keys):
-    """A bar of 1 m on ball joints to two points of the world."""
+    """Bar of 1 m, attached by spherical joints to two world points at a distance in m."""
     return Scene(
         name="s",
         gravity=(0, 0, 0),
@@ -328,7 +328,7 @@ def bar_between(distance, **keys):
     )
 
 
-def test_what_cannot_close_is_named_with_its_gap():
+def test_an_impossible_loop_is_refused_with_joint_and_gap():
     check_consistency(assembled(bar_between(1.0, position=(0.3, 0.2, 0.1))))
     with pytest.raises(SceneError) as caught:
         assembled(bar_between(1.2, position=(0.01, 0.1, 0)))
@@ -342,7 +342,7 @@ def test_what_cannot_close_is_named_with_its_gap():
         assembled(bar_between(1.5, position=(0.25, 0, 0), initial="fixed"))
 
 
-def test_an_error_in_a_file_has_its_line():
+def test_an_assembly_error_names_the_line_in_the_file():
     text = load_scene("four_bar").text.replace(
         "{position: [1.0, 0.0, 0.0]}", "{position: [5.0, 0.0, 0.0]}"
     )
@@ -354,7 +354,7 @@ def test_an_error_in_a_file_has_its_line():
     assert f"name: {name}" in text.splitlines()[int(line) - 1]
 
 
-def test_rates_that_contradict_each_other_are_named():
+def test_contradictory_rates_are_refused_with_joint_names():
     text = load_scene("four_bar").text
     twice = text.replace(
         "parent_frame: {position: [1.0, 0.0, 0.0]}",
@@ -415,7 +415,7 @@ def test_a_rate_without_assembly_is_refused():
         scene.remade(assemble=False)
 
 
-def test_bodies_that_nothing_places_are_named():
+def test_bodies_with_an_undetermined_pose_are_named():
     bodies = [
         Body(name="a", mass=1, inertia=(1, 1, 1), position=(1, 0, 0)),
         Body(name="b", mass=1, inertia=(1, 1, 1)),
@@ -434,8 +434,8 @@ def test_bodies_that_nothing_places_are_named():
 
 
 @pytest.mark.parametrize("length", [1e-6, 1e6])
-def test_a_loop_closes_at_any_size(length):
-    """The same four-bar in other units: what is found of it is the same, to rounding."""
+def test_assembly_does_not_depend_on_the_length_unit(length):
+    """A four-bar in other length units assembles to the same scaled poses, to round-off."""
     found = {}
     for size in (1.0, length):
         problem = problems.length_bars(size)

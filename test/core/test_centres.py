@@ -69,8 +69,8 @@ def test_the_frames_are_moved_to_the_centres_of_mass(name):
 
 @pytest.mark.parametrize("group", ["se3", "so3xr3"])
 @pytest.mark.parametrize("name", mechanisms.MECHANISMS)
-def test_the_same_motion_wherever_the_frames_are(name, group):
-    """Round-off of 1e-15 grows in 100 steps of a random mechanism by less than a thousand."""
+def test_the_motion_does_not_depend_on_body_frames(name, group):
+    """Round-off of 1e-15 grows by less than a factor of 1000 in 100 steps of these mechanisms."""
     scene, elsewhere, com = pair(name)
     one, other = Simulation(scene, group=group), Simulation(elsewhere, group=group)
     for _ in range(3):
@@ -91,7 +91,7 @@ def test_the_same_motion_wherever_the_frames_are(name, group):
 
 
 @pytest.mark.parametrize("name", ["ball", "net"])
-def test_a_wrench_is_about_the_origin_of_the_body_frame(name):
+def test_wrenches_refer_to_the_origin_of_the_body_frame(name):
     """A force at the frame's origin has the torque -c x f about the centre of mass."""
     scene, elsewhere, com = pair(name, seed=3)
     one, other = Simulation(scene), Simulation(elsewhere)
@@ -108,7 +108,7 @@ def test_a_wrench_is_about_the_origin_of_the_body_frame(name):
     assert [change.wrench for change in applied] == [(*torque, *force), (0.0,) * 6]
 
 
-def test_a_recorded_run_is_repeated_to_the_bit():
+def test_a_recorded_run_repeats_bit_for_bit():
     """From the scene's text, the initial state and the wrenches, the contents of a recording."""
     _, scene, _ = pair("net", seed=5)
     scene = scene_from_text(scene.text)
@@ -132,7 +132,7 @@ def test_a_recorded_run_is_repeated_to_the_bit():
         assert mine.tobytes() == theirs.tobytes()
 
 
-def test_a_recorded_pose_makes_the_sample_it_came_from():
+def test_a_sample_is_restored_from_its_recorded_pose():
     _, scene, _ = pair("net")
     simulation = Simulation(scene)
     simulation.advance(20)
@@ -146,7 +146,7 @@ def test_a_recorded_pose_makes_the_sample_it_came_from():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["chain of hinges", "tree"])
-def test_the_reference_integration_means_the_same_frames(name):
+def test_the_reference_integration_uses_the_same_body_frames(name):
     """The reference integration takes states and wrenches, and returns motions, of body frames."""
     _, scene, _ = pair(name, seed=1)
     simulation = Simulation(scene, step=5e-4)
@@ -168,7 +168,7 @@ def test_the_reference_integration_means_the_same_frames(name):
     np.testing.assert_allclose(still.twist, first.twist, atol=1e-14)
 
 
-def test_kept_momentum_does_not_depend_on_the_frames():
+def test_conserved_momentum_does_not_depend_on_body_frames():
     """Two free bodies on a spherical joint, and a single one: all momentum is conserved."""
     bodies = [
         Body(
@@ -212,7 +212,7 @@ def test_kept_momentum_does_not_depend_on_the_frames():
         np.testing.assert_allclose(values, values[:1].repeat(5, axis=0), atol=1e-9)
 
 
-def test_without_offsets_nothing_is_touched():
+def test_without_offsets_scene_and_arrays_are_returned_unchanged():
     scene = mechanisms.named("net")
     assert at_centres_of_mass(scene) is scene
     offsets, pose, twist = Offsets(scene), np.ones((5, 12)), np.ones((5, 6))
@@ -222,7 +222,7 @@ def test_without_offsets_nothing_is_touched():
     assert offsets.wrench_at_centre(2, wrench).tobytes() == wrench.tobytes()
 
 
-def test_offsets_there_and_back_for_whole_motions():
+def test_offset_conversion_and_its_inverse_for_whole_motions():
     """Arrays of samples, as in an analysis, give the same as single samples."""
     _, scene, _ = pair("tree")
     rng = np.random.default_rng(1)
@@ -239,7 +239,7 @@ def test_offsets_there_and_back_for_whole_motions():
 
 
 @pytest.mark.parametrize("kind", [*JOINTS, *FORCES], ids=lambda kind: kind.__name__)
-def test_every_place_of_every_kind_is_known(kind):
+def test_every_point_and_frame_of_every_kind_is_shifted(kind):
     """Every point or frame in a body, of any joint or force, is listed in PLACES."""
     for key, field in kind.model_fields.items():
         holds_frame = Frame in (field.annotation, *getattr(field.annotation, "__args__", ()))
@@ -247,7 +247,7 @@ def test_every_place_of_every_kind_is_known(kind):
             assert PLACES.get(key) in kind.model_fields, key
 
 
-def test_a_pendulum_about_the_origin_of_its_frame():
+def test_pendulum_about_its_frame_origin_has_the_closed_form():
     """Plate on a revolute joint at its frame's origin, centre of mass 0.4 m away: q'' = -k sin q."""
     com, moment = np.array([0.24, 0.0, -0.32]), 0.05
     scene = Scene(
@@ -287,7 +287,7 @@ def test_a_pendulum_about_the_origin_of_its_frame():
     assert np.abs(simulation.sample().positions["plate"]).max() <= 1e-13
 
 
-def test_a_free_body_turns_about_its_centre_of_mass():
+def test_a_free_body_rotates_about_its_centre_of_mass():
     scene = Scene(
         name="f",
         gravity=(0, 0, 0),

@@ -15,7 +15,7 @@ NAMES = ("sinc", "versinc", "cubic", "versinc slope", "cubic slope", "b", "u")
 
 
 def computed(x):
-    """All seven coefficients of the kernels."""
+    """The seven coefficients as the kernels compute them."""
     return (
         *coefficients.exp_coefficients(x),
         *coefficients.dexp_slopes(x),
@@ -24,7 +24,7 @@ def computed(x):
 
 
 def exact(x):
-    """All seven from their closed forms. They lose 4 lg(1/t) digits: 60 are enough for t > 1e-8.
+    """The seven closed forms. They lose 4 lg(1/t) digits: 60 digits suffice for t > 1e-8.
 
     t^2 is taken as the kernel gets it, so that no error of the argument enters.
     """
@@ -48,7 +48,7 @@ def exact(x):
 
 
 def errors(t_values):
-    """Per angle the seven absolute errors and the seven exact values."""
+    """For each angle, the seven absolute errors and the seven exact values."""
     absolute, values = [], []
     for t in t_values:
         x = float(t * t)
@@ -59,7 +59,7 @@ def errors(t_values):
 
 
 def grid(low, high, n):
-    """n angles, and the last doubles before and the first after every switch between them."""
+    """n angles, and the last double before and first after every switch between formulas."""
     switches = [math.sqrt(coefficients.EXP_SERIES_BELOW)]
     switches += [2.0**k * math.sqrt(coefficients.DEXPINV_SERIES_BELOW) for k in range(3)]
     sides = [math.nextafter(s, to) for s in switches for to in (0.0, 9.0)] + switches
@@ -91,7 +91,7 @@ def factorial(n):
         ),
     ],
 )
-def test_series_are_the_exact_rationals_rounded_and_long_enough(table, term):
+def test_series_coefficients_are_rounded_rationals_and_the_truncation_suffices(table, term):
     series = getattr(coefficients, table)
     assert series == tuple(float(term(k)) for k in range(12))
 
@@ -147,7 +147,7 @@ def test_accuracy_of_dexpinv_coefficients():
 
 
 @pytest.mark.parametrize("k", [1, 2, 3])
-def test_dexpinv_coefficients_near_their_poles(k):
+def test_accuracy_of_dexpinv_coefficients_near_their_poles(k):
     # Doubles around (2 pi k)^2: one of them may be taken for the pole itself and give NaN, the
     # others are large: b = -1/(t d) at the distance d = t/2 * 2^-52 * n of the n-th neighbour.
     x = float((2 * mp.pi * k) ** 2)
@@ -159,11 +159,11 @@ def test_dexpinv_coefficients_near_their_poles(k):
     assert pole <= 2
 
 
-def test_no_exception_and_no_nan_for_any_finite_angle_off_the_poles():
+def test_finite_angles_off_the_poles_give_finite_coefficients():
     for x in np.geomspace(1e-300, 1.7e308, 2000):
         assert all(map(math.isfinite, computed(float(x))))
 
 
 @pytest.mark.parametrize("x", [math.inf, math.nan])
-def test_angles_that_are_not_finite_give_nan(x):
+def test_non_finite_angles_give_nan(x):
     assert all(map(math.isnan, computed(x)))

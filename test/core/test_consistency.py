@@ -54,7 +54,7 @@ def two_bodies(rng, kind="revolute", **joint):
     return C_a, C_b, F_b, Scene(name="s", gravity=(0, 0, 0), bodies=bodies, joints=joints)
 
 
-def test_a_frame_left_out_is_where_the_other_one_is():
+def test_an_omitted_joint_frame_coincides_with_the_other_one():
     rng = np.random.default_rng(4)
     for _ in range(10):
         C_a, C_b, F, scene = two_bodies(rng)
@@ -67,7 +67,7 @@ def test_a_frame_left_out_is_where_the_other_one_is():
         check_consistency(scene)
 
 
-def test_frames_that_are_given_are_taken_as_they_are():
+def test_joint_frames_in_the_scene_are_used_unchanged():
     [(F_a, F_b)] = resolve_frames(load_scene("heavy_top"))
     np.testing.assert_array_equal(F_a, np.eye(4))
     np.testing.assert_array_equal(F_b[:3, 3], [-0.5, 0, 0])
@@ -104,7 +104,7 @@ def pinned(offset=(0, 0, 0), kind="spherical", at=(0, 0, 0), **frame):
     "gap, at, closes",
     [(1e-10, 0.0, True), (3e-9, 0.0, False), (1e-4, 1e6, True), (3e-3, 1e6, False)],
 )
-def test_a_gap_counts_relative_to_the_numbers(gap, at, closes):
+def test_the_accepted_gap_is_relative_to_the_coordinates(gap, at, closes):
     scene = pinned(offset=(0, gap, 0), at=(at, 0, 0))
     if closes:
         check_consistency(scene)
@@ -113,7 +113,7 @@ def test_a_gap_counts_relative_to_the_numbers(gap, at, closes):
             check_consistency(scene)
 
 
-def test_an_open_joint_is_named_with_gap_and_tilt():
+def test_a_violated_joint_is_refused_with_gap_and_tilt():
     with pytest.raises(SceneError) as caught:
         check_consistency(pinned(offset=(3, 0, 4), kind="revolute", axis=(1, 0, 0)))
     assert str(caught.value).startswith(
@@ -124,7 +124,7 @@ def test_an_open_joint_is_named_with_gap_and_tilt():
         check_consistency(pinned(kind="revolute", axis=(0, 0, -1)))
 
 
-def test_a_pair_may_start_turned_the_way_it_turns():
+def test_a_pair_may_start_displaced_along_its_free_direction():
     check_consistency(pinned(kind="revolute", rotation_vector=(0, 0, 2.0)))
     check_consistency(pinned(kind="spherical", rotation_vector=(1, -1, 2.0)))
     check_consistency(pinned(kind="planar", offset=(3, 4, 0), rotation_vector=(0, 0, 2.0)))
@@ -158,7 +158,7 @@ def rod(length=None, reach=(3, 0, 4), at=(0, 0, 0)):
     )
 
 
-def test_a_distance_left_out_is_the_one_at_the_start():
+def test_an_omitted_distance_is_the_initial_distance():
     [[element]] = resolve_elements(rod())
     assert element.parameter == 5.0
     check_consistency(rod())
@@ -182,7 +182,7 @@ def test_a_distance_left_out_is_the_one_at_the_start():
         ((1e-4, 0, 0), None, 1e6),
     ],
 )
-def test_a_rod_without_length_is_refused(reach, length, at):
+def test_a_distance_joint_of_zero_length_is_refused(reach, length, at):
     """A distance below the round-off of the positions has no direction."""
     with pytest.raises(
         SceneError, match="the two points coincide, .*; use a spherical joint"
@@ -191,7 +191,7 @@ def test_a_rod_without_length_is_refused(reach, length, at):
     assert caught.value.place == ("joints", 0)
 
 
-def test_of_several_open_joints_the_first_is_named():
+def test_of_several_violated_joints_the_first_is_named():
     scene = pinned(offset=(1, 0, 0))
     again = scene.joints[0].model_copy(update={"name": "k"})
     with pytest.raises(SceneError, match=r'^joints\[0\] "j": .* \(and 1 more\)$'):
@@ -276,19 +276,19 @@ def moving(rng, kind, error=0.0, turn=np.zeros(3)):
 
 
 def described(pose):
-    """A frame from its pose."""
+    """Frame description of a pose (4, 4)."""
     return Frame(position=pose[:3, 3], quaternion=Rotation.from_matrix(pose[:3, :3]).as_quat())
 
 
 @pytest.mark.parametrize("kind", mechanisms.KINDS)
-def test_velocities_that_the_joints_allow_are_consistent(kind):
+def test_velocities_allowed_by_the_joints_are_accepted(kind):
     rng = np.random.default_rng(5)
     for _ in range(10):
         check_consistency(moving(rng, kind))
 
 
 @pytest.mark.parametrize("kind", mechanisms.KINDS)
-def test_a_velocity_against_a_joint_is_named_with_its_size(kind):
+def test_a_velocity_against_a_joint_is_refused_with_its_size(kind):
     rng = np.random.default_rng(6)
     for _ in range(10):
         error = 1e-6 * rng.uniform(0.1, 10)
@@ -300,7 +300,7 @@ def test_a_velocity_against_a_joint_is_named_with_its_size(kind):
         assert caught.value.place == ("joints", 1)
 
 
-def test_a_turn_against_a_hinge_is_named():
+def test_an_angular_velocity_against_a_revolute_joint_is_refused():
     """Revolute joint at the centre of mass: no linear violation; rotation about z is free."""
     scene = pinned(kind="revolute")
     turning = scene.bodies[0].model_copy(update={"angular_velocity": (0.1, 0.0, 5.0)})
@@ -310,7 +310,7 @@ def test_a_turn_against_a_hinge_is_named():
 
 
 @pytest.mark.parametrize("kind", mechanisms.KINDS)
-def test_the_velocities_the_message_gives_are_consistent(kind):
+def test_the_velocities_suggested_by_the_error_are_consistent(kind):
     rng = np.random.default_rng(7)
     for _ in range(10):
         scene = moving(rng, kind, rng.normal(), rng.normal(size=3))
@@ -329,7 +329,7 @@ def test_the_velocities_the_message_gives_are_consistent(kind):
         check_consistency(scene.model_copy(update={"bodies": [scene.bodies[0], mended]}))
 
 
-def test_the_heavy_top_at_rest_at_its_centre_is_refused_with_the_right_velocity():
+def test_the_heavy_top_with_zero_centre_velocity_gets_the_right_suggestion():
     """0.5 rad/s about z, 0.5 m from the pivot."""
     text = load_scene("heavy_top").text
     wrong = text.replace("linear_velocity: [0.0, 0.25, 0.0]", "linear_velocity: [0.0, 0.0, 0.0]")
@@ -344,7 +344,7 @@ def test_the_heavy_top_at_rest_at_its_centre_is_refused_with_the_right_velocity(
     )
 
 
-def test_extreme_numbers_are_judged_without_a_warning(recwarn):
+def test_extreme_numbers_are_checked_without_floating_point_warnings(recwarn):
     check_consistency(pinned(offset=(1e-300, 0, 0), at=(0, -1e-300, 0)))
     with pytest.raises(SceneError, match=r"is violated .* gap 1e\+100 m"):
         check_consistency(pinned(offset=(1e100, 0, 0), at=(0, -1e100, 0)))

@@ -36,7 +36,7 @@ def test_heavy_top():
     assert len(facts["kept_momentum"]) == 1 and facts["methods"] == list(METHODS)
 
 
-def test_a_loop_says_which_row_is_left_out():
+def test_a_loop_names_its_redundant_constraint_row():
     """Four-bar with three revolute joints and a spherical one: 18 rows of rank 17."""
     facts = describe(make_layout(four_bar()))
     assert (facts["rows"], facts["solved_rows"], facts["degrees_of_freedom"]) == (18, 17, 1)
@@ -46,7 +46,7 @@ def test_a_loop_says_which_row_is_left_out():
     assert "rkmk4" in facts["methods"] and "stoermer_verlet" not in facts["methods"]
 
 
-def test_every_kind_of_joint_has_its_rows_and_no_momentum_is_looked_for():
+def test_row_counts_of_all_joint_kinds_without_conserved_momentum():
     layout = make_layout(mechanisms.named("every kind"))
     facts = describe(layout)
     rows = {joint["type"]: joint["rows"] for joint in facts["joints"]}
@@ -56,8 +56,8 @@ def test_every_kind_of_joint_has_its_rows_and_no_momentum_is_looked_for():
 
 
 @pytest.mark.parametrize("name", ["net", "every kind", "chain of hinges"])
-def test_structure_of_the_solve_is_that_of_the_matrix(name):
-    """Blocks without fill are those that `assemble` writes; a chain has no fill."""
+def test_block_counts_equal_those_of_the_assembled_matrix(name):
+    """Blocks before fill-in are those that `assemble` writes; a chain has no fill-in."""
     layout = make_layout(mechanisms.named(name))
     model = layout.model
     found = solve_structure(model)
@@ -77,7 +77,7 @@ def test_structure_of_the_solve_is_that_of_the_matrix(name):
         assert found["fill"] == 0
 
 
-def test_operations_of_a_dense_factor():
+def test_operation_count_is_that_of_a_dense_factorisation():
     """Body and spherical joint with changing blocks: about those of a dense Cholesky of size 9."""
     *_, ranges, columns, updates = block_layout(np.array([6, 3]), [[1], []], [(0, 0)])
     vertices = np.array([(0, k, 0, *each) for k, each in zip((6, 3), ranges)], dtype=VERTEX)
@@ -87,6 +87,6 @@ def test_operations_of_a_dense_factor():
 
 # Twice M^-1 of 18; and for the ball two triangles of 9, and the 3 x 6 below the body twice.
 @pytest.mark.parametrize("name, flops", [("free_body", 36), ("heavy_top", 36 + 18 + 2 * 36)])
-def test_nothing_to_factorise_where_no_pose_changes_K(name, flops):
+def test_a_constant_K_is_not_factorised_in_each_step(name, flops):
     found = solve_structure(make_layout(load_scene(name)).model)
     assert found["constant"] and found["factor_flops"] == 0 and found["solve_flops"] == flops

@@ -25,7 +25,7 @@ def engine_accelerations(simulation):
 
 @pytest.mark.parametrize("name", mechanisms.MECHANISMS)
 @pytest.mark.parametrize("seed", range(3))
-def test_accelerations_are_those_of_the_dense_saddle_point(name, seed):
+def test_accelerations_agree_with_the_dense_saddle_point(name, seed):
     """Jacobian and Jdot V by differences of the position residual, gravity, springs and dampers.
 
     Central differences of step 1e-6 leave 1e-10 in J, the five-point second difference of step
@@ -84,7 +84,9 @@ def distance_to_dense(simulation):
 
 @pytest.mark.parametrize("bodies_first", [False, True])
 @pytest.mark.parametrize("seed", range(4))
-def test_both_ways_through_a_tree(monkeypatch, bodies_first, seed):
+def test_both_elimination_orders_of_a_tree_agree_with_the_dense_solve(
+    monkeypatch, bodies_first, seed
+):
     """Against the dense K of the same rows, bodies of 1 to 900 kg.
 
     Bodies first lose the digits of that ratio, 900 times some ten roundings: 1e-12; leaves first
@@ -115,7 +117,7 @@ def test_both_ways_through_a_tree(monkeypatch, bodies_first, seed):
 
 @pytest.mark.parametrize("thin", [1e-2, 1e-4, 1e-6])
 @pytest.mark.parametrize("seed", range(4))
-def test_no_digits_are_lost_to_levers_across_thin_bodies(thin, seed):
+def test_iterative_refinement_keeps_the_accuracy_for_thin_bodies(thin, seed):
     """Bodies with one small moment of inertia: a refinement recovers the digits that elimination loses.
 
     Without refinement it loses the digits of the ratio of m p^2 to the inertia, five for 1e-4; up
@@ -138,7 +140,7 @@ def test_no_digits_are_lost_to_levers_across_thin_bodies(thin, seed):
 
 @pytest.mark.parametrize("radius", [0.02, 1e-3, 1e-4, 1e-5])
 @pytest.mark.parametrize("turn", [(0.0, 0.0, 0.785), (0.3, 0.5, 0.785)])
-def test_no_digits_are_lost_to_slender_rods_on_hinges(radius, turn):
+def test_iterative_refinement_keeps_the_accuracy_for_slender_rods(radius, turn):
     """Rows that mix rotations about a rod's axis with others: elimination loses 1e-11 to 1e-4.
 
     1e-13: the dense solve itself is accurate to about 1e-14 here.
@@ -165,7 +167,7 @@ def test_no_digits_are_lost_to_slender_rods_on_hinges(radius, turn):
     assert distance_to_dense(Simulation(scene, space="space")) <= 1e-13
 
 
-def test_a_joint_does_not_care_which_side_is_called_parent():
+def test_accelerations_do_not_depend_on_parent_and_child_order():
     scene = mechanisms.named("net")
     turned = [
         joint.model_copy(
@@ -198,7 +200,7 @@ def saddle_graph(joints, bodies):
     return [6] * bodies + [3] * len(joints), neighbours
 
 
-def test_a_chain_has_no_fill_and_is_eliminated_from_its_tip():
+def test_a_chain_is_eliminated_from_its_tip_without_fill_in():
     n = 200
     sizes, neighbours = saddle_graph([(0,)] + [(i - 1, i) for i in range(1, n)], n)
     order, below = elimination_order(sizes, neighbours, n)
@@ -206,7 +208,7 @@ def test_a_chain_has_no_fill_and_is_eliminated_from_its_tip():
     assert order == [v for i in reversed(range(n)) for v in (i, n + i)]
 
 
-def test_a_tree_has_no_fill():
+def test_a_tree_has_no_fill_in():
     n = 100
     rng = np.random.default_rng(5)
     sizes, neighbours = saddle_graph([(0,)] + [(rng.integers(i), i) for i in range(1, n)], n)
@@ -214,7 +216,7 @@ def test_a_tree_has_no_fill():
     assert sorted(order) == list(range(2 * n)) and sum(map(len, below)) == 2 * n - 1
 
 
-def test_in_a_ring_a_joint_waits_for_its_bodies():
+def test_in_a_ring_joints_are_eliminated_after_their_bodies():
     n = 30
     sizes, neighbours = saddle_graph([(i, (i + 1) % n) for i in range(n)], n)
     order, below = elimination_order(sizes, neighbours, n)
@@ -229,7 +231,7 @@ def test_in_a_ring_a_joint_waits_for_its_bodies():
     assert ends == (0, 0, size, size + 6)
 
 
-def test_bodies_first_leave_the_joints_of_a_body_coupled():
+def test_eliminating_bodies_first_couples_the_joints_of_a_body():
     n = 200
     sizes, neighbours = saddle_graph([(0,)] + [(i - 1, i) for i in range(1, n)], n)
     order, below = elimination_order(sizes, neighbours, n, bodies_first=True)
@@ -238,7 +240,7 @@ def test_bodies_first_leave_the_joints_of_a_body_coupled():
     assert sum(map(len, below)) == (2 * n - 1) + (n - 1)
 
 
-def test_what_depends_on_a_pose_changes_and_nothing_else():
+def test_only_pose_dependent_blocks_are_marked_variable():
     """Body on two joints, 6 + 3 + 3: the block of the second joint changes."""
     place, (summed, fresh, size, end), ranges, columns, updates = block_layout(
         np.array([6, 3, 3]), [[1, 2], [2], []], [(2, 0)]
@@ -257,14 +259,14 @@ def test_what_depends_on_a_pose_changes_and_nothing_else():
 
 
 @pytest.mark.parametrize("name", mechanisms.MECHANISMS)
-def test_what_is_written_anew_has_no_constant_part(name):
+def test_rewritten_blocks_have_no_constant_part(name):
     """`assemble` overwrites these blocks of J, so elimination must not have added to them."""
     model = Simulation(mechanisms.named(name)).layout.model
     assert not model.matrix[model.summed : model.fresh].any()
 
 
 @pytest.mark.parametrize("name", mechanisms.MECHANISMS)
-def test_power_balance(name):
+def test_energy_rate_equals_the_power_of_the_dampers(name):
     """dE/dt from the accelerations equals the power of the dampers.
 
     One step of 1e-6 s: E is smooth, so (E(h) - E(0)) / h = Edot + O(h), with E'' below 1e5 W/s.

@@ -57,7 +57,7 @@ def lighter(scene, method, step, **settings):
 
 @pytest.mark.parametrize("mutant", [slow, lighter])
 @pytest.mark.parametrize("amplitude", [1e-250, 1e-2])
-def test_plausible_wrong_answers_are_silent(mutant, amplitude):
+def test_plausible_wrong_answers_get_the_verdict_silent(mutant, amplitude):
     problem = problems.angle(amplitude)
     assert verdict(problem, "rkmk4")["verdict"] == ACCURATE
     found = verdict(problem, "rkmk4", mutant)
@@ -67,18 +67,19 @@ def test_plausible_wrong_answers_are_silent(mutant, amplitude):
 @pytest.mark.parametrize(
     "method", ["constrained_rattle", "constrained_rattle4", "constrained_rattle8"]
 )
-def test_squares_that_have_no_digits(method):
+def test_angles_whose_squares_underflow(method):
     """Squares of angles around 1e-160 rad are subnormal or zero."""
     errors = []
     for amplitude in (1e-4, 1e-155, 1e-158, 1e-160, 1e-161, 1e-162, 1e-165):
         problem = problems.angle(amplitude, part=1.0)
         truth = problem.motion(problem.samples() * problem.step)
         errors.append(run_cell(problem, truth, method)["error"])
-    # One linear problem: rounding alone differs, and the 1e-9 of the natural one's sines.
+    # The problem is linear, so relative errors agree up to round-off, except for the nonlinearity
+    # of sin at the largest amplitude: 1e-9.
     assert errors == pytest.approx([errors[0]] * len(errors), rel=1e-6)
 
 
-def test_the_other_verdicts():
+def test_flagged_refused_stopped_and_unjudged_verdicts():
     assert verdict(problems.step_free(0.25), "rkmk8")["verdict"] == ACCURATE
     assert verdict(problems.step_free(1.0), "rkmk2")["verdict"] == FLAGGED
     refused = verdict(problems.step_free(8.0), "rkmk4")
@@ -90,7 +91,7 @@ def test_the_other_verdicts():
     assert verdict(problems.step_free(0.25), "rkmk8", uncertainty=0.1)["verdict"] == UNJUDGED
 
 
-def test_a_loss_of_accuracy_along_a_scale_is_wrong():
+def test_an_error_far_above_that_of_scale_one_is_wrong():
     """1 % is correct if nothing better is expected, and wrong if the scale 1 has 1e-6."""
     cells = [
         {
@@ -107,7 +108,7 @@ def test_a_loss_of_accuracy_along_a_scale_is_wrong():
     assert [cell["verdict"] for cell in cells] == [ACCURATE, ACCURATE, SILENT]
 
 
-def test_sizes_are_those_of_the_motion():
+def test_errors_are_relative_to_the_size_of_the_motion():
     """Angles of 1e-300 are distinguished, and so are rotations of nearly pi."""
     about = problems.motions.about
     R = about(1, np.array([0.0, 1e-300]))[:, None]
@@ -120,8 +121,8 @@ def test_sizes_are_those_of_the_motion():
     assert angle == pytest.approx(2.5, rel=1e-15)
 
 
-def test_truths_agree_with_the_independent_integration():
-    """Closed forms and equations in one angle against DOP853 on all coordinates."""
+def test_reference_solutions_agree_with_the_independent_integration():
+    """Closed forms and one-angle equations against DOP853 in maximal coordinates."""
     for problem in (
         problems.step_bars(5e-3),
         problems.mass_chain(3.0),
@@ -140,19 +141,19 @@ def test_truths_agree_with_the_independent_integration():
 
 
 @pytest.mark.slow
-def test_no_answer_of_the_quick_map_is_silently_wrong():
+def test_the_quick_map_has_no_undetected_error():
     cells = []
     for columns, _, found, _ in survey(axes_of(), quick=True, methods=METHODS, workers=1):
         cells += found
     assert silent(cells) == []
     found = counts(cells)
     assert columns == sum(len(axis.quick) for axis in AXES)
-    # Each of these is met, or the map shows nothing.
+    # Every verdict must occur; otherwise the map demonstrates nothing.
     assert all(found[name] > 5 for name in (ACCURATE, FLAGGED, REFUSED)) and found[STOPPED] > 0
 
 
 @pytest.mark.slow
-def test_what_was_run_is_not_run_again(tmp_path, monkeypatch):
+def test_an_interrupted_map_resumes_from_the_cache(tmp_path, monkeypatch):
     """An interrupted map continues with the same cells and the same verdicts."""
     axes = [axis for axis in AXES if axis.name in ("angle", "step_free")]
     methods = ("rkmk4", "rattle")
@@ -171,7 +172,7 @@ def test_what_was_run_is_not_run_again(tmp_path, monkeypatch):
     ended.close()
     (file,) = tmp_path.rglob("*.jsonl")
     with open(file, "a", encoding="utf-8") as stream:
-        stream.write('\n{"axis": "angle", "val')  # a process killed while it wrote
+        stream.write('\n{"axis": "angle", "val')  # as left by a process killed while writing
     made = []
     monkeypatch.setattr(extremes, "column", lambda item: made.append(item) or column(item))
     assert whole(extremes.Kept.of(root=tmp_path), methods) == alone
@@ -182,7 +183,7 @@ def test_what_was_run_is_not_run_again(tmp_path, monkeypatch):
     assert made
 
 
-def test_a_scene_that_cannot_be_made_is_refused_by_the_methods_that_are_for_it():
+def test_an_unbuildable_scene_is_refused_by_all_applicable_methods():
     def far(distance):
         """Four-bar with its last joint at the given distance in m."""
         made = problems.length_bars(1.0)
@@ -196,7 +197,7 @@ def test_a_scene_that_cannot_be_made_is_refused_by_the_methods_that_are_for_it()
     assert "cannot be assembled" in cells[0]["says"][0]
 
 
-def test_a_scene_of_the_user():
+def test_a_user_scene_is_mapped():
     axes = axes_of("free_body", horizon=1.0)
     assert [axis.name for axis in axes] == ["step", "speed"]
     assert all(step <= 1.0 for step in axes[0].values)

@@ -33,7 +33,7 @@ def scene_with(force):
     return scene_from_text(HEAD + f"  - {{name: it, {force}}}\n", source="x.yaml")
 
 
-def test_every_number_arrives_in_the_model():
+def test_every_number_of_a_force_reaches_the_model():
     def row(force):
         scene = scene_with(force)
         again = scene_from_text(scene.model_copy(update={}).text)
@@ -105,7 +105,7 @@ def test_every_number_arrives_in_the_model():
         (PUSH.replace("[1, 2, 3]", "[1, 2]"), "force must have 3 numbers [x, y, z], got [1, 2]"),
     ],
 )
-def test_a_mistake_is_one_line(force, message):
+def test_a_wrong_force_is_refused_in_one_line(force, message):
     with pytest.raises(SceneError) as caught:
         scene_with(force)
     text = str(caught.value)
@@ -114,7 +114,7 @@ def test_a_mistake_is_one_line(force, message):
     assert head == "x.yaml:10: " and rest.startswith(message), text
 
 
-def test_a_joint_force_without_joints():
+def test_a_joint_force_in_a_scene_without_joints_is_refused():
     text = HEAD[: HEAD.index("joints:")] + f"forces:\n  - {{name: it, {MOTOR}}}\n"
     with pytest.raises(SceneError, match="joint 'hinge' is not a joint; the scene has no joints"):
         scene_from_text(text)

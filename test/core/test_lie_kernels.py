@@ -116,7 +116,7 @@ def test_quaternion_zero_is_refused_and_gives_nan_in_a_kernel():
 
 
 @pytest.mark.parametrize("size", [5e-324, 1e-310, 1e-300, 1e-160, 1e-154])
-def test_tiny_rotations_keep_every_digit(size):
+def test_tiny_rotations_keep_full_relative_accuracy(size):
     xi = (size, -2.0 * size, 3.0 * size)
     # All digits there are: the factor 1/4 in log costs subnormal numbers their last ones.
     back = so3.so3_log(so3.so3_exp(xi))
@@ -138,7 +138,7 @@ def test_pure_translation_is_exact():
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e200])
-def test_what_is_not_finite_stays_so_and_nothing_raises(bad):
+def test_non_finite_input_gives_non_finite_output_without_raising(bad):
     xi, ok = (0.1, bad, 0.2), (1.0, 2.0, 3.0)
     results = [
         so3.so3_exp(xi),
@@ -156,7 +156,7 @@ def test_what_is_not_finite_stays_so_and_nothing_raises(bad):
 
 
 @pytest.mark.parametrize("k", [1, 2, 3])
-def test_full_turns_are_harmless_but_for_dexpinv(k):
+def test_full_turns_are_regular_except_for_dexpinv(k):
     xi = (0.0, 2.0 * math.pi * k, 0.0)
     ok = (1.0, 2.0, 3.0)
     # exp(2 pi k) = I; the angle is known to 2^-53 of itself, its square to 2 of that.
@@ -185,7 +185,7 @@ json.dump(bits, sys.stdout)
 
 @pytest.mark.slow
 @pytest.mark.skipif(not compiled(), reason="compares machine code with plain Python")
-def test_plain_python_gives_the_same_bits():
+def test_plain_python_and_compiled_kernels_are_bit_identical():
     def run(disable):
         environment = {**os.environ, "NUMBA_DISABLE_JIT": disable, "PYTHONPATH": str(ROOT)}
         done = subprocess.run(

@@ -6,9 +6,10 @@ import pytest
 from liegroup_core import Simulation, load_scene
 from liegroup_core.integrators.methods import METHODS
 
-# A wrench begins before the state is saved and goes on: who restarts at changes must not there.
+# A wrench starts before the state is saved and continues. Methods that restart when a wrench
+# changes must not restart at SAVED.
 SAVED, END = 23, 60
-# Tolerances that substeps are needed for, else their size would be that of a step all the time.
+# Tolerances tight enough to need substeps; otherwise the substep size would always be the step.
 FINE = {"step": 1e-2, "rtol": 1e-12, "atol": 1e-12}
 OPTIONS = {name: FINE for name, method in METHODS.items() if method.controlled}
 
@@ -32,17 +33,17 @@ def bits(simulation):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_run_goes_on_to_the_bit_from_a_saved_state(method):
+def test_a_run_continued_from_a_saved_state_is_bit_identical(method):
     scene = "free_body" if METHODS[method].family == "rotation" else "four_bar"
     saved = run(scene, method, SAVED)
     state = (*saved.state(), SAVED, saved.sample().angles)
     expected = bits(run(scene, method, END))
     assert bits(run(scene, method, END, (*state, saved.memory()))) == expected
-    if saved.memory():  # else what is saved beside the state is nothing
+    if saved.memory():  # without it, the continued run must differ
         assert bits(run(scene, method, END, state)) != expected
 
 
-def test_the_memory_of_another_method_is_refused():
+def test_method_memory_of_the_wrong_size_is_refused():
     simulation = run("four_bar", "rkmk54", SAVED)
     with pytest.raises(ValueError, match="expected 32 bytes of method memory, got 3"):
         simulation.set_state(*simulation.state(), memory=b"abc")

@@ -9,7 +9,7 @@ import pytest
 
 from liegroup_core.pacing import CATCH_UP, WATCH, LatenessHistogram, Pacer
 
-GLANCE = 1e-6  # s for a look at the clock: the most a watched tick can be late
+GLANCE = 1e-6  # s per clock reading: largest lateness of a tick that is busy-waited for
 
 
 class Clock:
@@ -37,7 +37,7 @@ def make(factor=1.0, **options):
 
 
 def run(pacer, clock, ticks, period=0.01, first=1, work=0.0):
-    """Wall times of the ticks."""
+    """Wall times of the ticks, s."""
     times = []
     for i in range(first, first + ticks):
         assert pacer.wait(i * period)
@@ -52,14 +52,14 @@ def test_ticks_keep_to_absolute_deadlines(factor):
     pacer.start(0.0)
     start = clock.now
     times = run(pacer, clock, 10000, work=1e-4)
-    # A watched deadline is passed by less than one look at the clock, also after 10000 ticks:
-    # nothing adds up. Rounding: 1000 s has a spacing of 1.1e-13 s.
+    # A busy-waited deadline is missed by less than one clock reading, also after 10000 ticks:
+    # errors do not accumulate. Round-off: doubles near 1000 s have a spacing of 1.1e-13 s.
     late = times - start - np.arange(1, 10001) * 0.01 / factor
     assert late.min() > -1e-12 and late.max() < GLANCE + 1e-9
     assert (pacer.ticks, pacer.overruns, pacer.reanchored) == (10000, 0, 0)
 
 
-def test_oversleeping_is_lateness_and_does_not_add_up():
+def test_oversleeping_counts_as_lateness_and_does_not_accumulate():
     # The operating system wakes later than the clock is watched: late by the difference.
     pacer, clock = make(oversleep=WATCH + 1e-3)
     pacer.start(0.0)
@@ -71,7 +71,7 @@ def test_oversleeping_is_lateness_and_does_not_add_up():
     assert pacer.overruns == 0
 
 
-def test_short_delay_is_caught_up_with_and_counted():
+def test_a_short_delay_is_caught_up_and_counted():
     pacer, clock = make()
     pacer.start(0.0)
     start = clock.now
@@ -83,7 +83,7 @@ def test_short_delay_is_caught_up_with_and_counted():
     assert (pacer.overruns, pacer.reanchored) == (5, 0)
 
 
-def test_long_delay_is_not_caught_up_with():
+def test_a_long_delay_reanchors_the_deadlines():
     pacer, clock = make()
     pacer.start(0.0)
     run(pacer, clock, 10)
@@ -94,7 +94,7 @@ def test_long_delay_is_not_caught_up_with():
     assert (pacer.overruns, pacer.reanchored) == (1, 1)
 
 
-def test_machine_that_is_too_slow_runs_at_its_own_rate():
+def test_a_machine_that_is_too_slow_runs_at_its_own_rate():
     pacer, clock = make()
     pacer.start(0.0)
     times = run(pacer, clock, 2000, work=0.02)
@@ -157,7 +157,7 @@ def test_wait_ends_early_on_request():
     assert clock.now - start == pytest.approx(0.01, abs=2 * GLANCE)
 
 
-def test_recent_factor_covers_the_last_stretch_only():
+def test_the_recent_real_time_factor_covers_only_the_last_interval():
     pacer, clock = make()
     pacer.start(0.0)
     run(pacer, clock, 100)
@@ -168,7 +168,7 @@ def test_recent_factor_covers_the_last_stretch_only():
     assert pacer.recent_factor() == pytest.approx(1.0 / (0.01 + 99 * 0.04), rel=0.01)  # no tick
 
 
-def test_histogram_quantiles_are_bounded_and_memory_is_flat():
+def test_histogram_quantile_error_is_bounded_and_memory_constant():
     histogram = LatenessHistogram()
     size = len(histogram._counts)
     values = 10.0 ** np.random.default_rng(3).uniform(-6.9, 1.9, 20000)
@@ -182,7 +182,7 @@ def test_histogram_quantiles_are_bounded_and_memory_is_flat():
     assert histogram.largest == values.max()
 
 
-def test_histogram_takes_any_value():
+def test_histogram_accepts_any_value():
     histogram = LatenessHistogram()
     assert histogram.microseconds() == {"p50": 0.0, "p99": 0.0, "max": 0.0}
     for value in (0.0, 1e-9, 1e9):
@@ -191,7 +191,7 @@ def test_histogram_takes_any_value():
     assert histogram.microseconds()["max"] == 1e15
 
 
-def test_report_is_json_and_names_what_a_recording_needs():
+def test_the_report_is_json_with_the_fields_of_a_recording():
     pacer, clock = make()
     pacer.start(0.0)
     run(pacer, clock, 10)
@@ -207,7 +207,7 @@ def test_report_is_json_and_names_what_a_recording_needs():
     }
 
 
-def test_real_clock_is_never_early():
+def test_ticks_are_never_early_on_the_real_clock():
     # No bound on the lateness: the machine is shared.
     pacer = Pacer()
     pacer.start(0.0)

@@ -146,7 +146,7 @@ def mechanism(name, normal, seed=0):
 
 
 def both(scene, steps=200, step=1e-3, push=(0.3, -0.2, 0.4, 5.0, -4.0, 3.0), **settings):
-    """The same run in the plane and in space."""
+    """(simulation in the plane, simulation in space) after the same run."""
     runs = []
     for space in ("auto", "space"):
         simulation = Simulation(scene, step=step, space=space, **settings)
@@ -158,7 +158,7 @@ def both(scene, steps=200, step=1e-3, push=(0.3, -0.2, 0.4, 5.0, -4.0, 3.0), **s
 
 
 def difference(first, second):
-    """Largest difference of two simulations' poses and twists, relative to sizes above 1."""
+    """Largest difference of poses and twists, relative to magnitudes above 1."""
     return max(
         np.abs(a - b).max() / max(1.0, np.abs(b).max())
         for a, b in zip(first.state(), second.state())
@@ -169,7 +169,7 @@ def difference(first, second):
 @pytest.mark.parametrize("normal", NORMALS)
 @pytest.mark.parametrize("name", [*TREES, *LOOPS])
 def test_the_motion_is_that_in_space(name, normal, group):
-    """Rounding of 1e-16 in an acceleration of 1e3 m/s^2 and rows of condition 1e2, over 0.2 s."""
+    """Tolerance: round-off of 1e-16 at 1e3 m/s^2 and condition number 1e2, over 0.2 s."""
     planar, space = both(mechanism(name, NORMALS[normal]), group=group)
     assert difference(planar, space) <= 1e-11
     assert np.abs(planar.sample().angles - space.sample().angles).max(initial=0.0) <= 1e-11
@@ -187,13 +187,13 @@ def test_the_motion_is_that_in_space(name, normal, group):
         {"stabilisation": "projection"},
     ],
 )
-def test_every_setting_has_its_planar_form(settings):
+def test_every_configuration_has_a_planar_form(settings):
     planar, space = both(mechanism("chain with a loop", 2), **settings)
     assert difference(planar, space) <= 1e-11
     assert planar.substeps == space.substeps
 
 
-def test_masses_that_differ_much_are_left_to_the_saddle_point():
+def test_extreme_mass_ratios_use_the_saddle_point_solve():
     scene = mechanism("tree", 2)
     heavy = scene.bodies[-1].model_copy(
         update={"mass": 1e6, "inertia": tuple(1e6 * value for value in scene.bodies[-1].inertia)}
@@ -202,12 +202,12 @@ def test_masses_that_differ_much_are_left_to_the_saddle_point():
     assert len(plane.links) == 0 and plane.refinements == 1
 
 
-def test_projection_closes_joints_in_the_plane():
+def test_planar_projection_satisfies_the_constraints():
     planar, _ = both(mechanism("chain with a loop", 0), stabilisation="projection", step=5e-3)
     assert planar.sample().constraint_residual <= 1e-14
 
 
-def test_projection_closes_what_is_open_along_the_normal_too():
+def test_projection_removes_gaps_along_the_normal_too():
     simulation = Simulation(mechanism("tree", 1), stabilisation="projection")
     pose, twist = simulation.state()
     pose[-1, 10] += 0.05
@@ -227,7 +227,7 @@ def test_pairs_to_ground_stay_closed_to_round_off(name):
     assert simulation.sample().constraint_residual <= 1e-14 * distance
 
 
-def test_a_run_does_not_depend_on_how_it_is_cut():
+def test_a_planar_run_does_not_depend_on_the_advance_calls():
     """Conversions between plane and space at the ends of calls are bit-identical."""
     scene = mechanism("chain with a loop", 0)
     runs = [
@@ -243,7 +243,7 @@ def test_a_run_does_not_depend_on_how_it_is_cut():
         assert all((a == b).all() for a, b in zip(whole.state(), run.state()))
 
 
-def test_nothing_leaves_the_plane():
+def test_out_of_plane_components_stay_zero():
     simulation = Simulation(mechanism("chain", 2))
     simulation.advance(100)
     sample = simulation.sample()
@@ -255,7 +255,7 @@ def test_nothing_leaves_the_plane():
     ).all()
 
 
-def test_a_state_out_of_the_plane_is_integrated_in_space():
+def test_an_out_of_plane_state_is_integrated_in_space():
     scene = mechanism("hinge", 2)
     runs = [Simulation(scene, space=space) for space in ("auto", "space")]
     pose, twist = runs[0].state()
@@ -269,7 +269,7 @@ def test_a_state_out_of_the_plane_is_integrated_in_space():
 
 
 def hinged(axis, **body):
-    """One body on a hinge, or another joint."""
+    """Scene of one body on a revolute joint about `axis`, or on another joint."""
     keys = {"position": (0.5, 0, 0)} | body
     return Scene(
         name="hinged",
@@ -287,7 +287,7 @@ def hinged(axis, **body):
     )
 
 
-def test_what_is_not_held_in_a_plane_of_axes_is_not_taken_for_it():
+def test_scenes_not_confined_to_a_coordinate_plane_are_integrated_in_space():
     def plane(scene):
         return make_layout(scene).plane
 
@@ -316,13 +316,13 @@ def test_what_is_not_held_in_a_plane_of_axes_is_not_taken_for_it():
 @pytest.mark.parametrize(
     "name", ["double_pendulum", "hinge_chain", "four_bar", "n_four_bar", "andrews_squeezer"]
 )
-def test_planar_scenes_are_found_and_agree(name):
+def test_planar_example_scenes_are_detected_and_agree_with_space(name):
     """Loops drift alike, up to round-off, as long as the drift is small."""
     planar, space = both(load_scene(name), steps=100, step=1e-4, push=np.zeros(6))
     assert difference(planar, space) <= 1e-9
 
 
-def test_redundant_rows_in_the_plane_are_left_out():
+def test_redundant_planar_constraints_are_eliminated():
     """Parallelogram with a third crank: 4 bars of 3 scalars, 12 rows of rank 11, one DOF."""
 
     def bar(name, start, end):
@@ -366,7 +366,7 @@ def test_redundant_rows_in_the_plane_are_left_out():
     assert difference(planar, space) <= 1e-9
 
 
-def test_describe_says_in_which_plane():
+def test_describe_names_the_plane():
     facts = describe(make_layout(load_scene("four_bar")))
     # Three bars of 3 scalars, four hinges of 2 rows.
     assert facts["plane"] == "z" and facts["solve"]["unknowns"] == 3 * 3 + 4 * 2

@@ -23,7 +23,7 @@ def disturbed(simulation, rng, size):
 
 
 def projected(simulation, pose, twist):
-    """(rounds, status, pose, twist) after projection of a state."""
+    """(Newton iterations, status, pose, twist) after projection of a state."""
     pose, twist = pose.copy(), twist.copy()
     rounds, status = project(simulation.layout.model, simulation._work, pose, twist)
     return rounds, status, pose, twist
@@ -31,7 +31,7 @@ def projected(simulation, pose, twist):
 
 @pytest.mark.parametrize("name", mechanisms.MECHANISMS)
 @pytest.mark.parametrize("size, most_rounds", [(1e-9, 1), (1e-5, 2), (1e-2, 4)])
-def test_projection_closes_all_joints_to_rounding(name, size, most_rounds):
+def test_projection_closes_all_joints_to_round_off(name, size, most_rounds):
     """Newton's method squares the error: 1e-9, 1e-18; 1e-2, 1e-4, 1e-8, 1e-16, plus one iteration."""
     simulation = Simulation(mechanisms.named(name))
     model = simulation.layout.model
@@ -47,7 +47,7 @@ def test_projection_closes_all_joints_to_rounding(name, size, most_rounds):
 
 
 @pytest.mark.parametrize("name", mechanisms.MECHANISMS)
-def test_the_change_is_the_least_one(name):
+def test_the_projection_is_the_least_change_in_the_mass_metric(name):
     """M X and M dV are combinations of the rows: the condition of the least-squares solution.
 
     For the displacement up to second order in its size, 1e-5; for the velocity up to the round-off
@@ -73,7 +73,7 @@ def test_the_change_is_the_least_one(name):
 
 
 @pytest.mark.parametrize("name", mechanisms.MECHANISMS)
-def test_a_consistent_state_stays(name):
+def test_a_consistent_state_is_not_changed(name):
     simulation = Simulation(mechanisms.named(name))
     pose, twist = simulation.state()
     rounds, status, new_pose, new_twist = projected(simulation, pose, twist)
@@ -82,7 +82,7 @@ def test_a_consistent_state_stays(name):
 
 
 def momenta(simulation, pose, twist):
-    """Spatial momentum (6,), kinetic energy and centre of mass."""
+    """(spatial momentum (6,), kinetic energy, centre of mass (3,))."""
     sample = simulation.layout.sample(pose, twist)
     mass = np.array([body.mass for body in simulation.scene.bodies])
     M = engine.masses(simulation.scene)
@@ -93,7 +93,7 @@ def momenta(simulation, pose, twist):
     )
 
 
-def test_inner_joints_change_no_momentum():
+def test_projection_of_inner_joints_conserves_momentum():
     simulation = Simulation(mechanisms.named("floating"))
     rng = np.random.default_rng(3)
     pose, _ = simulation.state()
@@ -106,7 +106,7 @@ def test_inner_joints_change_no_momentum():
     assert np.abs(after - before).max() <= 1e-13 and less < energy
 
 
-def test_closing_the_joints_keeps_linear_momentum_energy_and_centre_of_mass():
+def test_position_projection_conserves_linear_momentum_energy_and_centre_of_mass():
     """Energy by Pythagoras: the second part removes exactly the energy of its change."""
     simulation = Simulation(mechanisms.named("floating"))
     M = engine.masses(simulation.scene)
@@ -128,7 +128,7 @@ def test_closing_the_joints_keeps_linear_momentum_energy_and_centre_of_mass():
 
 
 @pytest.mark.parametrize("kind", LOWER_PAIRS)
-def test_at_ground_joints_projection_changes_nothing(kind):
+def test_projection_leaves_ground_joints_on_se3_unchanged(kind):
     """SE(3) satisfies them to machine precision: the runs differ by amplified round-off."""
     scene = mechanisms.named(f"{kind} to ground")
     with_it, without = (
@@ -143,7 +143,7 @@ def test_at_ground_joints_projection_changes_nothing(kind):
 
 @pytest.mark.parametrize("name", ["chain of hinges", "every kind", "net", "floating"])
 @pytest.mark.parametrize("group", ["se3", "so3xr3"])
-def test_projection_keeps_order_and_joints(name, group):
+def test_projection_keeps_order_four_and_satisfies_joints(name, group):
     """Order 4 against a run without projection whose step is so small that drift is negligible."""
     scene = mechanisms.named(name)
     reference = Simulation(scene, step=1e-4)
@@ -161,7 +161,7 @@ def test_projection_keeps_order_and_joints(name, group):
     assert slope == pytest.approx(4.0, abs=0.2), errors
 
 
-def test_what_cannot_be_closed_is_reported():
+def test_a_constraint_without_solution_is_reported():
     """Pendulum of 1 m on a rod that becomes too short: the last valid state is kept."""
     scene = mechanisms.mechanism(
         np.random.default_rng(5), [("world", "a", "spherical")], loops=[("world", "a", "distance")]
@@ -184,7 +184,7 @@ def test_what_cannot_be_closed_is_reported():
 
 @pytest.mark.parametrize("name", ["net", "every kind"])
 @pytest.mark.parametrize("group", ["se3", "so3xr3"])
-def test_errors_die_out_as_baumgarte_says(name, group):
+def test_constraint_errors_die_out_as_baumgarte_predicts(name, group):
     """g = g0 (1 + a t) exp(-a t) for a small residual g0 with zero initial rate."""
     time = 0.02
     simulation = Simulation(
@@ -210,7 +210,7 @@ def test_errors_die_out_as_baumgarte_says(name, group):
     assert np.abs(found).max() <= 0.05 * np.abs(gap).max()  # 6 exp(-5) = 0.040
 
 
-def test_baumgarte_keeps_a_long_run_closed():
+def test_baumgarte_bounds_the_drift_of_a_long_run():
     runs = {}
     for stabilisation in ("none", "baumgarte", "projection"):
         simulation = Simulation(
@@ -241,6 +241,6 @@ def test_baumgarte_keeps_a_long_run_closed():
         ({"stabilisation": "baumgarte", "baumgarte_time": "1"}, "at least one step"),
     ],
 )
-def test_wrong_settings_say_what_would_be_right(setting, text):
+def test_wrong_stabilisation_options_are_refused_with_a_remedy(setting, text):
     with pytest.raises(ValueError, match=text):
         Simulation(mechanisms.named("ball"), **setting)

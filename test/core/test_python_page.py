@@ -12,7 +12,7 @@ from liegroup_core.study.trade import accuracy
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "python.md"
 
 
-def test_all_code_of_the_page(tmp_path, monkeypatch, capsys):
+def test_all_code_blocks_of_the_python_page_run(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("LIEGROUP_CACHE_DIR", str(tmp_path))  # nothing is known there
     monkeypatch.setattr(accuracy, "SHORTLIST", ("rkmk4",))

@@ -68,8 +68,8 @@ def test_a_tree_has_no_loop_joints():
     assert loop_joints([("x", "a"), ("a", "b"), ("b", "c"), ("c", "a")]) == [1, 2, 3]
 
 
-def test_planar_four_bar_drops_the_row_out_of_its_plane():
-    """Three revolute joints and a spherical one: 18 rows of rank 17."""
+def test_the_planar_four_bar_eliminates_its_out_of_plane_row():
+    """Three revolute joints and a spherical joint: 18 rows of rank 17."""
     layout = Simulation(
         parallelogram(1.0, 2.0, ("revolute", "revolute", "spherical", "revolute"))
     ).layout
@@ -77,14 +77,14 @@ def test_planar_four_bar_drops_the_row_out_of_its_plane():
 
 
 @pytest.mark.parametrize("angle", [1.0, 0.0])
-def test_a_singular_start_is_not_taken_for_redundancy(angle):
+def test_a_singular_start_does_not_change_the_redundancy(angle):
     """Four revolute joints: 20 rows of rank 17, also for a flat start, where the rank is 16."""
     layout = Simulation(parallelogram(angle, 2.0)).layout
     assert len(layout.dropped_rows) == 3
     assert {row for _, row in layout.dropped_rows} <= {"wx", "wy", "vz"}
 
 
-def test_coaxial_hinges_are_one():
+def test_coaxial_revolute_joints_are_redundant():
     scene = Scene(
         name="door",
         gravity=(0, 0, -9.81),
@@ -109,8 +109,8 @@ def test_coaxial_hinges_are_one():
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.3])
-def test_a_flat_parallelogram_is_crossed_at_speed(angle):
-    """Without gravity crank and rocker turn at a constant rate: angle + rate t, for 0.6 turns.
+def test_a_moving_parallelogram_passes_its_flat_pose(angle):
+    """Closed form without gravity: crank and rocker at angle + rate t, for 0.6 turns.
 
     The pose is flat, and K singular, after half a turn, from angle 0 at a step exactly. There the
     loop's drift, 1e-9 m at these steps, is divided by the sine of the angle that the nearest stage
@@ -131,7 +131,7 @@ def test_a_flat_parallelogram_is_crossed_at_speed(angle):
 
 
 @pytest.mark.parametrize("rate, step", [(3.0, 1e-4), (0.3, 1e-3)])
-def test_energy_that_leaps_at_a_flat_pose_is_told(rate, step):
+def test_an_energy_jump_at_a_flat_pose_is_reported(rate, step):
     """Half a step from the flat pose RATTLE jumps to another motion that satisfies the joints."""
     simulation = Simulation(parallelogram(0.5, rate), method="constrained_rattle", step=step)
     start = simulation.energy()
@@ -198,7 +198,7 @@ def exact_accelerations(model, pose, scene):
         (1e-4, 1, 1e4, 1e-4),
     ],
 )
-def test_no_digits_are_lost_to_the_ratio_of_masses(masses):
+def test_accelerations_keep_full_accuracy_at_extreme_mass_ratios(masses):
     """Bent chain with spherical joints: accelerations against 60 digits.
 
     Round-off of the rows alone changes accelerations by a few 1e-16. The bound 1e-13 allows for the

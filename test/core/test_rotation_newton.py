@@ -44,8 +44,8 @@ def left_hand_side(kind, I, h, x, v, a, b):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_equations_and_their_derivatives(kind):
-    """Central differences of 1e-5: 1e-10 by their own order, 1e-11 by rounding."""
+def test_residuals_and_derivatives_of_the_implicit_equations(kind):
+    """Central differences of step 1e-5: truncation error 1e-10, round-off 1e-11."""
     rng = np.random.default_rng(kind)
     for _ in range(20):
         I, h = inertia_of(rng), rng.uniform(0.1, 2.0)
@@ -63,7 +63,7 @@ def test_equations_and_their_derivatives(kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_it_converges_to_rounding(kind):
+def test_newton_converges_to_round_off(kind):
     """From the initial guess of a step of at most half a turn."""
     rng = np.random.default_rng(10 + kind)
     for _ in range(200):
@@ -86,8 +86,8 @@ def test_it_converges_to_rounding(kind):
         assert np.abs(left).max() <= 30 * 1.1e-16 * size
 
 
-def test_where_there_is_no_solution_it_says_so():
-    """sin f = 1.01 about a principal axis."""
+def test_an_equation_without_solution_returns_a_failure_status():
+    """Rotation about a principal axis with sin f = 1.01."""
     flat, zero = (1.0, 0, 0, 0, 2.0, 0, 0, 0, 2.5), (0.0, 0.0, 0.0)
     for speed, works in ((0.99, True), (1.01, False)):
         c = (0.0, 2.0 * speed, 0.0)

@@ -51,7 +51,7 @@ def parser(request, monkeypatch):
 
 
 @each_scene
-def test_every_scene_that_comes_along_loads(path):
+def test_every_example_scene_loads(path):
     scene = load_scene(path)
     assert scene.name == path.stem
     assert scene.description
@@ -60,14 +60,14 @@ def test_every_scene_that_comes_along_loads(path):
 
 
 @each_scene
-def test_every_value_in_a_scene_that_comes_along_is_commented(path):
+def test_every_value_in_an_example_scene_is_commented(path):
     lines = path.read_text(encoding="utf-8").splitlines()
     for number, line in enumerate(lines):
         if re.search(r"[:\[] *-?[0-9]", line):
             assert "#" in line or "#" in lines[number - 1] or "same" in line, line
 
 
-def test_numbers_are_kept(parser):
+def test_numbers_are_loaded_exactly(parser):
     scene = scene_from_text(GOOD, source="log")
     assert scene.source == "log"
     assert scene.text == GOOD
@@ -126,7 +126,7 @@ def test_aliases_stand_for_what_they_name(parser):
     assert first.inertia == second.inertia == (1.0, 1.1, 1.2)
 
 
-def test_rotations():
+def test_rotation_vector_and_quaternion_give_the_rotation_matrix():
     third = 2.0 * math.pi / 3.0
     swap = [[0, 0, 1], [1, 0, 0], [0, 1, 0]]  # x -> y -> z -> x, a third of a turn about (1,1,1)
     common = {"name": "b", "mass": 1, "inertia": [1, 1, 1], "position": [1, 2, 3]}
@@ -142,7 +142,7 @@ def test_rotations():
     np.testing.assert_allclose(Frame(axis=[7, 0, 0]).rotation @ [0, 0, 1], [1, 0, 0], atol=1e-15)
 
 
-def test_a_quaternion_is_normalised_but_kept_as_written():
+def test_a_quaternion_is_normalised_but_written_back_unchanged():
     body = Body(name="b", mass=1, inertia=[1, 1, 1], quaternion=[0.5, 0.5, 0.5, 0.5003])
     assert body.quaternion == (0.5, 0.5, 0.5, 0.5003)
     np.testing.assert_allclose(body.rotation @ body.rotation.T, np.eye(3), atol=1e-15)
@@ -172,14 +172,14 @@ def test_inertia_lists_the_diagonal_then_xy_xz_yz():
         [1.5, 1.5, 2.0, 0.5, 0, 0],
     ],
 )  # thin disc, axes turned by pi/4
-def test_inertia_of_real_bodies_is_allowed(inertia):
+def test_inertia_of_physical_bodies_is_accepted(inertia):
     assert Body(name="b", mass=1, inertia=inertia).inertia == tuple(inertia)
 
 
 # ---------------------------------------------------------------- files and names
 
 
-def test_files_that_cannot_be_read(tmp_path, monkeypatch):
+def test_unreadable_files_are_refused_in_one_line(tmp_path, monkeypatch):
     def line(path):
         with pytest.raises(SceneError) as caught:
             load_scene(path)
@@ -207,7 +207,7 @@ def test_an_error_names_the_file_as_it_was_given(tmp_path, monkeypatch):
     assert caught.value.place == ("bodies", 0, "mass")
 
 
-def test_a_byte_order_mark_and_windows_line_ends_are_read(parser, tmp_path):
+def test_byte_order_mark_and_windows_line_ends_are_accepted(parser, tmp_path):
     path = tmp_path / "rig.yaml"
     path.write_bytes(b"\xef\xbb\xbf" + GOOD.replace("\n", "\r\n").encode())
     assert load_scene(path).name == "rig"
@@ -227,7 +227,7 @@ def test_scenes_are_found_by_name():
         assert path.stem in str(caught.value)
 
 
-def test_scenes_are_found_where_they_are_installed(tmp_path, monkeypatch):
+def test_installed_example_scenes_are_found(tmp_path, monkeypatch):
     folder = tmp_path / "ws" / load_module.SHARE
     folder.mkdir(parents=True)
     (folder / "mine.yaml").write_text(GOOD)
@@ -250,7 +250,7 @@ def test_scenes_are_found_where_they_are_installed(tmp_path, monkeypatch):
     assert find_scene("mine") == folder / "mine.yaml"
 
 
-def test_a_file_goes_before_a_scene_of_the_same_name(tmp_path, monkeypatch):
+def test_a_file_takes_precedence_over_an_example_of_the_same_name(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "heavy_top").mkdir()
     assert find_scene("heavy_top").name == "heavy_top.yaml"
@@ -302,7 +302,7 @@ def made_in_code(**changes):
     return Scene(**(values | changes))
 
 
-def test_a_scene_is_made_in_code():
+def test_a_scene_built_in_code_equals_its_file():
     scene = made_in_code()
     assert scene.source == "rig"
     assert scene.forces[0].type == "spring_damper"
@@ -312,7 +312,7 @@ def test_a_scene_is_made_in_code():
     assert pickle.loads(pickle.dumps(again)).text == scene.text
 
 
-def test_every_kind_of_joint_survives_as_text():
+def test_every_joint_kind_survives_a_text_round_trip():
     for name in ("every kind", "screw to ground", "distance to ground"):
         scene = mechanisms.named(name)
         again = scene_from_text(scene.text)
@@ -385,14 +385,14 @@ def test_wrong_values_in_code_raise_scene_error(make, message):
     assert str(caught.value).startswith(message)
 
 
-def test_a_copy_carries_its_own_text():
+def test_a_changed_copy_has_its_own_text():
     """A recording must contain the text of the scene that was simulated."""
     scene = load_scene("free_body")
     moved = scene.model_copy(update={"gravity": (0, 0, -1)})
     assert scene_from_text(moved.text).gravity == (0, 0, -1)
 
 
-def test_models_do_not_change():
+def test_descriptions_are_immutable():
     with pytest.raises(ValueError):
         made_in_code().gravity = (0, 0, 0)
 
@@ -409,7 +409,9 @@ VECTOR = st.tuples(FINITE, FINITE, FINITE)
     twist=st.tuples(VECTOR, VECTOR),
     description=st.text(max_size=40),
 )
-def test_numbers_and_text_survive_to_the_bit(mass, gravity, position, twist, description):
+def test_numbers_and_text_survive_a_round_trip_bit_for_bit(
+    mass, gravity, position, twist, description
+):
     body = Body(
         name="true",
         mass=mass,
@@ -429,7 +431,7 @@ MODELS = (Scene, Body, *SHAPES, *JOINTS, Frame, *FORCES)
 
 
 def test_every_field_is_documented():
-    """docs/reference/scene_format.md shows each field as the models describe it."""
+    """docs/reference/scene_format.md lists each field with the description in its class."""
     text = (ROOT / "docs" / "reference" / "scene_format.md").read_text(encoding="utf-8")
     for model in MODELS:
         for key, field in model.model_fields.items():
@@ -448,7 +450,7 @@ def test_every_field_is_documented():
             assert f"| `{key}` | {field.description} | {default} |" in text
 
 
-def test_every_model_is_in_the_list():
+def test_every_description_class_is_checked_for_documentation():
     def leaves(model):
         return {model}.union(*map(leaves, model.__subclasses__())) - (
             {model} if model.__subclasses__() else set()
@@ -457,7 +459,7 @@ def test_every_model_is_in_the_list():
     assert leaves(Described) == {*MODELS}
 
 
-def test_the_examples_in_the_documentation_agree():
+def test_the_scene_examples_in_the_documentation_load():
     text = (ROOT / "docs" / "reference" / "scene_format.md").read_text(encoding="utf-8")
     [written] = re.findall(r"```yaml\n(.*?)```", text, flags=re.DOTALL)
     [code] = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)

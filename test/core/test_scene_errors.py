@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bad scene files: each is refused in one line that names file, line, place and remedy."""
+"""Invalid scene files are refused in one line with file, line, key path and remedy."""
 
 import re
 import time
@@ -26,7 +26,7 @@ def parser(request, monkeypatch):
 
 
 def refusal(text, source="config/x.yaml"):
-    """Text of the SceneError that a scene text raises; it is a single line."""
+    """Message of the SceneError that a scene text raises; asserts that it is one line."""
     with pytest.raises(SceneError) as caught:
         scene_from_text(text, source=source)
     message = str(caught.value)
@@ -206,7 +206,7 @@ BAD = [
 
 
 @pytest.mark.parametrize("what, old, new, place, remedy", BAD, ids=[row[0] for row in BAD])
-def test_a_bad_file_is_refused_in_one_line(parser, what, old, new, place, remedy):
+def test_an_invalid_file_is_refused_in_one_line(parser, what, old, new, place, remedy):
     assert GOOD.count(old) >= 1
     text = GOOD.replace(old, new, 1)
     message = refusal(text)
@@ -229,14 +229,14 @@ LINES = {"bodies missing": 3, "joint without frames": 17, "open joint": 17,
     ("a: " * 3, "is not YAML"), ("{a: " * 5000, "nested deeper"), ("- " * 5000, "nested deeper"),
     ("\ud800", "is not YAML"), ("%YAML 7.0\n---\na: b", "is not YAML"),
     ("? {a: b}\n: c\n", "a key must be text"), ("name: 'rig", "is not YAML")])
-def test_what_is_no_scene_is_refused_in_one_line(parser, text, what):
+def test_text_that_is_not_a_scene_is_refused_in_one_line(parser, text, what):
     message = refusal(text)
     assert re.match(r"config/x\.yaml:\d+: ", message)
     assert what in message
 
 
 def test_an_alias_bomb_is_refused_at_once(parser):
-    """Ten levels of ten aliases each stand for 10^10 values; none of them must be made."""
+    """Ten levels of ten aliases expand to 10^10 values, which must not be created."""
     levels = ["a0: &a0 [x, x, x, x, x, x, x, x, x, x]"]
     levels += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 10)]
     start = time.perf_counter()
@@ -281,7 +281,7 @@ def places(value, path=()):
 @bounded
 @given(st.data())
 def test_any_value_anywhere_loads_or_is_refused(data):
-    """One or two values of a good scene are replaced by anything."""
+    """One or two values of a valid scene are replaced by arbitrary values."""
     values = yaml.safe_load(GOOD.replace("1e4", "1.0e4").replace("2e-1", "0.2"))
     for _ in range(data.draw(st.integers(1, 2))):
         path = data.draw(st.sampled_from(list(places(values))[1:]))

@@ -19,7 +19,7 @@ STEPS = {
 
 
 @each_scene
-def test_a_scene_builds_and_keeps_its_joints_and_its_energy(path):
+def test_an_example_scene_satisfies_constraints_and_conserves_energy(path):
     scene = load_scene(path)
     check_consistency(scene)
     simulation = Simulation(scene, step=STEPS.get(path.stem, 1e-3))
@@ -46,7 +46,7 @@ def test_a_scene_builds_and_keeps_its_joints_and_its_energy(path):
         ("n_four_bar", four_bar_windows(2)),
     ],
 )
-def test_the_scenes_that_come_along_are_those_of_the_library(name, made):
+def test_example_files_equal_the_library_scenes(name, made):
     scene = load_scene(name)
     for mine, theirs in zip(made.bodies, scene.bodies):
         assert (mine.name, mine.mass, mine.inertia, mine.com) == (
@@ -64,8 +64,8 @@ def test_the_scenes_that_come_along_are_those_of_the_library(name, made):
 
 @pytest.mark.parametrize("kind", ["spherical", "revolute"])
 @pytest.mark.parametrize("n", [1, 3, 30])
-def test_a_chain_begins_to_fall_as_it_should(kind, n):
-    """The first rod alone: theta'' = m g (l / 2) / (m r^2 / 4 + m l^2 / 3) when it is let go."""
+def test_initial_acceleration_of_a_chain_has_the_closed_form(kind, n):
+    """One rod released from rest: theta'' = m g (l / 2) / (m r^2 / 4 + m l^2 / 3)."""
     simulation = Simulation(chain(n, kind), step=1e-4)
     start = simulation.sample()
     simulation.advance(10)
@@ -78,7 +78,7 @@ def test_a_chain_begins_to_fall_as_it_should(kind, n):
     assert sample.energy == pytest.approx(start.energy, abs=1e-12)
 
 
-def test_both_chains_fall_alike():
+def test_chains_of_spherical_and_of_revolute_joints_fall_alike():
     """In the plane a revolute joint adds only constraints that are satisfied anyway."""
     ball, hinge = (Simulation(chain(5, kind)) for kind in ("spherical", "revolute"))
     ball.advance(200)

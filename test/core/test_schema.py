@@ -22,22 +22,22 @@ def accepts(text):
     return VALIDATOR.is_valid(_read(text, "x.yaml").value)
 
 
-def test_the_file_is_up_to_date():
+def test_the_schema_file_is_up_to_date():
     """python -m liegroup_core.scene.schema > docs/scene.schema.json"""
     assert (ROOT / "docs" / "scene.schema.json").read_text(encoding="utf-8") == scene_schema_text()
 
 
-def test_the_schema_is_one():
+def test_the_schema_is_a_valid_json_schema():
     jsonschema.Draft202012Validator.check_schema(json.loads(scene_schema_text()))
 
 
 @each_scene
-def test_every_scene_that_comes_along_validates(path):
+def test_every_example_scene_validates(path):
     values = _read(path.read_text(encoding="utf-8"), str(path)).value
     assert [error.message for error in VALIDATOR.iter_errors(values)] == []
 
 
-def test_every_key_tells_what_it_is():
+def test_every_key_has_a_description():
     """Every key of every model has a description, which editors show."""
     schema = scene_schema()
     for model in ("Body", "Frame", *(kind.__name__ for kind in (*JOINTS, *FORCES, *SHAPES))):
@@ -68,7 +68,7 @@ def test_every_key_tells_what_it_is():
         ("child_frame: {position: [-1, 0, 0]}", ""),
     ],
 )
-def test_what_the_schema_refuses_the_loader_refuses(old, new):
+def test_the_loader_refuses_what_the_schema_refuses(old, new):
     assert GOOD.count(old) >= 1
     text = GOOD.replace(old, new, 1)
     assert not accepts(text)
@@ -89,7 +89,7 @@ def test_what_the_schema_refuses_the_loader_refuses(old, new):
         ("mass: 2.5", "mass: 2.5\n    com: [0, 0, 1]"),
     ],
 )
-def test_what_the_loader_takes_the_schema_takes(old, new):
+def test_the_schema_accepts_what_the_loader_accepts(old, new):
     text = GOOD.replace(old, new, 1)
     if new.startswith("#"):
         text = GOOD[: GOOD.index("forces:")] + "forces:\n"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Solids: mass, centre and inertia against integration over the volume."""
+"""Solids: mass, centre of mass and inertia against numerical volume integration."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def grid(*intervals):
 
 
 def around():
-    """A full turn: the mean of eight equal steps is exact for waves up to the seventh."""
+    """Nodes and weights of a full turn: eight equal steps are exact up to the seventh harmonic."""
     return np.arange(8) * np.pi / 4, np.full(8, np.pi / 4)
 
 
@@ -74,25 +74,25 @@ def test_mass_centre_and_inertia_are_integrals_over_the_volume(shape):
     np.testing.assert_allclose(body.inertia_matrix, inertia, rtol=0, atol=1e-13 * inertia.max())
 
 
-def test_every_solid_is_integrated():
+def test_every_solid_is_among_the_integrated_ones():
     assert {type(shape) for shape in SOLIDS} == set(SHAPES)
 
 
-def test_a_rod_is_thin_and_still_has_an_inertia_of_its_own():
+def test_a_thin_rod_has_a_positive_inertia_about_its_axis():
     rod = Body(name="b", shape=Rod(length=2.0, mass=3.0, axis=(1, 0, 0)))
     along, across = rod.inertia[0], rod.inertia[1]
     assert across == pytest.approx(3.0 * 2.0**2 / 12, rel=1e-5)
     assert along == pytest.approx(0.5 * 3.0 * 0.002**2, rel=1e-14)
 
 
-def test_axes_along_body_axes_leave_no_round_off():
+def test_a_shape_aligned_with_body_axes_has_exact_zero_products_of_inertia():
     for axis, order in (((1, 0, 0), (0, 1, 1)), ((0, 1, 0), (1, 0, 1)), ((0, 0, 1), (1, 1, 0))):
         inertia = Body(name="b", shape=Cylinder(radius=0.1, length=1, mass=1, axis=axis)).inertia
         assert inertia[3:] == (0.0, 0.0, 0.0)
         assert inertia[:3] == tuple((0.5 * 0.1**2, (3 * 0.1**2 + 1) / 12)[i] for i in order)
 
 
-def test_a_body_with_a_shape_is_written_and_read_again():
+def test_a_body_with_a_shape_survives_a_text_round_trip():
     scene = Scene(
         name="s",
         gravity=(0, 0, 0),
@@ -162,14 +162,14 @@ def test_a_wrong_shape_is_refused_in_one_line(shape, message):
 @pytest.mark.parametrize(
     "key, value", [("mass", "1.0"), ("inertia", "[1, 1, 1]"), ("com", "[0, 0, 1]")]
 )
-def test_a_shape_goes_without_what_it_gives(key, value):
+def test_a_shape_excludes_keys_that_it_defines(key, value):
     text = text_with("{type: sphere, radius: 1, mass: 1}") + f"  {key}: {value}\n"
     with pytest.raises(SceneError, match=f"x.yaml:6: .*{key} and shape both define the {key}"):
         scene_from_text(text, source="x.yaml")
 
 
-def test_an_offset_solid_turns_its_own_inertia():
-    """Steiner's part is not in the inertia: it is about the centre of mass, wherever that is."""
+def test_the_inertia_of_an_offset_solid_is_about_its_centre_of_mass():
+    """The inertia contains no parallel-axis (Steiner) term, whatever the offset."""
     here, there = (
         Body(
             name="b", shape=Box(size=(1, 2, 3), mass=1, position=p, rotation_vector=(0.1, 0.2, 0.3))

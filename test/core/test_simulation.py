@@ -15,7 +15,7 @@ from liegroup_core.status import NOT_FINITE, ROTATION_TOO_LARGE
 
 
 @pytest.mark.parametrize("group", ["se3", "so3xr3"])
-def test_the_same_bits_however_the_steps_are_asked_for(group):
+def test_runs_are_bit_identical_however_the_steps_are_split(group):
     scene = mechanisms.named("net")
     whole, pieces = Simulation(scene, group=group), Simulation(scene, group=group)
     whole.advance(100)
@@ -26,7 +26,7 @@ def test_the_same_bits_however_the_steps_are_asked_for(group):
     assert pieces.steps == 100 and pieces.time_ns == 100_000_000
 
 
-def test_reset_gives_the_same_run_again():
+def test_a_run_after_reset_is_bit_identical():
     simulation = Simulation(load_scene("heavy_top"))
     simulation.apply_wrench("top", (1, 2, 3, 4, 5, 6))
     simulation.advance(50)
@@ -38,7 +38,7 @@ def test_reset_gives_the_same_run_again():
     assert simulation.state()[0].tobytes() == other.state()[0].tobytes()
 
 
-def test_a_sample_is_a_copy_with_names():
+def test_a_sample_is_an_independent_copy_with_names():
     simulation = Simulation(load_scene("double_pendulum"))
     sample = simulation.sample()
     before = sample.pose.copy()
@@ -50,7 +50,7 @@ def test_a_sample_is_a_copy_with_names():
         sample.pose[0, 0] = 2.0
 
 
-def test_steps_too_large_stop_with_the_last_good_state():
+def test_too_large_steps_stop_with_the_last_valid_state():
     """At 150 rad/s a step of 0.1 s rotates by 15 rad: beyond 2 pi there is no solution."""
     simulation = Simulation(load_scene("lagrangian_top"), step=0.1)
     before = simulation.state()
@@ -63,7 +63,7 @@ def test_steps_too_large_stop_with_the_last_good_state():
         assert mine.tobytes() == theirs.tobytes()
 
 
-def test_overflow_stops_with_the_last_good_state():
+def test_overflow_stops_with_the_last_valid_state():
     simulation = Simulation(load_scene("free_body"), step=1.0)
     simulation.apply_wrench("body", (0, 0, 0, 1e308, 0, 0))
     with pytest.raises(SimulationError) as failure:
@@ -83,7 +83,7 @@ def test_a_rotation_beyond_pi_warns_once(caplog):
 
 
 @pytest.mark.parametrize("slack", [0.0, 1e-9, 10.0**-8.75])
-def test_a_linkage_that_is_stretched_and_cannot_move_is_refused(slack):
+def test_a_stretched_immobile_linkage_is_refused(slack):
     """Also where the links are off the line through their pins by angles, the root of `slack`,
     next to the tolerance of the rank, so that two ways to find the rank differ.
     """
@@ -102,13 +102,13 @@ def test_a_linkage_that_is_stretched_and_cannot_move_is_refused(slack):
         ({"step": "1"}, "positive"),
     ],
 )
-def test_wrong_settings_say_what_would_be_right(setting, text):
+def test_wrong_options_are_refused_with_a_remedy(setting, text):
     with pytest.raises(ValueError, match=text):
         Simulation(load_scene("free_body"), **setting)
 
 
 @pytest.mark.parametrize("steps", [-5, 1.7, "3", None, True])
-def test_steps_are_a_whole_number(steps):
+def test_a_step_count_that_is_not_an_integer_is_refused(steps):
     simulation = Simulation(load_scene("free_body"))
     with pytest.raises(ValueError, match="whole number"):
         simulation.advance(steps)
@@ -118,12 +118,12 @@ def test_steps_are_a_whole_number(steps):
 
 
 @pytest.mark.parametrize("times", [{"start": np.inf}, {"start": np.nan}, {"duration": np.inf}])
-def test_times_of_a_wrench_are_finite(times):
+def test_non_finite_wrench_times_are_refused(times):
     with pytest.raises(ValueError, match="must be finite"):
         Simulation(load_scene("free_body")).apply_wrench("body", (1, 0, 0, 0, 0, 0), **times)
 
 
-def test_what_the_model_refuses_is_told_with_its_line(tmp_path):
+def test_a_model_error_names_the_line_in_the_scene_file(tmp_path):
     links = mechanisms.two_links(1.0)
     path = tmp_path / "links.yaml"
     path.write_text(links.text)
@@ -131,7 +131,7 @@ def test_what_the_model_refuses_is_told_with_its_line(tmp_path):
         Simulation(load_scene(path))
 
 
-def test_a_state_that_is_none_is_refused():
+def test_an_invalid_state_is_refused():
     simulation = Simulation(load_scene("free_body"))
     pose, twist = simulation.state()
     with pytest.raises(ValueError, match=r"\(1, 12\)"):
@@ -155,13 +155,13 @@ def test_a_state_that_is_none_is_refused():
         ((load_scene("free_body"), ["rkmk4"]), "unknown method"),
     ],
 )
-def test_what_is_no_scene_or_method_is_refused(given, message):
+def test_arguments_that_are_no_scene_or_method_are_refused(given, message):
     with pytest.raises(ValueError, match=message):
         Simulation(*given)
 
 
 @pytest.mark.slow
-def test_without_the_compiler_the_same_numbers():
+def test_plain_python_gives_the_same_numbers():
     """Plain Python has the round-off of machine code (no fast-math); the last bit of libm may differ."""
     code = (
         "import sys; sys.path.insert(0, sys.argv[1]); import mechanisms; "
@@ -190,8 +190,8 @@ def test_without_the_compiler_the_same_numbers():
 
 
 @pytest.mark.parametrize("axis", ["[0, 1, 0]", "[0, 1, 1]"])
-def test_numbers_that_leave_no_digit_to_solve_with_are_located(axis):
-    """A mass 1e27 times the inertia, on a lever of 1 m: singular in floating point."""
+def test_a_numerically_singular_system_names_the_body(axis):
+    """A mass of 1e27 times the inertia on a lever of 1 m is singular in floating point."""
     text = (
         "name: m\ngravity: [0, 0, -9.81]\nbodies:\n"
         "  - {name: a, mass: 1.0e+26, inertia: [0.1, 0.1, 0.1], position: [1, 0, 0]}\n"
@@ -202,7 +202,7 @@ def test_numbers_that_leave_no_digit_to_solve_with_are_located(axis):
         Simulation(scene_from_text(text, source="x.yaml"))
 
 
-def test_numbers_of_numpy_are_shown_as_numbers():
+def test_messages_print_numpy_scalars_as_plain_numbers():
     with pytest.raises(SceneError, match=r"got \(0.0, 0.1, 0.1\)$"):
         Body(name="a", mass=1.0, inertia=tuple(np.array([0.0, 0.1, 0.1])))
     with pytest.raises(SceneError, match=r"got -1.0$"):

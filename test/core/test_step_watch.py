@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A step that is too large for its motion is not silent, and one that is not is left alone."""
+"""The step check warns of steps that are too large for the motion, and of no others."""
 
 import json
 import logging
@@ -44,8 +44,8 @@ def run(scene, steps, every=None, **settings):
 @pytest.mark.parametrize(
     "method, step", [("stoermer_verlet", 0.1), ("coadjoint_rkmk2", 0.1), ("rkmk2", 0.2)]
 )
-def test_a_rod_that_slowly_goes_wrong(method, step, caplog):
-    """A rod of ratio 100: stable at the start, and off by more than 5 % after 20 s."""
+def test_a_slowly_growing_error_of_an_unstable_rod_is_reported(method, step, caplog):
+    """Rod of inertia ratio 100: stable at the start, error above 5 % after 20 s."""
     problem = problems.inertia_rod(100.0, step=step)
     with caplog.at_level(logging.WARNING, "liegroup_core"):
         simulation = run(problem.scene, problem.steps, method=method, step=problem.step)
@@ -66,8 +66,8 @@ def test_a_rod_that_slowly_goes_wrong(method, step, caplog):
     assert unwatched.doubt is None
 
 
-def test_tolerances_that_are_too_large():
-    """With error control two halves of a step tell nothing: tolerances do. 16 s in two steps."""
+def test_too_loose_tolerances_are_reported():
+    """With error control, halving the step shows nothing; tighter tolerances do. 16 s, two steps."""
     problem = problems.step_bars(8.0)
     loose = run(problem.scene, 2, method="rkmk54", step=8.0)
     assert "take smaller rtol and atol" in loose.doubt
@@ -75,7 +75,7 @@ def test_tolerances_that_are_too_large():
     assert run(free.scene, 2, method="rkmk54", step=8.0).doubt is None
 
 
-def test_joints_that_open_within_a_few_steps():
+def test_constraint_drift_within_a_few_steps_is_reported():
     problem = problems.step_bars(0.05)
     said = []
     handler = logging.Handler()
@@ -89,18 +89,18 @@ def test_joints_that_open_within_a_few_steps():
     assert any("is open by" in text for text in said)
 
 
-def test_every_scene_is_among_them():
+def test_every_example_scene_is_covered():
     assert {*PLENTY, *FASTER} == {path.stem for path in SCENES.glob("*.yaml")}
 
 
 @pytest.mark.parametrize("name", PLENTY)
-def test_scenes_at_their_default_step_are_left_alone(name):
+def test_example_scenes_at_their_default_step_give_no_warning(name):
     assert run(load_scene(name), PLENTY[name]).doubt is None
 
 
 @pytest.mark.parametrize("part", TRADES, ids=lambda part: part["scene"])
-def test_settings_that_the_trade_names_are_left_alone(part):
-    """The cheapest for 1e-3, 1e-6 and 1e-9 of every scene, over the horizon of its trade."""
+def test_configurations_chosen_by_the_trade_give_no_warning(part):
+    """The cheapest for 1e-3, 1e-6 and 1e-9 of every scene, over the horizon of the trade."""
     for choice in part["cheapest"]:
         cell = part["cells"][choice["cell"]]
         settings = {key: cell[key] for key in ("method", "step", "group", "stabilisation")}
@@ -108,15 +108,15 @@ def test_settings_that_the_trade_names_are_left_alone(part):
         assert run(load_scene(part["scene"]), steps, **settings, **cell["options"]).doubt is None
 
 
-def test_a_body_at_rest_is_left_alone():
-    """Rounding is all that moves it: it is not a motion that could be wrong."""
+def test_a_body_at_rest_gives_no_warning():
+    """Its only motion is round-off, which has no meaningful relative error."""
     scene = problems.redundant(1).scene
     hanging = scene.model_copy(update={"gravity": (9.81, 0.0, 0.0)})
     assert run(hanging, 4000, step=0.05).doubt is None
 
 
-def test_what_a_push_gives_is_no_error():
-    """Between two looks: the energy is another one afterwards, by 40 % of the kinetic one."""
+def test_energy_added_by_a_wrench_is_not_an_error():
+    """Between two checks the wrench changes the energy by 40 % of the kinetic energy."""
     simulation = Simulation(load_scene("free_body"), step=1e-3)
     before = simulation.energy()
     simulation.apply_wrench("body", [0.0, 0.0, 40.0, 0.0, 0.0, 0.0], start=0.6, duration=0.2)
@@ -138,8 +138,8 @@ def test_what_a_push_gives_is_no_error():
     ],
     ids=str,
 )
-def test_it_changes_nothing(settings):
-    """To the bit, with all that lasts between steps; and whichever way the steps are asked for."""
+def test_the_step_check_does_not_change_the_run(settings):
+    """Bit-identical state and method memory, however the steps are split."""
     scene = load_scene("slider_crank")
     looked = run(scene, 100, step=2e-3, **settings)
     pieces = run(scene, 100, 10, step=2e-3, **settings)
@@ -151,7 +151,7 @@ def test_it_changes_nothing(settings):
     assert looked._work.report.tobytes() == alone._work.report.tobytes()
 
 
-def test_it_changes_nothing_of_the_rotation_methods():
+def test_the_step_check_does_not_change_rotation_methods():
     problem = problems.step_top(5e-3)
     for method in ("stoermer_verlet", "coadjoint_rkmk4", "rattle", "lie_midpoint"):
         looked = run(problem.scene, 100, method=method, step=1e-3)
@@ -159,8 +159,8 @@ def test_it_changes_nothing_of_the_rotation_methods():
         assert [a.tobytes() for a in looked.state()] == [a.tobytes() for a in alone.state()]
 
 
-def test_nothing_is_compiled_on_the_way():
-    """By looks at steps, at joints, or for messages: a run in real time would stop for it."""
+def test_nothing_is_compiled_during_a_run():
+    """Neither step and joint checks nor messages compile anything: it would stop real time."""
     code = """if True:
         import gc
         from liegroup_core import Simulation, load_scene
@@ -178,8 +178,8 @@ def test_nothing_is_compiled_on_the_way():
     assert said.stdout.split() == ["0", "0", "True"]
 
 
-def test_a_small_component_that_grows():
-    """Next to a separatrix: errors of a wobble of 1e-8 decide when the body flips over."""
+def test_an_error_of_a_small_growing_component_is_reported():
+    """Near a separatrix, errors in a 1e-8 component determine when the body flips."""
     problem = problems.racket(1e-8, step=0.5)
     for method, wrong in (("rkmk2", True), ("simo_wong", True), ("rkmk4", False)):
         doubt = run(problem.scene, problem.steps, method=method, step=problem.step).doubt
@@ -190,8 +190,8 @@ def test_a_small_component_that_grows():
     "method, stiffness",
     [("rkmk8", 1e6), ("coadjoint_rkmk8", 1e6), ("rkmk8", 1.5e6), ("coadjoint_rkmk8", 1.5e6)],
 )
-def test_a_spring_that_turns_over(method, stiffness, monkeypatch):
-    """Damped, and through its zero length within one step, of 50: errors of 7 to 48 % after it."""
+def test_a_spring_passing_zero_length_is_reported(method, stiffness, monkeypatch):
+    """Damped spring passing zero length within 1 of 50 steps: errors of 7 to 48 % afterwards."""
     problem = problems.stiff_damped(stiffness)
     settings = {"method": method, "step": problem.step}
     assert "ends of a spring passed" in run(problem.scene, problem.steps, **settings).doubt
@@ -200,8 +200,8 @@ def test_a_spring_that_turns_over(method, stiffness, monkeypatch):
         assert run(problem.scene, problem.steps, **settings).doubt is None
 
 
-def test_a_spring_without_a_line_is_not_waited_for():
-    """Without a damper and a rest length it pulls as a field does, through zero too."""
+def test_a_linear_spring_through_zero_length_needs_no_check():
+    """Without damper and rest length the force is linear in the position, also through zero."""
     stiff = Simulation(problems.stiff(1e6).scene, "rkmk8", 1e-3)
     assert not stiff._step_watch.waits(0)
     assert Simulation(problems.stiff_damped(1e6).scene, "rkmk8", 1e-3)._step_watch.waits(0)
@@ -218,8 +218,8 @@ def test_a_spring_without_a_line_is_not_waited_for():
         ("constrained_rattle", None),
     ],
 )
-def test_waiting_for_a_spring_changes_nothing(method, space, monkeypatch):
-    """To the bit, in every family; and a spring that swings through zero is met now and then."""
+def test_the_spring_check_does_not_change_the_run(method, space, monkeypatch):
+    """Bit-identical in every family; the check does find a spring that swings through zero."""
     met = []
     meets = StepWatch.met
     monkeypatch.setattr(
@@ -267,8 +267,8 @@ def test_waiting_for_a_spring_changes_nothing(method, space, monkeypatch):
         ("coadjoint_rkmk4", 0.5, 3e-10),
     ],
 )
-def test_a_body_that_comes_back_to_its_middle_axis(method, step, offset):
-    """Its momentum is kept and its energy drifts by 1e-5: it flips over again at another time."""
+def test_a_return_to_the_intermediate_axis_is_reported(method, step, offset):
+    """Momentum is conserved, energy drifts by 1e-5, and the next flip occurs at a wrong time."""
     problem = problems.racket(offset, step)
     doubt = run(problem.scene, problem.steps, method=method, step=step).doubt
     assert "came back to its middle axis" in doubt
@@ -278,24 +278,24 @@ def test_a_body_that_comes_back_to_its_middle_axis(method, step, offset):
 
 
 @pytest.mark.parametrize("part", [1.01, 1.02])
-def test_a_top_that_falls_asleep_wrongly(part):
-    """Its tilt grows from 1e-3 to 0.06 rad; the velocity of that stays below 1 % of its spin."""
+def test_a_wrongly_sleeping_top_is_reported(part):
+    """The tilt grows from 1e-3 to 0.06 rad; its rate stays below 1 % of the spin."""
     problem = problems.sleeping(part)
     for method, wrong in (("rkmk1", True), ("rkmk4", False)):
         doubt = run(problem.scene, problem.steps, method=method, step=problem.step).doubt
         assert ("added up" in doubt) if wrong else doubt is None
 
 
-def test_a_flip_between_two_looks():
-    """Errors that grow from look to look are looked at before they are large."""
+def test_a_flip_between_two_checks_is_reported():
+    """Errors that grow from check to check are examined before they are large."""
     for method in ("rkmk2", "lie_midpoint"):
         problem = problems.racket(1e-5, 0.5)
         assert run(problem.scene, problem.steps, method=method, step=0.5).doubt
     assert run(problem.scene, problem.steps, method="rkmk8", step=0.5).doubt is None
 
 
-def test_an_unstable_step_is_one_warning(caplog):
-    """Of the look at the start of a rotation method, and none of the watch over the step."""
+def test_an_unstable_step_gives_exactly_one_warning(caplog):
+    """From the stability check at the start of a rotation method, none from the step check."""
     problem = problems.stiff(1e7)
     with caplog.at_level(logging.WARNING, "liegroup_core"):
         simulation = Simulation(problem.scene, "stoermer_verlet", problem.step)
@@ -307,8 +307,8 @@ def test_an_unstable_step_is_one_warning(caplog):
     assert not any("added up" in text for text in caplog.messages)
 
 
-def test_the_step_that_generalized_alpha_is_told():
-    """By its order: a step of another size first swings into its own velocities."""
+def test_the_step_suggested_for_generalized_alpha_follows_its_order():
+    """It cannot be measured: after a change of the step size its velocities first oscillate."""
     scene = load_scene("slider_crank")
     simulation = run(scene, 100, method="generalized_alpha", step=5e-3)
     step = float(re.search("steps of ([^ ]+) s", simulation.doubt)[1])

@@ -36,7 +36,7 @@ class Outer(Struct):
 
 @kernel
 def read(outer, i):
-    """One number of every field, and the shapes."""
+    """One number of every field, and the shapes of the arrays."""
     return (
         outer.flag,
         outer.count,
@@ -54,7 +54,7 @@ def read(outer, i):
 
 @kernel
 def write(outer, value):
-    """Set a number in an array, and one in a record."""
+    """Set one number in an array and one in a record."""
     outer.inner.rows[1, 0] = value
     outer.pairs[1]["number"] = int(value)
 
@@ -85,7 +85,7 @@ def both(outer):
 
 @shared
 def weighed(outer, factor, flag):
-    """Compiled once; called by both of those below."""
+    """Compiled once; called by both kernels below."""
     return outer.count * factor if flag else -1
 
 
@@ -133,7 +133,7 @@ def expected(outer, i):
     "flag, count, shift",
     [(True, -7, -0.25), (False, 2**62, math.inf), (np.True_, np.int64(-1), np.float64(5e-324))],
 )
-def test_every_kind_of_field(flag, count, shift):
+def test_kernels_read_every_kind_of_field(flag, count, shift):
     outer = made(flag, count, shift)
     for i in range(4):
         assert read(outer, i) == expected(outer, i)
@@ -147,12 +147,12 @@ def test_arrays_are_shared_with_python():
     assert read(outer, 2)[6] == 8.0
 
 
-def test_a_function_that_stands_for_several():
+def test_a_generic_function_selects_by_type():
     outer = made()
     assert both(outer) == (-14.0, -0.5) == (either(outer, 2.0), either(outer.inner, 2.0))
 
 
-def test_functions_of_the_same_name_are_different():
+def test_functions_of_the_same_name_are_kept_apart():
     other = Choice("either", {Inner: by_rows, Outer: of_outer})
 
     @kernel
@@ -163,7 +163,7 @@ def test_functions_of_the_same_name_are_different():
     assert difference(outer) == of_inner(outer.inner, 2.0) - by_rows(outer.inner, 2.0) != 0.0
 
 
-def test_a_function_that_several_kernels_share():
+def test_a_function_shared_by_several_kernels():
     outer = made(count=-7)
     assert once(outer) == -42 and again(outer, 5) == -35 == weighed(outer, 5, True)
     other = made(flag=False, count=2)
@@ -174,7 +174,7 @@ def test_a_function_that_several_kernels_share():
 
 @kernel
 def halved(array):
-    """Half of every number, in place; True when there is any."""
+    """Halve every number in place; True if there are any."""
     for i in range(len(array)):
         array[i] *= 0.5
     return len(array) > 0
@@ -195,8 +195,8 @@ def halved_by_steps(array, steps):
 @pytest.mark.parametrize(
     "numbers, ended", [((1.0, 2.0**-1022, -(2.0**-1021), 2.0**-1030), True), ((), False)]
 )
-def test_what_is_next_to_zero_is_zero_in_steps_and_nowhere_else(numbers, ended):
-    """The smallest normal number is 2^-1022; half of it would take a hundred times as long."""
+def test_subnormals_are_flushed_to_zero_only_in_steps(numbers, ended):
+    """Half of the smallest normal number 2^-1022 is subnormal, and about 100 times slower."""
     array = np.array(numbers)
     assert halved_by_steps(array, 2) == ended
     assert array.tolist() == [0.25, 0.0, 0.0, 0.0][: len(array)]
@@ -207,7 +207,7 @@ def test_what_is_next_to_zero_is_zero_in_steps_and_nowhere_else(numbers, ended):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("harm", ["nothing", "index", "code", "full"])
-def test_kernels_out_of_the_cache(tmp_path, harm):
+def test_cached_kernels_load_despite_a_damaged_cache(tmp_path, harm):
     """Also where a file of it is damaged, or no file can be written, as on a full disk; the caller
     of a shared function is loaded before that.
     """
@@ -266,7 +266,7 @@ def test_kernels_out_of_the_cache(tmp_path, harm):
 
 
 @pytest.mark.parametrize("again", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
-def test_copies_have_memory_of_their_own(again):
+def test_copies_do_not_share_memory(again):
     outer = made()
     other = again(outer)
     before = read(outer, 1)
@@ -278,20 +278,20 @@ def test_copies_have_memory_of_their_own(again):
     assert read(other, 3) == expected(other, 3)
 
 
-def test_replaced_fields():
+def test_replace_changes_only_the_named_fields():
     outer = made()
     other = outer.replace(count=3)
     assert read(other, 0)[1] == 3 and read(outer, 0)[1] == -7
     assert other.cube is outer.cube
 
 
-def test_a_field_is_not_set_anew():
+def test_fields_cannot_be_assigned():
     with pytest.raises(AttributeError):
         made().count = 2
 
 
 @pytest.mark.parametrize("array", [np.zeros((3, 4))[:, 1:], np.zeros((3, 4), order="F")])
-def test_arrays_that_kernels_could_not_read(array):
+def test_unsupported_arrays_are_refused(array):
     with pytest.raises(ValueError, match="Inner.rows must be a C-contiguous array"):
         Inner(rows=array, shift=0.0)
 
@@ -309,7 +309,7 @@ def test_arrays_that_kernels_could_not_read(array):
 @pytest.mark.parametrize(
     "again", [copy.copy, copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))]
 )
-def test_a_copied_simulation_goes_on_alone(scene, method, again):
+def test_a_copied_simulation_continues_independently(scene, method, again):
     simulation = Simulation(load_scene(scene), method=method, step=1e-3)
     simulation.advance(20)
     other, before = again(simulation), simulation.state()
@@ -320,7 +320,7 @@ def test_a_copied_simulation_goes_on_alone(scene, method, again):
 
 
 @pytest.mark.parametrize("scene", ["four_bar", "ball_chain"])
-def test_states_in_any_order_of_memory_are_the_same(scene):
+def test_states_of_any_memory_layout_are_accepted(scene):
     one, other = (Simulation(load_scene(scene)) for _ in range(2))
     one.advance(50)
     pose, twist = one.state()
@@ -332,14 +332,14 @@ def test_states_in_any_order_of_memory_are_the_same(scene):
     assert sample.joint_residuals == one.layout.sample(pose, twist).joint_residuals
 
 
-def test_what_is_no_field():
+def test_unsupported_field_types_are_refused():
     with pytest.raises(TypeError, match="Inner.shift must be an array, a number or a Struct, got"):
         Inner(rows=np.zeros((2, 2)), shift="0.1")
 
 
 @pytest.mark.slow
-def test_a_sample_in_another_process(tmp_path):
-    """Pickled here and read there: what follows from it is computed there."""
+def test_a_pickled_sample_is_complete_in_another_process(tmp_path):
+    """Pickled here and loaded there; derived quantities are computed there."""
     sample = Simulation(load_scene("four_bar")).sample()
     path = tmp_path / "sample"
     path.write_bytes(pickle.dumps(sample))

@@ -58,7 +58,7 @@ def oscillator(samples=12, **more):
 
 
 def joined(pieces):
-    """{column: values} of all runs, in their order, without what they cost."""
+    """{column: values} of all runs in order, without their cost."""
     pieces = sorted(pieces, key=lambda piece: piece["run"][0])
     return {
         name: [value for piece in pieces for value in piece[name]]
@@ -68,7 +68,7 @@ def joined(pieces):
 
 
 def same(first, second):
-    """Whether all bits are the same."""
+    """Whether two tables are bit-identical."""
 
     def bits(columns):
         return {
@@ -107,7 +107,7 @@ def test_every_number_of_a_scene_is_a_parameter(path):
                 assert after[other] == pytest.approx(before[other], abs=1e-14)
 
 
-def test_a_name_is_a_path_or_an_end_of_one_only():
+def test_a_parameter_name_is_a_path_or_an_unambiguous_ending():
     scene = scene_as_written(OSCILLATOR)
     for name in ("mass", "ball.mass", "bodies.ball.mass"):
         assert path_of(scene, name) == "bodies.ball.mass"
@@ -143,14 +143,14 @@ def test_a_name_is_a_path_or_an_end_of_one_only():
         ("weight=1:2", "no parameter weight"),
     ],
 )
-def test_a_wrong_range_is_one_line(text, said):
+def test_a_wrong_range_is_refused_in_one_line(text, said):
     with pytest.raises(ParameterError) as error:
         range_of(scene_as_written(OSCILLATOR), text)
     assert said in str(error.value) and "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("samples", [1, 7, 64])
-def test_latin_hypercube(samples):
+def test_latin_hypercube_has_one_value_per_stratum(samples):
     """Each of N equal intervals of a parameter's range has exactly one value."""
     sweep = oscillator(samples)
     mass, stiffness, position, velocity = sweep.values.T
@@ -163,7 +163,7 @@ def test_latin_hypercube(samples):
     assert not np.array_equal(mass, oscillator(samples, seed=1).values[:, 0])
 
 
-def test_closed_form_of_all_runs():
+def test_all_runs_agree_with_the_closed_form():
     """The error of rkmk8 goes with (w h)^8 w t < (3 * 0.02)^8 * 6 < 1e-9, times a constant below
     1e-3 of a method of order 8 (1 / 9!): below rounding, 1e-16 in each of 100 steps.
     """
@@ -186,7 +186,9 @@ def test_closed_form_of_all_runs():
 
 
 @pytest.mark.slow
-def test_the_same_bits_with_other_workers_and_pieces_and_a_death(monkeypatch, tmp_path):
+def test_results_are_bit_identical_for_any_workers_pieces_and_a_killed_worker(
+    monkeypatch, tmp_path
+):
     """One of two workers is killed once, in run 5."""
     died = tmp_path / "died"
 
@@ -214,7 +216,7 @@ def test_the_same_bits_with_other_workers_and_pieces_and_a_death(monkeypatch, tm
     assert same(some, {name: [values[k] for k in (2, 3, 7)] for name, values in alone.items()})
 
 
-def test_a_run_can_be_made_again_from_its_scene():
+def test_a_run_is_reproduced_from_its_scene():
     sweep = oscillator()
     row = joined(sweep.run([5], workers=1))
     simulation = sweep.simulation(5)
@@ -224,7 +226,7 @@ def test_a_run_can_be_made_again_from_its_scene():
     assert described(describe(sweep)) == sweep
 
 
-def test_runs_that_fail_are_rows_that_say_why():
+def test_failed_runs_are_rows_with_the_reason():
     """Initial states that violate a joint, one that is assembled, a step that is too large."""
     top = load_scene("heavy_top")
     vary = ["angular_velocity.2=-1,0.5,1"]
@@ -263,7 +265,7 @@ def test_runs_that_fail_are_rows_that_say_why():
     assert min(drawn["bodies.ball.mass"]) < 0.0
 
 
-def test_what_assembly_cannot_keep_is_told():
+def test_assembly_failures_and_changes_are_reported():
     """Inconsistent velocities are a failure; a pose that closes elsewhere is a warning."""
     top = load_scene("heavy_top")
     settings = {"step": 1e-3}
@@ -292,7 +294,7 @@ def test_what_assembly_cannot_keep_is_told():
         assert warning is None or "position.0 to 0.5 from the sampled 0.4" in warning
 
 
-def test_a_linkage_is_looked_at_once():
+def test_a_linkage_is_analysed_once_per_geometry():
     """A cached result is that of a new analysis for other masses; other lengths are not cached."""
     for kept in (generic_poses, redundancy._chosen, planar_build._chosen):
         kept.cache_clear()
@@ -315,7 +317,7 @@ def oscillator_with(*vary):
     return Sweep.of(scene_from_text(OSCILLATOR), vary, 8, 10, settings={"step": STEP})
 
 
-def test_wrong_sweeps_are_refused():
+def test_invalid_sweeps_are_refused():
     for change, said in (
         ({"samples": 0}, "samples must be"),
         ({"seed": -1}, "the seed must be"),
@@ -329,7 +331,7 @@ def test_wrong_sweeps_are_refused():
             oscillator_with(*vary)
 
 
-def test_the_file_is_the_same_after_an_interrupt(tmp_path, monkeypatch):
+def test_an_interrupted_sweep_resumes_to_the_same_file(tmp_path, monkeypatch):
     monkeypatch.setattr(sweeps, "FIRST", 0.0)
     monkeypatch.setattr(sweeps, "PIECE", 1e-9)
     sweep = oscillator(every=50)
@@ -370,7 +372,7 @@ def test_the_file_is_the_same_after_an_interrupt(tmp_path, monkeypatch):
         SweepFile(begun)
 
 
-def test_what_is_no_folder_of_a_sweep_is_left_alone(tmp_path):
+def test_a_folder_without_a_sweep_is_not_touched(tmp_path):
     sweep = describe(oscillator())
     (tmp_path / "a.parquet").write_text("mine")
     (tmp_path / "b.parquet").mkdir()

@@ -167,7 +167,7 @@ def motion(case):
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_components(name):
+def test_expected_components_are_named(name):
     """Exactly the expected points and directions; the last case has one entry per group."""
     case, expected = CASES[name]
     kept = conserved_momentum(case)
@@ -189,7 +189,7 @@ def test_components(name):
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_named_components_stay(name):
+def test_named_components_are_conserved(name):
     case, _ = CASES[name]
     run = motion(case)
     for kept in conserved_momentum(case):
@@ -206,7 +206,7 @@ def test_named_components_stay(name):
         if len(kept) <= 1 and not (kept and kept[0][0] is None)
     ],
 )
-def test_nothing_else_stays(name):
+def test_no_other_component_is_conserved(name):
     """Of all combinations xi . L + eta . P only the listed ones are constant: the others span 6 - k.
 
     L and P are recorded about the world origin; their changes from the mean are a matrix whose
@@ -234,7 +234,7 @@ def test_nothing_else_stays(name):
     assert (values > SPOILT).sum() == 6 - count
 
 
-def test_scenes_of_the_chapter():
+def test_conserved_momentum_of_the_example_scenes():
     """Heavy top: along k p0 + m g = (1e4, 0, 4788.104) N about the pivot at the origin."""
     field = np.array([1e4, 0.0, 1e4 * 0.5 - 21.6 * 9.81])
     (heavy,) = conserved_momentum(load_scene("heavy_top"))

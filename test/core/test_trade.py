@@ -36,13 +36,13 @@ def made(scene, folder, horizon=HORIZON):
 
 
 def errors(trade):
-    """What must be the same bits again."""
+    """Errors of all cells, which must be bit-identical in every measurement."""
     return [{key: value for key, value in cell.items() if key not in COSTS} for cell in trade.cells]
 
 
 @pytest.fixture(scope="module")
 def trade(scene, tmp_path_factory):
-    """Measured here, one after the other."""
+    """Trade measured in this process, without workers."""
     trade = made(scene, tmp_path_factory.mktemp("one"))
     for _ in trade.measure(MEASURED, stabilisations=["none"], budget=0.05, workers=1):
         pass
@@ -50,7 +50,7 @@ def trade(scene, tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_errors_are_the_same_bits_with_two_workers(scene, trade, tmp_path):
+def test_errors_are_bit_identical_with_two_workers(scene, trade, tmp_path):
     """The number of step sizes depends on costs: only cells of both runs are compared."""
     other = made(scene, tmp_path)
     for _ in other.measure(["rkmk4"], stabilisations=["none"], budget=0.05, workers=2):
@@ -70,7 +70,7 @@ def test_errors_are_the_same_bits_with_two_workers(scene, trade, tmp_path):
 
 
 @pytest.mark.parametrize("method", MEASURED)
-def test_errors_fall_with_the_order(trade, method):
+def test_errors_decrease_at_the_order_of_the_method(trade, method):
     """Between rungs in the asymptotic range, in the middle: 0.2 of the order, as steps are no
     powers of each other and the next term of the error still counts.
     """
@@ -90,7 +90,7 @@ def test_errors_fall_with_the_order(trade, method):
         assert np.median(slopes) == pytest.approx(METHODS[method].order, abs=0.2)
 
 
-def test_the_front_and_the_cheapest(trade):
+def test_the_pareto_front_and_the_cheapest_configurations(trade):
     settled = dict((id(cell), error) for cell, error in trade.settled())
     front = trade.front()
     for cell in front:
@@ -109,7 +109,7 @@ def test_the_front_and_the_cheapest(trade):
     assert trade.cheapest(1e-15) is None
 
 
-def test_a_step_that_is_right_by_chance_is_not_chosen(scene, trade):
+def test_a_step_that_is_accurate_by_chance_is_not_chosen(scene, trade):
     """A coarse step with an accidentally zero error counts as accurate as the two finer steps."""
     lucky = made(scene, trade._store.folder.parent.parent)
     cells = [
@@ -127,7 +127,7 @@ def test_a_step_that_is_right_by_chance_is_not_chosen(scene, trade):
     assert lucky.cheapest(1e-5) is before
 
 
-def test_what_is_measured_is_kept(scene, tmp_path):
+def test_an_interrupted_measurement_resumes_from_the_cache(scene, tmp_path):
     """An interrupted run continues, even with a truncated line in the cache."""
     first = made(scene, tmp_path)
     running = first.measure(["rkmk4"], budget=0.02, workers=1)
@@ -146,7 +146,7 @@ def test_what_is_measured_is_kept(scene, tmp_path):
     assert third.truth.motion.position.tobytes() == first.truth.motion.position.tobytes()
 
 
-def test_a_damaged_store_is_measured_again(scene, trade, tmp_path):
+def test_a_damaged_cache_is_measured_again(scene, trade, tmp_path):
     """Incomplete cells, invalid text, an invalid horizon."""
     here = made(scene, tmp_path)
     good = trade.cells[0]
@@ -171,7 +171,7 @@ def test_a_damaged_store_is_measured_again(scene, trade, tmp_path):
     assert here._store.truth(here.truth.horizon) is None
 
 
-def test_what_is_asked_for_is_answered_whatever_was_measured_before(scene, trade):
+def test_only_requested_methods_and_steps_are_used_whatever_is_cached(scene, trade):
     """Methods that do not fit are excluded; if none is left, the error says so."""
     asked = made(scene, trade._store.folder.parent.parent)
     asked.keep_only(["rkmk4", "stoermer_verlet"], ["se3"], steps=[1e-2, 5e-3])
@@ -184,7 +184,7 @@ def test_what_is_asked_for_is_answered_whatever_was_measured_before(scene, trade
         list(asked.measure(["stoermer_verlet"]))
 
 
-def test_a_full_disk_keeps_nobody_from_measuring(scene, tmp_path, caplog):
+def test_a_full_disk_does_not_prevent_measuring(scene, tmp_path, caplog):
     trade = made(scene, tmp_path)
     file = trade._store.folder / "0.5s" / "cells.jsonl"
     file.mkdir()  # as good as a disk that takes nothing
@@ -195,7 +195,7 @@ def test_a_full_disk_keeps_nobody_from_measuring(scene, tmp_path, caplog):
     ]
 
 
-def test_another_scene_version_or_processor_finds_nothing(scene, trade, monkeypatch):
+def test_the_cache_is_specific_to_scene_version_and_processor(scene, trade, monkeypatch):
     """The key of the cache changes with each; the first entries are found again afterwards."""
     root = trade._store.folder.parent.parent
     horizon = trade.truth.horizon
@@ -215,7 +215,7 @@ def test_another_scene_version_or_processor_finds_nothing(scene, trade, monkeypa
 
 
 @pytest.mark.parametrize("name", ["double_pendulum", "heavy_top", "slider_crank"])
-def test_the_accuracy_is_kept(name, tmp_path, monkeypatch):
+def test_the_requested_accuracy_is_met(name, tmp_path, monkeypatch):
     """At other times than those of the choice, against another integration."""
     monkeypatch.setenv("LIEGROUP_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(accuracy, "SHORTLIST", ("rkmk4", "rkmk8"))
@@ -249,7 +249,7 @@ def test_the_accuracy_is_kept(name, tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_refusals_say_what_can_be_had(tmp_path, monkeypatch):
+def test_refusals_name_the_attainable_accuracy(tmp_path, monkeypatch):
     monkeypatch.setenv("LIEGROUP_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(accuracy, "SHORTLIST", ("rkmk2",))
     monkeypatch.setattr(accuracy, "BUDGET", 0.05)
@@ -289,8 +289,8 @@ forces:
 """
 
 
-def test_a_motion_that_is_over_before_the_first_sample_counts(tmp_path):
-    """Critically damped at 1000 / s: it is over after 10 ms, the first hundredth of the horizon.
+def test_a_transient_before_the_first_sample_counts(tmp_path):
+    """Critically damped at 1000 1/s: it decays within 10 ms, the first 1 % of the horizon.
     The error that is measured is that of all steps: the early samples of steps of 0.5 ms are 0.5,
     1, 2, ... ms, and the error, about as wide as the motion, is largest between two of them.
     """
@@ -310,7 +310,7 @@ def test_a_motion_that_is_over_before_the_first_sample_counts(tmp_path):
     assert late < 0.1 * largest  # what the hundredths alone would tell
 
 
-def test_steps_divide_the_samples():
+def test_step_sizes_divide_the_sampling_interval():
     for horizon in ("10", "1", "0.5", "0.02", "6", "0.037"):
         horizon = settings.as_time(float(horizon))
         found = [step for step, _ in zip(settings.steps(horizon), range(12))]
@@ -321,7 +321,7 @@ def test_steps_divide_the_samples():
             assert horizon % spacing == 0 and horizon / spacing >= settings.LEAST_SAMPLES
 
 
-def test_the_horizon_is_as_long_as_the_motion_is_known(scene, tmp_path, monkeypatch):
+def test_the_default_horizon_ends_where_the_reference_is_uncertain(scene, tmp_path, monkeypatch):
     """Cached with the scene; samples equal those of a reference for these times only."""
     monkeypatch.setattr(truth, "HORIZONS", truth.HORIZONS[-5:-2])
     found = Trade(scene, None, store.Store(scene, tmp_path))

@@ -19,14 +19,14 @@ def totals(schedule, steps):
     return np.array(history)
 
 
-def test_a_wrench_acts_over_its_steps_only():
+def test_a_wrench_acts_only_during_its_steps():
     schedule = WrenchSchedule(1)
     schedule.command("a", 0, PUSH, 2, 5)
     acts = totals(schedule, 8).any(axis=1)
     assert acts.tolist() == [False, False, True, True, True, False, False, False]
 
 
-def test_the_same_source_replaces_and_sources_add():
+def test_a_source_replaces_its_wrench_and_sources_add():
     schedule = WrenchSchedule(1)
     schedule.command("a", 0, PUSH, 0, NEVER)
     schedule.command("b", 0, PUSH, 1, 4)
@@ -46,7 +46,7 @@ def test_zero_ends_a_wrench_and_clear_ends_a_source():
     assert not schedule.total.any() and schedule.next_change(4) == NEVER
 
 
-def test_of_two_commands_for_one_step_the_later_wins():
+def test_the_later_of_two_commands_for_one_step_applies():
     schedule = WrenchSchedule(1)
     schedule.command("a", 0, PUSH, 1, NEVER)
     schedule.command("a", 0, 5 * np.array(PUSH), 1, NEVER)
@@ -55,8 +55,8 @@ def test_of_two_commands_for_one_step_the_later_wins():
 
 @pytest.mark.parametrize("group", ["se3", "so3xr3"])
 @pytest.mark.parametrize("steps_at_once", [1, 7, 1000])
-def test_a_known_push_gives_the_closed_form_momentum(group, steps_at_once):
-    """At rest in space, torque and force along the same principal axis, for 250 steps of 1 ms.
+def test_a_known_wrench_gives_the_closed_form_momentum(group, steps_at_once):
+    """Body at rest, torque and force along one principal axis, for 250 steps of 1 ms.
 
     Then L = tau t and p = f t for ever after: the axis does not turn, so body and world axes agree
     on it. Rounding: 250 additions to sums of at most 2.5e-1 and 7.5e-1, each eps/2 relative, and
@@ -74,7 +74,7 @@ def test_a_known_push_gives_the_closed_form_momentum(group, steps_at_once):
     assert [c.step for c in simulation.drain_applied()] == [100, 350]
 
 
-def test_a_spinning_body_takes_up_the_same_linear_momentum():
+def test_a_spinning_body_gains_the_same_linear_momentum():
     """Force along the spin axis: p = f t, and the spin does not change."""
     simulation = Simulation(load_scene("free_body"), step=1e-3)
     pose, _ = simulation.state()
@@ -87,7 +87,7 @@ def test_a_spinning_body_takes_up_the_same_linear_momentum():
 
 
 def test_a_force_in_world_axes_keeps_its_direction_on_a_spinning_body():
-    """It turns with the body in a step only: the impulse of a step is F (sin wh, 1 - cos wh) / w.
+    """It rotates with the body only within a step: impulse F (sin wh, 1 - cos wh) / w per step.
 
     RKMK4 turns the momentum, seen from the body, by w h = 0.02 in every step with an error of
     (w h)^5 / 120 of its size, at most 2 N s: over 800 steps 4.3e-8 N s.
@@ -112,7 +112,7 @@ def test_a_force_in_world_axes_keeps_its_direction_on_a_spinning_body():
     )
 
 
-def test_world_axes_and_body_axes_of_two_sources_add():
+def test_wrenches_in_world_and_body_axes_of_two_sources_add():
     simulation = Simulation(load_scene("free_body"))
     quarter = [[0.0, -1, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0]]  # a quarter turn about z
     simulation.set_state(np.array(quarter), np.zeros((1, 6)))
@@ -125,7 +125,7 @@ def test_world_axes_and_body_axes_of_two_sources_add():
         simulation.apply_wrench("body", PUSH, axes="top")
 
 
-def test_replaying_the_drained_changes_gives_the_same_bits():
+def test_replaying_the_recorded_changes_is_bit_identical():
     def pushes(simulation):
         simulation.apply_wrench("top", (0.3, 0, 0, 0, 50.0, 0), start=0.05, duration=0.1)
         simulation.apply_wrench("top", (0, 0, 0.1, 9.0, 0, 0), duration=0.0901, source="other")
@@ -145,7 +145,7 @@ def test_replaying_the_drained_changes_gives_the_same_bits():
 
 
 @pytest.mark.parametrize("wrench", [(1, 2, 3), (np.nan, 0, 0, 0, 0, 0), (0, 0, 0, np.inf, 0, 0)])
-def test_a_wrench_that_is_none_is_refused_and_changes_nothing(wrench):
+def test_an_invalid_wrench_is_refused_and_changes_nothing(wrench):
     simulation = Simulation(load_scene("free_body"))
     with pytest.raises(ValueError, match="six finite numbers"):
         simulation.apply_wrench("body", wrench)

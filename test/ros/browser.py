@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Chromium without a window, driven by its DevTools protocol over a pipe; needs no package."""
+"""Headless Chromium, controlled by the DevTools protocol over a pipe; needs no package."""
 
 import base64
 import fcntl

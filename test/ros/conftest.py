@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lets the tests in this folder import its helpers; the package is the installed one."""
+"""Fixtures of the ROS tests, and the import path of their helper modules."""
 
 import sys
 from pathlib import Path

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A small recorded run with one of everything, and processes that record, for the tests."""
+"""Small recording with every kind of content, and processes that record, for the tests."""
 
 import json
 import os
@@ -65,7 +65,7 @@ def diagnostics_message(stamp_ns, values):
 
 
 def record_run(path):
-    """A run with everything in it, some chunks long; returns {topic: [(stamp, bytes)]}."""
+    """Record a run of several chunks with every kind of content; {topic: [(stamp, bytes)]}."""
     random = np.random.default_rng(1)
     written = {}
     with Recorder(path, attachments(), {"run": {"operator": "test"}}) as recorder:
@@ -124,7 +124,7 @@ def record_run(path):
 
 
 def python(code, *arguments):
-    """A Python process that runs `code`, with this file at hand as `example_run`."""
+    """Python process that runs `code`, which can import this file as `example_run`."""
     path = [str(Path(__file__).parent), *filter(None, [os.environ.get("PYTHONPATH")])]
     return subprocess.Popen(
         [sys.executable, "-c", textwrap.dedent(code), *map(str, arguments)],

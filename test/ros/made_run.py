@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings as the node makes them, without its threads, so that each can be spoilt somewhere."""
+"""Recordings as the node writes them, made without its threads, with optional planted errors."""
 
 from example_run import diagnostics_message, log_message
 
@@ -46,7 +46,7 @@ def record(
     promise=None,
     factors=None,
 ):
-    """Record a run of so many steps.
+    """Record a run of a given number of steps.
 
     pushes : {step: (body, wrench)}, resets : steps at which to go back to the start
     promise : of an accuracy, as in Simulation

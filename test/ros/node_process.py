@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulation nodes as processes of their own, and a client in this one, for the tests.
+"""Simulation nodes in separate processes, and a client node in this process, for the tests.
 
 Everything runs in one ROS domain that no other test run on this machine has.
 """
@@ -35,7 +35,7 @@ COMPILING = 180.0  # s; the first start on a machine compiles
 
 
 def _free_domain():
-    """(ROS domain, its lock file) that no other test run on this machine has."""
+    """(ROS domain, lock file) that no other test run on this machine uses."""
     for k in range(100):
         number = 1 + (os.getpid() + k) % 100
         try:
@@ -59,7 +59,7 @@ PUSH = "import sys; from liegroup_sim_ros.commands.main import main; sys.exit(ma
 
 
 def python(code, *arguments, env=None, under=()):
-    """A Python process of its own session, so that signals to it reach nothing else.
+    """Python process in its own session, so that signals reach only this process.
 
     under : command line that the command line of the process is appended to
     """
@@ -74,7 +74,7 @@ def python(code, *arguments, env=None, under=()):
 
 
 class NodeProcess:
-    """A simulation node; `with` ends it. parameters: {name: value}; under: as of `python`."""
+    """Simulation node, stopped by `with`. parameters: {name: value}; under: as in `python`."""
 
     running = []
 
@@ -109,7 +109,7 @@ class NodeProcess:
 
 
 class Client:
-    """A ROS node in this process that listens, calls and pushes."""
+    """ROS node in this process that subscribes, calls services and publishes wrenches."""
 
     def __init__(self):
         os.environ.update(

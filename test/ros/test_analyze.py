@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`liegroup_sim analyze` finds what is right and what is wrong with a recording.
+"""`liegroup_sim analyze`: errors, drift and planted defects of recordings.
 
 What it says about the chapter's heavy top is held against numbers of an independent program.
 """
@@ -36,7 +36,7 @@ def pushed_top(tmp_path_factory):
     )
 
 
-def test_error_of_the_heavy_top(tmp_path):
+def test_error_of_the_heavy_top_equals_an_independent_implementation(tmp_path):
     """The error after 6 s is what an independent implementation of the method has: 5.652e-6.
 
     Three digits are given; another arrangement of the same arithmetic changes the error by its
@@ -68,7 +68,7 @@ def test_error_of_the_heavy_top(tmp_path):
     assert figures["sim_seconds"] == 6.0 and figures["samples"] == 301
 
 
-def test_open_joint_on_the_other_group(tmp_path):
+def test_constraint_drift_on_so3xr3_equals_an_independent_implementation(tmp_path):
     """On SO(3) x R^3 the pivot opens by 1.274e-5 m within 6 s at h = 2 ms; here every 2nd step."""
     figures = figures_of(
         record(tmp_path / "a.mcap", load_scene("heavy_top"), 3000, per_sample=2, group="so3xr3"),
@@ -79,8 +79,8 @@ def test_open_joint_on_the_other_group(tmp_path):
     assert figures["repeat"]["identical"] == 1501
 
 
-def test_energy_and_momentum_without_the_push(pushed_top):
-    """Drift within the two free intervals, each from its own start, by formulas of this test."""
+def test_energy_and_momentum_drift_of_force_free_intervals(pushed_top):
+    """Drift within both intervals without wrench, each from its start, by formulas in this test."""
     recording = read_recording(pushed_top)
     figures = analyse(recording, reference=False).figures
     pose, twist = recording.pose["top"], recording.twist["top"].twist
@@ -117,8 +117,8 @@ def test_energy_and_momentum_without_the_push(pushed_top):
     assert figures["pushes"] == [{"body": "top", "from_s": 0.8, "to_s": pytest.approx(1.4)}]
 
 
-def test_repetition_and_reference_need_the_wrenches(pushed_top, tmp_path):
-    """With the recorded wrenches all bits and a small error; with one of them lost, neither."""
+def test_repetition_and_reference_use_the_recorded_wrenches(pushed_top, tmp_path):
+    """With them the run is bit-identical and its error small; with one missing, neither."""
     good = figures_of(pushed_top)
     assert good["repeat"]["identical"] == good["repeat"]["samples"] == 151
     assert good["reference"]["angle"]["max"] < 1e-4
@@ -136,7 +136,7 @@ def test_repetition_and_reference_need_the_wrenches(pushed_top, tmp_path):
     assert any("re-simulation is not bit-identical: top" in text for text in bad["problems"])
 
 
-def test_one_wrong_bit_is_found(tmp_path):
+def test_one_flipped_bit_is_detected(tmp_path):
     def flip(topic, k, data):
         last = data[:-8] + bytes([data[-8] ^ 1]) + data[-7:]  # the quaternion's w, little end
         return last if topic.endswith("pose") and k == 30 else data
@@ -147,8 +147,8 @@ def test_one_wrong_bit_is_found(tmp_path):
     assert len(figures["problems"]) == 1
 
 
-def test_resets_begin_anew(tmp_path):
-    """Each stretch is judged from the initial state; a push that the reset ends counts so far."""
+def test_every_reset_starts_a_new_interval(tmp_path):
+    """Each interval starts from the initial state; a wrench counts until the reset ends it."""
     figures = figures_of(
         record(
             tmp_path / "a.mcap",
@@ -170,7 +170,7 @@ def test_resets_begin_anew(tmp_path):
     assert figures["sim_seconds"] == pytest.approx(0.6 + 0.5 + 0.68)
 
 
-def test_dampers_leave_no_energy_to_keep(tmp_path):
+def test_energy_drift_is_not_judged_with_dampers(tmp_path):
     scene = scene_from_text(PAIR.replace("rest_length", "damping: 0.5, rest_length"))
     figures = figures_of(record(tmp_path / "a.mcap", scene, 500))
     assert figures["energy"]["drift_J"] is None
@@ -183,8 +183,8 @@ def test_dampers_leave_no_energy_to_keep(tmp_path):
     assert figures["joints"] == {} and figures["reference"]["position"]["max"] < 1e-7
 
 
-def test_numbers_that_are_none(tmp_path, capsys):
-    """Samples with NaN are told and left out; none of their figures looks fine."""
+def test_nan_samples_are_reported_and_excluded(tmp_path, capsys):
+    """No figure of such samples is shown as good."""
 
     def spoil(topic, k, data):
         if topic == "/sim_node/left/twist" and k in (20, 21):
@@ -199,8 +199,8 @@ def test_numbers_that_are_none(tmp_path, capsys):
     assert figures["not_finite_samples"] == 2 and figures["repeat"]["samples"] == 39
 
 
-def test_missing_samples_and_messages(tmp_path):
-    """A sample without the messages of one body is none; gaps in sequence numbers are told."""
+def test_missing_samples_and_messages_are_reported(tmp_path):
+    """A sample lacking the messages of one body is excluded; sequence gaps are reported."""
     log = record(
         tmp_path / "a.mcap",
         scene_from_text(PAIR),
@@ -219,8 +219,8 @@ def test_missing_samples_and_messages(tmp_path):
     ]
 
 
-def test_recording_of_a_killed_process(tmp_path, pushed_top):
-    """Cut off in the middle: what is there is judged, and the file is said to be incomplete."""
+def test_the_recording_of_a_killed_process_is_analysed(tmp_path, pushed_top):
+    """Truncated in the middle: the existing part is analysed and the file called incomplete."""
     log = tmp_path / "cut.mcap"
     log.write_bytes(pushed_top.read_bytes()[:-3000])
     figures = figures_of(log)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`liegroup_sim analyze`: exact solutions, order, trends, bounds, many logs, addresses, schema."""
+"""`liegroup_sim analyze`: exact solutions, order, trends, limits, many logs, URLs, schema."""
 
 import functools
 import json
@@ -19,6 +19,7 @@ from made_run import PAIR, record
 from liegroup_core import Simulation, load_scene
 from liegroup_core.layout import make_layout
 from liegroup_core.scene.load import scene_from_text
+from liegroup_core.study import tasks
 from liegroup_sim_ros.analysis.analyse import analyse
 from liegroup_sim_ros.analysis.bounds import find_exceeded
 from liegroup_sim_ros.analysis.comparison import compare
@@ -49,7 +50,7 @@ joints:
 
 
 def run(path, scene, method="rkmk4", step=2e-3, duration=1.0, every=10, **options):
-    """Record a run of the engine without a clock."""
+    """Record a run of the engine without pacing."""
     from liegroup_sim_ros.recording.write_run import LogFile
 
     simulation = Simulation(scene, method, step, **options)
@@ -63,8 +64,8 @@ def run(path, scene, method="rkmk4", step=2e-3, duration=1.0, every=10, **option
 
 
 @pytest.mark.parametrize("text, name", [(FREE, "free bodies"), (TOP, "symmetric heavy top")])
-def test_error_against_the_exact_solution(tmp_path, text, name):
-    """The same as against the independent integration, two roads that share nothing."""
+def test_the_error_against_the_exact_solution_and_the_reference_agree(tmp_path, text, name):
+    """Closed form and independent integration share no code."""
     recording = read_recording(run(tmp_path / "a.mcap", scene_from_text(text), step=1e-2, every=5))
     exact = analyse(recording).figures["reference"]
     assert (exact["kind"], exact["seconds"]) == (name, 1.0)
@@ -106,8 +107,8 @@ def test_error_against_the_exact_solution(tmp_path, text, name):
         ("lie_midpoint", 2, 1e-3),
     ],
 )
-def test_observed_order_and_error_of_one_step(tmp_path, method, order, step):
-    """The order shows; and a step from the start is as wrong as the estimate says."""
+def test_observed_order_and_one_step_error(tmp_path, method, order, step):
+    """The order is observed, and the error of the first step equals its estimate."""
     scene = scene_from_text(TOP)
     recording = read_recording(run(tmp_path / "a.mcap", scene, method, step, 20 * step, 1))
     figures = analyse(recording, reference=False).figures["local"]
@@ -122,7 +123,7 @@ def test_observed_order_and_error_of_one_step(tmp_path, method, order, step):
 
 
 def test_trend_and_curves_of_a_drift():
-    """A line with noise: its slope; steps back at a wrench begin an interval anew."""
+    """Slope of a line with noise; a wrench starts a new interval."""
 
     class Stretch:
         def free(self, bodies):
@@ -150,7 +151,7 @@ def test_trend_and_curves_of_a_drift():
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory):
-    """Folder with two good logs, a cut one and none."""
+    """Folder with two valid recordings, a truncated one and a file that is none."""
     folder = tmp_path_factory.mktemp("logs")
     run(folder / "a.mcap", load_scene("heavy_top"))
     run(folder / "b.mcap", load_scene("heavy_top"), "rkmk8")
@@ -161,13 +162,13 @@ def logs(tmp_path_factory):
 
 
 def checked(path):
-    """The document of --json, as its schema wants it."""
+    """JSON document of --json, validated by its schema."""
     document = json.loads(path.read_text(), parse_constant=pytest.fail)
     jsonschema.Draft202012Validator(json.loads(SCHEMA.read_text())).validate(document)
     return document
 
 
-def test_schema_says_what_there_is(tmp_path, logs, capsys):
+def test_the_schema_describes_every_key(tmp_path, logs, capsys):
     jsonschema.Draft202012Validator.check_schema(json.loads(SCHEMA.read_text()))
     log = record(
         tmp_path / "pair.mcap",
@@ -187,8 +188,8 @@ def test_schema_says_what_there_is(tmp_path, logs, capsys):
 
 
 @pytest.mark.parametrize("way", ["dask", "without dask", "cluster"])
-def test_many_logs(logs, tmp_path, capsys, monkeypatch, way):
-    """Each gets its line; those that cannot be read do not keep the others from it."""
+def test_many_recordings_give_one_line_each(logs, tmp_path, capsys, monkeypatch, way):
+    """Unreadable recordings do not prevent the analysis of the others."""
     options = ["--json", str(tmp_path / "x.json"), "--max-error", "1e-7"]
     if way == "without dask":
         monkeypatch.setitem(sys.modules, "dask", None)
@@ -223,8 +224,8 @@ def test_many_logs(logs, tmp_path, capsys, monkeypatch, way):
     ]  # rkmk8 is exact enough
 
 
-def test_bounds(logs, tmp_path, capsys):
-    """Exit code 1 and one line, also where a bound cannot be judged; never a silent pass."""
+def test_a_violated_or_unjudged_limit_fails_the_command(logs, tmp_path, capsys, monkeypatch):
+    """Exit code 1 and one line, also if a limit cannot be checked; exit code 2 for wrong input."""
     log = str(logs / "a.mcap")
     assert main(["analyze", log, "--max-error", "1e-3", "--max-drift", "1e-3"]) == 0
     assert capsys.readouterr().err == ""
@@ -243,11 +244,12 @@ def test_bounds(logs, tmp_path, capsys):
     ):
         assert main(["analyze", str(nothing)]) == 2
         assert said in capsys.readouterr().err
+    monkeypatch.setattr(tasks, "CONNECTING", 1)  # s instead of 10: nothing listens on that port
     assert main(["analyze", log, "--scheduler", "tcp://127.0.0.1:9"]) == 2
     assert "no dask scheduler" in capsys.readouterr().err
 
 
-def test_two_logs(logs, tmp_path):
+def test_two_recordings_are_compared(logs, tmp_path):
     one, other = (read_recording(logs / name) for name in ("a.mcap", "b.mcap"))
     figures = compare(one, other)
     assert figures["samples"] == 51 and figures["identical"] == 1
@@ -264,8 +266,8 @@ def test_two_logs(logs, tmp_path):
         compare(one, read_recording(logs / "c.mcap"))
 
 
-def test_long_runs_are_judged_as_short_ones(tmp_path, monkeypatch):
-    """Piece by piece gives what one piece gives, curves thinned or not."""
+def test_long_recordings_are_analysed_in_pieces(tmp_path, monkeypatch):
+    """The result equals that of a single piece, with and without thinned curves."""
     log = record(
         tmp_path / "a.mcap",
         scene_from_text(PAIR),
@@ -303,8 +305,8 @@ def test_long_runs_are_judged_as_short_ones(tmp_path, monkeypatch):
     assert np.array_equal(whole.motion.stretches[1].position[row], stretch.position)
 
 
-def test_addresses(logs, monkeypatch):
-    """Anything that fsspec reads; what is missing is said in one line."""
+def test_recordings_are_read_from_urls(logs, monkeypatch):
+    """Any URL that fsspec reads; a missing package is reported in one line."""
     memory = fsspec.filesystem("memory")
     memory.pipe("/logs/a.mcap", (logs / "a.mcap").read_bytes())
     here, there = read_recording(logs / "a.mcap"), read_recording("memory://logs/a.mcap")
@@ -322,8 +324,8 @@ def test_addresses(logs, monkeypatch):
         read_recording("memory://logs/a.mcap")
 
 
-def test_a_bound_that_the_reference_cannot_judge_is_not_kept():
-    """The error counts with the uncertainty of what it is measured against."""
+def test_a_limit_below_the_reference_uncertainty_fails():
+    """The uncertainty of the reference is added to the error."""
 
     def figures(error, uncertainty):
         entry = {"max": error, "uncertainty": uncertainty, "unit": "m"}
@@ -350,13 +352,13 @@ def test_a_bound_that_the_reference_cannot_judge_is_not_kept():
         (math.nan, 1.0, "not a number"),
     ],
 )
-def test_an_error_is_told_with_what_is_known_of_it(error, uncertainty, said):
+def test_an_error_is_printed_with_its_uncertainty(error, uncertainty, said):
     entry = {"max": error, "uncertainty": uncertainty, "unit": "m"}
     assert error_text(entry) == said
 
 
 class _Web(SimpleHTTPRequestHandler):
-    """A folder on the web; of short.mcap it sends less than it says."""
+    """HTTP server of a folder; of short.mcap it sends fewer bytes than announced."""
 
     def do_GET(self):
         if not self.path.endswith("short.mcap"):
@@ -370,8 +372,8 @@ class _Web(SimpleHTTPRequestHandler):
         pass
 
 
-def test_addresses_on_the_web(logs, capsys):
-    """Logs of a real server, by the processes of dask too; each that cannot be had is one line."""
+def test_recordings_are_read_over_http(logs, capsys):
+    """From a real server, also in dask workers; each unavailable one gives one line."""
     server = ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(_Web, directory=logs))
     threading.Thread(target=server.serve_forever, daemon=True).start()
     web = f"http://127.0.0.1:{server.server_port}"
@@ -394,7 +396,7 @@ def test_addresses_on_the_web(logs, capsys):
     refused("a", "Connect")
 
 
-def test_as_a_library_without_ros(tmp_path):
+def test_the_library_works_without_ros(tmp_path):
     """Arrays and data frames in a Python where no ROS package can be imported."""
     log = record(
         tmp_path / "a.mcap",
@@ -423,8 +425,8 @@ assert recording.joint_states is None and recording.to_pandas("joints").empty
     assert done.returncode == 0, done.stderr
 
 
-def test_the_page_about_analysis_runs(tmp_path, monkeypatch, capsys):
-    """Every Python block of docs/reference/analysis.md, one after the other, in one folder."""
+def test_the_code_of_the_analysis_page_runs(tmp_path, monkeypatch, capsys):
+    """Every Python block of docs/reference/analysis.md, in order and in one folder."""
     run(tmp_path / "run.mcap", load_scene("heavy_top"))
     monkeypatch.chdir(tmp_path)
     text = (SCHEMA.parents[1] / "docs" / "reference" / "analysis.md").read_text()
@@ -438,7 +440,7 @@ def test_the_page_about_analysis_runs(tmp_path, monkeypatch, capsys):
 
 
 def test_joint_states_are_read(tmp_path):
-    """Coordinates and rates of every joint that has one, as the node writes them."""
+    """Joint positions and velocities of all joints that have them, as the node writes them."""
     from liegroup_sim_ros.messages import samples as sample_messages
     from liegroup_sim_ros.recording import attachments
     from liegroup_sim_ros.recording.write import Recorder

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `liegroup_sim analyze` prints and writes, and how it refuses what it cannot read."""
+"""Output of `liegroup_sim analyze`, and its errors for unreadable input."""
 
 import base64
 import json
@@ -28,7 +28,7 @@ from liegroup_sim_ros.report.summary import headline
 from liegroup_sim_ros.report.terminal import print_table
 
 
-def test_not_a_number_is_never_shown_as_fine(tmp_path, capsys):
+def test_nan_is_never_shown_as_good(tmp_path, capsys):
     log = record(
         tmp_path / "a.mcap",
         scene_from_text(PAIR),
@@ -70,14 +70,14 @@ def test_the_requested_factor_is_averaged_over_time(tmp_path, factors, mean, tex
     assert slow == ([f"too slow: real-time factor 0.78, {text}"] if mean and mean > 0.8 else [])
 
 
-def test_an_offline_run_is_requested_as_fast_as_possible(tmp_path):
+def test_an_offline_run_has_no_requested_real_time_factor(tmp_path):
     log = tmp_path / "a.mcap"
     assert main(["run", "heavy_top", "--duration", "0.1", "--out", str(log)]) == 0
     figures = analyse(read_recording(log), reference=False).figures
     assert headline(figures)[-1][::2] == ("real-time factor", "requested: as fast as possible")
 
 
-def test_files_are_written_before_a_closed_stdout_ends_the_command(tmp_path):
+def test_files_are_written_although_stdout_is_closed(tmp_path):
     log = record(tmp_path / "a.mcap", scene_from_text(PAIR), 50)
     page, figures = tmp_path / "a.html", tmp_path / "a.json"
     child = subprocess.Popen(
@@ -99,7 +99,7 @@ def test_files_are_written_before_a_closed_stdout_ends_the_command(tmp_path):
 
 
 class Links(HTMLParser):
-    """Collects what a page would fetch, its scripts and its texts."""
+    """Collect external references, scripts and texts of a page."""
 
     def __init__(self):
         super().__init__()
@@ -121,8 +121,8 @@ class Links(HTMLParser):
         self.tag = None
 
 
-def test_page(tmp_path, capsys):
-    """Self-contained, escaped, every plot has finite data, wide and narrow, light and dark."""
+def test_the_html_report_is_self_contained_and_escaped(tmp_path, capsys):
+    """Every plot has finite data, for wide and narrow windows, light and dark themes."""
     pushes = [(50, ("left", (0, 0, 1.0, 0, 0, 0))), (80, ("left", (0,) * 6))]
     log = record(tmp_path / "a.mcap", scene_from_text(PAIR), 400, pushes=pushes)
     page = tmp_path / "a.html"
@@ -151,8 +151,8 @@ def test_page(tmp_path, capsys):
     assert [body for body, *_ in motion["pushes"]] == [0] and motion["frames"] == 41
 
 
-def test_a_chance_hit_does_not_stretch_a_log_axis():
-    """Beginnings at 1e-46 m are left out of sight, slow growth from 1e-15 m is not."""
+def test_an_accidental_tiny_error_does_not_stretch_a_log_axis():
+    """Initial values of 1e-46 m are not shown; slow growth from 1e-15 m is."""
 
     def axis(y):
         plot = plots._plane([plots._line("error", np.arange(len(y)), y, "--blue")], [], "m", True)
@@ -165,8 +165,8 @@ def test_a_chance_hit_does_not_stretch_a_log_axis():
     assert "range" not in slow and slow["dtick"] == 3 and axis(np.zeros(9))["dtick"] == 1
 
 
-def test_long_recordings_make_no_large_page(tmp_path, monkeypatch):
-    """What is drawn is bounded, and what sticks out is still there."""
+def test_the_report_size_is_bounded_for_long_recordings(tmp_path, monkeypatch):
+    """The number of plotted points is bounded, and peaks are preserved."""
     y = np.sin(np.linspace(0.0, 300.0, 1_000_000))
     y[123_456], y[654_321], y[777_777] = 7.0, -5.0, np.nan
     drawn = plots._line("a curve", np.arange(1e6), y, "--blue")
@@ -187,8 +187,8 @@ def test_long_recordings_make_no_large_page(tmp_path, monkeypatch):
     assert abs(places[-1, 1, 3:] @ last.quaternion[-1]) == pytest.approx(1.0, abs=1e-6)
 
 
-def test_pictures(tmp_path, capsys):
-    """A picture of every kind; what cannot be drawn is told before the work."""
+def test_plots_of_every_file_type(tmp_path, capsys):
+    """An unsupported file type is refused before the analysis."""
     log = str(record(tmp_path / "a.mcap", scene_from_text(PAIR), 100))
     starts = {"png": b"\x89PNG", "pdf": b"%PDF", "svg": b"<?xml"}
     for kind, start in starts.items():
@@ -216,7 +216,7 @@ def test_pictures(tmp_path, capsys):
         (lambda path: path.mkdir(), "a folder without"),
     ],
 )
-def test_bad_files(tmp_path, capsys, make, said):
+def test_unreadable_files_give_one_line(tmp_path, capsys, make, said):
     make(tmp_path / "a.mcap")
     assert main(["analyze", str(tmp_path / "a.mcap")]) == 2
     out, err = capsys.readouterr()
@@ -224,8 +224,8 @@ def test_bad_files(tmp_path, capsys, make, said):
     assert err.startswith(f"liegroup_sim: {tmp_path / 'a.mcap'}")
 
 
-def test_other_wrong_input(tmp_path, capsys):
-    """A page that cannot be written is said before the work; a scene that is broken, too."""
+def test_unwritable_output_and_invalid_scenes_give_one_line(tmp_path, capsys):
+    """A report that cannot be written is refused before the analysis, as is an invalid scene."""
     log = record(tmp_path / "a.mcap", scene_from_text(PAIR), 20)
     assert main(["analyze", str(log), "--html", str(tmp_path / "no" / "a.html")]) == 2
     assert "cannot be written" in capsys.readouterr().err

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`liegroup_sim demo` as a user starts it: a real node, a real push, and nothing left behind."""
+"""`liegroup_sim demo` with a real node and a real wrench, leaving no processes behind."""
 
 import json
 import os
@@ -29,7 +29,7 @@ def start(*arguments):
 
 
 def running(out):
-    """Numbers of the processes that name this folder."""
+    """IDs of the processes whose command line contains this folder."""
     found = []
     for path in Path("/proc").glob("[0-9]*/cmdline"):
         try:
@@ -41,7 +41,7 @@ def running(out):
 
 
 def test_demo(tmp_path):
-    """Recording, page and figures of a pushed run that is repeated bit for bit."""
+    """Recording, report and figures of a run with a wrench that repeats bit for bit."""
     out = tmp_path / "out"
     out.mkdir()
     (out / "demo.mcap").write_text("of an earlier demo")
@@ -63,7 +63,7 @@ def test_demo(tmp_path):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_ended_early_it_leaves_nothing(tmp_path, number):
+def test_an_interrupted_demo_leaves_no_processes(tmp_path, number):
     out = tmp_path / "out"
     demo = start("--seconds", 60, "--out", out)
     try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`liegroup_sim extremes`: table, picture, JSON, and one line for wrong input."""
+"""`liegroup_sim extremes`: table, plot, JSON, and one line for wrong input."""
 
 import json
 import signal
@@ -48,8 +48,8 @@ def test_table_picture_and_json(tmp_path, capsys):
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_ctrl_c_loses_nothing(tmp_path, capsys, monkeypatch):
-    """What was run before stands in the table of the next call, which runs the rest only."""
+def test_an_interrupted_map_keeps_its_cells(tmp_path, capsys, monkeypatch):
+    """The next call shows the cells of the first one and runs only the remaining ones."""
     monkeypatch.setattr(store, "cache_root", lambda: tmp_path)
     call = ["extremes", "--axes", "turn", "--methods", "rkmk4", "rkmk8", "--workers", "1"]
     made, presses = [], iter([3])
@@ -72,7 +72,7 @@ def test_ctrl_c_loses_nothing(tmp_path, capsys, monkeypatch):
     assert len(made) == len(set(made)) and "silent 0" in capsys.readouterr().out
 
 
-def test_a_scene_of_the_user(capsys):
+def test_a_user_scene_is_mapped(capsys):
     assert (
         main(
             [
@@ -118,8 +118,8 @@ def test_a_scene_at_rest_has_no_speeds_and_quick_is_quick(capsys):
     assert "initial velocities at" not in shown and "initially at rest" in said
 
 
-def test_values_are_told_apart_and_whole(tmp_path, capsys):
-    """1.000001 is not 1, on the terminal and in the page, and no head of a column is cut."""
+def test_close_values_are_distinguishable_and_not_truncated(tmp_path, capsys):
+    """1.000001 differs from 1 on the terminal and in the report; column heads are complete."""
     page, wanted = tmp_path / "map.md", next(a for a in extremes.AXES if a.name == "sleeping")
     assert (
         main(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Damaged and hostile files: one line, in bounded memory and time, and never a wrong number."""
+"""Damaged and hostile recordings: one line, bounded memory and time, never a wrong number."""
 
 import dataclasses
 import math
@@ -29,7 +29,7 @@ CHUNK, ATTACHMENT = 6, 9
 
 @pytest.fixture(scope="module")
 def small(tmp_path_factory):
-    """A small file with poses, twists, wrenches, a reset, diagnostics and all attachments."""
+    """Small recording with poses, twists, wrenches, a reset, diagnostics and all attachments."""
     path = tmp_path_factory.mktemp("log") / "small.mcap"
     return record(
         path,
@@ -41,7 +41,7 @@ def small(tmp_path_factory):
 
 
 def motion(recording):
-    """{(kind, body, stamp): numbers}"""
+    """{(kind, body, stamp): numbers} of a recording."""
     return {
         (kind, body, stamp): tuple(row)
         for kind in ("pose", "twist")
@@ -51,8 +51,8 @@ def motion(recording):
 
 
 @pytest.mark.parametrize("harm", ["cut", "flip", "garble", "random"])
-def test_nothing_wrong_is_read(small, tmp_path, harm):
-    """What is read is what was written, and what is missing is told; else it is one line.
+def test_damage_never_gives_wrong_numbers(small, tmp_path, harm):
+    """Every value read was written, and missing data are reported; otherwise one error line.
 
     Places and bits by chance, the same ones every time. Every one of the 25 798 cuts and as many
     flips of this file were tried once like this.
@@ -92,7 +92,7 @@ def test_nothing_wrong_is_read(small, tmp_path, harm):
 
 
 def with_chunk(head, packed):
-    """A file of one chunk whose head says what it likes."""
+    """Bytes of a file with one chunk and an arbitrary chunk header."""
     body = head + packed
     return MAGIC + struct.pack("<BQ", CHUNK, len(body)) + body
 
@@ -106,21 +106,21 @@ def chunk_head(unpacked, packed, crc=0, compression=b"zstd"):
 
 
 def bomb(claimed):
-    """A chunk of a GiB of zeros in 32 KiB."""
+    """Chunk of 32 KiB that decompresses to 1 GiB of zeros."""
     packer = zstandard.ZstdCompressor(level=3).compressobj()
     packed = b"".join(packer.compress(bytes(2**20)) for _ in range(1024)) + packer.flush()
     return with_chunk(chunk_head(claimed, len(packed)), packed)
 
 
 def message_bomb():
-    """Messages without content that unpack to 60 MiB, of a channel that nobody declared."""
+    """Empty messages of an undeclared channel that decompress to 60 MiB."""
     data = (struct.pack("<BQHIQQ", 5, 22, 1, 1, 1, 1)) * (60 * 2**20 // 31)
     packed = zstandard.ZstdCompressor(level=3).compress(data)
     return with_chunk(chunk_head(len(data), len(packed), zlib.crc32(data)), packed) * 1
 
 
 def growing_chunks():
-    """Each for itself within what a chunk may claim, all together not."""
+    """Chunks within the size limit of one chunk, but not in total."""
     noise = random.Random(3).randbytes(20_000)
     data = struct.pack("<BQHIQQ", 5, 22 + len(noise), 1, 1, 1, 1) + noise
     data += struct.pack("<BQHIQQ", 5, 1022, 1, 1, 1, 1).ljust(1031, b"\0") * (15 * 2**20 // 1031)
@@ -129,8 +129,8 @@ def growing_chunks():
     return MAGIC + chunk[len(MAGIC) :] * 30
 
 
-def test_a_file_of_many_bombs_is_read_as_far_as_one_may_grow(tmp_path, capsys):
-    """What comes after is not unpacked."""
+def test_a_file_of_many_bombs_is_read_up_to_the_total_limit(tmp_path, capsys):
+    """Later chunks are not decompressed."""
     file = tmp_path / "grows.mcap"
     file.write_bytes(growing_chunks())
     with open(file, "rb") as stream:
@@ -160,8 +160,8 @@ def test_a_file_of_many_bombs_is_read_as_far_as_one_may_grow(tmp_path, capsys):
     ],
     ids=range(12),
 )
-def test_bombs_and_huge_lengths(tmp_path, capsys, make):
-    """Refused in a second or so, with the memory of one chunk: 64 MiB, and the arrays over it."""
+def test_bombs_and_huge_lengths_are_refused_quickly(tmp_path, capsys, make):
+    """Within about 1 s and the memory of one chunk (64 MiB) and its arrays."""
     file = tmp_path / "hostile.mcap"
     file.write_bytes(make())
     tracemalloc.start()
@@ -213,8 +213,8 @@ STRANGE = (
         "machine",
     ],
 )
-def test_settings_that_make_no_sense(small, key):
-    """A line that says so, or, where they do not matter to the numbers, the same numbers."""
+def test_invalid_settings_in_a_recording(small, key):
+    """One error line, or the same numbers if the setting does not affect them."""
     good = read_recording(small)
     for value in STRANGE:
         recording = dataclasses.replace(good, settings=good.settings | {key: value})
@@ -235,7 +235,7 @@ def test_settings_that_make_no_sense(small, key):
 
 
 @pytest.mark.parametrize("key", ["pose", "twist", "steps", "stamp_ns", "angles"])
-def test_initial_states_that_make_no_sense(small, key):
+def test_invalid_initial_states_in_a_recording(small, key):
     good = read_recording(small)
     for value in STRANGE:
         recording = dataclasses.replace(good, initial_state=good.initial_state | {key: value})

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command lines of sim_node in docs/how-to/control.md start a node, and its Python runs against one."""
+"""docs/how-to/control.md: its commands start a node, and its Python code controls one."""
 
 import re
 import shlex
@@ -19,12 +19,12 @@ COMMANDS = re.findall(r"^    sim_node (--ros-args .*)$", PAGE, re.MULTILINE)
 SCRIPT = "\n".join(re.findall(r"^```python\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL))
 
 
-def test_page_has_what_is_tested_here():
+def test_the_page_contains_commands_and_python_code():
     assert len(COMMANDS) == 5 and SCRIPT.count("import rclpy\n") == 1
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_command_starts_a_node(client, tmp_path, command):
+def test_a_command_of_the_page_starts_a_node(client, tmp_path, command):
     command = command.replace("config/", f"{SOURCE / 'config'}/").replace(
         "run.mcap", str(tmp_path / "run.mcap")
     )
@@ -44,7 +44,7 @@ def test_command_starts_a_node(client, tmp_path, command):
         process.kill()
 
 
-def test_python_of_the_page_runs(tmp_path):
+def test_the_python_code_of_the_page_runs(tmp_path):
     path = tmp_path / "run.mcap"
     with NodeProcess({"scene": "heavy_top", "record": path}) as process:
         script = python(SCRIPT.replace('"run.mcap"', repr(str(path))))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Packed messages against the real ROS serialization, byte for byte, and decoding of many at once.
+"""Packed messages equal the real ROS serialization byte for byte; decoding of many messages.
 
 ROS leaves the alignment gap between frame id and numbers as it was in memory; ours is zero, so
 that equal messages are equal bytes. The gap alone is left out of the comparison.
@@ -54,7 +54,7 @@ def assign(target, values):
 
 
 def without_gap(payload):
-    """The payload with its alignment gap, up to 7 bytes behind the frame id, set to zero."""
+    """Payload with the alignment gap (up to 7 bytes after the frame id) set to zero."""
     end = 16 + int.from_bytes(payload[12:16], "little")
     start = 4 + (end - 4 + 7) // 8 * 8
     return payload[:end] + bytes(start - end) + payload[start:]
@@ -100,7 +100,7 @@ def test_twist_and_wrench_are_what_ros_serializes(stamp_ns, frame_id, values):
 
 
 @pytest.mark.parametrize("length", range(41))
-def test_every_frame_id_length(length):
+def test_frame_ids_of_every_length_modulo_alignment(length):
     frame_id = "abcdefghij"[: length % 10] + "x" * (length - length % 10)
     assert len(frame_id) == length
     expected = pose_message(7, frame_id, [1.0, 2.0, 3.0], [0.1, 0.2, 0.3, 0.4])
@@ -116,7 +116,7 @@ def test_clock_is_what_ros_serializes(stamp_ns):
 
 @settings(max_examples=50)
 @given(st.lists(st.tuples(STAMPS, FRAMES, floats(7)), max_size=20))
-def test_decode_of_mixed_frames_gives_the_same_numbers_back(rows):
+def test_decoding_mixed_frames_returns_the_encoded_numbers(rows):
     poses = PoseStampedCodec.decode(
         [
             pose_message(stamp_ns, frame_id, values[:3], values[3:])
@@ -140,7 +140,7 @@ def test_decode_of_mixed_frames_gives_the_same_numbers_back(rows):
     assert twists.twist.tobytes() == wrenches.wrench.tobytes() == values[:, :6].tobytes()
 
 
-def test_decode_takes_big_endian_and_trailing_bytes():
+def test_decoding_accepts_big_endian_and_trailing_bytes():
     big = struct.pack(">4siII5s7x6d", b"\0\0\0\0", 3, 4, 5, b"body\0", *range(6))
     little = TwistStampedCodec("body").encode(3_000_000_004, (3, 4, 5, 0, 1, 2))
     twists = TwistStampedCodec.decode([big, little, little + b"\0\0\0\0"])
@@ -159,7 +159,7 @@ def test_decode_takes_big_endian_and_trailing_bytes():
         (lambda data: data[:12] + b"\xff\xff\xff\xff" + data[16:], "a message is truncated"),
     ],
 )
-def test_damaged_payload_is_one_clear_line(damage, said):
+def test_a_damaged_payload_is_refused_in_one_line(damage, said):
     good = PoseStampedCodec("world").encode(0, (0, 0, 0), (0, 0, 0, 1))
     with pytest.raises(MessageError, match=said) as caught:
         PoseStampedCodec.decode([good, damage(good)])
@@ -180,7 +180,7 @@ def test_definition_and_hash_agree_with_an_independent_implementation(msg_type):
     assert schemas.type_hash(msg_type) == store.hash_rihs01(msg_type)
 
 
-def test_definition_has_the_form_that_readers_split():
+def test_definitions_have_the_separators_that_readers_expect():
     parts = schemas.definition("geometry_msgs/msg/PoseStamped").split("\n" + "=" * 80 + "\n")
     assert [part.split("\n", 1)[0] for part in parts[1:]] == [
         "MSG: geometry_msgs/Pose",
@@ -192,7 +192,7 @@ def test_definition_has_the_form_that_readers_split():
 
 
 @pytest.mark.parametrize("msg_type", ["no_such_msgs/msg/Thing", "geometry_msgs/msg/NoSuchThing"])
-def test_missing_type_is_one_clear_line(msg_type):
+def test_a_missing_message_type_is_refused_in_one_line(msg_type):
     with pytest.raises(schemas.SchemaError, match="is not installed") as caught:
         schemas.definition(msg_type)
     assert "\n" not in str(caught.value)

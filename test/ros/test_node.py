@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulation node as a process, over real DDS: what it says, obeys and refuses."""
+"""The simulation node in its own process, over DDS: topics, services, wrenches and errors."""
 
 import re
 import signal
@@ -26,7 +26,7 @@ SOURCE = Path(__file__).resolve().parents[2]
 
 
 class Shared:
-    """A running node, and all it has said."""
+    """Running node and all messages received from it."""
 
     def __init__(self, client):
         self.pose = client.listen(f"{NODE}/puck/pose", PoseStamped)
@@ -86,7 +86,7 @@ def shared(client, scene):
 
 @pytest.fixture
 def node(client, shared):
-    """The shared node, running, at the start of its scene, nothing pushed."""
+    """The shared node, running, reset to its initial state, without wrenches."""
     assert client.call(f"{NODE}/reset").success
     assert client.call(f"{NODE}/resume").success
     count = len(shared.pose)
@@ -118,11 +118,11 @@ def test_poses_twists_and_clock_are_complete(client, node):
     assert set(np.diff(clocks[-40:])) == {PERIOD_NS}
 
 
-def test_start_is_told_to_who_comes_later(node):
+def test_a_late_subscriber_receives_the_start_event(node):
     assert node.events[0].name == "start"
 
 
-def test_push_from_another_process_gives_its_impulse(client, node):
+def test_a_wrench_from_another_process_gives_its_impulse(client, node):
     push = python(
         PUSH, "push", "puck", "--force", 3, 0, 0, "--torque", 0, 0, 0.8, "--duration", 0.3
     )
@@ -151,7 +151,7 @@ def test_push_from_another_process_gives_its_impulse(client, node):
     assert twist.linear.z == 0.0
 
 
-def test_push_refuses_a_body_that_is_not_there(node):
+def test_push_refuses_an_unknown_body(node):
     push = python(PUSH, "push", "bal", "--force", 1, 0, 0)
     output, errors = push.communicate(timeout=PATIENCE)
     assert (push.returncode, output) == (2, "")
@@ -159,7 +159,7 @@ def test_push_refuses_a_body_that_is_not_there(node):
 
 
 @pytest.mark.parametrize("hold, steps", [("timeout", 100), ("one_step", 1)])
-def test_wrench_ends_after_its_hold_time(client, node, hold, steps):
+def test_a_wrench_ends_after_its_hold_time(client, node, hold, steps):
     assert client.set(NODE, wrench_hold=hold).successful
     node.push("puck", force=(0.0, 4.0, 0.0))
     client.until(lambda: len(node.applied) == 2)
@@ -170,7 +170,7 @@ def test_wrench_ends_after_its_hold_time(client, node, hold, steps):
     assert node.twist[-1].twist.linear.y == pytest.approx(4.0 / 2.0 * steps * 1e-3, rel=1e-12)
 
 
-def test_wrench_until_replaced(client, node):
+def test_a_wrench_lasts_until_it_is_replaced(client, node):
     assert client.set(NODE, wrench_hold="until_replaced").successful
     node.push("puck", force=(1.0, 0.0, 0.0))
     client.until(lambda: len(node.applied) == 1)
@@ -185,7 +185,7 @@ def test_wrench_until_replaced(client, node):
     assert client.set(NODE, wrench_hold="timeout").successful
 
 
-def test_stamp_to_come_is_kept_and_stamp_past_is_now(client, node):
+def test_a_future_stamp_is_scheduled_and_a_past_stamp_applies_now(client, node):
     future = node.now_ns() + 333 * STEP_NS + 1  # within a step: the next step boundary
     node.push("puck", force=(1.0, 0.0, 0.0), stamp_ns=future)
     node.push("cube", force=(1.0, 0.0, 0.0), stamp_ns=1)
@@ -207,7 +207,7 @@ def test_stamp_to_come_is_kept_and_stamp_past_is_now(client, node):
         ("stamp_too_far", "puck", (1.0, 0.0, 0.0), 1_800_000_000 * 10**9, "ahead of the simulated"),
     ],
 )
-def test_wrong_wrench_is_refused_counted_and_said_once(
+def test_an_invalid_wrench_is_refused_counted_and_logged_once(
     client, node, reason, body, force, ahead, message
 ):
     client.until(lambda: node.figures()["state"] == "running")
@@ -227,7 +227,7 @@ def test_wrong_wrench_is_refused_counted_and_said_once(
         assert said == []  # the reason is known from the case before
 
 
-def test_wrench_publisher_with_incompatible_qos_is_named(client, node):
+def test_a_wrench_publisher_with_incompatible_qos_is_reported(client, node):
     publisher = client.node.create_publisher(
         WrenchStamped,
         f"{NODE}/wrench",
@@ -239,7 +239,7 @@ def test_wrench_publisher_with_incompatible_qos_is_named(client, node):
     client.node.destroy_publisher(publisher)
 
 
-def test_step_takes_exactly_as_many_steps_while_paused(client, node):
+def test_step_advances_by_the_exact_number_while_paused(client, node):
     refused = client.call(f"{NODE}/step")
     assert not refused.success and "~/pause first" in refused.message
     still, count = node.pause(client), len(node.pose)
@@ -264,7 +264,7 @@ def test_step_takes_exactly_as_many_steps_while_paused(client, node):
     assert client.set(NODE, step_count=1).successful
 
 
-def test_reset_restores_the_state_and_time_goes_on(client, node):
+def test_reset_restores_the_state_and_time_continues(client, node):
     node.push("puck", force=(5.0, 0.0, 0.0), torque=(0.0, 1.0, 0.0))
     client.until(lambda: node.twist[-1].twist.linear.x != 0.0)
     before, count = node.pause(client), len(node.pose)
@@ -284,7 +284,7 @@ def test_reset_restores_the_state_and_time_goes_on(client, node):
     assert [m.name for m in node.events[-3:]] == ["pause", "reset", "resume"]
 
 
-def test_speed_is_held_and_can_be_changed(client, node):
+def test_the_real_time_factor_is_held_and_can_be_changed(client, node):
     for wanted in (0.5, 2):  # a whole number is a number, too
         assert client.set(NODE, real_time_factor=wanted).successful
         client.spin(0.1)
@@ -312,7 +312,7 @@ def test_speed_is_held_and_can_be_changed(client, node):
     )
 
 
-def test_divergence_stops_the_simulation_not_the_node(client, node):
+def test_divergence_stops_the_simulation_but_not_the_node(client, node):
     node.push("cube", torque=(1e306, 1e306, 0.0))
     client.until(lambda: node.events[-1].name == "fault", what="a fault")
     client.until(lambda: node.diagnostics[-1].status[0].level == DiagnosticStatus.ERROR)
@@ -329,7 +329,7 @@ def test_divergence_stops_the_simulation_not_the_node(client, node):
     assert np.linalg.norm([speed.x, speed.y, speed.z]) == pytest.approx(np.sqrt(0.14), rel=1e-10)
 
 
-def test_diagnostics_have_the_figures_that_the_docs_name(client, node):
+def test_diagnostics_contain_the_documented_values(client, node):
     client.until(lambda: node.figures()["state"] == "running")
     figures = node.figures()
     documented = (SOURCE / "docs" / "reference" / "node.md").read_text()
@@ -342,7 +342,7 @@ def test_diagnostics_have_the_figures_that_the_docs_name(client, node):
     assert node.diagnostics[-1].status[0].name == "/sim_node: simulation"
 
 
-def test_preset_has_the_defaults_of_all_parameters():
+def test_the_preset_lists_the_defaults_of_all_parameters():
     preset = yaml.safe_load((SOURCE / "config" / "default.yaml").read_text())
     given = preset["/**"]["ros__parameters"]
     assert given == {entry.name: entry.default for entry in TABLE} | {"scene": "heavy_top"}
@@ -351,7 +351,7 @@ def test_preset_has_the_defaults_of_all_parameters():
 
 
 @pytest.mark.parametrize("path", sorted((SOURCE / "config").glob("*.yaml")), ids=lambda p: p.stem)
-def test_presets_have_parameters_that_can_be_used(path):
+def test_every_preset_has_valid_parameters(path):
     step = 0.001
     for name, value in yaml.safe_load(path.read_text())["/**"]["ros__parameters"].items():
         assert check(name, value) == value
@@ -361,5 +361,5 @@ def test_presets_have_parameters_that_can_be_used(path):
             assert 1.0 / (value * step) == pytest.approx(round(1.0 / (value * step)))
 
 
-def test_docs_have_the_table_of_parameters():
+def test_the_docs_contain_the_generated_parameter_table():
     assert table_text() in (SOURCE / "docs" / "reference" / "node.md").read_text()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a running node does when the disk is full, when it is held up or cannot keep up."""
+"""A running node with a full disk, after a suspension, and under overload."""
 
 import shlex
 import signal
@@ -32,7 +32,9 @@ def ended_well(process):
 
 
 @pytest.mark.skipif(not has_namespaces(), reason="no mount namespaces for users here")
-def test_full_disk_ends_the_recording_loudly_and_not_the_simulation(client, scene, tmp_path):
+def test_a_full_disk_ends_the_recording_with_an_error_but_not_the_simulation(
+    client, scene, tmp_path
+):
     script = SMALL_DISK.format(shlex.quote(str(tmp_path)))
     diagnostics = client.listen("/diagnostics", DiagnosticArray)
     poses = client.listen("/filling/puck/pose", PoseStamped)
@@ -56,7 +58,7 @@ def test_full_disk_ends_the_recording_loudly_and_not_the_simulation(client, scen
         assert len(said) == 1 and said[0].startswith("[ERROR]")
 
 
-def test_a_node_that_was_held_up_goes_on_without_a_burst(client, scene):
+def test_a_suspended_node_continues_without_a_burst(client, scene):
     poses = client.listen("/held/puck/pose", PoseStamped)
     diagnostics = client.listen("/diagnostics", DiagnosticArray)
     with NodeProcess({"scene": scene}, remap=["__node:=held"]) as process:
@@ -77,7 +79,7 @@ def test_a_node_that_was_held_up_goes_on_without_a_burst(client, scene):
         ended_well(process)
 
 
-def test_a_node_that_cannot_keep_up_says_so(client, scene):
+def test_an_overloaded_node_reports_it(client, scene):
     diagnostics = client.listen("/diagnostics", DiagnosticArray)
     with NodeProcess(
         {"scene": scene, "real_time_factor": 1e6}, remap=["__node:=hurried"]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands in any order, three at a time: each is answered, and every recording repeats."""
+"""Concurrent commands in random order: each is answered, and every recording repeats."""
 
 import random
 import signal
@@ -38,7 +38,7 @@ REFUSED = {
 }
 
 
-def test_any_order_is_answered_and_every_part_of_the_recording_repeats(client, tmp_path):
+def test_random_commands_are_answered_and_all_recording_parts_repeat(client, tmp_path):
     rng = random.Random(5)
     clock = client.listen("/clock", Clock)
     with NodeProcess(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the simulation node starts and ends: what it refuses, leaves, and that its file repeats."""
+"""Start and end of the simulation node: refused parameters, signals, repeatable recordings."""
 
 import os
 import signal
@@ -21,7 +21,7 @@ from liegroup_sim_ros.recording.read import read_recording
 
 
 def repeat(recording):
-    """Simulate a recording again from itself; bytes of all poses and twists, {topic: [...]}."""
+    """Simulate a recording again from its own content; {topic: [bytes of poses and twists]}."""
     settings = recording.settings
     simulation = Simulation(
         scene_from_text(recording.scene_text),
@@ -56,8 +56,10 @@ def repeat(recording):
 
 
 @pytest.mark.parametrize("method", ["rkmk4", "stoermer_verlet"])
-def test_recording_of_pushes_and_controls_repeats_bit_for_bit(client, scene, tmp_path, method):
-    """Also: SIGINT twice, as `ros2 launch` sends it, ends the node well and the file whole."""
+def test_a_recording_with_wrenches_and_controls_repeats_bit_for_bit(
+    client, scene, tmp_path, method
+):
+    """Also: two SIGINTs, as `ros2 launch` sends, end the node cleanly with a complete file."""
     path = tmp_path / "run.mcap"
     name = f"/recorded_{method}"
     with NodeProcess(
@@ -127,7 +129,7 @@ def test_recording_of_pushes_and_controls_repeats_bit_for_bit(client, scene, tmp
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_signal_ends_the_node_and_finishes_its_file(client, scene, tmp_path, number):
+def test_a_signal_ends_the_node_and_completes_its_file(client, scene, tmp_path, number):
     path = tmp_path / "run.mcap"
     name = f"/ended_by_{number.name.lower()}"
     qos = {
@@ -162,7 +164,7 @@ def test_signal_ends_the_node_and_finishes_its_file(client, scene, tmp_path, num
 
 
 @pytest.mark.skipif(not compiled(), reason="nothing is compiled")
-def test_signal_while_compiling_ends_the_node(scene, tmp_path):
+def test_a_signal_during_compilation_ends_the_node(scene, tmp_path):
     path = tmp_path / "run.mcap"
     with NodeProcess(
         {"scene": scene, "record": path}, env={"LIEGROUP_CACHE_DIR": str(tmp_path)}
@@ -198,7 +200,7 @@ def test_signal_while_compiling_ends_the_node(scene, tmp_path):
         ({"record": "/proc/no/folder.mcap"}, "cannot record to /proc/no/folder.mcap"),
     ],
 )
-def test_wrong_parameter_is_one_line_and_exit_code_2(scene, parameters, message):
+def test_a_wrong_parameter_gives_one_line_and_exit_code_2(scene, parameters, message):
     with NodeProcess({"scene": scene, **parameters}) as process:
         code, errors = process.wait()
     lines = [line for line in errors.splitlines() if not line.startswith("[INFO]")]
@@ -215,7 +217,7 @@ def test_wrong_parameter_is_one_line_and_exit_code_2(scene, parameters, message)
         ("/sim_node/puk/pose.publisher.depth", 5, "did you mean qos_overrides./sim_node/puck/pose"),
     ],
 )
-def test_wrong_quality_of_service_is_refused_before_the_recording_is_opened(
+def test_wrong_quality_of_service_is_refused_before_recording(
     scene, tmp_path, name, value, message
 ):
     path = tmp_path / "run.mcap"

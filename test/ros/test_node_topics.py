@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Optional topics of a running node, each at its own rate; a reload; what the recordings have.
+"""Optional topics of a running node with separate rates, reload, and content of recordings.
 
 The frames of its bodies have a prefix, as those of one robot of several.
 """
@@ -56,7 +56,7 @@ def stamp_of(message):
 
 
 class Shown:
-    """A running node and what is on its topics, by parameter of the rate."""
+    """Running node and the messages on its topics, by rate parameter."""
 
     def __init__(self, client):
         self.messages = {
@@ -173,7 +173,7 @@ def test_topics_agree_at_the_same_stamp(client, node):
     assert markers.markers[1].pose.position == pose.pose.position
 
 
-def test_applied_wrench_is_an_arrow(client, node):
+def test_an_applied_wrench_is_shown_as_an_arrow(client, node):
     push = client.pusher(NODE, "wrench/persistent")
     push("lower", force=(0.0, 3.0, 0.0))  # no frame of this node
     push(f"{PREFIX}lower", force=(0.0, 2.0, 0.0))
@@ -205,21 +205,21 @@ def test_applied_wrench_is_an_arrow(client, node):
     )
 
 
-def test_push_from_the_command_line_finds_the_prefix(client, node):
+def test_push_on_the_command_line_finds_the_topic_prefix(client, node):
     process = python(PUSH, "push", "lower", "--force", 0, 1, 0, "--duration", 0.1, "--node", NODE)
     client.until(lambda: process.poll() is not None, what="end of the push")
     output, errors = process.communicate()
     assert process.returncode == 0 and "applied from" in output, errors
 
 
-def test_state_has_the_figures_of_the_diagnostics(node):
+def test_state_contains_the_values_of_the_diagnostics(node):
     figures = {pair.key: pair.value for pair in node.messages["state_rate"][-1].status[0].values}
     assert figures["state"] == "running" and float(figures["sim_time_s"]) > 0.0
     # The elbow opens with the error of RKMK4, of order (omega h)^4 = 1e-9 per second at 6 rad/s.
     assert 0.0 <= float(figures["constraint_residual"]) < 1e-6
 
 
-def test_what_has_no_rate_is_not_there(client, node):
+def test_topics_without_a_rate_are_not_published(client, node):
     names = dict(client.node.get_topic_names_and_types())
     assert f"{NODE}/poses" in names and "/tf" not in names
 
@@ -230,7 +230,7 @@ def test_use_sim_time_is_refused(client, node):
     assert client.set(NODE, use_sim_time=False).successful
 
 
-def test_who_comes_while_time_stands_still_gets_the_time_and_the_scene(client, node):
+def test_a_late_subscriber_gets_time_and_scene_while_paused(client, node):
     assert client.call(f"{NODE}/pause").success
     client.spin(0.2)  # what is under way comes
     clock = client.listen(
@@ -249,8 +249,8 @@ def test_who_comes_while_time_stands_still_gets_the_time_and_the_scene(client, n
     client.until(lambda: stamp_ns(clock[-1].clock) > paused)
 
 
-def test_reload_takes_a_new_scene_with_new_topics_and_a_new_file(client, node, folder, scene):
-    """Last of this file: it changes the scene."""
+def test_reload_starts_a_new_scene_with_new_topics_and_a_new_file(client, node, folder, scene):
+    """Must run after the tests above, since it changes the scene of the shared node."""
     assert client.set(NODE, scene="no_such_scene").successful
     refused = client.call(f"{NODE}/reload")
     assert not refused.success and "no_such_scene" in refused.message
@@ -302,8 +302,8 @@ def test_reload_takes_a_new_scene_with_new_topics_and_a_new_file(client, node, f
     assert same["identical"] == same["samples"] > 5
 
 
-def test_all_that_is_published_is_recorded(client, node, folder):
-    """In the part before the reload: every topic, on its grid, without a gap."""
+def test_everything_published_is_recorded(client, node, folder):
+    """In the file before the reload: every topic, on its time grid, without a gap."""
     with open(folder / "run.mcap", "rb") as stream:
         stamps = {}
         for _, channel, message in make_reader(stream).iter_messages():
@@ -323,7 +323,7 @@ def test_all_that_is_published_is_recorded(client, node, folder):
 @pytest.mark.skipif(
     importlib.util.find_spec("tf2_msgs") is not None, reason="tf2_msgs is installed here"
 )
-def test_topic_whose_type_is_not_installed_is_one_line(scene):
+def test_a_topic_with_a_missing_message_type_is_refused_in_one_line(scene):
     with NodeProcess({"scene": scene, "tf_rate": 10.0}) as process:
         code, errors = process.wait()
     assert code == 2 and errors.splitlines()[-1].startswith(
@@ -331,7 +331,7 @@ def test_topic_whose_type_is_not_installed_is_one_line(scene):
     )
 
 
-def test_recording_without_poses_is_refused(scene, tmp_path):
+def test_recording_without_pose_topics_is_refused(scene, tmp_path):
     path = tmp_path / "run.mcap"
     with NodeProcess({"scene": scene, "publish_rate": 0.0, "record": path}) as process:
         code, errors = process.wait()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Wrench topics of a running node: axes, sums, sources, persistence, and commanders that die."""
+"""Wrench topics of a running node: axes, sums, sources, persistence, and killed publishers."""
 
 import os
 import signal
@@ -31,7 +31,7 @@ while True:
 
 
 class Pushed:
-    """A running node, ways to push it, and what it applied."""
+    """Running node, publishers of wrenches, and the wrenches it reports as applied."""
 
     def __init__(self, client):
         self.client = client
@@ -129,8 +129,8 @@ def test_a_late_subscriber_learns_what_acts_behind_many_changes(client, node):
     )
 
 
-def test_wrenches_of_topics_and_names_add(client, node):
-    """Each is replaced, and ended, by its own only."""
+def test_wrenches_of_different_sources_add(client, node):
+    """Only the same source replaces or ends a wrench."""
     expected = [0.0]
     for topic, frame, force in (
         ("wrench", "puck", 1.0),
@@ -178,7 +178,7 @@ def test_persistent_wrenches_last_until_they_are_cleared(client, node):
 
 
 def test_force_in_world_axes_keeps_its_direction(client, node):
-    """On the tumbling cube: the change of velocity is F t / m, off by less than w h = 1.3e-3 of
+    """On a tumbling cube the velocity changes by F t / m, with an error below w h = 1.3e-3 of
     it, for within a step the force turns with the body.
     """
     node.stand_still()
@@ -200,7 +200,7 @@ def test_force_in_world_axes_keeps_its_direction(client, node):
     assert np.linalg.norm(np.subtract(first, last)) > 1.0
 
 
-def test_wrench_of_a_commander_that_dies_ends(client, node):
+def test_the_wrench_of_a_killed_publisher_ends(client, node):
     assert client.set(NODE, wrench_hold="timeout").successful
     commander = python(COMMANDER)
     try:

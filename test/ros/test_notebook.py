@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`show` in a notebook: a self-contained report in a frame, of a recording or of a simulation."""
+"""`show` in a notebook: a self-contained report of a recording or simulation in a frame."""
 
 import html
 import re
@@ -15,7 +15,7 @@ from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.recording import RecordingError, read_recording
 
 
-def test_a_recording_shows_itself(tmp_path):
+def test_a_recording_has_a_notebook_representation(tmp_path):
     log = tmp_path / "run.mcap"
     assert main(["run", "heavy_top", "--duration", "0.2", "--out", str(log)]) == 0
     shown = show(log, reference=False)
@@ -28,7 +28,7 @@ def test_a_recording_shows_itself(tmp_path):
     assert shown.save(tmp_path / "page.html").read_text(encoding="utf-8") == shown.html
 
 
-def test_a_simulation_is_shown_from_its_present_state_and_stays(tmp_path):
+def test_a_simulation_is_shown_from_its_current_state_and_not_changed(tmp_path):
     simulation = Simulation(load_scene("double_pendulum"), step=1e-3)
     simulation.advance(100)
     before = simulation.state()
@@ -38,8 +38,8 @@ def test_a_simulation_is_shown_from_its_present_state_and_stays(tmp_path):
     assert all(np.array_equal(a, b) for a, b in zip(before, simulation.state()))
 
 
-def test_a_report_from_any_step_finds_no_problem(monkeypatch):
-    """Neither the time before nor a wrench of the original is taken for an error of the copy."""
+def test_a_report_from_a_later_step_reports_no_problem(monkeypatch):
+    """Earlier time and wrenches of the original simulation are not errors of the copy."""
     found = []
     analyse = notebook.analyse
     monkeypatch.setattr(
@@ -57,8 +57,8 @@ def test_a_report_from_any_step_finds_no_problem(monkeypatch):
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
-def test_the_frame_draws_inside_another_page(tmp_path):
-    """As in a notebook: the sandboxed frame runs its scripts and asks for nothing."""
+def test_the_frame_renders_inside_another_page(tmp_path):
+    """As in a notebook, the sandboxed frame runs its scripts and sends no requests."""
     simulation = Simulation(load_scene("heavy_top"), "rkmk4", 1e-3)
     page = tmp_path / "notebook.html"
     cell = show(simulation, 0.2, reference=False)._repr_html_()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`liegroup_sim run` and `describe`: files that say what was run, and refusals in one line."""
+"""`liegroup_sim run` and `describe`: exact, self-describing files, and one-line errors."""
 
 import csv
 import json
@@ -18,7 +18,7 @@ from liegroup_sim_ros.messages.codecs import LogCodec
 from liegroup_sim_ros.recording.read import read_recording
 
 
-def test_a_table_is_exact(tmp_path, capsys):
+def test_a_csv_table_has_the_exact_numbers(tmp_path, capsys):
     path = tmp_path / "a.csv"
     given = ["run", "double_pendulum", "--duration", "0.095", "--step", "1e-3", "--out", str(path)]
     assert main(given) == 0 and main(given) == 2
@@ -41,7 +41,7 @@ def test_a_table_is_exact(tmp_path, capsys):
             assert row[f"{joint}.velocity [rad/s]"] == velocity
 
 
-def test_arrays_are_those_of_the_simulation(tmp_path, capsys):
+def test_npz_arrays_equal_those_of_the_simulation(tmp_path, capsys):
     path = tmp_path / "a.npz"
     assert (
         main(
@@ -91,8 +91,8 @@ def test_arrays_are_those_of_the_simulation(tmp_path, capsys):
         ["--stabilisation", "baumgarte", "--baumgarte-time", "0.05", "--group", "so3xr3"],
     ],
 )
-def test_a_recording_is_analysed_like_that_of_the_node(tmp_path, more):
-    """Simulated again from the file's own settings it is the same to the bit."""
+def test_an_offline_recording_is_analysed_like_one_of_the_node(tmp_path, more):
+    """Simulating it again from the settings in the file is bit-identical."""
     path = tmp_path / "a.mcap"
     assert main(["run", "heavy_top", "--duration", "0.5", "--out", str(path), *more]) == 0
     recording = read_recording(path)
@@ -109,8 +109,8 @@ def test_a_recording_is_analysed_like_that_of_the_node(tmp_path, more):
 
 
 @pytest.mark.parametrize("suffix", ["npz", "mcap"])
-def test_a_run_that_stops_leaves_what_was_computed(tmp_path, capsys, suffix):
-    """The top turns by 15 rad in a step of 0.1 s: beyond 2 pi there is no solution."""
+def test_a_failed_run_leaves_the_samples_before_the_failure(tmp_path, capsys, suffix):
+    """The top rotates by 15 rad in a step of 0.1 s, beyond the limit 2 pi."""
     path = tmp_path / f"a.{suffix}"
     assert (
         main(
@@ -158,7 +158,7 @@ def test_a_run_that_stops_leaves_what_was_computed(tmp_path, capsys, suffix):
         ({"--out": "none/a.npz"}, "cannot be written"),
     ],
 )
-def test_wrong_input_is_one_line_and_no_file(tmp_path, monkeypatch, capsys, change, said):
+def test_wrong_input_gives_one_line_and_no_file(tmp_path, monkeypatch, capsys, change, said):
     monkeypatch.chdir(tmp_path)
     given = {"scene": "heavy_top", "--duration": "0.01", "--out": "a.npz"} | change
     arguments = [word for key, value in given.items() if key != "scene" for word in (key, value)]
@@ -168,7 +168,7 @@ def test_wrong_input_is_one_line_and_no_file(tmp_path, monkeypatch, capsys, chan
     assert not list(tmp_path.iterdir())
 
 
-def test_no_file_is_overwritten(tmp_path, capsys):
+def test_existing_files_are_not_overwritten(tmp_path, capsys):
     for suffix in ("npz", "mcap"):
         path = tmp_path / f"a.{suffix}"
         path.write_bytes(b"mine")
@@ -177,7 +177,7 @@ def test_no_file_is_overwritten(tmp_path, capsys):
 
 
 def test_a_recording_needs_interface_packages_but_not_rclpy(tmp_path):
-    """One line where the packages are missing; with them, nothing of rclpy is imported."""
+    """One line if the packages are missing; with them, rclpy is not imported."""
 
     def run(prelude, name):
         return subprocess.run(
@@ -207,7 +207,7 @@ def test_a_recording_needs_interface_packages_but_not_rclpy(tmp_path):
 
 
 @pytest.mark.parametrize("name, text", [("", ""), ("start", "abc"), ("fault", "at ω = 1")])
-def test_events_are_encoded_as_ros_does(name, text):
+def test_events_are_encoded_like_ros_strings(name, text):
     data = LogCodec.encode(3_000_000_007, LogCodec.ERROR, name, text)
     message = deserialize_message(data, Log)
     assert (message.stamp.sec, message.stamp.nanosec) == (3, 7)
@@ -216,7 +216,7 @@ def test_events_are_encoded_as_ros_does(name, text):
     assert len(serialize_message(message)) == len(data)
 
 
-def test_describe(capsys):
+def test_describe_prints_a_summary(capsys):
     assert main(["describe", "heavy_top"]) == 0
     out = capsys.readouterr().out
     for text in ("3 degrees of freedom", "spherical", "angular momentum about", "rkmk8"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The installed package is what pip, the ament index and `ros2 run` expect of it."""
+"""The installed package meets the expectations of pip, the ament index and `ros2 run`."""
 
 import ast
 import importlib.metadata
@@ -35,7 +35,7 @@ print(*sys.modules)
 
 @pytest.fixture(autouse=True)
 def ament_path(monkeypatch):
-    """What setup.bash does for a workspace; nobody does it for a pip install."""
+    """Set the ament path, as setup.bash does in a workspace; pip does not."""
     sourced = os.environ.get("AMENT_PREFIX_PATH")
     monkeypatch.setenv("AMENT_PREFIX_PATH", os.pathsep.join(filter(None, [sourced, sys.prefix])))
 
@@ -82,7 +82,7 @@ def test_share_files_are_installed():
         assert (share / file).read_bytes() == (SOURCE / file).read_bytes()
 
 
-def test_layouts_show_topics_that_the_node_has():
+def test_layouts_show_only_topics_of_the_node():
     documented = (SOURCE / "docs" / "reference" / "node.md").read_text()
     rviz = yaml.safe_load((SOURCE / "config" / "scene.rviz").read_text())
     shown = [
@@ -99,8 +99,8 @@ def test_layouts_show_topics_that_the_node_has():
         assert f"`{topic.replace('/sim_node', '~')}`" in documented, topic
 
 
-def test_launch_file_is_python_and_its_preset_is_there():
-    """launch has no wheel: that it starts the node is proved with a ROS installation only."""
+def test_the_launch_file_compiles_and_its_preset_exists():
+    """`launch` has no wheel, so starting the node by it is tested only with a ROS installation."""
     text = (SOURCE / "launch" / "sim.launch.py").read_text()
     tree = ast.parse(text)
     constants = {
@@ -146,7 +146,7 @@ def test_core_imports_no_ros():
     assert not roots & {"rclpy", "rosidl_runtime_py", "rosidl_parser", NAME}
 
 
-def test_analysis_does_without_rclpy():
+def test_analysis_does_not_import_rclpy():
     assert "rclpy" not in imported_by(
         *(f"{NAME}.{part}" for part in ("messages", "recording", "analysis", "report")),
         f"{NAME}.commands.analyze",

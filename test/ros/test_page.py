@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of `liegroup_sim analyze --html` in a browser, for readers and for attackers."""
+"""The HTML report of `liegroup_sim analyze` in a browser: animation, layout, hostile names."""
 
 import json
 import re
@@ -32,7 +32,7 @@ def browser(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory):
-    """Folder with pages of one log, of one compared with another, and of several."""
+    """Folder with reports of one recording, of a comparison, and of several recordings."""
     folder = tmp_path_factory.mktemp("pages")
     scene = load_scene("double_pendulum")
     second = scene.bodies[1].name
@@ -65,7 +65,7 @@ def pages(tmp_path_factory):
 
 
 def opened(browser, page, **look):
-    """Open a page; nothing is asked from anywhere and nothing fails."""
+    """Open a page; assert that it sends no requests and raises no errors."""
     browser.open(page, **look)
     assert browser.run("document.querySelectorAll('details').forEach(d => d.open = true)") is None
     browser.run("new Promise(done => setTimeout(done, 50))")
@@ -73,8 +73,8 @@ def opened(browser, page, **look):
     assert browser.requests == [f"file://{page}"]
 
 
-def test_motion(browser, pages, capsys):
-    """The slider puts the bodies where they were; a push is red; a click on a plot goes there."""
+def test_slider_and_plots_control_the_animation(browser, pages, capsys):
+    """The slider sets the recorded poses; a wrench is red; a click on a plot sets the time."""
     opened(browser, pages / "one.html")
     recording, bodies = read_recording(pages / "one.mcap"), load_scene("double_pendulum").bodies
     second = bodies[1].name
@@ -125,8 +125,8 @@ def turned(quaternion, vector):
     return vector + 2.0 * np.cross(axis, np.cross(axis, vector) + w * np.array(vector))
 
 
-def test_phone(browser, pages):
-    """Nothing is wider than 360 px, plots follow the window, a finger on them scrolls the page."""
+def test_layout_on_a_phone(browser, pages):
+    """Nothing exceeds 360 px, plots follow the window width, touching a plot scrolls the page."""
 
     def right():
         return browser.run(
@@ -168,8 +168,8 @@ def test_phone(browser, pages):
     assert browser.run("scrollY") > before + 100
 
 
-def test_light_and_dark(browser, pages):
-    """Colours of page and plots, also when the theme changes while the page is open."""
+def test_light_and_dark_themes(browser, pages):
+    """Colours of page and plots, also after a theme change while the page is open."""
     look = (
         "[getComputedStyle(document.querySelector('.card')).backgroundColor, "
         "document.querySelector('.plane')._fullLayout.font.color, "
@@ -187,8 +187,8 @@ def test_light_and_dark(browser, pages):
     assert browser.run(look) == dark
 
 
-def test_hostile_names(browser, tmp_path, monkeypatch):
-    """Names of bodies, joints, files and the scene, and all its texts, are shown and never run."""
+def test_hostile_names_are_shown_and_never_executed(browser, tmp_path, monkeypatch):
+    """Names of bodies, joints, files and the scene, and all its texts."""
     monkeypatch.setattr(values, "_NAME", re.compile(r"[\s\S]*"))
     name = json.dumps(HOSTILE)
     text = (

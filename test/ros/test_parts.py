@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recording in parts: each complete in itself, all of them one bag."""
+"""A recording split into parts: each complete in itself, together one rosbag2 bag."""
 
 import json
 
@@ -40,7 +40,7 @@ forces:
 
 
 def content(path):
-    """({attachment: JSON or text}, {topic: [(sequence, stamp, bytes)]}) of a file."""
+    """({attachment: JSON or text}, {topic: [(sequence, stamp, bytes)]}) of a recording."""
     with open(path, "rb") as stream:
         reader = make_reader(stream)
         files = {a.name: a.data for a in reader.iter_attachments()}
@@ -59,7 +59,7 @@ def content(path):
 
 
 def same_bits(path):
-    """Number of samples of a part; each is made again from the part alone, to the bit."""
+    """Number of samples of a part, after checking that the part alone reproduces them bitwise."""
     files, rows = content(path)
     settings, state = files["settings.json"], files["initial_state.json"]
     simulation = Simulation(
@@ -108,8 +108,8 @@ def same_bits(path):
     return len(poses[bodies[0]])
 
 
-def test_every_part_of_a_run_repeats_its_bits_alone(client, tmp_path):
-    """With a wrench in world axes that goes on over the parts, a pause, steps and a reset."""
+def test_every_part_alone_repeats_bit_for_bit(client, tmp_path):
+    """With a world-axes wrench that spans parts, a pause, single steps and a reset."""
     scene = tmp_path / "wound.yaml"
     scene.write_text(SCENE)
     bag = tmp_path / "bag"
@@ -189,7 +189,7 @@ def test_every_part_of_a_run_repeats_its_bits_alone(client, tmp_path):
     assert counts == {topic: number for topic, number in numbers.items()}
 
 
-def test_parts_by_size_and_sequence_numbers_over_them(tmp_path):
+def test_parts_are_split_by_size_with_continuous_sequence_numbers(tmp_path):
     with Recorder(
         tmp_path / "run.mcap", {"x": ("y", b"1")}, queue_size=500, max_size=100_000, bag=True
     ) as log:
@@ -216,7 +216,7 @@ def test_parts_by_size_and_sequence_numbers_over_them(tmp_path):
         assert reader.message_count == 10_000 + len(parts) - 1
 
 
-def test_what_is_in_the_way_of_parts_or_of_the_bag_is_refused_at_the_start(tmp_path):
+def test_existing_files_of_parts_or_bag_are_refused_at_the_start(tmp_path):
     (tmp_path / "run_part2.mcap").touch()
     with pytest.raises(RecorderError, match="run_part2.mcap already exists and could be a part of"):
         Recorder(tmp_path / "run.mcap", max_size=1000)
@@ -227,7 +227,7 @@ def test_what_is_in_the_way_of_parts_or_of_the_bag_is_refused_at_the_start(tmp_p
     assert not (tmp_path / "other.mcap").exists()
 
 
-def test_a_part_that_cannot_be_begun_ends_the_recording_and_not_the_run(tmp_path, caplog):
+def test_a_part_that_cannot_be_opened_ends_the_recording_but_not_the_run(tmp_path, caplog):
     with Recorder(tmp_path / "run.mcap") as log:
         channel = log.add_channel("/clock", ClockCodec.TYPE)
         log.write(channel, 1, ClockCodec.encode(1))

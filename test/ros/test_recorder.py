@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The recorder under load, in a killed process, on a full disk: what is lost and what is said."""
+"""The recorder under load, in killed processes and on a full disk: data loss and messages."""
 
 import json
 import signal
@@ -18,7 +18,7 @@ from liegroup_sim_ros.recording.write_mcap import CHUNK_SIZE, LARGEST_CHUNK
 
 
 def test_a_killed_process_loses_at_most_the_flush_interval(tmp_path):
-    """Stamps are the machine's monotonic clock, so the parent knows how much is missing."""
+    """Stamps are the machine's monotonic clock, so the parent can measure the loss."""
     path = tmp_path / "killed.mcap"
     flush_interval, duration = 0.2, 1.0
     child = python(
@@ -55,8 +55,8 @@ def test_a_killed_process_loses_at_most_the_flush_interval(tmp_path):
     assert len(stamps) > 100
 
 
-def test_a_full_disk_ends_the_recording_and_not_the_run(tmp_path):
-    """A limit on the file size stands for the disk: part of a write is taken, the rest refused."""
+def test_a_full_disk_ends_the_recording_but_not_the_run(tmp_path):
+    """A file size limit simulates it: a write succeeds partly, the remainder is refused."""
     path = tmp_path / "full.mcap"
     child = python(
         """
@@ -87,8 +87,8 @@ def test_a_full_disk_ends_the_recording_and_not_the_run(tmp_path):
     assert not recording.complete and recording.lost == {}
 
 
-def test_a_disk_that_is_full_at_the_very_end_is_noticed(tmp_path):
-    """The last three bytes do not fit: the system takes part of a write and reports no error."""
+def test_a_disk_that_is_full_on_close_is_detected(tmp_path):
+    """The last three bytes do not fit: the system writes a part and reports no error."""
     child = python(
         """
         import json, resource, sys
@@ -111,7 +111,7 @@ def test_a_disk_that_is_full_at_the_very_end_is_noticed(tmp_path):
     assert short == size - 3 and "File too large" in failure
 
 
-def test_a_fast_producer_waits_and_nothing_is_lost(tmp_path):
+def test_a_fast_producer_blocks_and_no_message_is_lost(tmp_path):
     path = tmp_path / "fast.mcap"
     codec = PoseStampedCodec("world")
     payload = codec.encode(0, (1, 2, 3), (0, 0, 0, 1))
@@ -157,7 +157,7 @@ def test_many_threads_share_one_recorder(tmp_path):
     assert sorted(messages) == ([("/clock", i) for i in range(1, 8001)] + [("/late/clock", 1)])
 
 
-def test_close_twice_from_two_threads_and_write_after_it(tmp_path):
+def test_concurrent_close_and_write_after_close(tmp_path):
     recorder = Recorder(tmp_path / "run.mcap")
     channel = recorder.add_channel("/clock", ClockCodec.TYPE)
     recorder.write(channel, 0, ClockCodec.encode(0))
@@ -173,7 +173,7 @@ def test_close_twice_from_two_threads_and_write_after_it(tmp_path):
         assert make_reader(stream).get_summary().statistics.message_count == 1
 
 
-def test_a_run_that_dies_by_an_exception_is_finished(tmp_path):
+def test_an_exception_in_the_run_completes_the_file(tmp_path):
     child = python(
         """
         import sys
@@ -199,7 +199,7 @@ def test_a_run_that_dies_by_an_exception_is_finished(tmp_path):
         ("/proc/run.mcap", "cannot record to /proc/run.mcap: "),
     ],
 )
-def test_a_path_that_cannot_be_written_is_one_clear_line(tmp_path, name, said):
+def test_an_unwritable_path_is_refused_in_one_line(tmp_path, name, said):
     (tmp_path / "there.mcap").write_text("precious")
     with pytest.raises(RecorderError, match=said) as caught:
         Recorder(tmp_path / name)
@@ -207,7 +207,7 @@ def test_a_path_that_cannot_be_written_is_one_clear_line(tmp_path, name, said):
     assert (tmp_path / "there.mcap").read_text() == "precious"
 
 
-def test_in_a_folder_the_file_gets_a_name_of_its_own(tmp_path):
+def test_recording_to_a_folder_chooses_a_file_name(tmp_path):
     with Recorder(str(tmp_path)) as recorder:
         pass
     assert list(tmp_path.iterdir()) == [recorder.path] and recorder.path.suffix == ".mcap"
@@ -215,7 +215,7 @@ def test_in_a_folder_the_file_gets_a_name_of_its_own(tmp_path):
         read_recording(recorder.path)
 
 
-def test_an_unknown_type_is_one_clear_line(tmp_path):
+def test_an_unknown_message_type_is_refused_in_one_line(tmp_path):
     with Recorder(tmp_path / "run.mcap") as recorder:
         with pytest.raises(RecorderError, match="cannot record /x: no_such_msgs/msg/Thing"):
             recorder.add_channel("/x", "no_such_msgs/msg/Thing")
@@ -233,7 +233,7 @@ def test_reading_and_recording_import_no_ros():
 
 
 def chunks_of(path):
-    """[(start, end, bytes before compression)] of all chunks, in file order."""
+    """[(start, end, uncompressed bytes)] of all chunks, in file order."""
     with open(path, "rb") as stream:
         chunks = make_reader(stream).get_summary().chunk_indexes
     return [
@@ -242,8 +242,8 @@ def chunks_of(path):
     ]
 
 
-def test_chunks_end_between_two_instants(tmp_path):
-    """Also where they end because the queue is full, or because a flush is due."""
+def test_chunks_end_between_two_time_stamps(tmp_path):
+    """Also if a full queue or a flush ends them."""
     path = tmp_path / "run.mcap"
     payload = PoseStampedCodec("world").encode(0, (1, 2, 3), (0, 0, 0, 1))
     with Recorder(path, queue_size=2000, flush_interval=0.03) as recorder:
@@ -259,7 +259,7 @@ def test_chunks_end_between_two_instants(tmp_path):
     assert max(size for _, _, size in chunks) < CHUNK_SIZE + 7 * (len(payload) + 31) + 5000
 
 
-def test_an_instant_that_no_chunk_can_hold_is_divided(tmp_path):
+def test_messages_of_one_stamp_beyond_the_chunk_size_are_split(tmp_path):
     path = tmp_path / "run.mcap"
     with Recorder(path) as recorder:
         channel = recorder.add_channel("/clock", ClockCodec.TYPE)

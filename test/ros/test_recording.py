@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings read back, by us and by independent readers, and what is left of damaged ones."""
+"""Recordings read back by this package and independent readers, and damaged recordings."""
 
 import json
 
@@ -33,7 +33,7 @@ def run(tmp_path_factory):
     return path, record_run(path)
 
 
-def test_read_back_is_what_was_written(run):
+def test_reading_returns_what_was_written(run):
     path, written = run
     recording = read_recording(path)
     assert (
@@ -161,7 +161,7 @@ def test_rosbag2_finds_its_metadata_and_indexes(run):
     assert qos[TOPICS["pose"]["top"]].history.name == "KEEP_LAST"
 
 
-def test_a_file_cut_anywhere_gives_its_beginning_or_one_clear_line(run, tmp_path):
+def test_a_truncated_file_gives_its_beginning_or_one_error_line(run, tmp_path):
     path, written = run
     whole, cut = path.read_bytes(), tmp_path / "cut.mcap"
     everything = PoseStampedCodec.decode(
@@ -182,7 +182,7 @@ def test_a_file_cut_anywhere_gives_its_beginning_or_one_clear_line(run, tmp_path
     assert read > 10  # the file has several chunks
 
 
-def test_a_damaged_chunk_is_skipped_counted_and_told(run, tmp_path):
+def test_a_damaged_chunk_is_skipped_counted_and_reported(run, tmp_path):
     path, written = run
     with open(path, "rb") as stream:
         chunks = make_reader(stream).get_summary().chunk_indexes
@@ -206,7 +206,7 @@ def test_a_damaged_chunk_is_skipped_counted_and_told(run, tmp_path):
         (b"#!/bin/sh\nexit 0\n", "not an MCAP file"),
     ],
 )
-def test_what_is_no_recording_is_one_clear_line(tmp_path, content, said):
+def test_a_file_that_is_no_recording_is_refused_in_one_line(tmp_path, content, said):
     if content is not None:
         (tmp_path / "x.mcap").write_bytes(content)
     with pytest.raises(RecordingError, match=said):
@@ -225,7 +225,7 @@ def test_what_is_no_recording_is_one_clear_line(tmp_path, content, said):
         ("scene.yaml", None, 'no attachment "scene.yaml"'),
     ],
 )
-def test_bad_attachments_are_one_clear_line(tmp_path, name, data, said):
+def test_invalid_attachments_are_refused_in_one_line(tmp_path, name, data, said):
     files = attachments()
     files[name] = ("application/json", data)
     if data is None:

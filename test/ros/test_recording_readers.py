@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings of the node with all topics, decoded by readers of other authors."""
+"""Recordings of the node with all topics, decoded by independent readers."""
 
 import importlib
 import importlib.util
@@ -28,7 +28,7 @@ OPTIONAL += ["tf"] if importlib.util.find_spec("tf2_msgs") else []
 
 @pytest.fixture(scope="module")
 def log(client, tmp_path_factory):
-    """Recording of a node: all topics, applied wrenches, a pause, flushed often."""
+    """Recording of a node with all topics, applied wrenches, a pause and frequent flushes."""
     path = tmp_path_factory.mktemp("log") / "run.mcap"
     parameters = {f"{name}_rate": 50.0 for name in OPTIONAL}
     parameters |= {"scene": "four_bar", "record": path, "record_flush_interval": 0.2}
@@ -81,7 +81,7 @@ def by_pybag(path):
 
 
 def by_small_mcap(path):
-    """It has no decoder of CDR and lends memory; that of mcap_ros2 takes bytes only."""
+    """It has no CDR decoder and returns memory views; the mcap_ros2 decoder needs bytes."""
 
     class Factory:
         def decoder_for(self, encoding, schema):
@@ -99,7 +99,7 @@ READERS = [by_mcap_ros2, by_rosbags, by_pybag, by_small_mcap]
 
 
 def same(one, other):
-    """Whether a message of rclpy and that of another reader have the same fields."""
+    """Whether an rclpy message and that of another reader have equal fields."""
     if hasattr(one, "get_fields_and_field_types"):
         return all(
             same(getattr(one, name), getattr(other, name))
@@ -162,7 +162,7 @@ def test_joint_states_of_no_joint_one_and_two_are_decoded(reader, tmp_path):
 
 
 def overlaps(path):
-    """Seconds between the end of a chunk and the start of the next one, ns; of all chunks."""
+    """Time in ns from the end of each chunk to the start of the next one."""
     with open(path, "rb") as stream:
         chunks = make_reader(stream).get_summary().chunk_indexes
     chunks.sort(key=lambda chunk: chunk.chunk_start_offset)
@@ -173,7 +173,7 @@ def overlaps(path):
 
 
 def test_chunks_of_the_node_do_not_overlap_in_time(log):
-    """They share an instant at most: while the simulation is paused, events have one stamp."""
+    """They may share one stamp: while paused, all events have the same stamp."""
     gaps = overlaps(log)
     assert len(gaps) >= 4 and min(gaps) >= 0
     assert sum(gap > 0 for gap in gaps) >= 4

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`recover` and `info` on files that are cut, damaged or made to do harm."""
+"""`recover` and `info` on truncated, damaged and hostile files."""
 
 import json
 import random
@@ -30,7 +30,7 @@ COUNT = 60  # messages of the small file
 
 @pytest.fixture(scope="module")
 def small(tmp_path_factory):
-    """(path, [(log time, bytes)]) of a recording with a few small chunks."""
+    """(path, [(log time, bytes)]) of a recording with several small chunks."""
     path = tmp_path_factory.mktemp("small") / "run.mcap"
     written = []
     with pytest.MonkeyPatch.context() as patch:
@@ -47,7 +47,7 @@ def small(tmp_path_factory):
 
 
 def messages_of(path):
-    """[(log time, bytes)] by the reader of mcap, with all its check sums, and by its index."""
+    """[(log time, bytes)] by the mcap reader with CRC checks, sequentially and by index."""
     with open(path, "rb") as stream:
         for _ in StreamReader(stream, validate_crcs=True).records:
             pass
@@ -69,7 +69,7 @@ def one_line(error, path):
     assert str(error).startswith(f"{path}: ") and "\n" not in str(error)
 
 
-def test_a_file_cut_at_any_byte_gives_its_beginning_and_nothing_else(small, tmp_path):
+def test_a_file_truncated_at_any_byte_gives_exactly_its_beginning(small, tmp_path):
     path, written = small
     whole, cut, out = path.read_bytes(), tmp_path / "cut.mcap", tmp_path / "out.mcap"
     counts = []
@@ -95,8 +95,8 @@ def test_a_file_cut_at_any_byte_gives_its_beginning_and_nothing_else(small, tmp_
     assert len(set(counts)) == found.chunks + 1 > 4 and counts[-1] == COUNT
 
 
-def test_a_large_chunk_that_is_cut_gives_its_beginning(small, tmp_path):
-    """As other software writes them: zstd decodes blocks of 128 KiB, and chunks have several."""
+def test_a_truncated_large_chunk_gives_its_beginning(small, tmp_path):
+    """As other software writes them: chunks of several zstd blocks of 128 KiB."""
     path, cut, out = tmp_path / "large.mcap", tmp_path / "cut.mcap", tmp_path / "out.mcap"
     noise = random.Random(2)
     for compression in (CompressionType.ZSTD, CompressionType.NONE):
@@ -127,7 +127,7 @@ def test_a_large_chunk_that_is_cut_gives_its_beginning(small, tmp_path):
             out.unlink()
 
 
-def test_any_flipped_bit_is_noticed_and_no_message_is_changed(small, tmp_path):
+def test_every_flipped_bit_is_detected_and_no_message_changed(small, tmp_path):
     path, written = small
     whole, damaged, out = path.read_bytes(), tmp_path / "flipped.mcap", tmp_path / "out.mcap"
     stamps = {stamp: data for stamp, data in written}
@@ -154,7 +154,7 @@ def test_any_flipped_bit_is_noticed_and_no_message_is_changed(small, tmp_path):
     assert best > 50  # where the index or the end was hit, nothing is
 
 
-def test_readers_open_what_was_recovered_and_it_says_what_is_missing(tmp_path, capsys):
+def test_recovered_files_are_readable_and_losses_reported(tmp_path, capsys):
     path = tmp_path / "run.mcap"
     written = record_run(path)
     with open(path, "rb") as stream:
@@ -200,8 +200,8 @@ def test_readers_open_what_was_recovered_and_it_says_what_is_missing(tmp_path, c
     assert second["recovered_from"] == "run.mcap" and first["lost"] == second["lost"] > 0
 
 
-def test_nobody_reads_what_is_said(small):
-    """As behind `| head -1`: no traceback, and the exit code of a program that the pipe ended."""
+def test_a_closed_stdout_ends_the_command_cleanly(small):
+    """As behind `| head -1`: no traceback, and the exit code of a broken pipe."""
     for many in (1, 300):  # less, and more, than Python keeps before it writes
         child = python(
             """
@@ -218,7 +218,7 @@ def test_nobody_reads_what_is_said(small):
 
 
 def bomb(size, chunks, noise=0, payload=0):
-    """Chunks that are small and become large, each with messages of no channel."""
+    """Small chunks that decompress to a large size, with messages of undeclared channels."""
     data = struct.pack("<BQHIQQ", 5, 22 + noise, 1, 1, 1, 1) + random.Random(3).randbytes(noise)
     message = struct.pack("<BQHIQQ", 5, 22 + payload, 1, 1, 1, 1) + bytes(payload)
     data += message * ((size - len(data)) // len(message))
@@ -249,7 +249,7 @@ def claimed_chunk(frame, size):
 
 
 def zeros_that_claim_nothing(size):
-    """A zstd stream without its size in front."""
+    """zstd stream without a content size."""
     compressor = zstandard.ZstdCompressor(level=3).compressobj()
     return b"".join(
         [*(compressor.compress(bytes(2**20)) for _ in range(size // 2**20)), compressor.flush()]
@@ -331,8 +331,8 @@ HOSTILE = {
 }
 
 
-def test_hostile_files_take_little_memory_and_time_and_one_line(tmp_path):
-    """Each in a process that cannot have more than 1.5 GB of addresses, libraries included."""
+def test_hostile_files_use_bounded_memory_and_time_and_give_one_line(tmp_path):
+    """Each in a process limited to 1.5 GB of address space, libraries included."""
     for name, data in HOSTILE.items():
         (tmp_path / f"{name}.mcap").write_bytes(data)
     child = python(

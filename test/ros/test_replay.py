@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`liegroup_sim replay` as a process of its own, heard over DDS."""
+"""`liegroup_sim replay` in a separate process, received over DDS."""
 
 import signal
 
@@ -30,7 +30,7 @@ def log(tmp_path_factory):
 
 
 class Replay:
-    """`liegroup_sim replay` and what is heard of it."""
+    """`liegroup_sim replay` process and the messages received from it."""
 
     def __init__(self, client, log, *options):
         self.client = client
@@ -68,8 +68,8 @@ class Replay:
         self.client.spin(0.5)
 
 
-def test_every_message_with_its_stamp_and_clock(client, log):
-    """At four times the speed; then the process ends by itself."""
+def test_every_message_is_published_with_its_stamp_and_clock(client, log):
+    """At four times the speed; afterwards the process exits by itself."""
     recording = read_recording(log)
     with Replay(client, log, "--rate", "4") as replay:
         replay.heard()
@@ -117,7 +117,7 @@ def test_seek_step_rate_and_the_end(client, log):
         assert replay.process.returncode == 130 and "Traceback" not in err
 
 
-def test_again_and_again(client, log):
+def test_replay_in_a_loop(client, log):
     with Replay(client, log, "--rate", "0", "--loop", "--start", "3.5") as replay:
         replay.heard()
         replay.call("resume")

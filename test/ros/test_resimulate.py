@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recording of the node simulated again: every bit, with every method, whatever happened in it.
+"""Recordings of the node simulated again: bit-identical with every method and event.
 
 The node's own parts run here without its process: SceneRun with its thread, its topics, its
 pacing and its recorder, which divides the recording.
@@ -59,7 +59,7 @@ def node():
 
 
 def values(path):
-    """Parameters of the node with a sample every second step."""
+    """Parameters of a node that samples every second step."""
     found = SimpleNamespace(**{entry.name: entry.default for entry in TABLE})
     found.record, found.real_time_factor = str(path), 2.0
     found.record_split_duration = 0.05
@@ -70,7 +70,7 @@ def values(path):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_every_bit_again(node, tmp_path, method):
+def test_resimulation_is_bit_identical_with_every_method(node, tmp_path, method):
     run = SceneRun(
         node, values(tmp_path / "run.mcap"), Simulation(scene_from_text(TOP), method, STEP)
     )
@@ -135,8 +135,8 @@ def test_every_bit_again(node, tmp_path, method):
     assert pushed.count("top") > 3 and "box" in pushed
 
 
-def test_a_difference_is_found_and_an_experiment_is_none(tmp_path, capsys):
-    """One bit in one message is exit code 1; another step is a difference that may be bounded."""
+def test_a_flipped_bit_fails_and_a_changed_setting_is_compared(tmp_path, capsys):
+    """One flipped bit gives exit code 1; another step size gives a difference with a limit."""
 
     def flip(topic, k, data):
         last = data[:-8] + bytes([data[-8] ^ 1]) + data[-7:]
@@ -164,7 +164,7 @@ def test_a_difference_is_found_and_an_experiment_is_none(tmp_path, capsys):
     assert "require --resimulate" in capsys.readouterr().err
 
 
-def test_another_platform_need_not_be_equal(tmp_path):
+def test_bit_identity_is_not_required_across_platforms(tmp_path):
     recording = read_recording(record(tmp_path / "a.mcap", load_scene("heavy_top"), 40))
     recording.settings["versions"]["numpy"] = "1.0"
     figures = resimulate(recording)

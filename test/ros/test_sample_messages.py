@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages packed from templates: byte for byte what ROS serializes, and what they say.
+"""Messages packed from templates equal the ROS serialization byte for byte, with right content.
 
 ROS leaves alignment gaps as they were in memory, ours are zero. Where the gaps are is found here
 by walking through the message (`gaps`), independently of the code under test.
@@ -74,7 +74,7 @@ def layout():
 
 @pytest.fixture(scope="module")
 def sample(layout):
-    """A state that is not the start, nor a motion that the joints allow."""
+    """State that is neither the initial one nor consistent with the joints."""
     random = np.random.default_rng(7)
     rotations = Rotation.random(4, random_state=7).as_matrix().reshape(4, 9)
     return layout.sample(
@@ -83,7 +83,7 @@ def sample(layout):
 
 
 def gaps(message, offset=0):
-    """(offsets of bytes that are alignment gaps, end) of a message, behind the encapsulation."""
+    """(offsets of alignment bytes, end) of a message, after the encapsulation header."""
     found = []
 
     def primitive(size, at):
@@ -115,14 +115,14 @@ def gaps(message, offset=0):
 
 
 def as_ros_serializes(payload, message_class):
-    """The message in a payload; asserts that ROS serializes it to the same bytes."""
+    """Deserialized payload; asserts that ROS serializes it to the same bytes."""
     message = deserialize_message(payload, message_class)
     assert_same_bytes(payload, message)
     return message
 
 
 def assert_same_bytes(payload, message):
-    """Same length, and same bytes but for gaps: within the message, and reserved behind its end."""
+    """Assert equal length and bytes, except alignment gaps and reserved bytes after the end."""
     expected = bytearray(serialize_message(message))
     found, end = gaps(message)
     assert len(payload) == len(expected)
@@ -147,7 +147,7 @@ FORMS = {
 
 
 def template_of(message, template=None):
-    """Template with the fields of any message, as constants."""
+    """Template with the fields of a message as constants."""
     template = template or Template()
 
     def put(kind, items):
@@ -210,7 +210,7 @@ def numbers(message, names):
 
 
 def check_pose(pose, matrix):
-    """Exactly the place, and the same rotation: two ways to compute it differ by a few eps."""
+    """Exact position; rotations computed in two ways differ by a few eps."""
     assert numbers(pose.position, "xyz") == pytest.approx(matrix[:3, 3].tolist(), abs=1e-14)
     rotation = Rotation.from_quat(numbers(pose.orientation, "xyzw")).as_matrix()
     assert np.abs(rotation - matrix[:3, :3]).max() < 1e-14
@@ -301,7 +301,7 @@ def test_joint_states_of_a_scene_without_such_joints():
 
 @pytest.mark.parametrize("length", range(9))
 def test_names_of_every_length(layout, sample, length):
-    """Frame ids, namespaces and joint names end at every offset to the next number."""
+    """Frame ids, namespaces and joint names end at every offset relative to the alignment."""
     world, prefix = "w" * length, "p" * length
     for pose, twist in sample_messages.poses_and_twists(layout.body_names, world, prefix)(
         STAMP, sample
@@ -423,7 +423,7 @@ def test_log(stamp_ns, text):
     assert (message.stamp.sec, message.stamp.nanosec) == divmod(stamp_ns, 10**9)
 
 
-def test_a_template_wants_every_slot():
+def test_a_template_requires_every_slot():
     template = Template()
     template.slot("2d")
     with pytest.raises(ValueError):
@@ -431,7 +431,7 @@ def test_a_template_wants_every_slot():
 
 
 def test_joint_states_follow_a_simulation():
-    """Through the same path as in the node: a pendulum's angle and rate, to the bit."""
+    """Angle and rate of a pendulum, bitwise, through the same code path as in the node."""
     simulation = Simulation(load_scene("double_pendulum"))
     _, _, encode = only(sample_messages.joint_states(simulation.layout, "world"))
     simulation.advance(100)

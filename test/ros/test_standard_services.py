@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Requests of simulation_interfaces against a real simulation thread.
+"""simulation_interfaces services with a real simulation thread.
 
 The package is not needed: its messages are made here from their definitions by rosbags, so fields
 that do not exist cannot be set.
@@ -47,7 +47,7 @@ bodies:
 
 
 class Messages:
-    """Classes of DEFINITIONS, made with default values, as ROS makes them."""
+    """Message classes of DEFINITIONS with default values, as ROS generates them."""
 
     def __init__(self):
         self.store = get_typestore(Stores.ROS2_JAZZY)
@@ -68,7 +68,7 @@ class Messages:
 
 
 class Silent:
-    """Outputs of a simulation that nobody listens to."""
+    """Simulation outputs that are discarded."""
 
     timed, clock_steps, state_steps = [], 0, 0
 
@@ -105,7 +105,7 @@ def services(messages):
 
 
 def call(services, messages, name, response="ResultResponse", **fields):
-    """(result, response)"""
+    """(result, response) of a service call."""
     camel = "".join(part.capitalize() for part in name.split("_"))
     request = messages.make(f"{camel}Request") if fields else None
     for field, value in fields.items():
@@ -149,7 +149,7 @@ def test_states_and_steps(services, messages):
     assert go(QUITTING) == 1 and services._signals.received
 
 
-def test_reset_is_of_the_state_not_of_time(services, messages):
+def test_reset_restores_the_state_but_not_the_time(services, messages):
     call(services, messages, "step_simulation", steps=5)
     assert call(services, messages, "reset_simulation", scope=1)[0] == 0
     for scope in (0, 2, 255):

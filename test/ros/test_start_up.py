@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a start imports: seconds of a user's time, so modules that are not needed stay out."""
+"""Imports at start-up: heavy modules cost seconds, so unneeded ones must not be imported."""
 
 import argparse
 import subprocess
@@ -14,7 +14,7 @@ HEAVY = ("numba", "numpy", "scipy", "pydantic", "rich", "rclpy", "plotly", "pand
 
 
 def imported(code):
-    """Heavy packages that a process has imported after some code."""
+    """Heavy packages that a process has imported after running `code`."""
     printed = subprocess.run(
         [sys.executable, "-P", "-c", f"{code}\nimport sys\nprint('\\n', *sys.modules)"],
         check=True,
@@ -33,19 +33,19 @@ def test_help_and_the_bare_core_import_nothing_heavy():
     )
 
 
-def test_a_simulation_needs_no_more_than_its_solver():
+def test_a_simulation_imports_only_its_solver():
     found = imported("from liegroup_core import Simulation, load_scene")
     assert "numpy" in found
     assert found.isdisjoint({"numba", "rich", "rclpy", "plotly", "pandas", "dask"})
 
 
-def test_the_integration_module_of_scipy_is_only_for_references():
+def test_scipy_integrate_is_imported_only_for_references():
     code = "import sys\nfrom liegroup_core import Simulation\nassert 'scipy.integrate' not in sys.modules"
     assert imported(code)
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_has_its_arguments(name, capsys):
+def test_every_command_has_help(name, capsys):
     with pytest.raises(SystemExit) as ended:
         make_parser(name).parse_args([name, "--help"])
     assert ended.value.code == 0 and f"liegroup_sim {name}" in capsys.readouterr().out
@@ -54,7 +54,7 @@ def test_every_command_has_its_arguments(name, capsys):
     assert parser.description.endswith(".")
 
 
-def test_all_names_of_the_core_are_there():
+def test_all_public_names_of_the_core_exist():
     import liegroup_core
 
     for name in liegroup_core.__all__:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`liegroup_sim sweep`, as a user meets it."""
+"""The command `liegroup_sim sweep`: results, interruption, failures and wrong input."""
 
 import re
 import signal
@@ -42,8 +42,8 @@ def fall(tmp_path, monkeypatch):
     return ["sweep", "fall.yaml", *ARGUMENTS, "--out", "a.parquet"]
 
 
-def test_sweep(fall, capsys):
-    """Results as the closed form has them, the tables, and the same call once more."""
+def test_sweep_gives_closed_form_results_and_resumes(fall, capsys):
+    """Results against the closed form, printed tables, and a repeated call."""
     assert main(fall) == 0
     out = capsys.readouterr().out
     frame = pandas.read_parquet("a.parquet")
@@ -73,8 +73,8 @@ def test_sweep(fall, capsys):
     assert "bodies.stone.mass 1.0" in capsys.readouterr().out.splitlines()
 
 
-def test_ctrl_c_loses_nothing(fall, capsys, monkeypatch):
-    """The signal comes while the third piece is being written."""
+def test_an_interrupted_sweep_keeps_its_runs(fall, capsys, monkeypatch):
+    """The signal arrives while the third piece is written."""
     monkeypatch.setattr(sweeps, "FIRST", 0.0)
     monkeypatch.setattr(sweeps, "PIECE", 1e-9)
     add, calls = SweepFile.add, []
@@ -99,8 +99,8 @@ def test_ctrl_c_loses_nothing(fall, capsys, monkeypatch):
     assert tables[0].equals(tables[1])
 
 
-def test_failed_runs_are_told_by_reason(fall, capsys):
-    """A third of the masses is negative; it ends well all the same."""
+def test_failed_runs_are_listed_by_reason(fall, capsys):
+    """One third of the masses is negative; the command still succeeds."""
     fall[fall.index("mass=1:9:log")] = "mass=1~2"
     assert main(fall) == 0
     out = capsys.readouterr().out
@@ -111,7 +111,7 @@ def test_failed_runs_are_told_by_reason(fall, capsys):
     assert frame["stone.z"].isna().sum() == failed
 
 
-def test_a_start_that_joints_do_not_allow(tmp_path, monkeypatch, capsys):
+def test_an_inconsistent_start_suggests_assembly(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     arguments = [
         "sweep",
@@ -133,7 +133,9 @@ def test_a_start_that_joints_do_not_allow(tmp_path, monkeypatch, capsys):
     assert "assemble True there and False here" in capsys.readouterr().err
 
 
-def test_a_setting_for_an_accuracy_stays_that_of_the_sweep(fall, tmp_path, monkeypatch, capsys):
+def test_the_configuration_chosen_for_an_accuracy_is_kept_on_resume(
+    fall, tmp_path, monkeypatch, capsys
+):
     monkeypatch.setenv("LIEGROUP_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(accuracy, "SHORTLIST", ("rkmk4",))
     at = fall.index("--step")
@@ -182,7 +184,7 @@ def test_wrong_input_is_one_line(fall, tmp_path, capsys, change, said):
 
 
 @pytest.mark.parametrize("left", ["--samples", "--duration", "--out", "--vary"])
-def test_what_is_missing_is_named(fall, capsys, left):
+def test_missing_arguments_are_named(fall, capsys, left):
     while left in fall:
         at = fall.index(left)
         end = next((i for i in range(at + 1, len(fall)) if fall[i].startswith("--")), len(fall))
@@ -191,7 +193,7 @@ def test_what_is_missing_is_named(fall, capsys, left):
     assert left in capsys.readouterr().err
 
 
-def test_pyarrow_is_named_where_it_is_missing(fall, capsys, monkeypatch):
+def test_a_missing_pyarrow_is_named(fall, capsys, monkeypatch):
     monkeypatch.setattr("liegroup_core.study.sweep.file.find_spec", lambda name: None)
     assert main(fall) == 2
     assert "pip install 'liegroup_sim_ros[many]'" in capsys.readouterr().err

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`liegroup_sim trade`, `run --accuracy` and the node's `accuracy`, as a user meets them."""
+"""`liegroup_sim trade`, `run --accuracy` and the node parameter `accuracy`."""
 
 import json
 import os
@@ -15,6 +15,7 @@ from node_process import COMPILING, python
 
 from liegroup_core import load_scene
 from liegroup_core.integrators.methods import METHODS
+from liegroup_core.study import tasks
 from liegroup_core.study.trade import accuracy
 from liegroup_core.study.trade.trade import Trade
 from liegroup_sim_ros.analysis.analyse import analyse
@@ -29,7 +30,7 @@ COMPILED = os.environ.get("LIEGROUP_CACHE_DIR", "")  # where this process has it
 
 @pytest.fixture(scope="module")
 def kept(tmp_path_factory):
-    """Cache folder in which the trade of SCENE over half a second is measured already, shortly."""
+    """Cache folder with a short measurement of the trade of SCENE over 0.5 s."""
     folder = tmp_path_factory.mktemp("cache")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("LIEGROUP_CACHE_DIR", str(folder))
@@ -41,14 +42,14 @@ def kept(tmp_path_factory):
 
 @pytest.fixture
 def measured(kept, monkeypatch):
-    """The same for this process, in which no other method is looked for."""
+    """Use that cache in this process, and no other methods."""
     monkeypatch.setenv("LIEGROUP_CACHE_DIR", str(kept))
     monkeypatch.setattr(accuracy, "SHORTLIST", ("rkmk4",))
     return kept
 
 
-def test_trade(measured, tmp_path, capsys):
-    """Table, JSON as its schema says, page and picture; nothing is measured anew."""
+def test_trade_output_from_cached_measurements(measured, tmp_path, capsys):
+    """Table, JSON valid by its schema, HTML report and plot, without new measurements."""
     files = [tmp_path / f"a.{kind}" for kind in ("json", "html", "png")]
     arguments = [
         "trade",
@@ -96,8 +97,8 @@ def test_trade(measured, tmp_path, capsys):
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
-def test_the_page_on_a_screen_and_on_a_phone(measured, tmp_path):
-    """Words stay whole, a value stands beside its name, nothing is wider than the phone."""
+def test_the_html_report_on_a_screen_and_on_a_phone(measured, tmp_path):
+    """Words are not broken, values are beside their names, nothing exceeds the phone's width."""
     page = tmp_path / "a.html"
     assert (
         main(
@@ -150,7 +151,7 @@ def test_the_page_on_a_screen_and_on_a_phone(measured, tmp_path):
         browser.close()
 
 
-def test_every_method_has_a_line_of_its_own():
+def test_every_method_has_a_distinct_line_style():
     cells = [
         {
             "method": name,
@@ -191,6 +192,7 @@ def test_every_method_has_a_line_of_its_own():
 )
 def test_wrong_input_is_one_line(measured, tmp_path, monkeypatch, capsys, change, said):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(tasks, "CONNECTING", 1)  # s instead of 10: nothing listens on that port
     assert main(["trade", SCENE, *change]) == 2
     out, err = capsys.readouterr()
     line = err.splitlines()[-1]
@@ -198,7 +200,7 @@ def test_wrong_input_is_one_line(measured, tmp_path, monkeypatch, capsys, change
     assert not list(tmp_path.iterdir())
 
 
-def test_a_run_for_an_accuracy_and_whether_it_was_kept(measured, tmp_path, capsys):
+def test_a_run_for_an_accuracy_is_checked_by_analyze(measured, tmp_path, capsys):
     log = tmp_path / "a.mcap"
     arguments = ["run", SCENE, "--accuracy", "1e-6", "--horizon", "0.5", "--every", "1"]
     assert main([*arguments, "--duration", "1", "--out", str(log)]) == 0
@@ -223,8 +225,8 @@ def test_a_run_for_an_accuracy_and_whether_it_was_kept(measured, tmp_path, capsy
 @pytest.mark.parametrize(
     "push, kept, seconds", [(None, False, 0.5), (25, False, 0.25), (0, None, 0.0)]
 )
-def test_a_broken_promise_is_a_problem(tmp_path, push, kept, seconds):
-    """Of a step that is far from it; what comes after a wrench is not held against it."""
+def test_a_missed_accuracy_is_reported_as_a_problem(tmp_path, push, kept, seconds):
+    """With a much too large step. The accuracy does not apply after a wrench."""
     pushes = [] if push is None else [(push, ("top", (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)))]
     log = record(
         tmp_path / "a.mcap",
@@ -253,7 +255,7 @@ def test_a_broken_promise_is_a_problem(tmp_path, push, kept, seconds):
         (["--accuracy", "1e-14"], "cannot be had for heavy_top over 0.5 s on this machine; "),
     ],
 )
-def test_an_accuracy_that_cannot_be_had_is_one_line(measured, tmp_path, capsys, more, said):
+def test_an_unattainable_accuracy_is_refused_in_one_line(measured, tmp_path, capsys, more, said):
     assert (
         main(
             [
@@ -322,7 +324,7 @@ def test_the_node_refuses_in_one_line(measured, more, said):
 
 
 def test_the_node_runs_for_an_accuracy(measured, tmp_path):
-    """It says which setting it takes, and records what it promises."""
+    """It logs the chosen configuration and records the guaranteed accuracy."""
     log = tmp_path / "a.mcap"
     process = node(measured, "accuracy:=1e-6", f"record:={log}", "real_time_factor:=0.0")
     try:

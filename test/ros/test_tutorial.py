@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tutorial's scene and commands run as printed, in the order of the page."""
+"""The scene and commands of the tutorial run as printed, in the order of the page."""
 
 import re
 import shlex
@@ -18,7 +18,7 @@ COMMANDS = re.findall(r"```sh\n(.*?)\n```", PAGE, re.DOTALL)
 LINES = [shlex.split(line) for block in COMMANDS for line in block.splitlines()]
 
 
-def test_all_commands_without_ros(tmp_path, monkeypatch, capsys):
+def test_all_tutorial_commands_without_ros(tmp_path, monkeypatch, capsys):
     (tmp_path / "crane.yaml").write_text(SCENE)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(accuracy, "SHORTLIST", ("rkmk8",))  # what is missing is measured quickly
@@ -37,7 +37,7 @@ def test_all_commands_without_ros(tmp_path, monkeypatch, capsys):
     }
 
 
-def test_the_node_runs_the_scene_and_is_pushed(tmp_path):
+def test_the_node_runs_the_tutorial_scene_with_a_wrench(tmp_path):
     scene, live = tmp_path / "crane.yaml", tmp_path / "live.mcap"
     scene.write_text(SCENE)
     assert ["sim_node", "--ros-args", "-p", "scene:=crane.yaml", "-p", "record:=live.mcap"] in LINES

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What wrench messages mean and which are refused, for any message; no ROS node runs here."""
+"""Interpretation and refusal of wrench messages; no ROS node runs here."""
 
 import struct
 
@@ -33,7 +33,7 @@ def read(frame, kind="wrench", body=None, wrench=WRENCH, stamp_ns=0, held=0, pre
         ("body", "top", "top/fan", "body/top/fan/", "body"),
     ],
 )
-def test_frame_id_says_whom_and_in_which_axes(kind, body, frame, source, axes):
+def test_the_frame_id_selects_body_source_and_axes(kind, body, frame, source, axes):
     push = read(frame, kind, body)
     assert (push.source, push.axes, push.wrench) == (source, axes, WRENCH)
     assert push.body == (body or frame.partition("/")[0])
@@ -48,7 +48,7 @@ def test_frame_id_says_whom_and_in_which_axes(kind, body, frame, source, axes):
         ("body", "top", "map/world", "body/top/", "world"),
     ],
 )
-def test_frames_of_bodies_have_a_prefix(kind, body, frame, source, axes):
+def test_body_frames_have_a_prefix(kind, body, frame, source, axes):
     push = read(frame, kind, body, prefix="map/")
     assert (push.source, push.axes) == (source, axes)
     for wrong in (frame.replace("map/", "") + "s", frame.replace("map/", "mat/"), "top"):
@@ -60,7 +60,7 @@ def test_frames_of_bodies_have_a_prefix(kind, body, frame, source, axes):
     "target, ended",
     [("", {"top/", "top/a/", "left/"}), ("top", {"top/", "top/a/"}), ("top/a", {"top/a/"})],
 )
-def test_clear_ends_a_body_a_name_or_all(target, ended):
+def test_clear_ends_the_wrenches_of_a_body_a_source_or_all(target, ended):
     prefix = source_prefix("persistent", target)
     sources = {
         source_prefix("persistent", t)[len("persistent/") :] for t in ("top", "top/a", "left")
@@ -91,7 +91,7 @@ def test_refusals_are_one_line(changed, reason):
 
 
 @given(st.binary(max_size=200))
-def test_no_bytes_break_the_reader(payload):
+def test_arbitrary_bytes_do_not_crash_the_reader(payload):
     reader = WrenchInput(["top"], "world")
     for prefix in (b"", b"\0\1\0\0" + struct.pack("<iII", 1, 2, 4) + b"top\0"):
         try:
@@ -107,7 +107,7 @@ def test_no_bytes_break_the_reader(payload):
     st.integers(0, 2 * 10**18),
     st.text(st.characters(codec="utf-8", exclude_characters="\0")),
 )
-def test_one_message_is_decoded_as_ros_made_it(values, stamp_ns, frame):
+def test_a_message_serialized_by_ros_is_decoded(values, stamp_ns, frame):
     message = WrenchStamped()
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
     message.header.frame_id = frame

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hundreds of wrong parameter files and scenes: each is one line on stderr and exit code 2."""
+"""Random invalid parameter files and scenes: each gives one line on stderr and exit code 2."""
 
 import json
 
@@ -108,7 +108,7 @@ def at(scene, path):
 
 @st.composite
 def wrong_scene(draw):
-    """Text of a scene with one thing wrong in it."""
+    """Text of a scene with one error."""
     scene = json.loads(json.dumps(SCENE))
     kind = draw(st.sampled_from(["unknown key", "wrong value", "key missing", "cut", "bytes"]))
     if kind == "unknown key":
@@ -132,7 +132,7 @@ def wrong_scene(draw):
 
 @st.composite
 def wrong_parameters(draw):
-    """Text of a parameter file with one parameter that is wrong."""
+    """Text of a parameter file with one wrong parameter."""
     kind = draw(st.integers(0, 9))
     if kind == 0:
         return draw(st.binary(min_size=1, max_size=100))
@@ -176,7 +176,7 @@ def wrong_parameters(draw):
 
 
 def answers(folder, files, arguments):
-    """[(text of the file, exit code, stderr)] of one process that is started with every file."""
+    """[(file text, exit code, stderr)] of one process that handles all files in turn."""
     cases = []
     for i, text in enumerate(files):
         path = folder / f"{i}.yaml"
@@ -200,7 +200,7 @@ BATCHES = settings(
 
 @BATCHES
 @given(st.lists(wrong_scene(), min_size=25, max_size=25))
-def test_wrong_scene_is_one_line(tmp_path_factory, files):
+def test_an_invalid_scene_gives_one_line(tmp_path_factory, files):
     folder = tmp_path_factory.mktemp("scenes")
     for text, code, errors in answers(folder, files, ["-p", "scene:={}"]):
         assert code == 2 and errors.count("\n") == 1 and errors.startswith("sim_node: "), (
@@ -213,7 +213,7 @@ def test_wrong_scene_is_one_line(tmp_path_factory, files):
 
 @BATCHES
 @given(st.lists(wrong_parameters(), min_size=25, max_size=25))
-def test_wrong_parameter_file_is_one_line(tmp_path_factory, files):
+def test_an_invalid_parameter_file_gives_one_line(tmp_path_factory, files):
     folder = tmp_path_factory.mktemp("parameters")
     for text, code, errors in answers(folder, files, ["--params-file", "{}"]):
         assert code == 2 and errors.count("\n") == 1 and errors.startswith("sim_node: "), (

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mechanisms with closed loops against equations of motion in their fewest coordinates.
+"""Closed-loop mechanisms against equations of motion in minimal coordinates.
 
 Each reference is written down from the drawing of the mechanism, with angles and lengths only, and
 integrated by SciPy to 1e-10 or better; it shares nothing with the engine, not even the scene's
@@ -22,7 +22,7 @@ G = 9.81
 
 
 def solved(rate, start, times, method="DOP853", rtol=1e-12, atol=1e-13):
-    """Values (len(times), n) of an initial value problem y' = rate(y)."""
+    """Solution (len(times), n) of the initial value problem y' = rate(y), by SciPy."""
     solution = solve_ivp(
         lambda t, y: rate(y),
         (0.0, times[-1]),
@@ -37,7 +37,7 @@ def solved(rate, start, times, method="DOP853", rtol=1e-12, atol=1e-13):
 
 
 def sampled(scene, step, times, **settings):
-    """Samples of a simulation at these times."""
+    """Samples of a simulation of the scene at these times (s)."""
     simulation = Simulation(scene, step=step, **settings)
     samples = []
     for time in times:
@@ -47,12 +47,12 @@ def sampled(scene, step, times, **settings):
 
 
 def angle(pose):
-    """Angle about z of a pose in the x-y plane."""
+    """Rotation angle about z of a pose in the x-y plane, rad."""
     return np.arctan2(pose[1, 0], pose[0, 0])
 
 
 def turn(difference):
-    """An angle between -pi and pi."""
+    """The angle wrapped to (-pi, pi]."""
     return (difference + np.pi) % (2.0 * np.pi) - np.pi
 
 
@@ -60,7 +60,7 @@ def turn(difference):
 
 
 def four_bar(q):
-    """Pin C of the elbow-up branch and the rates of coupler and rocker at a crank rate of 1.
+    """Pin C of the elbow-up branch, and rates of coupler and rocker for a unit crank rate.
 
     Crank 0.5, the other bars and the ground 1; numbers of the plane are complex.
     """
@@ -89,13 +89,13 @@ def four_bar_mass(q):
 
 
 def four_bar_reference(times):
-    """Crank angle and rate; no gravity, so that the kinetic energy is kept."""
+    """Crank angle and rate from conservation of kinetic energy (no gravity)."""
     energy = four_bar_mass(np.pi / 2) * (10.0 * np.pi) ** 2
     q = solved(lambda y: [np.sqrt(energy / four_bar_mass(y[0]))], [np.pi / 2], times)[:, 0]
     return q, np.sqrt(energy / np.array([four_bar_mass(x) for x in q]))
 
 
-def test_the_four_bar_starts_where_the_loop_closes():
+def test_the_four_bar_starts_with_a_closed_loop():
     scene = load_scene("four_bar")
     C, w2, w3 = four_bar(np.pi / 2)
     assert C == pytest.approx(0.870810 + 0.991620j, abs=1e-6)
@@ -118,7 +118,7 @@ def test_the_four_bar_starts_where_the_loop_closes():
     assert crank.position == (0.0, 0.25, 0.0) and crank.rotation_vector == (0, 0, np.pi / 2)
 
 
-def test_four_bar():
+def test_four_bar_follows_its_energy_integral():
     q, rate = four_bar_reference([0.25, 0.5, 1.0])
     # the one-freedom quadrature done elsewhere, in twelve digits
     assert turn(q[-1]) == pytest.approx(-0.765225378176, abs=1e-9)
@@ -132,7 +132,7 @@ def test_four_bar():
             assert abs(pose[2, 3]) == 0.0 and abs(pose[2, 2] - 1.0) <= 1e-15
 
 
-def test_four_bar_leaves_out_one_row():
+def test_four_bar_eliminates_one_redundant_row():
     assert Simulation(load_scene("four_bar")).layout.dropped_rows == [("coupler_rocker", "vz")]
 
 
@@ -140,7 +140,7 @@ def test_four_bar_leaves_out_one_row():
 
 
 def windows_reference(n, times):
-    """Angle and rate of all cranks: n + 1 rods about their ends, n rods that circle with them."""
+    """Angle and rate of all cranks: n + 1 rods rotate about their ends, n rods translate."""
     inertia = (n + 1) * (0.25 + (1.0 + 3e-6) / 12.0) + n
     lever = (n + 1) * 0.5 + n
     return solved(lambda y: [y[1], -G * lever / inertia * np.cos(y[0])], [np.pi / 2, -1.0], times)
@@ -148,7 +148,7 @@ def windows_reference(n, times):
 
 @pytest.mark.parametrize("n", [1, 2, 4])
 def test_windows_before_and_after_the_first_singular_pose(n):
-    """At 0.5 s the cranks still stand, at 1 s they are past the pose with all bars in line."""
+    """At 0.5 s the cranks are upright; by 1 s they have passed the collinear pose."""
     times = [0.5, 1.0]
     scene = load_scene("n_four_bar") if n == 2 else four_bar_windows(n)
     reference = windows_reference(n, times)
@@ -162,8 +162,8 @@ def test_windows_before_and_after_the_first_singular_pose(n):
 
 
 @pytest.mark.parametrize("n", [1, 2, 4])
-def test_windows_pass_their_singular_pose_again_and_again(n):
-    """Each passage magnifies the drift of the joints; projected after each step, there is none."""
+def test_windows_pass_their_singular_pose_repeatedly(n):
+    """Each passage amplifies constraint drift; projection after each step removes it."""
     times = [2.0, 4.0, 6.0, 8.0, 10.0]
     samples = sampled(four_bar_windows(n), 1e-3, times, stabilisation="projection")
     for sample, (q, _) in zip(samples, windows_reference(n, times)):
@@ -173,8 +173,8 @@ def test_windows_pass_their_singular_pose_again_and_again(n):
 
 
 @pytest.mark.parametrize("n", [2, 5])
-def test_each_window_leaves_out_three_rows(n):
-    """A planar loop of four hinges has three rows too many, all out of its plane."""
+def test_each_window_eliminates_three_redundant_rows(n):
+    """A planar loop of four revolute joints has three redundant rows, all out of plane."""
     dropped = Simulation(four_bar_windows(n)).layout.dropped_rows
     assert len(dropped) == 3 * n
     assert {row for _, row in dropped} == {"wx", "wy", "vz"}
@@ -188,7 +188,7 @@ ALONG, ACROSS = 2 * 0.1**2 / 12, (1 + 0.1**2) / 12  # kg m^2, of a box of 1 x 0.
 
 
 def bricard(a, b):
-    """Corners and hinge axes, (6, 3) each, when the hinges turn by a, b, a, b, a."""
+    """Corners and joint axes, (6, 3) each, for joint angles a, b, a, b, a."""
     R, corner = np.eye(3), np.zeros(3)
     corners, axes = [corner], []
     for i in range(5):
@@ -201,13 +201,13 @@ def bricard(a, b):
 
 
 def bricard_tangent(a, b):
-    """Unit direction in which a and b may change: (1 + sin a) (1 + sin b) = 1 is kept."""
+    """Unit tangent (da, db) of the curve (1 + sin a) (1 + sin b) = 1."""
     across = np.array([np.cos(a) * (1 + np.sin(b)), (1 + np.sin(a)) * np.cos(b)])
     return np.array([-across[1], across[0]]) / np.hypot(*across)
 
 
 def bricard_energies(a, b):
-    """Kinetic energy times two, and power of gravity, at unit speed along the tangent."""
+    """Twice the kinetic energy and the power of gravity, at unit speed along the tangent."""
     corners, axes = bricard(a, b)
     da, db = bricard_tangent(a, b)
     omega, velocity = np.zeros(3), np.zeros(3)  # of the last rod, and of its first corner
@@ -224,7 +224,7 @@ def bricard_energies(a, b):
 
 
 def bricard_rate(y):
-    """(a, b, speed along the tangent)' by Lagrange's equation of one coordinate."""
+    """Time derivative of (a, b, tangential speed), by Lagrange's equation in one coordinate."""
     a, b, speed = y
     da, db = bricard_tangent(a, b)
     kinetic, power = bricard_energies(a, b)
@@ -236,8 +236,8 @@ def bricard_rate(y):
     return [speed * da, speed * db, (power - 0.5 * slope * speed**2) / kinetic]
 
 
-def test_bricard():
-    """Ten seconds, twice around: the linkage is open by nothing and the energy is kept."""
+def test_bricard_follows_lagranges_equation():
+    """10 s, two revolutions: constraints hold and the energy is conserved."""
     times = [0.5, 1.25, 2.0, 4.0, 6.0, 8.0, 10.0]
     reference = solved(bricard_rate, [0.0, 0.0, 0.0], times)
     simulation = Simulation(load_scene("bricard"))
@@ -257,8 +257,8 @@ def test_bricard():
     assert simulation.singular_solves == 0
 
 
-def test_bricard_leaves_out_a_row_that_can_always_be_spared():
-    """The same for the linkage turned over and about, and for another order of its joints."""
+def test_bricard_eliminates_a_row_that_is_always_redundant():
+    """The same for rotated and reflected linkages, and for another order of the joints."""
     scene = load_scene("bricard")
     for joints in (scene.joints, scene.joints[::-1], scene.joints[3:] + scene.joints[:3]):
         layout = Simulation(scene.remade(joints=joints)).layout
@@ -271,8 +271,8 @@ def test_bricard_leaves_out_a_row_that_can_always_be_spared():
 # ---------------------------------------------------------------- Bennett's linkage
 
 
-def test_bennett():
-    """Four hinges that move because sin(twist) / length is the same for all links.
+def test_bennett_linkage_follows_its_closed_form():
+    """Four revolute joints, mobile because sin(twist) / length is the same for all links.
 
     With the turns a and b of two neighbouring hinges tan(a / 2) tan(b / 2) is kept. 20 rows of
     rank 17; without gravity the energy is kept as well.
@@ -350,7 +350,7 @@ def test_bennett():
 
 
 def squeezer_chains(q):
-    """Where each body's frame, centre of mass and E are: {body: terms [(length, angle index)]}.
+    """Body frames, centres of mass and point E: {body: terms [(length, angle index)]}.
 
     A term is length e^(i q[index]); what a place is made of also gives its slope.
     """
@@ -372,7 +372,7 @@ def squeezer_chains(q):
 
 
 def place(terms, q):
-    """Place, slope by q (n,) and second slope by each q (n,), as complex numbers."""
+    """Position, gradient (n,) and second derivatives (n,) by q, as complex numbers."""
     z, slope, second = terms[0] + 0j, np.zeros(len(q), complex), np.zeros(len(q), complex)
     for length, k in terms[1:]:
         arm = length * np.exp(1j * q[k])
@@ -381,7 +381,7 @@ def place(terms, q):
 
 
 def squeezer_rate(y):
-    """q'' of the seven angles: M q'' + J^T lambda = f, J q'' = -J' q'."""
+    """Time derivative of the seven angles and rates: M q'' + J^T lambda = f, J q'' = -J' q'."""
     q, rate = y[:7], y[7:]
     mass = [0.04325, 0.00365, 0.02373, 0.00706, 0.07050, 0.00706, 0.05498]
     moment = [2.194e-6, 4.410e-7, 5.255e-6, 5.667e-7, 1.169e-5, 5.667e-7, 1.912e-5]
@@ -420,7 +420,7 @@ SQUEEZER_START = (
 
 
 def squeezer_angles(angles):
-    """Angles of the frames of the bodies from the seven angles of the literature."""
+    """Angles of the body frames from the seven angles of the literature."""
     beta, theta, gamma, phi, delta, omega, epsilon = angles
     return np.array([beta, beta + theta, gamma, phi + delta, delta, omega + epsilon, epsilon])
 
@@ -438,7 +438,7 @@ SQUEEZER_END = (
 )
 
 
-def test_andrews_squeezer():
+def test_andrews_squeezer_against_its_index_one_equations():
     times = [0.01, 0.02, 0.03]
     reference = solved(
         squeezer_rate,
@@ -461,7 +461,7 @@ def test_andrews_squeezer():
 
 
 def slider_crank(q, universal):
-    """Place of the slider, its slope, and the rod's angular velocity at unit rate of the crank."""
+    """Slider position, its derivative, and angular velocity of the rod, at unit crank rate."""
     B = np.array([0.0, 0.1 - 0.08 * np.sin(q), 0.12 + 0.08 * np.cos(q)])
     dB = np.array([0.0, -0.08 * np.cos(q), -0.08 * np.sin(q)])
     x = np.sqrt(0.3**2 - B[1] ** 2 - B[2] ** 2)
@@ -477,7 +477,7 @@ def slider_crank(q, universal):
 
 
 def slider_crank_energies(q, universal):
-    """Kinetic energy at unit rate times two, and potential energy."""
+    """Twice the kinetic energy at unit crank rate, and the potential energy."""
     x, dx, along, omega, B, dB = slider_crank(q, universal)
     spin = omega @ along
     middle = (dB + np.array([dx, 0, 0])) / 2
@@ -493,7 +493,7 @@ def slider_crank_energies(q, universal):
 
 
 def slider_crank_reference(times, universal=True):
-    """Crank angle; the energy is kept."""
+    """Crank angle from conservation of energy."""
     kinetic, potential = slider_crank_energies(0.0, universal)
     energy = 0.5 * kinetic * 6.0**2 + potential
 
@@ -504,7 +504,7 @@ def slider_crank_reference(times, universal=True):
     return solved(rate, [0.0], times)[:, 0]
 
 
-def test_slider_crank():
+def test_slider_crank_follows_its_energy_integral():
     scene = load_scene("slider_crank")
     rod, slider = scene.bodies[1:]
     # given with the benchmark for a crank rate of 6 rad/s
@@ -522,7 +522,7 @@ def test_slider_crank():
 
 
 def governor_rate(y):
-    """(arm's angle below the horizontal, height of the slider)''; the shaft's spin is kept."""
+    """Derivative of (arm angle below the horizontal, slider height) and rates; spin is constant."""
     alpha, s, dalpha, ds = y
     com, mass, along, across = 5.15 / 5.3, 5.3, 5e-6, 0.3 * (1 + 1e-4) / 12
     across += 0.3 * (com - 0.5) ** 2 + 5.0 * (1.0 - com) ** 2
@@ -558,7 +558,7 @@ def governor_rate(y):
     ]
 
 
-def test_flyball_governor():
+def test_flyball_governor_against_minimal_coordinates():
     times = [0.5, 1.0, 2.0]
     reference = solved(
         governor_rate, [np.pi / 6, 0.5, 0.0, 0.0], times, method="Radau", rtol=1e-10, atol=1e-12

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""RATTLE for mechanisms and its compositions: order, symmetry, joints, momentum, long runs.
+"""Constrained RATTLE and its compositions: order, symmetry, constraints, invariants, long runs.
 
 Orders without forces of velocity are in test_orders.py.
 """
@@ -29,7 +29,7 @@ def slope(rates, errors):
 
 @pytest.fixture(scope="module")
 def driven():
-    """A loop in gravity with springs, dampers, drag and a motor, and where it is after TIME."""
+    """(loop with gravity, springs, dampers, drag and a motor; its reference state at TIME)."""
     scene = mechanisms.named("loop of hinges and balls")
     scene = Scene(
         name="driven",
@@ -49,8 +49,8 @@ def driven():
 
 
 @pytest.mark.parametrize("method", CONSTRAINED)
-def test_order_with_forces_of_velocity(driven, method):
-    """Poses and velocities against the independent integration in maximal coordinates."""
+def test_order_with_velocity_dependent_forces(driven, method):
+    """Poses and velocities against the independent DOP853 integration in maximal coordinates."""
     scene, reference = driven
     order, found = METHODS[method].order, []
     for rate in RATES[order]:
@@ -70,8 +70,8 @@ def test_order_with_forces_of_velocity(driven, method):
 
 @pytest.mark.parametrize("name", ["net", "every kind", "floating"])
 @pytest.mark.parametrize("method", CONSTRAINED)
-def test_steps_back_undo_steps(method, name):
-    """With dampers: a method that is not symmetric misses the start by its error, O(h^3).
+def test_backward_steps_undo_forward_steps(method, name):
+    """With dampers. A method that is not symmetric misses the start by O(h^3).
 
     What is left are roundings. A closed joint is closed to 16 units of lengths of some metres,
     1e-14, and a velocity to 2/h times that, 1e-11; three steps each way.
@@ -89,7 +89,7 @@ def test_steps_back_undo_steps(method, name):
 
 
 def test_rkmk4_is_not_symmetric():
-    """The counterexample: the same test tells it from a symmetric method."""
+    """Counterexample: the test distinguishes a non-symmetric method."""
     simulation = Simulation(mechanisms.named("net"), step=2e-3)
     pose, twist = simulation.state()
     simulation.advance(3)
@@ -99,8 +99,8 @@ def test_rkmk4_is_not_symmetric():
 
 
 @pytest.mark.parametrize("name", mechanisms.MECHANISMS)
-def test_joints_are_closed_and_so_are_velocities(name):
-    """To 16 units of the lengths, some ten metres; J V is a sum of ten terms of 10 m/s."""
+def test_position_and_velocity_constraints_hold_to_round_off(name):
+    """Tolerance: 16 units of round-off of lengths of 10 m; J V sums ten terms of 10 m/s."""
     for method, step in (("constrained_rattle", 2e-3), ("constrained_rattle4", 4e-3)):
         simulation = Simulation(mechanisms.named(name), method=method, step=step)
         for _ in range(10):
@@ -112,8 +112,8 @@ def test_joints_are_closed_and_so_are_velocities(name):
 
 
 @pytest.mark.parametrize("method", CONSTRAINED)
-def test_momentum_of_a_linkage_in_space_is_kept_to_rounding(method):
-    """A floating linkage with a loop, without gravity; a few roundings a step, all of one sign."""
+def test_momentum_of_a_free_linkage_is_conserved_to_round_off(method):
+    """Floating closed loop without gravity. Tolerance: a few same-sign round-offs per step."""
     links, loops = mechanisms.MECHANISMS["floating"]
     made = mechanisms.mechanism(np.random.default_rng(5), links, springs=0, loops=loops)
     scene = Scene(name="floating", gravity=(0, 0, 0), bodies=made.bodies, joints=made.joints)
@@ -129,7 +129,7 @@ def test_momentum_of_a_linkage_in_space_is_kept_to_rounding(method):
 
 
 def energies(method, step, count, samples=400):
-    """Energy errors along the chaotic motion of the double pendulum, J."""
+    """Energy errors (J) along the chaotic motion of the double pendulum."""
     simulation = Simulation(load_scene("double_pendulum"), method=method, step=step)
     start, found = simulation.energy(), []
     for _ in range(samples):
@@ -139,7 +139,7 @@ def energies(method, step, count, samples=400):
 
 
 def test_energy_oscillates_and_does_not_drift():
-    """200 000 steps of 4 ms: the mean of either half of the run is that of the other.
+    """200 000 steps of 4 ms: both halves of the run have the same mean error.
 
     Samples are 2 s apart and taken as independent after ten of them: the difference of two means
     of 200 has a standard error of sqrt(2 * 10 / 200) = 0.32 scatters, and three times that is
@@ -156,8 +156,8 @@ def test_energy_oscillates_and_does_not_drift():
     assert abs(drifting[-1]) > 10.0 * np.abs(found).max()
 
 
-def test_compositions_are_symmetric_and_of_their_order():
-    """Sum g = 1; for order 4 and more sum g^3 = 0; for order 8 those of powers 5 and 7 too."""
+def test_compositions_are_symmetric_and_satisfy_order_conditions():
+    """sum g = 1; from order 4 sum g^3 = 0; for order 8 also the sums of powers 5 and 7."""
     for name in CONSTRAINED:
         g = SUBSTEPS[name]
         assert (g == g[::-1]).all() and abs(g.sum() - 1.0) <= 4 * UNIT
@@ -165,8 +165,8 @@ def test_compositions_are_symmetric_and_of_their_order():
             assert abs((g**power).sum()) <= 10 * UNIT * (np.abs(g) ** power).sum()
 
 
-def test_wrenches_from_outside_and_a_new_start():
-    """A constant force on a free body, which the method integrates exactly, then none."""
+def test_applied_wrenches_and_set_state():
+    """Constant force on a free body, which the method integrates exactly, then no force."""
     simulation = Simulation(load_scene("free_body"), method="constrained_rattle", step=1e-2)
     pose = simulation.state()[0]
     simulation.set_state(pose, np.zeros((1, 6)))
@@ -182,7 +182,7 @@ def test_wrenches_from_outside_and_a_new_start():
 
 @pytest.mark.parametrize("method", CONSTRAINED)
 def test_a_step_too_large_for_the_motion_ends_with_a_status(method):
-    """The crank turns by more than pi/2 in a step: the loop cannot be closed by that velocity."""
+    """The crank rotates by more than pi/2 in a step: no velocity impulse closes the loop."""
     simulation = Simulation(load_scene("four_bar"), method=method, step=0.1)
     before = simulation.state()
     with pytest.raises(SimulationError, match="smaller step") as failure:
@@ -193,8 +193,8 @@ def test_a_step_too_large_for_the_motion_ends_with_a_status(method):
     assert np.isfinite(simulation.state()[0]).all()
 
 
-def test_damping_that_repetition_cannot_settle_ends_with_a_status():
-    """h c / 2 m = 5: every repetition is five times as far off as the one before."""
+def test_damping_beyond_fixed_point_convergence_ends_with_a_status():
+    """h c / 2 m = 5: each fixed-point iteration multiplies the error by five."""
     free = load_scene("free_body")
     mass = free.bodies[0].mass
     scene = Scene(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The exact rotations against end states in 45 digits, Taylor series, and each other."""
+"""Closed-form rotations against 45-digit end states, Taylor series, and each other."""
 
 import mpmath as mp
 import numpy as np
@@ -37,12 +37,12 @@ def numbers(found):
 
 
 def far(one, other):
-    """Largest difference of two results."""
+    """Largest difference of two results (R, w)."""
     return max(abs(a - b) for a, b in zip(numbers(one), numbers(other)))
 
 
 def by_series(inertia, omega, time, torque=lambda R: mp.zeros(3, 1)):
-    """R and w by mpmath's Taylor series method, in 32 digits; torque of R in body axes."""
+    """(R, w) by mpmath's Taylor series method, 32 digits; torque(R) in body axes."""
     with mp.workdps(32):
         inertia, omega = mp.matrix(inertia), [mp.mpf(c) for c in omega]
         inverse = inertia**-1
@@ -62,14 +62,14 @@ def by_series(inertia, omega, time, torque=lambda R: mp.zeros(3, 1)):
 
 @pytest.mark.parametrize("time, golden", [(1, FREE_1), (10, FREE_10)])
 def test_free_body_at_golden_end_states(time, golden):
-    """Printed to 17 digits: half a unit of the last one of numbers below 1."""
+    """Tolerance: golden numbers below 1 have 17 digits, half a unit of the last one."""
     with mp.workdps(40):
         found = free_body(INERTIA, START, OMEGA, time)
         assert max(abs(a - mp.mpf(b)) for a, b in zip(numbers(found), golden.split())) <= 5e-17
 
 
 def test_lagrangian_top_at_its_golden_end_state():
-    """|w| is 150 rad/s and printed to 17 digits of its components, the largest of those exact."""
+    """Tolerance: |w| = 150 rad/s with 17 digits per component, the largest exact."""
     with mp.workdps(40):
         found = heavy_top(*TOP, START, TOP_OMEGA, 1)
         assert max(abs(a - mp.mpf(b)) for a, b in zip(numbers(found), TOP_1.split())) <= 5e-16
@@ -86,22 +86,22 @@ def test_lagrangian_top_at_its_golden_end_state():
     ],
     ids=["below", "above", "below, fast", "separatrix", "nearer"],
 )
-def test_free_body_in_any_regime_against_taylor_series(omega):
-    """Also 1e-9 and 1e-25 from the unstable axis, where the modulus is 1 but for their squares."""
+def test_free_body_in_every_regime_against_taylor_series(omega):
+    """Also at 1e-9 and 1e-25 from the unstable axis: the modulus differs from 1 by the squares."""
     diagonal = ("0.9144", "1.098", "1.66")
     with mp.workdps(40):
         series = by_series(mp.diag([mp.mpf(i) for i in diagonal]), omega, 2)
         assert far(free_body(diagonal, START, omega, 2, digits=60), series) <= mp.mpf(10) ** -28
 
 
-def test_free_body_on_the_separatrix_itself():
+def test_free_body_on_the_separatrix():
     """L^2 = 2 E I_2: I_1 (I_2 - I_1) w_1^2 = I_3 (I_3 - I_2) w_3^2, here 3 w_1^2 = 12 w_3^2."""
     omega = (2, 1, 1)
     series = by_series(mp.diag([1, 4, 6]), omega, 1)
     assert far(free_body((1, 4, 6), START, omega, 1), series) <= mp.mpf(10) ** -28
 
 
-def test_free_body_with_a_full_inertia_from_any_attitude():
+def test_free_body_with_full_inertia_and_arbitrary_attitude():
     rng = np.random.default_rng(3)
     points = rng.normal(size=(4, 3))
     inertia = sum((p @ p) * np.eye(3) - np.outer(p, p) for p in points)
@@ -124,7 +124,7 @@ def test_free_body_with_a_full_inertia_from_any_attitude():
         ((2, 2, 4), (1, 2, 0)),
     ],
 )
-def test_steady_rotations(inertia, omega):
+def test_steady_rotation_about_principal_axes(inertia, omega):
     R, w = free_body(inertia, START, omega, 1)
     with mp.workdps(40):
         hat = mp.matrix(
@@ -134,13 +134,13 @@ def test_steady_rotations(inertia, omega):
 
 
 def test_symmetric_free_body_precesses():
-    """w goes round the axis of symmetry at (I_3 - I_1) w_3 / I_1."""
+    """w precesses about the symmetry axis at the rate (I_3 - I_1) w_3 / I_1."""
     _, w = free_body((2, 2, 3), START, (1, 0, 4), mp.mpf(1) / 8)
     assert far((w, []), ((mp.cos(0.25), mp.sin(0.25), 4), [])) <= 1e-15
 
 
 def test_heavy_top_against_taylor_series():
-    """A slow top that nods deeply, from a tilted start, gravity askew."""
+    """Slow top with large nutation, tilted start and oblique gravity."""
     g, omega = mp.matrix([3, -1, -9]), ("1.5", "-2", "0.7")
 
     with mp.workdps(60):
@@ -159,7 +159,7 @@ def test_heavy_top_against_taylor_series():
 
 
 def test_steady_precession_of_a_heavy_top():
-    """Horizontal axis: the precession W with I_3 w_3 W = m g l needs no nutation."""
+    """Horizontal axis: precession W with I_3 w_3 W = m g l, without nutation."""
     spin, precession = mp.mpf(8), mp.mpf(1) / 4
     gravity = 3 * spin * precession / 2  # I_3 w_3 W / (m l)
     R, _ = heavy_top(5, 3, 2, (0, 0, 1), (0, -gravity, 0), START, (0, precession, spin), 2)
@@ -168,8 +168,8 @@ def test_steady_precession_of_a_heavy_top():
     assert max(abs(R[i, 2] - end[i]) for i in range(3)) <= mp.mpf(10) ** -14
 
 
-def test_next_to_no_gravity_a_top_is_a_free_body():
-    """A torque of 1e-40 changes nothing that 30 digits show: two formulas of different kind."""
+def test_a_top_with_vanishing_gravity_is_a_free_body():
+    """A torque of 1e-40 is invisible in 30 digits, so two unrelated formulas must agree."""
     omega = ("0.3", "2", "-0.5")
     top = heavy_top(2, 3, 1, (0, 1, 0), ("0", "0", "-1e-40"), START, omega, 5, digits=90)
     assert far(top, free_body((2, 3, 2), START, omega, 5)) <= 1e-29
@@ -181,6 +181,6 @@ def test_a_vertical_axis_is_refused():
             heavy_top(1, 1, 1, (0, 0, 1), (0, 0, -9.81), START, omega, 1)
 
 
-def test_floats():
+def test_results_in_double_precision():
     R, w = free_body((1, 2, 3), START, (0, 0, 1), 0)
     assert to_floats(R).shape == (3, 3) and to_floats(w).tolist() == [0, 0, 1]

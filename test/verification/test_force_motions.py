@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Motions under springs, motors, drag and timed wrenches against their closed forms."""
+"""Motions under springs, motors, drag and timed wrenches against closed forms."""
 
 from dataclasses import replace
 
@@ -40,7 +40,7 @@ INERTIA = (0.3, 0.4, 0.5)
 
 
 def hinged(*forces, spin=0.0):
-    """A body that turns about a ground hinge along AXIS, 0.2 m from its centre of mass."""
+    """Body on a revolute joint to ground along AXIS, 0.2 m from its centre of mass."""
     arm = 0.2 * np.cross(AXIS, [1.0, 0.0, 0.0]) / np.linalg.norm(np.cross(AXIS, [1.0, 0.0, 0.0]))
     scene = Scene(
         name="hinged",
@@ -70,7 +70,7 @@ def hinged(*forces, spin=0.0):
 
 
 def pair(*forces, spin=0.0):
-    """Two free bodies with a hinge through both centres of mass; reduced inertia of their turn."""
+    """(scene of two free bodies on a revolute joint through both centres of mass, reduced inertia)."""
     bodies = [
         Body(name="first", mass=2.0, inertia=INERTIA, angular_velocity=(0, 0, -spin)),
         Body(name="second", mass=1.0, inertia=(0.1, 0.1, 0.2), position=(0, 0, 0.3)),
@@ -90,7 +90,7 @@ def pair(*forces, spin=0.0):
 
 
 def principal(sample, scene):
-    """The angle of the hinge from the poses, in (-pi, pi]."""
+    """Joint angle from the poses, rad in (-pi, pi]."""
     joint = scene.joints[0]
     turn = sample.poses[joint.child][:3, :3]
     if joint.parent != "world":
@@ -103,7 +103,7 @@ def principal(sample, scene):
 @BOTH
 @pytest.mark.parametrize("made", [hinged, pair])
 def test_torsional_oscillator_over_many_turns(made, group):
-    """theta = theta0 + e^{-d t} (A cos wt + B sin wt) from rest, wound by 6.4 turns."""
+    """theta = theta0 + e^{-d t} (A cos wt + B sin wt) from rest, wound up by 6.4 turns."""
     stiffness, damping, rest = 3.0, 0.05, 40.0
     spring = TorsionalSpringDamper(
         name="coil", joint="hinge", stiffness=stiffness, damping=damping, rest_angle=rest
@@ -134,7 +134,7 @@ def test_torsional_oscillator_over_many_turns(made, group):
     assert errors[2e-3] < 1.5 * bound
 
 
-def test_the_energy_of_a_wound_spring_is_kept():
+def test_the_energy_of_a_wound_spring_is_conserved():
     scene, _ = hinged(
         TorsionalSpringDamper(name="coil", joint="hinge", stiffness=3.0, rest_angle=40.0)
     )
@@ -252,8 +252,8 @@ def test_a_motor_without_a_limit_gives_constant_torque():
 @pytest.mark.parametrize(
     "rate, wanted", [(0.0, 2.0), (6.0, 1.0), (12.0, 0.0), (18.0, -1.0), (-12.0, 4.0)]
 )
-def test_the_line_of_a_motor(rate, wanted):
-    """Falling to zero at the limit, braking beyond, and more than at rest if turned backwards."""
+def test_the_torque_speed_line_of_a_motor(rate, wanted):
+    """Zero at the speed limit, braking beyond, above the stall torque in reverse rotation."""
     scene, inertia = hinged(
         Motor(name="drive", joint="hinge", torque=2.0, rate_limit=12.0), spin=rate
     )
@@ -264,7 +264,7 @@ def test_the_line_of_a_motor(rate, wanted):
 
 
 def along_z(force, joint_type):
-    """A simulation of two bodies that move along the z axis of a joint, and their reduced mass.
+    """(simulation of two bodies that move along the z axis of a joint, reduced mass).
 
     joint_type None: two free bodies and the force on a line through their centres of mass, which
     stay on it
@@ -311,7 +311,7 @@ def separation(sample):
 
 
 @ON_A_LINE
-def test_linear_spring_damper(joint_type):
+def test_linear_spring_damper_has_the_closed_form(joint_type):
     stiffness, damping, rest = 30.0, 1.0, 0.8
     simulation, mass = along_z(
         LinearSpringDamper(
@@ -334,7 +334,7 @@ def test_linear_spring_damper(joint_type):
 
 @ON_A_LINE
 @pytest.mark.parametrize("force", [3.0, -3.0])
-def test_linear_motor(joint_type, force):
+def test_linear_motor_approaches_its_speed_limit_exponentially(joint_type, force):
     """v = limit (1 - e^{-t/T}) with T = m limit / |force|, in the direction of the force."""
     limit = 2.0
     simulation, mass = along_z(
@@ -363,7 +363,7 @@ def dragged(v=(0, 0, 0), w=(0, 0, 0), **drag):
 
 @BOTH
 def test_linear_drag_decays_exponentially(group):
-    """v = v0 e^{-c t / m}; the spin about a principal axis likewise with its moment."""
+    """v = v0 e^{-c t / m}; the spin about a principal axis likewise with its inertia."""
     simulation = Simulation(dragged(v=(3, -2, 1), linear=4.0), step=0.01, group=group)
     simulation.advance(100)
     bound = (0.01 * 2.0) ** 4 * 2.0 / 120  # (h c/m)^4 (c/m) t / 120 relative
@@ -379,7 +379,7 @@ def test_linear_drag_decays_exponentially(group):
 
 @BOTH
 def test_quadratic_drag_decays_like_a_hyperbola(group):
-    """v = v0 / (1 + k v0 t) with k = c/m, way ln(1 + k v0 t) / k; the spin likewise."""
+    """v = v0 / (1 + k v0 t), k = c/m, distance ln(1 + k v0 t) / k; the spin likewise."""
     speed = np.sqrt(14.0)
     scene = dragged(v=(3, -2, 1), quadratic=1.0)
     errors = {}
@@ -420,7 +420,7 @@ def pushed(step, start, end, group="se3", spin=(1, 2, -3), **wrench):
     [(0.1234567, 0.7654321), (0.0, 0.31), (0.50001, 0.50002), (0.1, 0.2), (0.8, None), (2.0, 3.0)],
 )
 def test_impulse_is_force_times_time(start, end, group, spin):
-    """Exact but for rounding, whether or not the times fall on steps.
+    """Exact up to round-off, whether or not the times coincide with steps.
 
     Also on a spinning body where positions are integrated in world axes; on SE(3) the momentum of
     a spinning body is as exact as the method.
@@ -450,8 +450,8 @@ def test_a_torque_at_rest_gives_its_impulse():
     np.testing.assert_allclose(twist, wanted, atol=4000 * EPS)
 
 
-def test_a_force_off_the_centre_of_mass_turns_the_body():
-    """Force and the same force at the centre with its torque: the same motion."""
+def test_an_eccentric_force_equals_central_force_plus_torque():
+    """Both descriptions of the wrench give the same motion."""
     point, force = np.array([0.3, -0.2, 0.5]), np.array([1.0, 2.0, -3.0])
     one = pushed(0.01, 0.0, 0.55555, force=force, point=point)
     two = pushed(0.01, 0.0, 0.55555, force=force, torque=np.cross(point, force))
@@ -464,7 +464,7 @@ def test_a_force_off_the_centre_of_mass_turns_the_body():
 
 
 def oscillator(step, **times):
-    """A mass of 2 kg on a spring of 18 N/m (3 rad/s), pushed with 5 N along x for a while."""
+    """Mass of 2 kg on a spring of 18 N/m (3 rad/s), with 5 N along x during `times`."""
     forces = [
         SpringDamper(
             name="spring",
@@ -493,7 +493,7 @@ ON, OFF = 2.0 / 3.0, 7.0 / 3.0  # always at 2/3 and 1/3 of a step
 
 
 def pushed_place(t):
-    """f/k (1 - cos w (t - on)) and the same backwards from `off` on."""
+    """Position: f/k (1 - cos w (t - on)), minus the same response from `off` on."""
     return (
         5.0
         / 18.0
@@ -511,7 +511,7 @@ def worst_of_run(simulation, steps):
 
 
 def test_a_wrench_between_steps_keeps_the_order():
-    """Order 4 only because the steps are split where it starts and ends.
+    """Order 4 is reached only because steps are split where the wrench starts and ends.
 
     Over whole steps, as wrenches from outside are applied, the same push is off by up to half a
     step in time: of order 1.
@@ -528,8 +528,8 @@ def test_a_wrench_between_steps_keeps_the_order():
     assert slope(whole) == pytest.approx(1.0, abs=0.1)
 
 
-def test_a_split_step_that_fails_leaves_the_last_good_one():
-    """The first part of step 2 is good, the second one turns the body much too far."""
+def test_a_failed_split_step_leaves_the_last_valid_state():
+    """The first part of step 2 succeeds; the second part rotates the body beyond the limit."""
     simulation = pushed(0.1, 0.25, None, torque=(0, 0, 1e6))
     simulation.advance(2)
     before = simulation.state()
@@ -540,8 +540,8 @@ def test_a_split_step_that_fails_leaves_the_last_good_one():
         assert mine.tobytes() == theirs.tobytes()
 
 
-def test_the_times_follow_the_step_count():
-    """After set_state and reset, and in a sample's power."""
+def test_wrench_times_follow_the_step_count():
+    """After set_state and reset, and in the power of a sample."""
     simulation = oscillator(0.1, start=0.25, end=0.5)
     simulation.advance(10)
     end = simulation.state()
@@ -560,7 +560,7 @@ def test_the_times_follow_the_step_count():
     assert simulation.layout.sample(pose, twist, time=0.5).power == 0.0
 
 
-def test_timetable():
+def test_timetable_splits_steps_at_wrench_times():
     rows = np.zeros(3, dtype=kinds.KINDS["applied_wrench"].ROW)
     rows["start"] = 0.0, 0.3, 0.42
     rows["end"] = np.inf, 0.5, 0.44
@@ -582,8 +582,8 @@ def test_timetable():
 
 
 @pytest.mark.parametrize("steps, step, time, sign", [(35, 0.01, 0.35, 1), (22, 0.03, 0.66, -1)])
-def test_a_time_in_decimals_is_the_step_it_means(steps, step, time, sign):
-    """In binary steps * step is a rounding above or below the time."""
+def test_a_decimal_time_is_matched_to_its_step(steps, step, time, sign):
+    """In binary, steps * step differs from the decimal time by a round-off of either sign."""
     assert np.sign(steps * step - time) == sign
     body = Body(name="b", mass=1.0, inertia=INERTIA)
     for key, before, after in (("start", 0.0, 1.0), ("end", 1.0, 0.0)):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The planar four-bar of the chapter's Figs. 6.4 and 6.5 against its energy quadrature.
+"""Planar four-bar of the chapter's Figs. 6.4 and 6.5 against the quadrature of its energy.
 
 It has one freedom and no force, so its crank speed is a function of its angle alone, and the angle
 after one second, the period and the speed follow from integrals in many digits. Bounds of errors
@@ -22,7 +22,7 @@ GROUPS = ("se3", "so3xr3")
 
 
 def crank_angle(run):
-    """(k,) rad, counted over all turns from the x axis."""
+    """(k,) unwrapped crank angle from the x axis, rad."""
     return np.unwrap(np.arctan2(run.poses[:, 0, 1, 0], run.poses[:, 0, 0, 0]))
 
 
@@ -40,7 +40,7 @@ def runs():
 
 
 @pytest.mark.parametrize("group", GROUPS)
-def test_crank_angle_after_a_second(runs, group):
+def test_crank_angle_after_one_second(runs, group):
     for step, elsewhere in ANGLE_ERROR.items():
         assert angle_error(runs[group, step]) <= 1.1 * elsewhere
     assert crank_angle(runs[group, 1e-4])[-1] == pytest.approx(
@@ -55,26 +55,26 @@ def test_ground_joints_stay_at_round_off_on_se3(runs):
         assert min(gap[1], gap[2]) > 1e-10
 
 
-def test_the_other_joints_drift_at_order_four_and_all_do_on_so3xr3(runs):
+def test_moving_joints_drift_at_order_four_and_all_joints_do_on_so3xr3(runs):
     for group, joints in (("se3", [1, 2]), ("so3xr3", [0, 1, 2, 3])):
         coarse, fine = (runs[group, step].gap.max(axis=0)[joints] for step in (1e-3, 1e-4))
         assert np.log10(coarse / fine) == pytest.approx(4.0, abs=0.1)
 
 
-def test_hinges_keep_their_direction_exactly(runs):
-    """Nothing leaves the plane: with the dependent row left out, its zeros stay zeros."""
+def test_revolute_axes_keep_their_direction_exactly(runs):
+    """With the redundant row eliminated, out-of-plane components remain exact zeros."""
     for run in runs.values():
         assert not run.tilt.any()
 
 
-def test_the_row_out_of_the_plane_is_left_out():
+def test_the_out_of_plane_row_is_eliminated():
     layout = Simulation(four_bar()).layout
     assert layout.dropped_rows == [("coupler_rocker", "vz")]
     assert len(layout.model.row_residual) == 17
 
 
-def test_where_the_ball_is_does_not_matter(runs):
-    """As joint 4, where the caption of Fig. 6.5 has it: the same motion in the plane."""
+def test_the_position_of_the_spherical_joint_does_not_matter(runs):
+    """As joint 4, as in the caption of Fig. 6.5: the same motion in the plane."""
     other = joint_errors(four_bar(ball="ground_rocker"), 1e-3, "se3", 1.0)
     run = runs["se3", 1e-3]
     assert other.gap[:, [1, 2]] == pytest.approx(run.gap[:, [1, 2]], rel=1e-6, abs=1e-12)
@@ -83,7 +83,7 @@ def test_where_the_ball_is_does_not_matter(runs):
 
 
 def speeds(run):
-    """(k,) rad/s of the crank, from its angles by central differences of fourth order."""
+    """(k,) crank rate in rad/s, by fourth-order central differences of its angle."""
     angle, h = crank_angle(run), run.times[1] - run.times[0]
     return (8.0 * (angle[3:-1] - angle[1:-3]) - (angle[4:] - angle[:-4])) / (12.0 * h)
 
@@ -109,7 +109,7 @@ def test_period_of_the_crank():
     assert speed.max() == pytest.approx(53.625, abs=1e-3)
 
 
-def test_speed_after_a_second():
+def test_crank_rate_after_one_second():
     """Along the run the speed changes by at most 40 rad/s per radian of lag, and by half of the
     relative error of energy.
     """
@@ -146,8 +146,8 @@ def test_energy_drifts_at_order_four(runs):
         assert np.log10(drift[1e-3] / drift[1e-4]) == pytest.approx(4.0, abs=0.1)
 
 
-def test_an_implementation_in_the_plane_agrees_and_shows_what_the_rows_do():
-    """As long as joints are closed it is the same motion; then the form of their rows decides."""
+def test_an_independent_planar_implementation_agrees_until_drift_dominates():
+    """While constraints hold the motion is the same; with drift, the form of the rows matters."""
     planar, simulation = PlanarFourBar(four_bar()), Simulation(four_bar(), step=1e-4)
     assert planar.V[0, 0] == CRANK_RATE
     for _ in range(10):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The heavy top with spring against independent golden numbers.
+"""Heavy top with spring against independent golden numbers.
 
 Golden end state: Taylor series of the polynomial equations of motion in 45 digits; an independent
 DOP853 run agrees to 1e-10. With zero rest length and the centre of mass at R rc the spring acts as
@@ -32,7 +32,7 @@ SO3XR3_RESIDUAL = {1e-2: 7.499e-3, 5e-3: 4.904e-4, 2e-3: 1.274e-5, 1e-3: 7.985e-
 
 
 def run(step, group, samples):
-    """Largest |r + R r0| over so many samples, and the last sample."""
+    """(largest |r + R r0| over `samples` samples, last sample)."""
     simulation = Simulation(load_scene("heavy_top"), method="rkmk4", step=step, group=group)
     steps = round(HORIZON / step)
     worst = 0.0
@@ -66,31 +66,31 @@ def test_end_state_at_one_millisecond(se3_runs):
     assert np.linalg.norm(sample.twists["top"][:3] - OMEGA_6) <= 119 * 4e-7
 
 
-def test_errors_are_those_of_the_method(se3_runs):
+def test_errors_equal_those_of_an_independent_implementation(se3_runs):
     for step, expected in SE3_ERROR.items():
         # Half a digit more than printed; at 1e-4 the golden state's 1e-12 and rounding also count.
         assert attitude_error(se3_runs[step][1]) == pytest.approx(expected, rel=2e-3, abs=2e-12)
 
 
-def test_order_is_four(se3_runs):
+def test_rkmk4_has_order_four(se3_runs):
     errors = {h: attitude_error(sample) for h, (_, sample) in se3_runs.items()}
     assert slope(errors) == pytest.approx(4.0, abs=0.1)
 
 
-def test_ground_joint_stays_at_rounding_on_se3(se3_runs):
+def test_the_ground_joint_holds_to_round_off_on_se3(se3_runs):
     for step in (1e-2, 1e-3, 1e-4):
         assert se3_runs[step][0] <= 1e-12
 
 
 @pytest.mark.parametrize("scene", ["heavy_top", "lagrangian_top"])
-def test_ground_joint_does_not_open_with_time(scene):
-    """Rounding of 1e-16 a step adds up like a random walk or slower: 1e-13 after 1e5 steps."""
+def test_the_ground_joint_does_not_drift_with_time(scene):
+    """Tolerance: 1e-16 per step grows at most like a random walk, so 1e-13 after 1e5 steps."""
     simulation = Simulation(load_scene(scene), step=1e-3)
     simulation.advance(100_000)
     assert simulation.sample().constraint_residual <= 1e-12
 
 
-def test_energy_drift_is_that_of_the_method(se3_runs):
+def test_energy_drift_equals_that_of_an_independent_implementation(se3_runs):
     start = Simulation(load_scene("heavy_top")).sample().energy
     drift = {h: abs(sample.energy - start) / abs(start) for h, (_, sample) in se3_runs.items()}
     # The independent implementation's largest drift over the run: 1.5e-3, 4.9e-7, 1.6e-8.
@@ -98,7 +98,7 @@ def test_energy_drift_is_that_of_the_method(se3_runs):
         assert drift[step] <= 1.05 * largest
 
 
-def test_so3xr3_leaves_the_joint_at_order_four():
+def test_the_joint_drifts_at_order_four_on_so3xr3():
     residuals, errors = {}, {}
     for step in SO3XR3_ERROR:
         residuals[step], sample = run(step, "so3xr3", round(HORIZON / step))
@@ -108,7 +108,7 @@ def test_so3xr3_leaves_the_joint_at_order_four():
     assert slope(residuals) == pytest.approx(4.0, abs=0.1)
 
 
-def test_angular_momentum_along_the_field_is_kept():
+def test_angular_momentum_along_gravity_is_conserved():
     # The spring acts as k p0 at the centre of mass, beside m g: L about the pivot along it is kept.
     field = 1e4 * np.array([1.0, 0.0, 0.5]) + 21.6 * np.array([0.0, 0.0, -9.81])
     field /= np.linalg.norm(field)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What holds a joint closed without stabilisation, and what does not.
+"""Which joints hold to round-off without stabilisation, and which drift.
 
 On SE(3) a lower pair to ground moves in a subgroup, and a Munthe-Kaas step along its algebra stays
 there, whatever the step: the index 1 equations are enough. On SO(3) x R^3 that subgroup is none of
@@ -23,7 +23,7 @@ SEEDS = (1, 3, 4)
 
 
 def opening(kind, group, step, seed, method, steps=1000):
-    """Largest residual of a pair to ground on the way, and the same against the bound of rounding.
+    """(largest residual of a pair to ground during a run, the same relative to its round-off bound).
 
     Random frames, body and start; gravity, and a wrench over the first second.
     Bound: a rate that a joint forbids is rounded to some ten eps of those it allows, and nobody
@@ -64,8 +64,8 @@ def opening(kind, group, step, seed, method, steps=1000):
     "method", [name for name, method in METHODS.items() if method.family != "rotation"]
 )
 @pytest.mark.parametrize("kind", LOWER_PAIRS)
-def test_every_lower_pair_to_ground_is_kept_on_se3(kind, method):
-    """And by methods that close joints by themselves, on their own group.
+def test_every_lower_pair_to_ground_holds_on_se3(kind, method):
+    """Also with methods that enforce joints themselves, on their own group.
 
     1000 steps, whatever steps of up to 0.05 s do to the motion itself.
     """
@@ -77,7 +77,7 @@ def test_every_lower_pair_to_ground_is_kept_on_se3(kind, method):
 
 
 @pytest.mark.parametrize("kind", LOWER_PAIRS)
-def test_on_so3xr3_only_pairs_that_do_not_couple_turning_and_moving_are_kept(kind):
+def test_on_so3xr3_only_pairs_that_decouple_rotation_and_translation_hold(kind):
     found = [opening(kind, "so3xr3", 0.05, seed, "rkmk4") for seed in SEEDS]
     if kind in COUPLED:
         assert max(of_moved for of_moved, _ in found) > 1e-5
@@ -86,7 +86,7 @@ def test_on_so3xr3_only_pairs_that_do_not_couple_turning_and_moving_are_kept(kin
 
 
 def drift(name, group, step, time, seed):
-    """Largest residual over a time."""
+    """Largest residual during a run of `time` seconds."""
     simulation = Simulation(mechanisms.named(name, seed), step=step, group=group)
     worst = 0.0
     for _ in range(10):
@@ -106,14 +106,14 @@ def drift(name, group, step, time, seed):
     ],
 )
 @pytest.mark.parametrize("group", ["se3", "so3xr3"])
-def test_other_joints_open_at_order_four(name, group):
+def test_other_joints_drift_at_order_four(name, group):
     drifts = {h: drift(name, group, h, 0.4, 1) for h in (4e-3, 2e-3, 1e-3)}
     slope = np.polyfit(np.log(list(drifts)), np.log(list(drifts.values())), 1)[0]
     assert slope == pytest.approx(4.0, abs=0.2), drifts
     assert min(drifts.values()) > 1e-13
 
 
-def test_a_weld_between_bodies_is_kept_on_se3():
-    """C_b = C_a F with a constant F: a Munthe-Kaas step of both commutes with that product."""
+def test_a_fixed_joint_between_bodies_holds_on_se3():
+    """C_b = C_a F with constant F: Munthe-Kaas steps of both bodies commute with the product."""
     assert drift("fixed between bodies", "se3", 4e-3, 0.4, 1) <= 1e-13
     assert drift("fixed between bodies", "so3xr3", 4e-3, 0.4, 1) > 1e-10

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Chains of very different bodies against their equations in angles, solved with 60 digits.
+"""Chains of very different bodies against equations in joint angles, solved with 60 digits.
 
 A pendulum of rods has M_ij = m L^2 cos(a_i - a_j), m the mass beyond both. Its condition is that
 of the masses; what a body does is well-defined all the same, and has to come out.
@@ -28,7 +28,7 @@ CHAINS = {
 
 
 def exact(masses, inertias):
-    """Angular accelerations, rad/s^2, relative angles being none."""
+    """Angular accelerations, rad/s^2, at zero relative angles."""
     with mpmath.workdps(60):
         n = len(masses)
         a, w = ([mpmath.mpf(value) for value in values[:n]] for values in (ANGLES, RATES))
@@ -47,7 +47,7 @@ def exact(masses, inertias):
 
 
 def chain(masses, inertias, swapped=()):
-    """Rods of 1 m with all of their mass at the far end; some joints from the child to the parent."""
+    """Rods of 1 m with their mass at the far end; joints in `swapped` have the child as parent."""
     bodies, joints, place, speed = [], [], np.zeros(2), np.zeros(2)
     for i, (mass, inertia) in enumerate(zip(masses, inertias)):
         along = np.array([np.cos(ANGLES[i]), np.sin(ANGLES[i])])
@@ -85,8 +85,8 @@ def chain(masses, inertias, swapped=()):
 @pytest.mark.parametrize("swapped", [(), (1,)])
 @pytest.mark.parametrize("space", ["auto", "space"])
 @pytest.mark.parametrize("name", CHAINS)
-def test_accelerations_of_very_different_bodies(name, space, swapped):
-    """From one step of Euler's method: rates of 2 rad/s are rounded to 4e-16, divided by the step
+def test_accelerations_at_extreme_mass_ratios(name, space, swapped):
+    """From one Euler step: rates of 2 rad/s are rounded to 4e-16, divided by the step
     2e-11 rad/s^2, of some 10: 1e-11.
     """
     masses, inertias = CHAINS[name]
@@ -103,7 +103,7 @@ def test_accelerations_of_very_different_bodies(name, space, swapped):
     assert simulation.singular_solves == 0
 
 
-def test_welded_bodies_of_hardly_any_inertia_stay():
+def test_fixed_bodies_of_tiny_inertia_stay_at_rest():
     bodies = [
         Body(name=name, mass=1.0, inertia=[1e-10] * 3, position=(x, y, 0.0))
         for name, x, y in (("a", 0.3, 0.0), ("b", 1.0, 0.5), ("c", 1.2, -0.3))

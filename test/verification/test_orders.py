@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The order of every method, as the slope of its error against independent references.
+"""Order of every method: fitted slope of its error against independent references.
 
 All motions have rotations that do not commute; three are constrained, one of them between bodies.
     heavy top, Lagrangian top, free body   end attitudes by Taylor series in 45 digits
@@ -46,7 +46,7 @@ def hat(w):
 
 
 class Pair:
-    """Two bodies: the first on a ball joint at the origin, both with full inertia, R_i(0) = I.
+    """Two bodies with full inertia, R_i(0) = I, the first on a spherical joint at the origin.
 
     a1 : from the origin to the first centre of mass, in the first body
     b1 : from the origin to the point where the second body hangs, in the first body
@@ -94,7 +94,7 @@ class Pair:
 
 
 def double_pendulum():
-    """(scene, end attitudes at 1.25 s): the second body on a ball joint at b1.
+    """(scene, end attitudes at 1.25 s): the second body on a spherical joint at b1.
 
     r1 = R1 a1, r2 = R1 b1 + R2 a2; with rdot_i = J_i (w1, w2) + nothing else and
     rddot_i = J_i wdot + g_i, d'Alembert gives
@@ -140,7 +140,7 @@ def double_pendulum():
 
 
 def elastic_rod():
-    """(scene, end attitudes at 1 s): a rod of 1e7 N/m from b1 to the second body, 3500 rad/s."""
+    """(scene, end attitudes at 1 s): elastic rod of 1e7 N/m from b1 to body 2, 3500 rad/s."""
     p = Pair
     stiffness, damping, length = 1e7, 200.0, 0.5
     place = p.b1 + [0.3, -0.4, 0.0] + p.a2
@@ -348,13 +348,13 @@ def rod():
 
 
 def attitude_error(simulation, attitudes):
-    """Largest ||R - Rref||_F of the bodies."""
+    """Largest ||R - Rref||_F over the bodies."""
     pose = simulation.state()[0]
     return max(np.linalg.norm(row[:9] - R) for row, R in zip(pose, attitudes))
 
 
 def errors(scene, attitudes, time, counts, **settings):
-    """Attitude error at the end for numbers of steps per second."""
+    """Attitude errors at `time` (s) for each number of steps per second in `counts`."""
     found = []
     for count in counts:
         simulation = Simulation(scene, step=1.0 / count, **settings)
@@ -371,11 +371,11 @@ def slope(counts, found):
 
 
 def options(method):
-    """Settings that make every step a single one."""
+    """Options that disable error control, so that every step is a single one."""
     return {"rtol": 1e9, "atol": 1e9} if METHODS[method].controlled else {}
 
 
-def test_every_method_is_measured_on_both_groups_and_between_bodies():
+def test_every_method_is_covered_on_both_groups_and_between_bodies():
     for method in METHODS:
         if METHODS[method].family == "rotation":
             continue  # test_rotation.py
@@ -385,7 +385,7 @@ def test_every_method_is_measured_on_both_groups_and_between_bodies():
 
 
 @pytest.mark.parametrize("problem, method, group", CASES)
-def test_order(references, problem, method, group):
+def test_fitted_order_is_the_stated_order(references, problem, method, group):
     scene, attitudes = references[problem]
     _, time, floor = PROBLEMS[problem]
     counts = counts_of(problem, method)[group]
@@ -394,7 +394,7 @@ def test_order(references, problem, method, group):
     assert slope(counts, found) == pytest.approx(METHODS[method].order, abs=0.2)
 
 
-def test_floors_are_those_of_order_eight(references):
+def test_error_floors_are_reached_by_order_eight(references):
     for problem, (scene, attitudes) in references.items():
         _, time, floor = PROBLEMS[problem]
         for group in GROUPS:
@@ -411,8 +411,8 @@ def test_floors_are_those_of_order_eight(references):
 
 @pytest.mark.parametrize("method", ["rkmk3", "rkmk4", "rkmk54", "rkmk8"])
 @pytest.mark.parametrize("group", GROUPS)
-def test_dexpinv_truncated_to_the_order_keeps_it(references, method, group):
-    """Powers of ad up to p - 2 suffice, with an error of the same size."""
+def test_dexpinv_truncated_at_the_order_keeps_the_order(references, method, group):
+    """Powers of ad up to p - 2 suffice for order p, with an error of the same size."""
     scene, attitudes = references["double pendulum"]
     counts = STEPS["double pendulum"][method]
     time = PROBLEMS["double pendulum"][1]
@@ -432,8 +432,8 @@ def test_dexpinv_truncated_to_the_order_keeps_it(references, method, group):
 
 
 @pytest.mark.parametrize("highest, order", [(0, 2), (1, 3), (2, 4)])
-def test_each_power_of_ad_is_worth_an_order(references, highest, order):
-    """RKMK4 with the series of dexpinv cut at a power of ad, on the free body: its own bracket."""
+def test_each_power_of_ad_adds_one_order(references, highest, order):
+    """RKMK4 on the free body with the dexpinv series truncated after a power of ad."""
     scene, attitudes = references["free body"]
     counts = (8, 16, 32, 64)
     found = []
@@ -449,7 +449,7 @@ def test_each_power_of_ad_is_worth_an_order(references, highest, order):
 @pytest.mark.parametrize("problem", ["heavy top", "Lagrangian top", "double pendulum"])
 @pytest.mark.parametrize("group", GROUPS)
 def test_error_follows_the_tolerance(references, problem, group):
-    """rkmk54 between two samples: error ~ tolerance, substeps ~ tolerance^(-1/5)."""
+    """rkmk54: error proportional to tolerance, substeps proportional to tolerance^(-1/5)."""
     scene, attitudes = references[problem]
     time = PROBLEMS[problem][1]
     tolerances = [1e-5, 1e-6, 1e-7, 1e-8, 1e-9]
@@ -472,7 +472,7 @@ def test_error_follows_the_tolerance(references, problem, group):
 
 @pytest.mark.parametrize("group", GROUPS)
 @pytest.mark.parametrize("rho_inf", [0.0, 0.5, 1.0])
-def test_generalized_alpha_is_of_order_two_for_every_damping(references, group, rho_inf):
+def test_generalized_alpha_has_order_two_for_every_damping(references, group, rho_inf):
     scene, attitudes = references["double pendulum"]
     counts = (128, 256, 512)
     found = errors(
@@ -489,8 +489,8 @@ def test_generalized_alpha_is_of_order_two_for_every_damping(references, group, 
 
 @pytest.mark.parametrize("name", mechanisms.MECHANISMS)
 @pytest.mark.parametrize("group", GROUPS)
-def test_generalized_alpha_keeps_all_joints_closed(name, group):
-    """Position level on trees and loops: Newton's method ends at some ten roundings of a pose."""
+def test_generalized_alpha_satisfies_all_constraints(name, group):
+    """Position level, trees and loops. Tolerance: Newton ends at about ten pose round-offs."""
     simulation = Simulation(
         mechanisms.named(name), method="generalized_alpha", step=2e-3, group=group
     )
@@ -500,8 +500,8 @@ def test_generalized_alpha_keeps_all_joints_closed(name, group):
 
 
 @pytest.mark.parametrize("group", GROUPS)
-def test_generalized_alpha_is_of_order_two_where_rkmk4_fails(rod, group):
-    """Steps of 3 to 27 rad of the rod's vibration; an explicit method is stable up to 2.8 rad."""
+def test_generalized_alpha_has_order_two_where_rkmk4_is_unstable(rod, group):
+    """Steps of 3 to 27 rad of the rod's vibration; RKMK4 is stable up to 2.8 rad."""
     scene, attitudes = rod
     counts = (128, 256, 512, 1024)
     found = errors(scene, attitudes, 1, counts, method="generalized_alpha", group=group)
@@ -515,8 +515,8 @@ def test_generalized_alpha_is_of_order_two_where_rkmk4_fails(rod, group):
 
 
 @pytest.mark.parametrize("group", GROUPS)
-def test_generalized_alpha_counts_turns_and_starts_anew_where_a_wrench_does(group):
-    """A wheel winds a torsional spring by 4 turns; a torque from 0.3 s to 0.9 s, within steps.
+def test_generalized_alpha_unwraps_angles_and_restarts_at_wrench_changes(group):
+    """A wheel winds a torsional spring by 4 turns; a torque acts from 0.3 s to 0.9 s, within steps.
 
     I thetaddot + k theta = tau: of every torque's start t1 theta gets tau/k (1 - cos w (t - t1)).
     """
@@ -548,8 +548,8 @@ def test_generalized_alpha_counts_turns_and_starts_anew_where_a_wrench_does(grou
 
 
 @pytest.mark.parametrize("group", GROUPS)
-def test_generalized_alpha_is_of_order_two_when_wrenches_change_at_every_step(references, group):
-    """Each change is a new start; the reference takes 16 steps of rkmk4 for each of its own."""
+def test_generalized_alpha_has_order_two_with_wrench_changes_at_every_step(references, group):
+    """The method restarts at each change. Reference: rkmk4 with 16 steps per step."""
     scene, _ = references["double pendulum"]
 
     def end(method, count, parts):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The referee itself: the independent integration against 45-digit end states and exact motions.
+"""The independent reference integration against 45-digit end states and closed forms.
 
 The golden numbers come from Taylor series of the polynomial equations of motion in 45 digits. A
 DOP853 run of another author's code, in other coordinates, at rtol = atol = 1e-13 differed from
@@ -52,7 +52,7 @@ HEAVY_COM_6 = [0.36169409987026524, -0.09421884436919646, 0.33211472036748346]
 
 
 def follow(scene, times, changes=()):
-    """Trajectory and its uncertainty from the scene's own start."""
+    """(trajectory, uncertainty) from the initial state of the scene."""
     return integrate(scene, *initial_state(scene), times, changes)
 
 
@@ -66,7 +66,7 @@ def follow(scene, times, changes=()):
     ],
 )
 def test_golden_end_states(name, time, rotation, omega, bound):
-    """As close as the other DOP853 run; 1e-13 more for the round-off of about 1000 steps.
+    """Bound: error of another DOP853 run, plus 1e-13 for the round-off of about 1000 steps.
 
     omega differs by at most the error of R times the largest angular acceleration, below 700
     rad/s^2 for the tops (150 rad/s x 4.6 rad/s), so the same bound times 700.
@@ -82,7 +82,7 @@ def test_golden_end_states(name, time, rotation, omega, bound):
 
 
 def test_position_of_the_heavy_top():
-    """COM at 6 s, and the ball joint closed to round-off all the way: error of R times 0.5 m."""
+    """Centre of mass at 6 s: error of R times 0.5 m. The spherical joint holds to round-off."""
     trajectory, _ = follow(load_scene("heavy_top"), np.linspace(0.0, 6.0, 601))
     assert np.linalg.norm(trajectory.position[-1, 0] - HEAVY_COM_6) <= 9.6e-11
     pivot = trajectory.position[:, 0] - 0.5 * trajectory.rotation[:, 0, :, 0]
@@ -90,7 +90,7 @@ def test_position_of_the_heavy_top():
 
 
 def constant_push(joints=(), **values):
-    """One body without gravity."""
+    """Scene of one body without gravity."""
     return Scene(
         name="pushed",
         gravity=(0.0, 0.0, 0.0),
@@ -99,8 +99,8 @@ def constant_push(joints=(), **values):
     )
 
 
-def test_wrench_change_between_steps_is_met_exactly():
-    """Force along body x without rotation: x = f t^2 / 2m piecewise, exact up to round-off."""
+def test_a_wrench_change_between_steps_is_integrated_exactly():
+    """Force along body x without rotation: piecewise x = f t^2 / 2m, to round-off."""
     times = np.array([0.0, 0.1, 0.25, 0.3, 1.0])
     changes = [WrenchChange(0.1, "a", (0, 0, 0, 4.0, 0, 0)), WrenchChange(0.3, "a", (0,) * 6)]
     trajectory, _ = follow(constant_push(), times, changes)
@@ -110,8 +110,8 @@ def test_wrench_change_between_steps_is_met_exactly():
     assert trajectory.twist[-1, 0] == pytest.approx([0, 0, 0, 0.4, 0, 0], abs=1e-14)
 
 
-def test_wrench_turns_with_the_body():
-    """Body at constant spin n pushed along body x: rddot = f/m (cos nt, sin nt, 0)."""
+def test_a_wrench_in_body_axes_rotates_with_the_body():
+    """Constant spin n and force along body x: rddot = f/m (cos nt, sin nt, 0)."""
     spin, a = 3.0, 2.0
     scene = constant_push(angular_velocity=(0, 0, spin))
     times = np.linspace(0.0, 2.0, 21)
@@ -125,8 +125,8 @@ def test_wrench_turns_with_the_body():
     assert np.abs(trajectory.position[:, 0, :2] - exact).max() <= 5e-12
 
 
-def test_hinge_is_a_pendulum():
-    """A body on a hinge is (I_z + m l^2) theta'' = torque, here constant: theta = a t^2 / 2."""
+def test_a_body_on_a_revolute_joint_under_constant_torque():
+    """(I_z + m l^2) theta'' = torque, constant here: theta = a t^2 / 2."""
     hinge = Joint(
         name="hinge",
         type="revolute",
@@ -150,8 +150,8 @@ def test_hinge_is_a_pendulum():
     assert trajectory.rotation[:, 0] @ axis == pytest.approx(np.tile(axis, (7, 1)), abs=1e-13)
 
 
-def test_spring_damper_is_a_damped_oscillator():
-    """Two bodies on a line: relative motion d'' = -(k (d - l0) + c d') / mu, in closed form."""
+def test_two_bodies_on_a_spring_damper_are_a_damped_oscillator():
+    """Motion along a line: d'' = -(k (d - l0) + c d') / mu, closed form."""
     scene = Scene(
         name="pair",
         gravity=(0.0, 0.0, 0.0),
@@ -186,8 +186,8 @@ def test_spring_damper_is_a_damped_oscillator():
 
 
 @pytest.mark.parametrize("kind", mechanisms.KINDS)
-def test_joint_equations_match_their_rates(kind):
-    """g, gdot, gddot = A a + ... of a joint against central differences along an open motion.
+def test_joint_residuals_match_their_time_derivatives(kind):
+    """g, gdot, gddot = A a + ... against central differences along a motion that violates g = 0.
 
     Both bodies move by r = r0 + v t + a t^2 / 2 and turn about a fixed axis of their own at
     w t + b t^2 / 2. Differences of step 1e-4 leave 1e-8 of third and fourth derivatives of some
@@ -249,8 +249,8 @@ def test_joint_equations_match_their_rates(kind):
     assert np.abs(at(0.0)[1][0]).max() <= 1e-14
 
 
-def test_closed_loop_with_redundant_rows():
-    """A planar four-bar of four hinges has 20 rows of rank 17; its energy stays all the same."""
+def test_a_closed_loop_with_redundant_rows_conserves_energy():
+    """Planar four-bar of four revolute joints: 20 rows of rank 17."""
 
     def rod(name, start, end, **values):
         start, end = np.array(start), np.array(end)
@@ -307,8 +307,8 @@ def test_closed_loop_with_redundant_rows():
     assert np.abs(trajectory.position[..., 2]).max() <= 1e-12
 
 
-def test_distance():
-    """A turn by 0.3 rad and a shift by 0.2 m, and at most 2 for a half turn."""
+def test_distance_of_two_poses():
+    """Rotation by 0.3 rad and translation by 0.2 m; the attitude distance of a half turn is 2."""
 
     def still(angle, x):
         c, s = math.cos(angle), math.sin(angle)
@@ -327,8 +327,8 @@ def test_distance():
     assert distance(still(0.0, 0), still(math.pi, 0)).attitude[0, 0] == pytest.approx(2.0)
 
 
-def test_piece_by_piece_is_the_same_to_the_bit(monkeypatch):
-    """Times in several calls, across a change of the wrench."""
+def test_evaluation_in_pieces_is_bit_identical(monkeypatch):
+    """Times split over several calls, across a wrench change."""
     scene = constant_push()
     layout = make_layout(scene)
     pose, twist = initial_state(layout.centred)
@@ -345,7 +345,7 @@ def test_piece_by_piece_is_the_same_to_the_bit(monkeypatch):
         integrate(scene, pose, twist, times, changes)
 
 
-def test_refusals():
+def test_invalid_arguments_are_refused():
     scene = constant_push()
     with pytest.raises(ValueError, match="times must increase"):
         follow(scene, [0.2, 0.1])

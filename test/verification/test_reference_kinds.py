@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The independent integration for every kind of joint and force: closed forms, and the engine.
+"""The reference integration for every kind of joint and force, against closed forms and engine.
 
 Two programs that share no formula agree to what each says of its own error. For the engine that is
 the difference of its runs at h and h / 2, which the better one's error is far below.
@@ -33,7 +33,7 @@ MASS, INERTIA = 2.0, 0.4
 
 
 def engine(scene, times, step):
-    """Trajectory of the engine's method of order eight, joints closed after every step."""
+    """Trajectory of rkmk8 with projection after every step."""
     simulation = Simulation(scene, method="rkmk8", step=step, stabilisation="projection")
     samples = []
     for time in times:
@@ -53,7 +53,7 @@ def reference(scene, times):
 
 
 def assert_agreement(scene, times, step, rounding=1e-12):
-    """Rounding: eps times sizes and rates of some ten, over a few hundred steps."""
+    """Tolerance: uncertainty plus round-off of magnitudes of ten over a few hundred steps."""
     exact, known = reference(scene, times)
     coarse, fine = (engine(scene, times, h) for h in (step, step / 2))
     own, found = distance(coarse, fine), distance(fine, exact)
@@ -154,7 +154,7 @@ ON_EVERY_KIND = {
 
 @pytest.mark.parametrize("kind", [cls.model_fields["type"].default for cls in FORCES])
 def test_every_kind_of_force(kind):
-    """It moves the mechanism, too: without the force the motion is another one."""
+    """The force must have an effect: without it the motion differs."""
     plain = mechanisms.named("every kind")
     scene = plain.model_copy(update={"forces": tuple(ON_EVERY_KIND[kind])})
     times = np.linspace(0.0, 0.15, 4)
@@ -189,7 +189,7 @@ STEPS = {
         "slider_crank",
     ],
 )
-def test_every_scene_that_comes_along(name):
+def test_every_example_scene(name):
     step = STEPS.get(name, 1e-3)
     assert_agreement(load_scene(name), np.linspace(0.0, 100 * step, 3), step)
 
@@ -198,7 +198,7 @@ def test_every_scene_that_comes_along(name):
 
 
 def on_joint(kind, *forces, rate=0.0, **keys):
-    """A body at rest but for `rate`, on a joint to ground along AXIS through its centre."""
+    """Body with joint velocity `rate` on a joint to ground along AXIS through its centre."""
     turns = kind == "revolute"
     joint = (ScrewJoint if kind == "screw" else Joint)(
         name="j", type=kind, parent="world", child="a", parent_frame=Frame(axis=AXIS), **keys
@@ -225,7 +225,7 @@ def oscillation(t, size, stiffness, damping, rest, start=0.0):
 
 
 def approach(t, size, force, limit):
-    """Way from rest under force (1 - speed / limit)."""
+    """Displacement from rest under force (1 - speed / limit)."""
     fade = size * limit / force
     return limit * (t - fade * (1.0 - np.exp(-t / fade)))
 
@@ -286,8 +286,8 @@ CLOSED_FORMS = {
 
 
 @pytest.mark.parametrize("name", CLOSED_FORMS)
-def test_closed_forms(name):
-    """To what the integration says of itself, and rounding of values up to 100."""
+def test_reference_integration_agrees_with_closed_forms(name):
+    """Tolerance: the reported uncertainty plus round-off of values up to 100."""
     scene, way = CLOSED_FORMS[name]
     times = np.linspace(0.0, 3.0, 121)
     found, known = reference(scene, times)
@@ -317,7 +317,7 @@ def test_closed_forms(name):
 
 
 def parallelogram(angle):
-    """Two cranks of 1 m at an angle above the ground, 2 m apart, and a coupler; it turns."""
+    """Moving parallelogram: cranks of 1 m at an angle (rad) to the ground, 2 m apart."""
     arm = np.array([np.cos(angle), np.sin(angle), 0.0])
     rate = np.cross([0, 0, 3.0], arm)
     turned = {
@@ -357,8 +357,8 @@ def parallelogram(angle):
 
 
 @pytest.mark.parametrize("angle, time", [(-1.5, 1.0), (0.0, 0.1)])
-def test_a_singular_pose_is_said(angle, time):
-    """A flat parallelogram on the way, and at the start."""
+def test_a_singular_pose_is_reported(angle, time):
+    """A parallelogram that becomes flat during the motion, or starts flat."""
     with pytest.raises(SimulationError, match="singular configuration") as error:
         reference(parallelogram(angle), [time])
     assert "\n" not in str(error.value)

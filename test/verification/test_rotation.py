@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rotation methods on the chapter's free body and Lagrangian top, Figs. 6.6 to 6.9.
+"""Rotation methods on the free body and Lagrangian top of the chapter, Figs. 6.6 to 6.9.
 
 Numbers of independent implementations: liegroup_sim_ros/chapter/rotation_tables.py. With forces and in
 other scenes: test_rotation_forces.py.
@@ -51,7 +51,7 @@ def attitude(simulation):
 
 
 def attitude_error(scene, method, step, time, reference):
-    """||R - Rref||_2 at a time, or None where the step has no solution."""
+    """||R - Rref||_2 at `time` (s), or None if a step has no solution."""
     simulation = Simulation(scene, method=method, step=step)
     try:
         simulation.advance(round(time / step))
@@ -66,8 +66,8 @@ def slope(steps, errors):
 
 
 @pytest.mark.parametrize("method", FREE_ATTITUDE)
-def test_free_body_has_the_attitude_errors_of_the_method(method):
-    """To a unit of the fourth digit; 1e-13 more for the rounding of 2560 steps. Order and C too:
+def test_free_body_attitude_errors_equal_published_values(method):
+    """To a unit of the fourth digit, plus 1e-13 for the round-off of 2560 steps. Order and C too:
     the latter have three or four digits, the former two decimals.
     """
     found = [attitude_error(FREE, method, step, 10, FREE_R_10) for step in FREE_STEPS]
@@ -82,7 +82,7 @@ def test_free_body_has_the_attitude_errors_of_the_method(method):
 
 
 @pytest.mark.parametrize("method", [m for m in TOP_ATTITUDE if "austin" not in m])
-def test_lagrangian_top_has_the_attitude_errors_of_the_method(method):
+def test_lagrangian_top_attitude_errors_equal_published_values(method):
     """To half a unit of the third digit, the order to two decimals.
 
     Rounding turns the spin of 150 rad/s by 150 * 1.1e-16 a step and adds up like a random walk:
@@ -124,14 +124,14 @@ def test_order_on_both_problems(method):
     assert order - 0.1 < slope(1 / np.array(top), found) < {2: 2.1, 4: 4.25, 8: 11}[order]
 
 
-def test_austin_on_the_top_is_close_to_the_other_form():
-    """Ours has the momentum of the first half kick in the midpoint rule."""
+def test_austin_on_the_top_is_close_to_the_implicit_form():
+    """Here the midpoint rule uses the momentum after the first half kick."""
     for rate, expected in zip(TOP_RATES[4:], TOP_ATTITUDE["austin_krishnaprasad_wang"][4:]):
         found = attitude_error(TOP, "austin_krishnaprasad_wang", 1 / rate, 1, TOP_R_1)
         assert 0.98 * expected < found < 0.985 * expected
 
 
-def test_the_other_form_of_austin_is_the_mean_of_both_ends():
+def test_the_implicit_form_of_austin_uses_the_mean_momentum():
     """w_m = I^-1 (y + y+)/2 with both half kicks in y+, which is implicit in the torque.
 
     Written anew it gives their numbers to all digits: nothing else differs.
@@ -166,7 +166,7 @@ def test_the_other_form_of_austin_is_the_mean_of_both_ends():
 
 
 @pytest.mark.parametrize("method", KEEP_MOMENTUM)
-def test_free_body_keeps_its_momentum_at_every_step(method):
+def test_free_body_momentum_is_conserved_at_every_step(method):
     """16 s in steps of 8 s to 1/4096 s: round-off.
 
     Each step rounds some three times by 1.1e-16 of |Y| = 1; they add up like a random walk, with
@@ -187,7 +187,7 @@ def test_free_body_keeps_its_momentum_at_every_step(method):
 @pytest.mark.parametrize(
     "method", ["stoermer_verlet", "coadjoint_rkmk4", "rattle", "austin_krishnaprasad_wang"]
 )
-def test_rounding_of_the_momentum_is_a_random_walk(method):
+def test_momentum_round_off_grows_like_a_random_walk(method):
     """3e6 steps, bounded as above: 1.1e-12. A body that is brought back to SO(3) in every step was
     seen at 2.6e-12 to 3e-12, as some of the rounding is then the same in every step; with
     v = R^T P / m the linear momentum, of 0.6 N s, would be off by up to 3.6e-15 in each.
@@ -207,8 +207,8 @@ def test_rounding_of_the_momentum_is_a_random_walk(method):
 
 
 @pytest.mark.parametrize("method", ["lie_newmark", "rkmk4"])
-def test_momentum_is_lost_as_the_method_loses_it(method):
-    """To a unit of the fourth digit; at 8 s a stage of rkmk4 turns by more than its 2 pi."""
+def test_momentum_loss_equals_published_values(method):
+    """To a unit of the fourth digit; at a step of 8 s a stage of rkmk4 exceeds 2 pi."""
     for step, expected in zip(MOMENTUM_STEPS, MOMENTUM[method]):
         if (method, step) == ("rkmk4", 8):
             continue
@@ -220,8 +220,8 @@ def test_momentum_is_lost_as_the_method_loses_it(method):
 
 
 @pytest.mark.parametrize("method, step", TOP_INTEGRALS)
-def test_integrals_of_the_top_over_ten_seconds(method, step):
-    """To the digits that are printed."""
+def test_invariants_of_the_top_over_ten_seconds(method, step):
+    """To the published digits."""
     for found, expected in zip(top_integrals(method, step), TOP_INTEGRALS[method, step]):
         if expected is None:
             # y of 70 N m s and w of 150 rad/s, rounded 20000 times: as a random walk 2e-12.
@@ -231,7 +231,7 @@ def test_integrals_of_the_top_over_ten_seconds(method, step):
 
 
 def test_energy_of_stoermer_verlet_drifts_and_that_of_lie_newmark_does_not():
-    """(E - E0)/E0 of the free body at 100, 300, 1000 s: h^3 t against bounded."""
+    """(E - E0)/E0 of the free body at 100, 300, 1000 s: growth with h^3 t, or bounded."""
     drift = {
         0.2: (3.5e-3, 1.0e-2, 3.3e-2),
         0.1: (4.6e-4, 1.3e-3, 4.2e-3),
@@ -246,8 +246,8 @@ def test_energy_of_stoermer_verlet_drifts_and_that_of_lie_newmark_does_not():
 
 
 @pytest.mark.parametrize("method", ["rattle", "simo_wong", "austin_krishnaprasad_wang"])
-def test_energy_of_the_free_body_is_kept_too(method):
-    """To rounding, 1e-16 a step."""
+def test_free_body_energy_is_conserved(method):
+    """Tolerance: round-off of 1e-16 per step."""
     assert abs(_energy_ratio(method, 0.1, 1000)) <= 1e-12
 
 
@@ -258,8 +258,8 @@ def _energy_ratio(method, step, time):
     return simulation.energy() / start - 1
 
 
-def test_lie_newmark_is_the_scheme_6_41():
-    """All three of its equations with the torque of the top in them, (6.41c) implicit."""
+def test_lie_newmark_satisfies_equations_6_41():
+    """All three equations with the torque of the top, (6.41c) being implicit."""
     I, d, h = np.array([15.234375, 0.46875, 15.234375]), np.array([0.0, 1.0, 0.0]), 1e-3
     simulation = Simulation(TOP, method="lie_newmark", step=h)
     simulation.advance(100)
@@ -278,7 +278,7 @@ def test_lie_newmark_is_the_scheme_6_41():
 
 
 def back_and_forth(method, step):
-    """How far a step and a step from there with velocities turned round miss the start."""
+    """Distance from the start after one step, velocity reversal and another step."""
     simulation = Simulation(TOP, method=method, step=step)
     simulation.advance(50)
     pose, twist = simulation.state()
@@ -290,19 +290,19 @@ def back_and_forth(method, step):
 
 @pytest.mark.parametrize("method", SYMMETRIC)
 def test_implicit_methods_are_symmetric_in_time(method):
-    """Round-off: some ten units of 1 and of 150 rad/s. The candidate is implicit and is not."""
+    """Tolerance: ten round-offs of 1 and of 150 rad/s. The candidate is implicit but asymmetric."""
     off = back_and_forth(method, 1e-3)
     assert off[0] <= 1e-14 and off[1] <= 1e-12
 
 
 def test_stoermer_verlet_is_not_symmetric():
-    """Back at O(h^4) in velocity: 16 times less at half the step."""
+    """The velocity returns to O(h^4): 16 times closer at half the step."""
     off = [back_and_forth("stoermer_verlet", step)[1] for step in (1e-3, 5e-4)]
     assert off[0] > 1e-9 and off[0] / off[1] == pytest.approx(16, rel=0.3)
 
 
 @pytest.mark.parametrize("step", [1 / 64, 1 / 128])
-def test_rattle_says_which_step_would_work(step):
+def test_rattle_suggests_a_working_step(step):
     simulation = Simulation(TOP, method="rattle", step=step)
     before = simulation.state()
     with pytest.raises(SimulationError, match="RATTLE has no solution for body top") as failure:
@@ -318,8 +318,8 @@ def test_rattle_says_which_step_would_work(step):
     simulation.advance(200)
 
 
-def test_rattle_works_up_to_a_turn_of_one_rad_whatever_the_inertia():
-    """Just below always; above only about other axes than principal ones."""
+def test_rattle_solves_rotations_up_to_one_radian_for_any_inertia():
+    """Just below 1 rad always; above only about axes that are not principal."""
     rng = np.random.default_rng(2)
     for _ in range(40):
         points = rng.normal(size=(4, 3)) * 10 ** rng.uniform(-1, 0, size=3)
@@ -337,16 +337,16 @@ def test_rattle_works_up_to_a_turn_of_one_rad_whatever_the_inertia():
             Simulation(scene, method="rattle", step=1.6 / np.linalg.norm(w)).advance(1)
 
 
-def test_limits_of_rattle_on_the_two_problems():
-    """By bisection elsewhere: 0.0066650 s for the top and 1.06019 s for the free body."""
+def test_step_limits_of_rattle_on_both_problems():
+    """Independent bisection: 0.0066650 s for the top and 1.06019 s for the free body."""
     for scene, limit in ((TOP, 0.0066650), (FREE, 1.06019)):
         Simulation(scene, method="rattle", step=0.9999 * limit).advance(1)
         with pytest.raises(SimulationError, match="RATTLE"):
             Simulation(scene, method="rattle", step=1.0001 * limit).advance(1)
 
 
-def test_simo_wong_takes_the_solution_that_small_steps_lead_to():
-    """At 4 s its equation has three solutions; Newton's method alone finds none from (h w).
+def test_simo_wong_takes_the_solution_continued_from_small_steps():
+    """At h = 4 s the equation has three solutions; Newton's method from h w finds none of them.
 
     The one for steps from 0.01 s to 4 s, each found from the one before by SciPy; to rounding of
     3 rad times 20, the condition of the equation there.
@@ -366,8 +366,8 @@ def test_simo_wong_takes_the_solution_that_small_steps_lead_to():
     assert np.abs(attitude(simulation) - SO3.exp(x)).max() <= 60 * 2.0**-52
 
 
-def test_figures_use_exact_end_states_and_say_what_elsewhere_was_found(monkeypatch, tmp_path):
-    """The scenes' numbers in binary are not the decimal ones: 1e-15 of 150 rad."""
+def test_figures_use_exact_end_states_and_report_published_values(monkeypatch, tmp_path):
+    """Tolerance: binary scene numbers differ from the decimal ones by 1e-15 of 150 rad."""
     assert np.abs(end_attitude("free_body", 10) - FREE_R_10).max() <= 1e-15
     assert np.abs(end_attitude("lagrangian_top", 1) - TOP_R_1).max() <= 2e-13
     short = [

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rotation methods under forces: of the pose, of velocity, between bodies, from outside, in time.
+"""Rotation methods under pose- and velocity-dependent, coupling, applied and timed forces.
 
 References: the independent integration of liegroup_core.reference, or SciPy's DOP853 on equations
 written here.
@@ -45,7 +45,7 @@ def end(scene, method, rate, time=1.0):
 
 @pytest.fixture(scope="module")
 def coupled():
-    """Three bodies with springs and dampers between them and to the world, and where they end."""
+    """(three bodies coupled by springs and dampers to each other and the world, end state)."""
     scene = mechanisms.rotors()
     start = Simulation(scene).state()
     trajectory, uncertainty = integrate(scene, *start, [1.0])
@@ -54,8 +54,8 @@ def coupled():
 
 
 @pytest.mark.parametrize("method", ROTATION)
-def test_order_with_bodies_that_springs_and_dampers_couple(coupled, method):
-    """Position of the free body, and attitude and velocity of all of them.
+def test_order_with_bodies_coupled_by_springs_and_dampers(coupled, method):
+    """Position of the free body, attitude and velocity of all bodies.
 
     At order 8 slopes are up to 9.4: the smallest step is next to the reference's own error.
     """
@@ -80,7 +80,7 @@ def test_order_with_bodies_that_springs_and_dampers_couple(coupled, method):
 @pytest.mark.parametrize("held", [False, True])
 @pytest.mark.parametrize("method", ROTATION)
 def test_order_with_drag(method, held):
-    """Linear and quadratic drag of turning and of moving; by DOP853 in R, r, w and v."""
+    """Linear and quadratic drag of rotation and translation; reference: DOP853 in R, r, w, v."""
     d = np.array([0.3, -0.2, 0.4]) if held else np.zeros(3)
     mass, gravity, w0 = 2.0, np.array([0.2, -0.1, -0.8]), np.array([0.5, 0.8, 0.1])
     v0 = np.cross(w0, d) if held else np.array([0.4, -0.3, 0.2])
@@ -135,8 +135,8 @@ def test_order_with_drag(method, held):
 
 
 @pytest.mark.parametrize("method", ROTATION)
-def test_ball_joint_stays_closed_to_rounding(method):
-    """Also where the centre of mass is off the body frame, and at steps that are far too large."""
+def test_the_spherical_joint_holds_to_round_off(method):
+    """Also with the centre of mass off the body frame, and at much too large steps."""
     scene = Scene(
         name="held",
         gravity=(0, 0, -9.81),
@@ -170,7 +170,7 @@ def test_ball_joint_stays_closed_to_rounding(method):
 
 @pytest.mark.parametrize("method", ROTATION)
 def test_pivot_methods_agree_with_rkmk8(method):
-    """A heavy top with a spring; the engine's other family on its own formulation of the joint."""
+    """Heavy top with spring; rkmk8 uses another formulation of the joint."""
     scene = load_scene("heavy_top")
     exact = end(scene, "rkmk8", 2000, 0.5)
     order = METHODS[method].order
@@ -180,8 +180,8 @@ def test_pivot_methods_agree_with_rkmk8(method):
 
 
 @pytest.mark.parametrize("method", ROTATION)
-def test_wrenches_that_start_and_end_within_steps_keep_the_order(method):
-    """Torque and force in world axes from 0.3 s to 0.7137 s; by DOP853 in pieces."""
+def test_wrenches_starting_and_ending_within_steps_keep_the_order(method):
+    """Torque and force in world axes from 0.3 s to 0.7137 s; reference: piecewise DOP853."""
     torque, force, mass = np.array([0.4, -0.3, 0.5]), np.array([1.0, 2.0, -0.5]), 2.0
     w0 = np.array([0.5, 0.8, 0.1])
     scene = Scene(
@@ -230,8 +230,8 @@ def test_wrenches_that_start_and_end_within_steps_keep_the_order(method):
 
 
 @pytest.mark.parametrize("method", ROTATION)
-def test_wrenches_from_outside(method):
-    """A torque about an axis of inertia for half of the time: w = tau t / I, held constant."""
+def test_applied_torque_gives_the_closed_form_rate(method):
+    """Torque about a principal axis for half of the time: w = tau t / I, then constant."""
     scene = Scene(
         name="one", gravity=(0, 0, 0), bodies=[Body(name="a", mass=1.0, inertia=(2, 3, 4))]
     )
@@ -252,8 +252,8 @@ def test_wrenches_from_outside(method):
 
 
 @pytest.mark.parametrize("method", ["lie_midpoint", "simo_wong", "bottasso_borri_candidate"])
-def test_a_torque_that_repetition_cannot_settle_ends_with_a_status(method):
-    """A spring with h omega far above 2 at both its ends."""
+def test_a_torque_beyond_fixed_point_convergence_ends_with_a_status(method):
+    """Spring with h omega far above 2 at both ends."""
     scene = Scene(
         name="stiff",
         gravity=(0, 0, 0),
@@ -285,8 +285,8 @@ def test_a_torque_that_repetition_cannot_settle_ends_with_a_status(method):
 
 
 @pytest.mark.parametrize("method", ["lie_midpoint", "simo_wong"])
-def test_drag_that_repetition_cannot_settle_is_solved(method):
-    """h c / 2 m = 5: repeated, each force would be five times as far off as the one before.
+def test_drag_beyond_fixed_point_convergence_is_solved(method):
+    """h c / 2 m = 5: fixed-point iteration would multiply the error by five each time.
 
     The midpoint rule in world axes, v+ (1 + 5) = v (1 - 5) + h g; turning is as stiff, and stops.
     """
@@ -320,7 +320,7 @@ def test_drag_that_repetition_cannot_settle_is_solved(method):
 
 
 def pendulum():
-    """A body that swings about its lower position with sqrt(m g a / (I + m a^2))."""
+    """Body that swings about its lower position at sqrt(m g a / (I + m a^2)) rad/s."""
     return Scene(
         name="pendulum",
         gravity=(0, 0, -9.81),
@@ -347,7 +347,7 @@ def pendulum():
 
 
 def limits(caplog):
-    """What was said of stability; errors of so large steps are another matter."""
+    """Logged stability warnings only; accuracy warnings of such large steps are ignored."""
     return [
         record.getMessage()
         for record in caplog.records
@@ -359,7 +359,7 @@ def limits(caplog):
     "method", ["stoermer_verlet", "lie_newmark", "rattle", "austin_krishnaprasad_wang"]
 )
 def test_a_step_beyond_the_stability_limit_warns_and_names_it(method, caplog):
-    """h omega = 2 for all that are explicit in forces: found to 1 in 64, printed to two digits.
+    """h omega = 2 for all methods explicit in forces: found to 1/64, printed to two digits.
 
     The growth looked for, 1.05 a step, is reached at h omega = 2.0006.
     """
@@ -376,7 +376,7 @@ def test_a_step_beyond_the_stability_limit_warns_and_names_it(method, caplog):
 
 
 def rod_at_rest():
-    """A slender rod on a ball joint, let go at 0.5 rad: it stretches errors where it is."""
+    """Slender rod on a spherical joint, released at 0.5 rad: the motion itself amplifies errors."""
     return Scene(
         name="rod",
         gravity=(0, 0, -9.81),
@@ -402,7 +402,7 @@ def rod_at_rest():
 
 
 def damped(damping):
-    """A mass on a spring of 100 N/m with a damper, stretched by 0.2 m."""
+    """Mass on a spring of 100 N/m with a damper (N s/m), stretched by 0.2 m."""
     return Scene(
         name="damped",
         gravity=(0, 0, 0),
@@ -424,8 +424,8 @@ def damped(damping):
 
 @pytest.mark.parametrize("method", ["stoermer_verlet", "rattle", "coadjoint_rkmk2"])
 @pytest.mark.parametrize("damping, step", [(30.0, 0.09), (3000.0, 0.09)])
-def test_dampers_that_are_too_much_for_a_step_warn(method, damping, step, caplog):
-    """The fast rate is c = damping to 13 %; h c must stay below about 2, and at 1.3 all is well."""
+def test_damping_beyond_the_stability_limit_warns(method, damping, step, caplog):
+    """The fast rate is c = damping to 13 %; h c must stay below about 2, and 1.3 is stable."""
     Simulation(damped(damping), method=method, step=1.3 / damping).advance(1)
     assert not limits(caplog)
     Simulation(damped(damping), method=method, step=step).advance(1)
@@ -438,15 +438,15 @@ def test_dampers_that_are_too_much_for_a_step_warn(method, damping, step, caplog
 
 
 @pytest.mark.parametrize("method", ["coadjoint_rkmk8", "lie_midpoint", "rattle"])
-def test_a_motion_that_stretches_errors_itself_does_not_warn(method, caplog):
+def test_a_motion_that_amplifies_errors_itself_does_not_warn(method, caplog):
     """The frozen derivative at the start has eigenvalues beyond 1.05 at these steps."""
     Simulation(rod_at_rest(), method=method, step=0.4).advance(1)
     assert not limits(caplog)
 
 
 @pytest.mark.parametrize("method", ROTATION)
-def test_steps_that_are_stable_do_not_warn_of_it(method, caplog):
-    """Free bodies have no limit, at whatever step; bodies on springs at a small one neither."""
+def test_stable_steps_give_no_stability_warning(method, caplog):
+    """Free bodies at any step, and bodies on springs at a small step."""
     for scene, step in (
         (load_scene("free_body"), 4.0),
         (load_scene("free_body"), 1.0),
@@ -468,7 +468,7 @@ def test_steps_that_are_stable_do_not_warn_of_it(method, caplog):
         ("four_bar", r"is a revolute joint from world to \w+"),
     ],
 )
-def test_other_scenes_are_refused_with_the_methods_that_fit(name, why):
+def test_unsupported_scenes_are_refused_with_applicable_methods(name, why):
     for method in ROTATION:
         with pytest.raises(ValueError, match=why) as refusal:
             Simulation(load_scene(name), method=method)
@@ -477,7 +477,7 @@ def test_other_scenes_are_refused_with_the_methods_that_fit(name, why):
         assert fitting == [name for name in METHODS if name not in ROTATION]
 
 
-def test_two_ball_joints_on_a_body_and_stabilisation_are_refused():
+def test_two_spherical_joints_on_a_body_and_stabilisation_are_refused():
     scene = Scene(
         name="twice",
         gravity=(0, 0, -1),
@@ -500,7 +500,7 @@ def test_two_ball_joints_on_a_body_and_stabilisation_are_refused():
             Simulation(load_scene("heavy_top"), method="stoermer_verlet", stabilisation=kind)
 
 
-def test_methods_that_fit_a_scene():
+def test_applicable_methods_of_a_scene():
     assert fitting_methods(make_layout(load_scene("heavy_top"))) == list(METHODS)
     assert fitting_methods(make_layout(mechanisms.rotors())) == list(METHODS)
     others = fitting_methods(make_layout(load_scene("four_bar")))
@@ -508,7 +508,7 @@ def test_methods_that_fit_a_scene():
 
 
 def test_steps_allocate_nothing():
-    """Numba's own count of allocations, for 10 and for 400 steps in one call, none of them watched."""
+    """Numba's allocation count is the same for 10 and for 400 steps in one call, without checks."""
     code = (
         "import sys; sys.path.insert(0, sys.argv[1]); import mechanisms\n"
         "from numba.core.runtime import rtsys\n"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The truth that a trade is measured against, and its errors, held to results from elsewhere.
+"""Reference solutions and errors of a trade against independent results.
 
 Free body, Lagrangian top: closed forms, and errors of independent implementations of the methods.
 Heavy top: end state by Taylor series in 45 digits, and errors of such an implementation. Four-bar:
@@ -73,13 +73,13 @@ ELSEWHERE = [
 
 @pytest.fixture(autouse=True)
 def few_samples(monkeypatch):
-    """A closed form takes a while for each of them."""
+    """Use few sampling times: each closed-form evaluation is slow."""
     monkeypatch.setattr(truth, "sample_times", lambda horizon: [0 * horizon, horizon / 2, horizon])
 
 
 @pytest.mark.parametrize("name, horizon, kind, runs", ELSEWHERE)
-def test_errors_are_those_found_elsewhere(name, horizon, kind, runs):
-    """To the digits that are given: 1 of the fourth or fifth, and what the truth is not sure of."""
+def test_errors_equal_independently_published_errors(name, horizon, kind, runs):
+    """Tolerance: a unit of the fourth or fifth digit plus the reference uncertainty."""
     found = find_truth(make_layout(load_scene(name)), as_time(horizon))
     assert found.kind == kind and found.known <= 1e-10
     if kind != "integration":
@@ -95,7 +95,7 @@ def test_errors_are_those_found_elsewhere(name, horizon, kind, runs):
         assert error == pytest.approx(elsewhere, rel=1e-3, abs=found.known), (method, step)
 
 
-def test_the_four_bar():
+def test_four_bar_reference_against_energy_quadrature():
     found = find_truth(make_layout(load_scene("four_bar")), as_time(1.0))
     crank = found.motion.rotation[-1, 0]
     angle = np.arctan2(crank[1, 0], crank[0, 0])
@@ -111,7 +111,7 @@ def test_the_four_bar():
 
 
 def error_against(peer, rows, rotation, position):
-    """As the trade measures it, of (k, n, 3, 3) and (k, n, 3) at these of the peer's instants."""
+    """Error in the trade's metric of rotation (k, n, 3, 3) and position (k, n, 3) at peer times."""
 
     def motion(turns, places):
         return Trajectory(None, turns, places, np.zeros((*places.shape[:2], 6)))
@@ -124,8 +124,8 @@ def error_against(peer, rows, rotation, position):
 
 
 @pytest.mark.parametrize("peer", PEERS, ids=lambda peer: peer["scene"])
-def test_the_truth_is_that_of_other_software(peer, monkeypatch):
-    """Within what both are sure of, which is little: the scenes are another's words, too."""
+def test_the_reference_agrees_with_other_software(peer, monkeypatch):
+    """Tolerance: the uncertainties of both. The peer scenes are written independently as well."""
     times = [as_time(at) for at in peer["times"]]
     monkeypatch.setattr(truth, "sample_times", lambda horizon: times)
     found = find_truth(make_layout(load_scene(peer["scene"])), as_time(peer["horizon"]))
@@ -137,7 +137,7 @@ def test_the_truth_is_that_of_other_software(peer, monkeypatch):
 
 
 @pytest.mark.parametrize("peer", PEERS, ids=lambda peer: peer["scene"])
-def test_the_cheapest_settings_are_as_good_as_they_are_said_to_be(peer):
+def test_the_cheapest_configurations_meet_their_stated_error(peer):
     """By the motion of the other software, at those of its instants that are whole steps; the
     errors that are said are the largest of more instants, and measured against our truth.
     """
