@@ -376,19 +376,19 @@ class Engine:
                 - self.steps
             )
             self._work.report[3] = WAIT if self._step_watch.waits(self.steps) else 0.0
-            done, status = self._take(wanted)
+            done, status = self._take_steps(wanted)
             self.steps += done
             met = self._work.report[3] == MET
             if getattr(self._integrator, "doubt", None):  # replaces the step check
-                self._say(self._integrator.doubt)
+                self._warn(self._integrator.doubt)
                 self._integrator.doubt, compares = None, False
                 self._step_watch.rest()
             if done:
-                self._say(
+                self._warn(
                     self._watch.look(self._pose, self.steps, self.time, status != OK, compares)
                 )
             if done and compares:
-                self._say(
+                self._warn(
                     self._step_watch.ends(self.steps, self._pose, self._twist, self._external)
                 )
             elif done:
@@ -421,13 +421,13 @@ class Engine:
                 LARGE_ROTATION / turned * self.step,
             )
 
-    def _say(self, doubt):
+    def _warn(self, doubt):
         """Append an accuracy warning to `doubt` and log it; None: no warning."""
         if doubt:
             self.doubt = f"{self.doubt}; {doubt}" if self.doubt else doubt
             log.warning(doubt)
 
-    def _take(self, steps):
+    def _take_steps(self, steps):
         """Take steps in which no wrench of the scene changes, or one step in parts if one changes.
 
         returns (steps done, status)

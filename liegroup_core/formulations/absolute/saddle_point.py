@@ -139,7 +139,7 @@ def _pull(model, solve, x, v, k, frequent, second):
 
 
 @kernel
-def _forward(model, solve, x, v, k, sign, frequent, second, shift, fresh):
+def _eliminate_vertex(model, solve, x, v, k, sign, frequent, second, shift, fresh):
     """Eliminate vertex v of k scalars from K, if K is fresh, and from the right-hand side x.
 
     The entries of the vertex in x become s d W x_v.
@@ -161,8 +161,8 @@ def _forward(model, solve, x, v, k, sign, frequent, second, shift, fresh):
 
 
 @kernel
-def _forward_mass(model, solve, x, v, body, frequent, second, fresh):
-    """`_forward` for a body with a constant mass matrix; its entries in x become M^-1 x_v."""
+def _eliminate_body(model, solve, x, v, body, frequent, second, fresh):
+    """Eliminate the vertex of a body with a constant mass matrix; its entries become M^-1 x_v."""
     if fresh:
         _eliminate_mass(model, solve, v, body, frequent, second)
     _push(model, solve, x, v, body, frequent, second)
@@ -177,7 +177,7 @@ def _forward_mass(model, solve, x, v, body, frequent, second, fresh):
 
 
 @kernel
-def _backward(model, solve, x, v, k, frequent, second):
+def _substitute_vertex(model, solve, x, v, k, frequent, second):
     """Back substitution of vertex v of k scalars: subtract contributions, multiply by W^T."""
     _pull(model, solve, x, v, k, frequent, second)
     place = model.vertices[v]["diagonal"]
@@ -208,15 +208,15 @@ def eliminate(model, solve, x, fresh, shift, sizes):
         good = True
         if model.vertices[v]["joint"] < 0:
             if model.vertices[v]["is_constant"] == 1:
-                _forward_mass(model, solve, x, v, body, first, second, fresh)
+                _eliminate_body(model, solve, x, v, body, first, second, fresh)
             else:
-                good = _forward(model, solve, x, v, body, 1.0, first, second, 0.0, fresh)
+                good = _eliminate_vertex(model, solve, x, v, body, 1.0, first, second, 0.0, fresh)
         elif k == first:
-            good = _forward(model, solve, x, v, first, -1.0, first, body, shift, fresh)
+            good = _eliminate_vertex(model, solve, x, v, first, -1.0, first, body, shift, fresh)
         elif k == second:
-            good = _forward(model, solve, x, v, second, -1.0, second, body, shift, fresh)
+            good = _eliminate_vertex(model, solve, x, v, second, -1.0, second, body, shift, fresh)
         else:
-            good = _forward(model, solve, x, v, k, -1.0, body, NONE, shift, fresh)
+            good = _eliminate_vertex(model, solve, x, v, k, -1.0, body, NONE, shift, fresh)
         if not good:
             return model.vertices[v]["joint"]
     return -1
@@ -232,13 +232,13 @@ def _substitute(model, solve, x, sizes):
             if model.vertices[v]["is_constant"] == 1:
                 _pull(model, solve, x, v, body, first, second)
             else:
-                _backward(model, solve, x, v, body, first, second)
+                _substitute_vertex(model, solve, x, v, body, first, second)
         elif k == first:
-            _backward(model, solve, x, v, first, first, body)
+            _substitute_vertex(model, solve, x, v, first, first, body)
         elif k == second:
-            _backward(model, solve, x, v, second, second, body)
+            _substitute_vertex(model, solve, x, v, second, second, body)
         else:
-            _backward(model, solve, x, v, k, body, NONE)
+            _substitute_vertex(model, solve, x, v, k, body, NONE)
 
 
 @kernel

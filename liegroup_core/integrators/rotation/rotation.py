@@ -201,9 +201,9 @@ class Rotation:
         if steps > 0 and not self._stability_checked:
             self._stability_checked = True
             self._check_stability(h, pose, twist, external)
-        return self._take(h, steps, pose, twist, external)
+        return self._take_steps(h, steps, pose, twist, external)
 
-    def _take(self, h, steps, pose, twist, external):
+    def _take_steps(self, h, steps, pose, twist, external):
         return self._advance(
             self._model,
             self.work,
@@ -224,7 +224,7 @@ class Rotation:
         """Warn if the step size is beyond the stability limit at a state."""
 
         def step(size, steps, pose, twist):
-            _, status = self._take(size, steps, pose, twist, external)
+            _, status = self._take_steps(size, steps, pose, twist, external)
             return (pose, twist) if status == OK else None
 
         report = self.work.report.copy()
