@@ -71,8 +71,8 @@ def run(args):
     except OSError as error:
         raise DemoError(f"{error.filename}: {error.strerror}") from None
     console = Console()
-    with _ended_by_signals():
-        _simulate(args.seconds, log, output, console)
+    with _interruption() as check:
+        _simulate(args.seconds, log, output, console, check)
     analysis = _analyse(log, page, figures)
     if not analysis.figures["pushes"]:
         raise DemoError("the applied wrench is not in the recording; see " + str(output))
@@ -101,7 +101,7 @@ def _analyse(log, page, figures):
     return analysis
 
 
-def _simulate(seconds, log, output, console):
+def _simulate(seconds, log, output, console, check):
     """Run the node for some seconds of simulated time, with a force in between."""
     os.environ.update(
         ROS_DOMAIN_ID=str(random.randint(1, 100)), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST"
@@ -119,8 +119,8 @@ def _simulate(seconds, log, output, console):
         with open(output, "w", encoding="utf-8") as stream:
             node = _start("node.entry", ["--ros-args", *arguments], stream, processes)
             with console.status("starting (the first start on a machine compiles for about 20 s)"):
-                _wait_until(log.exists, STARTING, node, output)
-            _watch(seconds, node, output, processes, console)
+                _wait_until(log.exists, STARTING, node, output, check)
+            _watch(seconds, node, output, processes, console, check)
             node.send_signal(signal.SIGINT)
             try:
                 code = node.wait(ENDING)
@@ -132,7 +132,7 @@ def _simulate(seconds, log, output, console):
         _end_all(processes)
 
 
-def _watch(seconds, node, output, processes, console):
+def _watch(seconds, node, output, processes, console, check):
     """Show the node's diagnostics for some seconds; apply the force in between."""
     push, answered, elapsed = None, False, 0.0
     start = time.monotonic()
@@ -153,6 +153,7 @@ def _watch(seconds, node, output, processes, console):
     ):
         task = progress.add_task("simulating", total=seconds, status_text="")
         while going_on():
+            check()
             if node.poll() is not None:
                 raise DemoError(
                     f"sim_node ended with exit code {node.returncode}: " + _last_line(output)
@@ -245,9 +246,10 @@ def _start(module, arguments, stream, processes):
     return process
 
 
-def _wait_until(condition, seconds, node, output):
+def _wait_until(condition, seconds, node, output, check):
     end = time.monotonic() + seconds
     while not condition():
+        check()
         if node.poll() is not None:
             raise DemoError(
                 f"sim_node ended with exit code {node.returncode}: " + _last_line(output)
@@ -277,17 +279,24 @@ def _end_all(processes):
 
 
 @contextmanager
-def _ended_by_signals():
-    """Make SIGTERM and SIGHUP end the demo and its processes like Ctrl-C."""
+def _interruption():
+    """Function check(): raises KeyboardInterrupt after SIGINT, SIGTERM or SIGHUP.
 
-    def interrupt(*_):
-        raise KeyboardInterrupt
+    A handler that raises by itself would do so in the middle of an import of rclpy, which then
+    reports a missing library.
+    """
+    received = []
+
+    def check():
+        if received:
+            raise KeyboardInterrupt
 
     before = {
-        number: signal.signal(number, interrupt) for number in (signal.SIGTERM, signal.SIGHUP)
+        number: signal.signal(number, lambda *_: received.append(True))
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     }
     try:
-        yield
+        yield check
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
