@@ -9,7 +9,8 @@ from scipy.linalg import null_space
 
 from liegroup_core import Scene
 from liegroup_core.integrators.methods import METHODS
-from liegroup_core.joints import LOWER_PAIRS, forbidden_rows
+from liegroup_core.joints import forbidden_rows
+from liegroup_core.joints.kinds import TYPES
 from liegroup_core.lie.groups import SE3, SO3
 from liegroup_core.scene.consistency import resolve_elements, resolve_frames
 from liegroup_core.scene.description import (
@@ -23,7 +24,7 @@ from liegroup_core.scene.description import (
 
 GRAVITY = (0.3, -0.2, -9.81)
 PITCH = 0.3
-KINDS = (*LOWER_PAIRS, "universal", "distance")
+KINDS = tuple(TYPES)
 
 
 def random_pose(rng, size=1.0):

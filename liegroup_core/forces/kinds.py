@@ -2,13 +2,15 @@
 """All kinds of forces, and their sums.
 
 A kind is a file with
-    a class                 the force in a scene; its `type` is the name of the kind
+    a class                 the force in a scene; its `type` is the name of the kind. It overrides
+                            `is_conservative` if it can be
     ROW                     record of one force for kernels
     make_row(force, ...)    such a record from a force of the scene
     add_wrench(rows, ...)   adds wrenches in body axes about the centre of mass
     energy(rows, ...)       potential energy, J; omitted for forces without a potential
-    power(rows, ...)        power of the part without a potential, W
-and its lines below. Scenes without forces of a kind have zero rows of it, so that all scenes share
+    power(rows, ...)        power of the part without a potential, W; omitted if there is none
+and its lines below: import, __all__, FORCES and Forces in the same order, add_wrenches, energy,
+power. Scenes without forces of a kind have zero rows of it, so that all scenes share
 the same compiled code. test/contract/test_forces.py holds for every kind. Gravity acts on all
 bodies and is separate (gravity.py).
 """

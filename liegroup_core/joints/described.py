@@ -12,7 +12,7 @@ class JointBase(Described):
     """Joint of a scene between a body and another one or the world.
 
     A subclass has `elements(C_rel)`: the constraint elements for the initial pose C_rel (4, 4) of
-    the child's joint frame in the parent's one.
+    the child's joint frame in the parent's one. It may override `locates_child` and `remedy`.
     """
 
     name: Name = Field(description="name, unique among joints and forces")

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Constraint elements: what every joint is made of.
 
-A PAIR is a lower pair, constant rows A. Every other kind is one row that depends on the pose. It
-belongs to no subgroup of SE(3) and so is not kept exactly, even to ground on SE(3). Its file has
+A PAIR is a lower pair, constant rows A. Every other kind is one row that depends on the pose; a
+joint with two such rows has two kinds. Such a row belongs to no subgroup of SE(3) and so is not kept
+exactly, even to ground on SE(3). The file of a kind has
 
-    KIND                         number of the kind
+    KIND                         number of the kind, the next free one after those of kinds.py
     row(element, rot, p, w, v)   row of the child, and its rate times the relative twist
     residual(rot, p, parameter)  position residual
 
@@ -78,11 +79,11 @@ class Element:
 class JointType:
     """What the rest of the program must know of a type of joint.
 
-    text       : what the joint lets the child do
+    text       : what the joint lets the child do, for readers of the code
     turns      : the z axes stay parallel and the child rotates about z: torques about z act on it
     slides     : the z axes coincide and the child translates along z: forces along z act on it
     coordinate : "rad" or "m", the unit of the joint coordinate about or along z; None if the joint
-                 has not exactly one degree of freedom
+                 has not exactly one degree of freedom, or couples both (screw)
     """
 
     text: str

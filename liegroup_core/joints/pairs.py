@@ -33,7 +33,7 @@ class LowerPair:
     """One lower pair.
 
     coordinates : names of the components of the relative twist that it forbids
-    text        : motion that the pair allows, for the reference page
+    text        : motion that the pair allows, for readers of the code
     has_pitch   : True: the child moves by `pitch` (m/rad) along z per rotation about z:
                   v_z - pitch w_z is forbidden instead of v_z
     """

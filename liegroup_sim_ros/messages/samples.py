@@ -87,7 +87,7 @@ def pose_array(layout, world_frame, frame_prefix=""):
 
 
 def joint_states(layout, world_frame, frame_prefix=""):
-    """sensor_msgs/JointState of the revolute and prismatic joints; every effort is NaN.
+    """sensor_msgs/JointState of the joints with one angle or displacement; every effort is NaN.
 
     NaN marks an unknown effort, as in ros2_control's joint_state_broadcaster. An empty sequence at
     the end of the message would not do, because readers differ in the padding that they accept

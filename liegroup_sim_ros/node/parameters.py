@@ -46,6 +46,7 @@ class Entry(NamedTuple):
     low: float | None = None
     high: float | None = None
     above: bool = False  # True: the value must be greater than `low`
+    is_topic_rate: bool = False  # True: messages are sent at whole steps, see Values.steps
 
 
 def _rate(name, default, topics, remark=""):
@@ -55,6 +56,7 @@ def _rate(name, default, topics, remark=""):
         f"rate of {topics} in Hz of simulated time; 0: not published{remark}",
         low=0.0,
         high=1e5,
+        is_topic_rate=True,
     )
 
 
@@ -250,8 +252,8 @@ def set_step(values, step):
     """Set `.step` and with it `.steps` of the values. Raises ParameterError."""
     values.steps = {
         name: _whole_steps(name, getattr(values, name), step)
-        for name in _ENTRIES
-        if name.endswith("_rate")
+        for name, entry in _ENTRIES.items()
+        if entry.is_topic_rate
     }
     values.step = step
 
@@ -260,8 +262,8 @@ def step_fits(values, step):
     """True if a step is valid and the periods of all rates are multiples of it."""
     try:
         check("step", step)
-        for name in _ENTRIES:
-            if name.endswith("_rate"):
+        for name, entry in _ENTRIES.items():
+            if entry.is_topic_rate:
                 _whole_steps(name, getattr(values, name), step)
     except ParameterError:
         return False

@@ -37,8 +37,8 @@ def print_overview(analyses, console):
     """Print a line for each recording, then their problems."""
     table = Table(box=None, padding=(0, 2, 0, 0))
     names = short_names(analyses)
-    for title in ("recording", *OVERVIEW):
-        table.add_column(Text(title), overflow="fold", no_wrap=title != "recording")
+    for title in ("file", *OVERVIEW):
+        table.add_column(Text(title), overflow="fold", no_wrap=title != "file")
     for name, figures in zip(names, analyses):
         table.add_row(
             Text(name),

@@ -210,6 +210,14 @@ def test_work_is_energy_taken_plus_power(kind, seed):
     assert work == pytest.approx(state.power(state.twist) - rate, rel=1e-10, abs=1e-8)
 
 
+@pytest.mark.parametrize("kind", kinds.KINDS)
+def test_what_is_conservative_has_no_power(kind):
+    for force in EXAMPLES[kind]:
+        states = [State(kind, seed, [force]) for seed in SEEDS]
+        powers = [state.power(state.twist) for state in states]
+        assert force.is_conservative == (not any(powers)), force
+
+
 @pytest.mark.parametrize(
     "kind", [k for k, module in kinds.KINDS.items() if hasattr(module, "power") and k not in DRIVEN]
 )

@@ -6,6 +6,7 @@ The frames of its bodies have a prefix, as those of one robot of several.
 
 import importlib.util
 import signal
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import Marker, MarkerArray
 
+from liegroup_sim_ros.messages.samples import OPTIONAL
 from liegroup_sim_ros.playback.resimulate import resimulate
 from liegroup_sim_ros.recording.read import read_recording
 
@@ -120,6 +122,13 @@ def test_every_topic_has_its_own_rate(client, node):
         assert stamps[0] % (PERIODS[name] * STEP_NS) == 0
     clock = [stamp_ns(message.clock) for message in node.clock[-50:]]
     assert set(np.diff(clock)) == {5 * STEP_NS}
+
+
+def test_every_optional_topic_is_in_these_tests_and_in_the_reference():
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "node.md").read_text("utf-8")
+    for rate, (_, topic) in OPTIONAL.items():
+        assert rate in PERIODS or rate == "tf_rate"  # tf2_msgs may be missing
+        assert f"| `{topic}` |" in page and f"`{rate}`" in page
 
 
 def test_topics_agree_at_the_same_stamp(client, node):

@@ -5,11 +5,13 @@ import argparse
 import subprocess
 import sys
 from importlib import import_module
+from pathlib import Path
 
 import pytest
 
 from liegroup_sim_ros.commands.main import COMMANDS, make_parser
 
+REFERENCE = Path(__file__).parents[2] / "docs" / "reference"
 HEAVY = ("numba", "numpy", "scipy", "pydantic", "rich", "rclpy", "plotly", "pandas", "dask")
 
 
@@ -52,6 +54,7 @@ def test_every_command_has_help(name, capsys):
     parser = argparse.ArgumentParser()
     import_module(f"liegroup_sim_ros.commands.{name}").add_arguments(parser)
     assert parser.description.endswith(".")
+    assert f"`{name}`" in (REFERENCE / "commands.md").read_text(encoding="utf-8")
 
 
 def test_all_public_names_of_the_core_exist():
