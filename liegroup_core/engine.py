@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from liegroup_core.compiling import warm_up
-from liegroup_core.forces.schedule import NEVER, AppliedWrench, WrenchSchedule
+from liegroup_core.forces.external import no_wrenches, set_wrench
+from liegroup_core.forces.schedule import AXES, AppliedWrench, Instant, WrenchSchedule
 from liegroup_core.forces.timetable import Timetable
 from liegroup_core.integrators.methods import METHODS, is_positive
 from liegroup_core.integrators.smaller_step import step_that_works
@@ -132,7 +133,7 @@ class Engine:
             layout, model=_stabilised(layout.model, stabilisation, baumgarte_time, self.step)
         )
         self._integrator = make_integrator(method, self.layout, self.group, self.step, self.options)
-        self._work, self._acting = self._integrator.work, None
+        self._work = self._integrator.work
         self._body = {name: i for i, name in enumerate(self.layout.body_names)}
         self._timetable = Timetable(self.layout.model.forces.applied_wrench, self.step)
         self._warned = self._warned_singular = False
@@ -201,8 +202,8 @@ class Engine:
             raise ValueError(f"expected {k} finite angles of torsional springs, got {angles!r}")
         self._work.angle[:] = self.layout.angles(pose, angles)
         self._pose, self._twist, self.steps = pose, twist, int(steps)
-        self._schedule = WrenchSchedule(n)
-        self._external = np.zeros((n, 6))  # the same about the centres of mass
+        self._schedule = WrenchSchedule(n, self.step)
+        self._external = no_wrenches(self.layout.offsets)
         self._applied = []
         self.doubt = None
         self._watch.restart()
@@ -273,18 +274,20 @@ class Engine:
         source: str = "api",
         axes: str = "body",
     ) -> None:
-        """Apply a wrench to a body over whole steps.
+        """Apply a wrench to a body from one time to another.
 
         body     : name of the body
         wrench   : (6,) torque N m, force N; about the origin of the body frame. Zero ends it
-        start    : simulated time, s, rounded up to a step; None or a past time: the next step
-        duration : s, rounded to whole steps, at least one; None: until it is replaced
+        start    : simulated time, s, rounded to ns; None or a past time: the next step
+        duration : s; None: until it is replaced
         source   : each source has one wrench per body; wrenches of different sources add
-        axes     : of the components: "body", or "world". World components are rotated into body
-                   axes at the start of every step and are constant in the body during the step
+        axes     : of the components: "body", or "world". A wrench in world axes keeps its direction
+                   in the world while the body rotates
+        A step in which a wrench starts or ends is split at that time, so that methods keep their
+        order (test/verification/test_pushes.py).
         Raises ValueError for an unknown body, a wrong shape, or a number that is not finite.
         """
-        if axes not in ("body", "world"):
+        if axes not in AXES:
             raise ValueError(f"axes must be 'body' or 'world', got {axes!r}")
         if body not in self._body:
             raise ValueError(f"unknown body {body!r}; choose one of: {', '.join(self._body)}")
@@ -298,16 +301,16 @@ class Engine:
         for name, value in (("start", start), ("duration", duration)):
             if value is not None and not (isinstance(value, Real) and math.isfinite(value)):
                 raise ValueError(f"{name} must be finite, or None, got {value!r}")
-        first = self.steps
-        if start is not None:
-            # A start time that equals that of a step up to round-off refers to that step.
-            first = max(first, math.ceil(start / self.step - 1e-6))
-        end = NEVER
+        begin, end = self._schedule.boundary(self.steps), None
+        if start is not None and start > begin.time:
+            begin = max(begin, self._schedule.instant(float(start)))
         if duration is not None:
             if not duration > 0.0:
                 raise ValueError(f"a duration must be positive, got {duration!r}")
-            end = first + max(1, round(duration / self.step))
-        self._schedule.command(source, self._body[body], wrench, first, end, axes == "world")
+            end = self._schedule.instant(begin.time + float(duration))
+            if end <= begin:
+                raise ValueError(f"a duration must be at least 1 ns, got {duration!r} s")
+        self._schedule.command(source, self._body[body], wrench, begin, end, axes)
 
     @property
     def wrench_count(self) -> int:
@@ -324,10 +327,11 @@ class Engine:
         self._schedule.clear(source)
 
     def drain_applied(self) -> list[AppliedWrench]:
-        """Return the changes of the total wrench on each body since the last call.
+        """Return the changes of the total wrenches on each body since the last call.
 
-        If `apply_wrench(body, wrench)` applies them at the same steps, the run is bit-identical
-        (test/core/test_simulation.py).
+        There is one total in body axes and one in world axes. If
+        `apply_wrench(body, wrench, start=time, source=axes, axes=axes)` applies the changes again,
+        the run is bit-identical (test/core/test_wrenches.py).
         """
         applied, self._applied = self._applied, []
         return applied
@@ -347,22 +351,11 @@ class Engine:
     def _advance(self, steps):
         end = self.steps + steps
         while True:
-            for body in self._schedule.update(self.steps, self._pose):
-                self._external[body] = self.layout.offsets.wrench_at_centre(
-                    body, self._schedule.total[body]
-                )
-                self._applied.append(
-                    AppliedWrench(
-                        self.steps,
-                        self.layout.body_names[body],
-                        tuple(self._schedule.total[body].tolist()),
-                    )
-                )
-                self._watch.pushed()
-                self._step_watch.pushed()
+            start = self._schedule.boundary(self.steps)
+            self._change_wrenches(start.time, self._schedule.update(start))
             compares = (
                 self.steps < end
-                and len(self._timetable.parts(self.steps)) == 1
+                and not self._times_inside()
                 and self._step_watch.begins(self.steps, self._pose, self._twist)
             )
             wanted = (
@@ -427,30 +420,62 @@ class Engine:
             self.doubt = f"{self.doubt}; {doubt}" if self.doubt else doubt
             log.warning(doubt)
 
+    def _change_wrenches(self, time, changed):
+        """Apply the total wrenches of [(body, axes)] from a time on."""
+        for body, axes in changed:
+            total = self._schedule.total[axes][body]
+            set_wrench(self._external, body, total, axes)
+            self._applied.append(
+                AppliedWrench(
+                    time,
+                    round(time * 1e9),
+                    self.layout.body_names[body],
+                    tuple(total.tolist()),
+                    axes,
+                )
+            )
+            self._watch.pushed()
+            self._step_watch.pushed()
+
+    def _times_inside(self):
+        """Times inside the next step at which a wrench may start or end."""
+        return {*self._timetable.inside(self.steps), *self._schedule.inside(self.steps)}
+
     def _take_steps(self, steps):
-        """Take steps in which no wrench of the scene changes, or one step in parts if one changes.
+        """Take steps in which no wrench changes, or one step in parts if one changes.
 
         returns (steps done, status)
         """
-        parts = self._timetable.parts(self.steps)
-        if len(parts) == 1 or steps == 0:
-            return self._integrate(*parts[0], steps)
+        start, inside = self.steps * self.step, self._times_inside()
+        if not inside or steps == 0:
+            return self._integrate(start, self.step, steps)
         good = self._pose.copy(), self._twist.copy(), self._work.angle.copy()
-        for duration, acting in parts:
-            _, status = self._integrate(duration, acting, 1)
-            if status != OK:
-                self._pose[:], self._twist[:], self._work.angle[:] = good
-                self._integrator.restart()
-                return 0, status
+        begin = start
+        for time in sorted(inside):
+            changed = self._schedule.update(Instant(self.steps, time))
+            # A part ends only where a total changes: the recorded totals repeat the same parts.
+            if changed or time in self._timetable.inside(self.steps):
+                _, status = self._integrate(begin, time - begin, 1)
+                if status != OK:
+                    break
+                self._change_wrenches(time, changed)
+                begin = time
+        else:
+            last = self.step if begin == start else (self.steps + 1) * self.step - begin
+            _, status = self._integrate(begin, last, 1)
+        if status != OK:
+            self._pose[:], self._twist[:], self._work.angle[:] = good
+            self._integrator.restart()
+            return 0, status
         return 1, OK
 
-    def _integrate(self, h, acting, steps):
-        """Take steps of size h; acting: mask of the applied wrenches of the scene.
+    def _integrate(self, start, h, steps):
+        """Take steps of size h from a time on, in which no wrench changes.
 
         returns (steps done, status)
         """
-        if acting is not self._acting:
-            self._work.acting[:] = self._acting = acting
+        if len(self._work.acting):
+            self._work.acting[:] = self._timetable.acting(start, h)
         return self._integrator.advance(h, steps, self._pose, self._twist, self._external)
 
     def _joint_name(self, element):
@@ -464,10 +489,7 @@ class Engine:
         if status & 0xFF == NO_RATTLE_STEP:
             body = self.layout.body_names[status >> 8]
         # If a wrench of the scene changes within the step, no smaller step can be suggested.
-        if (
-            status & 0xFF in (NO_RATTLE_STEP, NOT_CONVERGED)
-            and len(self._timetable.parts(self.steps)) == 1
-        ):
+        if status & 0xFF in (NO_RATTLE_STEP, NOT_CONVERGED) and not self._times_inside():
             works = step_that_works(self._integrator, self.step, *self.state(), self._external)
             hint = f": {works:g} s works from here" if works else ""
         if status & 0xFF == DEPENDENT_ROWS:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Start and end times of the scene's applied wrenches, in steps and parts of steps.
+"""Start and end times of the scene's applied wrenches, in steps and inside steps.
 
 A time inside a step splits the step: the integration stops there and continues with the new
 wrenches, so that the impulse is exact and a method keeps its order. Times of steps and samples do
@@ -10,10 +10,7 @@ from bisect import bisect_right
 
 import numpy as np
 
-from .schedule import NEVER
-
-# Decimal times and n * step are each rounded: about half a unit in the last place.
-ROUNDING = 4.0 * np.finfo(float).eps
+from .schedule import NEVER, ROUNDING
 
 
 def acting_at(rows, time):
@@ -25,8 +22,7 @@ class Timetable:
     """Starts and ends of the scene's applied wrenches, for steps of a given size."""
 
     def __init__(self, rows, step):
-        self._rows, self._step = rows, step
-        self._no_change = [(step, np.zeros(0, dtype=bool))]
+        self._rows = rows
         self._inside = {}  # step number -> times inside that step
         changes = set()
         for time in np.unique([rows["start"], rows["end"]]):
@@ -46,15 +42,11 @@ class Timetable:
         at = bisect_right(self._changes, steps)
         return self._changes[at] if at < len(self._changes) else NEVER
 
-    def parts(self, steps):
-        """Parts of a step over which the same wrenches act: [(duration, acting)]."""
-        if not len(self._rows):
-            return self._no_change
-        inside = self._inside.get(steps, ())
-        ends = [steps * self._step, *inside, (steps + 1) * self._step]
-        durations = np.diff(ends).tolist() if inside else [self._step]
-        # The middle of a part is away from all starts and ends: round-off has no influence.
-        return [
-            (duration, acting_at(self._rows, start + 0.5 * duration))
-            for duration, start in zip(durations, ends)
-        ]
+    def inside(self, steps):
+        """Times in s inside a step at which a wrench starts or ends."""
+        return self._inside.get(steps, ())
+
+    def acting(self, start, duration):
+        """Mask (k,) of the wrenches that act over a part of a step."""
+        # The middle is away from all starts and ends: round-off has no influence.
+        return acting_at(self._rows, start + 0.5 * duration)

@@ -7,8 +7,8 @@
     work             scratch memory; work.report[0] is the largest squared rotation of a stage
     restart()        clear the memory between calls, because a state was set
     memory           arrays of the memory between calls; writing to them restores it
-    advance(h, steps, pose, twist, external) -> (steps done, status), in place; external (n, 6) is
-                     constant over these steps; on failure pose and twist are the last valid ones
+    advance(h, steps, pose, twist, external) -> (steps done, status), in place; external: see
+                     forces/external.py; on failure pose and twist are the last valid ones
     substeps         (accepted, attempted) since the restart; (0, 0) without error control
 and optionally
     doubt            one-line accuracy warning of the last `advance`, or None

@@ -13,7 +13,7 @@ SAFETY = 0.95  # factor of the recommended step
 def step_that_works(integrator, h, pose, twist, external):
     """Step size below h with two digits, in s, that succeeds from a state; None if none is found.
 
-    pose (n, 12), twist (n, 6), external (n, 6) : unchanged; the integrator is restarted
+    pose (n, 12), twist (n, 6), external : unchanged; the integrator is restarted
     """
     work = integrator.work
     report, angle = work.report.copy(), work.angle.copy()

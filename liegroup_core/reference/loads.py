@@ -111,7 +111,8 @@ def add_loads(loads, mass, state, angle, wrench, acting, force, angle_rate_out):
     mass   : (n,) kg
     state  : (n, 13), see rigid_body_dae.py
     angle  : (t,) rad, of the joints with an integrated angle
-    wrench : (n, 6) external wrenches, body axes, about the centres of mass
+    wrench : (n, 15) external wrenches: (6) body axes, about the centre of mass; (6) world axes,
+             about the point (3) of the body, relative to the centre of mass
     acting : (p,) mask of the applied wrenches
     force  : (n, 6) force in N, world axes; torque in N m, body axes, about the centre of mass
     angle_rate_out : (t,) rad/s
@@ -127,6 +128,9 @@ def add_loads(loads, mass, state, angle, wrench, acting, force, angle_rate_out):
         force[i, 3:6] += (
             wrench[i, 0:3] - (angular + angular_quadratic * np.sqrt(np.dot(omega, omega))) * omega
         )
+        if wrench[i, 6:12].any():
+            _add_torque(force, state, i, wrench[i, 6:9])
+            _add_force(force, state, i, wrench[i, 12:15], wrench[i, 9:12])
     _lines(loads, state, force)
     _turns(loads, state, angle, force, angle_rate_out)
     _slides(loads, state, force)

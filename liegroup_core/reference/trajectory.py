@@ -30,11 +30,12 @@ REDUNDANT, SINGULAR = 1e-8, 1e-6
 
 
 class WrenchChange(NamedTuple):
-    """Total external wrench that acts on a body from `time` on."""
+    """Total external wrench in body axes, or that in world axes, on a body from `time` on."""
 
     time: float  # s
     body: str
-    wrench: tuple  # (6,) torque N m, force N; body axes, about the body frame's origin
+    wrench: tuple  # (6,) torque N m, force N; about the body frame's origin
+    axes: str = "body"  # or "world"
 
 
 class Trajectory(NamedTuple):
@@ -149,7 +150,7 @@ class Reference:
 def _pieces(scene, offsets, changes, start, end):
     """Intervals of constant wrenches.
 
-    returns [(start, end, wrenches (n, 6) at the centres of mass, mask (p,) of applied wrenches)]
+    returns [(start, end, wrenches (n, 15) of loads.add_loads, mask (p,) of applied wrenches)]
     """
     index = {body.name: i for i, body in enumerate(scene.bodies)}
     pushes = [force for force in scene.forces if force.type == "applied_wrench"]
@@ -159,7 +160,8 @@ def _pieces(scene, offsets, changes, start, end):
         + [(time, None) for push in pushes for time in (push.start, push.end) if time is not None],
         key=lambda switch: switch[0],
     )
-    wrench = np.zeros((len(scene.bodies), 6))
+    wrench = np.zeros((len(scene.bodies), 15))
+    wrench[:, 12:] = -offsets.com
     pieces = []
     since = start
     for time, change in [*switches, (end, None)]:
@@ -178,7 +180,10 @@ def _pieces(scene, offsets, changes, start, end):
             since = until
         if change is not None:
             body = index[change.body]
-            wrench[body] = offsets.wrench_at_centre(body, change.wrench)
+            if change.axes == "world":
+                wrench[body, 6:12] = change.wrench
+            else:
+                wrench[body, :6] = offsets.wrench_at_centre(body, change.wrench)
     return pieces
 
 

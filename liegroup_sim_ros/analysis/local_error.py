@@ -11,6 +11,7 @@ import numpy as np
 
 from liegroup_core import SimulationError
 from liegroup_core.engine import BAUMGARTE_STEPS
+from liegroup_core.forces.schedule import AXES
 from liegroup_core.integrators.methods import METHODS
 from liegroup_core.monitor.joint_watch import mechanism_size
 from liegroup_sim_ros.playback.repeat import make_simulation
@@ -89,9 +90,12 @@ def _advance(simulation, stretch, row, length):
     )
     before = stretch.change_steps <= stretch.steps[row]
     for i, body in enumerate(stretch.bodies):
-        mine = np.flatnonzero(before & (stretch.change_bodies == i))
-        if len(mine):
-            simulation.apply_wrench(body, stretch.change_wrenches[mine[-1]])
+        for axes in AXES:
+            in_axes = stretch.change_in_world == (axes == "world")
+            mine = np.flatnonzero(before & in_axes & (stretch.change_bodies == i))
+            if len(mine):
+                wrench = stretch.change_wrenches[mine[-1]]
+                simulation.apply_wrench(body, wrench, source=axes, axes=axes)
     simulation.advance(max(1, round(length / rung)))
     return simulation.state()
 

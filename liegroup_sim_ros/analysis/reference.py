@@ -104,14 +104,17 @@ class ReferenceError:
             return
         if self._reference is None:
             # Only wrench changes up to the end of the reference.
-            when = stretch.change_steps * stretch.step
+            when = stretch.change_steps * stretch.step  # of whole steps as exact as the samples
             upto = int(np.searchsorted(when, self._end, "right"))
             changes = [
-                WrenchChange(time, stretch.bodies[body], tuple(wrench))
-                for time, body, wrench in zip(
+                WrenchChange(
+                    time, stretch.bodies[body], tuple(wrench), "world" if in_world else "body"
+                )
+                for time, body, wrench, in_world in zip(
                     when[:upto].tolist(),
                     stretch.change_bodies[:upto].tolist(),
                     stretch.change_wrenches[:upto].tolist(),
+                    stretch.change_in_world[:upto].tolist(),
                 )
             ]
             pose, twist, angles = self._starts.of(stretch)

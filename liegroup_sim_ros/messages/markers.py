@@ -32,7 +32,8 @@ class Markers:
     layout      : Layout of the scene
     world_frame : frame id of the poses
     arrow_scale : m per N and per N m; may be changed
-    wrenches    : {body: (torque, force)} in body axes, the acting wrenches; updated by the caller
+    wrenches    : {(body, axes): (torque, force)} of the acting wrenches, with axes "body" or
+                  "world"; updated by the caller
     """
 
     def __init__(self, layout, world_frame, arrow_scale, wrenches):
@@ -92,12 +93,25 @@ class Markers:
         for place, quaternion in zip(rows[:, 9:].tolist(), quaternions(rows).tolist()):
             slots += time, (ADD,), (*place, *quaternion)
         places = np.hstack([sample.pose[:, 9:], sample.orientation]).tolist()
+        wrenches = [
+            self._in_body_axes(body, turn) for body, turn in zip(self._bodies, sample.pose[:, :9])
+        ]
         for part in (slice(3, 6), slice(0, 3)):
-            for body, pose in zip(self._bodies, places):
-                vector = self._wrenches.get(body, (0.0,) * 6)[part]
+            for wrench, pose in zip(wrenches, places):
+                vector = wrench[part]
                 tip = [self.arrow_scale * component for component in vector]
                 slots += (time, (ADD if any(vector) else DELETE,), pose, (0.0, 0.0, 0.0, *tip))
         return self._template.pack(*slots)
+
+    def _in_body_axes(self, body, turn):
+        """(6,) total wrench on a body whose rotation matrix has the rows `turn` (9,)."""
+        wrench = self._wrenches.get((body, "body"), (0.0,) * 6)
+        world = self._wrenches.get((body, "world"))
+        if world is None:
+            return wrench
+        return (
+            np.array(wrench) + (np.reshape(world, (2, 3)) @ turn.reshape(3, 3)).ravel()
+        ).tolist()
 
     def encode_end(self, stamp_ns):
         """The serialized message that deletes all markers; viewers keep them otherwise."""

@@ -34,6 +34,14 @@ def twist(body):
     return Topic(f"~/{body}/twist", TwistStampedCodec.TYPE)
 
 
+def wrench_frame(frame, axes, world_frame):
+    """frame_id of a wrench about the origin of a body's frame, with components in these axes.
+
+    axes : "body", or "world": the axes of the world, followed by the frame of the body
+    """
+    return frame if axes == "body" else f"{world_frame}/{frame}"
+
+
 # Late subscribers receive the acting wrenches; many wrenches may change at one step.
 APPLIED_WRENCH = Topic("~/applied_wrench", WrenchStampedCodec.TYPE, "transient_local", 1000)
 EVENTS = Topic("~/events", LogCodec.TYPE, "transient_local")

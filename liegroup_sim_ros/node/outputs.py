@@ -9,10 +9,12 @@ import importlib
 
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
+from liegroup_core.forces.schedule import AXES
 from liegroup_sim_ros.messages import diagnostics, topics
 from liegroup_sim_ros.messages import samples as sample_messages
 from liegroup_sim_ros.messages.codecs import ClockCodec, LogCodec, WrenchStampedCodec
 from liegroup_sim_ros.messages.markers import Markers, markers
+from liegroup_sim_ros.messages.topics import wrench_frame
 
 from .parameters import ParameterError
 
@@ -91,7 +93,7 @@ class Outputs:
 
     timed                    : [(steps between messages, send(stamp_ns, sample))]
     clock_steps, state_steps : steps between messages of /clock and ~/state, 0: none
-    acting                   : {body: total wrench} of bodies with a nonzero wrench
+    acting                   : {(body, axes): total wrench in these axes}, without zero wrenches
     """
 
     def __init__(self, node, layout, values, figures, overrides):
@@ -110,9 +112,11 @@ class Outputs:
             )
         self._applied = self._stream(*topics.APPLIED_WRENCH)
         self._sent = 0  # messages of ~/applied_wrench
-        self._sent_at = {}  # {body with a nonzero wrench: number of its last message}
+        self._sent_at = {}  # {key of `acting`: number of its last message}
         self._encode_wrench = {
-            body: WrenchStampedCodec(frame).encode for body, frame in self._frames.items()
+            (body, axes): WrenchStampedCodec(wrench_frame(frame, axes, world_frame)).encode
+            for body, frame in self._frames.items()
+            for axes in AXES
         }
         self._events = self._stream(*topics.EVENTS)
         self._diagnostics = self._stream(*topics.DIAGNOSTICS)
@@ -203,14 +207,15 @@ class Outputs:
         """Publish /clock."""
         self._clock.send(stamp_ns, ClockCodec.encode(stamp_ns))
 
-    def applied_wrench(self, stamp_ns, body, wrench):
-        """Publish the total wrench (torque, force) on a body from this stamp on."""
-        self.acting.pop(body, None)
+    def applied_wrench(self, stamp_ns, body, wrench, axes):
+        """Publish the total wrench (torque, force) in some axes on a body from this stamp on."""
+        key = body, axes
+        self.acting.pop(key, None)
         self._sent += 1
         if any(wrench):
-            self.acting[body] = wrench
-            self._sent_at[body] = self._sent
-        self._applied.send(stamp_ns, self._encode_wrench[body](stamp_ns, wrench))
+            self.acting[key] = wrench
+            self._sent_at[key] = self._sent
+        self._applied.send(stamp_ns, self._encode_wrench[key](stamp_ns, wrench))
         self._keep_in_history(stamp_ns)
 
     def _keep_in_history(self, stamp_ns):
@@ -219,17 +224,17 @@ class Outputs:
         Late subscribers receive the history of the topic, so it must contain every acting wrench.
         The recording contains it already.
         """
-        body = next(iter(self.acting), None)
-        if body is not None and self._sent - self._sent_at[body] >= self._applied.depth // 2:
+        key = next(iter(self.acting), None)
+        if key is not None and self._sent - self._sent_at[key] >= self._applied.depth // 2:
             self._sent += 1
-            self._sent_at[body] = self._sent
-            self.acting[body] = wrench = self.acting.pop(body)
-            self._applied.publish(self._encode_wrench[body](stamp_ns, wrench))
+            self._sent_at[key] = self._sent
+            self.acting[key] = wrench = self.acting.pop(key)
+            self._applied.publish(self._encode_wrench[key](stamp_ns, wrench))
 
     def record_acting(self, stamp_ns):
         """Record all acting wrenches again, without publishing, at the start of a new file."""
-        for body, wrench in self.acting.items():
-            self._applied.record(stamp_ns, self._encode_wrench[body](stamp_ns, wrench))
+        for key, wrench in self.acting.items():
+            self._applied.record(stamp_ns, self._encode_wrench[key](stamp_ns, wrench))
 
     def event(self, stamp_ns, name, text, failed=False):
         """Publish an event of the run; log it as well if it is a failure."""

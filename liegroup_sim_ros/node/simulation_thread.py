@@ -227,7 +227,8 @@ class SimulationServer(threading.Thread):
         """Send the outputs of the current step, in the order of their stamps."""
         steps = self._simulation.steps
         for change in self._simulation.drain_applied():
-            self._send_wrench(self._stamp(change.step), change.body, change.wrench)
+            stamp_ns = self._base_ns + change.time_ns
+            self._send_wrench(stamp_ns, change.body, change.wrench, change.axes)
         self.stamp_ns = self._stamp(steps)
         period = self._output.clock_steps
         if period and (everything or steps % period == 0):
@@ -242,8 +243,8 @@ class SimulationServer(threading.Thread):
     def _send_state(self, stamp_ns, sample):
         self._output.state(stamp_ns, self._figures(sample))
 
-    def _send_wrench(self, stamp_ns, body, wrench):
-        self._output.applied_wrench(stamp_ns, body, wrench)
+    def _send_wrench(self, stamp_ns, body, wrench, axes):
+        self._output.applied_wrench(stamp_ns, body, wrench, axes)
         self._reference_energy = None
 
     def _event(self, name, text, failed=False):
@@ -288,8 +289,8 @@ class SimulationServer(threading.Thread):
             self._wrenches.clear()
         self._simulation.reset()
         self._event("reset", "initial state, step 0")
-        for body in list(self._output.acting):
-            self._send_wrench(self.stamp_ns, body, (0.0,) * 6)
+        for body, axes in list(self._output.acting):
+            self._send_wrench(self.stamp_ns, body, (0.0,) * 6, axes)
         self._send_outputs(everything=True)
         self._reference_energy = self._simulation.sample().energy
         if self.state == "faulted":

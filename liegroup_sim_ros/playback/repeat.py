@@ -102,8 +102,6 @@ class Repeat:
 
     def _begin(self, stretch):
         self._stretch, self._broken, self._next = stretch, False, 0
-        # With another step size, a wrench starts at the next whole step.
-        self._changes = np.ceil(stretch.change_steps * self._ratio - ROUNDING).astype(np.int64)
         start = stretch.start * self._ratio
         if start != round(start):
             raise ReplayError(
@@ -137,14 +135,11 @@ class Repeat:
                 self._steps += step - simulation.steps
                 if self._steps > MOST_STEPS:
                     raise SimulationError(f"needs more than {MOST_STEPS} steps")
-                while self._next < len(self._changes) and self._changes[self._next] <= step:
-                    self._advance_to(int(self._changes[self._next]))
-                    simulation.apply_wrench(
-                        stretch.bodies[stretch.change_bodies[self._next]],
-                        stretch.change_wrenches[self._next],
-                    )
-                    self._next += 1
-                self._advance_to(step)
+                self._apply_changes(step * simulation.step)
+                # Never advance by zero steps: that restarts a method whose memory depends on the
+                # wrenches.
+                if step > simulation.steps:
+                    simulation.advance(step - simulation.steps)
                 pose[done], twist[done] = simulation.state()
                 done += 1
         except SimulationError as error:
@@ -152,10 +147,20 @@ class Repeat:
             self._broken = True
         return pose[:done], twist[:done]
 
-    def _advance_to(self, step):
-        # Never advance by zero steps: that restarts a method whose memory depends on the wrenches.
-        if step > self._simulation.steps:
-            self._simulation.advance(step - self._simulation.steps)
+    def _apply_changes(self, until):
+        """Apply the recorded changes of wrenches up to a time."""
+        stretch = self._stretch
+        upto = int(np.searchsorted(stretch.change_times, until, "right"))
+        for k in range(self._next, upto):
+            axes = "world" if stretch.change_in_world[k] else "body"
+            self._simulation.apply_wrench(
+                stretch.bodies[stretch.change_bodies[k]],
+                stretch.change_wrenches[k],
+                float(stretch.change_times[k]),
+                source=axes,
+                axes=axes,
+            )
+        self._next = max(self._next, upto)
 
     def figures(self):
         """Number of bit-identical samples, and the largest differences of the others."""

@@ -31,6 +31,7 @@ def data_frame(recording, what):
             dtype=float,
         )
         frame.insert(0, "body", [change.body for change in changes])
+        frame.insert(1, "axes", [change.axes for change in changes])
     elif what == "joints":
         states = recording.joint_states
         frame = (

@@ -27,9 +27,10 @@ class Stretch:
     bodies: tuple  # names
     is_first: bool  # begins with the file; the others begin with a reset
     start: int  # number of its first step
-    change_steps: np.ndarray  # (m,) steps at which the total wrench on a body changes
+    change_times: np.ndarray  # (m,) s since step 0, at which a total wrench on a body changes
     change_bodies: np.ndarray  # (m,) index of the body
-    change_wrenches: np.ndarray  # (m, 6) body axes
+    change_wrenches: np.ndarray  # (m, 6) the total in its axes
+    change_in_world: np.ndarray  # (m,) bool: in world axes, not in body axes
     samples: int = 0  # number of all samples
     first_step: int = 0  # of a sample
     last_step: int = 0
@@ -53,16 +54,31 @@ class Stretch:
         return self.base_ns * 1e-9 + self.times
 
     @property
+    def change_steps(self):
+        """(m,) change_times in steps; whole numbers within the rounding of stamps to ns."""
+        steps = self.change_times / self.step
+        whole = np.rint(steps)
+        return np.where(np.abs(steps - whole) * self.step <= 0.6e-9, whole, steps)
+
+    @property
     def seconds(self):
         """Time from the first to the last sample, s."""
         return (self.last_step - self.first_step) * self.step
 
     def pushes_on(self, body):
-        """(p, 2) first and end step of the intervals with a wrench; the last may be infinite."""
+        """(p, 2) first and end step of the intervals with a wrench; the last may be infinite.
+
+        Steps have a fraction where a wrench starts or ends inside a step.
+        """
         mine = self.change_bodies == self.bodies.index(body)
         steps = self.change_steps[mine]
-        acts = self.change_wrenches[mine].any(axis=1)
-        switches = np.flatnonzero(np.diff(acts, prepend=False))
+        acting, acts = [False, False], []  # in body and in world axes
+        for in_world, nonzero in zip(
+            self.change_in_world[mine].tolist(), self.change_wrenches[mine].any(axis=1).tolist()
+        ):
+            acting[in_world] = nonzero
+            acts.append(any(acting))
+        switches = np.flatnonzero(np.diff(np.array(acts, dtype=bool), prepend=False))
         edges = steps[switches].astype(float)
         if len(edges) % 2:
             edges = np.append(edges, np.inf)
@@ -180,8 +196,11 @@ class Motion:
             [np.empty((0, 6))]
             + [track.wrench[mask] for track, mask in zip(tracks.values(), inside)]
         )
+        in_world = np.concatenate(
+            [np.empty(0, dtype=bool)]
+            + [track.in_world[mask] for track, mask in zip(tracks.values(), inside)]
+        )
         order = np.argsort(when, kind="stable")
-        steps = np.rint((when - base) / (step * 1e9)).astype(np.int64)
         return Stretch(
             base,
             end,
@@ -189,9 +208,10 @@ class Motion:
             self._recording.bodies,
             is_first,
             start,
-            steps[order],
+            (when[order] - base) * 1e-9,
             which[order],
             wrench[order],
+            in_world[order],
         )
 
     def blocks(self, angles=None):

@@ -84,11 +84,11 @@ class Recording:
 
     @property
     def applied_wrench(self) -> list[AppliedWrench]:
-        """Changes of the wrenches on all bodies: [AppliedWrench] in the order of stamps."""
+        """Changes of the total wrenches on all bodies: [AppliedWrench] in the order of stamps."""
         changes = [
-            AppliedWrench(stamp, body, tuple(wrench))
+            AppliedWrench(stamp, body, tuple(wrench), "world" if in_world else "body")
             for body, track in self.wrench.items()
-            for stamp, wrench in zip(track.stamp_ns.tolist(), track.wrench.tolist())
+            for stamp, wrench, in_world in zip(*(part.tolist() for part in track))
         ]
         return sorted(changes, key=lambda change: change.stamp_ns)
 

@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from liegroup_core.forces.schedule import AXES
 from liegroup_sim_ros.messages import diagnostics
 from liegroup_sim_ros.messages.codecs import LogCodec, MessageError, WrenchStampedCodec, decode_rows
+from liegroup_sim_ros.messages.topics import wrench_frame
 
 from .addresses import fetch, is_remote
 from .errors import AddressError, RecordingError
@@ -124,8 +126,13 @@ class Scan:
         before = before if isinstance(before, dict) else {}  # of the previous part
         self.events, self.diagnostics = [], []
         self._tallies = {}  # channel id -> _Tally
-        self._wrenches = {body: ([], []) for body in bodies}
-        self._prefix = settings.get("frame_prefix", "")
+        self._wrenches = {body: ([], [], []) for body in bodies}
+        prefix, world = settings.get("frame_prefix", ""), settings.get("world_frame", "world")
+        self._targets = {
+            wrench_frame(prefix + body, axes, world): (body, axes)
+            for body in bodies
+            for axes in AXES
+        }
         events, figures, applied = (
             topics[key] for key in ("events", "diagnostics", "applied_wrench")
         )
@@ -157,21 +164,26 @@ class Scan:
     def _add_wrenches(self, messages, index):
         for stamps, names, which, values in decode(WrenchStampedCodec, messages, index):
             for k, frame in enumerate(names):
-                body = frame.removeprefix(self._prefix)
-                if body not in self._wrenches or self._prefix + body != frame:
+                if frame not in self._targets:
                     raise RecordingError(
                         f"a wrench acts on {frame!r:.60}, which is not a body of the scene"
                     )
-                self._wrenches[body][0].append(stamps[which == k])
-                self._wrenches[body][1].append(values[which == k])
+                body, axes = self._targets[frame]
+                mine = which == k
+                for part, value in zip(
+                    self._wrenches[body],
+                    (stamps[mine], values[mine], np.full(mine.sum(), axes == "world")),
+                ):
+                    part.append(value)
 
     def wrenches(self):
-        return {
-            body: WrenchTrack(np.concatenate(stamps), np.concatenate(values))
-            if stamps
-            else WrenchTrack(np.empty(0, dtype=np.int64), np.empty((0, 6)))
-            for body, (stamps, values) in self._wrenches.items()
-        }
+        none = np.empty(0, dtype=np.int64), np.empty((0, 6)), np.empty(0, dtype=bool)
+        tracks = {}
+        for body, parts in self._wrenches.items():
+            stamps, values, in_world = (np.concatenate([e, *p]) for e, p in zip(none, parts))
+            order = np.argsort(stamps, kind="stable")
+            tracks[body] = WrenchTrack(stamps[order], values[order], in_world[order])
+        return tracks
 
     def counts(self):
         result = {}

@@ -34,11 +34,12 @@ class TwistTrack(_TwistTrack, _Timed):
 
 class _WrenchTrack(NamedTuple):
     stamp_ns: np.ndarray  # (m,) int64, ns
-    wrench: np.ndarray  # (m, 6) (torque, force), N m and N, body axes: the total from then
+    wrench: np.ndarray  # (m, 6) (torque, force), N m and N: the total in its axes from then on
+    in_world: np.ndarray  # (m,) bool: in world axes, not in body axes
 
 
 class WrenchTrack(_WrenchTrack, _Timed):
-    """Changes of the total wrench on one body."""
+    """Changes of the total wrenches on one body: of that in body axes, or of that in world axes."""
 
 
 class _JointTrack(NamedTuple):
@@ -64,7 +65,8 @@ class Samples(NamedTuple):
 class AppliedWrench(NamedTuple):
     stamp_ns: int
     body: str
-    wrench: tuple  # (6,) (torque, force), body axes: the total from stamp_ns on
+    wrench: tuple  # (6,) (torque, force): the total in these axes from stamp_ns on
+    axes: str  # "body" or "world"
 
 
 class Event(NamedTuple):

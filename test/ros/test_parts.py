@@ -87,11 +87,12 @@ def same_bits(path):
             base = resets.pop(0)
             simulation.reset()
         while changes and changes[0][0] <= stamp:
-            at, body, wrench = changes.pop(0)
+            at, frame, wrench = changes.pop(0)
+            axes = "world" if frame.startswith("world/") else "body"
             if at < base:
                 continue  # what ended by the reset
             simulation.advance(round((at - base) * 1e-9 / settings["step"]) - simulation.steps)
-            simulation.apply_wrench(body, wrench)
+            simulation.apply_wrench(frame.removeprefix("world/"), wrench, source=axes, axes=axes)
         simulation.advance(round((stamp - base) * 1e-9 / settings["step"]) - simulation.steps)
         sample = simulation.sample()
         for b in bodies:

@@ -55,7 +55,7 @@ def test_reading_returns_what_was_written(run):
         assert np.array_equal(recording.pose[body].quaternion, decoded.quaternion)
         decoded = TwistStampedCodec.decode([data for _, data in written[TOPICS["twist"][body]]])
         assert np.array_equal(recording.twist[body].twist, decoded.twist)
-    assert recording.applied_wrench == [(END_NS, "arm_2", (1, 2, 3, 4, 5, 6.5))]
+    assert recording.applied_wrench == [(END_NS, "arm_2", (1, 2, 3, 4, 5, 6.5), "body")]
     assert recording.events == [(START_NS, "start", "spinning top"), (END_NS, "stop", "done")]
     assert recording.diagnostics == [(END_NS, {"energy": "1.5", "lost": "0"})]
 

@@ -86,7 +86,7 @@ def test_resimulation_is_bit_identical_with_every_method(node, tmp_path, method)
     try:
         time.sleep(0.02)
         push("top", (0.3, 0, 0.1, 0, 2.0, 0))
-        push("top", (0, 0, 0, 1.0, 0, 0), axes="world", ahead=0.013, source="other")
+        push("top", (0, 0, 0, 1.0, 0, 0), axes="world", ahead=0.0130002, source="other")
         time.sleep(0.03)
         call("pause")
         call("step", 7)  # ends between two samples

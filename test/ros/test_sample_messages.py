@@ -346,7 +346,12 @@ def test_transforms_are_what_an_independent_library_serializes(layout, sample):
 
 
 def test_markers(layout, sample):
-    wrenches = {"plain": (0.0, 0.0, 2.0, 3.0, 0.0, -1.0)}
+    world = (0.0, 3.0, 0.0, 1.0, -2.0, 4.0)
+    wrenches = {
+        ("plain", "body"): (0.0, 0.0, 2.0, 3.0, 0.0, -1.0),
+        ("ball", "world"): world,
+        ("ball", "body"): (0.0, 0.0, 0.0, 5.0, 0.0, 0.0),
+    }
     encoder = Markers(layout, "world", 0.1, wrenches)
     message = as_ros_serializes(encoder.encode(STAMP, sample), MarkerArray)
     found = {(marker.ns, marker.id): marker for marker in message.markers}
@@ -384,6 +389,11 @@ def test_markers(layout, sample):
     assert numbers(torque.points[1], "xyz") == pytest.approx([0.0, 0.0, 0.2])
     assert (force.action, torque.action) == (Marker.ADD, Marker.ADD)
     assert found["forces", 1].action == found["torques", 3].action == Marker.DELETE
+    turn = sample.poses["ball"][:3, :3]  # arrows are drawn in body axes
+    tip = numbers(found["forces", 2].points[1], "xyz")
+    assert turn @ tip == pytest.approx(0.1 * (np.array(world[3:]) + 5.0 * turn[:, 0]))
+    tip = numbers(found["torques", 2].points[1], "xyz")
+    assert turn @ tip == pytest.approx(0.1 * np.array(world[:3]))
     check_pose(force.pose, sample.poses["plain"])
     (end,) = as_ros_serializes(encoder.encode_end(STAMP), MarkerArray).markers
     assert (end.action, end.header.frame_id) == (Marker.DELETEALL, "world")

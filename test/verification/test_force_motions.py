@@ -511,21 +511,20 @@ def worst_of_run(simulation, steps):
 
 
 def test_a_wrench_between_steps_keeps_the_order():
-    """Order 4 is reached only because steps are split where the wrench starts and ends.
+    """Of the scene or from outside: order 4 is reached because steps are split at both times.
 
-    Over whole steps, as wrenches from outside are applied, the same push is off by up to half a
-    step in time: of order 1.
+    Over whole steps the same push would be off by up to half a step in time: of order 1.
     """
-    split, whole = {}, {}
+    scene, outside = {}, {}
     for h, steps in STEPS.items():
-        split[h] = worst_of_run(oscillator(h, start=ON, end=OFF), steps)
-        unsplit = oscillator(h)
-        unsplit.apply_wrench("b", (0, 0, 0, 5.0, 0, 0), start=ON, duration=OFF - ON)
-        whole[h] = worst_of_run(unsplit, steps)
-    assert slope(split) == pytest.approx(4.0, abs=0.1)
-    # phase error (h w)^4 w t / 120 of an amplitude of at most 2 f/k
-    assert split[0.00625] < 2 * 5 / 18 * (0.00625 * 3) ** 4 * 12 / 120
-    assert slope(whole) == pytest.approx(1.0, abs=0.1)
+        scene[h] = worst_of_run(oscillator(h, start=ON, end=OFF), steps)
+        pushed = oscillator(h)
+        pushed.apply_wrench("b", (0, 0, 0, 5.0, 0, 0), start=ON, duration=OFF - ON)
+        outside[h] = worst_of_run(pushed, steps)
+    for errors in (scene, outside):
+        assert slope(errors) == pytest.approx(4.0, abs=0.1)
+        # phase error (h w)^4 w t / 120 of an amplitude of at most 2 f/k
+        assert errors[0.00625] < 2 * 5 / 18 * (0.00625 * 3) ** 4 * 12 / 120
 
 
 def test_a_failed_split_step_leaves_the_last_valid_state():
@@ -569,16 +568,14 @@ def test_timetable_splits_steps_at_wrench_times():
     while (step := table.next_change(step)) < 100:
         changes.append(step)
     assert changes == [0, 3, 4, 5]
-    [(whole, acting)] = table.parts(3)
-    assert whole == 0.1 and acting.tolist() == [True, True, False]
-    durations, acting = zip(*table.parts(4))
-    assert durations == pytest.approx((0.02, 0.02, 0.06), rel=1e-13)
-    assert [a.tolist() for a in acting] == [
+    assert not table.inside(3) and table.acting(0.3, 0.1).tolist() == [True, True, False]
+    assert table.inside(4) == [0.42, 0.44]
+    assert [table.acting(*part).tolist() for part in ((0.4, 0.02), (0.42, 0.02), (0.44, 0.06))] == [
         [True, True, False],
         [True, True, True],
         [True, True, False],
     ]
-    assert table.parts(5)[0][1].tolist() == [True, False, False]
+    assert table.acting(0.5, 0.1).tolist() == [True, False, False]
 
 
 @pytest.mark.parametrize("steps, step, time, sign", [(35, 0.01, 0.35, 1), (22, 0.03, 0.66, -1)])
@@ -597,8 +594,9 @@ def test_a_decimal_time_is_matched_to_its_step(steps, step, time, sign):
             step=step,
         )
         table = Timetable(simulation.layout.model.forces.applied_wrench, step)
-        assert [len(table.parts(k)) for k in (steps - 1, steps)] == [1, 1]
-        assert [bool(table.parts(k)[0][1][0]) for k in (steps - 1, steps)] == [before, after]
+        assert not table.inside(steps - 1) and not table.inside(steps)
+        acting = [bool(table.acting(k * step, step)[0]) for k in (steps - 1, steps)]
+        assert acting == [before, after]
         pose, twist = simulation.state()
         simulation.set_state(pose, twist, steps=steps)
         assert simulation.sample().power == after

@@ -245,9 +245,9 @@ def test_applied_torque_gives_the_closed_form_rate(method):
     # sin f = h w and 2 tan(f/2) = h w: these two turn by another angle, off by (h w)^2/6 of it.
     off = 1e-3**2 / 6 * angle if method in ("rattle", "austin_krishnaprasad_wang") else 1e-14
     assert sample.pose[0, 3] == pytest.approx(np.sin(angle), abs=off)
-    assert [(change.step, change.wrench[2]) for change in simulation.drain_applied()] == [
-        (20, 0.8),
-        (70, 0.0),
+    assert [(change.time_ns, change.wrench[2]) for change in simulation.drain_applied()] == [
+        (200_000_000, 0.8),
+        (700_000_000, 0.0),
     ]
 
 

@@ -9,6 +9,7 @@ terms with the sign that (6.30) misses: torque -w x Theta w, force -m w x v.
 
 from liegroup_core.compiling import kernel
 from liegroup_core.forces import gravity
+from liegroup_core.forces.external import external_wrench
 from liegroup_core.forces.kinds import add_wrenches
 from liegroup_core.lie.vec3 import cross3, load3, matrix3, matvec3
 
@@ -22,16 +23,17 @@ REFINEMENTS_WHEN_SINGULAR = 4
 
 @kernel
 def wrenches(model, work, pose, twist, external, wrench_out):
-    """Write Q, applied wrenches, forces and gyroscopic terms of all bodies, to wrench_out (n, 6)."""
+    """Write Q, external wrenches, forces and gyroscopic terms of all bodies, to wrench_out (n, 6)."""
     for i in range(len(model.bodies)):
         w = load3(twist, i, 0)
         gyro_w = cross3(matvec3(matrix3(model.bodies[i]["inertia"]), w), w)
         gyro_v = cross3(load3(twist, i, 3), w)
         mass = model.bodies[i]["mass"]
         weight = gravity.force(model, pose, i)
+        torque, force = external_wrench(external, pose, i)
         for c in range(3):
-            wrench_out[i, c] = external[i, c] + gyro_w[c]
-            wrench_out[i, 3 + c] = external[i, 3 + c] + mass * gyro_v[c] + weight[c]
+            wrench_out[i, c] = torque[c] + gyro_w[c]
+            wrench_out[i, 3 + c] = force[c] + mass * gyro_v[c] + weight[c]
     add_wrenches(model.forces, work.angle, work.acting, pose, twist, wrench_out)
 
 
@@ -51,7 +53,7 @@ def accelerations(model, work, pose, twist, external):
     """Write Vdot of all bodies to work.acceleration, and Vdot and lambda to work.solution.
 
     pose (n, 12), twist (n, 6); work.angle and work.acting: see Work
-    external (n, 6) : applied wrenches in body axes about the centre of mass
+    external : external wrenches, see forces/external.py
     returns -1, or the joint with dependent rows if the regularised solve fails too
     """
     dependent = -1

@@ -54,7 +54,7 @@ class PlanarWork(Struct):
     report: np.ndarray             # that of `space`
     pose: np.ndarray               # (n, 4)
     twist: np.ndarray              # (n, 3)
-    external: np.ndarray           # (n, 3) applied wrenches
+    external: np.ndarray           # (n, 7) external wrenches, see state.external_to_plane
     wrench: np.ndarray             # (n, 3) wrenches of the forces
     stage_pose: np.ndarray         # (n, 4)
     stage_twist: np.ndarray        # (n, 3)
@@ -75,7 +75,7 @@ def make_planar_work(model, work, stages):
     n, unknowns = len(model.bodies), len(model.pivot_floor)
     return PlanarWork(
         space=work, angle=work.angle, start_angle=work.start_angle, report=work.report,
-        pose=np.zeros((n, 4)), twist=np.zeros((n, 3)), external=np.zeros((n, 3)),
+        pose=np.zeros((n, 4)), twist=np.zeros((n, 3)), external=np.zeros((n, 7)),
         wrench=np.zeros((n, 3)),
         stage_pose=np.zeros((n, 4)), stage_twist=np.zeros((n, 3)),
         start_pose=np.zeros((n, 4)), start_twist=np.zeros((n, 3)), velocity=np.zeros((n, 3)),

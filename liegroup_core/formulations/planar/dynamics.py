@@ -31,9 +31,15 @@ def _wrenches(model, work, external):
         mass = model.bodies[i]["mass"]
         c, s = work.stage_pose[i, 0], work.stage_pose[i, 1]
         w, vx, vy = work.stage_twist[i, 0], work.stage_twist[i, 1], work.stage_twist[i, 2]
-        work.solution[at] = external[i, 0]
-        work.solution[at + 1] = external[i, 1] + mass * (w * vy + (c * gx + s * gy))
-        work.solution[at + 2] = external[i, 2] + mass * ((c * gy - s * gx) - w * vx)
+        torque, fx, fy = load3(external, i, 0)
+        if external[i, 3] != 0.0 or external[i, 4] != 0.0:
+            turned_x = c * external[i, 3] + s * external[i, 4]
+            turned_y = c * external[i, 4] - s * external[i, 3]
+            torque -= external[i, 5] * turned_y - external[i, 6] * turned_x
+            fx, fy = fx + turned_x, fy + turned_y
+        work.solution[at] = torque
+        work.solution[at + 1] = fx + mass * (w * vy + (c * gx + s * gy))
+        work.solution[at + 2] = fy + mass * ((c * gy - s * gx) - w * vx)
         if model.has_forces:
             for r in range(3):
                 work.solution[at + r] += work.wrench[i, r]
@@ -110,7 +116,7 @@ def assemble(model, work):
 
 @kernel
 def accelerations(model, work, external):
-    """Write accelerations of the stage, and multipliers, to work.solution; external (n, 3).
+    """Write accelerations of the stage, and multipliers, to work.solution; external (n, 7).
 
     returns -1, or the joint with dependent rows if the regularised solve fails too
     """

@@ -64,6 +64,24 @@ def wrench_to_plane(model, wrench, wrench_out):
 
 
 @kernel
+def external_to_plane(model, external, external_out):
+    """Convert external wrenches (forces/external.py) to planar ones (n, 7).
+
+    Columns: the planar wrench (3), the force in planar world axes (2), and the centre of mass in
+    planar body axes (2). A torque about the normal is the same in body and world axes.
+    """
+    wrench_to_plane(model, external, external_out)
+    world = load9(model.world, 0, 0)
+    for i in range(len(model.bodies)):
+        torque = matvec3(world, load3(external, i, 6))
+        force = matvec3(world, load3(external, i, 9))
+        centre = matvec3(matrix3(model.bodies[i]["axes"]), load3(external, i, 12))
+        external_out[i, 0] += torque[2]
+        external_out[i, 3], external_out[i, 4] = force[0], force[1]
+        external_out[i, 5], external_out[i, 6] = centre[0], centre[1]
+
+
+@kernel
 def to_space(model, pose, twist, pose_out, twist_out):
     """Convert planar pose (n, 4) and twist (n, 3) to spatial ones, (n, 12) and (n, 6).
 

@@ -30,6 +30,7 @@ import math
 import numpy as np
 
 from liegroup_core.compiling import SameTypes, borrowed, kernel, stepper
+from liegroup_core.forces.external import COLUMNS as EXTERNAL_COLUMNS
 from liegroup_core.forces.kinds import count_turns, too_fast, turns_over
 from liegroup_core.formulations.absolute.newton_euler import accelerations
 from liegroup_core.integrators.methods import GROUPS, SE3, refuse_stabilisation
@@ -160,7 +161,7 @@ def _newton(model, work, memory, numbers, group, h, pose, external):
 def advance(model, work, memory, numbers, group, h, steps, pose, twist, external):
     """Take `steps` steps of size h in place of pose (n, 12) and twist (n, 6).
 
-    external (n, 6) : applied wrenches in body axes, constant over these steps
+    external        : external wrenches of these steps, see forces/external.py
     returns (steps done, status), as munthe_kaas.advance; if status is not OK, memory is invalid
     """
     pose, twist, external = borrowed(pose), borrowed(twist), borrowed(external)
@@ -242,7 +243,7 @@ class GeneralizedAlpha:
         self.work = make_work(model, 1)
         self._advance = SameTypes(advance)
         # Step size and wrenches for which the memory was initialised; NaN: not initialised.
-        self._started_for = np.zeros(1 + 6 * n + len(self.work.acting))
+        self._started_for = np.zeros(1 + EXTERNAL_COLUMNS * n + len(self.work.acting))
         self.restart()
 
     @staticmethod

@@ -232,7 +232,7 @@ def _update_impulse(model, work, memory, h):
 def second_half(model, work, memory, h, external):
     """Find V+ at the end of a substep, into work.stage_twist. Returns a status.
 
-    Also writes Q+ into memory.load. external (n, 6) : applied wrenches in body axes
+    Also writes Q+ into memory.load. external: see forces/external.py
     """
     _transport(model, work, memory, h)
     for i in range(len(model.bodies)):

@@ -73,7 +73,7 @@ def advance(model, work, memory, parts, h, steps, pose, twist, external):
     """Take `steps` steps of size h in place of pose (n, 12) and twist (n, 6).
 
     parts           : (k,) substeps as fractions of a step, an entry of SUBSTEPS
-    external (n, 6) : applied wrenches in body axes, constant over these steps
+    external        : external wrenches of these steps, see forces/external.py
     returns (steps done, status), as munthe_kaas.advance; if status is not OK, the initial guesses
     are invalid
     """

@@ -2,11 +2,13 @@
 """Forces, and responses to impulses, for a RATTLE step; each function is compiled once."""
 
 from liegroup_core.compiling import borrowed, subroutine
+from liegroup_core.forces.external import external_wrench
 from liegroup_core.forces.gravity import add_wrench as add_gravity
 from liegroup_core.forces.kinds import add_wrenches
 from liegroup_core.formulations.absolute.constraints import assemble
 from liegroup_core.formulations.absolute.newton_euler import REFINEMENTS_WHEN_SINGULAR
 from liegroup_core.formulations.absolute.saddle_point import REGULARISATION, solve
+from liegroup_core.lie.vec3 import store3
 from liegroup_core.status import DEPENDENT_ROWS, OK
 
 
@@ -15,8 +17,9 @@ def loads(model, work, pose, twist, external):
     """Write the sum of all wrenches, without gyroscopic terms, into work.wrench (n, 6)."""
     pose, twist, external = borrowed(pose), borrowed(twist), borrowed(external)
     for i in range(len(model.bodies)):
-        for c in range(6):
-            work.wrench[i, c] = external[i, c]
+        torque, force = external_wrench(external, pose, i)
+        store3(torque, work.wrench, i, 0)
+        store3(force, work.wrench, i, 3)
     add_gravity(model, pose, work.wrench)
     add_wrenches(model.forces, work.angle, work.acting, pose, twist, work.wrench)
 

@@ -108,7 +108,7 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
     """Take `steps` steps of size h in place of pose (n, 12) and twist (n, 6).
 
     model, work     : Model and Work, or PlanarModel and PlanarWork
-    external (n, 6) : applied wrenches in body axes, constant over these steps
+    external        : external wrenches of these steps, see forces/external.py
     control (4,)    : next substep in s, numbers of accepted and of attempted substeps so far, next
                       substep at the start of the step; only for schemes with error control
     returns (steps done, status): fewer steps if status is not OK, or if work.report[3] becomes MET

@@ -12,7 +12,7 @@ from liegroup_core.compiling import kernel
 from liegroup_core.forces import kinds
 from liegroup_core.formulations.absolute.projection import close_joints
 from liegroup_core.formulations.planar.dynamics import clear_ground_slip
-from liegroup_core.formulations.planar.state import to_plane, to_space, wrench_to_plane
+from liegroup_core.formulations.planar.state import external_to_plane, to_plane, to_space
 from liegroup_core.integrators.methods import EXACT, SE3
 from liegroup_core.integrators.motion import copy_state, is_finite
 from liegroup_core.lie.coefficients import (
@@ -34,7 +34,7 @@ def enter(model, work, pose, twist, external):
     """Convert the caller's state to the plane; the status is OFF_PLANE if it is not planar."""
     # Forces and projection need the positions along the normal.
     copy_state(pose, twist, work.space.stage_pose, work.space.stage_twist)
-    wrench_to_plane(model, external, work.external)
+    external_to_plane(model, external, work.external)
     status = to_plane(model, pose, twist, work.pose, work.twist)
     return work.pose, work.twist, work.external, status
 

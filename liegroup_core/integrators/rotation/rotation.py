@@ -30,10 +30,12 @@ import math
 import numpy as np
 
 from liegroup_core.compiling import SameTypes, borrowed, stepper
+from liegroup_core.forces.external import external_wrench
 from liegroup_core.forces.gravity import add_wrench as add_gravity
 from liegroup_core.forces.kinds import add_wrenches, turns_over
 from liegroup_core.integrators.methods import METHODS, refuse_stabilisation
 from liegroup_core.integrators.motion import copy_state, is_finite
+from liegroup_core.lie.vec3 import store3
 from liegroup_core.model.arrays import MET, WAIT, make_work
 from liegroup_core.status import DIVERGED, HOPELESS_ROTATION, NOT_CONVERGED, NOT_FINITE, OK
 
@@ -97,7 +99,7 @@ def advance(
     memory              : (n, COLUMNS) scratch; loads (6 n,), corrections (HISTORY, 6 n): scratch
     rule                : method, a code of maps.py
     weights             : (s + 1, s) a of the tableau, below it b; (1, 0) without a tableau
-    external (n, 6)     : applied wrenches in body axes, constant over these steps
+    external            : external wrenches of these steps, see forces/external.py
     returns (steps done, status): fewer steps if status is not OK; pose and twist are then those of
     the last valid step. NO_RATTLE_STEP has the index of the body above its low byte.
 
@@ -115,8 +117,9 @@ def advance(
         evaluation, previous, earlier = 0, math.inf, math.inf
         while not finished:
             for i in range(len(spinners)):
-                for c in range(6):
-                    work.wrench[i, c] = external[i, c]
+                torque, force = external_wrench(external, work.stage_pose, i)
+                store3(torque, work.wrench, i, 0)
+                store3(force, work.wrench, i, 3)
             add_gravity(model, work.stage_pose, work.wrench)
             add_wrenches(
                 model.forces,

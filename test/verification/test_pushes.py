@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""External wrenches that start and end inside a step, in body and in world axes."""
+
+import numpy as np
+import pytest
+
+from liegroup_core import Simulation
+from liegroup_core.integrators.methods import METHODS
+from liegroup_core.reference import WrenchChange, integrate
+from liegroup_core.scene.description import Body, Frame, Joint, Scene
+
+WRENCH = (0.4, -0.3, 0.7, 3.0, -2.0, 4.0)
+# END / m is a step size for which the wrench starts after a third of a step and ends after two, if m
+# is 1 more than a multiple of 3. The parts of a step are then proportional to it.
+END = 0.36  # s
+START, DURATION = END / 3, END / 3
+COUNTS = {1: (100, 199, 400), 2: (100, 199, 400), 3: (40, 79, 160), 8: (7, 10)}
+
+
+def top(axis=None):
+    """A body on a spherical joint to ground, or on a revolute joint about an axis.
+
+    Its centre of mass is not at the origin of its frame.
+    """
+    frame, kind, turning = Frame(), "spherical", (1.0, 2.0, 9.0)
+    if axis is not None:
+        frame, kind = Frame(axis=axis), "revolute"
+        turning = tuple(3.0 * np.array(axis) / np.linalg.norm(axis))
+    joint = Joint(
+        name="tip", type=kind, parent="world", child="a", parent_frame=frame, child_frame=frame
+    )
+    return Scene(
+        name="pushed",
+        gravity=(0.0, 0.0, -9.81),
+        bodies=[
+            Body(
+                name="a",
+                mass=2.0,
+                inertia=(0.3, 0.5, 0.4),
+                com=(0.1, -0.2, 0.3),
+                angular_velocity=turning,
+            )
+        ],
+        joints=[joint],
+    )
+
+
+def error(scene, exact, axes, **options):
+    """Largest entry of the error of the rotation matrix at END."""
+    simulation = Simulation(scene, watch=False, **options)
+    simulation.apply_wrench("a", WRENCH, START, DURATION, axes=axes)
+    simulation.advance(round(END / simulation.step))
+    assert [c.time for c in simulation.drain_applied()] == pytest.approx(
+        [START, START + DURATION], abs=1e-9
+    )
+    return np.abs(simulation.sample().pose[0, :9].reshape(3, 3) - exact.rotation[-1, 0]).max()
+
+
+def reference(scene, axes):
+    changes = [
+        WrenchChange(START, "a", WRENCH, axes),
+        WrenchChange(START + DURATION, "a", (0.0,) * 6, axes),
+    ]
+    exact, apart = integrate(scene, *Simulation(scene).state(), [0.0, END], changes)
+    assert apart.attitude.max() < 1e-11
+    return exact
+
+
+@pytest.mark.parametrize("axes", ["body", "world"])
+@pytest.mark.parametrize("method", METHODS)
+def test_a_wrench_that_starts_and_ends_inside_a_step_costs_no_order(method, axes):
+    """Half an order is left for higher powers of h; a wrench held over a step has order 1 or less."""
+    scene = top()
+    exact = reference(scene, axes)
+    options = {"rtol": 1e9, "atol": 1e9} if METHODS[method].controlled else {}
+    order = METHODS[method].order
+    steps = [END / m for m in COUNTS.get(order, (16, 31, 61))]
+    errors = [error(scene, exact, axes, method=method, step=h, **options) for h in steps]
+    slope = np.polyfit(np.log(steps), np.log(errors), 1)[0]
+    assert slope >= order - 0.5, (slope, errors)
+
+
+@pytest.mark.parametrize("axis", [(0.0, 0.0, 1.0), (0.0, -1.0, 0.0), (1.0, 2.0, 2.0)])
+@pytest.mark.parametrize("axes", ["body", "world"])
+def test_in_the_plane_and_in_space(axis, axes):
+    """rkmk8 with 64 steps on a revolute joint: below the uncertainty of the reference."""
+    scene = top(axis)
+    exact = reference(scene, axes)
+    for space in ("auto", "space"):
+        assert error(scene, exact, axes, method="rkmk8", step=END / 64, space=space) < 1e-11
