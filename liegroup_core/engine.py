@@ -90,6 +90,7 @@ class Engine:
              rho_inf=0.8                     damping of generalized_alpha
     watch    : False: disable the step check (monitor/step_watch.py), which takes longer than a step.
                For many short runs whose step is known to be small enough
+    quiet    : True: log no warnings
     Raises SceneError for a scene that cannot be simulated, ValueError for an invalid option or a
     method that cannot integrate the scene.
 
@@ -112,6 +113,7 @@ class Engine:
         stabilisation: str = "none",
         baumgarte_time: float | None = None,
         watch: bool = True,
+        quiet: bool = False,
         **options: Any,
     ) -> None:
         if not isinstance(scene, Scene):
@@ -136,7 +138,7 @@ class Engine:
         self._work = self._integrator.work
         self._body = {name: i for i, name in enumerate(self.layout.body_names)}
         self._timetable = Timetable(self.layout.model.forces.applied_wrench, self.step)
-        self._warned = self._warned_singular = False
+        self._quiet = self._warned = self._warned_singular = quiet
         self._start = initial_state(self.layout.centred)
         self._watch = JointWatch(self.layout)
         self._step_watch = StepWatch(self.layout, method, self.step, self._integrator, watch)
@@ -231,6 +233,19 @@ class Engine:
         mass. They differ from those of `sample()` if a body has a `com` or an offset shape.
         """
         return self._pose.copy(), self._twist.copy()
+
+    def at_bodies(self) -> tuple[Floats, Floats]:
+        """Pose (n, 12) and twist (n, 6) of the body frames, read-only: possibly not copies."""
+        return self.layout.offsets.to_bodies(self._pose, self._twist)
+
+    def acting(self):
+        """[(body, axes, wrench (6,))] of the nonzero total external wrenches."""
+        return [
+            (name, axes, total[i])
+            for axes, total in self._schedule.total.items()
+            for i, name in enumerate(self.layout.body_names)
+            if total[i].any()
+        ]
 
     def memory(self) -> bytes:
         """Bytes of the method's memory between steps, for `set_state`.
@@ -416,7 +431,7 @@ class Engine:
 
     def _warn(self, doubt):
         """Append an accuracy warning to `doubt` and log it; None: no warning."""
-        if doubt:
+        if doubt and not self._quiet:
             self.doubt = f"{self.doubt}; {doubt}" if self.doubt else doubt
             log.warning(doubt)
 

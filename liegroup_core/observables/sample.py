@@ -21,9 +21,12 @@ class Sample:
     time, time_ns, steps : s, ns, and number of steps since the start or the last reset
     pose  : (n, 12) per body R row by row, then r in m; body frame -> world
     twist : (n, 6) per body omega rad/s, v m/s; body axes, v of the frame's origin
+    errors : (n, 4) estimated errors, see `error`; None without an estimate
     The constructor takes pose and twist at the centres of mass; all attributes refer to the body
     frames of the scene. Derived quantities are computed on first access and cached.
     """
+
+    errors = None
 
     def __init__(self, layout, time, time_ns, steps, pose, twist, near):
         self._layout, self._near = layout, near
@@ -75,6 +78,14 @@ class Sample:
     def quaternions(self) -> dict[str, NDArray[np.float64]]:
         """{body: (4,)} x, y, z, w of the rotation body -> world, w >= 0."""
         return self._by_body(self.orientation)
+
+    @property
+    def error(self) -> dict[str, NDArray[np.float64]] | None:
+        """{body: (4,)} estimated errors of position m, attitude rad, velocity m/s, rotation rad/s.
+
+        None if the simulation carries no estimate.
+        """
+        return None if self.errors is None else self._by_body(self.errors)
 
     @property
     def rows(self) -> NDArray[np.float64]:

@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Coverage of the running error: estimates against true errors, with the cost of carrying them.
+
+    python benchmarks/coverage.py [--random N] [--seed S] [--json FILE]
+
+The example scenes and N random mechanisms (one to six bodies, all types of joints, loops, springs,
+dampers, drag) are simulated for 2 s with two pushes at random times, in body and in world axes. The
+true error is the distance from the independent reference integration, where that is known ten times
+better. `under`: share of the samples with an estimate below half of the true error; `over`: above ten
+times; `silent`: runs whose largest error so far is above 5 % of the motion at a time when the largest
+estimate so far is below half of it.
+"""
+
+import argparse
+import json
+import logging
+import sys
+from multiprocessing import Pool
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from liegroup_core import Simulation, SimulationError, load_scene
+from liegroup_core.errors import SceneError
+from liegroup_core.reference import Reference, Trajectory, WrenchChange, distance
+from liegroup_core.scene.description import Drag
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "test"))  # random mechanisms
+
+import mechanisms  # noqa: E402
+
+METHODS = {
+    "rkmk4": (5e-4, 2e-3, 8e-3),
+    "rkmk8": (2e-3, 5e-3, 2e-2),
+    "rkmk54": (1e-3, 5e-3, 2e-2),
+    "generalized_alpha": (5e-4, 2e-3, 8e-3),
+    "constrained_rattle": (5e-4, 2e-3, 8e-3),
+    "lie_midpoint": (5e-4, 2e-3, 8e-3),
+}
+DURATION, SAMPLES = 2.0, 50  # s; all samples lie on steps
+SHORT = {"andrews_squeezer": 0.01}  # of DURATION and of the steps: milliseconds of a fast mechanism
+PARTS = ("position", "angle", "linear", "angular")  # columns of the estimate
+SMALLEST = 1e-11  # m, rad, m/s, rad/s: errors below are round-off
+
+
+def random_scene(seed):
+    """Random mechanism, or None if its loops do not fit."""
+    rng = np.random.default_rng([seed, 3])
+    names = "abcdef"[: rng.integers(1, 7)]
+    links = []
+    for i, name in enumerate(names):
+        parent = "world" if i == 0 or rng.random() < 0.25 else names[rng.integers(i)]
+        free = parent == "world" and rng.random() < 0.1
+        links.append((parent, name, None if free else str(rng.choice(mechanisms.KINDS))))
+    loops = []
+    if len(names) > 2 and rng.random() < 0.3:
+        loops = [(*rng.choice(list(names), 2, replace=False), "distance")]
+    try:
+        scene = mechanisms.mechanism(rng, links, springs=int(rng.integers(4)), loops=loops)
+    except (SceneError, ValueError, np.linalg.LinAlgError):
+        return None
+    if rng.random() < 0.3:
+        drag = Drag(name="drag", body=names[0], linear=0.3, angular=0.05)
+        scene = scene.model_copy(update={"forces": (*scene.forces, drag)})
+    return scene
+
+
+def pushes(scene, scale, rng):
+    """Two pushes of 5 % of the duration: [(body, wrench, start, duration, axes)]."""
+    found = []
+    for axes in ("body", "world"):
+        body = scene.bodies[rng.integers(len(scene.bodies))]
+        force = 5.0 * body.mass * rng.normal(size=3) / scale
+        start = scale * DURATION * round(0.6 * rng.random(), 6)
+        found.append((body.name, (0.0, 0.0, 0.0, *force), start, 0.05 * scale * DURATION, axes))
+    return found
+
+
+def compare(job):
+    """[(method, step, stabilisation, ratios, silent, known, runs ended)] of one scene."""
+    logging.disable(logging.CRITICAL)
+    name, seed = job
+    scene = load_scene(name) if seed is None else random_scene(seed)
+    if scene is None:
+        return name, []
+    rng = np.random.default_rng([0 if seed is None else seed, 4, len(name)])
+    scale = SHORT.get(name, 1.0)
+    wrenches = pushes(scene, scale, rng)
+    changes = sorted(
+        WrenchChange(time, body, value, axes)
+        for body, wrench, start, duration, axes in wrenches
+        for time, value in ((start, wrench), (start + duration, (0.0,) * 6))
+    )
+    times = np.linspace(0.0, scale * DURATION, SAMPLES + 1)[1:]
+    try:
+        start = Simulation(scene, watch=False).state()
+        exact, uncertainty = Reference(scene, *start, changes, end=times[-1]).at(times)
+    except (SimulationError, SceneError, ValueError) as error:
+        return name, [("reference", str(error))]
+    size = motion_of(exact)
+    results = []
+    for method, steps in METHODS.items():
+        for step in steps:
+            stabilisation = "none"
+            if method.startswith("rkmk") and rng.random() < 0.5:
+                stabilisation = "projection"
+            try:
+                simulation = Simulation(
+                    scene,
+                    method,
+                    scale * step,
+                    stabilisation=stabilisation,
+                    watch=False,
+                    estimate=True,
+                )
+            except ValueError:
+                continue
+            for body, wrench, at, duration, axes in wrenches:
+                simulation.apply_wrench(body, wrench, at, duration, str(at), axes)
+            results.append(
+                (method, step, stabilisation, *follow(simulation, times, exact, uncertainty, size))
+            )
+    return name, results
+
+
+def motion_of(exact):
+    """(4,) extent of a motion: largest change of position, rotation, and size of velocities."""
+    moved = np.linalg.norm(exact.position - exact.position[:1], axis=2).max()
+    turned = np.linalg.norm(exact.rotation - exact.rotation[:1], axis=(2, 3)).max()
+    speeds = [
+        np.linalg.norm(part, axis=2).max() for part in (exact.twist[..., 3:], exact.twist[..., :3])
+    ]
+    return np.maximum([moved, turned, *speeds], 1e-12)
+
+
+def follow(simulation, times, exact, uncertainty, size):
+    """(ratios of estimate and true error, first silent sample or None)."""
+    ratios, silent = [], None
+    largest_error, largest_estimate = np.zeros(4), np.zeros(4)
+    for k, time in enumerate(times):
+        try:
+            simulation.advance(round(time / simulation.step) - simulation.steps)
+        except SimulationError:
+            break
+        sample = simulation.sample()
+        pose, n = sample.pose[None], len(sample.pose)
+        found = Trajectory(
+            None, pose[..., :9].reshape(1, n, 3, 3), pose[..., 9:], sample.twist[None]
+        )
+        true = distance(found, Trajectory(None, *(part[k : k + 1] for part in exact[1:])))
+        error = np.stack([getattr(true, part)[0] for part in PARTS], axis=1)
+        unknown = np.stack([getattr(uncertainty, part)[k] for part in PARTS], axis=1)
+        known = (error > np.maximum(10.0 * unknown, SMALLEST)) & ~np.isnan(sample.errors)
+        ratios.append(sample.errors[known] / error[known])
+        largest_error = np.maximum(largest_error, np.where(known, error, 0.0).max(axis=0))
+        largest_estimate = np.fmax(largest_estimate, sample.errors.max(axis=0))
+        missed = (largest_error > 0.05 * size) & (largest_estimate < 0.5 * largest_error)
+        if missed.any() and silent is None:
+            part = int(np.argmax(missed))
+            ratio = float(largest_estimate[part] / largest_error[part])
+            silent = (float(time), PARTS[part], ratio)
+    return np.concatenate(ratios) if ratios else np.zeros(0), silent
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--random", type=int, default=500, help="number of random mechanisms")
+    parser.add_argument("--seed", type=int, default=0, help="of the first one")
+    parser.add_argument("--json", help="file for all misses")
+    args = parser.parse_args()
+    scenes = sorted(path.stem for path in (ROOT / "config" / "scenes").glob("*.yaml"))
+    jobs = [(name, None) for name in scenes]
+    jobs += [(f"random {seed}", seed) for seed in range(args.seed, args.seed + args.random)]
+    with Pool(2) as pool:
+        found = list(pool.imap_unordered(compare, jobs))
+    console = Console()
+    table = Table(title=f"Running error: estimate over true error, {len(jobs)} mechanisms")
+    for title in ("method", "runs", "samples", "under", "over", "median", "silent runs"):
+        table.add_column(title, justify="right")
+    rows = [(name, *row) for name, rows in found for row in rows if len(row) == 5]
+    silent = [row for row in rows if row[5]]
+    for method in (*METHODS, "all"):
+        mine = [row for row in rows if method in (row[1], "all")]
+        ratios = np.concatenate([row[4] for row in mine] or [np.zeros(0)])
+        if not len(ratios):
+            continue
+        table.add_row(
+            method,
+            str(len(mine)),
+            str(len(ratios)),
+            f"{100 * np.mean(ratios < 0.5):.2f} %",
+            f"{100 * np.mean(ratios > 10.0):.2f} %",
+            f"{np.median(ratios):.2f}",
+            str(sum(bool(row[5]) for row in mine)),
+        )
+    console.print(table)
+    unknown = [name for name, rows in found if not rows or rows[0][0] == "reference"]
+    console.print(f"without a reference or refused: {len(unknown)} mechanisms")
+    for name, method, step, stabilisation, _, misses in silent[:40]:
+        console.print(f"silent: {name}, {method}, {step:g} s, {stabilisation}: {misses}")
+    if args.json:
+        misses = [
+            [*row[:4], float(np.mean(row[4] < 0.5)), float(np.mean(row[4] > 10.0)), row[5]]
+            for row in rows
+            if len(row[4])
+        ]
+        Path(args.json).write_text(json.dumps(misses))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The running estimate of the global error against the true error."""
+
+import math
+
+import numpy as np
+import pytest
+
+from liegroup_core import Simulation, load_scene
+from liegroup_core.reference import Reference, Trajectory, WrenchChange, distance
+from liegroup_core.running_error import OURS
+
+FORCE = {"heavy_top": 40.0, "four_bar": 5.0, "double_pendulum": 2.0, "free_body": 20.0}  # N
+ON, OFF = 0.1203, 0.2417  # s, inside a step
+CASES = [
+    ("heavy_top", "rkmk4", 2e-3, "none"),
+    ("heavy_top", "rkmk8", 2e-2, "none"),
+    ("heavy_top", "rkmk54", 2e-2, "none"),
+    ("heavy_top", "generalized_alpha", 1e-3, "none"),
+    ("heavy_top", "constrained_rattle", 1e-3, "none"),
+    ("four_bar", "rkmk4", 1e-3, "projection"),
+    ("four_bar", "rkmk2", 1e-4, "baumgarte"),
+    ("double_pendulum", "rkmk4", 5e-3, "none"),
+    ("double_pendulum", "constrained_rattle4", 5e-3, "none"),
+    ("free_body", "lie_midpoint", 5e-3, "none"),
+    ("free_body", "coadjoint_rkmk4", 2e-2, "none"),
+]
+
+
+def pushed(scene, method, step, stabilisation):
+    """Simulation with a force in world axes on its first body, and the changes for the reference."""
+    simulation = Simulation(scene, method, step, stabilisation=stabilisation, estimate=True)
+    body = scene.bodies[0].name
+    wrench = (0.0, 0.0, 0.0, 0.3 * FORCE[scene.name], FORCE[scene.name], 0.0)
+    if scene.name == "four_bar":
+        wrench = (0.0, 0.0, 0.0, FORCE[scene.name], 0.0, 0.0)
+    simulation.apply_wrench(body, wrench, ON, OFF - ON, axes="world")
+    return simulation, [
+        WrenchChange(ON, body, wrench, "world"),
+        WrenchChange(OFF, body, (0.0,) * 6, "world"),
+    ]
+
+
+@pytest.mark.parametrize("name, method, step, stabilisation", CASES)
+def test_estimates_cover_the_true_error_through_a_push(name, method, step, stabilisation):
+    """At least half of the true error in 49 of 50 samples, and at most five times it in half of them.
+
+    In many more mechanisms: benchmarks/coverage.py. Errors that oscillate pass through zero, where
+    the estimate stays above them.
+    """
+    scene = load_scene(name)
+    simulation, changes = pushed(scene, method, step, stabilisation)
+    start = simulation.state()
+    times = step * max(OURS, round(0.02 / step)) * np.arange(1, 51)
+    exact, uncertainty = Reference(scene, *start, changes, end=times[-1]).at(times)
+    ratios = []
+    for k, time in enumerate(times):
+        simulation.advance(round(time / step) - simulation.steps)
+        sample = simulation.sample()
+        n = len(sample.pose)
+        found = Trajectory(
+            times[k : k + 1],
+            sample.pose[None, :, :9].reshape(1, n, 3, 3),
+            sample.pose[None, :, 9:],
+            sample.twist[None],
+        )
+        there = Trajectory(times[k : k + 1], *(part[k : k + 1] for part in exact[1:]))
+        true = distance(found, there)
+        parts = ("position", "angle", "linear", "angular")
+        for column, part in enumerate(parts):
+            error, unknown = getattr(true, part)[0], getattr(uncertainty, part)[k]
+            known = (error > 10.0 * unknown) & (error > 1e-12)
+            ratios += list(sample.errors[known, column] / error[known])
+    assert len(ratios) >= 50
+    assert np.quantile(ratios, 0.02) >= 0.5
+    assert np.median(ratios) <= 5.0
+
+
+@pytest.mark.parametrize("method", ["rkmk4", "rkmk54", "generalized_alpha"])
+@pytest.mark.parametrize("at_once", [1, 7, 300])
+def test_estimates_depend_on_the_steps_alone(method, at_once):
+    """Bit for bit, however the steps are asked for, from a state between two checkpoints on."""
+
+    def run(at_once):
+        simulation, _ = pushed(load_scene("heavy_top"), method, 1e-3, "none")
+        simulation.set_state(*simulation.state(), steps=6)
+        while simulation.steps < 306:
+            simulation.advance(min(at_once, 306 - simulation.steps))
+        return simulation
+
+    one, other = run(300), run(at_once)
+    assert one.sample().errors.tobytes() == other.sample().errors.tobytes()
+    assert one.state()[0].tobytes() == other.state()[0].tobytes()
+    assert one.sample().errors.all()
+
+
+def test_the_estimate_does_not_change_the_motion_and_starts_again_at_a_reset():
+    with_estimate, _ = pushed(load_scene("four_bar"), "rkmk4", 1e-3, "projection")
+    without = Simulation(load_scene("four_bar"), stabilisation="projection")
+    assert without.sample().error is None and math.isnan(without.predictable_until)
+    with_estimate.reset()
+    for simulation in (with_estimate, without):
+        simulation.advance(500)
+    assert with_estimate.state()[0].tobytes() == without.state()[0].tobytes()
+    assert with_estimate.predictable_until == math.inf
+    (body, *_), error = with_estimate.sample().body_names, with_estimate.sample().error
+    assert error[body].shape == (4,) and error[body].all()
+    with_estimate.reset()
+    assert not with_estimate.sample().errors.any()
+
+
+def test_a_chaotic_motion_is_unpredictable_from_some_time_on():
+    """The error grows exponentially: with half the step the motion is known for longer."""
+    ends = []
+    for step in (4e-3, 2e-3):
+        simulation = Simulation(
+            load_scene("double_pendulum"), step=step, estimate=True, stabilisation="projection"
+        )
+        simulation.advance(round(60.0 / step))
+        ends.append(simulation.predictable_until)
+    assert 1.0 < ends[0] < ends[1]
+
+
+def test_a_companion_that_cannot_continue_makes_the_estimate_infinite():
+    """5.5 rad a step can be integrated, 4/3 of it cannot."""
+    simulation = Simulation(load_scene("free_body"), step=1e-3, estimate=True)
+    simulation.set_state(simulation.state()[0], [[0.0, 0.0, 5500.0, 0.0, 0.0, 0.0]])
+    simulation.advance(100)
+    assert np.isinf(simulation.sample().errors).all()
+    assert simulation.predictable_until == pytest.approx(4e-3)
