@@ -50,7 +50,8 @@ class Simulation(Engine):
             super().__init__(
                 scene, method, step, group, stabilisation, baumgarte_time, watch, **options
             )
-            self._carry(estimate)
+            if estimate:
+                self.carry_estimate()
             return
         if not isinstance(scene, Scene):
             raise ValueError(
@@ -73,11 +74,12 @@ class Simulation(Engine):
         choice = choose(scene, accuracy, horizon)
         super().__init__(scene, watch=watch, **choice.settings)
         self.promise = choice.promise
-        self._carry(estimate)
-
-    def _carry(self, estimate):
         if estimate:
-            self._running = RunningError(self)
+            self.carry_estimate()
+
+    def carry_estimate(self) -> None:
+        """Carry an estimate of the global error from the present state on, as `estimate` does."""
+        self._running = RunningError(self)
 
     @property
     def predictable_until(self) -> float:

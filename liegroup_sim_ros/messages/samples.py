@@ -33,7 +33,11 @@ def poses_and_twists(body_names, world_frame, frame_prefix=""):
 
 
 def odometry(layout, world_frame, frame_prefix=""):
-    """nav_msgs/Odometry of every body: pose and body twist; covariances are zero."""
+    """nav_msgs/Odometry of every body: pose and body twist.
+
+    Variances are the squares of the estimated errors, the same for all three axes; zero without an
+    estimate.
+    """
 
     def of_body(body):
         template = Template()
@@ -41,9 +45,9 @@ def odometry(layout, world_frame, frame_prefix=""):
         template.string(frame_prefix + body)
         for numbers in ("7d", "6d"):
             template.slot(numbers)
-            template.put("36d", *(0.0,) * 36)
+            template.slot("36d")
         return lambda stamp_ns, sample: template.pack(
-            stamp(stamp_ns), _pose(sample, body), _twist(sample, body)
+            stamp(stamp_ns), *_with_covariances(sample, body)
         )
 
     return [
@@ -142,6 +146,26 @@ OPTIONAL = {
     "joint_state_rate": (joint_states, "~/joint_states"),
     "tf_rate": (transforms, "/tf"),
 }
+
+
+def _with_covariances(sample, body):
+    """Pose, its covariance (36,), twist, its covariance (36,)."""
+    pose, twist = _pose(sample, body), _twist(sample, body)
+    if sample.errors is None:
+        return pose, _NO_COVARIANCE, twist, _NO_COVARIANCE
+    position, attitude, linear, angular = sample.error[body].tolist()
+    return pose, _covariance(position, attitude), twist, _covariance(linear, angular)
+
+
+_NO_COVARIANCE = (0.0,) * 36
+
+
+def _covariance(linear, angular):
+    """(36,) row by row, diagonal: squares of the errors along and about x, y and z."""
+    values = list(_NO_COVARIANCE)
+    values[0:21:7] = (linear * linear,) * 3
+    values[21:36:7] = (angular * angular,) * 3
+    return values
 
 
 def _pose(sample, body):

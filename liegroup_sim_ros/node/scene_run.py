@@ -210,7 +210,14 @@ def _make(values):
     try:
         if values.accuracy:
             return _chosen(scene, values)
-        return Simulation(scene, values.method, values.step, values.group, values.stabilisation)
+        return Simulation(
+            scene,
+            values.method,
+            values.step,
+            values.group,
+            values.stabilisation,
+            estimate=values.estimate,
+        )
     except SceneError:
         raise
     except ValueError as error:
@@ -228,4 +235,7 @@ def _chosen(scene, values):
         values.real_time_factor,
     )
     set_step(values, choice.settings["step"])
-    return choice.simulation()
+    simulation = choice.simulation()
+    if values.estimate:
+        simulation.carry_estimate()
+    return simulation

@@ -64,6 +64,7 @@ class SimulationServer(threading.Thread):
         self._base_ns = base_ns
         self._origin = origin
         self._factor_seen = 0.0  # achieved real-time factor at the last diagnostics
+        self._was_lost = False  # the event "unpredictable" was sent
         self._reference_energy = None  # J, at the last known instant without an applied wrench
         self.pacer = Pacer(factor, sleep=self._wake.wait)
         self.state = "paused" if paused else "running"
@@ -225,6 +226,13 @@ class SimulationServer(threading.Thread):
 
     def _send_outputs(self, everything=False):
         """Send the outputs of the current step, in the order of their stamps."""
+        if self._simulation.predictable_until <= self._simulation.time and not self._was_lost:
+            self._was_lost = True
+            self._event(
+                "unpredictable",
+                f"from t = {self._simulation.predictable_until:.6g} s on, the estimated error is too "
+                "large for the motion to be known; use a smaller step or another method",
+            )
         steps = self._simulation.steps
         for change in self._simulation.drain_applied():
             stamp_ns = self._base_ns + change.time_ns
@@ -288,6 +296,7 @@ class SimulationServer(threading.Thread):
         with self._lock:
             self._wrenches.clear()
         self._simulation.reset()
+        self._was_lost = False
         self._event("reset", "initial state, step 0")
         for body, axes in list(self._output.acting):
             self._send_wrench(self.stamp_ns, body, (0.0,) * 6, axes)
@@ -338,6 +347,17 @@ class SimulationServer(threading.Thread):
         self._pause()
         return running
 
+    def _error_figures(self, sample):
+        """Largest estimated errors of all bodies; nothing without an estimate."""
+        if sample.errors is None:
+            return {}
+        position, attitude = sample.errors[:, :2].max(axis=0).tolist()
+        return {
+            "position_error_m": position,
+            "attitude_error_rad": attitude,
+            "predictable_until_s": self._simulation.predictable_until,
+        }
+
     def _figures(self, sample):
         """{name: number or text} for the diagnostics; each name ends with its unit."""
         pacing = self.pacer.report()
@@ -362,5 +382,6 @@ class SimulationServer(threading.Thread):
             "energy_J": sample.energy,
             "energy_drift_J": drift,
             "constraint_residual": sample.constraint_residual,
+            **self._error_figures(sample),
             "wrenches_held": self.wrenches_held,
         }

@@ -5,6 +5,7 @@ ROS leaves alignment gaps as they were in memory, ours are zero. Where the gaps 
 by walking through the message (`gaps`), independently of the code under test.
 """
 
+import copy
 import math
 from types import SimpleNamespace
 
@@ -256,6 +257,20 @@ def test_odometry(layout, sample):
             == sample.twists[body].tolist()
         )
         assert not message.pose.covariance.any() and not message.twist.covariance.any()
+
+
+def test_covariances_are_squares_of_the_estimated_errors(layout, sample):
+    errors = 0.5 ** np.arange(4.0 * len(layout.body_names)).reshape(-1, 4)
+    estimated = copy.copy(sample)
+    estimated.errors = errors
+    for i, (_, _, encode) in enumerate(sample_messages.odometry(layout, "map")):
+        message = as_ros_serializes(encode(STAMP, estimated), Odometry)
+        position, attitude, linear, angular = errors[i] ** 2
+        for found, variances in (
+            (message.pose.covariance, (position, attitude)),
+            (message.twist.covariance, (linear, angular)),
+        ):
+            assert np.array_equal(np.reshape(found, (6, 6)), np.diag(np.repeat(variances, 3)))
 
 
 def test_velocity(layout, sample):
