@@ -40,7 +40,6 @@ WINDOW, FADING = 4, 0.5  # checkpoints
 SAFETY, SEEN = 2.0, 0.7
 # Of the mechanism's size, and rad: an error of this size makes a motion unpredictable.
 UNPREDICTABLE = 0.1
-EPS = np.finfo(float).eps
 
 
 @kernel

@@ -50,8 +50,7 @@ class Simulation(Engine):
             super().__init__(
                 scene, method, step, group, stabilisation, baumgarte_time, watch, **options
             )
-            if estimate:
-                self.carry_estimate()
+            self._running = RunningError(self) if estimate else None
             return
         if not isinstance(scene, Scene):
             raise ValueError(
@@ -74,12 +73,7 @@ class Simulation(Engine):
         choice = choose(scene, accuracy, horizon)
         super().__init__(scene, watch=watch, **choice.settings)
         self.promise = choice.promise
-        if estimate:
-            self.carry_estimate()
-
-    def carry_estimate(self) -> None:
-        """Carry an estimate of the global error from the present state on, as `estimate` does."""
-        self._running = RunningError(self)
+        self._running = RunningError(self) if estimate else None
 
     @property
     def predictable_until(self) -> float:

@@ -235,7 +235,6 @@ def _chosen(scene, values):
         values.real_time_factor,
     )
     set_step(values, choice.settings["step"])
-    simulation = choice.simulation()
-    if values.estimate:
-        simulation.carry_estimate()
+    simulation = Simulation(scene, **choice.settings, estimate=values.estimate)
+    simulation.promise = choice.promise
     return simulation

@@ -17,6 +17,7 @@ from liegroup_core.scene.description import FORCES, JOINTS
 
 # Properties of a Sample that depend on the body frames; all others belong to the mechanism.
 OF_FRAMES = {"pose", "twist", "rows", "poses", "twists", "positions", "pose_matrices"}
+ABSENT = {"error", "errors"}  # None without an estimate
 
 
 def pair(name, seed=0):
@@ -30,7 +31,7 @@ def pair(name, seed=0):
 def public(sample):
     """{name: value} of all properties of a Sample that belong to the mechanism."""
     names = [name for name in dir(Sample) if not name.startswith("_")] + ["time", "steps"]
-    return {name: getattr(sample, name) for name in names if name not in OF_FRAMES}
+    return {name: getattr(sample, name) for name in names if name not in OF_FRAMES | ABSENT}
 
 
 def close(mine, theirs, atol):
