@@ -366,11 +366,13 @@ class Engine:
     def _advance(self, steps):
         end = self.steps + steps
         while True:
-            start = self._schedule.boundary(self.steps)
-            self._change_wrenches(start.time, self._schedule.update(start))
+            if self._schedule:
+                start = self._schedule.boundary(self.steps)
+                self._change_wrenches(start.time, self._schedule.update(start))
+            inside = self._times_inside()
             compares = (
                 self.steps < end
-                and not self._times_inside()
+                and not inside
                 and self._step_watch.begins(self.steps, self._pose, self._twist)
             )
             wanted = (
@@ -384,7 +386,7 @@ class Engine:
                 - self.steps
             )
             self._work.report[3] = WAIT if self._step_watch.waits(self.steps) else 0.0
-            done, status = self._take_steps(wanted)
+            done, status = self._take_steps(wanted, inside)
             self.steps += done
             met = self._work.report[3] == MET
             if getattr(self._integrator, "doubt", None):  # replaces the step check
@@ -454,14 +456,16 @@ class Engine:
 
     def _times_inside(self):
         """Times inside the next step at which a wrench may start or end."""
-        return {*self._timetable.inside(self.steps), *self._schedule.inside(self.steps)}
+        times = self._timetable.inside(self.steps)
+        return {*times, *self._schedule.inside(self.steps)} if self._schedule else times
 
-    def _take_steps(self, steps):
+    def _take_steps(self, steps, inside):
         """Take steps in which no wrench changes, or one step in parts if one changes.
 
+        inside : times inside the first step at which a wrench may start or end
         returns (steps done, status)
         """
-        start, inside = self.steps * self.step, self._times_inside()
+        start = self.steps * self.step
         if not inside or steps == 0:
             return self._integrate(start, self.step, steps)
         good = self._pose.copy(), self._twist.copy(), self._work.angle.copy()

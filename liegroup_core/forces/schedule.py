@@ -113,8 +113,6 @@ class WrenchSchedule:
 
     def update(self, instant):
         """Make `total` the wrenches that act from an Instant on; returns [(body, axes)] that changed."""
-        if not self._waiting and not self._acting:
-            return ()
         touched = set()
         while self._waiting and self._waiting[0].start <= instant:
             command = self._waiting.pop(0)
@@ -143,6 +141,8 @@ class WrenchSchedule:
 
     def next_change(self, step):
         """First later step that starts with a change of the wrenches, or contains one."""
+        if not self:
+            return NEVER
         return min((i.step for i in self._instants(step) if i.step > step), default=NEVER)
 
     def _instants(self, step):
