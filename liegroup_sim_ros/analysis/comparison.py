@@ -107,7 +107,8 @@ class _Track:
             piece = next(self._pieces, None)
             if piece is None:
                 return False
-            self.stamps, self.values = piece.stamp_ns, [part[:, self._index] for part in piece[1:]]
+            motion = piece.position, piece.quaternion, piece.twist
+            self.stamps, self.values = piece.stamp_ns, [part[:, self._index] for part in motion]
         return True
 
     def take(self, stamps, upto):

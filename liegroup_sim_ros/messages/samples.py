@@ -55,6 +55,28 @@ def odometry(layout, world_frame, frame_prefix=""):
     ]
 
 
+def poses_with_covariance(layout, world_frame, frame_prefix=""):
+    """geometry_msgs/PoseWithCovarianceStamped of every body: pose, with variances as `odometry`."""
+
+    def of_body(body):
+        template = Template()
+        template.header(world_frame)
+        template.slot("7d")
+        template.slot("36d")
+        return lambda stamp_ns, sample: template.pack(
+            stamp(stamp_ns), *_with_covariances(sample, body)[:2]
+        )
+
+    return [
+        (
+            f"~/{body}/pose_with_covariance",
+            "geometry_msgs/msg/PoseWithCovarianceStamped",
+            of_body(body),
+        )
+        for body in layout.body_names
+    ]
+
+
 def velocities(layout, world_frame, frame_prefix=""):
     """geometry_msgs/VelocityStamped of every body: body twist relative to the world."""
 
@@ -141,6 +163,7 @@ def transforms(layout, world_frame, frame_prefix=""):
 # declares the parameters and publishes the topics from this table.
 OPTIONAL = {
     "odometry_rate": (odometry, "~/BODY/odometry"),
+    "pose_with_covariance_rate": (poses_with_covariance, "~/BODY/pose_with_covariance"),
     "velocity_rate": (velocities, "~/BODY/velocity"),
     "pose_array_rate": (pose_array, "~/poses"),
     "joint_state_rate": (joint_states, "~/joint_states"),

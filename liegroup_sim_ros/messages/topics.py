@@ -7,7 +7,7 @@ need a clock. Optional topics, each encoded by one function, are in samples.py a
 
 from typing import NamedTuple
 
-from . import diagnostics
+from . import diagnostics, estimates
 from .codecs import ClockCodec, LogCodec, PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec
 
 
@@ -47,4 +47,5 @@ APPLIED_WRENCH = Topic("~/applied_wrench", WrenchStampedCodec.TYPE, "transient_l
 EVENTS = Topic("~/events", LogCodec.TYPE, "transient_local")
 CLOCK = Topic("/clock", ClockCodec.TYPE, depth=1)
 STATE = Topic("~/state", diagnostics.TYPE)
+ERRORS = Topic("~/errors", estimates.TYPE)  # with the samples, if an estimate is carried
 DIAGNOSTICS = Topic("/diagnostics", diagnostics.TYPE)

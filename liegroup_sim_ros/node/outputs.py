@@ -10,7 +10,7 @@ import importlib
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from liegroup_core.forces.schedule import AXES
-from liegroup_sim_ros.messages import diagnostics, topics
+from liegroup_sim_ros.messages import diagnostics, estimates, topics
 from liegroup_sim_ros.messages import samples as sample_messages
 from liegroup_sim_ros.messages.codecs import ClockCodec, LogCodec, WrenchStampedCodec
 from liegroup_sim_ros.messages.markers import Markers, markers
@@ -107,9 +107,7 @@ class Outputs:
         self._frames = {body: values.frame_prefix + body for body in bodies}
         self._topics = {"pose": {}, "twist": {}}
         if values.steps["publish_rate"]:
-            self._add_samples(
-                bodies, world_frame, values.frame_prefix, values.steps["publish_rate"]
-            )
+            self._add_samples(bodies, values)
         self._applied = self._stream(*topics.APPLIED_WRENCH)
         self._sent = 0  # messages of ~/applied_wrench
         self._sent_at = {}  # {key of `acting`: number of its last message}
@@ -138,9 +136,9 @@ class Outputs:
         self._streams.append(Stream(self._node, self._overrides, *arguments, **options))
         return self._streams[-1]
 
-    def _add_samples(self, bodies, world_frame, frame_prefix, steps):
-        encode = sample_messages.poses_and_twists(bodies, world_frame, frame_prefix)
-        table = []
+    def _add_samples(self, bodies, values):
+        encode = sample_messages.poses_and_twists(bodies, values.world_frame, values.frame_prefix)
+        table, steps = [], values.steps["publish_rate"]
         for body in bodies:
             pose = self._stream(*topics.pose(body))
             twist = self._stream(*topics.twist(body))
@@ -153,6 +151,12 @@ class Outputs:
                 send_twist(stamp_ns, twist)
 
         self.timed.append((steps, send))
+        if values.estimate:
+            errors, encode_errors = self._stream(*topics.ERRORS), estimates.encoder(bodies)
+            self._topics["errors"] = errors.topic
+            self.timed.append(
+                (steps, lambda stamp_ns, sample: errors.send(stamp_ns, encode_errors(sample)))
+            )
 
     def _add_optional(self, parameter, entries, steps):
         for topic, message_type, encode in entries:

@@ -99,7 +99,8 @@ TABLE = (
         "estimate",
         False,
         "carry an estimate of the global error, at about 1.8 times the cost: in ~/state, "
-        "/diagnostics and the covariances of ~/BODY/odometry",
+        "/diagnostics, ~/errors and the covariances of ~/BODY/odometry and "
+        "~/BODY/pose_with_covariance",
     ),
     Entry(
         "real_time_factor",

@@ -355,6 +355,10 @@ class SimulationServer(threading.Thread):
         return {
             "position_error_m": position,
             "attitude_error_rad": attitude,
+            # By position, then by attitude; none while all are unknown.
+            "worst_body": max(zip(sample.errors.tolist(), sample.body_names))[1]
+            if math.isfinite(position)
+            else "",
             "predictable_until_s": self._simulation.predictable_until,
         }
 

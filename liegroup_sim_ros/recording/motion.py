@@ -18,7 +18,8 @@ LATEST = 2**62  # ns; larger stamps are invalid
 class Stretch:
     """The run from its start, or from a reset, to the next reset; n bodies.
 
-    steps, rotation, position, twist and angles are those of k kept samples, evenly distributed.
+    steps, rotation, position, twist, errors and angles are those of k kept samples, evenly
+    distributed.
     """
 
     base_ns: int  # stamp of step 0
@@ -40,7 +41,8 @@ class Stretch:
         if name not in _KEPT:
             raise AttributeError(name)
         parts = [getattr(part, name) for part in self.kept]
-        self.__dict__.update({name: np.concatenate(parts)})
+        whole = None if parts[0] is None else np.concatenate(parts)
+        self.__dict__.update({name: whole})
         return self.__dict__[name]
 
     @property
@@ -119,6 +121,7 @@ class Block(NamedTuple):
     position: np.ndarray  # (k, n, 3) m, world
     quaternion: np.ndarray  # (k, n, 4) as recorded
     twist: np.ndarray  # (k, n, 6) rad/s, m/s; body axes
+    errors: np.ndarray | None  # (k, n, 4) estimated; NaN: not known, None: not carried
 
     @property
     def times(self):
@@ -142,6 +145,7 @@ class _Kept(NamedTuple):
     rotation: np.ndarray
     position: np.ndarray
     twist: np.ndarray
+    errors: np.ndarray | None  # (k, n, 4)
     angles: np.ndarray  # (k, t) rad, of the torsional springs
 
 
@@ -239,12 +243,13 @@ class Motion:
                     block.stretch.kept.append(
                         _Kept(
                             *(
-                                part[pick].copy()
+                                part if part is None else part[pick].copy()
                                 for part in (
                                     block.steps,
                                     block.rotation,
                                     block.position,
                                     block.twist,
+                                    block.errors,
                                     values,
                                 )
                             )
@@ -269,7 +274,9 @@ class Motion:
                 f"{self._recording.path}: its stamps do not lie on steps of {stretch.step:g} s"
             )
         self._count(stretch, steps)
-        position, quaternion, twist = (values[part] for values in samples[1:])
+        position, quaternion, twist, errors = (
+            values if values is None else values[part] for values in samples[1:]
+        )
         norm = np.linalg.norm(quaternion, axis=2)
         finite = (
             np.isfinite(position).all(axis=(1, 2))
@@ -284,15 +291,15 @@ class Motion:
                 return None
             steps, position = steps[finite], position[finite]
             quaternion, twist = quaternion[finite], twist[finite]
+            errors = errors if errors is None else errors[finite]
         if not stretch.samples:
             self.stretches.append(stretch)
             stretch.first_step = int(steps[0])
         stretch.samples += len(steps)
         stretch.last_step = int(steps[-1])
         turn = Rotation.from_quat(quaternion.reshape(-1, 4)).as_matrix()
-        return Block(
-            stretch, steps, turn.reshape(*position.shape[:2], 3, 3), position, quaternion, twist
-        )
+        rotation = turn.reshape(*position.shape[:2], 3, 3)
+        return Block(stretch, steps, rotation, position, quaternion, twist, errors)
 
     def _count(self, stretch, steps):
         """Count samples, and missing ones on the grid between them."""

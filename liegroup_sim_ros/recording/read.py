@@ -6,8 +6,9 @@ is read up to its last flush without repair; `complete` and `problem` report it.
 skipped and reported; `lost` counts missing messages by sequence number. No ROS is needed. Every
 failure is a RecordingError, one line of text.
 
-Events, wrenches and diagnostics are kept in memory. Poses and twists are loaded on first access, 64
-and 56 bytes a message. `samples` returns them in pieces instead, in bounded memory.
+Events, wrenches and diagnostics are kept in memory. Poses, twists and estimated errors are loaded
+on first access: 64, 56, and 8 + 32 n bytes a message of n bodies. `samples` returns them in pieces
+instead, in bounded memory.
 """
 
 from collections.abc import Iterator
@@ -17,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from liegroup_sim_ros.messages import estimates
 from liegroup_sim_ros.messages.codecs import (
     Fields,
     MessageError,
@@ -27,11 +29,21 @@ from liegroup_sim_ros.messages.codecs import (
 from .addresses import is_remote
 from .errors import RecordingError
 from .frames import data_frame
-from .read_file import Attachments, ErrorsWithPath, Scan, Source, decode
-from .tracks import AppliedWrench, Event, JointTrack, PoseTrack, Samples, TwistTrack, WrenchTrack
+from .read_file import Attachments, ErrorsWithPath, Scan, Source, decode, of_one_size
+from .tracks import (
+    AppliedWrench,
+    ErrorTrack,
+    Event,
+    JointTrack,
+    PoseTrack,
+    Samples,
+    TwistTrack,
+    WrenchTrack,
+)
 
 __all__ = [
     "AppliedWrench",
+    "ErrorTrack",
     "Event",
     "JointTrack",
     "PoseTrack",
@@ -83,6 +95,15 @@ class Recording:
         return {body: TwistTrack(*track) for body, track in self._tracks["twist"].items()}
 
     @property
+    def errors(self) -> ErrorTrack | None:
+        """ErrorTrack, loaded on first access; None if the run carried no estimate."""
+        track = self._tracks["errors"].get(None)
+        if track is None:
+            return None
+        stamps, values = track
+        return ErrorTrack(stamps, values.reshape(len(stamps), len(self.bodies), 4))
+
+    @property
     def applied_wrench(self) -> list[AppliedWrench]:
         """Changes of the total wrenches on all bodies: [AppliedWrench] in the order of stamps."""
         changes = [
@@ -99,7 +120,7 @@ class Recording:
         tracks = {
             topic: (
                 np.empty(rows[topic], dtype=np.int64),
-                np.empty((rows[topic], 7 if kind == "pose" else 6)),
+                np.empty((rows[topic], self._width(kind))),
             )
             for topic, (kind, _) in wanted.items()
         }
@@ -108,7 +129,7 @@ class Recording:
             at = slice(done[topic], done[topic] + len(stamps))
             tracks[topic][0][at], tracks[topic][1][at] = stamps, values
             done[topic] += len(stamps)
-        result = {"pose": {}, "twist": {}}
+        result = {"pose": {}, "twist": {}, "errors": {}}
         for topic, (kind, body) in wanted.items():
             result[kind][body] = tracks[topic]
         return result
@@ -143,7 +164,7 @@ class Recording:
         """Iterator over the samples of all bodies in the order of time: Samples in pieces.
 
         A sample is the pose and twist of every body at one stamp; incomplete samples are omitted.
-        Raises RecordingError.
+        A missing estimate of the errors is NaN. Raises RecordingError.
         """
         wanted = self._motion_topics()
         waiting: dict = {topic: [[], []] for topic in wanted}  # stamps, values
@@ -160,39 +181,47 @@ class Recording:
                     f"{self.path}: the poses and twists of one sample are more than "
                     f"{MOST_APART} samples apart in the file"
                 )
-        yield from self._merged(wanted, waiting, counts)
+        yield from self._merged(wanted, waiting, counts, ended=True)
 
-    def _merged(self, wanted, waiting, counts):
-        """Yield the complete samples and remove their messages from `waiting`."""
+    def _merged(self, wanted, waiting, counts, ended=False):
+        """Yield the complete samples and remove their messages from `waiting`.
+
+        ended : no messages follow, so that a missing estimate is missing for good
+        """
         tracks = {
             topic: (np.concatenate(stamps), np.concatenate(values))
             if stamps
-            else (np.empty(0, dtype=np.int64), np.empty((0, 7)))
+            else (np.empty(0, dtype=np.int64), np.empty((0, self._width(wanted[topic][0]))))
             for topic, (stamps, values) in waiting.items()
         }
-        if not all(len(stamps) for stamps, _ in tracks.values()):
+        motion = [stamps for topic, (stamps, _) in tracks.items() if wanted[topic][0] != "errors"]
+        if not all(map(len, motion)):
             return
-        upto = min(int(stamps[-1]) for stamps, _ in tracks.values())
+        upto = min(int(s[-1]) for s in (motion if ended else [s for s, _ in tracks.values()]))
         common = None
-        for stamps, _ in tracks.values():
+        for stamps in motion:
             ready = stamps[: np.searchsorted(stamps, upto, "right")]
             if common is None or not np.array_equal(common, ready):
                 common = ready if common is None else np.intersect1d(common, ready, True)
-        n = len(self.bodies)
+        k, n = len(common), len(self.bodies)
         samples = Samples(
             common,
-            np.empty((len(common), n, 3)),
-            np.empty((len(common), n, 4)),
-            np.empty((len(common), n, 6)),
+            np.empty((k, n, 3)),
+            np.empty((k, n, 4)),
+            np.empty((k, n, 6)),
+            np.full((k, n, 4), np.nan) if len(tracks) > len(motion) else None,
         )
         for topic, (kind, body) in wanted.items():
             stamps, values = tracks[topic]
-            rows = values[np.searchsorted(stamps, common)]
-            i = self.bodies.index(body)
-            if kind == "pose":
-                samples.position[:, i], samples.quaternion[:, i] = rows[:, :3], rows[:, 3:]
+            if kind == "errors":
+                _, rows, places = np.intersect1d(stamps, common, True, return_indices=True)
+                samples.errors[places] = values[rows].reshape(-1, n, 4)
             else:
-                samples.twist[:, i] = rows
+                rows, i = values[np.searchsorted(stamps, common)], self.bodies.index(body)
+                if kind == "pose":
+                    samples.position[:, i], samples.quaternion[:, i] = rows[:, :3], rows[:, 3:]
+                else:
+                    samples.twist[:, i] = rows
             left = np.searchsorted(stamps, upto, "right")
             waiting[topic][:] = [stamps[left:]], [values[left:]]
             counts[topic] = len(stamps) - left
@@ -200,14 +229,20 @@ class Recording:
             yield samples
 
     def _motion_topics(self):
-        """{topic: (kind, body)} in the order of the bodies."""
+        """{topic: (kind, body)} in the order of the bodies, then the errors of all of them."""
         topics = self.settings["topics"]
-        return {
+        found = {
             topics[kind][body]: (kind, body) for body in self.bodies for kind in ("pose", "twist")
         }
+        errors = topics.get("errors")
+        return found | {errors: ("errors", None)} if self.topics.get(errors) else found
+
+    def _width(self, kind):
+        """Numbers in a message."""
+        return {"pose": 7, "twist": 6, "errors": 4 * len(self.bodies)}[kind]
 
     def _decoded(self, wanted):
-        """(topic, stamps, values) of the poses and twists in each chunk."""
+        """(topic, stamps, values) of the poses, twists and errors in each chunk."""
         last = {}
         with ErrorsWithPath(self.path):
             world, prefix = (
@@ -217,24 +252,37 @@ class Recording:
             frames = {
                 topic: prefix + body if kind == "twist" else world
                 for topic, (kind, body) in wanted.items()
+                if kind != "errors"
             }
             for messages, channels in self._source.messages(self.channels):
                 for channel, index in channels:
                     if channel.topic not in wanted:
                         continue
-                    kind, _ = wanted[channel.topic]
-                    codec = PoseStampedCodec if kind == "pose" else TwistStampedCodec
-                    for stamps, names, _, values in decode(codec, messages, index):
-                        if names != [frames[channel.topic]]:
-                            raise RecordingError(
-                                f"{channel.topic} is in frame {names[0]!r:.60}, "
-                                f"not in {frames[channel.topic]!r:.60}"
-                            )
+                    for stamps, values in self._values(
+                        wanted[channel.topic][0],
+                        channel.topic,
+                        frames.get(channel.topic),
+                        messages,
+                        index,
+                    ):
                         before = last.get(channel.topic, stamps[0] - 1)
                         if stamps[0] <= before or (np.diff(stamps) <= 0).any():
                             raise RecordingError(f"the stamps of {channel.topic} do not increase")
                         last[channel.topic] = stamps[-1]
                         yield channel.topic, stamps, values
+
+    def _values(self, kind, topic, frame, messages, index):
+        """(stamps, values) for runs of messages of one topic."""
+        if kind == "errors":
+            for part in of_one_size(messages, index):
+                rows = estimates.decode_rows(messages.rows(part), self.bodies)
+                yield messages.log_time[part], rows
+            return
+        codec = PoseStampedCodec if kind == "pose" else TwistStampedCodec
+        for stamps, names, _, values in decode(codec, messages, index):
+            if names != [frame]:
+                raise RecordingError(f"{topic} is in frame {names[0]!r:.60}, not in {frame!r:.60}")
+            yield stamps, values
 
     def to_pandas(self, what: str = "motion"):
         """pandas DataFrame with the time in s as index.
@@ -263,10 +311,12 @@ def read_recording(path: str | Path) -> Recording:
         initial_state = names.json("initial_state.json")
         pacing = names.json("pacing.json") if "pacing.json" in attachments else None
         bodies, topics = tuple(initial_state["bodies"]), settings["topics"]
-        if len(set(bodies)) < len(bodies) or not all(
-            isinstance(topics[kind][body], str) for body in bodies for kind in ("pose", "twist")
-        ):
+        of_bodies = [topics[kind][body] for body in bodies for kind in ("pose", "twist")]
+        if len(set(bodies)) < len(bodies) or not all(isinstance(t, str) for t in of_bodies):
             raise RecordingError("its settings lack the topics of a body")
+        errors = topics.get("errors")
+        if errors is not None and (not isinstance(errors, str) or errors in of_bodies):
+            raise RecordingError("its settings name no topic of its own for the estimated errors")
         scene_text = names["scene.yaml"].decode()
         scan = Scan(source, settings, bodies)
         problem = scan.problem(source, attachments)

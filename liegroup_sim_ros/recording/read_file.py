@@ -237,7 +237,10 @@ class _Tally:
 
 def decode(codec, messages, index):
     """Results of decode_rows for runs of messages of one size, in file order."""
-    sizes = messages.size[index]
-    edges = np.flatnonzero(np.diff(sizes)) + 1
-    for part in np.split(index, edges):
+    for part in of_one_size(messages, index):
         yield decode_rows(codec, messages.rows(part))
+
+
+def of_one_size(messages, index):
+    """Parts of the indices: runs of messages of one size."""
+    return np.split(index, np.flatnonzero(np.diff(messages.size[index])) + 1)

@@ -32,6 +32,17 @@ class TwistTrack(_TwistTrack, _Timed):
     """Twists of one body."""
 
 
+class _ErrorTrack(NamedTuple):
+    stamp_ns: np.ndarray  # (m,) int64, ns
+    errors: (
+        np.ndarray
+    )  # (m, n, 4) of n bodies: m, rad, m/s, rad/s; NaN: not known yet, inf: unknown
+
+
+class ErrorTrack(_ErrorTrack, _Timed):
+    """Estimated errors of all bodies, as in Sample.errors."""
+
+
 class _WrenchTrack(NamedTuple):
     stamp_ns: np.ndarray  # (m,) int64, ns
     wrench: np.ndarray  # (m, 6) (torque, force), N m and N: the total in its axes from then on
@@ -60,6 +71,7 @@ class Samples(NamedTuple):
     position: np.ndarray  # (k, n, 3) m, world
     quaternion: np.ndarray  # (k, n, 4) x, y, z, w
     twist: np.ndarray  # (k, n, 6) (omega, v), body axes
+    errors: np.ndarray | None = None  # (k, n, 4) as in ErrorTrack; None without an estimate
 
 
 class AppliedWrench(NamedTuple):

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from liegroup_sim_ros.messages import schemas, topics
+from liegroup_sim_ros.messages import estimates, schemas, topics
 from liegroup_sim_ros.messages.codecs import LogCodec
 from liegroup_sim_ros.messages.samples import poses_and_twists
 
@@ -29,7 +29,8 @@ class ArrayFile:
 
     time (k,) s, steps (k,), bodies (n,) names, poses (k, n, 4, 4) body -> world, m,
     twists (k, n, 6) (omega, v) rad/s and m/s in body axes, energy (k,) J,
-    residual (k,) largest joint residual, m or rad; scene and settings: texts, YAML and JSON
+    residual (k,) largest joint residual, m or rad; errors (k, n, 4) estimated errors, m, rad, m/s
+    and rad/s, if the simulation carries an estimate; scene and settings: texts, YAML and JSON
     """
 
     def __init__(self, path, simulation, every, samples):
@@ -45,6 +46,8 @@ class ArrayFile:
                 "energy": np.empty(samples),
                 "residual": np.empty(samples),
             }
+            if _has_estimate(simulation):
+                self._arrays["errors"] = np.empty((samples, n, 4))
             self._stream = open(self._path, "xb")
         except MemoryError:
             raise OutputError(
@@ -73,8 +76,10 @@ class ArrayFile:
             ("twists", sample.twist),
             ("energy", sample.energy),
             ("residual", sample.constraint_residual),
+            ("errors", sample.errors),
         ):
-            self._arrays[name][self.count] = value
+            if name in self._arrays:
+                self._arrays[name][self.count] = value
         self.count, self.last_step = self.count + 1, sample.steps
 
     def finish(self, simulation, stopped, failed, wall_seconds):
@@ -99,7 +104,8 @@ class TableFile:
     Columns, with their units in brackets: time; of each body position x y z (m, world),
     quaternion qx qy qz qw (body to world), angular velocity wx wy wz (rad/s) and velocity vx vy vz
     (m/s) in body axes; position and velocity of each joint with one degree of freedom (rad and
-    rad/s, or m and m/s); energy (J); largest constraint residual (m or rad).
+    rad/s, or m and m/s); energy (J); largest constraint residual (m or rad); estimated errors of
+    each body, if the simulation carries an estimate.
     """
 
     BODY = (
@@ -107,6 +113,12 @@ class TableFile:
         *(f"q{axis}" for axis in "xyzw"),
         *(f"w{axis} [rad/s]" for axis in "xyz"),
         *(f"v{axis} [m/s]" for axis in "xyz"),
+    )
+    ERRORS = (
+        "position_error [m]",
+        "attitude_error [rad]",
+        "velocity_error [m/s]",
+        "angular_velocity_error [rad/s]",
     )
 
     def __init__(self, path, simulation, _every, _samples):
@@ -134,6 +146,12 @@ class TableFile:
             ),
             "energy [J]",
             "constraint_residual [m or rad]",
+            *(
+                f"{body}.{name}"
+                for body in layout.body_names
+                for name in self.ERRORS
+                if _has_estimate(simulation)
+            ),
         )
 
     def __enter__(self):
@@ -161,6 +179,7 @@ class TableFile:
             *(float(number) for name in self._joints for number in coordinates[name]),
             float(sample.energy),
             float(sample.constraint_residual),
+            *(() if sample.errors is None else sample.errors.ravel().tolist()),
         )
         self.count, self.last_step = self.count + 1, sample.steps
 
@@ -183,8 +202,12 @@ class LogFile:
             "clock": None,
             "diagnostics": topics.DIAGNOSTICS.resolved(NODE),
         }
+        with_samples = [*sum(pairs, ())]
+        if _has_estimate(simulation):
+            names["errors"] = topics.ERRORS.resolved(NODE)
+            with_samples.append(topics.ERRORS)
         try:
-            for topic in (*sum(pairs, ()), topics.APPLIED_WRENCH, topics.EVENTS):
+            for topic in (*with_samples, topics.APPLIED_WRENCH, topics.EVENTS):
                 schemas.definition(topic.type)
                 schemas.type_hash(topic.type)
             self._recorder = Recorder(
@@ -198,7 +221,9 @@ class LogFile:
         except RecorderError as error:
             raise OutputError(str(error)) from None
         self._encode = poses_and_twists(bodies, WORLD_FRAME)
+        self._encode_errors = estimates.encoder(bodies)
         self._channels = [tuple(map(self._channel, pair)) for pair in pairs]
+        self._errors = self._channel(topics.ERRORS) if "errors" in names else None
         self._channel(topics.APPLIED_WRENCH)
         self._events = self._channel(topics.EVENTS)
         self._event(
@@ -223,11 +248,13 @@ class LogFile:
         self._recorder.write(self._events, stamp_ns, LogCodec.encode(stamp_ns, level, name, text))
 
     def sample(self, sample):
-        """Record poses and twists of all bodies."""
+        """Record poses, twists and estimated errors of all bodies."""
         stamp = sample.time_ns
         for channels, messages in zip(self._channels, self._encode(stamp, sample)):
             for channel, message in zip(channels, messages):
                 self._recorder.write(channel, stamp, message)
+        if self._errors is not None:
+            self._recorder.write(self._errors, stamp, self._encode_errors(sample))
         self.count, self.last_step = self.count + 1, sample.steps
 
     def finish(self, simulation, stopped, failed, wall_seconds):
@@ -253,3 +280,7 @@ class LogFile:
                 }
             ),
         )
+
+
+def _has_estimate(simulation):
+    return simulation.sample().errors is not None

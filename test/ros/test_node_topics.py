@@ -11,7 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseArray, PoseStamped, TwistStamped, VelocityStamped, WrenchStamped
+from geometry_msgs.msg import (
+    PoseArray,
+    PoseStamped,
+    PoseWithCovarianceStamped,
+    TwistStamped,
+    VelocityStamped,
+    WrenchStamped,
+)
 from mcap.reader import make_reader
 from nav_msgs.msg import Odometry
 from node_process import COMPILING, PUSH, NodeProcess, python, stamp_ns, values
@@ -31,6 +38,7 @@ NODE, PREFIX = "/shown", "robot1/"
 PERIODS = {
     "publish_rate": 10,
     "odometry_rate": 20,
+    "pose_with_covariance_rate": 100,
     "velocity_rate": 25,
     "pose_array_rate": 50,
     "joint_state_rate": 4,
@@ -64,6 +72,9 @@ class Shown:
         self.messages = {
             "publish_rate": client.listen(f"{NODE}/lower/pose", PoseStamped),
             "odometry_rate": client.listen(f"{NODE}/lower/odometry", Odometry),
+            "pose_with_covariance_rate": client.listen(
+                f"{NODE}/lower/pose_with_covariance", PoseWithCovarianceStamped
+            ),
             "velocity_rate": client.listen(f"{NODE}/lower/velocity", VelocityStamped),
             "pose_array_rate": client.listen(f"{NODE}/poses", PoseArray),
             "joint_state_rate": client.listen(f"{NODE}/joint_states", JointState),
@@ -139,6 +150,7 @@ def test_topics_agree_at_the_same_stamp(client, node):
                 for name in (
                     "publish_rate",
                     "odometry_rate",
+                    "pose_with_covariance_rate",
                     "velocity_rate",
                     "pose_array_rate",
                     "joint_state_rate",
@@ -148,13 +160,14 @@ def test_topics_agree_at_the_same_stamp(client, node):
         ) & {stamp_ns(m.header.stamp) for m in node.twist}
 
     stamp = max(client.until(common))
-    pose, odometry, velocity, poses, joints, markers = (
+    pose, odometry, with_covariance, velocity, poses, joints, markers = (
         next(m for m in messages if stamp_of(m) == stamp)
         for messages in (
             node.messages[name]
             for name in (
                 "publish_rate",
                 "odometry_rate",
+                "pose_with_covariance_rate",
                 "velocity_rate",
                 "pose_array_rate",
                 "joint_state_rate",
@@ -165,11 +178,12 @@ def test_topics_agree_at_the_same_stamp(client, node):
     twist_stamped = next(m for m in node.twist if stamp_ns(m.header.stamp) == stamp)
     twist, lower = twist_stamped.twist, f"{PREFIX}lower"
     assert odometry.pose.pose == pose.pose == poses.poses[1]
+    assert with_covariance.pose == odometry.pose
     assert odometry.twist.twist == velocity.velocity == twist
     assert twist_stamped.header.frame_id == odometry.child_frame_id == lower
     assert (velocity.header.frame_id, velocity.body_frame_id) == (lower, lower)
     assert velocity.reference_frame_id == "map" and {
-        m.header.frame_id for m in (pose, odometry, poses, markers.markers[0])
+        m.header.frame_id for m in (pose, odometry, with_covariance, poses, markers.markers[0])
     } == {"map"}
     # In the plane: the second angle is that between the two bodies.
     turn = [2.0 * np.arctan2(p.orientation.y, p.orientation.w) for p in poses.poses]
@@ -320,6 +334,7 @@ def test_everything_published_is_recorded(client, node, folder):
     for topic, name in (
         ("lower/pose", "publish_rate"),
         ("upper/odometry", "odometry_rate"),
+        ("upper/pose_with_covariance", "pose_with_covariance_rate"),
         ("upper/velocity", "velocity_rate"),
         ("poses", "pose_array_rate"),
         ("joint_states", "joint_state_rate"),

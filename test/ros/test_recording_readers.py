@@ -22,7 +22,8 @@ from liegroup_sim_ros.messages import samples
 from liegroup_sim_ros.recording.write import Recorder
 
 # tf2_msgs is not on PyPI: /tf is recorded where it is installed.
-OPTIONAL = ["odometry", "velocity", "pose_array", "joint_state", "marker", "state"]
+OPTIONAL = ["odometry", "pose_with_covariance", "velocity"]  # of every body
+OPTIONAL += ["pose_array", "joint_state", "marker", "state"]
 OPTIONAL += ["tf"] if importlib.util.find_spec("tf2_msgs") else []
 
 
@@ -32,6 +33,7 @@ def log(client, tmp_path_factory):
     path = tmp_path_factory.mktemp("log") / "run.mcap"
     parameters = {f"{name}_rate": 50.0 for name in OPTIONAL}
     parameters |= {"scene": "four_bar", "record": path, "record_flush_interval": 0.2}
+    parameters["estimate"] = True
     with NodeProcess(parameters, remap=["__node:=all_topics"]) as node:
         qos = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         events = client.listen("/all_topics/events", Log, qos)
@@ -114,7 +116,7 @@ def same(one, other):
 
 @pytest.mark.parametrize("reader", READERS)
 def test_every_message_of_every_topic_is_decoded(reader, log, written):
-    assert len(written) == 4 + 2 * 3 + 2 * 3 + 4 + ("tf" in OPTIONAL)
+    assert len(written) == 5 + 2 * 3 + 3 * 3 + 4 + ("tf" in OPTIONAL)
     found = {}
     for topic, stamp, message in reader(log):
         found.setdefault(topic, []).append((stamp, message))

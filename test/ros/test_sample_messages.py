@@ -13,7 +13,14 @@ import numpy as np
 import pytest
 from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from geometry_msgs.msg import Point, PoseArray, PoseStamped, TwistStamped, VelocityStamped
+from geometry_msgs.msg import (
+    Point,
+    PoseArray,
+    PoseStamped,
+    PoseWithCovarianceStamped,
+    TwistStamped,
+    VelocityStamped,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from nav_msgs.msg import Odometry
@@ -30,10 +37,10 @@ from liegroup_core import load_scene
 from liegroup_core.layout import make_layout
 from liegroup_core.scene.load import scene_from_text
 from liegroup_core.simulation import Simulation
-from liegroup_sim_ros.messages import diagnostics
+from liegroup_sim_ros.messages import diagnostics, estimates
 from liegroup_sim_ros.messages import samples as sample_messages
 from liegroup_sim_ros.messages.cdr import Template
-from liegroup_sim_ros.messages.codecs import LogCodec
+from liegroup_sim_ros.messages.codecs import LogCodec, MessageError
 from liegroup_sim_ros.messages.markers import Markers
 
 SIZES = {
@@ -273,6 +280,53 @@ def test_covariances_are_squares_of_the_estimated_errors(layout, sample):
             assert np.array_equal(np.reshape(found, (6, 6)), np.diag(np.repeat(variances, 3)))
 
 
+def test_a_pose_with_covariance_is_that_of_the_odometry(layout, sample):
+    estimated = copy.copy(sample)
+    estimated.errors = 0.5 ** np.arange(4.0 * len(layout.body_names)).reshape(-1, 4)
+    for body, (topic, kind, encode), (_, _, odometry) in zip(
+        layout.body_names,
+        sample_messages.poses_with_covariance(layout, "map", "left/"),
+        sample_messages.odometry(layout, "map", "left/"),
+        strict=True,
+    ):
+        assert topic == f"~/{body}/pose_with_covariance"
+        assert kind == "geometry_msgs/msg/PoseWithCovarianceStamped"
+        for each in (sample, estimated):
+            message = as_ros_serializes(encode(STAMP, each), PoseWithCovarianceStamped)
+            both = deserialize_message(odometry(STAMP, each), Odometry)
+            assert message.header == both.header and message.pose == both.pose
+
+
+@pytest.mark.parametrize("little_endian", [True, False])
+def test_estimated_errors_are_decoded_to_the_same_bits(layout, sample, little_endian):
+    bodies, estimated, store = (
+        layout.body_names,
+        copy.copy(sample),
+        get_typestore(Stores.ROS2_JAZZY),
+    )
+    encode, payloads, written = estimates.encoder(bodies), [], []
+    for k in range(3):
+        estimated.errors = np.random.default_rng(k).normal(size=(len(bodies), 4))
+        estimated.errors[k] = np.nan, np.inf, 0.0, -0.0
+        message = as_ros_serializes(encode(estimated), Float64MultiArray)
+        assert np.array(message.data).tobytes() == estimated.errors.tobytes()
+        assert [(d.label, d.size, d.stride) for d in message.layout.dim] == [
+            ("plain brick ball bar", 4, 16),
+            ("m rad m/s rad/s", 4, 4),
+        ]
+        same = store.deserialize_cdr(encode(estimated), estimates.TYPE)
+        payload = store.serialize_cdr(same, estimates.TYPE, little_endian=little_endian)
+        payloads.append(np.frombuffer(payload, dtype=np.uint8))
+        written.append(estimated.errors.ravel())
+    found = estimates.decode_rows(np.array(payloads), bodies)
+    assert found.tobytes() == np.array(written).tobytes()
+    for others in (bodies[:3], ("a", *bodies[1:]), bodies[::-1], ()):
+        with pytest.raises(MessageError, match="other bodies"):
+            estimates.decode_rows(np.array(payloads), others)
+    with pytest.raises(MessageError, match="truncated"):
+        estimates.decode_rows(np.array(payloads)[:, :-8], bodies)
+
+
 def test_velocity(layout, sample):
     topics = sample_messages.velocities(layout, "world", "left_")
     for body, (_, _, encode) in zip(layout.body_names, topics, strict=True):
@@ -325,6 +379,7 @@ def test_names_of_every_length(layout, sample, length):
         as_ros_serializes(twist, TwistStamped)
     for topics, message_class in (
         (sample_messages.odometry, Odometry),
+        (sample_messages.poses_with_covariance, PoseWithCovarianceStamped),
         (sample_messages.velocities, VelocityStamped),
         (sample_messages.pose_array, PoseArray),
     ):
