@@ -28,6 +28,7 @@ from liegroup_sim_ros.recording.check import check_settings
 from liegroup_sim_ros.recording.motion import Motion
 from liegroup_sim_ros.recording.read import RecordingError
 
+from .estimate import Estimate
 from .invariants import Energy, Joints, Momentum
 from .local_error import local_error
 from .promise import Promise
@@ -109,10 +110,8 @@ class _Parts:
                 lambda: Repeat(recording, make_simulation(scene, recording.settings))
             )
         }
-        self._exact, self._promise = (
-            None,
-            Promise(recording.settings.get("promise") if reference else None),
-        )
+        self._exact, self._estimate = None, Estimate()
+        self._promise = Promise(recording.settings.get("promise") if reference else None)
         if reference:
             if not (
                 recording.initial_state.get("steps")
@@ -121,7 +120,9 @@ class _Parts:
                 self._exact = exact_solution(layout, *initial_state(recording)[:2])
             if self._exact is None:
                 self._guarded["reference"] = _Guarded(
-                    lambda: ReferenceError(layout, recording, expected, seconds, self._promise)
+                    lambda: ReferenceError(
+                        layout, recording, expected, seconds, self._promise, self._estimate
+                    )
                 )
 
     def angles(self, block):
@@ -137,6 +138,7 @@ class _Parts:
         self._energy.add(block, energies, kinetic)
         self._momentum.add(block)
         self._joints.add(block, residual)
+        self._estimate.add(block)
         for part in self._guarded.values():
             part.add(block)
 
@@ -150,7 +152,7 @@ class _Parts:
             figures["repeat"]["platform"] = platform_changes(self._recording.settings)
         if self._exact is not None:
             figures["reference"], curves["reference"] = exact_error(
-                self._exact, self._motion, self._promise
+                self._exact, self._motion, self._promise, self._estimate
             )
         elif "reference" in self._guarded:
             found = self._guarded["reference"].figures()
@@ -158,6 +160,7 @@ class _Parts:
                 found if isinstance(found, tuple) else (found, None)
             )
         figures["promise"] = self._promise.figures()
+        figures["estimate"] = self._estimate.figures()
         try:
             figures["local"] = local_error(self._scene, self._recording, self._motion, self._layout)
         except _NO_RESULT as error:

@@ -21,6 +21,12 @@ def find_exceeded(found, max_error=None, max_drift=None):
                     for name in ("position", "angle")
                     if (text := _too_large(reference[name], max_error))
                 ]
+            exceeded += [
+                f"{log}: recorded estimate of the error {entry['max']:.3g} {entry['unit']} exceeds "
+                f"{max_error:g}"
+                for entry in _estimates(figures)
+                if not entry["max"] <= max_error
+            ]
         if max_drift is not None:
             drifts = _relative_drifts(figures)
             if not drifts:
@@ -46,6 +52,13 @@ def _too_large(error, bound):
             f"uncertainty is {error['uncertainty']:.3g} {unit}"
         )
     return None
+
+
+def _estimates(figures):
+    """Recorded estimates of position and attitude errors, as far as they are known."""
+    found = figures.get("estimate") or {}
+    entries = [found[name] for name in ("position", "angle") if name in found]
+    return [entry for entry in entries if entry["max"] is not None]
 
 
 def _relative_drifts(figures):

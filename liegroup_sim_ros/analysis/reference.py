@@ -26,20 +26,26 @@ EXACT_SAMPLES = 200  # each takes about 10 ms
 class Errors:
     """Largest and final errors of trajectories, and their curves.
 
-    promise : analysis.promise.Promise that checks the same errors, or None
+    promise  : analysis.promise.Promise that checks the same errors, or None
+    estimate : analysis.estimate.Estimate that is compared with them, or None
     """
 
-    def __init__(self, expected, promise=None):
-        self._promise = promise
+    def __init__(self, expected, promise=None, estimate=None):
+        self._promise, self._estimate = promise, estimate
         self._every = -(-expected // MOST_POINTS)
         self._max = dict.fromkeys((name for name, _ in QUANTITIES), 0.0)
         self._final, self._known = {}, dict(self._max)
         self._curves, self.seconds = {}, 0.0
 
-    def add(self, stretch, times, log_times, error, uncertainty):
-        """Add error and uncertainty, two Distances at k times of a Stretch."""
+    def add(self, stretch, times, log_times, error, uncertainty, estimates=None):
+        """Add error and uncertainty, two Distances at k times of a Stretch.
+
+        estimates : (k, n, 4) recorded estimates of the error, or None
+        """
         if self._promise is not None:
             self._promise.add(stretch, times, error, uncertainty)
+        if self._estimate is not None and estimates is not None:
+            self._estimate.compare(estimates, error, uncertainty)
         for name, _ in QUANTITIES:
             values, known = getattr(error, name), getattr(uncertainty, name)
             self._max[name] = float(np.maximum(self._max[name], values.max()))
@@ -55,12 +61,16 @@ class Errors:
                     *worst,
                     uncertainty.position.max(axis=1),
                     uncertainty.angle.max(axis=1),
+                    *(() if estimates is None else estimates.max(axis=1).T[:2]),
                 )
             )
         )
 
     def figures(self, **more):
-        """(figures, [(times, position error, angle error, uncertainty of the two)])."""
+        """(figures, [(times, position error, angle error, uncertainty of the two)]).
+
+        A curve ends with the estimates of the two if they were recorded.
+        """
         found = {
             name: {
                 "unit": unit,
@@ -82,13 +92,13 @@ class ReferenceError:
     The uncertainty is the distance between reference integrations with two tolerances.
 
     seconds : simulated time to cover, summed over all stretches
-    promise : see Errors
+    promise, estimate : see Errors
     """
 
-    def __init__(self, layout, recording, expected, seconds=np.inf, promise=None):
+    def __init__(self, layout, recording, expected, seconds=np.inf, promise=None, estimate=None):
         self._scene, self._starts = layout.scene, Starts(recording, layout)
         self._left, self._judged = seconds, 0.0
-        self._errors = Errors(expected, promise)
+        self._errors = Errors(expected, promise, estimate)
         self._stretch = None
 
     def add(self, block):
@@ -128,16 +138,17 @@ class ReferenceError:
         error = distance(
             Trajectory(times[:k], block.rotation[:k], block.position[:k], block.twist[:k]), exact
         )
-        self._errors.add(stretch, times[:k], block.log_times[:k], error, uncertainty)
+        estimates = None if block.errors is None else block.errors[:k]
+        self._errors.add(stretch, times[:k], block.log_times[:k], error, uncertainty, estimates)
 
     def figures(self):
         """(figures, curves), see Errors."""
         return self._errors.figures(kind="integration", seconds=self._judged)
 
 
-def exact_error(exact, motion, promise=None):
+def exact_error(exact, motion, promise=None, estimate=None):
     """(figures, curves) of the error against an exact solution (liegroup_core.reference.exact)."""
-    errors = Errors(EXACT_SAMPLES, promise)
+    errors = Errors(EXACT_SAMPLES, promise, estimate)
     for stretch in motion.stretches:
         k = len(stretch.steps)
         rows = np.unique(np.linspace(0, k - 1, min(k, EXACT_SAMPLES)).astype(int))
@@ -147,6 +158,11 @@ def exact_error(exact, motion, promise=None):
             found,
         )
         errors.add(
-            stretch, stretch.times[rows], stretch.log_times[rows], error, exact.uncertainty(found)
+            stretch,
+            stretch.times[rows],
+            stretch.log_times[rows],
+            error,
+            exact.uncertainty(found),
+            None if stretch.errors is None else stretch.errors[rows],
         )
     return errors.figures(kind=exact.name, seconds=sum(s.seconds for s in motion.stretches))

@@ -31,8 +31,8 @@ def add_arguments(parser):
     """Arguments of the subcommand."""
     parser.description = (
         "Analyse recordings: error against the exact solution or a reference integration, "
-        "drift of energy and momentum, constraint residuals, bitwise re-simulation, real-time "
-        "figures, lost messages."
+        "recorded estimates of the error, drift of energy and momentum, constraint residuals, "
+        "bitwise re-simulation, real-time figures, lost messages."
     )
     parser.epilog = (
         "Exit code: 0; 1 if a given bound is exceeded or cannot be judged; 2 if a recording "
@@ -59,7 +59,7 @@ def add_arguments(parser):
         "--max-error",
         type=_bound,
         metavar="X",
-        help="fail if an error is larger: position in m, attitude in rad",
+        help="fail if an error or its recorded estimate is larger: position in m, attitude in rad",
     )
     parser.add_argument(
         "--max-drift",

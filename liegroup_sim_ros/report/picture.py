@@ -20,6 +20,7 @@ COLOURS = {
     "--red": "#d63a3a",
     "--grey": "#6b7480",
 }
+STYLES = {"solid": "-", "dot": ":", "dash": "--"}
 
 
 def write_picture(analysis, path, comparison=None):
@@ -62,7 +63,7 @@ def _plane(axes, title, plot):
             y,
             lw=0.9,
             color=COLOURS[line["color"]],
-            ls=":" if line["dash"] == "dot" else "-",
+            ls=STYLES[line["dash"]],
             label=_label(trace["name"]),
         )
     if log:

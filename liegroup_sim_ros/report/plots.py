@@ -27,10 +27,12 @@ def make_plots(analysis):
     if curves.get("reference"):
         kind = figures["reference"]["kind"]
         source = "the reference integration" if kind == "integration" else "the exact solution"
+        estimate = "; dashed: estimate recorded with the run" if figures.get("estimate") else ""
         plots.append(
             (
                 "Error",
-                f"distance from {source}, largest of all bodies; dotted: reference uncertainty",
+                f"distance from {source}, largest of all bodies; dotted: reference uncertainty"
+                f"{estimate}",
                 _plane(_error_traces(curves["reference"]), bands, "m, rad", log=True),
             )
         )
@@ -90,10 +92,12 @@ def _error_traces(parts):
         ("attitude, rad", "--orange", "solid"),
         ("position, uncertainty", "--blue", "dot"),
         ("attitude, uncertainty", "--orange", "dot"),
+        ("position, estimate", "--blue", "dash"),
+        ("attitude, estimate", "--orange", "dash"),
     )
     return [
         _line(name, times, _joined([part[k + 1] for part in parts]), colour, dash)
-        for k, (name, colour, dash) in enumerate(names)
+        for k, (name, colour, dash) in enumerate(names[: len(parts[0]) - 1])
     ]
 
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Results of an analysis as text: rows of the tables, headline and overview."""
 
+import math
+
 from liegroup_sim_ros.analysis.timing import requested_text
 from liegroup_sim_ros.numbers import GROUPS, counted, error_text, shown
 
@@ -72,6 +74,8 @@ def sections(figures):
                 _error_rows(figures),
             )
         )
+    if figures.get("estimate"):
+        tables.append(("Estimate of the error, recorded with the run", _estimate_rows(figures)))
     local = figures.get("local", {})
     if local and "failed" not in local:
         tables.append(("Error of one step, by step halving", _local_rows(local)))
@@ -150,6 +154,33 @@ def _error_rows(figures):
         for key, text in names.items()
         for entry in [figures["reference"][key]]
     ]
+
+
+def _estimate_rows(figures):
+    names = {
+        "position": "position",
+        "angle": "attitude",
+        "angular": "angular velocity",
+        "linear": "velocity",
+    }
+    return [
+        (
+            text,
+            shown(entry["max"], entry["unit"]),
+            f"at least half of the error in {_percent(entry['covering'])} of "
+            f"{counted(entry['samples'], 'sample')}, at most ten times in "
+            f"{_percent(entry['close'])}"
+            if entry["samples"]
+            else "no error above the reference uncertainty to compare with",
+        )
+        for key, text in names.items()
+        for entry in [figures["estimate"][key]]
+    ]
+
+
+def _percent(share):
+    """Share as text; 100 % only if it is all of them."""
+    return f"{math.floor(1000.0 * share) / 10.0:.4g} %"
 
 
 def _local_rows(local):

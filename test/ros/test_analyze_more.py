@@ -9,6 +9,7 @@ import sys
 import threading
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from types import SimpleNamespace
 
 import fsspec
 import jsonschema
@@ -18,15 +19,20 @@ from made_run import PAIR, record
 
 from liegroup_core import Simulation, load_scene
 from liegroup_core.layout import make_layout
+from liegroup_core.reference.trajectory import Distance
 from liegroup_core.scene.load import scene_from_text
 from liegroup_core.study import tasks
 from liegroup_sim_ros.analysis.analyse import analyse
 from liegroup_sim_ros.analysis.bounds import find_exceeded
 from liegroup_sim_ros.analysis.comparison import compare
 from liegroup_sim_ros.analysis.drift import Drift, thinned
+from liegroup_sim_ros.analysis.estimate import Estimate
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.numbers import error_text
+from liegroup_sim_ros.recording import read, write_run
 from liegroup_sim_ros.recording.read import RecordingError, read_recording
+from liegroup_sim_ros.report.plots import make_plots
+from liegroup_sim_ros.report.summary import sections
 
 SCHEMA = Path(__file__).resolve().parents[2] / "config" / "analysis.schema.json"
 FREE = """
@@ -49,16 +55,25 @@ joints:
 """
 
 
-def run(path, scene, method="rkmk4", step=2e-3, duration=1.0, every=10, **options):
-    """Record a run of the engine without pacing."""
+def run(
+    path,
+    scene,
+    method="rkmk4",
+    step=2e-3,
+    duration=1.0,
+    every=10,
+    spoil=lambda sample: sample,
+    **options,
+):
+    """Record a run of the engine without pacing; `spoil` may change a sample."""
     from liegroup_sim_ros.recording.write_run import LogFile
 
     simulation = Simulation(scene, method, step, **options)
     with LogFile(path, simulation, every, 0) as file:
-        file.sample(simulation.sample())
+        file.sample(spoil(simulation.sample()))
         for _ in range(round(duration / step / every)):
             simulation.advance(every)
-            file.sample(simulation.sample())
+            file.sample(spoil(simulation.sample()))
         file.finish(simulation, None, False, 1.0)
     return path
 
@@ -247,6 +262,129 @@ def test_a_violated_or_unjudged_limit_fails_the_command(logs, tmp_path, capsys, 
     monkeypatch.setattr(tasks, "CONNECTING", 1)  # s instead of 10: nothing listens on that port
     assert main(["analyze", log, "--scheduler", "tcp://127.0.0.1:9"]) == 2
     assert "no dask scheduler" in capsys.readouterr().err
+
+
+def scaled(factor, last=None):
+    """Function that scales the estimates of a sample; the last one of a second is `last`."""
+
+    def spoil(sample):
+        sample.errors = factor * sample.errors
+        if last is not None and sample.time == 1.0:
+            sample.errors[:] = last
+        return sample
+
+    return spoil
+
+
+@pytest.mark.parametrize("text", [PAIR, TOP])  # an integration, and an exact solution
+@pytest.mark.parametrize(
+    "factor, covering, close", [(1.0, True, True), (1e-3, False, True), (1e3, True, False)]
+)
+def test_recorded_estimates_are_compared_with_the_error(tmp_path, text, factor, covering, close):
+    """As they are, and falsified by a factor far above their spread of about ten."""
+    log = run(
+        tmp_path / "a.mcap",
+        scene_from_text(text),
+        step=1e-2,
+        every=4,
+        spoil=scaled(factor),
+        estimate=True,
+    )
+    analysis = analyse(read_recording(log))
+    figures, largest = analysis.figures, read_recording(log).errors.errors.max(axis=(0, 1))
+    assert figures["problems"] == [] and list(figures["estimate"]) == [
+        "position",
+        "angle",
+        "linear",
+        "angular",
+    ]
+    for entry, value in zip(figures["estimate"].values(), largest):
+        assert entry["max"] == value
+        if entry["samples"]:  # a free body has no error of its position
+            assert (entry["covering"] > 0.95, entry["covering"] < 0.05) == (covering, not covering)
+            assert (entry["close"] > 0.9, entry["close"] < 0.1) == (close, not close)
+    assert figures["estimate"]["angle"]["samples"] >= 20
+    error = next(plot for title, _, plot in make_plots(analysis) if title == "Error")
+    drawn = {trace["name"]: trace for trace in error["data"]}
+    estimate, true = drawn["attitude, estimate"], drawn["attitude, rad"]
+    assert estimate["x"] == true["x"] and estimate["line"]["dash"] == "dash"
+    assert max(estimate["y"]) == pytest.approx(largest[1], rel=1e-6)
+    table = dict(sections(figures))["Estimate of the error, recorded with the run"]
+    shares = [share for _, _, share in table if "samples" in share]
+    assert shares and all(share.startswith("at least half of the error in") for share in shares)
+
+
+def test_only_known_estimates_and_errors_above_the_uncertainty_count():
+    estimate, zero = Estimate(), np.zeros((6, 2))
+    error = np.array([[1.0, 0.1]] * 6)
+    estimates = np.ones((6, 2, 4)) * np.array([0.4, 0.5, 10.0, 10.1, np.nan, np.inf])[:, None, None]
+    uncertainty = np.zeros((6, 2))
+    estimate.compare(
+        estimates, Distance(error, zero, error, zero, error), Distance(*[uncertainty] * 5)
+    )
+    estimate.compare(estimates, Distance(*[error] * 5), Distance(*[error] * 5))
+    block = SimpleNamespace(errors=estimates[:5])
+    estimate.add(block)
+    figures = estimate.figures()
+    assert figures["position"] == {
+        "unit": "m",
+        "max": 10.1,
+        "samples": 5,  # not that of NaN, nor those at the uncertainty
+        "covering": 0.8,
+        "close": 0.6,
+    }
+    assert figures["angular"] == {
+        "unit": "rad/s",
+        "max": 10.1,
+        "samples": 0,
+        "covering": None,
+        "close": None,
+    }
+
+
+def test_a_recorded_estimate_above_the_limit_fails_the_command(tmp_path, capsys):
+    """Also an infinite one; not one that is unknown."""
+    scene = load_scene("heavy_top")
+    for name, spoil, said in (
+        ("good", scaled(1.0, np.nan), ""),
+        ("large", scaled(1e6), "recorded estimate of the error"),
+        ("infinite", scaled(1.0, np.inf), "recorded estimate of the error inf rad exceeds 0.001"),
+    ):
+        log = run(tmp_path / f"{name}.mcap", scene, every=1, spoil=spoil, estimate=True)
+        given = ["analyze", str(log), "--json", str(tmp_path / "x.json"), "--max-error", "1e-3"]
+        assert main(given) == bool(said), name
+        err = capsys.readouterr().err
+        assert said in err and ("error" in err) == bool(said)
+        (figures,) = checked(tmp_path / "x.json")["logs"]
+        assert figures["problems"] == [] and figures["estimate"]["angle"]["max"]
+    entry = {"max": 0.0, "uncertainty": 0.0, "unit": "m"}
+    figures = {"log": "a", "reference": {"position": entry, "angle": entry}}
+    unknown = dict.fromkeys(("position", "angle"), {"max": None, "unit": "m"})
+    assert find_exceeded([{**figures, "estimate": unknown}], 1.0) == []
+    assert find_exceeded([{**figures, "estimate": None}], 1.0) == []
+
+
+def test_missing_estimates_are_nan(tmp_path, monkeypatch):
+    """Every second message is missing, and the file is read in many pieces."""
+    monkeypatch.setattr(read, "PIECE", 1)
+    missed = []
+
+    class Missing(write_run.LogFile):
+        def sample(self, sample):
+            channel, self._errors = self._errors, None if self.count % 2 else self._errors
+            super().sample(sample)
+            self._errors = channel
+            missed.append(sample.errors if self.count % 2 else np.full((1, 4), np.nan))
+
+    monkeypatch.setattr(write_run, "LogFile", Missing)
+    log = run(tmp_path / "a.mcap", load_scene("heavy_top"), every=1, duration=4.0, estimate=True)
+    recording = read_recording(log)
+    pieces = list(recording.samples())
+    assert len(pieces) > 3 and sum(len(piece.stamp_ns) for piece in pieces) == 2001
+    found = np.concatenate([piece.errors for piece in pieces])
+    assert found.tobytes() == np.array(missed).tobytes()
+    assert len(recording.errors.stamp_ns) == 1001
+    assert analyse(recording).figures["estimate"]["angle"]["samples"] < 1001
 
 
 def test_two_recordings_are_compared(logs, tmp_path):
