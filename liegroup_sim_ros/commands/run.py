@@ -71,6 +71,11 @@ def add_arguments(parser):
         metavar="STEPS",
         help="steps between two samples; the last state is always included (default: %(default)s)",
     )
+    parser.add_argument(
+        "--estimate",
+        action="store_true",
+        help="carry an estimate of the global error, at about 1.8 times the cost, and write it too",
+    )
     add_settings(parser)
 
 
@@ -149,11 +154,12 @@ def run(args):
     console = Console(stderr=True)
     try:
         with console.status("starting (the first start on a machine compiles for about 20 s)"):
-            simulation = (
-                Simulation(scene, **settings)
-                if args.accuracy is None
-                else chosen(scene, args).simulation()
-            )
+            if args.accuracy is None:
+                simulation = Simulation(scene, **settings, estimate=args.estimate)
+            else:
+                choice = chosen(scene, args)
+                simulation = Simulation(scene, **choice.settings, estimate=args.estimate)
+                simulation.promise = choice.promise
     except ValueError as error:  # SceneError, too, is one
         raise RunError(str(error)) from None
     steps = whole_steps(args.duration, simulation.step)

@@ -41,6 +41,44 @@ def test_a_csv_table_has_the_exact_numbers(tmp_path, capsys):
             assert row[f"{joint}.velocity [rad/s]"] == velocity
 
 
+def test_every_file_has_the_estimated_errors_if_they_are_carried(tmp_path, capsys):
+    given = ["run", "double_pendulum", "--duration", "0.095", "--step", "1e-3", "--every", "1"]
+    for suffix in ("npz", "csv", "mcap"):
+        assert main([*given, "--estimate", "--out", str(tmp_path / f"a.{suffix}")]) == 0
+        assert main([*given, "--out", str(tmp_path / f"b.{suffix}")]) == 0
+    arrays = np.load(tmp_path / "a.npz")
+    with open(tmp_path / "a.csv", encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    recording = read_recording(tmp_path / "a.mcap")
+    assert np.array_equal(recording.errors.stamp_ns, recording.pose["lower"].stamp_ns)
+    (piece,) = recording.samples()
+    simulation = Simulation(load_scene("double_pendulum"), step=1e-3, estimate=True)
+    for k in range(96):
+        errors = simulation.sample().errors
+        assert np.isnan(errors).all() == (k in (1, 2, 3))
+        assert arrays["errors"][k].tobytes() == errors.tobytes()
+        assert recording.errors.errors[k].tobytes() == piece.errors[k].tobytes() == errors.tobytes()
+        for body, values in zip(("upper", "lower"), errors):
+            for name, value in zip(
+                (
+                    "position_error [m]",
+                    "attitude_error [rad]",
+                    "velocity_error [m/s]",
+                    "angular_velocity_error [rad/s]",
+                ),
+                values,
+            ):
+                assert np.array_equal(float(rows[k][f"{body}.{name}"]), value, equal_nan=True)
+        simulation.advance()
+    assert "errors" not in np.load(tmp_path / "b.npz")
+    without = read_recording(tmp_path / "b.mcap")
+    assert without.errors is None and "errors" not in without.settings["topics"]
+    assert not any(
+        "_error" in name for name in (tmp_path / "b.csv").read_text().split("\n")[0].split(",")
+    )
+    assert analyse(without, reference=False).figures["estimate"] is None
+
+
 def test_npz_arrays_equal_those_of_the_simulation(tmp_path, capsys):
     path = tmp_path / "a.npz"
     assert (
