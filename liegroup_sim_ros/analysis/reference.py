@@ -44,8 +44,11 @@ class Errors:
         """
         if self._promise is not None:
             self._promise.add(stretch, times, error, uncertainty)
-        if self._estimate is not None and estimates is not None:
-            self._estimate.compare(estimates, error, uncertainty)
+        if estimates is not None:
+            if stretch.start != 0:  # they cover the parts before this one, the error does not
+                estimates = np.full_like(estimates, np.nan)
+            if self._estimate is not None:
+                self._estimate.compare(estimates, error, uncertainty)
         for name, _ in QUANTITIES:
             values, known = getattr(error, name), getattr(uncertainty, name)
             self._max[name] = float(np.maximum(self._max[name], values.max()))

@@ -135,6 +135,7 @@ class TableFile:
         layout = simulation.layout
         self._joints = layout.coordinates.names
         units = layout.coordinates.units
+        errors = self.ERRORS if _has_estimate(simulation) else ()
         self._rows = csv.writer(self._stream)
         self._write(
             "time [s]",
@@ -146,12 +147,7 @@ class TableFile:
             ),
             "energy [J]",
             "constraint_residual [m or rad]",
-            *(
-                f"{body}.{name}"
-                for body in layout.body_names
-                for name in self.ERRORS
-                if _has_estimate(simulation)
-            ),
+            *(f"{body}.{name}" for body in layout.body_names for name in errors),
         )
 
     def __enter__(self):

