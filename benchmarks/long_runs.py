@@ -21,7 +21,8 @@ from rich.console import Console
 from rich.table import Table
 from timing import seconds_of_step
 
-from liegroup_core import Simulation, SimulationError, load_scene
+from liegroup_core import SimulationError, load_scene
+from liegroup_core.engine import Engine
 
 SCENES = {"double_pendulum": 1e-3, "four_bar": 1e-3}  # step of constrained_rattle, s
 METHODS = (
@@ -39,7 +40,7 @@ SAMPLES, BLOCKS = 2000, 10
 
 def microseconds(scene, step, method, settings, steps=2000, repeat=40):
     """CPU time of one step, us: the fastest of several runs."""
-    simulation = Simulation(scene, method=method, step=step, **settings)
+    simulation = Engine(scene, method=method, step=step, **settings)
     return seconds_of_step(simulation, steps, repeat) * 1e6
 
 
@@ -52,7 +53,7 @@ def kinetic_energy(simulation):
 
 def long_run(scene, step, duration, method, settings):
     """(energy error (SAMPLES,) relative to the mean kinetic energy, largest residual)."""
-    simulation = Simulation(scene, method=method, step=step, **settings)
+    simulation = Engine(scene, method=method, step=step, **settings)
     total = round(duration / step)
     energy, kinetic, gap = [], [], 0.0
     for k in range(SAMPLES + 1):

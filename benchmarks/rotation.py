@@ -17,7 +17,8 @@ from rich.console import Console
 from rich.table import Table
 from timing import seconds_of_step
 
-from liegroup_core import Simulation, SimulationError, load_scene
+from liegroup_core import SimulationError, load_scene
+from liegroup_core.engine import Engine
 from liegroup_core.integrators.methods import METHODS
 
 SCENES = {"free_body": 0.05, "lagrangian_top": 1e-4}  # and the step of the long run, s
@@ -26,13 +27,13 @@ SAMPLES = 60  # of a long run, evenly in log steps
 
 def nanoseconds(scene, step, method, steps=100_000, repeat=7):
     """CPU time of one step, ns: the fastest of several runs."""
-    simulation = Simulation(load_scene(scene), method=method, step=step)
+    simulation = Engine(load_scene(scene), method=method, step=step)
     return seconds_of_step(simulation, steps, repeat) * 1e9
 
 
 def long_run(scene, step, method, steps):
     """(step counts (k,), relative energy errors (k,), relative momentum errors (k,)) of a long run."""
-    simulation = Simulation(load_scene(scene), method=method, step=step)
+    simulation = Engine(load_scene(scene), method=method, step=step)
     parts = slice(0, 3) if scene == "free_body" else slice(2, 3)
     start = simulation.sample()
     counts = np.unique(np.geomspace(100, steps, SAMPLES).astype(int))

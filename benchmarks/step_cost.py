@@ -19,7 +19,8 @@ import tracemalloc
 from rich.console import Console
 from rich.table import Table
 
-from liegroup_core import Simulation, load_scene
+from liegroup_core import load_scene
+from liegroup_core.engine import Engine
 
 STEPS = 20_000
 # Simulations that together use all kernels.
@@ -33,17 +34,17 @@ FAMILIES = {
 START = """
 import sys, time
 start = time.process_time()
-from liegroup_core import Simulation, load_scene
+from liegroup_core import load_scene
 for name in sys.argv[1:]:
     scene, method = name.split()
-    Simulation(load_scene(scene), method=method)
+    Engine(load_scene(scene), method=method)
 print(time.process_time() - start)
 """
 
 
 def microseconds_per_step(scene, group, repeat):
     """Times of one step, us: one value per run of STEPS steps from the initial state."""
-    simulation = Simulation(load_scene(scene), method="rkmk4", step=1e-4, group=group)
+    simulation = Engine(load_scene(scene), method="rkmk4", step=1e-4, group=group)
     times = []
     for _ in range(repeat):
         simulation.reset()
@@ -76,7 +77,7 @@ def start_up(*names):
 
 def bytes_allocated(steps):
     """Growth of traced Python and NumPy memory over `steps` steps in one call, bytes."""
-    simulation = Simulation(load_scene("heavy_top"), step=1e-4)
+    simulation = Engine(load_scene("heavy_top"), step=1e-4)
     simulation.advance(10)
     tracemalloc.start()
     before = tracemalloc.get_traced_memory()[0]

@@ -8,8 +8,9 @@ import time
 
 STEPPING = """
 import time
-from liegroup_core import Simulation, load_scene
-simulation = Simulation(load_scene("heavy_top"), step=1e-4, watch=False)
+from liegroup_core import load_scene
+from liegroup_core.engine import Engine
+simulation = Engine(load_scene("heavy_top"), step=1e-4)
 print(flush=True)
 input()
 start = time.perf_counter()

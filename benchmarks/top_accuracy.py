@@ -14,7 +14,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from liegroup_core import Simulation, SimulationError, load_scene
+from liegroup_core import SimulationError, load_scene
+from liegroup_core.engine import Engine
 from liegroup_core.integrators.methods import METHODS
 
 # Taylor series in 45 digits.
@@ -31,7 +32,7 @@ TOLERANCES = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 
 def measure(repeat, **settings):
     """(error, wall s, substeps) of one simulated second, the fastest of several runs."""
-    simulation = Simulation(load_scene("lagrangian_top"), **settings)
+    simulation = Engine(load_scene("lagrangian_top"), **settings)
     steps = round(1.0 / simulation.step)
     best = np.inf
     for _ in range(repeat):

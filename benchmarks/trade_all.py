@@ -6,8 +6,8 @@
 
 Cached measurements of the same scene, version and processor are reused, so an interrupted call
 resumes. To measure again, remove the folder `trades` in the cache folder (~/.cache/liegroup_core,
-or LIEGROUP_CACHE_DIR). For each scene and accuracy, the configuration that `accuracy` chooses is
-then run and compared with a reference integration at times other than those of the trade.
+or LIEGROUP_CACHE_DIR). For each scene and accuracy, a simulation to that accuracy is compared with a
+reference integration at times other than those of the trade.
 """
 
 import argparse
@@ -21,13 +21,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from side_by_side import trade_page
 
-from liegroup_core import load_scene
+from liegroup_core import Simulation, load_scene
 from liegroup_core.model.build import initial_state
 from liegroup_core.reference import Reference, Trajectory, distance
-from liegroup_core.study.trade import accuracy
-from liegroup_core.study.trade.accuracy import AccuracyError, choose
 from liegroup_core.study.trade.reference_solution import scaled
-from liegroup_core.study.trade.trade import ACCURACIES, BUDGET, Trade
+from liegroup_core.study.trade.trade import BUDGET, WANTED, Trade
 from liegroup_sim_ros.report.trade_figures import document_part
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -46,15 +44,10 @@ def measure(scene, methods, workers, budget):
 
 
 def promises(scene, trade):
-    """[{accuracy, configuration or refusal, stated error, measured error}] for ACCURACIES."""
+    """[{accuracy, measured error, estimated error, until: s or None}] for WANTED."""
     found, runs = [], []
-    for wanted in ACCURACIES:
-        try:
-            choice = choose(scene, wanted, trade.horizon)
-        except AccuracyError as error:
-            found.append({"accuracy": wanted, "refused": str(error)})
-            continue
-        simulation = choice.simulation()
+    for wanted in WANTED:
+        simulation = Simulation(scene, accuracy=wanted, horizon=trade.horizon)
         total = round(trade.horizon / simulation.step)
         every = max(1, -(-total // INSTANTS))
         motion = []
@@ -62,11 +55,14 @@ def promises(scene, trade):
             simulation.advance(every)
             sample = simulation.sample()
             motion.append((sample.time, sample.pose, sample.twist))
-        entry = {"accuracy": wanted, "settings": choice.settings, "promise": choice.promise}
+        until = simulation.accurate_until
+        entry = {
+            "accuracy": wanted,
+            "estimate": simulation.largest_error,
+            "until": until if np.isfinite(until) else None,
+        }
         found.append(entry)
         runs.append((entry, motion))
-    if not runs:
-        return found
     times = np.unique(np.concatenate([[row[0] for row in motion] for _, motion in runs]))
     pose, twist = initial_state(trade.layout.centred)
     true, apart = Reference(scene, pose, twist, end=times[-1]).at(times)
@@ -131,7 +127,6 @@ def main():
     )
     parser.add_argument("scenes", nargs="*", help="measure only these and keep the others")
     args = parser.parse_args()
-    accuracy.BUDGET = args.budget  # also the limit for missing measurements of a choice
     known = (
         {part["scene"]: part for part in json.loads(DATA.read_text())["scenes"]}
         if DATA.exists()

@@ -29,7 +29,8 @@ from side_by_side import problems
 from side_by_side.mujoco_code import model_of
 from side_by_side.problems import BALL, GROUND, HINGE, Body, Joint, Problem
 
-from liegroup_core import Simulation, load_scene
+from liegroup_core import load_scene
+from liegroup_core.engine import Engine
 from liegroup_core.layout import make_layout
 from liegroup_core.reference import Trajectory, distance
 from liegroup_core.study.trade.configurations import as_time, sample_times
@@ -274,7 +275,7 @@ def run(scene, cell, horizon):
     """(rows of times that are whole steps, attitudes, positions) of a configuration."""
     step, times = as_time(cell["step"]), sample_times(horizon)
     rows = [row for row, at in enumerate(times) if at % step == 0]
-    simulation = Simulation(
+    simulation = Engine(
         scene,
         **{name: cell[name] for name in ("method", "step", "group", "stabilisation")},
         **cell["options"],

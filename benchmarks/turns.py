@@ -23,6 +23,8 @@ import tempfile
 
 import numpy as np
 
+from liegroup_core.engine import Engine
+
 TURNS = ("variational", "Lie midpoint", "Moser-Veselov")
 STEP = 4e-3  # s
 SHORT = (4e-3, 2e-3, 1e-3)  # s, steps for the error
@@ -84,15 +86,14 @@ def chain():
 
 def measure(steps):
     """Print errors and energies of the active rotation update."""
-    from liegroup_core import Simulation
     from liegroup_core.reference import integrate
 
     scene = chain()
-    start = Simulation(scene, method="constrained_rattle").state()
+    start = Engine(scene, method="constrained_rattle").state()
     reference, _ = integrate(scene, *start, [1.0])
     errors = []
     for step in SHORT:
-        simulation = Simulation(scene, method="constrained_rattle", step=step)
+        simulation = Engine(scene, method="constrained_rattle", step=step)
         simulation.advance(round(1.0 / step))
         pose = simulation.state()[0]
         errors.append(
@@ -101,7 +102,7 @@ def measure(steps):
                 np.abs(pose[:, 9:] - reference.position[0]).max(),
             )
         )
-    simulation = Simulation(scene, method="constrained_rattle", step=STEP)
+    simulation = Engine(scene, method="constrained_rattle", step=STEP)
     first, energy, kinetic = simulation.energy(), [], []
     for k in range(SAMPLES):
         simulation.advance(steps // SAMPLES)

@@ -4,7 +4,6 @@
 import copy
 import logging
 import math
-from dataclasses import replace
 from numbers import Integral, Real
 from typing import Any
 
@@ -17,16 +16,13 @@ from liegroup_core.forces.schedule import AXES, AppliedWrench, Instant, WrenchSc
 from liegroup_core.forces.timetable import Timetable
 from liegroup_core.integrators.methods import METHODS, is_positive
 from liegroup_core.integrators.smaller_step import step_that_works
-from liegroup_core.model.arrays import MET, WAIT
 from liegroup_core.model.build import initial_state
-from liegroup_core.monitor.joint_watch import JointWatch
-from liegroup_core.monitor.step_watch import StepWatch
 from liegroup_core.observables.sample import Sample
 from liegroup_core.scene.description import Scene
 
 from .errors import SimulationError
 from .integrators.families import check_group, check_options, make_integrator
-from .layout import make_layout
+from .layout import Layout, make_layout
 from .status import (
     DEPENDENT_ROWS,
     LARGE_ROTATION,
@@ -86,23 +82,16 @@ class Engine:
              dexpinv="exact" or "truncated"  of all Munthe-Kaas methods
              space="auto" or "space"         of all Munthe-Kaas methods; "auto": planar mechanisms
                                              are integrated in their plane
-             rtol=1e-6, atol=1e-6            tolerances of methods with error control (rkmk54)
+             rtol=1e-6, atol=1e-6            tolerances of methods with error control (rkmk54,
+                                             rkmk853)
              rho_inf=0.8                     damping of generalized_alpha
-    watch    : False: disable the step check (monitor/step_watch.py), which takes longer than a step.
-               For many short runs whose step is known to be small enough
     quiet    : True: log no warnings
+    layout   : of the scene, if it was made before
     Raises SceneError for a scene that cannot be simulated, ValueError for an invalid option or a
     method that cannot integrate the scene.
 
-    `doubt` is None, or the text of accuracy warnings: a constraint residual or its increase is too
-    large (monitor/joint_watch.py), or the accumulated error of the steps may be a considerable part
-    of the motion (monitor/step_watch.py). Warnings are also logged.
-
     Orders: test/verification/test_orders.py; constraint residuals: test_heavy_top.py.
     """
-
-    doubt: str | None
-    promise: dict[str, Any] | None = None
 
     def __init__(
         self,
@@ -112,8 +101,8 @@ class Engine:
         group: str = "auto",
         stabilisation: str = "none",
         baumgarte_time: float | None = None,
-        watch: bool = True,
         quiet: bool = False,
+        layout: Layout | None = None,
         **options: Any,
     ) -> None:
         if not isinstance(scene, Scene):
@@ -130,18 +119,16 @@ class Engine:
         self.group = check_group(method, group)
         self.options = check_options(method, options)
         self.stabilisation, self.baumgarte_time = stabilisation, baumgarte_time
-        layout = make_layout(scene)
-        self.layout = replace(
-            layout, model=_stabilised(layout.model, stabilisation, baumgarte_time, self.step)
+        layout = make_layout(scene) if layout is None else layout
+        self.layout = layout.with_model(
+            _stabilised(layout.model, stabilisation, baumgarte_time, self.step)
         )
         self._integrator = make_integrator(method, self.layout, self.group, self.step, self.options)
         self._work = self._integrator.work
         self._body = {name: i for i, name in enumerate(self.layout.body_names)}
         self._timetable = Timetable(self.layout.model.forces.applied_wrench, self.step)
-        self._quiet = self._warned = self._warned_singular = quiet
+        self._warned = self._warned_singular = quiet
         self._start = initial_state(self.layout.centred)
-        self._watch = JointWatch(self.layout)
-        self._step_watch = StepWatch(self.layout, method, self.step, self._integrator, watch)
         warm_up(self._touch, self._integrator.kernels)
 
     def __copy__(self) -> "Engine":
@@ -207,9 +194,6 @@ class Engine:
         self._schedule = WrenchSchedule(n, self.step)
         self._external = no_wrenches(self.layout.offsets)
         self._applied = []
-        self.doubt = None
-        self._watch.restart()
-        self._step_watch.restart(self.steps, pose)
         self._integrator.restart()
         if memory is not None:
             self._remember(memory)
@@ -370,41 +354,16 @@ class Engine:
                 start = self._schedule.boundary(self.steps)
                 self._change_wrenches(start.time, self._schedule.update(start))
             inside = self._times_inside()
-            compares = (
-                self.steps < end
-                and not inside
-                and self._step_watch.begins(self.steps, self._pose, self._twist)
-            )
             wanted = (
                 min(
-                    self.steps + 1 if compares else end,
-                    self._watch.next_look(self.steps),
-                    self._step_watch.next_look(self.steps),
+                    end,
                     self._schedule.next_change(self.steps),
                     self._timetable.next_change(self.steps),
                 )
                 - self.steps
             )
-            self._work.report[3] = WAIT if self._step_watch.waits(self.steps) else 0.0
             done, status = self._take_steps(wanted, inside)
             self.steps += done
-            met = self._work.report[3] == MET
-            if getattr(self._integrator, "doubt", None):  # replaces the step check
-                self._warn(self._integrator.doubt)
-                self._integrator.doubt, compares = None, False
-                self._step_watch.rest()
-            if done:
-                self._warn(
-                    self._watch.look(self._pose, self.steps, self.time, status != OK, compares)
-                )
-            if done and compares:
-                self._warn(
-                    self._step_watch.ends(self.steps, self._pose, self._twist, self._external)
-                )
-            elif done:
-                self._step_watch.glance(self.steps, self._pose, self._twist)
-            if met:
-                self._step_watch.met(self.steps)
             if status != OK:
                 raise SimulationError(self._explain(status), status & 0xFF)
             if self.steps >= end:
@@ -431,12 +390,6 @@ class Engine:
                 LARGE_ROTATION / turned * self.step,
             )
 
-    def _warn(self, doubt):
-        """Append an accuracy warning to `doubt` and log it; None: no warning."""
-        if doubt and not self._quiet:
-            self.doubt = f"{self.doubt}; {doubt}" if self.doubt else doubt
-            log.warning(doubt)
-
     def _change_wrenches(self, time, changed):
         """Apply the total wrenches of [(body, axes)] from a time on."""
         for body, axes in changed:
@@ -451,8 +404,6 @@ class Engine:
                     axes,
                 )
             )
-            self._watch.pushed()
-            self._step_watch.pushed()
 
     def _times_inside(self):
         """Times inside the next step at which a wrench may start or end."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Layout of a scene: its model, and the names and frames of its arrays."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -45,6 +45,13 @@ class Layout:
             return planar_model(self.centred, self.model)
         except np.linalg.LinAlgError:
             raise self.scene.located(_unsolvable(self.scene)) from None
+
+    def with_model(self, model):
+        """The layout with other options of its model; what does not depend on them is kept."""
+        layout, plane = replace(self, model=model), self.__dict__.get("plane")
+        if plane is not None and model.baumgarte_rate == 0.0:
+            layout.__dict__["plane"] = plane.replace(space=model, projects=model.projects)
+        return layout
 
     @cached_property
     def joint_of_row(self):

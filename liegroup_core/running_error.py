@@ -1,21 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Running estimate of the global error of a simulation, from a companion with a larger step.
 
-The companion follows the simulation with steps of q h, q = 4/3, under the same wrenches. The error of
-a method of order p then follows from the distance d = |x_h - x_qh| of the two states:
+The companion follows the simulation with steps of q h under the same wrenches, q = 4/3, or 6/5 for
+orders from 8. With error control q = 4/3, and its tolerances are q^p times as large. The error of a
+method of order p then follows from the distance d = |x_h - x_qh| of the two states:
 
     order seen     : d / (q^p - 1), the errors being c h^p and c (q h)^p
     order not seen : about d, the two errors being independent of each other
 
-The estimate is SAFETY times a geometric mean of the two, with the weight SEEN on the first. For
-q = 4/3 they are close enough to each other (a factor of 2 for p = 4, 9 for p = 8) that nothing has to
-be decided. For q = 2 the factor is 15 and 255: whether the order is seen has to be found from a third
-run, and is often found wrongly.
+The estimate is SAFETY times a geometric mean of the two, with the weight SEEN on the first. They are
+close enough to each other (a factor of 2 for p = 4, of 3 for p = 8) that nothing has to be decided. For
+q = 2 the factor is 15 and 255: whether the order is seen has to be found from a third run, and is often
+found wrongly.
 
-The two meet every OURS steps. An estimate is that of the last meeting, or FADING times the largest of
+The two meet every 4 or 6 steps. An estimate is that of the last meeting, or FADING times the largest of
 the last checkpoints if that is more: a distance may pass through zero where the error does not.
-Checkpoints, every EVERY steps and more often at the start, depend on the step count alone, so that a
-repeated run has bit-identical estimates. If the companion cannot continue, the estimate is infinite
+Checkpoints, after MEETINGS of them and more often at the start, depend on the step count alone, so that
+a repeated run has bit-identical estimates. If every meeting is one, as with an accuracy, an error that
+grew is taken to grow on until the next one. If the companion cannot continue, the estimate is infinite
 from then on. Before the first meeting it is NaN.
 
 Coverage, that is estimate against true error: benchmarks/coverage.py,
@@ -30,16 +32,26 @@ from .compiling import kernel
 from .engine import BAUMGARTE_STEPS, Engine
 from .errors import SimulationError
 from .integrators.methods import METHODS
-from .lie.vec3 import dot3, load3, load9, sub3, tmatmul3
-from .monitor.joint_watch import mechanism_size
+from .lie.vec3 import load3, load9, sub3, tmatmul3
+from .model.size import mechanism_size
 
-OURS, THEIRS = 4, 3  # steps of the simulation and of its companion in the same time
-RATIO = OURS / THEIRS
-EVERY = 128  # steps between checkpoints, a multiple of OURS
+HIGH = 8  # order from which the steps are more similar
+MEETINGS = 32  # between checkpoints, a power of two
 WINDOW, FADING = 4, 0.5  # checkpoints
-SAFETY, SEEN = 2.0, 0.7
+FASTEST = 8.0  # growth between two meetings that is continued until the next one
+SAFETY, SEEN, SEEN_CONTROLLED = 2.0, 0.6, 0.8
 # Of the mechanism's size, and rad: an error of this size makes a motion unpredictable.
 UNPREDICTABLE = 0.1
+
+
+@kernel
+def _norm(v):
+    """Norm of a vector, without underflow or overflow of the squares."""
+    size = max(abs(v[0]), abs(v[1]), abs(v[2]))
+    if not 0.0 < size < math.inf:
+        return size
+    x, y, z = v[0] / size, v[1] / size, v[2] / size
+    return size * math.sqrt(x * x + y * y + z * z)
 
 
 @kernel
@@ -48,27 +60,33 @@ def distances(pose, twist, other_pose, other_twist, out):
     for i in range(len(pose)):
         d = sub3(load3(pose, i, 9), load3(other_pose, i, 9))
         r = tmatmul3(load9(pose, i, 0), load9(other_pose, i, 0))
-        x, y, z = 0.5 * (r[7] - r[5]), 0.5 * (r[2] - r[6]), 0.5 * (r[3] - r[1])
+        sine = 0.5 * (r[7] - r[5]), 0.5 * (r[2] - r[6]), 0.5 * (r[3] - r[1])
         w = sub3(load3(twist, i, 0), load3(other_twist, i, 0))
         v = sub3(load3(twist, i, 3), load3(other_twist, i, 3))
-        out[i, 0] = math.sqrt(dot3(d, d))
-        out[i, 1] = math.atan2(math.sqrt(x * x + y * y + z * z), 0.5 * (r[0] + r[4] + r[8] - 1.0))
-        out[i, 2] = math.sqrt(dot3(v, v))
-        out[i, 3] = math.sqrt(dot3(w, w))
+        out[i, 0], out[i, 2], out[i, 3] = _norm(d), _norm(v), _norm(w)
+        out[i, 1] = math.atan2(_norm(sine), 0.5 * (r[0] + r[4] + r[8] - 1.0))
 
 
 class RunningError:
     """Estimate of the global error of an Engine; `follow` keeps it up to date.
 
-    engine : Engine, whose state `follow` reads
+    engine   : Engine, whose state `follow` reads
+    meetings : with the companion between two checkpoints, a power of two
+
+    checkpoints : number of checkpoints so far
     """
 
-    def __init__(self, engine):
+    def __init__(self, engine, meetings=MEETINGS):
         self._engine = engine
         order = METHODS[engine.method].order
-        self._factor = SAFETY / (RATIO**order - 1.0) ** SEEN
-        self._size = mechanism_size(engine.layout.model) or 1.0
-        self._companion = self._make_companion(RATIO * engine.step, RATIO**order)
+        # Steps of the engine and of its companion in the same time.
+        controlled = METHODS[engine.method].controlled
+        self.ours, self._theirs = (4, 3) if order < HIGH or controlled else (6, 5)
+        self._every = meetings * self.ours
+        ratio = self.ours / self._theirs
+        self._factor = SAFETY / (ratio**order - 1.0) ** (SEEN_CONTROLLED if controlled else SEEN)
+        self.size = mechanism_size(engine.layout.model) or 1.0
+        self._companion = self._make_companion(ratio * engine.step, ratio**order)
         n = len(engine.layout.body_names)
         self._distance = np.zeros((n, 4))
         self._window = np.zeros((WINDOW, n, 4))
@@ -91,18 +109,18 @@ class RunningError:
             engine.group,
             engine.stabilisation,
             time,
-            watch=False,
             quiet=True,
+            layout=engine.layout,
             **options,
         )
 
     def restart(self):
         """Forget the error so far: the state was set."""
         self._set_at = self._engine.steps
-        self._start = None  # step at which the companion started
+        self._start, self._next = None, 0  # steps at which the companion started, and meets next
         self._alive = True
         self._distance[:] = self._window[:] = 0.0
-        self._checkpoints = 0
+        self.checkpoints = 0
         self.predictable_until = math.inf
 
     def next_stop(self, steps, end):
@@ -111,13 +129,13 @@ class RunningError:
         The next checkpoint, otherwise the last meeting before the end.
         """
         if self._start is None:
-            return min(end, (steps // OURS + 1) * OURS)
-        checkpoint, meeting = self._next_checkpoint(steps), end // OURS * OURS
+            return min(end, (steps // self.ours + 1) * self.ours)
+        checkpoint, meeting = self._next_checkpoint(steps), end // self.ours * self.ours
         return checkpoint if checkpoint <= end else meeting if meeting > steps else end
 
     def _next_checkpoint(self, steps):
-        period, done = OURS, steps - self._start
-        while period < EVERY and period <= done:
+        period, done = self.ours, steps - self._start
+        while period < self._every and period <= done:
             period *= 2
         return self._start + (done // period + 1) * period
 
@@ -132,17 +150,17 @@ class RunningError:
     def follow(self):
         """Advance the companion to the present step if they can meet, and estimate the error."""
         steps = self._engine.steps
-        if not self._alive or steps % OURS:
+        if not self._alive or steps % self.ours:
             return
         if self._start is None:
             self._begin(steps)
             return
         try:
-            self._companion.advance(steps // OURS * THEIRS - self._companion.steps)
+            self._companion.advance(steps // self.ours * self._theirs - self._companion.steps)
         except SimulationError:
             self._alive = False
             self._distance[:] = np.inf
-            self.predictable_until = min(self.predictable_until, self._engine.time)
+            self._keep()
             return
         self._compare()
         if steps == self._next:
@@ -152,7 +170,9 @@ class RunningError:
     def _begin(self, steps):
         """Start the companion at the state of the engine."""
         engine, companion = self._engine, self._companion
-        companion.set_state(*engine.state(), steps // OURS * THEIRS, engine.sample().angles)
+        companion.set_state(
+            *engine.state(), steps // self.ours * self._theirs, engine.sample().angles
+        )
         for body, axes, wrench in engine.acting():
             companion.apply_wrench(body, wrench, source=axes, axes=axes)
         self._start = steps
@@ -163,14 +183,67 @@ class RunningError:
 
     def _keep(self):
         """Store the distance of a checkpoint."""
-        self._window[self._checkpoints % WINDOW] = self._distance
-        self._checkpoints += 1
+        self._window[self.checkpoints % WINDOW] = self._distance
+        self.checkpoints += 1
         position, angle = self._factor * self._distance[:, :2].max(axis=0)
-        if position > UNPREDICTABLE * self._size or angle > UNPREDICTABLE:
+        if position > UNPREDICTABLE * self.size or angle > UNPREDICTABLE:
             self.predictable_until = min(self.predictable_until, self._engine.time)
+
+    @property
+    def integrators(self):
+        """Those of the engine and of its companion."""
+        return self._engine._integrator, self._companion._integrator
+
+    @property
+    def largest(self):
+        """Largest estimated error of a pose: parts of the mechanism's size, or rad."""
+        position, angle = self.errors()[:, :2].max(axis=0)
+        return max(float(position) / self.size, float(angle))
+
+    def memory(self):
+        """Array from which `remember` restores the estimate."""
+        companion = self._companion
+        own = self._set_at, -1 if self._start is None else self._start, self._alive, self._next
+        return np.concatenate(
+            [
+                [*own, self.checkpoints, self.predictable_until, companion.steps],
+                self._distance.ravel(),
+                self._window.ravel(),
+                *(part.ravel() for part in companion.state()),
+                companion.sample().angles,
+                np.frombuffer(companion.memory()),
+            ]
+        )
+
+    def remember(self, memory):
+        """Restore the estimate from `memory`, at the same state of the engine."""
+        n, k = len(self._distance), len(self._companion.sample().angles)
+        own, distance, window, pose, twist, angles, rest = np.split(
+            memory, np.cumsum([7, 4 * n, 4 * n * WINDOW, 12 * n, 6 * n, k])
+        )
+        set_at, start, alive, following, checkpoints = (int(x) for x in own[:5])
+        self._companion.set_state(
+            pose.reshape(n, 12), twist.reshape(n, 6), int(own[6]), angles, rest.tobytes()
+        )
+        self._set_at, self._start = set_at, None if start < 0 else start
+        self._alive, self._next, self.checkpoints = bool(alive), following, checkpoints
+        self.predictable_until = float(own[5])
+        self._distance[:] = distance.reshape(n, 4)
+        self._window[:] = window.reshape(WINDOW, n, 4)
 
     def errors(self):
         """(n, 4) estimates of the errors of the bodies: m, rad, m/s, rad/s."""
-        if not self._checkpoints and self._alive and self._engine.steps != self._set_at:
+        if not self.checkpoints and self._alive and self._engine.steps != self._set_at:
             return np.full_like(self._distance, np.nan)
-        return self._factor * np.maximum(self._distance, FADING * self._window.max(axis=0))
+        kept = np.maximum(self._distance, FADING * self._window.max(axis=0))
+        return self._factor * self._growth() * kept
+
+    def _growth(self):
+        """Growth since the last meeting, as between the two before, if each is a checkpoint."""
+        stale = self._engine.steps % self.ours / self.ours
+        if self._every > self.ours or not stale or self.checkpoints < 2:
+            return 1.0
+        last, before = (
+            float(self._window[(self.checkpoints - k) % WINDOW, :, :2].max()) for k in (1, 2)
+        )
+        return min(FASTEST, max(1.0, last / before)) ** stale if before > 0.0 else 1.0

@@ -1,79 +1,168 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulation of a scene with a given method and step, or to a given accuracy."""
+"""Simulation of a scene to an accuracy, or with a given method and step; it estimates its error."""
 
+import logging
 import math
+from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
+from .accuracy import DEFAULT, METHOD, MINUTE, SMALLEST, AccuracyControl
 from .engine import Engine
+from .errors import SimulationError
+from .integrators.methods import is_positive
+from .joints.pairs import LOWER_PAIRS
+from .layout import make_layout
 from .observables.sample import Sample
 from .running_error import RunningError
 from .scene.description import Scene
 
+log = logging.getLogger("liegroup_core")
+
+# Steps of a simulation to an accuracy, s; LONGER: with a horizon that is given. The longest is taken
+# that keeps to a PART of the horizon, and to SUBSTEPS in the first step.
+STEPS = tuple(float(f"{digit}e{power}") for power in range(-3, -8, -1) for digit in (10, 5, 2))
+LONGER = (0.1, 0.05, 0.02)
+PART = 0.01
+SUBSTEPS = 20
+MEETINGS = 1  # of the two runs between two settings of the tolerance
+
 
 class Simulation(Engine):
-    """Mechanism that is integrated on its Lie group, with a given step or to a given accuracy.
+    """Mechanism that is integrated on its Lie group, to an accuracy or with a given method and step.
 
-    Takes the arguments of Engine. Instead of method, step, group and stabilisation it takes:
+    Without a method, the tolerance of the steps follows the estimated error (accuracy.py):
 
-    accuracy : largest error over `horizon`. Selects the configuration from measurements of this
-               scene on this machine. Missing measurements are made first, once
-               (docs/how-to/choose_accuracy.md)
-    horizon  : s; None: chosen for the scene
+    accuracy : largest error of a pose in the first `horizon` seconds, as a part of the mechanism's
+               size, or rad; later the error may grow by as much in each further horizon. Default 1e-4
+    horizon  : s; default 60
+    step     : s, times at which states can be had; of a sequence the longest suitable one. Default:
+               at most 10 ms, or a hundredth of a given horizon, or twenty steps of the error control
+    stabilisation : default "projection" for joints that would drift, else "none"
+
+    With a method, it takes the arguments of Engine, with their defaults.
 
     estimate : True: carry a running estimate of the global error (running_error.py), at about 1.8
-               times the cost: `sample().error`, `predictable_until`
+               times the cost: `sample().error`, `predictable_until`. An accuracy requires it
+    quiet    : True: log no warnings
 
-    `promise` is None, or the accuracy that is guaranteed (study/trade/accuracy.py).
+    `doubt` is None, or a line that says since when the estimated error exceeds the accuracy or is
+    large. It is logged, too.
     Raises SceneError for a scene that cannot be simulated, ValueError for a wrong option or a
     method that does not fit the scene.
     """
 
-    _running = None  # RunningError
+    doubt: str | None = None
+    _running: RunningError | None = None
+    _control: AccuracyControl | None = None
 
     def __init__(
         self,
         scene: Scene,
         method: str | None = None,
-        step: float | None = None,
+        step: float | Sequence[float] | None = None,
         group: str = "auto",
-        stabilisation: str = "none",
+        stabilisation: str | None = None,
         baumgarte_time: float | None = None,
         accuracy: float | None = None,
         horizon: float | None = None,
-        watch: bool = True,
-        estimate: bool = False,
+        estimate: bool = True,
+        quiet: bool = False,
         **options: Any,
     ) -> None:
-        if accuracy is None:
-            if horizon is not None:
-                raise ValueError("horizon requires accuracy")
+        self._quiet = quiet
+        if method is not None and (accuracy, horizon) != (None, None):
+            raise ValueError("give either an accuracy or a method: an accuracy chooses the method")
+        if method is not None or not isinstance(scene, Scene):
             super().__init__(
-                scene, method, step, group, stabilisation, baumgarte_time, watch, **options
+                scene,
+                method,
+                step,
+                group,
+                stabilisation or "none",
+                baumgarte_time,
+                quiet,
+                **options,
             )
             self._running = RunningError(self) if estimate else None
             return
-        if not isinstance(scene, Scene):
-            raise ValueError(
-                f"expected a Scene, got {scene!r}; use load_scene to read one from a file"
-            )
-        if (method, step, group, stabilisation, baumgarte_time, options) != (
-            None,
-            None,
-            "auto",
-            "none",
-            None,
-            {},
-        ):
-            raise ValueError(
-                "accuracy cannot be combined with method, step, group, stabilisation or their "
-                "options: remove them"
-            )
-        from .study.trade.accuracy import choose  # slow to import, and only needed here
+        if step is None:
+            step = default_steps(horizon)
+        accuracy = DEFAULT if accuracy is None else _checked(accuracy)
+        horizon = MINUTE if horizon is None else horizon
+        if not is_positive(horizon):
+            raise ValueError(f"the horizon must be a positive number of seconds, got {horizon!r}")
+        if not estimate:
+            raise ValueError("an accuracy requires the estimate of the error; or give a method")
+        for name in {"rtol", "atol"} & options.keys():
+            raise ValueError(f"an accuracy sets {name}; remove it, or give a method")
+        if stabilisation is None:
+            stabilisation = "projection" if _drifts(scene, group) else "none"
+        settings = (group, stabilisation, baumgarte_time)
+        layout = make_layout(scene)
+        tolerances = {"rtol": accuracy, "atol": accuracy} | options
+        if isinstance(step, (list, tuple)):
+            step, layout = _suitable(step, scene, layout, settings, tolerances)
+        super().__init__(scene, METHOD, step, *settings, quiet, layout, **tolerances)
+        self._running = RunningError(self, MEETINGS)
+        for integrator in self._running.integrators:
+            integrator.passes = True
+        self._control = AccuracyControl(accuracy, float(horizon), self._tighten)
 
-        choice = choose(scene, accuracy, horizon)
-        super().__init__(scene, watch=watch, **choice.settings)
-        self.promise = choice.promise
-        self._running = RunningError(self) if estimate else None
+    def _tighten(self, part):
+        for integrator in self._running.integrators:
+            integrator.tighten(part)
+
+    @property
+    def arguments(self) -> dict[str, Any]:
+        """Arguments besides the scene that make the same simulation, JSON types."""
+        common = {
+            "step": self.step,
+            "group": self.group,
+            "stabilisation": self.stabilisation,
+            "baumgarte_time": self.baumgarte_time,
+        }
+        if self._control is None:
+            without = {} if self._running is not None else {"estimate": False}
+            return {"method": self.method, **common, **self.options, **without}
+        options = {key: self.options[key] for key in self.options.keys() - {"rtol", "atol"}}
+        chosen = {"accuracy": self._control.given, "horizon": self._control.horizon}
+        return chosen | common | options
+
+    @property
+    def promise(self) -> dict[str, float] | None:
+        """Accuracy, horizon in s, and the mechanism's size in m; None with a method."""
+        if self._control is None:
+            return None
+        return {
+            "accuracy": self._control.accuracy,
+            "horizon": self._control.horizon,
+            "length": self._running.size,
+        }
+
+    def set_accuracy(self, accuracy: float) -> None:
+        """Continue with another accuracy, until the state is set. Raises ValueError."""
+        if self._control is None:
+            raise ValueError("a simulation with a method has no accuracy")
+        self._control.change(_checked(accuracy))
+        self._exceeded = False
+
+    @property
+    def accurate_until(self) -> float:
+        """Last simulated time in s before the estimated error exceeded the accuracy; inf: it did not.
+
+        NaN with a method.
+        """
+        return math.nan if self._control is None else self._control.ended
+
+    @property
+    def largest_error(self) -> float:
+        """Largest estimated error of a pose: parts of the mechanism's size, or rad.
+
+        NaN without an estimate, and before its first one.
+        """
+        return math.nan if self._running is None else self._running.largest
 
     @property
     def predictable_until(self) -> float:
@@ -90,11 +179,35 @@ class Simulation(Engine):
             sample.errors = self._running.errors()
         return sample
 
-    def set_state(self, *state, **more) -> None:
-        """As Engine.set_state; the estimate of the error starts again from zero."""
-        super().set_state(*state, **more)
+    def memory(self) -> bytes:
+        """As Engine.memory; with an accuracy also the estimate of the error, which sets the steps."""
+        if self._control is None:
+            return super().memory()
+        own = self._control.memory(), self._running.memory()
+        return b"".join(array.tobytes() for array in own) + super().memory()
+
+    def _remember(self, memory):
+        if self._control is not None:
+            arrays = self._control.memory(), self._running.memory()
+            sizes = [array.nbytes for array in arrays]
+            mine, memory = memory[: sum(sizes)], memory[sum(sizes) :]
+            super()._remember(memory)
+            numbers = np.frombuffer(mine)
+            self._control.remember(numbers[: len(arrays[0])])
+            self._running.remember(numbers[len(arrays[0]) :])
+            return
+        super()._remember(memory)
+
+    def set_state(self, pose, twist, steps=0, angles=None, memory=None) -> None:
+        """As Engine.set_state; without a memory the estimate of the error starts from zero."""
+        super().set_state(pose, twist, steps, angles)
+        self.doubt, self._exceeded, self._lost = None, False, False
         if self._running is not None:
             self._running.restart()
+        if self._control is not None:
+            self._control.restart(self.time)
+        if memory is not None:
+            self._remember(memory)
 
     def _change_wrenches(self, time, changed):
         count = len(self._applied)
@@ -103,13 +216,79 @@ class Simulation(Engine):
             self._running.changed(self._applied[count:])
 
     def _advance(self, steps):
-        if self._running is None:
+        running = self._running
+        if running is None:
             super()._advance(steps)
             return
         end = self.steps + steps
-        self._running.follow()
+        running.follow()
         while True:
-            super()._advance(self._running.next_stop(self.steps, end) - self.steps)
-            self._running.follow()
+            super()._advance(running.next_stop(self.steps, end) - self.steps)
+            count = running.checkpoints
+            running.follow()
+            if running.checkpoints > count:
+                if self._control is not None:
+                    self._control.follow(
+                        self.time, running.largest, running.predictable_until == math.inf
+                    )
+                self._look()
             if self.steps >= end:
                 return
+
+    def _look(self):
+        """Warn once if the error exceeds the accuracy, and once if it is large."""
+        error, time = self._running.largest, self.time
+        size = (
+            f"at t = {time:.6g} s the estimated error is {error:.2g} of the mechanism's size or rad"
+        )
+        if not self._exceeded and self.accurate_until <= time:
+            self._exceeded = True
+            self._warn(f"{size}, above the accuracy of {self._control.wanted(time):.2g}")
+        if not self._lost and self.predictable_until <= time:
+            self._lost = True
+            self._warn(
+                f"{size}: from here on this may be another motion"
+                + ("" if self._control else "; use a smaller step, or an accuracy")
+            )
+
+    def _warn(self, text):
+        self.doubt = f"{self.doubt}; {text}" if self.doubt else text
+        if not self._quiet:
+            log.warning(text)
+
+
+def _checked(accuracy):
+    if not (is_positive(accuracy) and SMALLEST <= accuracy <= 1.0):
+        raise ValueError(f"the accuracy must be a number from {SMALLEST:g} to 1, got {accuracy!r}")
+    return float(accuracy)
+
+
+def _drifts(scene, group):
+    """Whether joints open by the errors of the steps: all but one lower pair per body to the ground."""
+    held = [body for joint in scene.joints for body in (joint.parent, joint.child)]
+    return group == "so3xr3" or any(
+        joint.type not in LOWER_PAIRS
+        or "world" not in (joint.parent, joint.child)
+        or max(map(held.count, {joint.parent, joint.child} - {"world"})) > 1
+        for joint in scene.joints
+    )
+
+
+def default_steps(horizon=None):
+    """Steps in s, long to short, from which that of an accuracy is taken; horizon : s, if given."""
+    if horizon is None or not is_positive(horizon):
+        return STEPS
+    return [step for step in LONGER + STEPS if step <= PART * horizon] or STEPS[-1:]
+
+
+def _suitable(steps, scene, layout, settings, tolerances):
+    """The longest step that takes at most SUBSTEPS substeps at the start of the scene, and the layout."""
+    for step in steps:
+        engine = Engine(scene, METHOD, step, *settings, True, layout, **tolerances)
+        try:
+            engine.advance(1)
+        except SimulationError:
+            continue
+        if engine.substeps[0] <= SUBSTEPS:
+            break
+    return step, engine.layout

@@ -99,10 +99,12 @@ def _record(simulation, seconds, path):
     step = simulation.step
     every = max(1, round(1.0 / (FRAMES_PER_SECOND * step)))
     count = max(1, round(seconds / (every * step)))
-    copy = make_simulation(simulation.scene, attachments.settings(simulation, every))
+    copy = make_simulation(
+        simulation.scene,
+        attachments.settings(simulation, every),
+        estimate=simulation.sample().errors is not None,
+    )
     copy.set_state(*simulation.state(), simulation.steps, simulation.sample().angles)
-    if not simulation.steps:  # an accuracy is guaranteed from the initial state of the scene
-        copy.promise = simulation.promise
     started, stopped = time.monotonic(), None
     with LogFile(path, copy, every, count + 1) as file:
         file.sample(copy.sample())

@@ -5,6 +5,7 @@ import functools
 
 import naive
 import numpy as np
+from scipy.integrate import solve_ivp
 from scipy.linalg import null_space
 
 from liegroup_core import Scene
@@ -330,3 +331,22 @@ def rotors():
 def fitting(method, name="net"):
     """Mechanism of MECHANISMS that fits a method; "rotors" for rotation methods."""
     return rotors() if METHODS[method].family == "rotation" else named(name)
+
+
+def windows_motion(n, times):
+    """Angle and rate (k, 2) of all cranks of a row of n four-bar windows.
+
+    n + 1 rods rotate about their ends, n rods translate.
+    """
+    inertia = (n + 1) * (0.25 + (1.0 + 3e-6) / 12.0) + n
+    lever = (n + 1) * 0.5 + n
+    found = solve_ivp(
+        lambda t, y: [y[1], -9.81 * lever / inertia * np.cos(y[0])],
+        (0.0, times[-1]),
+        [np.pi / 2, -1.0],
+        t_eval=times,
+        method="DOP853",
+        rtol=1e-12,
+        atol=1e-13,
+    )
+    return found.y.T

@@ -4,8 +4,8 @@
 import logging
 import math
 
-from liegroup_core import Scene, Simulation, SimulationError, load_scene
-from liegroup_core.engine import STABILISATIONS
+from liegroup_core import Scene, SimulationError, load_scene
+from liegroup_core.engine import STABILISATIONS, Engine
 from liegroup_core.integrators.methods import GROUPS, METHODS
 from liegroup_core.scene.description import Body, Frame, Joint
 
@@ -21,7 +21,7 @@ LOOSEST, TIGHTEST = 1e-2, 1e-13
 
 def prepare():
     """Compile the kernels and silence warnings of coarse steps."""
-    Simulation(load_scene("heavy_top"))
+    Engine(load_scene("heavy_top"))
     logging.getLogger("liegroup_core").setLevel(logging.ERROR)
 
 
@@ -70,8 +70,8 @@ class _Run:
         if self.controlled:
             options = options | {"rtol": level, "atol": level}
         # Without the step check, which the other codes do not have either.
-        self.simulation = Simulation(
-            scene, method=method, step=problem.duration / self.steps, watch=False, **options
+        self.simulation = Engine(
+            scene, method=method, step=problem.duration / self.steps, **options
         )
         self.start = self.simulation.state()
         # Substeps follow the motion: where it changes, they are paid for as it is at first. And with
@@ -129,7 +129,7 @@ def entries(problem, ratio):
 
 def stepper(problem, step):
     """Function take_steps(n) of RKMK4 steps from the initial state."""
-    simulation = Simulation(scene_of(problem), method="rkmk4", step=step, watch=False)
+    simulation = Engine(scene_of(problem), method="rkmk4", step=step)
 
     def take_steps(count):
         simulation.reset()

@@ -163,39 +163,18 @@ def words(parts):
 def promised(parts):
     """Table of requested accuracies and measured errors."""
     lines = [
-        "| scene | horizon | requested | configuration | measured | met |",
+        "| scene | horizon | requested | measured | estimated at the end | kept |",
         "|---|---|---|---|---|---|",
     ]
     for part in parts:
         for entry in part["promises"]:
             begin = f"| {part['scene']} | {shown(part['horizon'], 's')} | {entry['accuracy']:g} |"
-            if "refused" in entry:
-                lines.append(f"{begin} refused: {entry['refused']} | | |")
-                continue
-            settings = entry["settings"]
-            cell = {
-                "options": {key: value for key, value in settings.items() if key == "rtol"},
-                **settings,
-            }
             kept = max(entry["measured"], entry["known"]) <= entry["accuracy"]
+            says = "" if entry["until"] is None else f", it says until {entry['until']:.3g} s"
             lines.append(
-                f"{begin} {setting(cell)} | "
-                f"{error_text(entry['measured'], entry['known'])} | "
-                f"{'yes' if kept else 'NO'} |"
+                f"{begin} {error_text(entry['measured'], entry['known'])} | "
+                f"{shown(entry['estimate'])} | {'yes' if kept else 'NO'}{says} |"
             )
-    ratios = [
-        entry["measured"] / entry["promise"]["error"]
-        for part in parts
-        for entry in part["promises"]
-        if "refused" not in entry and entry["measured"] > entry["known"]
-    ]
-    if ratios:
-        lines += [
-            "",
-            f"Between the samples of the trade, errors are at most {max(ratios):.2g} "
-            "times those at the samples; the margin is "
-            f"{parts[0]['margin']:g}.",
-        ]
     return "\n".join(lines)
 
 
@@ -210,8 +189,8 @@ and describes how it is measured and checked. `benchmarks/trade_all.py` writes t
 """
 
 PROMISED = """
-The configuration that `accuracy` chooses for each scene, run over the horizon: its largest error at
-up to 1000 instants, most of them not used for the choice, against a separate reference integration.
+Simulations to an accuracy over the horizon: their largest error at up to 1000 instants, against a
+separate reference integration.
 """
 
 FOOT = """

@@ -19,7 +19,7 @@ import sys
 
 import numpy as np
 
-from liegroup_core.compiling import Struct, borrowed, kernel, subroutine
+from liegroup_core.compiling import Struct, kernel
 
 from . import (
     applied_wrench,
@@ -151,12 +151,6 @@ def too_fast(forces, h, pose, twist):
     Its angle cannot be unwrapped. pose, twist : at the end of the step
     """
     return torsional_spring_damper.too_fast(forces.torsional_spring_damper, h, pose, twist)
-
-
-@subroutine
-def turns_over(forces, h, pose, twist):
-    """True if the direction of a spring's force may reverse within a time h."""
-    return spring_damper.turns_over(forces.spring_damper, h, borrowed(pose), borrowed(twist))
 
 
 @kernel

@@ -106,23 +106,6 @@ def add_wrench(rows, pose, twist, wrench_out):
 
 
 @kernel
-def turns_over(rows, h, pose, twist):
-    """True if the ends of a spring may pass each other within a time h, so that its line reverses.
-
-    At a constant rate they meet within h if |d| <= h |ddot|. An oscillation over a phase a meets
-    if |d| <= h |ddot| tan(a) / a; the factor 2 covers a up to 1.17 rad.
-    A spring of zero rest length without damper is excluded: its force is linear in d.
-    """
-    for e in range(len(rows)):
-        row = rows[e]
-        if row["damping"] > 0.0 or row["rest_length"] > 0.0:
-            d, ddot = _line(row, pose), _line_rate(row, pose, twist)
-            if dot3(d, d) < 4.0 * h * h * dot3(ddot, ddot):
-                return True
-    return False
-
-
-@kernel
 def energy(rows, pose):
     """Potential energy sum k (l - l0)^2 / 2 of all springs, J."""
     total = 0.0

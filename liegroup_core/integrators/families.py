@@ -10,9 +10,7 @@
     advance(h, steps, pose, twist, external) -> (steps done, status), in place; external: see
                      forces/external.py; on failure pose and twist are the last valid ones
     substeps         (accepted, attempted) since the restart; (0, 0) without error control
-and optionally
-    doubt            one-line accuracy warning of the last `advance`, or None
-    swings_in        True if the first step after a change of the step size is less accurate
+and with error control
     tighten(part)    multiply the tolerances of the options by `part`
 """
 

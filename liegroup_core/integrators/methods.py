@@ -54,14 +54,15 @@ class Tableau:
     a : (s, s) strictly lower triangular
     b : (s,) weights
     c : (s,) nodes, the row sums of a
-    e : (s + 1,) weights of the error estimate, b - b_hat. The last weight is that of the stage
-        derivative at the end of the step. None for a method without error control
+    e : (1, s + 1) weights of the error estimate, b - b_hat, or (2, s + 1) of two estimates of orders
+        5 and 3. The last weight is that of the stage derivative at the end of the step.
+        (0, s + 1) for a method without error control
     """
 
     a: np.ndarray
     b: np.ndarray
     c: np.ndarray
-    e: np.ndarray | None
+    e: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ class Method:
     order        : of global convergence
     source       : literature
     coefficients : of a Runge-Kutta method, else None: function without arguments that returns
-                   (a, b), or (a, b, e) with an error estimate. a omits the zeros on and above the
+                   (a, b), or (a, b, *e) with error estimates. a omits the zeros on and above the
                    diagonal
     """
 
@@ -85,7 +86,7 @@ class Method:
     @property
     def controlled(self):
         """Whether each step is divided into substeps by error control."""
-        return self.family == "rkmk" and self.tableau.e is not None
+        return self.family == "rkmk" and len(self.tableau.e) > 0
 
     @cached_property
     def tableau(self):
@@ -95,7 +96,7 @@ class Method:
         for i, row in enumerate(a):
             full[i, :len(row)] = row
         return Tableau(full, np.array(b, dtype=float), full.sum(axis=1),
-                       np.array(e[0], dtype=float) if e else None)
+                       np.array(e, dtype=float).reshape(-1, len(b) + 1))
 
 
 def _dormand_prince_5():
@@ -112,6 +113,11 @@ def _dormand_prince_8():
     """Coefficients from SciPy, imported on use: that takes as long as importing this package."""
     from scipy.integrate import DOP853
     return DOP853.A, DOP853.B
+
+
+def _dormand_prince_853():
+    from scipy.integrate import DOP853
+    return DOP853.A, DOP853.B, DOP853.E5, DOP853.E3
 
 
 _RUNGE_KUTTA = {method.name: method for method in (
@@ -134,6 +140,9 @@ _RUNGE_KUTTA = {method.name: method for method in (
     Method("rkmk8", "rkmk", 8, "advancing method of the 8(5,3) pair of Dormand and Prince: "
            "Hairer, Norsett and Wanner, Solving ODEs I, DOP853",
            _dormand_prince_8),
+    Method("rkmk853", "rkmk", 8, "8(5,3) pair of Dormand and Prince with its error control: "
+           "Hairer, Norsett and Wanner, Solving ODEs I, DOP853",
+           _dormand_prince_853),
 )}
 
 

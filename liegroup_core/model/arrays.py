@@ -18,10 +18,6 @@ import numpy as np
 from liegroup_core.compiling import Struct
 from liegroup_core.forces.kinds import count_of_angles
 
-# Work.report[3], an input of a call. WAIT: end the call before a step in which a spring may reverse
-# its direction (forces/kinds.py). If this happens, the call sets MET.
-WAIT, MET = 1.0, 2.0
-
 BODY = np.dtype([
     ("mass", "f8"), ("inverse_mass", "f8"),                       # kg, 1/kg
     ("inertia", "f8", (9,)), ("inverse_inertia", "f8", (9,)),     # kg m^2 about the COM, body axes
@@ -94,8 +90,8 @@ class Work(Struct):
     start_angle: np.ndarray        # angle there
     velocity: np.ndarray           # (n, 6) velocity on the group at the start of the step
     slopes: np.ndarray             # ((s + 1) n, 12) k of stages and end: algebra, then velocity part
-    report: np.ndarray             # (4,) largest squared rotation of a stage, rad^2: so far, this step;
-                                   # number of solves at a singular pose; see WAIT
+    report: np.ndarray             # (3,) largest squared rotation of a stage, rad^2: so far, this step;
+                                   # number of solves at a singular pose
     acceleration: np.ndarray = None    # (n, 6) those 6 n of `solution`: Q, then Vdot
 
     def __post_init__(self):
@@ -119,4 +115,4 @@ def make_work(model, stages):
         acting=np.zeros(len(model.forces.applied_wrench), dtype=bool),
         stage_pose=np.zeros((n, 12)), stage_twist=np.zeros((n, 6)),
         start_pose=np.zeros((n, 12)), start_twist=np.zeros((n, 6)), velocity=np.zeros((n, 6)),
-        slopes=np.zeros(((stages + 1) * n, 12)), report=np.zeros(4))
+        slopes=np.zeros(((stages + 1) * n, 12)), report=np.zeros(3))

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from liegroup_core import SimulationError
 from liegroup_core.forces.kinds import count_of_angles
 from liegroup_core.layout import make_layout
-from liegroup_core.monitor.joint_watch import mechanism_size
+from liegroup_core.model.size import mechanism_size
 from liegroup_core.observables.along import Along
 from liegroup_core.reference.exact import exact_solution
 from liegroup_core.scene.load import scene_from_text

@@ -3,13 +3,14 @@
 
 import math
 
-from liegroup_core.monitor.joint_watch import OPEN
 from liegroup_core.pacing import SLOW
 from liegroup_sim_ros.numbers import counted, error_text, shown
 from liegroup_sim_ros.playback.resimulate import difference_cause
 
 from .promise import promise_text
 from .timing import requested_text
+
+OPEN = 1e-3  # of the mechanism's size: joints open by more are no joints any more
 
 
 def find_problems(figures):

@@ -22,7 +22,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from liegroup_core.errors import LieGroupSimError
 
 SCENE, BODY = "heavy_top", "top"
-STEP, PUBLISH_RATE = 1e-3, 500.0  # s, Hz
+PUBLISH_RATE = 500.0  # Hz
 PUSH = ("push", BODY, "--force", "0", "250", "0", "--duration", "0.4")  # N in body axes, s
 PUSH_AT = 0.3  # start of the push, fraction of the run
 SHORTEST = 4.0  # s: discovery of the push may take 2.5 s
@@ -106,7 +106,7 @@ def _simulate(seconds, log, output, console, check):
     os.environ.update(
         ROS_DOMAIN_ID=str(random.randint(1, 100)), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST"
     )
-    parameters = {"scene": SCENE, "step": STEP, "publish_rate": PUBLISH_RATE, "record": log}
+    parameters = {"scene": SCENE, "publish_rate": PUBLISH_RATE, "record": log}
     arguments = [part for name, value in parameters.items() for part in ("-p", f"{name}:={value}")]
     console.print(
         "$ sim_node --ros-args " + shlex.join(arguments),

@@ -12,8 +12,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from liegroup_core import Simulation, SimulationError, load_scene
+from liegroup_core import SimulationError, load_scene
 from liegroup_core.describe import describe
+from liegroup_core.engine import Engine
 from liegroup_core.layout import make_layout
 
 METHODS = ("rkmk4", "rkmk8")
@@ -53,7 +54,7 @@ def step_cost(scene, method, seconds=MEASURING):
 
     step_us : minimum of several runs of many steps each; other load of the machine only adds time
     """
-    simulation = Simulation(scene, method, STEP)
+    simulation = Engine(scene, method, STEP)
     steps, times = 1, []
     end = time.perf_counter() + seconds
     try:

@@ -12,8 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedCo
 
 from liegroup_core import load_scene
 from liegroup_core.errors import LieGroupSimError
-from liegroup_core.integrators.methods import METHODS
-from liegroup_core.study.extremes.extremes import Kept, axes_of, silent, survey
+from liegroup_core.study.extremes.extremes import METHOD_NAMES, Kept, axes_of, silent, survey
 from liegroup_sim_ros.report.extremes_page import write_page
 from liegroup_sim_ros.report.extremes_tables import document, print_axis, print_end
 from liegroup_sim_ros.report.files import check_files, write_file, write_text
@@ -52,7 +51,7 @@ def add_arguments(parser):
         "--methods",
         nargs="+",
         metavar="NAME",
-        default=list(METHODS),
+        default=list(METHOD_NAMES),
         help="test only these methods",
     )
     parser.add_argument("--quick", action="store_true", help="test a few values of each axis")
@@ -115,9 +114,11 @@ def run(args):
 
 def _wanted(args):
     """(axes, cache of results) for checked arguments."""
-    unknown = [name for name in args.methods if name not in METHODS]
+    unknown = [name for name in args.methods if name not in METHOD_NAMES]
     if unknown:
-        raise ExtremesError(f"unknown method {unknown[0]!r}; choose one of: {', '.join(METHODS)}")
+        raise ExtremesError(
+            f"unknown method {unknown[0]!r}; choose one of: {', '.join(METHOD_NAMES)}"
+        )
     if args.workers is not None and args.workers < 1:
         raise ExtremesError(f"--workers must be at least 1, got {args.workers}")
     if not (math.isfinite(args.horizon) and args.horizon >= SHORTEST):

@@ -10,14 +10,16 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from liegroup_core import Simulation, SimulationError, load_scene
-from liegroup_core.engine import METHOD, STABILISATIONS, STEP
+from liegroup_core.accuracy import DEFAULT, MINUTE
+from liegroup_core.engine import STABILISATIONS, STEP
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.integrators.methods import GROUPS, METHODS
-from liegroup_core.study.trade.accuracy import choose
+from liegroup_core.simulation import default_steps
 from liegroup_sim_ros.recording.write_run import ArrayFile, LogFile, TableFile
 
 EXIT_STOPPED = 1
@@ -25,6 +27,8 @@ AT_ONCE = 10_000  # largest number of steps between two updates of the progress 
 REDRAW = 0.1  # s between two updates
 # Passed on to Simulation if given.
 SETTINGS = (
+    "accuracy",
+    "horizon",
     "method",
     "step",
     "group",
@@ -67,14 +71,15 @@ def add_arguments(parser):
     parser.add_argument(
         "--every",
         type=int,
-        default=10,
         metavar="STEPS",
-        help="steps between two samples; the last state is always included (default: %(default)s)",
+        help="steps between two samples; the last state is always included (default: 10 with a "
+        "method, else 1)",
     )
     parser.add_argument(
-        "--estimate",
-        action="store_true",
-        help="carry an estimate of the global error, at about 1.8 times the cost, and write it too",
+        "--no-estimate",
+        dest="estimate",
+        action="store_false",
+        help="with a method: do not estimate the error, at about 1 / 1.8 of the cost",
     )
     add_settings(parser)
 
@@ -85,22 +90,25 @@ def add_settings(parser):
         "--accuracy",
         type=float,
         metavar="X",
-        help="use the cheapest configuration with at most this error: positions relative to "
-        "the characteristic length, attitudes in rad. Replaces method, step, group and "
-        "stabilisation; measured once per scene and machine (docs/how-to/choose_accuracy.md)",
+        help="largest error in the first --horizon seconds: positions as parts of the "
+        "mechanism's size, attitudes in rad; later it may grow by as much in each further "
+        f"horizon (default: {DEFAULT:g}; docs/how-to/choose_accuracy.md)",
     )
     parser.add_argument(
         "--horizon",
         type=float,
         metavar="S",
-        help="simulated time in s over which the accuracy is guaranteed (default: derived "
-        "from the scene, at most 10)",
+        help=f"simulated time in s for the accuracy (default: {MINUTE:g})",
     )
     parser.add_argument(
-        "--method", metavar="NAME", help=f"{', '.join(METHODS)} (default: {METHOD})"
+        "--method", metavar="NAME", help=f"instead of an accuracy: {', '.join(METHODS)}"
     )
     parser.add_argument(
-        "--step", type=float, metavar="S", help=f"step size in s (default: {STEP:g})"
+        "--step",
+        type=float,
+        metavar="S",
+        help=f"step size of the method in s (default: {STEP:g}); with an accuracy: times in s at "
+        "which states can be had (default: at most 0.01)",
     )
     parser.add_argument(
         "--group",
@@ -109,7 +117,10 @@ def add_settings(parser):
         "for methods that require it (default: auto)",
     )
     parser.add_argument(
-        "--stabilisation", metavar="KIND", help=f"{', '.join(STABILISATIONS)} (default: none)"
+        "--stabilisation",
+        metavar="KIND",
+        help=f"{', '.join(STABILISATIONS)} (default: none; with an accuracy projection, for "
+        "joints that would drift)",
     )
     parser.add_argument(
         "--baumgarte-time",
@@ -133,13 +144,22 @@ def add_settings(parser):
 
 def given_settings(args):
     """Arguments of Simulation from those of a command line. Raises RunError."""
-    if args.horizon is not None and args.accuracy is None:
-        raise RunError("--horizon requires --accuracy")
     settings = {name: getattr(args, name) for name in SETTINGS if getattr(args, name) is not None}
-    if settings and args.accuracy is not None:
-        name = next(iter(settings)).replace("_", "-")
-        raise RunError(f"--accuracy cannot be combined with --{name}: remove one of them")
+    if "method" in settings:
+        for name in {"accuracy", "horizon"} & settings.keys():
+            raise RunError(f"--{name} cannot be combined with --method: remove one of them")
+    elif "step" not in settings:
+        whole_steps(args.duration, args.duration)  # raises RunError for an invalid duration
+        settings["step"] = dividing_steps(args.duration, args.horizon)
     return settings
+
+
+def dividing_steps(duration, horizon):
+    """Steps for an accuracy that divide a duration, long to short."""
+    usual = default_steps(horizon)
+    return [step for step in usual if divides(step, duration)] or [
+        duration / math.ceil(duration / step) for step in usual
+    ]
 
 
 def run(args):
@@ -148,28 +168,26 @@ def run(args):
     kind = {".npz": ArrayFile, ".csv": TableFile, ".mcap": LogFile}.get(Path(args.out).suffix)
     if kind is None:
         raise RunError(f"{args.out}: the name must end in .npz, .csv or .mcap")
-    if args.every < 1:
-        raise RunError(f"--every must be at least 1, got {args.every}")
+    every = args.every
+    if every is None:
+        every = 10 if args.method else 1
+    if every < 1:
+        raise RunError(f"--every must be at least 1, got {every}")
     scene = load_scene(args.scene)
     console = Console(stderr=True)
     try:
         with console.status("starting (the first start on a machine compiles for about 20 s)"):
-            if args.accuracy is None:
-                simulation = Simulation(scene, **settings, estimate=args.estimate)
-            else:
-                choice = chosen(scene, args)
-                simulation = Simulation(scene, **choice.settings, estimate=args.estimate)
-                simulation.promise = choice.promise
+            simulation = Simulation(scene, **settings, estimate=args.estimate)
     except ValueError as error:  # SceneError, too, is one
         raise RunError(str(error)) from None
     steps = whole_steps(args.duration, simulation.step)
-    samples = 1 + -(-steps // args.every)
+    samples = 1 + -(-steps // every)
     started = time.monotonic()
     stopped, code = None, 0
-    with kind(args.out, simulation, args.every, samples) as file:
+    with kind(args.out, simulation, every, samples) as file:
         file.sample(simulation.sample())
         try:
-            _simulate(simulation, steps, args.every, file, console)
+            _simulate(simulation, steps, every, file, console)
         except SimulationError as error:
             stopped, code = str(error), EXIT_STOPPED
         except KeyboardInterrupt:
@@ -185,40 +203,18 @@ def run(args):
     else:
         print(
             f"{args.out}: {simulation.time:.9g} s in {steps} steps, {file.count} samples, "
-            f"{wall:.3g} s of wall time"
+            f"{wall:.3g} s of wall time{_error_of(simulation)}"
         )
     return code
 
 
-def chosen(scene, args, every=None):
-    """Choice with the requested accuracy whose step divides the duration.
-
-    every : period in s that the step must divide as well, or None
-    Raises RunError, AccuracyError, SceneError.
-    """
-
-    def usable(step):
-        try:
-            return all(whole_steps(time, step) for time in (args.duration, every) if time)
-        except RunError:
-            return False
-
-    whole_steps(args.duration, args.duration)  # raises RunError for an invalid duration
-    choice = choose(
-        scene,
-        args.accuracy,
-        args.horizon,
-        usable,
-        tell=lambda text: print(f"liegroup_sim: {text}", file=sys.stderr),
-    )
-    print(f"liegroup_sim: {choice}", file=sys.stderr)
-    if args.duration > choice.promise["horizon"]:
-        print(
-            "liegroup_sim: the accuracy is guaranteed for the first "
-            f"{choice.promise['horizon']:g} s; use --horizon for a longer time",
-            file=sys.stderr,
-        )
-    return choice
+def _error_of(simulation):
+    """The estimated error at the end, as text."""
+    errors = simulation.sample().errors
+    if errors is None or np.isnan(errors).any():
+        return ""
+    position, attitude = errors[:, :2].max(axis=0)
+    return f", estimated error {position:.2g} m, {attitude:.2g} rad"
 
 
 def _simulate(simulation, steps, every, file, console):
@@ -243,6 +239,14 @@ def _simulate(simulation, steps, every, file, console):
                     task, completed=simulation.steps, status_text=f"{simulation.time:.3f} s"
                 )
         progress.update(task, completed=steps, status_text=f"{simulation.time:.3f} s")
+
+
+def divides(step, duration):
+    """Whether a duration is a whole number of steps."""
+    try:
+        return whole_steps(duration, step) > 0
+    except RunError:
+        return False
 
 
 def whole_steps(duration, step, name="--duration"):

@@ -4,15 +4,16 @@
 Finished runs are saved as they come, so an interrupted sweep continues.
 """
 
+import math
 import sys
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from liegroup_core import load_scene
+from liegroup_core import Simulation, load_scene
 from liegroup_core.engine import STEP
 from liegroup_core.scene.load import scene_as_written
-from liegroup_core.study.sweep.file import SweepFile, SweepFileError
+from liegroup_core.study.sweep.file import SweepFile
 from liegroup_core.study.sweep.parameters import ParameterError, parameters
 from liegroup_core.study.sweep.sweep import OK, Sweep, describe
 from liegroup_core.study.trade.cache import PACKAGES
@@ -20,9 +21,10 @@ from liegroup_sim_ros.recording.attachments import versions
 from liegroup_sim_ros.report.sweep_tables import print_sweep
 from liegroup_sim_ros.version import __version__
 
-from .run import RunError, add_settings, chosen, given_settings, whole_steps
+from .run import RunError, add_settings, divides, given_settings, whole_steps
 
 EXIT_ALL_FAILED, EXIT_INTERRUPTED = 1, 130
+MOST_PARTS = 1000  # steps of an accuracy in the period of --keep
 # Parts of error texts about an initial state that violates the joints.
 CLOSING = "velocities violate the joint", "does not close at the initial poses"
 
@@ -144,14 +146,13 @@ def run(args):
 
 def _sweep_of(scene, args):
     """(Sweep, description for the file) from the arguments."""
-    settings, accuracy = given_settings(args), None
-    if args.accuracy is not None:
-        accuracy = {"accuracy": args.accuracy, "horizon": args.horizon}
-        settings = (
-            _started_configuration(args.out, accuracy) or chosen(scene, args, args.keep).settings
-        )
-    step = settings.get("step", STEP)
+    settings = given_settings(args)
     try:
+        if isinstance(settings.get("step"), list):
+            if args.keep is not None:
+                settings["step"] = _steps_of_both(settings["step"], args.duration, args.keep)
+            settings["step"] = Simulation(scene, **settings).step
+        step = settings.get("step", STEP)
         if not step > 0.0:
             raise ValueError(f"the step must be a positive number of seconds, got {step:g}")
         every = None if args.keep is None else whole_steps(args.keep, step, "--keep")
@@ -165,28 +166,32 @@ def _sweep_of(scene, args):
             args.assemble,
             settings,
         )
-    except ParameterError:
+    except (ParameterError, RunError):
         raise
     except ValueError as error:  # includes SceneError
         raise RunError(str(error)) from None
     found = versions()
     return sweep, describe(sweep) | {
-        "accuracy": accuracy,
         "version": __version__,
         "versions": {name: found.get(name) for name in ("python", *PACKAGES[:3])},
     }
 
 
-def _started_configuration(path, accuracy):
-    """Configuration of a started sweep with the same accuracy, or None.
-
-    All runs of a sweep have the same configuration, even if another one is now measured as cheaper.
-    """
-    try:
-        description = SweepFile(path).description
-    except SweepFileError:
-        return None
-    return description["settings"] if description.get("accuracy") == accuracy else None
+def _steps_of_both(steps, duration, keep):
+    """Steps, long to short, that divide a duration, as `steps`, and the period of --keep."""
+    whole_steps(keep, keep, "--keep")  # raises RunError for an invalid period
+    parts = {*steps, *(keep / math.ceil(keep / step) for step in steps)}
+    found = [
+        step
+        for step in sorted(parts, reverse=True)
+        if MOST_PARTS * step >= keep and divides(step, keep) and divides(step, duration)
+    ]
+    if not found:
+        raise RunError(
+            f"--keep {keep:g} s: no suitable step divides it and --duration {duration:g} s; choose "
+            "a part of the duration"
+        )
+    return found
 
 
 def _run_missing(sweep, file, args, console):

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""std_msgs/Float64MultiArray of the estimated errors of all bodies; imports no ROS.
+"""Estimated errors as messages, std_msgs/Float64MultiArray; imports no ROS.
 
-Row by row (n, 4): m, rad, m/s, rad/s of every body, as in Sample.errors. The message has no stamp;
-in a recording its log time is the stamp.
+The array has m, rad, m/s, rad/s of every body, row by row (n, 4), as in Sample.errors. The message has
+no stamp; in a recording its log time is the stamp.
 """
 
 import numpy as np

@@ -18,9 +18,11 @@ from rcl_interfaces.msg import (
 )
 from rclpy.parameter import Parameter
 
-from liegroup_core.engine import METHOD, STABILISATIONS, STEP
+from liegroup_core.accuracy import DEFAULT, MINUTE, SMALLEST
+from liegroup_core.engine import STABILISATIONS, STEP
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.integrators.methods import GROUPS, METHODS
+from liegroup_core.simulation import STEPS
 from liegroup_sim_ros.messages.samples import OPTIONAL
 
 QOS_PREFIX = "qos_overrides."
@@ -28,7 +30,9 @@ RELIABILITIES = ("reliable", "best_effort")
 DEEPEST = 1_000_000  # largest QoS depth, messages
 LONGEST_SHOWN = 60  # characters of a wrong value in an error text
 HOLDS = ("one_step", "timeout", "until_replaced")
-CHOSEN = ("method", "stabilisation", "group", "step")  # an accuracy replaces these
+ACCURACY = ("accuracy", "accuracy_horizon")  # a method replaces these
+MOST_PARTS = 10  # steps in the shortest period that are needed to divide the other ones
+AUTO = "auto"  # a method or stabilisation that an accuracy chooses
 
 
 class ParameterError(LieGroupSimError):
@@ -69,24 +73,34 @@ TABLE = (
     ),
     Entry(
         "accuracy",
-        0.0,
-        "use the cheapest configuration with at most this error in real time: "
-        "positions relative to the characteristic length, attitudes in rad. Replaces "
-        "method, stabilisation, group and step; measured once per scene and machine, "
-        "see docs/how-to/choose_accuracy.md; 0: off",
-        low=0.0,
+        DEFAULT,
+        "largest error in the first accuracy_horizon seconds: positions as parts of the mechanism's "
+        "size, attitudes in rad; later it may grow by as much in each further horizon. If real time "
+        "does not allow it, it is raised, with an event",
+        low=SMALLEST,
         high=1.0,
     ),
     Entry(
         "accuracy_horizon",
-        0.0,
-        "simulated time from the start over which the accuracy is guaranteed, s; 0: "
-        "derived from the scene",
+        MINUTE,
+        "simulated time in which the error may grow by the accuracy, s",
         low=0.0,
         high=1e6,
+        above=True,
     ),
-    Entry("method", METHOD, "integration method", choices=tuple(METHODS)),
-    Entry("stabilisation", "none", "how constraint drift is corrected", choices=STABILISATIONS),
+    Entry(
+        "method",
+        AUTO,
+        "integration method; auto: steps of a size that keeps the accuracy",
+        choices=(AUTO, *METHODS),
+    ),
+    Entry(
+        "stabilisation",
+        AUTO,
+        "how constraint drift is corrected; auto: projection with an accuracy, for joints that would "
+        "drift, else none",
+        choices=(AUTO, *STABILISATIONS),
+    ),
     Entry(
         "group",
         "auto",
@@ -94,10 +108,17 @@ TABLE = (
         "R^3 for methods that require it",
         choices=("auto", *GROUPS),
     ),
-    Entry("step", STEP, "step size, s", low=0.0, high=10.0, above=True),
+    Entry(
+        "step",
+        0.0,
+        f"step size of the method, s; 0: {STEP:g}. With an accuracy: times at which states can be had; "
+        "0: at most 0.01, so that all rates fit",
+        low=0.0,
+        high=10.0,
+    ),
     Entry(
         "estimate",
-        False,
+        True,
         "carry an estimate of the global error, at about 1.8 times the cost: in ~/state, "
         "/diagnostics, ~/errors and the covariances of ~/BODY/odometry and "
         "~/BODY/pose_with_covariance",
@@ -211,9 +232,9 @@ def read_parameters(node):
 
     node : created with automatically_declare_parameters_from_overrides=True, so that unknown names,
            which ROS ignores, can be refused
-    returns the values; `.steps`: {rate: steps between messages, 0 for none}, set by `set_step` if an
-            accuracy chooses the step; `.qos`: names of the parameters for quality of service, which
-            qos.py reads
+    returns the values; `.wanted_step`: s, 0: an accuracy chooses it from `fitting_steps`; `.steps`:
+            {rate: steps between messages, 0 for none}, see `set_step`; `.qos`: names of the
+            parameters for quality of service, which qos.py reads
     raises ParameterError
     """
     overrides = {
@@ -232,17 +253,19 @@ def read_parameters(node):
         value = check(entry.name, overrides.get(entry.name, entry.default))
         node.declare_parameter(entry.name, value, _descriptor(entry), ignore_override=True)
         setattr(values, entry.name, value)
-    if values.accuracy:
-        for name in CHOSEN:
-            if name in overrides:
+    if values.method != AUTO:
+        for name in ACCURACY:  # a dump of all parameters has them with their defaults
+            if getattr(values, name) != _ENTRIES[name].default:
                 raise ParameterError(
-                    f"parameter accuracy: cannot be combined with {name}; remove one of them"
+                    f"parameter {name}: cannot be combined with method; remove one of them"
                 )
-    else:
-        if values.accuracy_horizon:
-            raise ParameterError(
-                "parameter accuracy_horizon: requires accuracy; set both or neither"
-            )
+        values.step = values.step or STEP
+    elif not values.estimate:
+        raise ParameterError(
+            "parameter estimate: must be true with an accuracy; or choose a method"
+        )
+    values.wanted_step = values.step
+    if values.step:
         set_step(values, values.step)
     values.qos = [name for name in overrides if name.startswith(QOS_PREFIX)]
     for name in values.qos:
@@ -265,10 +288,27 @@ def set_step(values, step):
     values.step = step
 
 
-def step_fits(values, step):
-    """True if a step is valid and the periods of all rates are multiples of it."""
+def fitting_steps(values):
+    """Steps for an accuracy, long to short, that divide the periods of all rates."""
+    periods = [
+        1.0 / getattr(values, name)
+        for name, entry in _ENTRIES.items()
+        if entry.is_topic_rate and getattr(values, name)
+    ]
+    shortest = min(periods, default=STEPS[0])
+    parts = (shortest / k for k in range(1, MOST_PARTS + 1))
+    longest = next((part for part in parts if _fits(values, part)), None)
+    if longest is None:
+        raise ParameterError(
+            "parameter step: no suitable step divides the periods of all rates; choose rates that "
+            "are multiples of each other"
+        )
+    # In the order of STEPS, each once.
+    return list(dict.fromkeys(longest / math.ceil(longest / s * (1.0 - 1e-9)) for s in STEPS))
+
+
+def _fits(values, step):
     try:
-        check("step", step)
         for name, entry in _ENTRIES.items():
             if entry.is_topic_rate:
                 _whole_steps(name, getattr(values, name), step)

@@ -5,16 +5,18 @@ import threading
 from concurrent.futures import Future, wait
 
 from liegroup_core import SceneError, Simulation, load_scene
-from liegroup_core.study.trade.accuracy import choose
 from liegroup_sim_ros.recording import attachments
 from liegroup_sim_ros.recording.write import Recorder
 
 from .outputs import Outputs
-from .parameters import ParameterError, set_step, step_fits
+from .parameters import AUTO, ParameterError, fitting_steps, set_step
 from .qos import QosOverrides
 from .simulation_thread import SimulationServer
 from .wrench_topics import WrenchTopics
 
+# Steps between two possible starts of a part, with an accuracy: then the two runs of its estimate
+# (liegroup_core.running_error) are at the same time, and wrenches that act can be repeated for both.
+PART_STEPS = 12
 # Longest delay until the main thread checks for signals, s.
 ATTENTION = 0.1
 
@@ -100,12 +102,10 @@ class SceneRun:
         count = len(simulation.layout.body_names)
         self._node.get_logger().info(
             f"{simulation.scene.name}: {count} {'body' if count == 1 else 'bodies'}, "
-            f"{simulation.method}, step {simulation.step:g} s"
             + (
-                f" for an accuracy of {simulation.promise['accuracy']:g} over "
-                f"{simulation.promise['horizon']:g} s"
+                f"accuracy {simulation.promise['accuracy']:g} in {simulation.promise['horizon']:g} s"
                 if simulation.promise
-                else ""
+                else f"{simulation.method}, step {simulation.step:g} s"
             )
             + f", {self.server.state}"
             + (f", recording to {self.recorder.path}" if self.recorder else "")
@@ -123,7 +123,9 @@ class SceneRun:
             stamp_ns,
             state=state,
             parameters={
-                name: value for name, value in vars(values).items() if name not in ("steps", "qos")
+                name: value
+                for name, value in vars(values).items()
+                if name not in ("steps", "qos", "wanted_step")
             },
             frame_prefix=values.frame_prefix,
             **self._more,
@@ -131,8 +133,10 @@ class SceneRun:
 
     def _divide_if_due(self, stamp_ns, _):
         """Continue the recording in a new file if one is due; runs in the simulation thread."""
-        recorder = self.recorder
+        recorder, simulation = self.recorder, self.simulation
         if recorder is not None and recorder.is_part_due(stamp_ns):
+            if simulation.promise and simulation.steps % PART_STEPS:
+                return
             self._attach_pacing()
             self._more = {
                 "part": recorder.part + 1,
@@ -207,34 +211,23 @@ def make_simulation(values, signals):
 
 def _make(values):
     scene = load_scene(values.scene)
+    common = {
+        "group": values.group,
+        "stabilisation": None if values.stabilisation == AUTO else values.stabilisation,
+    }
     try:
-        if values.accuracy:
-            return _chosen(scene, values)
-        return Simulation(
+        if values.method != AUTO:
+            return Simulation(scene, values.method, values.step, **common, estimate=values.estimate)
+        simulation = Simulation(
             scene,
-            values.method,
-            values.step,
-            values.group,
-            values.stabilisation,
-            estimate=values.estimate,
+            step=values.wanted_step or fitting_steps(values),
+            **common,
+            accuracy=values.accuracy,
+            horizon=values.accuracy_horizon,
         )
+        set_step(values, simulation.step)
+        return simulation
     except SceneError:
         raise
     except ValueError as error:
-        name = "accuracy" if values.accuracy else "method, step or group"
-        raise ParameterError(f"parameter {name}: {error}") from None
-
-
-def _chosen(scene, values):
-    """Simulation with the requested accuracy at the requested real-time factor."""
-    choice = choose(
-        scene,
-        values.accuracy,
-        values.accuracy_horizon or None,
-        lambda step: step_fits(values, step),
-        values.real_time_factor,
-    )
-    set_step(values, choice.settings["step"])
-    simulation = Simulation(scene, **choice.settings, estimate=values.estimate)
-    simulation.promise = choice.promise
-    return simulation
+        raise ParameterError(f"parameter accuracy, method, step or group: {error}") from None

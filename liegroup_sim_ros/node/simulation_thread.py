@@ -8,6 +8,7 @@ monotonically: a reset restarts the step count, but the stamps continue one step
 Imports no ROS.
 """
 
+import logging
 import math
 import threading
 import time
@@ -16,8 +17,15 @@ from concurrent.futures import Future
 from liegroup_core import SimulationError
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.pacing import Pacer
+from liegroup_sim_ros.messages import events
+
+log = logging.getLogger("liegroup_core")
 
 DIAGNOSTICS_PERIOD = 1.0  # s of wall time
+# Of a core, what the integration may take in real time; checked over so much wall time, in s. If it
+# takes more, the accuracy is raised by a factor, up to the largest one.
+SHARE, SHARE_PERIOD = 0.5, 0.2
+COARSER, COARSEST = 10.0, 0.1
 IDLE_TICK = 0.01  # s of simulated time between two ticks if no output has a period
 
 
@@ -64,7 +72,9 @@ class SimulationServer(threading.Thread):
         self._base_ns = base_ns
         self._origin = origin
         self._factor_seen = 0.0  # achieved real-time factor at the last diagnostics
-        self._was_lost = False  # the event "unpredictable" was sent
+        self._said = set()  # events that are sent once
+        self._cpu = self._advanced = 0.0  # s of CPU time for s of simulated time
+        self._share = 0.0  # of a core, in real time
         self._reference_energy = None  # J, at the last known instant without an applied wrench
         self.pacer = Pacer(factor, sleep=self._wake.wait)
         self.state = "paused" if paused else "running"
@@ -207,13 +217,34 @@ class SimulationServer(threading.Thread):
         """Advance to the next step with outputs and send them; False after a fault."""
         if self._wrenches:
             self._apply_wrenches()
+        began, first = time.thread_time(), self._simulation.steps
         try:
-            self._simulation.advance(tick - self._simulation.steps)
+            self._simulation.advance(tick - first)
         except SimulationError as error:
             self._fault(str(error))
             return False
+        self._cpu += time.thread_time() - began
+        self._advanced += (tick - first) * self._simulation.step
         self._send_outputs()
+        if self.state == "running" and self._advanced >= SHARE_PERIOD * self.pacer.factor > 0.0:
+            self._keep_to_real_time()
         return True
+
+    def _keep_to_real_time(self):
+        """Raise the accuracy if the integration takes more than its share of a core."""
+        before, self._share = self._share, self._cpu / self._advanced * self.pacer.factor
+        self._cpu = self._advanced = 0.0
+        promise = self._simulation.promise
+        # Twice in succession: once may be a disturbance.
+        if min(before, self._share) > SHARE and promise and promise["accuracy"] < COARSEST:
+            accuracy = min(COARSEST, COARSER * promise["accuracy"])
+            self._simulation.set_accuracy(accuracy)
+            self._said.discard("inaccurate")
+            text = events.accuracy(
+                accuracy, self._simulation.time, promise["accuracy"], self._share
+            )
+            log.warning(text)
+            self._event("accuracy", text)
 
     def _apply_wrenches(self):
         with self._lock:
@@ -226,18 +257,12 @@ class SimulationServer(threading.Thread):
 
     def _send_outputs(self, everything=False):
         """Send the outputs of the current step, in the order of their stamps."""
-        if self._simulation.predictable_until <= self._simulation.time and not self._was_lost:
-            self._was_lost = True
-            self._event(
-                "unpredictable",
-                f"from t = {self._simulation.predictable_until:.6g} s on, the estimated error is too "
-                "large for the motion to be known; use a smaller step or another method",
-            )
         steps = self._simulation.steps
         for change in self._simulation.drain_applied():
             stamp_ns = self._base_ns + change.time_ns
             self._send_wrench(stamp_ns, change.body, change.wrench, change.axes)
         self.stamp_ns = self._stamp(steps)
+        self._tell_of_the_error()
         period = self._output.clock_steps
         if period and (everything or steps % period == 0):
             self._output.clock(self.stamp_ns)
@@ -247,6 +272,13 @@ class SimulationServer(threading.Thread):
                 self._sent_ns[i] = self.stamp_ns
                 sample = sample or self._simulation.sample()
                 send(self.stamp_ns, sample)
+
+    def _tell_of_the_error(self):
+        """Send an event when the estimate exceeds the accuracy, and when it is large."""
+        for name, text in events.reports(self._simulation):
+            if name not in self._said:
+                self._said.add(name)
+                self._event(name, text)
 
     def _send_state(self, stamp_ns, sample):
         self._output.state(stamp_ns, self._figures(sample))
@@ -296,7 +328,8 @@ class SimulationServer(threading.Thread):
         with self._lock:
             self._wrenches.clear()
         self._simulation.reset()
-        self._was_lost = False
+        self._said.clear()
+        self._cpu = self._advanced = 0.0
         self._event("reset", "initial state, step 0")
         for body, axes in list(self._output.acting):
             self._send_wrench(self.stamp_ns, body, (0.0,) * 6, axes)
@@ -325,6 +358,7 @@ class SimulationServer(threading.Thread):
 
     def _speed(self, factor):
         self.pacer.factor = factor
+        self._cpu = self._advanced = self._share = 0.0
         if self.state == "running":
             self.pacer.start(self._seconds())
         self._event("speed", f"real-time factor {factor:g}")
@@ -360,6 +394,17 @@ class SimulationServer(threading.Thread):
             if math.isfinite(position)
             else "",
             "predictable_until_s": self._simulation.predictable_until,
+            **self._accuracy_figures(),
+        }
+
+    def _accuracy_figures(self):
+        promise = self._simulation.promise
+        if promise is None:
+            return {}
+        return {
+            "accuracy": promise["accuracy"],
+            "accuracy_horizon_s": promise["horizon"],
+            "accurate_until_s": self._simulation.accurate_until,
         }
 
     def _figures(self, sample):
@@ -383,6 +428,7 @@ class SimulationServer(threading.Thread):
             "ticks": pacing["ticks"],
             "overruns": pacing["overruns"],
             "reanchored": pacing["reanchored"],
+            "integration_share_of_core": self._share,
             "energy_J": sample.energy,
             "energy_drift_J": drift,
             "constraint_residual": sample.constraint_residual,

@@ -5,6 +5,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from liegroup_core import Simulation, SimulationError
+from liegroup_core.accuracy import METHOD
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.model.build import initial_state as state_of_scene
 from liegroup_core.observables.along import quaternions
@@ -25,20 +26,26 @@ class ReplayError(LieGroupSimError):
 def make_simulation(scene, settings, **other):
     """Simulation with the settings of a recording; other : settings that replace recorded ones.
 
+    With a method it carries no estimate of the error, unless `other` says so.
     Raises ValueError, one line, for settings that this version cannot simulate.
     """
+    options, promise = settings.get("options") or {}, settings.get("promise")
+    if other.get("method") == settings["method"]:
+        del other["method"]  # the recorded accuracy stays
     chosen = {
-        "method": settings["method"],
         "step": settings["step"],
         "group": settings["group"],
         "stabilisation": settings.get("stabilisation") or "none",
         "baumgarte_time": settings.get("baumgarte_time"),
-        **(settings.get("options") or {}),
     }
-    if other.get("method", settings["method"]) != settings["method"]:
-        for name in settings.get("options") or {}:  # options of the recorded method
-            del chosen[name]
-    return Simulation(scene, **(chosen | other))
+    if "method" in other:  # without options of the recorded method
+        return Simulation(scene, quiet=True, **(chosen | {"estimate": False} | other))
+    if promise and settings["method"] == METHOD:
+        chosen |= {name: promise[name] for name in ("accuracy", "horizon")}
+        options = {name: options[name] for name in options.keys() - {"rtol", "atol"}}
+    else:
+        chosen |= {"method": settings["method"], "estimate": False}
+    return Simulation(scene, quiet=True, **(chosen | options | other))
 
 
 class Repeat:
@@ -102,6 +109,11 @@ class Repeat:
 
     def _begin(self, stretch):
         self._stretch, self._broken, self._next = stretch, False, 0
+        self._accuracies = [
+            (round(step * self._ratio), accuracy)
+            for step, accuracy in stretch.accuracies
+            if self._simulation.promise
+        ]
         start = stretch.start * self._ratio
         if start != round(start):
             raise ReplayError(
@@ -135,6 +147,7 @@ class Repeat:
                 self._steps += step - simulation.steps
                 if self._steps > MOST_STEPS:
                     raise SimulationError(f"needs more than {MOST_STEPS} steps")
+                self._change_accuracy(step)
                 self._apply_changes(step * simulation.step)
                 # Never advance by zero steps: that restarts a method whose memory depends on the
                 # wrenches.
@@ -146,6 +159,15 @@ class Repeat:
             self._stopped = self._stopped or str(error)
             self._broken = True
         return pose[:done], twist[:done]
+
+    def _change_accuracy(self, until):
+        """Advance to recorded changes of the accuracy up to a step, and repeat them."""
+        while self._accuracies and self._accuracies[0][0] < until:
+            step, accuracy = self._accuracies.pop(0)
+            self._apply_changes(step * self._simulation.step)
+            if step > self._simulation.steps:
+                self._simulation.advance(step - self._simulation.steps)
+            self._simulation.set_accuracy(accuracy)
 
     def _apply_changes(self, until):
         """Apply the recorded changes of wrenches up to a time."""

@@ -7,6 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from liegroup_sim_ros.messages import events
+
 from .errors import RecordingError
 
 # Samples kept for plots: the limit for all bodies together, and the smallest limit per body.
@@ -32,6 +34,10 @@ class Stretch:
     change_bodies: np.ndarray  # (m,) index of the body
     change_wrenches: np.ndarray  # (m, 6) the total in its axes
     change_in_world: np.ndarray  # (m,) bool: in world axes, not in body axes
+    accuracies: list  # [(step, accuracy)] from which on another accuracy holds
+    inaccurate_from: (
+        float  # s since step 0: the run said that its error exceeds the accuracy; or inf
+    )
     samples: int = 0  # number of all samples
     first_step: int = 0  # of a sample
     last_step: int = 0
@@ -216,7 +222,29 @@ class Motion:
             which[order],
             wrench[order],
             in_world[order],
+            *self._accuracies(base, end, step),
         )
+
+    def _accuracies(self, base, end, step):
+        """Changes of the accuracy, and the first time in s at which it was not kept."""
+        changes, ended = [], np.inf
+        for event in self._recording.events:
+            if not base <= event.stamp_ns < end:
+                continue
+            since = (event.stamp_ns - base) * 1e-9
+            if event.name not in ("accuracy", "inaccurate"):
+                continue
+            try:
+                number = events.number(event.text)
+            except ValueError:
+                raise RecordingError(
+                    f"{self._recording.path}: an event {event.name} names no number: {event.text!r}"
+                ) from None
+            if event.name == "accuracy":
+                changes.append((round(since / step), number))
+                number = since
+            ended = min(ended, number)
+        return changes, ended
 
     def blocks(self, angles=None):
         """Generator of Blocks. Raises RecordingError if settings contradict the messages.

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from liegroup_sim_ros.messages import estimates, schemas, topics
+from liegroup_sim_ros.messages import estimates, events, schemas, topics
 from liegroup_sim_ros.messages.codecs import LogCodec
 from liegroup_sim_ros.messages.samples import poses_and_twists
 
@@ -188,6 +188,7 @@ class LogFile:
 
     def __init__(self, path, simulation, every, _samples):
         self.count, self.last_step = 0, -1
+        self._simulation, self._told = simulation, set()  # events that are recorded once
         bodies = simulation.layout.body_names
         pairs = [(topics.pose(body), topics.twist(body)) for body in bodies]
         names = {
@@ -246,6 +247,10 @@ class LogFile:
     def sample(self, sample):
         """Record poses, twists and estimated errors of all bodies."""
         stamp = sample.time_ns
+        for name, text in events.reports(self._simulation):
+            if name not in self._told:
+                self._told.add(name)
+                self._event(stamp, name, text)
         for channels, messages in zip(self._channels, self._encode(stamp, sample)):
             for channel, message in zip(channels, messages):
                 self._recorder.write(channel, stamp, message)

@@ -53,6 +53,13 @@ def reasons(texts):
     return [(len(same), same[0]) for same in sorted(kinds.values(), key=len, reverse=True)]
 
 
+def _solver(settings):
+    """Method, or the accuracy in its place, as text."""
+    if "method" in settings:
+        return settings["method"]
+    return f"accuracy {settings['accuracy']:g} in {settings['horizon']:g} s, states"
+
+
 def print_sweep(file, show, console):
     """Tables of a SweepFile on a terminal; returns the set of the statuses of its runs.
 
@@ -73,7 +80,7 @@ def print_sweep(file, show, console):
     console.print(
         Text(
             f"{sweep.name}: {len(ok)} runs of {sweep.steps * settings['step']:.9g} s, "
-            f"{settings['method']} at {shown(settings['step'] * 1e3, 'ms')}; "
+            f"{_solver(settings)} at {shown(settings['step'] * 1e3, 'ms')}; "
             f"{len(ok) - ok.sum()} failed",
             style="bold",
         )

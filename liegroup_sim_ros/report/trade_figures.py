@@ -3,7 +3,6 @@
 
 from rich.text import Text
 
-from liegroup_core.study.trade.accuracy import SHARE
 from liegroup_core.study.trade.trade import ACCURACIES, MARGIN
 from liegroup_sim_ros.numbers import GROUPS, shown
 from liegroup_sim_ros.recording.attachments import versions
@@ -22,6 +21,9 @@ FRONT_HEAD = (
     "momentum",
     "joints",
 )
+SHARE = 0.5  # of a core, for the integration in real time
+ACCURACY_HEAD = ("accuracy", "error", "estimate", "kept, by the estimate", "CPU s per s")
+ACCURACY_TITLE = "Simulations to an accuracy, the cost of the estimate included"
 FRONT_TITLE = (
     "Pareto front; right columns: errors of angular velocity, velocity, energy, momentum, joints"
 )
@@ -64,6 +66,7 @@ def document_part(trade):
         "cells": cells,
         "front": [number[id(cell)] for cell in trade.front()],
         "cheapest": cheapest,
+        "to_accuracy": trade.to_accuracies(),
         "best": None if best is None else best[1],
         "best_in_real_time": None if in_time is None else in_time[1],
     }
@@ -118,6 +121,20 @@ def cheapest_rows(part):
     return rows
 
 
+def accuracy_rows(part):
+    """Rows of ACCURACY_HEAD for the simulations to an accuracy, all texts."""
+    return [
+        (
+            f"{entry['accuracy']:g}",
+            error_text(entry["error"], part["reference"]["known"]),
+            "infinite" if entry["estimate"] is None else shown(entry["estimate"]),
+            "yes" if entry["until"] is None else f"until {shown(entry['until'], 's')}",
+            shown(entry["cost_us"] * 1e-6),
+        )
+        for entry in part["to_accuracy"]
+    ]
+
+
 def front_rows(part):
     """Rows of FRONT_HEAD for the Pareto front, all texts."""
     reference = part["reference"]
@@ -166,6 +183,7 @@ def print_trade(part, console):
         CHEAPEST_HEAD,
         cheapest_rows(part),
     )
+    _print(console, ACCURACY_TITLE, ACCURACY_HEAD, accuracy_rows(part))
     _print(console, FRONT_TITLE, FRONT_HEAD, front_rows(part))
     console.print()
 

@@ -3,12 +3,17 @@
 
 from html import escape
 
+from liegroup_core.accuracy import DEFAULT
+
 from .page import frame, plot_card, unbroken
 from .plots import BASE, COLOURS, label
 from .trade_figures import (
+    ACCURACY_HEAD,
+    ACCURACY_TITLE,
     CHEAPEST_HEAD,
     FRONT_HEAD,
     FRONT_TITLE,
+    accuracy_rows,
     cheapest_rows,
     front_rows,
     headline,
@@ -21,6 +26,7 @@ SYMBOLS = ("circle", "square", "triangle-up", "diamond", "triangle-down", "cross
 HEIGHT = 560  # px
 MARKS = ("o", "s", "^", "D", "v", "P")
 LINES = ("-", "--", ":", "-.")
+TO_ACCURACY = "to an accuracy"
 COST, ERROR = (
     "CPU time, s per simulated second",
     "error, rad or relative to the characteristic length",
@@ -38,6 +44,24 @@ def curves(part):
         if not front or cell["error"] < front[-1]["error"]:
             front.append(cell)
     return sorted(fronts.items())
+
+
+def accuracy_text(entry):
+    """Name of a simulation to an accuracy."""
+    return f"accuracy {entry['accuracy']:g}" + (
+        ", the default" if entry["accuracy"] == DEFAULT else ""
+    )
+
+
+def _at_places(part):
+    """[((cost, error), entries)] of the simulations to an accuracy; equal errors are one place."""
+    known, places = part["reference"]["known"], {}
+    for entry in part["to_accuracy"]:
+        places.setdefault(entry["error"], []).append(entry)
+    return [
+        ((entries[0]["cost_us"] * 1e-6, max(error, known)), entries)
+        for error, entries in places.items()
+    ]
 
 
 def make_plot(part):
@@ -74,6 +98,18 @@ def make_plot(part):
             "line": {"color": "--text", "width": 5, "dash": "solid"},
             "opacity": 0.25,
             "hoverinfo": "skip",
+        }
+    )
+    traces.append(
+        {
+            "type": "scatter",
+            "mode": "markers",
+            "name": TO_ACCURACY,
+            "x": [entry["cost_us"] * 1e-6 for entry in part["to_accuracy"]],
+            "y": [max(entry["error"], known) for entry in part["to_accuracy"]],
+            "text": [accuracy_text(entry) for entry in part["to_accuracy"]],
+            "marker": {"color": "--text", "size": 12, "symbol": "star"},
+            "hovertemplate": "%{text}<br>error %{y:.3g}, %{x:.3g} s per s",
         }
     )
     axis = {
@@ -135,6 +171,7 @@ def make_page(parts):
                 CHEAPEST_HEAD,
                 cheapest_rows(part),
             )
+            + _table(ACCURACY_TITLE, ACCURACY_HEAD, accuracy_rows(part))
             + _table(FRONT_TITLE, FRONT_HEAD, front_rows(part))
         )
     title = f"{', '.join((part['scene'] for part in parts))}: accuracy against cost"
@@ -193,6 +230,10 @@ def write_picture(part, path):
             ls=LINES[k // len(inks) % len(LINES)],
             label=method,
         )
+    for place, entries in _at_places(part):
+        axes.plot(*place, "*", ms=8, color="black")
+        text = "\n".join(map(accuracy_text, entries))
+        axes.annotate(text, place, (4, 3), textcoords="offset points", fontsize=5.5)
     axes.axvline(1.0, color=INKS["--red"], lw=0.8, ls=":")
     axes.axhline(known, color=INKS["--grey"], lw=0.8, ls=":")
     axes.set_xscale("log")

@@ -296,7 +296,7 @@ def test_energy_changes_by_the_power(group):
     """E(T) - E(0) = integral of the power; step and Simpson's rule are both of order 4."""
     gaps = []
     for steps in (500, 1000):
-        simulation = Simulation(busy_scene(), step=1.0 / steps, group=group)
+        simulation = Simulation(busy_scene(), method="rkmk4", step=1.0 / steps, group=group)
         samples = [simulation.sample()]
         for _ in range(steps):
             simulation.advance()
@@ -312,7 +312,9 @@ def test_energy_changes_by_the_power(group):
 
 @pytest.mark.parametrize("group", ["se3", "so3xr3"])
 def test_the_same_bits_however_the_steps_are_asked_for(group):
-    whole, pieces = (Simulation(busy_scene(), step=2e-3, group=group) for _ in range(2))
+    whole, pieces = (
+        Simulation(busy_scene(), method="rkmk4", step=2e-3, group=group) for _ in range(2)
+    )
     whole.advance(1500)
     for _ in range(2):
         pieces.reset()

@@ -73,7 +73,10 @@ def test_the_frames_are_moved_to_the_centres_of_mass(name):
 def test_the_motion_does_not_depend_on_body_frames(name, group):
     """Round-off of 1e-15 grows by less than a factor of 1000 in 100 steps of these mechanisms."""
     scene, elsewhere, com = pair(name)
-    one, other = Simulation(scene, group=group), Simulation(elsewhere, group=group)
+    one, other = (
+        Simulation(scene, method="rkmk4", group=group),
+        Simulation(elsewhere, method="rkmk4", group=group),
+    )
     for _ in range(3):
         mine, theirs = other.sample(), one.sample()
         close(public(mine), public(theirs), 1e-10)
@@ -95,7 +98,7 @@ def test_the_motion_does_not_depend_on_body_frames(name, group):
 def test_wrenches_refer_to_the_origin_of_the_body_frame(name):
     """A force at the frame's origin has the torque -c x f about the centre of mass."""
     scene, elsewhere, com = pair(name, seed=3)
-    one, other = Simulation(scene), Simulation(elsewhere)
+    one, other = Simulation(scene, method="rkmk4"), Simulation(elsewhere, method="rkmk4")
     torque, force = np.array([0.3, -0.2, 0.5]), np.array([4.0, 5.0, -6.0])
     other.apply_wrench("a", (*torque, *force), start=0.01, duration=0.03)
     one.apply_wrench(
@@ -113,13 +116,13 @@ def test_a_recorded_run_repeats_bit_for_bit():
     """From the scene's text, the initial state and the wrenches, the contents of a recording."""
     _, scene, _ = pair("net", seed=5)
     scene = scene_from_text(scene.text)
-    first = Simulation(scene)
+    first = Simulation(scene, method="rkmk4")
     start = first.state()
     first.apply_wrench("b", (1, 2, 3, 4, 5, 6), start=0.005, source="one")
     first.apply_wrench("b", (0.1, 0.2, 0.3, 0, 0, 0.7), start=0.010, duration=0.01, source="two")
     first.apply_wrench("c", (0, 0, 1, 0, 0.3, 0), start=0.012, duration=0.02)
     first.advance(60)
-    again = Simulation(scene_from_text(scene.text))
+    again = Simulation(scene_from_text(scene.text), method="rkmk4")
     again.advance(3)
     again.set_state(*start)
     for change in first.drain_applied():
@@ -136,7 +139,7 @@ def test_a_recorded_run_repeats_bit_for_bit():
 
 def test_a_sample_is_restored_from_its_recorded_pose():
     _, scene, _ = pair("net")
-    simulation = Simulation(scene)
+    simulation = Simulation(scene, method="rkmk4")
     simulation.advance(20)
     sample = simulation.sample()
     again = simulation.layout.sample(
@@ -151,7 +154,7 @@ def test_a_sample_is_restored_from_its_recorded_pose():
 def test_the_reference_integration_uses_the_same_body_frames(name):
     """The reference integration takes states and wrenches, and returns motions, of body frames."""
     _, scene, _ = pair(name, seed=1)
-    simulation = Simulation(scene, step=5e-4)
+    simulation = Simulation(scene, method="rkmk4", step=5e-4)
     start = simulation.state()
     simulation.apply_wrench("b", (0.1, 0.2, 0.3, 1, -2, 0.5), start=0.02)
     simulation.advance(200)
@@ -165,7 +168,7 @@ def test_the_reference_integration_uses_the_same_body_frames(name):
     still = simulation.layout.sample(
         np.concatenate([exact.rotation[0].reshape(n, 9), exact.position[0]], axis=1), exact.twist[0]
     )
-    first = Simulation(scene).sample()
+    first = Simulation(scene, method="rkmk4").sample()
     np.testing.assert_allclose(still.pose, first.pose, atol=1e-14)
     np.testing.assert_allclose(still.twist, first.twist, atol=1e-14)
 
@@ -197,7 +200,7 @@ def test_conserved_momentum_does_not_depend_on_body_frames():
         child_frame=Frame(position=(0, -1, 0)),
     )
     scene = Scene(name="s", gravity=(0, 0, 0), assemble=True, bodies=bodies, joints=[joint])
-    simulation = Simulation(scene)
+    simulation = Simulation(scene, method="rkmk4")
     samples = []
     for _ in range(5):
         samples.append(simulation.sample())
@@ -280,7 +283,7 @@ def test_pendulum_about_its_frame_origin_has_the_closed_form():
     theta = solve_ivp(
         lambda t, y: [y[1], -k * np.sin(y[0])], (0, 2), [start, 0], rtol=1e-12, atol=1e-13
     ).y[0, -1]
-    simulation = Simulation(scene)
+    simulation = Simulation(scene, method="rkmk4")
     simulation.advance(2000)
     R = simulation.sample().poses["plate"][:3, :3]
     # the error of order 4 at this step, measured 1e-12
@@ -304,7 +307,7 @@ def test_a_free_body_rotates_about_its_centre_of_mass():
             )
         ],
     )
-    simulation = Simulation(scene)
+    simulation = Simulation(scene, method="rkmk4")
     body = scene.bodies[0]
     velocity = body.linear_velocity + np.cross(body.angular_velocity, body.com)
     for _ in range(4):

@@ -41,26 +41,17 @@ def verdict(problem, method, make=Simulation, **more):
     return run_cell(problem, truth, method, make)
 
 
-def slow(scene, method, step, **settings):
-    """Mutant: steps of 0.9 h. Halved steps agree with it, and energy is conserved."""
-    simulation = Simulation(scene, method, step, **settings)
-    advance = simulation._integrator.advance
-    simulation._integrator.advance = lambda h, *rest: advance(0.9 * h, *rest)
-    return simulation
-
-
 def lighter(scene, method, step, **settings):
-    """Mutant: 4/5 of gravity."""
+    """Mutant: 4/5 of gravity, for its companion, too."""
     gravity = tuple(0.8 * g for g in scene.gravity)
     return Simulation(scene.model_copy(update={"gravity": gravity}), method, step, **settings)
 
 
-@pytest.mark.parametrize("mutant", [slow, lighter])
 @pytest.mark.parametrize("amplitude", [1e-250, 1e-2])
-def test_plausible_wrong_answers_get_the_verdict_silent(mutant, amplitude):
+def test_plausible_wrong_answers_get_the_verdict_silent(amplitude):
     problem = problems.angle(amplitude)
     assert verdict(problem, "rkmk4")["verdict"] == ACCURATE
-    found = verdict(problem, "rkmk4", mutant)
+    found = verdict(problem, "rkmk4", lighter)
     assert found["verdict"] == SILENT and found["error"] > 0.2 and not found["says"]
 
 
@@ -98,6 +89,7 @@ def test_an_error_far_above_that_of_scale_one_is_wrong():
             "method": "rkmk4",
             "value": value,
             "error": error,
+            "estimate": 0.0,
             "uncertainty": 0.0,
             "says": [],
             "verdict": ACCURATE,

@@ -35,7 +35,7 @@ forces:
 
 
 def test_steady_motion_has_the_closed_form():
-    simulation = Simulation(scene_from_text(SCENE, "wheels"), step=1e-2)
+    simulation = Simulation(scene_from_text(SCENE, "wheels"), method="rkmk4", step=1e-2)
     for _ in range(3):
         simulation.advance(50)
         t, found = simulation.time, simulation.sample().joint_coordinates
@@ -56,7 +56,7 @@ def test_steady_motion_has_the_closed_form():
 def test_rates_are_those_of_the_coordinates(name):
     """Central differences, h = 1e-5 s: error h^2/6 of a third derivative, below 1e-11 * 1e5."""
     h = 1e-5
-    simulation = Simulation(load_scene(name), step=h)
+    simulation = Simulation(load_scene(name), method="rkmk4", step=h)
     simulation.advance(2000)
     before = simulation.sample().joint_coordinates
     simulation.advance(1)
@@ -71,4 +71,4 @@ def test_rates_are_those_of_the_coordinates(name):
 
 
 def test_scenes_without_such_joints_have_none():
-    assert Simulation(load_scene("heavy_top")).sample().joint_coordinates == {}
+    assert Simulation(load_scene("heavy_top"), method="rkmk4").sample().joint_coordinates == {}

@@ -252,7 +252,7 @@ def test_a_rod_carries_a_conical_pendulum():
     period, scene = conical_pendulum()
     errors = {}
     for steps in (250, 500, 1000):
-        simulation = Simulation(scene, step=period / steps)
+        simulation = Simulation(scene, method="rkmk4", step=period / steps)
         start = simulation.sample().positions["ball"]
         simulation.advance(steps)
         errors[period / steps] = np.linalg.norm(simulation.sample().positions["ball"] - start)
@@ -268,7 +268,7 @@ def test_a_rod_carries_a_conical_pendulum():
 def test_the_kernel_has_the_residuals_of_the_joints(name):
     """Also at poses that violate the joints."""
     rng = np.random.default_rng(3)
-    simulation = Simulation(mechanisms.named(name))
+    simulation = Simulation(mechanisms.named(name), method="rkmk4")
     layout = simulation.layout
     found = naive.matrices(simulation.state()[0])
     for size in (0.0, 0.1, 3.0):
@@ -292,7 +292,7 @@ def test_rows_and_bias_are_the_slopes_of_the_residual(name, seed):
     J V = 0. Central differences of step 1e-6 leave 1e-10, five-point second differences of step
     1e-3 leave 1e-9 times the fourth and more powers of twists of up to 5.
     """
-    simulation = Simulation(mechanisms.named(name, seed))
+    simulation = Simulation(mechanisms.named(name, seed), method="rkmk4")
     model = simulation.layout.model
     found, twist = naive.matrices(simulation.state()[0]), simulation.state()[1]
     J, bias = engine.rows(simulation)
@@ -331,7 +331,7 @@ def test_the_bias_is_the_rate_of_the_rows_where_joints_are_open_too(name):
 
     Central differences of step 1e-4 leave 1e-8 times third powers of the twists.
     """
-    simulation = Simulation(mechanisms.named(name))
+    simulation = Simulation(mechanisms.named(name), method="rkmk4")
     rng = np.random.default_rng(8)
     found = np.array(
         [C @ motion(0.3 * rng.normal(size=6)) for C in naive.matrices(simulation.state()[0])]

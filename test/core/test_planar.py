@@ -149,7 +149,7 @@ def both(scene, steps=200, step=1e-3, push=(0.3, -0.2, 0.4, 5.0, -4.0, 3.0), **s
     """(simulation in the plane, simulation in space) after the same run."""
     runs = []
     for space in ("auto", "space"):
-        simulation = Simulation(scene, step=step, space=space, **settings)
+        simulation = Simulation(scene, step=step, space=space, **{"method": "rkmk4"} | settings)
         simulation.apply_wrench(scene.bodies[-1].name, push)
         simulation.advance(steps)
         runs.append(simulation)
@@ -174,7 +174,7 @@ def test_the_motion_is_that_in_space(name, normal, group):
     assert difference(planar, space) <= 1e-11
     assert np.abs(planar.sample().angles - space.sample().angles).max(initial=0.0) <= 1e-11
     assert (len(planar.layout.plane.links) > 0) == (name in ("hinge", "slider", "tree"))
-    moved = np.abs(planar.state()[0] - Simulation(planar.scene).state()[0]).max()
+    moved = np.abs(planar.state()[0] - Simulation(planar.scene, method="rkmk4").state()[0]).max()
     assert moved > 1e-3
 
 
@@ -208,7 +208,7 @@ def test_planar_projection_satisfies_the_constraints():
 
 
 def test_projection_removes_gaps_along_the_normal_too():
-    simulation = Simulation(mechanism("tree", 1), stabilisation="projection")
+    simulation = Simulation(mechanism("tree", 1), method="rkmk4", stabilisation="projection")
     pose, twist = simulation.state()
     pose[-1, 10] += 0.05
     simulation.set_state(pose, twist)
@@ -218,7 +218,7 @@ def test_projection_removes_gaps_along_the_normal_too():
 
 @pytest.mark.parametrize("name", ["hinge", "slider", "plate"])
 def test_pairs_to_ground_stay_closed_to_round_off(name):
-    simulation = Simulation(mechanism(name, 1), step=0.01)
+    simulation = Simulation(mechanism(name, 1), method="rkmk4", step=0.01)
     simulation.advance(1000)
     assert simulation.layout.plane is not None
     # Every step adds to the place, rounded to 1e-16 of it: a random walk of 1000 steps is 30 of
@@ -244,20 +244,20 @@ def test_a_planar_run_does_not_depend_on_the_advance_calls():
 
 
 def test_out_of_plane_components_stay_zero():
-    simulation = Simulation(mechanism("chain", 2))
+    simulation = Simulation(mechanism("chain", 2), method="rkmk4")
     simulation.advance(100)
     sample = simulation.sample()
     normals = np.abs(sample.pose_matrices[:, 2, :3])
     assert (np.sort(normals, axis=1) == (0.0, 0.0, 1.0)).all()
     assert (
         sample.pose_matrices[:, 2, 3]
-        == Simulation(simulation.scene).sample().pose_matrices[:, 2, 3]
+        == Simulation(simulation.scene, method="rkmk4").sample().pose_matrices[:, 2, 3]
     ).all()
 
 
 def test_an_out_of_plane_state_is_integrated_in_space():
     scene = mechanism("hinge", 2)
-    runs = [Simulation(scene, space=space) for space in ("auto", "space")]
+    runs = [Simulation(scene, method="rkmk4", space=space) for space in ("auto", "space")]
     pose, twist = runs[0].state()
     tilt = SO3.exp((1e-9, 0.0, 0.0))
     pose[0, :9] = (tilt @ pose[0, :9].reshape(3, 3)).ravel()

@@ -33,7 +33,7 @@ def projected(simulation, pose, twist):
 @pytest.mark.parametrize("size, most_rounds", [(1e-9, 1), (1e-5, 2), (1e-2, 4)])
 def test_projection_closes_all_joints_to_round_off(name, size, most_rounds):
     """Newton's method squares the error: 1e-9, 1e-18; 1e-2, 1e-4, 1e-8, 1e-16, plus one iteration."""
-    simulation = Simulation(mechanisms.named(name))
+    simulation = Simulation(mechanisms.named(name), method="rkmk4")
     model = simulation.layout.model
     rng = np.random.default_rng(1)
     for _ in range(5):
@@ -54,7 +54,7 @@ def test_the_projection_is_the_least_change_in_the_mass_metric(name):
     of twists of size 10.
     """
     scene = mechanisms.named(name)
-    simulation = Simulation(scene)
+    simulation = Simulation(scene, method="rkmk4")
     M = engine.masses(scene)
     rng = np.random.default_rng(2)
     start_pose, start_twist = disturbed(simulation, rng, 1e-5)
@@ -74,7 +74,7 @@ def test_the_projection_is_the_least_change_in_the_mass_metric(name):
 
 @pytest.mark.parametrize("name", mechanisms.MECHANISMS)
 def test_a_consistent_state_is_not_changed(name):
-    simulation = Simulation(mechanisms.named(name))
+    simulation = Simulation(mechanisms.named(name), method="rkmk4")
     pose, twist = simulation.state()
     rounds, status, new_pose, new_twist = projected(simulation, pose, twist)
     assert (rounds, status) == (0, OK) and new_pose.tobytes() == pose.tobytes()
@@ -94,7 +94,7 @@ def momenta(simulation, pose, twist):
 
 
 def test_projection_of_inner_joints_conserves_momentum():
-    simulation = Simulation(mechanisms.named("floating"))
+    simulation = Simulation(mechanisms.named("floating"), method="rkmk4")
     rng = np.random.default_rng(3)
     pose, _ = simulation.state()
     twist = rng.normal(size=(len(pose), 6))
@@ -108,7 +108,7 @@ def test_projection_of_inner_joints_conserves_momentum():
 
 def test_position_projection_conserves_linear_momentum_energy_and_centre_of_mass():
     """Energy by Pythagoras: the second part removes exactly the energy of its change."""
-    simulation = Simulation(mechanisms.named("floating"))
+    simulation = Simulation(mechanisms.named("floating"), method="rkmk4")
     M = engine.masses(simulation.scene)
     rng = np.random.default_rng(4)
     pose, twist = disturbed(simulation, rng, 1e-3)
@@ -132,7 +132,8 @@ def test_projection_leaves_ground_joints_on_se3_unchanged(kind):
     """SE(3) satisfies them to machine precision: the runs differ by amplified round-off."""
     scene = mechanisms.named(f"{kind} to ground")
     with_it, without = (
-        Simulation(scene, step=2e-3, stabilisation=s) for s in ("projection", "none")
+        Simulation(scene, method="rkmk4", step=2e-3, stabilisation=s)
+        for s in ("projection", "none")
     )
     with_it.advance(500)
     without.advance(500)
@@ -146,11 +147,13 @@ def test_projection_leaves_ground_joints_on_se3_unchanged(kind):
 def test_projection_keeps_order_four_and_satisfies_joints(name, group):
     """Order 4 against a run without projection whose step is so small that drift is negligible."""
     scene = mechanisms.named(name)
-    reference = Simulation(scene, step=1e-4)
+    reference = Simulation(scene, method="rkmk4", step=1e-4)
     reference.advance(1000)
     errors = {}
     for h in (2e-3, 1e-3, 5e-4):
-        simulation = Simulation(scene, step=h, group=group, stabilisation="projection")
+        simulation = Simulation(
+            scene, method="rkmk4", step=h, group=group, stabilisation="projection"
+        )
         simulation.advance(round(0.1 / h))
         errors[h] = np.abs(simulation.state()[0] - reference.state()[0]).max()
         # measured on poses of up to 10 m
@@ -166,7 +169,7 @@ def test_a_constraint_without_solution_is_reported():
     scene = mechanisms.mechanism(
         np.random.default_rng(5), [("world", "a", "spherical")], loops=[("world", "a", "distance")]
     )
-    simulation = Simulation(scene, stabilisation="projection")
+    simulation = Simulation(scene, method="rkmk4", stabilisation="projection")
     simulation.advance(10)
     before = simulation.state()
     simulation.layout.model.elements["parameter"][1] += 100.0
@@ -189,6 +192,7 @@ def test_constraint_errors_die_out_as_baumgarte_predicts(name, group):
     time = 0.02
     simulation = Simulation(
         mechanisms.named(name),
+        method="rkmk4",
         step=2e-4,
         group=group,
         stabilisation="baumgarte",
@@ -214,7 +218,10 @@ def test_baumgarte_bounds_the_drift_of_a_long_run():
     runs = {}
     for stabilisation in ("none", "baumgarte", "projection"):
         simulation = Simulation(
-            mechanisms.named("chain of balls"), step=4e-3, stabilisation=stabilisation
+            mechanisms.named("chain of balls"),
+            method="rkmk4",
+            step=4e-3,
+            stabilisation=stabilisation,
         )
         simulation.advance(1000)
         runs[stabilisation] = simulation.sample().constraint_residual
@@ -243,4 +250,4 @@ def test_baumgarte_bounds_the_drift_of_a_long_run():
 )
 def test_wrong_stabilisation_options_are_refused_with_a_remedy(setting, text):
     with pytest.raises(ValueError, match=text):
-        Simulation(mechanisms.named("ball"), **setting)
+        Simulation(mechanisms.named("ball"), "rkmk4", **setting)

@@ -72,7 +72,7 @@ def test_a_tree_has_no_loop_joints():
 def test_the_planar_four_bar_eliminates_its_out_of_plane_row():
     """Three revolute joints and a spherical joint: 18 rows of rank 17."""
     layout = Simulation(
-        parallelogram(1.0, 2.0, ("revolute", "revolute", "spherical", "revolute"))
+        parallelogram(1.0, 2.0, ("revolute", "revolute", "spherical", "revolute")), method="rkmk4"
     ).layout
     assert layout.dropped_rows == [("c", "vz")]
 
@@ -80,7 +80,7 @@ def test_the_planar_four_bar_eliminates_its_out_of_plane_row():
 @pytest.mark.parametrize("angle", [1.0, 0.0])
 def test_a_singular_start_does_not_change_the_redundancy(angle):
     """Four revolute joints: 20 rows of rank 17, also for a flat start, where the rank is 16."""
-    layout = Simulation(parallelogram(angle, 2.0)).layout
+    layout = Simulation(parallelogram(angle, 2.0), method="rkmk4").layout
     assert len(layout.dropped_rows) == 3
     assert {row for _, row in layout.dropped_rows} <= {"wx", "wy", "vz"}
 
@@ -101,7 +101,7 @@ def test_coaxial_revolute_joints_are_redundant():
             ),
         ],
     )
-    simulation = Simulation(scene)
+    simulation = Simulation(scene, method="rkmk4")
     assert [joint for joint, _ in simulation.layout.dropped_rows] == ["high"] * 5
     simulation.apply_wrench("door", (0, 0, 1.0, 0, 0, 0))
     simulation.advance(1000)
@@ -119,7 +119,7 @@ def test_a_moving_parallelogram_passes_its_flat_pose(angle):
     """
     rate = 2.0 * np.pi
     for step in (1e-3, 2.5e-4):
-        simulation = Simulation(parallelogram(angle, rate), step=step)
+        simulation = Simulation(parallelogram(angle, rate), method="rkmk4", step=step)
         start = simulation.sample().energy
         for _ in range(40):
             simulation.advance(round(0.6 / step) // 40)
@@ -132,13 +132,13 @@ def test_a_moving_parallelogram_passes_its_flat_pose(angle):
 
 
 @pytest.mark.parametrize("rate, step", [(3.0, 1e-4), (0.3, 1e-3)])
-def test_an_energy_jump_at_a_flat_pose_is_reported(rate, step):
+def test_an_energy_jump_at_a_flat_pose_has_a_large_estimate(rate, step):
     """Half a step from the flat pose RATTLE jumps to another motion that satisfies the joints."""
     simulation = Simulation(parallelogram(0.5, rate), method="constrained_rattle", step=step)
     start = simulation.energy()
     simulation.advance(round(3.0 / rate / step))
     assert abs(simulation.energy() / start - 1.0) > 0.1
-    assert "the energy has leapt" in simulation.doubt
+    assert "this may be another motion" in simulation.doubt
 
 
 def exact_accelerations(model, pose, scene):
@@ -212,7 +212,7 @@ def test_accelerations_keep_full_accuracy_at_extreme_mass_ratios(masses):
         joints.append(hinge(f"j{i}", f"b{i - 1}" if i else "world", f"b{i}", -0.25, "spherical"))
         at = to
     scene = Scene(name="chain", gravity=(1.0, -2.0, -9.81), bodies=bodies, joints=joints)
-    simulation = Simulation(scene)
+    simulation = Simulation(scene, method="rkmk4")
     model, work = simulation.layout.model, simulation._work
     pose, _ = simulation.state()
     still = np.zeros((len(masses), 6))

@@ -22,7 +22,7 @@ STEPS = {
 def test_an_example_scene_satisfies_constraints_and_conserves_energy(path):
     scene = load_scene(path)
     check_consistency(scene)
-    simulation = Simulation(scene, step=STEPS.get(path.stem, 1e-3))
+    simulation = Simulation(scene, method="rkmk4", step=STEPS.get(path.stem, 1e-3))
     first = simulation.sample()
     # poses and frames of size 1 with a few round-offs each
     assert first.constraint_residual <= 1e-14
@@ -66,7 +66,7 @@ def test_example_files_equal_the_library_scenes(name, made):
 @pytest.mark.parametrize("n", [1, 3, 30])
 def test_initial_acceleration_of_a_chain_has_the_closed_form(kind, n):
     """One rod released from rest: theta'' = m g (l / 2) / (m r^2 / 4 + m l^2 / 3)."""
-    simulation = Simulation(chain(n, kind), step=1e-4)
+    simulation = Simulation(chain(n, kind), method="rkmk4", step=1e-4)
     start = simulation.sample()
     simulation.advance(10)
     sample = simulation.sample()
@@ -80,7 +80,7 @@ def test_initial_acceleration_of_a_chain_has_the_closed_form(kind, n):
 
 def test_chains_of_spherical_and_of_revolute_joints_fall_alike():
     """In the plane a revolute joint adds only constraints that are satisfied anyway."""
-    ball, hinge = (Simulation(chain(5, kind)) for kind in ("spherical", "revolute"))
+    ball, hinge = (Simulation(chain(5, kind), method="rkmk4") for kind in ("spherical", "revolute"))
     ball.advance(200)
     hinge.advance(200)
     np.testing.assert_allclose(ball.sample().pose, hinge.sample().pose, atol=1e-10)

@@ -17,7 +17,10 @@ from liegroup_core.status import NOT_FINITE, ROTATION_TOO_LARGE
 @pytest.mark.parametrize("group", ["se3", "so3xr3"])
 def test_runs_are_bit_identical_however_the_steps_are_split(group):
     scene = mechanisms.named("net")
-    whole, pieces = Simulation(scene, group=group), Simulation(scene, group=group)
+    whole, pieces = (
+        Simulation(scene, method="rkmk4", group=group),
+        Simulation(scene, method="rkmk4", group=group),
+    )
     whole.advance(100)
     for count in (1, 2, 0, 47, 50):
         pieces.advance(count)
@@ -27,19 +30,19 @@ def test_runs_are_bit_identical_however_the_steps_are_split(group):
 
 
 def test_a_run_after_reset_is_bit_identical():
-    simulation = Simulation(load_scene("heavy_top"))
+    simulation = Simulation(load_scene("heavy_top"), method="rkmk4")
     simulation.apply_wrench("top", (1, 2, 3, 4, 5, 6))
     simulation.advance(50)
     simulation.reset()
     assert simulation.steps == 0 and simulation.time == 0.0
     simulation.advance(50)
-    other = Simulation(load_scene("heavy_top"))
+    other = Simulation(load_scene("heavy_top"), method="rkmk4")
     other.advance(50)
     assert simulation.state()[0].tobytes() == other.state()[0].tobytes()
 
 
 def test_a_sample_is_an_independent_copy_with_names():
-    simulation = Simulation(load_scene("double_pendulum"))
+    simulation = Simulation(load_scene("double_pendulum"), method="rkmk4")
     sample = simulation.sample()
     before = sample.pose.copy()
     simulation.advance(10)
@@ -52,7 +55,7 @@ def test_a_sample_is_an_independent_copy_with_names():
 
 def test_too_large_steps_stop_with_the_last_valid_state():
     """At 150 rad/s a step of 0.1 s rotates by 15 rad: beyond 2 pi there is no solution."""
-    simulation = Simulation(load_scene("lagrangian_top"), step=0.1)
+    simulation = Simulation(load_scene("lagrangian_top"), method="rkmk4", step=0.1)
     before = simulation.state()
     with pytest.raises(SimulationError, match="smaller step") as failure:
         simulation.advance(10)
@@ -64,7 +67,7 @@ def test_too_large_steps_stop_with_the_last_valid_state():
 
 
 def test_overflow_stops_with_the_last_valid_state():
-    simulation = Simulation(load_scene("free_body"), step=1.0)
+    simulation = Simulation(load_scene("free_body"), method="rkmk4", step=1.0)
     simulation.apply_wrench("body", (0, 0, 0, 1e308, 0, 0))
     with pytest.raises(SimulationError) as failure:
         simulation.advance(1000)
@@ -76,7 +79,7 @@ def test_overflow_stops_with_the_last_valid_state():
 
 
 def test_a_rotation_beyond_pi_warns_once(caplog):
-    simulation = Simulation(load_scene("lagrangian_top"), step=1 / 40)
+    simulation = Simulation(load_scene("lagrangian_top"), method="rkmk4", step=1 / 40)
     simulation.advance(1)
     simulation.advance(1)
     assert len([r for r in caplog.records if "more than pi" in r.message]) == 1
@@ -88,8 +91,8 @@ def test_a_stretched_immobile_linkage_is_refused(slack):
     next to the tolerance of the rank, so that two ways to find the rank differ.
     """
     with pytest.raises(SceneError, match="stretched or folded and cannot move"):
-        Simulation(mechanisms.two_links(1.0 + slack))
-    assert Simulation(mechanisms.two_links(1.5)).layout.dropped_rows == []
+        Simulation(mechanisms.two_links(1.0 + slack), method="rkmk4")
+    assert Simulation(mechanisms.two_links(1.5), method="rkmk4").layout.dropped_rows == []
 
 
 @pytest.mark.parametrize(
@@ -109,7 +112,7 @@ def test_wrong_options_are_refused_with_a_remedy(setting, text):
 
 @pytest.mark.parametrize("steps", [-5, 1.7, "3", None, True])
 def test_a_step_count_that_is_not_an_integer_is_refused(steps):
-    simulation = Simulation(load_scene("free_body"))
+    simulation = Simulation(load_scene("free_body"), method="rkmk4")
     with pytest.raises(ValueError, match="whole number"):
         simulation.advance(steps)
     assert simulation.steps == 0
@@ -120,7 +123,9 @@ def test_a_step_count_that_is_not_an_integer_is_refused(steps):
 @pytest.mark.parametrize("times", [{"start": np.inf}, {"start": np.nan}, {"duration": np.inf}])
 def test_non_finite_wrench_times_are_refused(times):
     with pytest.raises(ValueError, match="must be finite"):
-        Simulation(load_scene("free_body")).apply_wrench("body", (1, 0, 0, 0, 0, 0), **times)
+        Simulation(load_scene("free_body"), method="rkmk4").apply_wrench(
+            "body", (1, 0, 0, 0, 0, 0), **times
+        )
 
 
 def test_a_model_error_names_the_line_in_the_scene_file(tmp_path):
@@ -128,11 +133,11 @@ def test_a_model_error_names_the_line_in_the_scene_file(tmp_path):
     path = tmp_path / "links.yaml"
     path.write_text(links.text)
     with pytest.raises(SceneError, match=r"links.yaml:\d+: .*stretched or folded"):
-        Simulation(load_scene(path))
+        Simulation(load_scene(path), method="rkmk4")
 
 
 def test_an_invalid_state_is_refused():
-    simulation = Simulation(load_scene("free_body"))
+    simulation = Simulation(load_scene("free_body"), method="rkmk4")
     pose, twist = simulation.state()
     with pytest.raises(ValueError, match=r"\(1, 12\)"):
         simulation.set_state(pose[:, :9], twist)
@@ -199,7 +204,7 @@ def test_a_numerically_singular_system_names_the_body(axis):
         f"     parent_frame: {{position: [0, 0, 0], axis: {axis}}}}}\n"
     )
     with pytest.raises(SceneError, match=r'x.yaml:4: bodies\[0\] "a": its mass of 1e\+26 kg'):
-        Simulation(scene_from_text(text, source="x.yaml"))
+        Simulation(scene_from_text(text, source="x.yaml"), method="rkmk4")
 
 
 def test_messages_print_numpy_scalars_as_plain_numbers():

@@ -321,7 +321,7 @@ def test_a_copied_simulation_continues_independently(scene, method, again):
 
 @pytest.mark.parametrize("scene", ["four_bar", "ball_chain"])
 def test_states_of_any_memory_layout_are_accepted(scene):
-    one, other = (Simulation(load_scene(scene)) for _ in range(2))
+    one, other = (Simulation(load_scene(scene), method="rkmk4") for _ in range(2))
     one.advance(50)
     pose, twist = one.state()
     other.set_state(np.asfortranarray(pose), np.asfortranarray(twist), 50)
@@ -340,7 +340,7 @@ def test_unsupported_field_types_are_refused():
 @pytest.mark.slow
 def test_a_pickled_sample_is_complete_in_another_process(tmp_path):
     """Pickled here and loaded there; derived quantities are computed there."""
-    sample = Simulation(load_scene("four_bar")).sample()
+    sample = Simulation(load_scene("four_bar"), method="rkmk4").sample()
     path = tmp_path / "sample"
     path.write_bytes(pickle.dumps(sample))
     code = "import pickle, sys; print(pickle.load(open(sys.argv[1], 'rb')).energy.hex())"

@@ -10,14 +10,11 @@ import pytest
 from liegroup_core import Simulation, load_scene
 from liegroup_core.integrators.methods import METHODS
 from liegroup_core.model.build import initial_state
-from liegroup_core.reference import Trajectory, distance, integrate
+from liegroup_core.reference import integrate
 from liegroup_core.scene.load import scene_from_text
-from liegroup_core.study.trade import accuracy
 from liegroup_core.study.trade import cache as store
 from liegroup_core.study.trade import configurations as settings
 from liegroup_core.study.trade import reference_solution as truth
-from liegroup_core.study.trade.accuracy import AccuracyError, choose
-from liegroup_core.study.trade.reference_solution import scaled
 from liegroup_core.study.trade.trade import MARGIN, Trade
 
 HORIZON = 0.5
@@ -214,65 +211,10 @@ def test_the_cache_is_specific_to_scene_version_and_processor(scene, trade, monk
     assert len(store.Store(scene, root).cells(horizon)) == len(trade.cells)
 
 
-@pytest.mark.parametrize("name", ["double_pendulum", "heavy_top", "slider_crank"])
-def test_the_requested_accuracy_is_met(name, tmp_path, monkeypatch):
-    """At other times than those of the choice, against another integration."""
-    monkeypatch.setenv("LIEGROUP_CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(accuracy, "SHORTLIST", ("rkmk4", "rkmk8"))
-    monkeypatch.setattr(accuracy, "BUDGET", 0.05)
-    scene, said = load_scene(name), []
-    for wanted in (1e-3, 1e-6):
-        choice = choose(scene, wanted, 0.2, tell=said.append)
-        simulation = choice.simulation()
-        assert simulation.promise["accuracy"] == wanted
-        times, poses, twists = [], [], []
-        for _ in range(round(0.2 / simulation.step)):
-            simulation.advance(1)
-            sample = simulation.sample()
-            times.append(sample.time)
-            poses.append(sample.pose)
-            twists.append(sample.twist)
-        poses = np.array(poses)
-        k, n = poses.shape[:2]
-        true, known = integrate(scene, *initial_state(simulation.layout.centred), times)
-        off = distance(
-            Trajectory(None, poses[..., :9].reshape(k, n, 3, 3), poses[..., 9:], np.array(twists)),
-            true,
-        )
-        error = scaled(off.position, off.angle, choice.promise["length"])
-        assert error <= wanted
-        # Not by chance: the promise says what the error is, up to what lies between its samples.
-        assert error <= MARGIN * choice.promise["error"]
-    assert len(said) == 1 and "once for this scene on this machine" in said[0]
-    direct = Simulation(scene, accuracy=1e-6, horizon=0.2)
-    assert (direct.method, direct.step) == (simulation.method, simulation.step)
-
-
-@pytest.mark.slow
-def test_refusals_name_the_attainable_accuracy(tmp_path, monkeypatch):
-    monkeypatch.setenv("LIEGROUP_CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(accuracy, "SHORTLIST", ("rkmk2",))
-    monkeypatch.setattr(accuracy, "BUDGET", 0.05)
-    scene = load_scene("double_pendulum")
-    for arguments, said in (
-        ({"accuracy": 1e-14}, "cannot be had for double_pendulum over 0.5 s on this machine"),
-        ({"accuracy": 1e-3, "factor": 1e9}, "times real time: the cheapest setting"),
-        ({"accuracy": 1e-3, "factor": 1e9}, "at 1e.09 times no setting .* is fast enough"),
-        ({"accuracy": 1e-3, "usable": lambda step: False}, "no step can be used"),
-        ({"accuracy": 0.0}, "above 0"),
-        ({"accuracy": 2.0}, "at most 1"),
-    ):
-        with pytest.raises(AccuracyError, match=said) as error:
-            choose(scene, horizon=0.5, tell=lambda text: None, **arguments)
-        assert "\n" not in str(error.value)
-    for wrong in (-1.0, float("nan"), 0.123456):
-        with pytest.raises(ValueError, match="horizon"):
-            Trade(scene, wrong)
-    for other in ({"method": "rkmk4"}, {"step": 1e-3}, {"group": "se3"}, {"rtol": 1e-3}):
-        with pytest.raises(ValueError, match="cannot be combined with"):
-            Simulation(scene, accuracy=1e-3, **other)
-    with pytest.raises(ValueError, match="requires accuracy"):
-        Simulation(scene, horizon=1.0)
+@pytest.mark.parametrize("wrong", [-1.0, float("nan"), 0.123456])
+def test_a_wrong_horizon_is_refused(wrong):
+    with pytest.raises(ValueError, match="horizon"):
+        Trade(load_scene("double_pendulum"), wrong)
 
 
 STIFF = """

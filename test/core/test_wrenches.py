@@ -81,7 +81,7 @@ def test_a_known_wrench_gives_the_closed_form_momentum(group, steps_at_once):
     on it. Rounding: 250 additions to sums of at most 2.5e-1 and 7.5e-1, each eps/2 relative, and
     the four stage weights of a step, each once more: below 8 * 250 eps * 0.75 = 4e-13.
     """
-    simulation = Simulation(load_scene("free_body"), step=1e-3, group=group)
+    simulation = Simulation(load_scene("free_body"), method="rkmk4", step=1e-3, group=group)
     pose, twist = simulation.state()
     simulation.set_state(pose, 0.0 * twist)
     simulation.apply_wrench("body", (0, 0, 1.0, 0, 0, 3.0), start=0.1, duration=0.25)
@@ -95,7 +95,7 @@ def test_a_known_wrench_gives_the_closed_form_momentum(group, steps_at_once):
 
 def test_a_spinning_body_gains_the_same_linear_momentum():
     """Force along the spin axis: p = f t, and the spin does not change."""
-    simulation = Simulation(load_scene("free_body"), step=1e-3)
+    simulation = Simulation(load_scene("free_body"), method="rkmk4", step=1e-3)
     pose, _ = simulation.state()
     simulation.set_state(pose, [[0, 0, 20.0, 0, 0, 0]])
     before = simulation.sample().spatial_momentum
@@ -112,7 +112,7 @@ def test_a_force_in_world_axes_keeps_its_direction_on_a_spinning_body(group):
     Seen from the body the momentum, at most 2 N s, rotates by w h = 0.02 in every step: RKMK4 has
     an error of (w h)^5 / 120 of its size there, over 800 steps 4.3e-8 N s.
     """
-    simulation = Simulation(load_scene("free_body"), step=1e-3, group=group)
+    simulation = Simulation(load_scene("free_body"), method="rkmk4", step=1e-3, group=group)
     spin, force = 20.0, 4.0
     simulation.set_state(
         np.array([[1.0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0]]), [[0, 0, spin, 0, 0, 0]]
@@ -129,7 +129,7 @@ def test_a_force_in_world_axes_keeps_its_direction_on_a_spinning_body(group):
 
 def test_wrenches_in_world_and_body_axes_of_two_sources_add():
     """A quarter turn about z: the torque about x of the world is one about -y of the body."""
-    simulation = Simulation(load_scene("free_body"), step=1e-9)
+    simulation = Simulation(load_scene("free_body"), method="rkmk4", step=1e-9)
     quarter = [[0.0, -1, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0]]
     simulation.set_state(np.array(quarter), np.zeros((1, 6)))
     simulation.apply_wrench("body", (1, 0, 0, 0, 2, 0), source="world", axes="world")
@@ -181,7 +181,7 @@ def test_the_recorded_changes_repeat_a_run_bit_by_bit(method, at_once):
 
 @pytest.mark.parametrize("wrench", [(1, 2, 3), (np.nan, 0, 0, 0, 0, 0), (0, 0, 0, np.inf, 0, 0)])
 def test_an_invalid_wrench_is_refused_and_changes_nothing(wrench):
-    simulation = Simulation(load_scene("free_body"))
+    simulation = Simulation(load_scene("free_body"), method="rkmk4")
     with pytest.raises(ValueError, match="six finite numbers"):
         simulation.apply_wrench("body", wrench)
     with pytest.raises(ValueError, match="unknown body 'nobody'; choose one of: body"):

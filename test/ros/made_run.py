@@ -50,12 +50,11 @@ def record(
     """Record a run of a given number of steps.
 
     pushes : {step: (body, wrench)}, resets : steps at which to go back to the start
-    promise : of an accuracy, as in Simulation
+    promise : of an accuracy, as in Simulation, which the run need not keep
     factors : {step: requested real-time factor}, with that of step 0
     spoil  : may change a message, or drop it by returning None; k counts those of a topic
     """
-    simulation = Simulation(scene, "rkmk4", step, group)
-    simulation.promise = promise
+    simulation = Simulation(scene, "rkmk4", step, group, estimate=False)
     bodies = [body.name for body in scene.bodies]
     topics = {
         "pose": {b: f"/sim_node/{b}/pose" for b in bodies},
@@ -66,7 +65,9 @@ def record(
         "diagnostics": "/diagnostics",
     }
     count = {}
-    more = {"parameters": {"real_time_factor": factors[0]}} if factors else {}
+    more = {"promise": promise}
+    if factors:
+        more["parameters"] = {"real_time_factor": factors[0]}
     with Recorder(
         path, attachments.at_start(simulation, "/sim_node", "world", per_sample, topics, **more)
     ) as recorder:

@@ -168,8 +168,8 @@ def test_trend_and_curves_of_a_drift():
 def logs(tmp_path_factory):
     """Folder with two valid recordings, a truncated one and a file that is none."""
     folder = tmp_path_factory.mktemp("logs")
-    run(folder / "a.mcap", load_scene("heavy_top"))
-    run(folder / "b.mcap", load_scene("heavy_top"), "rkmk8")
+    run(folder / "a.mcap", load_scene("heavy_top"), estimate=False)
+    run(folder / "b.mcap", load_scene("heavy_top"), "rkmk8", estimate=False)
     data = run(folder / "c.mcap", scene_from_text(FREE)).read_bytes()
     (folder / "c.mcap").write_bytes(data[:-3000])
     (folder / "d.mcap").write_bytes(b"no log")

@@ -5,6 +5,7 @@ import re
 import signal
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 
 from liegroup_sim_ros.node.parameter_texts import preset_text, table_text
-from liegroup_sim_ros.node.parameters import TABLE, check
+from liegroup_sim_ros.node.parameters import TABLE, check, fitting_steps
 
 STEP_NS = 1_000_000
 PERIOD_NS = 10 * STEP_NS
@@ -78,7 +79,7 @@ class Shared:
 
 @pytest.fixture(scope="module")
 def shared(client, scene):
-    with NodeProcess({"scene": scene}) as process:
+    with NodeProcess({"scene": scene, "method": "rkmk4", "step": 1e-3}) as process:
         yield Shared(client)
         process.send(signal.SIGINT)
         assert process.wait()[0] == 0
@@ -351,13 +352,36 @@ def test_the_preset_lists_the_defaults_of_all_parameters():
 
 @pytest.mark.parametrize("path", sorted((SOURCE / "config").glob("*.yaml")), ids=lambda p: p.stem)
 def test_every_preset_has_valid_parameters(path):
-    step = 0.001
-    for name, value in yaml.safe_load(path.read_text())["/**"]["ros__parameters"].items():
+    given = yaml.safe_load(path.read_text())["/**"]["ros__parameters"]
+    for name, value in given.items():
         assert check(name, value) == value
-        if name == "step":
-            step = value
-        if name.endswith("_rate") and value:
-            assert 1.0 / (value * step) == pytest.approx(round(1.0 / (value * step)))
+    values = SimpleNamespace(**{entry.name: entry.default for entry in TABLE} | given)
+    assert 1e-3 <= fitting_steps(values)[0] <= 1e-2
+
+
+@pytest.mark.parametrize(
+    "rates, longest, count",
+    [
+        ({}, 0.01, 1),
+        ({"publish_rate": 1000.0}, 0.001, 1),
+        ({"clock_rate": 30.0}, 1 / 300, 3),  # steps in the shortest period
+        ({"publish_rate": 300.0}, 1 / 300, 1),
+        ({"publish_rate": 1.0, "clock_rate": 0.0, "state_rate": 0.0}, 0.01, 100),
+        ({"publish_rate": 0.0, "clock_rate": 0.0, "state_rate": 0.0}, 0.01, None),
+    ],
+)
+def test_an_accuracy_has_steps_that_divide_the_periods_of_all_rates(rates, longest, count):
+    """From at most 10 ms downwards, as long as possible."""
+    values = SimpleNamespace(**{entry.name: entry.default for entry in TABLE} | rates)
+    steps = fitting_steps(values)
+    assert steps[0] == pytest.approx(longest, rel=1e-12) and steps[-1] < 1e-6
+    assert all(after < before for before, after in zip(steps, steps[1:]))
+    used = [getattr(values, name) for name in vars(values) if name.endswith("_rate")]
+    for step in steps:
+        for rate in filter(None, used):
+            assert 1.0 / (rate * step) == pytest.approx(round(1.0 / (rate * step)), rel=1e-6)
+    if count:
+        assert 1.0 / (max(used) * steps[0]) == pytest.approx(count)
 
 
 def test_the_docs_contain_the_generated_parameter_table():

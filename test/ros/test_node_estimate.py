@@ -28,13 +28,15 @@ def test_estimates_are_served_recorded_and_end_with_an_event(client, tmp_path):
     )
     parameters = {
         "scene": "double_pendulum",
+        "method": "rkmk4",
+        "accuracy": 1e-4,  # the defaults, as in a dump of all parameters
+        "accuracy_horizon": 60.0,
         "step": 8e-3,
         "publish_rate": 125.0,
         "odometry_rate": 125.0,
         "pose_with_covariance_rate": 62.5,
         "clock_rate": 125.0,
         "state_rate": 12.5,
-        "estimate": True,
         "record": path,
         "real_time_factor": 4.0,
     }
@@ -87,7 +89,7 @@ def _check_errors(recording, published):
     """One estimate with every sample, those of the simulation in Python, and those published."""
     track = recording.errors
     assert np.array_equal(track.stamp_ns, recording.pose["lower"].stamp_ns)
-    simulation = Simulation(load_scene("double_pendulum"), step=8e-3, estimate=True)
+    simulation = Simulation(load_scene("double_pendulum"), "rkmk4", 8e-3)
     for errors in track.errors:
         assert errors.tobytes() == simulation.sample().errors.tobytes()
         simulation.advance()

@@ -84,7 +84,8 @@ class Pushed:
 @pytest.fixture(scope="module")
 def process(client, scene):
     with NodeProcess(
-        {"scene": scene, "wrench_hold": "until_replaced"}, remap=[f"__node:={NODE[1:]}"]
+        {"scene": scene, "method": "rkmk4", "step": 1e-3, "wrench_hold": "until_replaced"},
+        remap=[f"__node:={NODE[1:]}"],
     ) as process:
         yield process, Pushed(client)
         process.send(signal.SIGTERM)

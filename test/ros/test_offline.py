@@ -20,7 +20,8 @@ from liegroup_sim_ros.recording.read import read_recording
 
 def test_a_csv_table_has_the_exact_numbers(tmp_path, capsys):
     path = tmp_path / "a.csv"
-    given = ["run", "double_pendulum", "--duration", "0.095", "--step", "1e-3", "--out", str(path)]
+    given = ["run", "double_pendulum", "--duration", "0.095", "--method", "rkmk4", "--no-estimate"]
+    given += ["--out", str(path)]
     assert main(given) == 0 and main(given) == 2
     assert "the file already exists" in capsys.readouterr().err
     with open(path, encoding="utf-8", newline="") as file:
@@ -42,17 +43,17 @@ def test_a_csv_table_has_the_exact_numbers(tmp_path, capsys):
 
 
 def test_every_file_has_the_estimated_errors_if_they_are_carried(tmp_path, capsys):
-    given = ["run", "double_pendulum", "--duration", "0.095", "--step", "1e-3", "--every", "1"]
+    given = ["run", "double_pendulum", "--method", "rkmk4", "--duration", "0.095", "--every", "1"]
     for suffix in ("npz", "csv", "mcap"):
-        assert main([*given, "--estimate", "--out", str(tmp_path / f"a.{suffix}")]) == 0
-        assert main([*given, "--out", str(tmp_path / f"b.{suffix}")]) == 0
+        assert main([*given, "--out", str(tmp_path / f"a.{suffix}")]) == 0
+        assert main([*given, "--no-estimate", "--out", str(tmp_path / f"b.{suffix}")]) == 0
     arrays = np.load(tmp_path / "a.npz")
     with open(tmp_path / "a.csv", encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     recording = read_recording(tmp_path / "a.mcap")
     assert np.array_equal(recording.errors.stamp_ns, recording.pose["lower"].stamp_ns)
     (piece,) = recording.samples()
-    simulation = Simulation(load_scene("double_pendulum"), step=1e-3, estimate=True)
+    simulation = Simulation(load_scene("double_pendulum"), "rkmk4")
     for k in range(96):
         errors = simulation.sample().errors
         assert np.isnan(errors).all() == (k in (1, 2, 3))
@@ -126,7 +127,10 @@ def test_npz_arrays_equal_those_of_the_simulation(tmp_path, capsys):
     "more",
     [
         ["--method", "rkmk54", "--rtol", "1e-9", "--atol", "1e-9"],
-        ["--stabilisation", "baumgarte", "--baumgarte-time", "0.05", "--group", "so3xr3"],
+        [
+            *("--method", "rkmk4", "--group", "so3xr3"),
+            *("--stabilisation", "baumgarte", "--baumgarte-time", "0.05"),
+        ],
     ],
 )
 def test_an_offline_recording_is_analysed_like_one_of_the_node(tmp_path, more):
@@ -155,6 +159,8 @@ def test_a_failed_run_leaves_the_samples_before_the_failure(tmp_path, capsys, su
             [
                 "run",
                 "lagrangian_top",
+                "--method",
+                "rkmk4",
                 "--duration",
                 "1",
                 "--step",
@@ -182,7 +188,8 @@ def test_a_failed_run_leaves_the_samples_before_the_failure(tmp_path, capsys, su
 @pytest.mark.parametrize(
     "change, said",
     [
-        ({"--duration": "0.0015"}, "whole number"),
+        ({"--duration": "0.0015", "--method": "rkmk4"}, "whole number"),
+        ({"--duration": "0.0015", "--step": "1e-3"}, "whole number"),
         ({"--duration": "0"}, "positive"),
         ({"--duration": "nan"}, "positive"),
         ({"--every": "0"}, "--every"),
@@ -190,7 +197,19 @@ def test_a_failed_run_leaves_the_samples_before_the_failure(tmp_path, capsys, su
         ({"--group": "so3"}, "so3xr3"),
         ({"--step": "-1"}, "step"),
         ({"--stabilisation": "x"}, "projection"),
-        ({"--rtol": "1e-3"}, "no option 'rtol'"),
+        ({"--rtol": "1e-3", "--method": "rkmk4"}, "no option 'rtol'"),
+        ({"--rtol": "1e-3"}, "an accuracy sets rtol; remove it, or give a method"),
+        ({"--accuracy": "0"}, "the accuracy must be a number from 1e-13 to 1, got 0"),
+        ({"--accuracy": "nan"}, "the accuracy must be a number from 1e-13 to 1, got nan"),
+        ({"--horizon": "-1"}, "the horizon must be a positive number of seconds, got -1"),
+        (
+            {"--accuracy": "1e-6", "--method": "rkmk4"},
+            "--accuracy cannot be combined with --method: remove one of them",
+        ),
+        (
+            {"--horizon": "5", "--method": "rkmk4"},
+            "--horizon cannot be combined with --method: remove one of them",
+        ),
         ({"scene": "nope"}, "nope"),
         ({"--out": "a.txt"}, ".npz, .csv or .mcap"),
         ({"--out": "none/a.npz"}, "cannot be written"),

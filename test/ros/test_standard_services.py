@@ -88,7 +88,8 @@ def messages():
 
 @pytest.fixture
 def services(messages):
-    server = SimulationServer(Simulation(scene_from_text(SCENE, "two")), Silent(), paused=True)
+    simulation = Simulation(scene_from_text(SCENE, "two"), "rkmk4", 1e-3)
+    server = SimulationServer(simulation, Silent(), paused=True)
     server.start()
 
     def ask(command, *arguments):

@@ -10,7 +10,6 @@ import pytest
 
 from liegroup_core.study.sweep import sweep as sweeps
 from liegroup_core.study.sweep.file import SweepFile
-from liegroup_core.study.trade import accuracy
 from liegroup_sim_ros.commands.main import main
 
 # A free body that falls: z = -g/2 t^2 + v t, whatever its mass.
@@ -30,6 +29,8 @@ ARGUMENTS = [
     "20",
     "--duration",
     "0.5",
+    "--method",
+    "rkmk4",
     "--step",
     "0.01",
 ]
@@ -133,20 +134,60 @@ def test_an_inconsistent_start_suggests_assembly(tmp_path, monkeypatch, capsys):
     assert "assemble True there and False here" in capsys.readouterr().err
 
 
-def test_the_configuration_chosen_for_an_accuracy_is_kept_on_resume(
-    fall, tmp_path, monkeypatch, capsys
-):
-    monkeypatch.setenv("LIEGROUP_CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(accuracy, "SHORTLIST", ("rkmk4",))
-    at = fall.index("--step")
-    fall[at : at + 2] = ["--accuracy", "1e-6", "--horizon", "0.5"]
+def test_a_sweep_to_an_accuracy_has_one_step_and_resumes(fall, capsys):
+    """The step is that of the unchanged scene; every run controls its own error."""
+    at = fall.index("--method")
+    fall[at : at + 4] = ["--accuracy", "1e-6", "--horizon", "0.5"]
     assert main(fall) == 0
-    assert "accuracy 1e-06 over 0.5 s: rkmk4" in capsys.readouterr().err
-    settings = SweepFile("a.parquet").description["settings"]
-    # What would be chosen now is not looked for.
-    monkeypatch.setattr("liegroup_sim_ros.commands.run.choose", None)
+    said = "20 runs of 0.5 s, accuracy 1e-06 in 0.5 s, states at 5 ms; 0 failed"
+    assert said in capsys.readouterr().out
+    description = SweepFile("a.parquet").description
+    assert description["settings"]["accuracy"] == 1e-6
+    assert description["settings"]["horizon"] == 0.5
+    frame = pandas.read_parquet("a.parquet")
+    height = frame["gravity.2"] * 0.5**2 / 2 + frame["bodies.stone.linear_velocity.2"] * 0.5
+    # Exact for a method of order 8; 100 steps, of at least one substep each.
+    assert np.allclose(frame["stone.z"], height, rtol=0, atol=1e-12)
     assert main(fall) == 0
-    assert SweepFile("a.parquet").description["settings"] == settings
+    assert SweepFile("a.parquet").description == description
+    fall[fall.index("1e-6")] = "1e-7"
+    assert main(fall) == 2
+    assert "contains a different sweep" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("keep, step", [("0.1", "10 ms"), ("0.0625", "8.93 ms")])
+def test_states_are_kept_at_steps_of_an_accuracy(fall, capsys, keep, step):
+    """A step that divides both the duration and the period of --keep."""
+    for option in ("--method", "--step"):
+        at = fall.index(option)
+        del fall[at : at + 2]
+    assert main([*fall, "--keep", keep]) == 0
+    said = f"20 runs of 0.5 s, accuracy 0.0001 in 60 s, states at {step}; 0 failed"
+    assert said in capsys.readouterr().out
+    times = pandas.read_parquet("a.parquet")["samples.time"][0]
+    assert np.allclose(times, np.arange(len(times)) * float(keep), rtol=1e-12, atol=0)
+
+
+@pytest.mark.parametrize(
+    "change, said",
+    [
+        (["--accuracy", "0"], "the accuracy must be a number from 1e-13 to 1, got 0"),
+        (["--horizon", "0"], "the horizon must be a positive number"),
+        (["--keep", "0"], "--keep must be a positive number of seconds"),
+        (
+            ["--keep", "0.0123456"],
+            "--keep 0.0123456 s: no suitable step divides it and --duration 0.5 s",
+        ),
+    ],
+)
+def test_wrong_input_of_an_accuracy_is_one_line(fall, tmp_path, capsys, change, said):
+    for option in ("--method", "--step"):
+        at = fall.index(option)
+        del fall[at : at + 2]
+    assert main([*fall, *change]) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and said in err and err.count("\n") == 1
+    assert not (tmp_path / "a.parquet").exists()
 
 
 @pytest.mark.parametrize(
@@ -171,7 +212,7 @@ def test_the_configuration_chosen_for_an_accuracy_is_kept_on_resume(
         (["--out", "a.csv"], "must end in .parquet"),
         (["--out", "no/a.parquet"], "cannot be written"),
         (["--out", "taken.parquet"], "is a file"),
-        (["--accuracy", "1e-6"], "cannot be combined with"),
+        (["--accuracy", "1e-6"], "--accuracy cannot be combined with --method"),
     ],
 )
 def test_wrong_input_is_one_line(fall, tmp_path, capsys, change, said):

@@ -6,6 +6,7 @@ integrated by SciPy to 1e-10 or better; it shares nothing with the engine, not e
 numbers. Tolerances: the error of order 4 at this step, measured, times three.
 """
 
+import mechanisms
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -38,7 +39,7 @@ def solved(rate, start, times, method="DOP853", rtol=1e-12, atol=1e-13):
 
 def sampled(scene, step, times, **settings):
     """Samples of a simulation of the scene at these times (s)."""
-    simulation = Simulation(scene, step=step, **settings)
+    simulation = Simulation(scene, step=step, **{"method": "rkmk4"} | settings)
     samples = []
     for time in times:
         simulation.advance(round(time / step) - simulation.steps)
@@ -133,17 +134,12 @@ def test_four_bar_follows_its_energy_integral():
 
 
 def test_four_bar_eliminates_one_redundant_row():
-    assert Simulation(load_scene("four_bar")).layout.dropped_rows == [("coupler_rocker", "vz")]
+    assert Simulation(load_scene("four_bar"), method="rkmk4").layout.dropped_rows == [
+        ("coupler_rocker", "vz")
+    ]
 
 
 # ---------------------------------------------------------------- rows of four-bar windows
-
-
-def windows_reference(n, times):
-    """Angle and rate of all cranks: n + 1 rods rotate about their ends, n rods translate."""
-    inertia = (n + 1) * (0.25 + (1.0 + 3e-6) / 12.0) + n
-    lever = (n + 1) * 0.5 + n
-    return solved(lambda y: [y[1], -G * lever / inertia * np.cos(y[0])], [np.pi / 2, -1.0], times)
 
 
 @pytest.mark.parametrize("n", [1, 2, 4])
@@ -151,7 +147,7 @@ def test_windows_before_and_after_the_first_singular_pose(n):
     """At 0.5 s the cranks are upright; by 1 s they have passed the collinear pose."""
     times = [0.5, 1.0]
     scene = load_scene("n_four_bar") if n == 2 else four_bar_windows(n)
-    reference = windows_reference(n, times)
+    reference = mechanisms.windows_motion(n, times)
     assert reference[0][0] > 0.0 > reference[1][0]
     for sample, (q, rate) in zip(sampled(scene, 1e-3, times), reference):
         for k in range(n + 1):
@@ -166,7 +162,7 @@ def test_windows_pass_their_singular_pose_repeatedly(n):
     """Each passage amplifies constraint drift; projection after each step removes it."""
     times = [2.0, 4.0, 6.0, 8.0, 10.0]
     samples = sampled(four_bar_windows(n), 1e-3, times, stabilisation="projection")
-    for sample, (q, _) in zip(samples, windows_reference(n, times)):
+    for sample, (q, _) in zip(samples, mechanisms.windows_motion(n, times)):
         for k in range(n + 1):
             assert abs(turn(angle(sample.poses[f"crank{k}"]) + np.pi / 2 - q)) <= 1e-7
         assert sample.constraint_residual <= 1e-12
@@ -175,7 +171,7 @@ def test_windows_pass_their_singular_pose_repeatedly(n):
 @pytest.mark.parametrize("n", [2, 5])
 def test_each_window_eliminates_three_redundant_rows(n):
     """A planar loop of four revolute joints has three redundant rows, all out of plane."""
-    dropped = Simulation(four_bar_windows(n)).layout.dropped_rows
+    dropped = Simulation(four_bar_windows(n), method="rkmk4").layout.dropped_rows
     assert len(dropped) == 3 * n
     assert {row for _, row in dropped} == {"wx", "wy", "vz"}
 
@@ -240,7 +236,7 @@ def test_bricard_follows_lagranges_equation():
     """10 s, two revolutions: constraints hold and the energy is conserved."""
     times = [0.5, 1.25, 2.0, 4.0, 6.0, 8.0, 10.0]
     reference = solved(bricard_rate, [0.0, 0.0, 0.0], times)
-    simulation = Simulation(load_scene("bricard"))
+    simulation = Simulation(load_scene("bricard"), method="rkmk4")
     energy = simulation.sample().energy
     for time, (a, b, _) in zip(times, reference):
         corners, axes = bricard(a, b)
@@ -261,7 +257,7 @@ def test_bricard_eliminates_a_row_that_is_always_redundant():
     """The same for rotated and reflected linkages, and for another order of the joints."""
     scene = load_scene("bricard")
     for joints in (scene.joints, scene.joints[::-1], scene.joints[3:] + scene.joints[:3]):
-        layout = Simulation(scene.remade(joints=joints)).layout
+        layout = Simulation(scene.remade(joints=joints), method="rkmk4").layout
         [(_, row)] = layout.dropped_rows
         # Of all entries of the vanishing combination of rows only those of wx at hinge 1, of wy at
         # hinge 6 and of wy at the others, across both rods, do not change their sign on the way.
@@ -331,7 +327,8 @@ def test_bennett_linkage_follows_its_closed_form():
         )
     )
     simulation = Simulation(
-        Scene(name="bennett", gravity=(0, 0, 0), assemble=True, bodies=bodies, joints=joints)
+        Scene(name="bennett", gravity=(0, 0, 0), assemble=True, bodies=bodies, joints=joints),
+        method="rkmk4",
     )
     assert len(simulation.layout.dropped_rows) == 3
     energy = simulation.sample().energy

@@ -117,7 +117,7 @@ def test_torsional_oscillator_over_many_turns(made, group):
 
     errors = {}
     for h in (8e-3, 4e-3, 2e-3):
-        simulation = Simulation(scene, step=h, group=group)
+        simulation = Simulation(scene, method="rkmk4", step=h, group=group)
         worst, largest = 0.0, 0.0
         for _ in range(50):
             simulation.advance(round(0.08 / h))
@@ -138,7 +138,7 @@ def test_the_energy_of_a_wound_spring_is_conserved():
     scene, _ = hinged(
         TorsionalSpringDamper(name="coil", joint="hinge", stiffness=3.0, rest_angle=40.0)
     )
-    simulation = Simulation(scene, step=1e-3)
+    simulation = Simulation(scene, method="rkmk4", step=1e-3)
     assert simulation.sample().energy == pytest.approx(0.5 * 3.0 * 40.0**2, rel=4 * EPS)
     simulation.advance(4000)
     # The method loses (h w)^6 / 72 = 3e-18 a step at w = 2.4 / s; rounding a few eps a step.
@@ -164,7 +164,9 @@ def test_a_joint_at_half_a_turn_starts_at_plus_pi():
             ],
             forces=[TorsionalSpringDamper(name="coil", joint="hinge", stiffness=1)],
         )
-        assert Simulation(scene).sample().angles[0] == pytest.approx(np.pi, abs=2e-12)
+        assert Simulation(scene, method="rkmk4").sample().angles[0] == pytest.approx(
+            np.pi, abs=2e-12
+        )
 
 
 def test_turns_belong_to_the_state():
@@ -172,7 +174,7 @@ def test_turns_belong_to_the_state():
     scene, _ = hinged(
         TorsionalSpringDamper(name="coil", joint="hinge", stiffness=3.0, rest_angle=40.0)
     )
-    simulation, other = Simulation(scene), Simulation(scene)
+    simulation, other = Simulation(scene, method="rkmk4"), Simulation(scene, method="rkmk4")
     simulation.advance(700)
     middle = simulation.sample()
     assert middle.angles[0] > 2 * np.pi
@@ -204,12 +206,12 @@ def test_turns_that_cannot_be_counted_stop_the_run():
     scene, inertia = hinged(
         TorsionalSpringDamper(name="coil", joint="hinge", stiffness=1e-3), spin=70.0
     )
-    simulation = Simulation(scene, step=0.05)
+    simulation = Simulation(scene, method="rkmk4", step=0.05)
     with pytest.raises(SimulationError, match="joint of coil rotates by pi") as failure:
         simulation.advance(10)
     assert failure.value.status == TURNS_NOT_COUNTED
     assert simulation.steps == 0 and simulation.sample().angles[0] == 0.0
-    slower = Simulation(scene, step=0.04)
+    slower = Simulation(scene, method="rkmk4", step=0.04)
     slower.advance(100)
     w = np.sqrt(1e-3 / inertia)
     assert slower.sample().angles[0] == pytest.approx(70.0 / w * np.sin(4.0 * w), rel=1e-9)
@@ -224,7 +226,7 @@ def test_motor_with_a_rate_limit_spins_up_exponentially(made, group):
     constant = inertia * limit / abs(torque)
     errors = {}
     for h in (0.16, 0.08, 0.04):
-        simulation = Simulation(scene, step=h, group=group)
+        simulation = Simulation(scene, method="rkmk4", step=h, group=group)
         simulation.advance(round(4.8 / h))
         twists = simulation.sample().twists
         rate = (
@@ -240,7 +242,7 @@ def test_motor_with_a_rate_limit_spins_up_exponentially(made, group):
 
 def test_a_motor_without_a_limit_gives_constant_torque():
     scene, inertia = hinged(Motor(name="drive", joint="hinge", torque=0.8))
-    simulation = Simulation(scene, step=0.01)
+    simulation = Simulation(scene, method="rkmk4", step=0.01)
     simulation.advance(500)
     sample = simulation.sample()
     # 500 additions of the size of the sum, each half an eps, in each of some ten operations
@@ -257,7 +259,9 @@ def test_the_torque_speed_line_of_a_motor(rate, wanted):
     scene, inertia = hinged(
         Motor(name="drive", joint="hinge", torque=2.0, rate_limit=12.0), spin=rate
     )
-    assert Simulation(scene).sample().power == pytest.approx(wanted * rate, abs=1e-13)
+    assert Simulation(scene, method="rkmk4").sample().power == pytest.approx(
+        wanted * rate, abs=1e-13
+    )
 
 
 # ---------------------------------------------------------------- on sliders
@@ -289,7 +293,7 @@ def along_z(force, joint_type):
         joints=[joint] if joint_type else [],
         forces=[force] if joint_type else [],
     )
-    simulation = Simulation(scene, step=0.02)
+    simulation = Simulation(scene, method="rkmk4", step=0.02)
     if joint_type is None:
         ends = {"slider": (0, 1, ground.pose, ground.pose)}
         forces = kinds.make_forces([force], {"first": 0, "second": 1}, ends)
@@ -364,7 +368,9 @@ def dragged(v=(0, 0, 0), w=(0, 0, 0), **drag):
 @BOTH
 def test_linear_drag_decays_exponentially(group):
     """v = v0 e^{-c t / m}; the spin about a principal axis likewise with its inertia."""
-    simulation = Simulation(dragged(v=(3, -2, 1), linear=4.0), step=0.01, group=group)
+    simulation = Simulation(
+        dragged(v=(3, -2, 1), linear=4.0), method="rkmk4", step=0.01, group=group
+    )
     simulation.advance(100)
     bound = (0.01 * 2.0) ** 4 * 2.0 / 120  # (h c/m)^4 (c/m) t / 120 relative
     np.testing.assert_allclose(
@@ -372,7 +378,9 @@ def test_linear_drag_decays_exponentially(group):
     )
     travelled = (1.0 - np.exp(-2.0)) / 2.0 * np.array([3, -2, 1])
     np.testing.assert_allclose(simulation.sample().positions["b"], travelled, rtol=1.1 * bound)
-    simulation = Simulation(dragged(w=(0, 5, 0), angular=0.8), step=0.01, group=group)
+    simulation = Simulation(
+        dragged(w=(0, 5, 0), angular=0.8), method="rkmk4", step=0.01, group=group
+    )
     simulation.advance(100)
     assert simulation.sample().twists["b"][1] == pytest.approx(5 * np.exp(-2.0), rel=1.1 * bound)
 
@@ -384,7 +392,7 @@ def test_quadratic_drag_decays_like_a_hyperbola(group):
     scene = dragged(v=(3, -2, 1), quadratic=1.0)
     errors = {}
     for h in (0.08, 0.04, 0.02):
-        simulation = Simulation(scene, step=h, group=group)
+        simulation = Simulation(scene, method="rkmk4", step=h, group=group)
         simulation.advance(round(2.4 / h))
         sample = simulation.sample()
         errors[h] = abs(np.linalg.norm(sample.twists["b"][3:]) - speed / (1 + 0.5 * speed * 2.4))
@@ -392,7 +400,9 @@ def test_quadratic_drag_decays_like_a_hyperbola(group):
             np.log(1 + 0.5 * speed * 2.4) / 0.5, rel=1e-4
         )
     assert slope(errors) == pytest.approx(4.0, abs=0.3) and errors[0.02] < 1e-8
-    simulation = Simulation(dragged(w=(0, 0, 4), angular_quadratic=0.25), step=0.01, group=group)
+    simulation = Simulation(
+        dragged(w=(0, 0, 4), angular_quadratic=0.25), method="rkmk4", step=0.01, group=group
+    )
     simulation.advance(100)
     assert simulation.sample().twists["b"][2] == pytest.approx(4 / (1 + 0.5 * 4), rel=1e-8)
 
@@ -409,6 +419,7 @@ def pushed(step, start, end, group="se3", spin=(1, 2, -3), **wrench):
             bodies=[body],
             forces=[ConstantWrench(name="push", body="b", start=start, end=end, **wrench)],
         ),
+        method="rkmk4",
         step=step,
         group=group,
     )
@@ -484,6 +495,7 @@ def oscillator(step, **times):
             bodies=[Body(name="b", mass=2.0, inertia=INERTIA)],
             forces=forces,
         ),
+        method="rkmk4",
         step=step,
     )
 
@@ -591,6 +603,7 @@ def test_a_decimal_time_is_matched_to_its_step(steps, step, time, sign):
                 bodies=[body.model_copy(update={"linear_velocity": (1, 0, 0)})],
                 forces=[ConstantWrench(name="push", body="b", force=(1, 0, 0), **{key: time})],
             ),
+            method="rkmk4",
             step=step,
         )
         table = Timetable(simulation.layout.model.forces.applied_wrench, step)

@@ -47,7 +47,7 @@ def top(axis=None):
 
 def error(scene, exact, axes, **options):
     """Largest entry of the error of the rotation matrix at END."""
-    simulation = Simulation(scene, watch=False, **options)
+    simulation = Simulation(scene, **{"method": "rkmk4"} | options)
     simulation.apply_wrench("a", WRENCH, START, DURATION, axes=axes)
     simulation.advance(round(END / simulation.step))
     assert [c.time for c in simulation.drain_applied()] == pytest.approx(
@@ -61,15 +61,18 @@ def reference(scene, axes):
         WrenchChange(START, "a", WRENCH, axes),
         WrenchChange(START + DURATION, "a", (0.0,) * 6, axes),
     ]
-    exact, apart = integrate(scene, *Simulation(scene).state(), [0.0, END], changes)
+    exact, apart = integrate(scene, *Simulation(scene, method="rkmk4").state(), [0.0, END], changes)
     assert apart.attitude.max() < 1e-11
     return exact
 
 
 @pytest.mark.parametrize("axes", ["body", "world"])
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", [name for name in METHODS if name != "rkmk853"])
 def test_a_wrench_that_starts_and_ends_inside_a_step_costs_no_order(method, axes):
-    """Half an order is left for higher powers of h; a wrench held over a step has order 1 or less."""
+    """Half an order is left for higher powers of h; a wrench held over a step has order 1 or less.
+
+    rkmk853 takes the steps of rkmk8, and smaller ones after a part of a step.
+    """
     scene = top()
     exact = reference(scene, axes)
     options = {"rtol": 1e9, "atol": 1e9} if METHODS[method].controlled else {}

@@ -31,12 +31,12 @@ import numpy as np
 
 from liegroup_core.compiling import SameTypes, borrowed, kernel, stepper
 from liegroup_core.forces.external import COLUMNS as EXTERNAL_COLUMNS
-from liegroup_core.forces.kinds import count_turns, too_fast, turns_over
+from liegroup_core.forces.kinds import count_turns, too_fast
 from liegroup_core.formulations.absolute.newton_euler import accelerations
 from liegroup_core.integrators.methods import GROUPS, SE3, refuse_stabilisation
 from liegroup_core.integrators.motion import copy_state, group_velocity, is_finite, orthonormal
 from liegroup_core.lie.vec3 import dot3, load3, load9, store9, vector3
-from liegroup_core.model.arrays import MET, WAIT, make_work
+from liegroup_core.model.arrays import make_work
 from liegroup_core.status import DEPENDENT_ROWS, NOT_CONVERGED, NOT_FINITE, OK, TURNS_NOT_COUNTED
 
 from .dense_lu import lu_factorise, lu_solve
@@ -195,9 +195,6 @@ def advance(model, work, memory, numbers, group, h, steps, pose, twist, external
         count_turns(model.forces, work.stage_pose, work.angle)
         copy_state(work.stage_pose, work.stage_twist, pose, twist)
         work.report[0] = max(work.report[0], work.report[1])
-        if work.report[3] == WAIT and turns_over(model.forces, h, pose, twist):
-            work.report[3] = MET
-            return done + 1, OK
     return steps, OK
 
 
@@ -211,8 +208,6 @@ class GeneralizedAlpha:
     """
 
     kernels = "generalized_alpha"
-    # Velocity residuals J V are O(h^2): after a reduction of the step they first oscillate.
-    swings_in = True
     substeps = (0, 0)
 
     def __init__(self, method, layout, group, step, options):

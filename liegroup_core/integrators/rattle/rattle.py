@@ -31,11 +31,11 @@ Bou-Rabee and Marsden, Found. Comput. Math. 9 (2009) 197-219 for the rotation.
 import numpy as np
 
 from liegroup_core.compiling import SameTypes, borrowed, stepper
-from liegroup_core.forces.kinds import count_turns, too_fast, turns_over
+from liegroup_core.forces.kinds import count_turns, too_fast
 from liegroup_core.integrators.methods import refuse_stabilisation
 from liegroup_core.integrators.motion import copy_state, is_finite
 from liegroup_core.lie.vec3 import dot3, load3
-from liegroup_core.model.arrays import MET, WAIT, make_work
+from liegroup_core.model.arrays import make_work
 from liegroup_core.status import NOT_FINITE, OK, TURNS_NOT_COUNTED
 
 from .half_steps import HISTORY, Memory, first_half, second_half
@@ -109,9 +109,6 @@ def advance(model, work, memory, parts, h, steps, pose, twist, external):
         count_turns(model.forces, work.stage_pose, work.angle)
         copy_state(work.stage_pose, work.stage_twist, pose, twist)
         work.report[0] = max(work.report[0], work.report[1])
-        if work.report[3] == WAIT and turns_over(model.forces, h, pose, twist):
-            work.report[3] = MET
-            return done + 1, OK
     return steps, OK
 
 

@@ -17,7 +17,8 @@ if for every body
     tol_w = atol + rtol max(|w_0|, |w_1|),   tol_v = atol + rtol max(|v_0|, |v_1|)
 in rad, m, rad/s and m/s. The tolerance of poses is absolute, so that it does not depend on the
 origin of the world. The largest error of a body decides: a mean would hide one fast body among many
-slow ones.
+slow ones. A method with two estimates of such norms e_5 and e_3 has e_5^2 / sqrt(e_5^2 + e_3^2 / 100)
+instead (Hairer, Norsett and Wanner, Solving ODEs I, (10.17)).
 """
 
 import math
@@ -28,7 +29,7 @@ from liegroup_core.compiling import SameTypes, Struct, borrowed, kernel, stepper
 from liegroup_core.formulations.planar.arrays import make_planar_work
 from liegroup_core.integrators.methods import EXACT, GROUPS, is_positive
 from liegroup_core.integrators.motion import copy_state
-from liegroup_core.model.arrays import MET, WAIT, make_work
+from liegroup_core.model.arrays import make_work
 from liegroup_core.status import DEPENDENT_ROWS, OFF_PLANE, OK, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS
 
 from . import spaces
@@ -38,29 +39,48 @@ LARGEST_GROWTH, LARGEST_CUT, SAFETY = 5.0, 0.2, 0.9
 # Smallest substep as a fraction of a step; its inverse is the largest number of substeps.
 SMALLEST_SUBSTEP = 1e-9
 MOST_SUBSTEPS = 100_000
+# If no substep meets the tolerance, as next to a singular pose, a step is repeated with these multiples.
+LOOSER = (1e2, 1e4, 1e6, 1e8)
+TOO_TIGHT = (DEPENDENT_ROWS, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS)
 
 
 class Scheme(Struct):
-    """Data of a Munthe-Kaas method: tableau of s stages, series of dexpinv, tolerances."""
+    """Data of a Munthe-Kaas method: tableau of s stages, series of dexpinv."""
 
     a: np.ndarray  # (s + 1, s) the tableau's a, below it its b
-    error: np.ndarray  # (1, s + 1) weights of the error estimate; (0, s + 1) without one
+    error: np.ndarray  # (0 to 2, s + 1) weights of the error estimates
     highest: int  # last power of ad in dexpinv, or EXACT
-    rtol: float  # of velocities
-    atol: float  # rad, m, rad/s, m/s
 
 
 @kernel
-def _change(error):
-    """Ratio of the next substep to this one: 0.9 error^(-3/16), within bounds.
+def _change(error, estimates):
+    """Ratio of the next substep to this one: 0.9 error^(-3/16), or 0.9 error^(-1/8), within bounds.
 
     For an estimate of order 4 the error is proportional to h^5. The exponent 3/16 instead of 1/5
-    needs only square roots. They are bit-identical on every machine, and so is the run.
+    needs only square roots. They are bit-identical on every machine, and so is the run. With two
+    estimates the error is proportional to h^8.
     """
-    if not error < 1e4:
+    if not error < 1e8:
         return LARGEST_CUT
-    root = math.sqrt(math.sqrt(math.sqrt(max(error, 1e-4))))
-    return min(LARGEST_GROWTH, max(LARGEST_CUT, SAFETY / (root * math.sqrt(root))))
+    root = math.sqrt(math.sqrt(math.sqrt(max(error, 1e-8))))
+    if estimates == 1:
+        root *= math.sqrt(root)
+    return min(LARGEST_GROWTH, max(LARGEST_CUT, SAFETY / root))
+
+
+@kernel
+def _error(model, work, scheme, h, twist, rtol, atol):
+    """Norm of the error estimate of a step from `twist`; a step is accepted up to 1."""
+    largest = 0.0
+    for i in range(len(model.bodies)):
+        error = spaces.error_square(model, work, scheme, 0, h, twist, i, rtol, atol)
+        if len(scheme.error) == 2 and error > 0.0:
+            other = spaces.error_square(model, work, scheme, 1, h, twist, i, rtol, atol)
+            error *= error / (error + 0.01 * other)
+        if not error < math.inf:
+            return math.inf
+        largest = max(largest, error)
+    return math.sqrt(largest)
 
 
 @kernel
@@ -74,8 +94,8 @@ def _judge(model, work, scheme, h, size, status, twist, control):
     """
     error = math.inf
     if status == OK:
-        error = spaces.error_norm(model, work, scheme, size, twist)
-    control[0] = min(h, size * _change(error))
+        error = _error(model, work, scheme, size, twist, control[4], control[5])
+    control[0] = min(h, size * _change(error, len(scheme.error)))
     control[2] += 1.0
     if error <= 1.0:
         control[1] += 1.0
@@ -109,12 +129,13 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
 
     model, work     : Model and Work, or PlanarModel and PlanarWork
     external        : external wrenches of these steps, see forces/external.py
-    control (4,)    : next substep in s, numbers of accepted and of attempted substeps so far, next
-                      substep at the start of the step; only for schemes with error control
-    returns (steps done, status): fewer steps if status is not OK, or if work.report[3] becomes MET
-    (model/arrays.py). Pose, twist and work.angle are those of the last valid step. The low byte of
-    status is the code. The other bytes are the element of DEPENDENT_ROWS or the torsional spring of
-    TURNS_NOT_COUNTED. OFF_PLANE: the state is not in the plane of a PlanarModel; it is unchanged.
+    control (6,)    : next substep in s, numbers of accepted and of attempted substeps so far, next
+                      substep at the start of the step, rtol of velocities, atol in rad, m, rad/s,
+                      m/s; only for schemes with error control
+    returns (steps done, status): fewer steps if status is not OK. Pose, twist and work.angle are
+    those of the last valid step. The low byte of status is the code. The other bytes are the element
+    of DEPENDENT_ROWS or the torsional spring of TURNS_NOT_COUNTED. OFF_PLANE: the state is not in
+    the plane of a PlanarModel; it is unchanged.
 
     Steps, substeps and stages are loops of one function: the mechanics are inlined and compiled at
     every call.
@@ -181,9 +202,6 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
             remaining = remaining - size if count > 1 else 0.0
         if status == OK:
             done += 1
-            if work.report[3] == WAIT and spaces.turns_over(model, work, h):
-                work.report[3] = MET
-                break
         elif controlled:
             _restore(work, pose, twist, control)
     spaces.leave(model, work, pose, twist, pose_in, twist_in)
@@ -197,30 +215,29 @@ class MuntheKaas:
     space      : "auto": planar mechanisms (formulations/planar/build.py) are integrated in their
                  plane; "space": all mechanisms are integrated in space
     rtol, atol : tolerances of error control, only for a tableau with an error estimate; see above
+
+    passes     : True: a step that cannot meet its tolerance is taken with a larger one
     """
+
+    passes = False
 
     def __init__(self, method, layout, group, step, options):
         tableau = method.tableau
         stages = len(tableau.b)
         self.controlled = method.controlled
-        error = tableau.e.reshape(1, -1) if self.controlled else np.zeros((0, stages + 1))
-        self._schemes = {
-            1.0: Scheme(
-                np.vstack([tableau.a, tableau.b]),
-                error,
-                EXACT if options["dexpinv"] == "exact" else max(method.order - 2, 0),
-                float(options.get("rtol", 0.0)),
-                float(options.get("atol", 1.0)),
-            )
-        }
-        self.tighten(1.0)
+        self._scheme = Scheme(
+            np.vstack([tableau.a, tableau.b]),
+            tableau.e,
+            EXACT if options["dexpinv"] == "exact" else max(method.order - 2, 0),
+        )
         self._model, self._group, self._longest = layout.model, GROUPS[group], step
         self.work = make_work(layout.model, stages)
         self._plane = layout.plane if options["space"] == "auto" else None
         self.kernels = "rkmk" if self._plane is None else "rkmk-planar"
         if self._plane is not None:
             self._planar_work = make_planar_work(self._plane, self.work, stages)
-        self._control = np.zeros(4)
+        self._control = np.zeros(6)
+        self._control[4:] = self._tolerances = options.get("rtol", 0.0), options.get("atol", 1.0)
         self._advance, self._advance_planar = SameTypes(advance), SameTypes(advance)
         self._left_plane = False
         self.restart()
@@ -238,19 +255,17 @@ class MuntheKaas:
 
     def restart(self):
         """Clear the memory between calls: the state was set."""
-        self._control[:] = self._longest, 0.0, 0.0, self._longest
+        self._control[:4] = self._longest, 0.0, 0.0, self._longest
 
     def tighten(self, part):
         """Set the tolerances to a fraction of those of the options."""
-        if part not in self._schemes:
-            scheme = self._schemes[1.0]
-            self._schemes[part] = scheme.replace(rtol=part * scheme.rtol, atol=part * scheme.atol)
-        self._scheme = self._schemes[part]
+        for k, tolerance in enumerate(self._tolerances):
+            self._control[4 + k] = part * tolerance
 
     @property
     def memory(self):
         """Arrays of the memory between calls; none without error control."""
-        return (self._control,) if self.controlled else ()
+        return (self._control[:4],) if self.controlled else ()
 
     @property
     def substeps(self):
@@ -259,6 +274,24 @@ class MuntheKaas:
 
     def advance(self, h, steps, pose, twist, external):
         """Take steps of size h in place; returns (steps done, status)."""
+        done, status = self._take(h, steps, pose, twist, external)
+        while self.passes and status & 0xFF in TOO_TIGHT:
+            tolerances = self._control[4:].copy()
+            for factor in LOOSER:
+                self._control[4:] = factor * tolerances
+                one, status = self._take(h, 1, pose, twist, external)
+                if one:
+                    break
+            self._control[4:] = tolerances
+            if not one:
+                break
+            done += 1
+            if done < steps:
+                more, status = self._take(h, steps - done, pose, twist, external)
+                done += more
+        return done, status
+
+    def _take(self, h, steps, pose, twist, external):
         if self._plane is not None:
             done, status = self._advance_planar(
                 self._plane,

@@ -161,39 +161,22 @@ def check_end(model, work, h):
 
 
 @kernel
-def turns_over(model, work, h):
-    """True if a spring may reverse its direction in the next step, of size h."""
-    space = work.space
-    to_space(model, work.stage_pose, work.stage_twist, space.stage_pose, space.stage_twist)
-    return kinds.turns_over(model.space.forces, h, space.stage_pose, space.stage_twist)
-
-
-@kernel
-def error_norm(model, work, scheme, h, twist):
-    """Norm of the error estimate of a step from `twist`; a step is accepted up to 1.
-
-    See munthe_kaas.py.
-    """
-    n = len(model.bodies)
-    largest = 0.0
-    for i in range(n):
-        xi, ex, ey, dw, dx, dy = _increment(
-            h, scheme.error, 0, scheme.error.shape[1], work.slopes, n, i
-        )
-        w0, w1 = twist[i, 0], work.stage_twist[i, 0]
-        x0, y0 = twist[i, 1], twist[i, 2]
-        x1, y1 = work.stage_twist[i, 1], work.stage_twist[i, 2]
-        tol_w = scheme.atol + scheme.rtol * max(abs(w0), abs(w1))
-        tol_v = scheme.atol + scheme.rtol * math.sqrt(max(x0 * x0 + y0 * y0, x1 * x1 + y1 * y1))
-        error = (
-            (xi * xi + ex * ex + ey * ey) / (scheme.atol * scheme.atol)
-            + dw * dw / (tol_w * tol_w)
-            + (dx * dx + dy * dy) / (tol_v * tol_v)
-        )
-        if not error < math.inf:
-            return math.inf
-        largest = max(largest, error)
-    return math.sqrt(largest)
+def error_square(model, work, scheme, row, h, twist, i, rtol, atol):
+    """Square of an error estimate of body i for a step from `twist`; see munthe_kaas.py."""
+    n = len(twist)
+    xi, ex, ey, dw, dx, dy = _increment(
+        h, scheme.error, row, scheme.error.shape[1], work.slopes, n, i
+    )
+    w0, w1 = twist[i, 0], work.stage_twist[i, 0]
+    x0, y0 = twist[i, 1], twist[i, 2]
+    x1, y1 = work.stage_twist[i, 1], work.stage_twist[i, 2]
+    tol_w = atol + rtol * max(abs(w0), abs(w1))
+    tol_v = atol + rtol * math.sqrt(max(x0 * x0 + y0 * y0, x1 * x1 + y1 * y1))
+    return (
+        (xi * xi + ex * ex + ey * ey) / (atol * atol)
+        + dw * dw / (tol_w * tol_w)
+        + (dx * dx + dy * dy) / (tol_v * tol_v)
+    )
 
 
 @kernel

@@ -20,10 +20,8 @@ for a PlanarModel:
     check_end(model, work, h) -> status
                             status of the end of a step of size h: NOT_FINITE, or
                             TURNS_NOT_COUNTED + (spring << 8) if its angle cannot be unwrapped
-    turns_over(model, work, h) -> bool
-                            True if a spring may reverse its direction in the next step
-    error_norm(model, work, scheme, h, twist) -> float
-                            error estimate of the step from `twist`: accepted up to 1
+    error_square(model, work, scheme, row, h, twist, i, rtol, atol) -> float
+                            square of an error estimate of body i for the step from `twist`
     close(model, work) -> status
                             project the end of the step onto the constraints
     count_turns(model, work)
@@ -44,6 +42,6 @@ def _of(name):
 
 
 enter, leave, begin, move = map(_of, ("enter", "leave", "begin", "move"))
-store_slopes, check_end, error_norm = map(_of, ("store_slopes", "check_end", "error_norm"))
-close, count_turns, turns_over = map(_of, ("close", "count_turns", "turns_over"))
+store_slopes, check_end, error_square = map(_of, ("store_slopes", "check_end", "error_square"))
+close, count_turns = map(_of, ("close", "count_turns"))
 accelerate = Choice("accelerate", {Model: spatial.accelerate, PlanarModel: accelerations})

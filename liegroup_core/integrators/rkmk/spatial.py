@@ -177,34 +177,19 @@ def check_end(model, work, h):
 
 
 @kernel
-def turns_over(model, work, h):
-    """True if a spring may reverse its direction in the next step, of size h."""
-    return kinds.turns_over(model.forces, h, work.stage_pose, work.stage_twist)
-
-
-@kernel
-def error_norm(model, work, scheme, h, twist):
-    """Norm of the error estimate of a step from `twist`; a step is accepted up to 1.
-
-    See munthe_kaas.py.
-    """
-    n = len(model.bodies)
-    largest = 0.0
-    for i in range(n):
-        xi, eta, dw, dv = _increment(h, scheme.error, 0, scheme.error.shape[1], work.slopes, n, i)
-        w0, w1 = load3(twist, i, 0), load3(work.stage_twist, i, 0)
-        v0, v1 = load3(twist, i, 3), load3(work.stage_twist, i, 3)
-        tol_w = scheme.atol + scheme.rtol * math.sqrt(max(dot3(w0, w0), dot3(w1, w1)))
-        tol_v = scheme.atol + scheme.rtol * math.sqrt(max(dot3(v0, v0), dot3(v1, v1)))
-        error = (
-            (dot3(xi, xi) + dot3(eta, eta)) / (scheme.atol * scheme.atol)
-            + dot3(dw, dw) / (tol_w * tol_w)
-            + dot3(dv, dv) / (tol_v * tol_v)
-        )
-        if not error < math.inf:
-            return math.inf
-        largest = max(largest, error)
-    return math.sqrt(largest)
+def error_square(model, work, scheme, row, h, twist, i, rtol, atol):
+    """Square of an error estimate of body i for a step from `twist`; see munthe_kaas.py."""
+    n = len(twist)
+    xi, eta, dw, dv = _increment(h, scheme.error, row, scheme.error.shape[1], work.slopes, n, i)
+    w0, w1 = load3(twist, i, 0), load3(work.stage_twist, i, 0)
+    v0, v1 = load3(twist, i, 3), load3(work.stage_twist, i, 3)
+    tol_w = atol + rtol * math.sqrt(max(dot3(w0, w0), dot3(w1, w1)))
+    tol_v = atol + rtol * math.sqrt(max(dot3(v0, v0), dot3(v1, v1)))
+    return (
+        (dot3(xi, xi) + dot3(eta, eta)) / (atol * atol)
+        + dot3(dw, dw) / (tol_w * tol_w)
+        + dot3(dv, dv) / (tol_v * tol_v)
+    )
 
 
 @kernel

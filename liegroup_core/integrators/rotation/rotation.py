@@ -32,11 +32,11 @@ import numpy as np
 from liegroup_core.compiling import SameTypes, borrowed, stepper
 from liegroup_core.forces.external import external_wrench
 from liegroup_core.forces.gravity import add_wrench as add_gravity
-from liegroup_core.forces.kinds import add_wrenches, turns_over
+from liegroup_core.forces.kinds import add_wrenches
 from liegroup_core.integrators.methods import METHODS, refuse_stabilisation
 from liegroup_core.integrators.motion import copy_state, is_finite
 from liegroup_core.lie.vec3 import store3
-from liegroup_core.model.arrays import MET, WAIT, make_work
+from liegroup_core.model.arrays import make_work
 from liegroup_core.status import DIVERGED, HOPELESS_ROTATION, NOT_CONVERGED, NOT_FINITE, OK
 
 from .bodies import COLUMNS, make_spinners
@@ -53,7 +53,6 @@ from .maps import (
     SIMO_WONG,
     STOERMER_VERLET,
 )
-from .stability import stability_limit
 from .staged import staged
 
 RULES = {
@@ -159,9 +158,6 @@ def advance(
             return done, status
         copy_state(work.stage_pose, work.stage_twist, pose, twist)
         work.report[0] = max(work.report[0], work.report[1])
-        if work.report[3] == WAIT and turns_over(model.forces, h, pose, twist):
-            work.report[3] = MET
-            return done + 1, OK
     return steps, OK
 
 
@@ -175,8 +171,6 @@ class Rotation:
         model = layout.model
         refuse_stabilisation(method, model)
         self._model, self._name, self._rule = model, method.name, RULES[method.name]
-        self._stability_checked = False
-        self.doubt = None  # one-line warning of the stability check
         self._spinners = make_spinners(model)
         tableau = method.tableau if method.coefficients else None
         self._weights = np.zeros((1, 0)) if tableau is None else np.vstack([tableau.a, tableau.b])
@@ -201,12 +195,6 @@ class Rotation:
 
     def advance(self, h, steps, pose, twist, external):
         """Take steps of size h in place; returns (steps done, status)."""
-        if steps > 0 and not self._stability_checked:
-            self._stability_checked = True
-            self._check_stability(h, pose, twist, external)
-        return self._take_steps(h, steps, pose, twist, external)
-
-    def _take_steps(self, h, steps, pose, twist, external):
         return self._advance(
             self._model,
             self.work,
@@ -222,21 +210,3 @@ class Rotation:
             twist,
             external,
         )
-
-    def _check_stability(self, h, pose, twist, external):
-        """Warn if the step size is beyond the stability limit at a state."""
-
-        def step(size, steps, pose, twist):
-            _, status = self._take_steps(size, steps, pose, twist, external)
-            return (pose, twist) if status == OK else None
-
-        report = self.work.report.copy()
-        self.work.report[3] = 0.0
-        limit = stability_limit(step, self._spinners, h, pose, twist)
-        self.work.report[:] = report
-        if limit is not None:
-            self.doubt = (
-                f"{self._name}, step {h:g} s: unstable, an oscillation or a damper is too fast "
-                f"for this step. The stability limit at the start of the run is {limit:.2g} s; "
-                "use a smaller step"
-            )

@@ -3,11 +3,13 @@
 
 Verdicts, of which the last one is a defect:
     accurate    the error is below BOUND of the size of the motion
-    flagged     the error is larger, with a warning or `Simulation.doubt`
+    flagged     the error is larger, and the simulation's estimate of it at least half of it or unknown
+                (NaN), or a warning was logged
     refused     no step was taken, with a reason
     stopped     the run stopped early, with a reason
     unjudged    the reference solution is not accurate enough
-    silent      undetected error: the run finished with a larger error and no warning
+    silent      undetected error: the run finished with a larger error, an estimate below half of
+                it, and no warning
 
 The size of a motion is its largest distance from the start over the horizon: in rad, at most 1, and
 in m, where one radian counts as the length of the problem. The error is the largest distance from
@@ -15,6 +17,7 @@ the reference solution at the samples, relative to that size.
 """
 
 import logging
+import math
 import time
 from collections.abc import Callable
 from contextlib import contextmanager
@@ -23,8 +26,8 @@ from typing import Any
 
 import numpy as np
 
-from liegroup_core.engine import Engine
 from liegroup_core.errors import SceneError, SimulationError
+from liegroup_core.simulation import Simulation
 
 ACCURATE, FLAGGED, REFUSED, STOPPED, UNJUDGED, SILENT = VERDICTS = (
     "accurate",
@@ -36,10 +39,13 @@ ACCURATE, FLAGGED, REFUSED, STOPPED, UNJUDGED, SILENT = VERDICTS = (
 )
 # Largest acceptable error, relative to the size of the motion.
 BOUND = 0.05
+HALF = 0.5  # of the error, which an estimate must reach
+LARGE = 1e300  # in place of infinity, which is no JSON
 # Axes along which only the scale changes: errors may grow by the factor ALIKE relative to scale 1;
 # errors below NO_LOSS always pass.
 ALIKE, NO_LOSS = 30.0, 1e-6
 MOST_SAMPLES = 32
+DEFAULT = "default"  # in place of a method: to the default accuracy
 
 
 @dataclass(frozen=True)
@@ -69,7 +75,7 @@ class Problem:
         )
 
 
-def run_cell(problem, truth, method, make=Engine):
+def run_cell(problem, truth, method, make=Simulation):
     """Run a method; returns a dict of JSON types: verdict, error and warnings of the run.
 
     truth    : Truth at the samples of the problem
@@ -80,6 +86,7 @@ def run_cell(problem, truth, method, make=Engine):
         "step": problem.step,
         "steps": problem.steps,
         "error": None,
+        "estimate": None,
         "uncertainty": None,
         "wrong_from_s": None,
         "flagged_at_s": None,
@@ -89,12 +96,15 @@ def run_cell(problem, truth, method, make=Engine):
     began = time.process_time()
     with _listening() as said:
         try:
-            simulation = make(problem.scene, method, problem.step, **problem.settings)
+            simulation = make(
+                problem.scene,
+                None if method == DEFAULT else method,
+                problem.step,
+                **problem.settings,
+            )
         except (SceneError, ValueError) as error:
             return cell | {"verdict": REFUSED, "says": [str(error)]}
         stopped = _run(simulation, problem, truth, cell, said)
-    if simulation.doubt and simulation.doubt not in said:
-        said.append(simulation.doubt)
     cell["says"] = said + ([stopped] if stopped else [])
     cell["seconds"] = time.process_time() - began
     return cell | {"verdict": _verdict(cell, simulation, stopped)}
@@ -111,15 +121,20 @@ def _run(simulation, problem, truth, cell, said):
             simulation.advance(steps - simulation.steps)
         except SimulationError as error:
             return str(error)
-        pose = simulation.sample().pose[rows]
+        sample = simulation.sample()
+        pose = sample.pose[rows]
+        position, attitude = sample.errors[rows, :2].max(axis=0).tolist()
+        estimate = max(attitude / angle_size, position / length_size)
         angle, way = apart(
             pose[:, :9].reshape(-1, 3, 3), pose[:, 9:], truth.rotation[k], truth.position[k]
         )
         error = max(angle / angle_size, way / length_size)
         cell["error"] = float(max(cell["error"] or 0.0, error))
+        if steps and not math.isnan(estimate):  # NaN: before the first meeting of the two runs
+            cell["estimate"] = float(min(max(cell["estimate"] or 0.0, estimate), LARGE))
         if cell["error"] > BOUND and cell["wrong_from_s"] is None:
             cell["wrong_from_s"] = simulation.time
-        if said and cell["flagged_at_s"] is None:
+        if (said or (cell["estimate"] or 0.0) > BOUND) and cell["flagged_at_s"] is None:
             cell["flagged_at_s"] = simulation.time
     return None
 
@@ -136,7 +151,9 @@ def judged(cell, bound):
         return UNJUDGED
     if cell["error"] <= bound + cell["uncertainty"]:
         return ACCURATE
-    return FLAGGED if cell["says"] else SILENT
+    known = cell["estimate"] is not None
+    seen = cell["says"] or not known or cell["estimate"] >= HALF * cell["error"]
+    return FLAGGED if seen else SILENT
 
 
 def judge_alike(cells, natural):

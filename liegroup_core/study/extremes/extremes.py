@@ -21,10 +21,12 @@ from liegroup_core.study.trade.cache import Folder, key_of
 
 from . import problems as problems
 from .axes import _STEPS, AXES, Axis, _powers
-from .cell import REFUSED, SILENT, UNJUDGED, VERDICTS, judge_alike, run_cell
+from .cell import DEFAULT, REFUSED, SILENT, UNJUDGED, VERDICTS, judge_alike, run_cell
 
 # Version of problems and verdicts: the key of the cache does not cover these sources.
-FORMAT = 2
+FORMAT = 3
+# The default accuracy counts as a method.
+METHOD_NAMES = (DEFAULT, *METHODS)
 
 
 def axes_of(scene=None, horizon=8.0, long=False):
@@ -96,7 +98,7 @@ class Kept:
             self._folder.keep_line(self.FILE, line)
 
 
-def survey(axes, quick=False, methods=tuple(METHODS), scheduler=None, workers=None, kept=None):
+def survey(axes, quick=False, methods=METHOD_NAMES, scheduler=None, workers=None, kept=None):
     """Run the map; yields (number of columns, Axis, cells, whether the axis is complete).
 
     quick : only the values for tests
@@ -159,9 +161,9 @@ def column(item):
         if axis.alike is None:
             return refused
         layout = make_layout(axis.problem(axis.alike).scene)  # the same joints
-        return [cell for cell in refused if not misfit(cell["method"], layout)]
+        return [cell for cell in refused if _suits(cell["method"], layout)]
     # Methods that do not suit the problem are skipped.
-    methods = [method for method in methods if not misfit(method, layout)]
+    methods = [method for method in methods if _suits(method, layout)]
     try:
         truth = problem.motion(problem.samples() * problem.step)
     except (SimulationError, ValueError) as error:
@@ -170,6 +172,10 @@ def column(item):
             for method in methods
         ]
     return [where | run_cell(problem, truth, method) for method in methods]
+
+
+def _suits(method, layout):
+    return method == DEFAULT or not misfit(method, layout)
 
 
 def counts(cells):

@@ -19,10 +19,10 @@ import numpy as np
 from scipy.stats.qmc import LatinHypercube
 
 from liegroup_core.compiling import source_digest
-from liegroup_core.engine import Engine
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.scene.assembly import assembled
 from liegroup_core.scene.load import scene_as_written
+from liegroup_core.simulation import Simulation
 from liegroup_core.study.tasks import TasksError
 from liegroup_core.study.tasks import run as run_tasks
 from liegroup_core.study.trade.measure import listening
@@ -58,7 +58,7 @@ class Sweep:
     every    : steps between two evaluations of energy and joints
     keep     : whether the states at these times are saved
     assemble : whether sampled poses and velocities are corrected to satisfy the joints
-    settings : ((name, value), ...), arguments of Simulation, method and step among them
+    settings : ((name, value), ...), arguments of Simulation, the step among them
     sources  : digest of the sources, which a worker must have too
     """
 
@@ -102,8 +102,8 @@ class Sweep:
                 f"{samples} samples of {len(ranges)} parameters exceed {MOST_DRAWS:.0e} "
                 "numbers: run several sweeps with different seeds"
             )
-        simulation = Engine(scene, **(settings or {}))  # compiles, and checks the configuration
-        settings = {"method": simulation.method, "step": simulation.step, **(settings or {})}
+        # Compiles, and checks the configuration.
+        settings = Simulation(scene, **(settings or {})).arguments
         return cls(
             scene.text,
             scene.name,
@@ -157,7 +157,7 @@ class Sweep:
 
     def simulation(self, k):
         """Simulation of run k in its initial state. Raises the errors of Simulation."""
-        return Engine(self.scene(k), **dict(self.settings))
+        return Simulation(self.scene(k), **dict(self.settings))
 
     @property
     def columns(self):
@@ -284,7 +284,7 @@ def _run(sweep, values):
         try:
             scene = sweep._scene_at(values)
             said += filter(None, [sweep._unlike(values, scene)])
-            simulation = Engine(scene, **dict(sweep.settings))
+            simulation = Simulation(scene, **dict(sweep.settings))
             looks.append(_look(simulation))
             while simulation.steps < sweep.steps:
                 simulation.advance(min(sweep.every, sweep.steps - simulation.steps))

@@ -21,10 +21,11 @@ from liegroup_core.errors import SimulationError
 from liegroup_core.model.symmetry import conserved_momentum
 from liegroup_core.reference import Trajectory, distance
 from liegroup_core.scene.load import scene_from_text
+from liegroup_core.simulation import Simulation
 from liegroup_core.study.machine import cpu_name
 from liegroup_core.study.tasks import TasksError
 
-from .configurations import as_time, sample_times
+from .configurations import SAMPLES, as_time, sample_times
 from .reference_solution import Truth, momentum_drift, scaled
 
 LONG = 0.2  # CPU s: longer runs are timed once
@@ -75,7 +76,8 @@ def measure(work):
     try:
         simulation = Engine(_scene(study.text), **setting.arguments())
         with listening() as said:
-            found = _judge(simulation, study, setting)
+            found = _judge(simulation, study, as_time(setting.step))
+            del found["estimate"]
             found["cost_us"], found["timings"] = _cost(
                 simulation, float(study.truth.horizon), found.pop("cpu")
             )
@@ -83,8 +85,35 @@ def measure(work):
         return cell | {"stopped": str(error)}
     if not all(math.isfinite(value) for value in found.values() if isinstance(value, float)):
         return cell | {"stopped": "an error is not a finite number"}
-    flagged = simulation.doubt or next((text for text in said), None)
+    flagged = next(iter(said), None)
     return cell | {"stopped": None, **found, "flagged": flagged}
+
+
+def to_accuracy(scene, truth, accuracy):
+    """Measure a simulation to an accuracy over the horizon; returns a dict, JSON types.
+
+    accuracy    that is wanted at the end of the horizon
+    step        s, times at which states can be had: those of the samples
+    error, estimate     true error as in `measure`, and the largest estimate at the samples
+    until       s, when the estimate exceeded the accuracy; None: never
+    cost_us     CPU time of a simulated second, us, with the estimate
+    """
+    step = truth.horizon / SAMPLES
+    simulation = Simulation(
+        scene, step=float(step), accuracy=accuracy, horizon=float(truth.horizon)
+    )
+    with listening():
+        found = _judge(simulation, Study(scene.text, truth, ""), step)
+        until = simulation.accurate_until
+        cost, _ = _cost(simulation, float(truth.horizon), found["cpu"])
+    return {
+        "accuracy": accuracy,
+        "step": float(step),
+        "error": found["error"],
+        "estimate": found["estimate"] if math.isfinite(found["estimate"]) else None,
+        "until": until if math.isfinite(until) else None,
+        "cost_us": cost,
+    }
 
 
 # Keys of all cells, and further keys of finished runs.
@@ -124,9 +153,12 @@ def _kept_momentum(text):
     return conserved_momentum(_scene(text))
 
 
-def _judge(simulation, study, setting):
-    """Run over the horizon; returns errors and the CPU time in s of the integration alone."""
-    truth, step = study.truth, as_time(setting.step)
+def _judge(simulation, study, step):
+    """Run over the horizon; returns errors and the CPU time in s of the integration alone.
+
+    step : s, Fraction
+    """
+    truth = study.truth
     times = sample_times(truth.horizon)
     rows = [row for row, at in enumerate(times) if at % step == 0]
     true = Trajectory(*(part[rows] for part in truth.motion))
@@ -157,8 +189,16 @@ def _judge(simulation, study, setting):
         "momentum": momentum_drift(simulation.scene, _kept_momentum(study.text), truth, motion),
         "joints": max(sample.constraint_residual for sample in samples),
         "samples": k - 1,
+        "estimate": max(_estimate(sample, truth.length) for sample in samples),
         "cpu": cpu,
     }
+
+
+def _estimate(sample, length):
+    """Largest estimated error of a pose; 0 where it is not known."""
+    if sample.errors is None or np.isnan(sample.errors).any():
+        return 0.0
+    return scaled(sample.errors[:, 0], sample.errors[:, 1], length)
 
 
 def _cost(simulation, horizon, cpu):

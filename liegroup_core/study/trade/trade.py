@@ -10,6 +10,7 @@ Each ladder is measured from its coarsest step to finer ones, until its error re
 the reference uncertainty, or the next step would take too long (docs/how-to/choose_accuracy.md).
 """
 
+from liegroup_core.accuracy import DEFAULT
 from liegroup_core.compiling import source_digest
 from liegroup_core.engine import Engine
 from liegroup_core.integrators.families import fitting_methods
@@ -19,10 +20,11 @@ from liegroup_core.study.tasks import run
 
 from .cache import Store
 from .configurations import LEAST_SAMPLES, SAMPLES, Setting, as_time, ladders, rungs, sample_spacing
-from .measure import Study, measure
+from .measure import Study, measure, to_accuracy
 from .reference_solution import find_truth
 
 ACCURACIES = (1e-3, 1e-6, 1e-9)
+WANTED = tuple(sorted({*ACCURACIES, DEFAULT}, reverse=True))  # of simulations to an accuracy
 # A guaranteed accuracy is this factor above the measured error: between the samples of the
 # measurement the error may be slightly larger.
 MARGIN = 3.0
@@ -121,6 +123,10 @@ class Trade:
             measure, [(study, climb.setting) for climb in owners], scheduler, workers, follow
         ):
             yield cell, (done[0], len(climbs))
+
+    def to_accuracies(self, accuracies=WANTED):
+        """Simulations to an accuracy over the horizon, each as in measure.to_accuracy; not kept."""
+        return [to_accuracy(self.scene, self.truth, accuracy) for accuracy in accuracies]
 
     def keep_only(self, methods=None, groups=None, stabilisations=None, steps=None):
         """Drop cells of other configurations, arguments as of `measure`. They stay in the cache.

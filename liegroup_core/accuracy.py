@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Accuracy by control: the tolerance of the steps follows the estimate of the global error.
+
+The wanted error at time t is accuracy * max(1, t / horizon). Steps are taken with error control. Their
+tolerance is set at every checkpoint of the running error. An error of the velocities acts on the poses
+for ever, so that errors of the steps, tol per second, add up to
+
+    V = int tol dt ,   X = int V dt ,   estimated error E = gain X
+
+with a gain that is measured. Over the next r seconds, with another tolerance, X becomes
+
+    X + V r + tol r^2 / 2 ,   and gain times that must not exceed AIM times the wanted error.
+
+r is the horizon, or the time so far if that is more: errors of the velocities must leave room for all
+the time to come.
+
+Errors that decay, oscillate or grow exponentially show in the gain. What has been committed cannot be
+taken back: tol is not made smaller than what adds NEW of it. Once the motion cannot be predicted any
+more, the tolerance is that of the start, which keeps the energy. Decisions depend on states and
+wrenches alone, so that a repeated run is bit-identical.
+"""
+
+import math
+
+import numpy as np
+
+METHOD = "rkmk853"
+DEFAULT = 1e-4
+MINUTE = 60.0  # s, default of the horizon
+SMALLEST = 1e-13  # accuracy: rounding of a single step is not far below
+AIM, NEW = 0.1, 0.03
+# Of the motions so far the gain is 5 to 10, once it shows; less is not relied on.
+LEAST_GAIN = 2.0
+# Tolerance in parts of the accuracy: at the start over a horizon of 1 s, and at most.
+FIRST, LARGEST = 0.03, 0.03
+LEAST_TOLERANCE = 1e-15
+FASTER, SLOWER = 4.0, 0.1  # bounds of the ratio of two successive tolerances
+
+
+class AccuracyControl:
+    """Sets the tolerances of a simulation and of its companion.
+
+    accuracy : largest error of a pose, parts of the mechanism's size or rad
+    horizon  : s, in which the error may grow by the accuracy
+    tighten  : function of a tolerance as a fraction of `accuracy`
+
+    given    : accuracy at the start
+    accuracy : that is wanted now, see `change`
+    ended    : s, the last checkpoint before the estimate exceeded the wanted error; inf: it did not
+    """
+
+    def __init__(self, accuracy, horizon, tighten):
+        self.given, self.horizon, self._tighten = accuracy, horizon, tighten
+        self.restart(0.0)
+
+    def restart(self, time):
+        """Forget the errors so far, and changes of the accuracy: the state was set."""
+        self.accuracy = self.given
+        self._begin = self._last = time
+        self._sum = self._double_sum = 0.0
+        self.ended = math.inf
+        self._set(self._first)
+
+    @property
+    def _first(self):
+        return FIRST * self.accuracy / max(1.0, self.horizon)
+
+    def _set(self, tolerance):
+        self._tolerance = max(LEAST_TOLERANCE, min(LARGEST * self.accuracy, tolerance))
+        self._tighten(self._tolerance / self.given)
+
+    def wanted(self, time):
+        """Largest error at a time in s."""
+        return self.accuracy * max(1.0, (time - self._begin) / self.horizon)
+
+    def change(self, accuracy):
+        """Continue with another accuracy."""
+        tolerance = self._tolerance * accuracy / self.accuracy
+        self.accuracy, self.ended = accuracy, math.inf
+        self._set(tolerance)
+
+    def follow(self, time, error, predictable):
+        """Set the tolerance from the estimated error at a checkpoint."""
+        span, since = time - self._last, time - self._begin
+        if not error <= self.wanted(time):
+            self.ended = min(self.ended, self._last)
+        self._last = time
+        self._double_sum += (self._sum + 0.5 * self._tolerance * span) * span
+        self._sum += self._tolerance * span
+        if not predictable:
+            self._set(self._first)
+        if not (predictable and math.isfinite(error)):
+            return
+        ahead = max(self.horizon, since)
+        allowed = AIM * self.wanted(time + ahead)
+        gain = max(LEAST_GAIN, error / self._double_sum)
+        committed = self._double_sum + self._sum * ahead
+        tolerance = 2.0 * max(allowed / gain - committed, NEW * committed) / ahead**2
+        self._set(min(max(tolerance, SLOWER * self._tolerance), FASTER * self._tolerance))
+
+    def memory(self):
+        """Array from which `remember` restores the control."""
+        return np.array(
+            [
+                self.accuracy,
+                self._begin,
+                self._last,
+                self._sum,
+                self._double_sum,
+                self.ended,
+                self._tolerance,
+            ]
+        )
+
+    def remember(self, memory):
+        """Restore the control from `memory`."""
+        (
+            self.accuracy,
+            self._begin,
+            self._last,
+            self._sum,
+            self._double_sum,
+            self.ended,
+            tolerance,
+        ) = map(float, memory)
+        self._set(tolerance)

@@ -1,0 +1,371 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs to an accuracy: of the node over DDS and in this process, and of `liegroup_sim run`."""
+
+import json
+import math
+import os
+import re
+import signal
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import jsonschema
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
+from made_run import record
+from node_process import COMPILING, ENVIRONMENT, NodeProcess
+from rcl_interfaces.msg import Log
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from liegroup_core import Simulation, load_scene
+from liegroup_core.accuracy import DEFAULT, METHOD, MINUTE
+from liegroup_sim_ros.analysis.analyse import analyse
+from liegroup_sim_ros.commands.main import main
+from liegroup_sim_ros.messages import events as events_of_runs
+from liegroup_sim_ros.node import simulation_thread
+from liegroup_sim_ros.node.parameters import TABLE, fitting_steps, set_step
+from liegroup_sim_ros.node.scene_run import PART_STEPS, SceneRun
+from liegroup_sim_ros.node.wrench_input import Push
+from liegroup_sim_ros.playback.resimulate import resimulate
+from liegroup_sim_ros.recording.read import read_recording
+
+SOURCE = Path(__file__).resolve().parents[2]
+LATE = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+# What a run reports about its accuracy, besides the event `accuracy`.
+REPORTS = {"accuracy", "inaccurate", "unpredictable"}
+
+
+def figures_of(message):
+    return {pair.key: pair.value for pair in message.status[0].values}
+
+
+def repeats(path):
+    """Recording of a file, after checking that a repeated run is bit-identical."""
+    recording = read_recording(path)
+    assert recording.complete and recording.lost == {}
+    figures = resimulate(recording)
+    assert figures["stopped"] is None and figures["missing_samples"] == 0
+    assert figures["identical"] == figures["samples"] > 0, (path, figures["first_difference"])
+    return recording
+
+
+def test_a_node_with_nothing_but_a_scene_keeps_its_accuracy_and_says_so(client, tmp_path):
+    """Through pushes, a pause, single steps and a reset; the recording repeats bit for bit."""
+    path = tmp_path / "run.mcap"
+    poses = client.listen("/accurate/top/pose", PoseStamped)
+    states = client.listen("/accurate/state", DiagnosticArray)
+    with NodeProcess({"scene": "heavy_top", "record": path}, remap=["__node:=accurate"]) as process:
+        push = client.pusher("/accurate")
+        client.until(lambda: len(poses) > 30, COMPILING, "poses")
+        push("top", force=(0.0, 50.0, 0.0), torque=(0.0, 0.0, 0.3))
+        client.spin(0.3)
+        assert client.call("/accurate/pause").success
+        push("top", force=(0.0, 0.0, 20.0))
+        assert client.set("/accurate", step_count=7).successful
+        assert client.call("/accurate/step").success
+        assert client.call("/accurate/resume").success
+        client.spin(0.5)
+        push("top", force=(10.0, 0.0, 0.0))
+        client.spin(0.05)
+        assert client.call("/accurate/reset").success
+        client.spin(0.3)
+        push("top", force=(0.0, -50.0, 0.0))
+        count = len(poses)
+        client.until(lambda: len(poses) > count + 150, what="poses")
+        process.send(signal.SIGINT)
+        code, errors = process.wait()
+    assert code == 0 and "heavy_top: 1 body, accuracy 0.0001 in 60 s, running" in errors, errors
+    figures = figures_of(states[-1])
+    assert float(figures["accuracy"]) == DEFAULT and float(figures["accuracy_horizon_s"]) == MINUTE
+    assert figures["accurate_until_s"] == figures["predictable_until_s"] == "inf"
+    assert 0.0 <= float(figures["position_error_m"]) < 1e-4
+    # Of a core, and above the share that lowers the accuracy.
+    assert 0.0 < float(figures["integration_share_of_core"]) < simulation_thread.SHARE
+    documented = (SOURCE / "docs" / "reference" / "node.md").read_text()
+    assert [key for key in figures if f"`{key}`" not in documented and "_refused_" not in key] == []
+    recording = repeats(path)
+    names = [event.name for event in recording.events]
+    assert names == ["start", "pause", "step", "resume", "reset", "stop"]
+    assert recording.settings["method"] == METHOD and recording.settings["step"] == 0.01
+    assert len(recording.applied_wrench) >= 8
+    found = analyse(recording).figures
+    assert found["problems"] == [] and len(found["pushes"]) >= 4
+    promise = found["promise"]
+    assert promise["kept"] is True and promise["beyond"] is False
+    assert (promise["accuracy"], promise["horizon"]) == (DEFAULT, MINUTE)
+    assert promise["error"] < DEFAULT and promise["seconds"] > 1.5
+    assert "the accuracy of 0.0001 in 60 s is kept" in found["verdict"]
+
+
+def test_a_node_says_when_its_motion_cannot_be_known_any_more(client, tmp_path):
+    """A double pendulum is chaotic: the events and times in ~/state are those of the run."""
+    path = tmp_path / "run.mcap"
+    events = client.listen("/chaotic/events", Log, LATE)
+    states = client.listen("/chaotic/state", DiagnosticArray)
+    parameters = {"scene": "double_pendulum", "real_time_factor": 0.0, "record": path}
+    with NodeProcess(parameters, remap=["__node:=chaotic"]) as process:
+        client.until(lambda: events, COMPILING, "the start")
+        client.until(lambda: any(e.name == "unpredictable" for e in events), what="the event")
+        client.until(lambda: figures_of(states[-1])["predictable_until_s"] != "inf")
+        process.send(signal.SIGINT)
+        code, errors = process.wait()
+    assert code == 0
+    said = r"the estimated error is 0\.0001\d* of the mechanism's size or rad, above the accuracy"
+    assert re.search(said, errors), errors
+    recording = repeats(path)
+    told = {event.name: event for event in recording.events}
+    assert "the last time with an estimated error within the accuracy" in told["inaccurate"].text
+    assert "too large for the motion to be known" in told["unpredictable"].text
+    simulation = Simulation(load_scene("double_pendulum"), step=0.01)
+    while simulation.predictable_until > simulation.time:
+        simulation.advance()
+    figures = figures_of(states[-1])
+    for name, since, key in (
+        ("inaccurate", simulation.accurate_until, "accurate_until_s"),
+        ("unpredictable", simulation.predictable_until, "predictable_until_s"),
+    ):
+        assert float(figures[key]) == pytest.approx(since, rel=1e-9)
+        assert events_of_runs.number(told[name].text) == pytest.approx(since, rel=1e-8)
+        # The stamp is that of the first tick after the error was found, at every sixth step.
+        assert -1e-9 <= told[name].stamp_ns * 1e-9 - since < 0.07
+    found = analyse(recording, reference_seconds=told["inaccurate"].stamp_ns * 1e-9 + 1.0).figures
+    assert found["promise"]["kept"] is True and found["promise"]["beyond"] is True
+    assert found["promise"]["seconds"] == pytest.approx(simulation.accurate_until, rel=1e-9)
+    assert "Later the run itself reports a larger error" in found["verdict"]
+
+
+@pytest.fixture(scope="module")
+def node():
+    os.environ.update(
+        {key: ENVIRONMENT[key] for key in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")}
+    )
+    context = rclpy.Context()
+    context.init()
+    node = rclpy.create_node("sim_node", context=context)
+    yield node
+    node.destroy_node()
+    context.try_shutdown()
+
+
+def scene_run(node, scene, before=None, **parameters):
+    """SceneRun of the node's own parts, in this process."""
+    values = SimpleNamespace(**{entry.name: entry.default for entry in TABLE} | parameters, qos=[])
+    values.record = str(values.record)
+    simulation = Simulation(
+        load_scene(scene),
+        step=fitting_steps(values),
+        accuracy=values.accuracy,
+        horizon=values.accuracy_horizon,
+    )
+    set_step(values, simulation.step)
+    return SceneRun(node, values, simulation, before)
+
+
+def pushed(run, body, wrench, duration, source="test", axes="body"):
+    run.server.push(Push(source, body, wrench, axes, 0), duration)
+
+
+def wait_for(condition, seconds=30.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
+@pytest.mark.parametrize(
+    "scene, body", [("heavy_top", "top"), ("double_pendulum", "lower"), ("hinge_chain", "rod5")]
+)
+def test_parts_of_a_run_to_an_accuracy_repeat_alone(node, tmp_path, monkeypatch, scene, body):
+    """With wrenches that span parts. Each begins where the two runs of the estimate meet."""
+    monkeypatch.setattr(simulation_thread, "SHARE", math.inf)
+    run = scene_run(
+        node,
+        scene,
+        record=tmp_path / "run.mcap",
+        record_split_duration=0.43,
+        clock_rate=50.0,
+        real_time_factor=10.0,
+    )
+    run.start()
+    try:
+        time.sleep(0.1)
+        pushed(run, body, (0.2, 0.1, 0, 0, 5.0, 0), None, "lasting")
+        pushed(run, body, (0, 0, 0, 1.0, 0, 3.0), 1.333333, "other", "world")
+        time.sleep(0.3)
+        run.server.call("pause").result(30.0)
+        run.server.call("step", 4).result(30.0)
+        run.server.call("resume").result(30.0)
+        time.sleep(0.1)
+        pushed(run, body, (0.0,) * 6, None, "lasting")
+        time.sleep(0.2)
+        run.server.call("reset").result(30.0)
+        pushed(run, body, (0, 0, 0.1, 0, 0, 0), 0.05)
+        time.sleep(0.3)
+    finally:
+        run.close()
+    recordings = [repeats(path) for path in tmp_path.glob("*.mcap")]
+    assert len(recordings) > 5
+    assert PART_STEPS % run.simulation._running.ours == 0
+    assert {each.initial_state["steps"] % PART_STEPS for each in recordings} == {0}
+    # A wrench that acts is repeated at the start of a part.
+    assert (
+        sum(
+            each.applied_wrench[0].stamp_ns == each.initial_state["stamp_ns"]
+            for each in recordings
+            if each.applied_wrench
+        )
+        > 2
+    )
+
+
+def test_real_time_that_does_not_allow_the_accuracy_raises_it(node, tmp_path, monkeypatch, caplog):
+    """By ten, with an event and a warning; a reset returns to the accuracy asked for."""
+    run = scene_run(
+        node,
+        "double_pendulum",
+        accuracy=1e-9,
+        record=tmp_path / "run.mcap",
+        record_split_duration=1.0,
+    )
+    sent = []
+    event = run.outputs.event
+    monkeypatch.setattr(run.outputs, "event", lambda *given: sent.append(given) or event(*given))
+
+    def raised():
+        return [given for given in sent if given[1] == "accuracy"]
+
+    def accuracy():
+        return run.server.call("sample").result(30.0) and run.simulation.promise["accuracy"]
+
+    run.start()
+    try:
+        time.sleep(0.3)
+        assert raised() == []
+        monkeypatch.setattr(simulation_thread, "SHARE", 0.0)
+        wait_for(lambda: len(raised()) >= 2)
+        monkeypatch.setattr(simulation_thread, "SHARE", 0.5)
+        pushed(run, "lower", (0, 0, 0, 0, 5.0, 0), 0.1)
+        count = len(raised())
+        assert accuracy() == pytest.approx(1e-9 * 10.0**count, rel=1e-12)
+        wait_for(lambda: (tmp_path / "run_part3.mcap").exists())
+        assert len(raised()) == count
+        run.server.call("reset").result(30.0)
+        assert accuracy() == 1e-9
+        monkeypatch.setattr(simulation_thread, "SHARE", 0.0)
+        wait_for(lambda: len(raised()) > count)
+        monkeypatch.setattr(simulation_thread, "SHARE", 0.5)
+        time.sleep(0.1)
+    finally:
+        run.close()
+    text = raised()[0][2]
+    assert text.startswith("1e-08 is the accuracy from t = ") and ": 1e-09 takes " in text
+    assert text.endswith(" % of a core in real time") and text in caplog.text
+    recordings = [repeats(path) for path in sorted(tmp_path.glob("*.mcap"))]
+    assert len(recordings) >= 3
+    assert sum(e.name == "accuracy" for r in recordings for e in r.events) == len(raised())
+    # Every part has what was asked for; the state has what holds.
+    assert {r.settings["promise"]["accuracy"] for r in recordings} == {1e-9}
+    found = analyse(recordings[0]).figures
+    assert found["problems"] == []
+    assert found["promise"]["kept"] is True and found["promise"]["beyond"] is True
+    # At half the step too, the accuracy changes when it did.
+    other = resimulate(recordings[0], step=0.5 * recordings[0].settings["step"])
+    assert other["stopped"] is None and max(other["largest_difference"].values()) < 1e-5
+    later = analyse(recordings[1]).figures["promise"]
+    assert later["kept"] is later["seconds"] is None
+
+
+def test_the_accuracy_is_raised_at_most_to_a_tenth(node, tmp_path, monkeypatch):
+    monkeypatch.setattr(simulation_thread, "SHARE", 0.0)
+    monkeypatch.setattr(simulation_thread, "SHARE_PERIOD", 0.02)
+    run = scene_run(node, "heavy_top", accuracy=3e-3, record=tmp_path / "run.mcap")
+    run.start()
+    try:
+        wait_for(lambda: run.simulation.promise["accuracy"] == simulation_thread.COARSEST)
+        time.sleep(0.2)
+    finally:
+        run.close()
+    changes = [e.text for e in repeats(tmp_path / "run.mcap").events if e.name == "accuracy"]
+    assert [text.split()[0] for text in changes] == ["0.03", "0.1"]
+
+
+def test_as_fast_as_possible_has_no_share_of_real_time(node, tmp_path, monkeypatch):
+    monkeypatch.setattr(simulation_thread, "SHARE", 0.0)
+    run = scene_run(node, "heavy_top", record=tmp_path / "run.mcap", real_time_factor=0.0)
+    run.start()
+    time.sleep(0.5)
+    run.close()
+    assert REPORTS.isdisjoint(event.name for event in repeats(tmp_path / "run.mcap").events)
+
+
+@pytest.mark.parametrize("stabilised", [[], ["--stabilisation", "none"]])
+def test_a_run_to_an_accuracy_is_checked_by_analyze(tmp_path, capsys, stabilised):
+    log, document = tmp_path / "a.mcap", tmp_path / "a.json"
+    arguments = ["run", "four_bar", "--accuracy", "1e-6", "--horizon", "0.5", "--duration", "1.5"]
+    assert main([*arguments, *stabilised, "--out", str(log)]) == 0
+    # A hundredth of the horizon.
+    assert "1.5 s in 300 steps, 301 samples" in capsys.readouterr().out
+    recording = repeats(log)
+    promise = recording.settings["promise"]
+    assert promise["accuracy"] == 1e-6 and promise["horizon"] == 0.5
+    assert recording.settings["stabilisation"] == ("none" if stabilised else "projection")
+    assert main(["analyze", str(log), "--json", str(document)]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "the accuracy of 1e-06 in 0.5 s is kept:" in said and "in the first 1.5 s" in said
+    schema = json.loads((SOURCE / "config" / "analysis.schema.json").read_text())
+    found = json.loads(document.read_text())
+    jsonschema.Draft202012Validator(schema).validate(found)
+    (figures,) = found["logs"]
+    assert figures["problems"] == [] and figures["promise"]["kept"] is True
+    # It may grow by as much in each further horizon.
+    assert 0.0 < figures["promise"]["error"] < 3e-6
+    # With the options that would make the same run.
+    assert main(["replay", str(log), "--resimulate", "--method", METHOD]) == 0
+    assert "all 301 samples are bit-identical" in capsys.readouterr().out
+    other = ["--method", "rkmk8", "--step", "1e-3", "--bound", "1e-5"]
+    assert main(["replay", str(log), "--resimulate", *other]) == 0
+
+
+def test_a_run_reports_that_its_error_exceeds_the_accuracy(tmp_path):
+    """The event is at the first sample after that; what follows does not violate the accuracy."""
+    log = tmp_path / "a.mcap"
+    arguments = ["run", "double_pendulum", "--duration", "30", "--every", "10", "--out", str(log)]
+    assert main(arguments) == 0
+    recording = repeats(log)
+    _, event, later, _ = recording.events
+    assert (event.name, later.name) == ("inaccurate", "unpredictable")
+    simulation = Simulation(load_scene("double_pendulum"), step=0.01)
+    simulation.advance(3000)
+    since = simulation.accurate_until
+    assert 0.0 <= event.stamp_ns * 1e-9 - since < 0.1 + 0.07
+    assert events_of_runs.number(event.text) == pytest.approx(since, rel=1e-8)
+    assert 0.0 <= later.stamp_ns * 1e-9 - simulation.predictable_until < 0.1
+    found = analyse(recording).figures["promise"]
+    assert found["kept"] is True and found["beyond"] is True
+    assert since - 0.1 <= found["seconds"] <= since + 1e-9
+
+
+@pytest.mark.parametrize(
+    "push, kept, seconds", [(None, False, 0.6), (25, False, 0.6), (0, False, 0.6)]
+)
+def test_a_missed_accuracy_is_reported_as_a_problem(tmp_path, push, kept, seconds):
+    """With a much too large step of a method; wrenches do not end the accuracy."""
+    pushes = [] if push is None else [(push, ("top", (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)))]
+    log = record(
+        tmp_path / "a.mcap",
+        load_scene("heavy_top"),
+        60,
+        step=1e-2,
+        per_sample=1,
+        pushes=pushes,
+        promise={"accuracy": 1e-6, "horizon": 0.5, "length": 0.5},
+    )
+    figures = analyse(read_recording(log)).figures
+    found = figures["promise"]
+    assert found["kept"] is kept and found["beyond"] is False
+    assert found["seconds"] == pytest.approx(seconds) and found["error"] > 1e-6
+    assert any("is not kept" in text for text in figures["problems"])
+    assert "the accuracy of 1e-06 in 0.5 s is not kept" in figures["verdict"]

@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Simulations to an accuracy: promised against true errors, through pushes, and repeated to the bit."""
+
+import math
+
+import mechanisms
+import numpy as np
+import pytest
+
+from liegroup_core import Simulation, load_scene
+from liegroup_core.reference import Reference, Trajectory, WrenchChange, distance
+from liegroup_core.scene.library import four_bar_windows
+
+FORCE = {"heavy_top": 40.0, "four_bar": 5.0, "double_pendulum": 2.0, "slider_crank": 3.0}  # N
+ON, OFF = 0.3217, 0.7303  # s, inside a step
+
+
+def pushed(name, **settings):
+    """Simulation with a force in world axes on its first body, and the changes for the reference."""
+    simulation = Simulation(load_scene(name), **settings)
+    body = simulation.scene.bodies[0].name
+    wrench = (0.0, 0.0, 0.0, FORCE[name], 0.0, 0.0)
+    simulation.apply_wrench(body, wrench, ON, OFF - ON, axes="world")
+    return simulation, [
+        WrenchChange(ON, body, wrench, "world"),
+        WrenchChange(OFF, body, (0.0,) * 6, "world"),
+    ]
+
+
+def true_error(simulation, changes, times):
+    """Largest error at times in s: parts of the mechanism's size, or rad."""
+    start = simulation.state()
+    exact, uncertainty = Reference(simulation.scene, *start, changes, end=times[-1]).at(times)
+    worst, length = 0.0, simulation.promise["length"]
+    assert max(uncertainty.position.max() / length, uncertainty.angle.max()) < 1e-9
+    for k, time in enumerate(times):
+        simulation.advance(round(time / simulation.step) - simulation.steps)
+        sample = simulation.sample()
+        n = len(sample.pose)
+        found = Trajectory(
+            times[k : k + 1],
+            sample.pose[None, :, :9].reshape(1, n, 3, 3),
+            sample.pose[None, :, 9:],
+            sample.twist[None],
+        )
+        there = Trajectory(times[k : k + 1], *(part[k : k + 1] for part in exact[1:]))
+        off = distance(found, there)
+        worst = max(worst, off.position.max() / length, off.angle.max())
+    return worst
+
+
+@pytest.mark.parametrize("accuracy", [1e-3, 1e-5, 1e-7])
+@pytest.mark.parametrize("name", FORCE)
+def test_the_accuracy_is_kept_through_a_push(name, accuracy):
+    """Against the independent reference; the estimate says so, or that it is exceeded."""
+    simulation, changes = pushed(name, accuracy=accuracy, horizon=2.0)
+    step = simulation.step
+    times = step * np.unique(np.linspace(0, round(2.0 / step), 21)[1:].astype(int))
+    assert true_error(simulation, changes, times) <= accuracy
+    assert simulation.method == "rkmk853" and simulation.promise["accuracy"] == accuracy
+
+
+def test_the_default_is_an_accuracy():
+    simulation = Simulation(load_scene("four_bar"))
+    assert simulation.promise["accuracy"] == 1e-4 and simulation.promise["horizon"] == 60.0
+    assert simulation.step == 0.01 and simulation.stabilisation == "projection"
+    simulation.advance(6000)
+    assert simulation.accurate_until == math.inf and simulation.doubt is None
+    assert simulation.sample().constraint_residual < 1e-12
+    # Lower pairs to the ground are closed without projection.
+    assert Simulation(load_scene("heavy_top")).stabilisation == "none"
+
+
+@pytest.mark.parametrize("n", [1, 5, 40])
+def test_rows_of_windows_pass_all_their_flat_poses(n):
+    """20 s at the default accuracy, against the equation of their single coordinate."""
+    times = np.linspace(0.0, 20.0, 11)
+    simulation, errors = Simulation(four_bar_windows(n)), []
+    for time, (angle, _) in zip(times, mechanisms.windows_motion(n, times)):
+        simulation.advance(round(time / simulation.step) - simulation.steps)
+        pose = simulation.sample().poses["crank0"]
+        errors.append(abs(np.sin(0.5 * (np.arctan2(pose[1, 0], pose[0, 0]) + np.pi / 2 - angle))))
+    assert max(errors) < 1e-4
+    # The estimate may be above the accuracy for a while: next to a flat pose the companion is lucky or not.
+    assert simulation.predictable_until == math.inf
+
+
+@pytest.mark.parametrize("at_once", [1, 7])
+@pytest.mark.parametrize("name", ["heavy_top", "slider_crank"])
+def test_steps_and_estimates_depend_on_states_and_wrenches_alone(name, at_once):
+    """Bit for bit, however the steps are asked for."""
+
+    def run(at_once):
+        simulation, _ = pushed(name, accuracy=1e-6)
+        while simulation.steps < 150:
+            simulation.advance(min(at_once, 150 - simulation.steps))
+        return simulation
+
+    one, other = run(150), run(at_once)
+    assert one.state()[0].tobytes() == other.state()[0].tobytes()
+    assert one.substeps == other.substeps and one.memory() == other.memory()
+    other.reset()
+    assert not other.sample().errors.any()
+
+
+@pytest.mark.parametrize("name", ["heavy_top", "slider_crank"])
+def test_a_run_continues_to_the_bit_from_its_memory(name):
+    one, _ = pushed(name, accuracy=1e-7)
+    one.advance(101)
+    other = Simulation(one.scene, **one.arguments)
+    other.set_state(*one.state(), one.steps, one.sample().angles, one.memory())
+    assert other.sample().errors.tobytes() == one.sample().errors.tobytes()
+    for simulation in (one, other):
+        simulation.advance(200)
+    assert one.state()[0].tobytes() == other.state()[0].tobytes()
+    assert one.memory() == other.memory()
+
+
+def test_in_chaos_the_accuracy_ends_with_a_line_and_the_joints_stay_closed():
+    simulation = Simulation(load_scene("hinge_chain"), accuracy=1e-6)
+    energy = simulation.energy()
+    simulation.advance(round(20.0 / simulation.step))
+    assert 1.0 < simulation.accurate_until <= simulation.predictable_until < 20.0
+    assert "above the accuracy of 1e-06" in simulation.doubt
+    assert "this may be another motion" in simulation.doubt
+    assert simulation.sample().constraint_residual < 1e-12
+    # 1e-6 of the energy that is exchanged, about m g h of the chain.
+    assert simulation.energy() == pytest.approx(energy, abs=1e-6 * max(1.0, abs(energy)))
+
+
+@pytest.mark.parametrize(
+    "wrong, text",
+    [
+        ({"accuracy": 0.0}, "a number from 1e-13 to 1, got 0"),
+        ({"accuracy": 1e-14}, "a number from 1e-13 to 1, got 1e-14"),
+        ({"accuracy": "fine"}, "a number from 1e-13 to 1, got 'fine'"),
+        ({"horizon": 0.0}, "a positive number of seconds, got 0"),
+        ({"accuracy": 1e-3, "method": "rkmk4"}, "either an accuracy or a method"),
+        ({"accuracy": 1e-3, "rtol": 1e-3}, "an accuracy sets rtol"),
+        ({"estimate": False}, "an accuracy requires the estimate"),
+        ({"step": "1"}, "the step must be a positive number"),
+    ],
+)
+def test_wrong_settings_are_refused_in_one_line(wrong, text):
+    with pytest.raises(ValueError, match=text) as refusal:
+        Simulation(load_scene("free_body"), **wrong)
+    assert "\n" not in str(refusal.value)
