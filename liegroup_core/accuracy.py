@@ -35,6 +35,7 @@ LEAST_GAIN = 2.0
 FIRST, LARGEST = 0.03, 0.03
 LEAST_TOLERANCE = 1e-15
 FASTER, SLOWER = 4.0, 0.1  # bounds of the ratio of two successive tolerances
+_REMEMBERED = ("accuracy", "_begin", "_last", "_sum", "_double_sum", "ended", "_tolerance")
 
 
 class AccuracyControl:
@@ -100,27 +101,10 @@ class AccuracyControl:
 
     def memory(self):
         """Array from which `remember` restores the control."""
-        return np.array(
-            [
-                self.accuracy,
-                self._begin,
-                self._last,
-                self._sum,
-                self._double_sum,
-                self.ended,
-                self._tolerance,
-            ]
-        )
+        return np.array([getattr(self, name) for name in _REMEMBERED])
 
     def remember(self, memory):
         """Restore the control from `memory`."""
-        (
-            self.accuracy,
-            self._begin,
-            self._last,
-            self._sum,
-            self._double_sum,
-            self.ended,
-            tolerance,
-        ) = map(float, memory)
-        self._set(tolerance)
+        for name, value in zip(_REMEMBERED, map(float, memory)):
+            setattr(self, name, value)
+        self._set(self._tolerance)

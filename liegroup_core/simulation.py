@@ -43,7 +43,7 @@ class Simulation(Engine):
 
     With a method, it takes the arguments of Engine, with their defaults.
 
-    estimate : True: carry a running estimate of the global error (running_error.py), at about 1.8
+    estimate : True: carry a running estimate of the global error (running_error.py), at about 1.9
                times the cost: `sample().error`, `predictable_until`. An accuracy requires it
     quiet    : True: log no warnings
 
@@ -227,31 +227,32 @@ class Simulation(Engine):
             count = running.checkpoints
             running.follow()
             if running.checkpoints > count:
+                error = running.largest
                 if self._control is not None:
-                    self._control.follow(
-                        self.time, running.largest, running.predictable_until == math.inf
-                    )
-                self._look()
+                    self._control.follow(self.time, error, running.predictable_until == math.inf)
+                self._look(error)
             if self.steps >= end:
                 return
 
-    def _look(self):
+    def _look(self, error):
         """Warn once if the error exceeds the accuracy, and once if it is large."""
-        error, time = self._running.largest, self.time
-        size = (
-            f"at t = {time:.6g} s the estimated error is {error:.2g} of the mechanism's size or rad"
-        )
+        time = self.time
         if not self._exceeded and self.accurate_until <= time:
             self._exceeded = True
-            self._warn(f"{size}, above the accuracy of {self._control.wanted(time):.2g}")
+            self._warn(error, f", above the accuracy of {self._control.wanted(time):.2g}")
         if not self._lost and self.predictable_until <= time:
             self._lost = True
             self._warn(
-                f"{size}: from here on this may be another motion"
-                + ("" if self._control else "; use a smaller step, or an accuracy")
+                error,
+                ": from here on this may be another motion"
+                + ("" if self._control else "; use a smaller step, or an accuracy"),
             )
 
-    def _warn(self, text):
+    def _warn(self, error, what):
+        text = (
+            f"at t = {self.time:.6g} s the estimated error is {error:.2g} of the mechanism's size "
+            f"or rad{what}"
+        )
         self.doubt = f"{self.doubt}; {text}" if self.doubt else text
         if not self._quiet:
             log.warning(text)

@@ -79,7 +79,7 @@ def add_arguments(parser):
         "--no-estimate",
         dest="estimate",
         action="store_false",
-        help="with a method: do not estimate the error, at about 1 / 1.8 of the cost",
+        help="with a method: do not estimate the error, at about half of the cost",
     )
     add_settings(parser)
 

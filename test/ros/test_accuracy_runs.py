@@ -129,7 +129,7 @@ def test_a_node_says_when_its_motion_cannot_be_known_any_more(client, tmp_path):
     ):
         assert float(figures[key]) == pytest.approx(since, rel=1e-9)
         assert events_of_runs.number(told[name].text) == pytest.approx(since, rel=1e-8)
-        # The stamp is that of the first tick after the error was found, at every sixth step.
+        # The stamp is that of the first tick after the error was found, at every fourth step.
         assert -1e-9 <= told[name].stamp_ns * 1e-9 - since < 0.07
     found = analyse(recording, reference_seconds=told["inaccurate"].stamp_ns * 1e-9 + 1.0).figures
     assert found["promise"]["kept"] is True and found["promise"]["beyond"] is True

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulations to an accuracy: promised against true errors, through pushes, and repeated to the bit."""
+"""Simulations to an accuracy: promised against true errors, through pushes, and bit-identical repeats."""
 
 import math
 
