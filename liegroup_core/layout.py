@@ -10,6 +10,7 @@ from .errors import SceneError
 from .forces import kinds
 from .forces.torsional_spring_damper import UNKNOWN_TURN
 from .formulations.planar.build import planar_model
+from .formulations.relative.build import relative_model
 from .model.arrays import Model
 from .model.build import build_model
 from .observables.joint_coordinates import JointCoordinates
@@ -46,11 +47,23 @@ class Layout:
         except np.linalg.LinAlgError:
             raise self.scene.located(_unsolvable(self.scene)) from None
 
+    @cached_property
+    def relative(self):
+        """RelativeModel of the scene."""
+        return relative_model(self.centred, self.model)
+
     def with_model(self, model):
         """The layout with other options of its model; what does not depend on them is kept."""
-        layout, plane = replace(self, model=model), self.__dict__.get("plane")
+        layout = replace(self, model=model)
+        plane, relative = self.__dict__.get("plane"), self.__dict__.get("relative")
         if plane is not None and model.baumgarte_rate == 0.0:
             layout.__dict__["plane"] = plane.replace(space=model, projects=model.projects)
+        if relative is not None:
+            layout.__dict__["relative"] = relative.replace(
+                space=model,
+                projects=model.projects and len(relative.joints) > 0,
+                baumgarte_rate=model.baumgarte_rate,
+            )
         return layout
 
     @cached_property

@@ -6,7 +6,7 @@ import math
 from liegroup_core.compiling import kernel
 from liegroup_core.lie.se3 import se3_compose, se3_exp
 from liegroup_core.lie.so3 import so3_exp
-from liegroup_core.lie.vec3 import add3, dot3, load3, load9, matmul3, matvec3, store3
+from liegroup_core.lie.vec3 import add3, load3, load9, matmul3, matvec3, store3
 from liegroup_core.status import LARGEST_ROTATION, NOT_FINITE, OK, ROTATION_TOO_LARGE
 
 from .methods import SE3
@@ -34,29 +34,6 @@ def displace(group, pose, i, xi, eta):
         turn, shift = se3_exp(xi, eta)
         return se3_compose(rot, r, turn, shift)
     return matmul3(rot, so3_exp(xi)), add3(r, eta)
-
-
-@kernel
-def orthonormal(rot):
-    """One Newton iteration for the nearest rotation, R (3 I - R^T R) / 2.
-
-    Round-off makes products of rotations drift from SO(3). The iteration converges quadratically,
-    so that one iteration is enough.
-    """
-    x, y, z = (rot[0], rot[3], rot[6]), (rot[1], rot[4], rot[7]), (rot[2], rot[5], rot[8])
-    xy, xz, yz = -0.5 * dot3(x, y), -0.5 * dot3(x, z), -0.5 * dot3(y, z)
-    defect = (
-        1.5 - 0.5 * dot3(x, x),
-        xy,
-        xz,
-        xy,
-        1.5 - 0.5 * dot3(y, y),
-        yz,
-        xz,
-        yz,
-        1.5 - 0.5 * dot3(z, z),
-    )
-    return matmul3(rot, defect)
 
 
 @kernel

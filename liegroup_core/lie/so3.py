@@ -13,7 +13,7 @@ import math
 from liegroup_core.compiling import kernel
 
 from .coefficients import dexpinv_coefficients, exp_coefficients
-from .vec3 import cross3, dot3
+from .vec3 import cross3, dot3, matmul3
 
 
 @kernel
@@ -138,3 +138,26 @@ def so3_dexpinv_of(first, b, xi, w):
         w[1] - first * a[1] + b * aa[1],
         w[2] - first * a[2] + b * aa[2],
     )
+
+
+@kernel
+def so3_nearest(rot):
+    """One Newton iteration for the nearest rotation, R (3 I - R^T R) / 2.
+
+    Round-off makes products of rotations drift from SO(3). The iteration converges quadratically,
+    so that one iteration is enough.
+    """
+    x, y, z = (rot[0], rot[3], rot[6]), (rot[1], rot[4], rot[7]), (rot[2], rot[5], rot[8])
+    xy, xz, yz = -0.5 * dot3(x, y), -0.5 * dot3(x, z), -0.5 * dot3(y, z)
+    defect = (
+        1.5 - 0.5 * dot3(x, x),
+        xy,
+        xz,
+        xy,
+        1.5 - 0.5 * dot3(y, y),
+        yz,
+        xz,
+        yz,
+        1.5 - 0.5 * dot3(z, z),
+    )
+    return matmul3(rot, defect)

@@ -34,7 +34,8 @@ from liegroup_core.forces.external import COLUMNS as EXTERNAL_COLUMNS
 from liegroup_core.forces.kinds import count_turns, too_fast
 from liegroup_core.formulations.absolute.newton_euler import accelerations
 from liegroup_core.integrators.methods import GROUPS, SE3, refuse_stabilisation
-from liegroup_core.integrators.motion import copy_state, group_velocity, is_finite, orthonormal
+from liegroup_core.integrators.motion import copy_state, group_velocity, is_finite
+from liegroup_core.lie.so3 import so3_nearest
 from liegroup_core.lie.vec3 import dot3, load3, load9, store9, vector3
 from liegroup_core.model.arrays import make_work
 from liegroup_core.status import DEPENDENT_ROWS, NOT_CONVERGED, NOT_FINITE, OK, TURNS_NOT_COUNTED
@@ -186,7 +187,7 @@ def advance(model, work, memory, numbers, group, h, steps, pose, twist, external
         if status != OK:
             return done, status
         for i in range(n):
-            store9(orthonormal(load9(work.stage_pose, i, 0)), work.stage_pose, i, 0)
+            store9(so3_nearest(load9(work.stage_pose, i, 0)), work.stage_pose, i, 0)
             for c in range(6):
                 memory.rate[i, c] = memory.x[6 * i + c]
                 memory.mean[i, c] = (

@@ -13,9 +13,10 @@ from liegroup_core.compiling import Struct, kernel
 from liegroup_core.formulations.absolute.constraints import position_residuals
 from liegroup_core.formulations.absolute.projection import is_satisfied
 from liegroup_core.integrators.broyden import broyden
-from liegroup_core.integrators.motion import copy_state, orthonormal, rotation_status
+from liegroup_core.integrators.motion import copy_state, rotation_status
 from liegroup_core.integrators.rotation.maps import turn, velocity
 from liegroup_core.integrators.rotation.newton import EXPONENTIAL, newton
+from liegroup_core.lie.so3 import so3_nearest
 from liegroup_core.lie.vec3 import (
     ZERO3,
     axpy3,
@@ -80,7 +81,7 @@ def _update_poses(model, work, memory, h):
             return NOT_CONVERGED
         store3(x, memory.turn, i, 0)
         rot = load9(work.start_pose, i, 0)
-        store9(orthonormal(matmul3(rot, turn(x))), work.stage_pose, i, 0)
+        store9(so3_nearest(matmul3(rot, turn(x))), work.stage_pose, i, 0)
         store3(
             axpy3(h, matvec3(rot, load3(memory.half, i, 3)), load3(work.start_pose, i, 9)),
             work.stage_pose,

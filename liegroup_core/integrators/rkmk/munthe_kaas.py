@@ -27,6 +27,7 @@ import numpy as np
 
 from liegroup_core.compiling import SameTypes, Struct, borrowed, kernel, stepper, warm_up
 from liegroup_core.formulations.planar.arrays import make_planar_work
+from liegroup_core.formulations.relative.arrays import make_relative_work
 from liegroup_core.integrators.methods import EXACT, GROUPS, is_positive
 from liegroup_core.integrators.motion import copy_state
 from liegroup_core.model.arrays import make_work
@@ -74,9 +75,10 @@ def _error(model, work, scheme, h, twist, rtol, atol):
     largest = 0.0
     for i in range(len(model.bodies)):
         error = spaces.error_square(model, work, scheme, 0, h, twist, i, rtol, atol)
-        if len(scheme.error) == 2 and error > 0.0:
+        if len(scheme.error) == 2:
             other = spaces.error_square(model, work, scheme, 1, h, twist, i, rtol, atol)
-            error *= error / (error + 0.01 * other)
+            if error > 0.0:
+                error *= error / (error + 0.01 * other)
         if not error < math.inf:
             return math.inf
         largest = max(largest, error)
@@ -174,7 +176,7 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
                 if stage < stages or controlled:
                     dependent = spaces.accelerate(model, work, external)
                     if dependent >= 0:
-                        status = DEPENDENT_ROWS + (model.joints[dependent]["element"] << 8)
+                        status = DEPENDENT_ROWS + (dependent << 8)
                         break
                     spaces.store_slopes(model, work, scheme, group, stage)
             if status == OK:
@@ -232,10 +234,17 @@ class MuntheKaas:
         )
         self._model, self._group, self._longest = layout.model, GROUPS[group], step
         self.work = make_work(layout.model, stages)
+        self._relative = options["space"] == "relative"
         self._plane = layout.plane if options["space"] == "auto" else None
         self.kernels = "rkmk" if self._plane is None else "rkmk-planar"
         if self._plane is not None:
             self._planar_work = make_planar_work(self._plane, self.work, stages)
+        if self._relative:
+            self.kernels = "rkmk-relative"
+            self._model = layout.relative
+            self._work = make_relative_work(self._model, self.work, stages)
+        else:
+            self._work = self.work
         self._control = np.zeros(6)
         self._control[4:] = self._tolerances = options.get("rtol", 0.0), options.get("atol", 1.0)
         self._advance, self._advance_planar = SameTypes(advance), SameTypes(advance)
@@ -247,7 +256,7 @@ class MuntheKaas:
         """{name: (default, description of valid values, check)} of the method's options."""
         options = {
             name: (values[0], " or ".join(map(repr, values)), values.__contains__)
-            for name, values in (("dexpinv", ("exact", "truncated")), ("space", ("auto", "space")))
+            for name, values in (("dexpinv", ("exact", "truncated")), ("space", ("auto", "space", "relative")))
         }
         if method.controlled:
             options["rtol"] = options["atol"] = (1e-6, "a positive number", is_positive)
@@ -315,7 +324,7 @@ class MuntheKaas:
     def _in_space(self, h, steps, pose, twist, external):
         return self._advance(
             self._model,
-            self.work,
+            self._work,
             self._scheme,
             self._group,
             h,

@@ -11,7 +11,7 @@ import math
 from liegroup_core.compiling import kernel
 from liegroup_core.forces import kinds
 from liegroup_core.formulations.absolute.projection import close_joints
-from liegroup_core.formulations.planar.dynamics import clear_ground_slip
+from liegroup_core.formulations.planar.dynamics import accelerations, clear_ground_slip
 from liegroup_core.formulations.planar.state import external_to_plane, to_plane, to_space
 from liegroup_core.integrators.methods import EXACT, SE3
 from liegroup_core.integrators.motion import copy_state, is_finite
@@ -98,7 +98,7 @@ def move(model, work, scheme, group, h, stage, end, pose):
         c0, s0 = pose[i, 0], pose[i, 1]
         c, s = c0 * ct - s0 * st, s0 * ct + c0 * st
         if end:
-            # One Newton iteration for the nearest rotation, see motion.orthonormal.
+            # One Newton iteration for the nearest rotation, see so3_nearest.
             scale = 1.5 - 0.5 * (c * c + s * s)
             c, s = c * scale, s * scale
         if group == SE3:
@@ -116,6 +116,13 @@ def move(model, work, scheme, group, h, stage, end, pose):
     if end and group == SE3:
         clear_ground_slip(model, work.stage_twist)
     return OK
+
+
+@kernel
+def accelerate(model, work, external):
+    """Compute the accelerations of a stage. Returns -1, or the element with dependent rows."""
+    joint = accelerations(model, work, external)
+    return joint if joint < 0 else model.joints[joint]["element"]
 
 
 @kernel

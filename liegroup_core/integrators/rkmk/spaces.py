@@ -14,7 +14,7 @@ for a PlanarModel:
     move(model, work, scheme, group, h, stage, end, pose) -> status
                             pose and twist of a later stage, or of the end of the step
     accelerate(model, work, external) -> int
-                            accelerations of the stage; -1, or the joint with dependent rows
+                            accelerations of the stage; -1, or the element with dependent rows
     store_slopes(model, work, scheme, group, stage)
                             stage derivatives k, from the accelerations of the stage
     check_end(model, work, h) -> status
@@ -30,18 +30,18 @@ for a PlanarModel:
 
 from liegroup_core.compiling import Choice
 from liegroup_core.formulations.planar.arrays import PlanarModel
-from liegroup_core.formulations.planar.dynamics import accelerations
+from liegroup_core.formulations.relative.arrays import RelativeModel
 from liegroup_core.model.arrays import Model
 
 from . import planar as planar
-from . import spatial
+from . import relative, spatial
 
 
 def _of(name):
-    return Choice(name, {Model: getattr(spatial, name), PlanarModel: getattr(planar, name)})
+    return Choice(name, {Model: getattr(spatial, name), PlanarModel: getattr(planar, name), RelativeModel: getattr(relative, name)})
 
 
 enter, leave, begin, move = map(_of, ("enter", "leave", "begin", "move"))
 store_slopes, check_end, error_square = map(_of, ("store_slopes", "check_end", "error_square"))
 close, count_turns = map(_of, ("close", "count_turns"))
-accelerate = Choice("accelerate", {Model: spatial.accelerate, PlanarModel: accelerations})
+accelerate = _of("accelerate")

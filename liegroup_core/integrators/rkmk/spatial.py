@@ -18,11 +18,10 @@ from liegroup_core.integrators.motion import (
     displace,
     group_velocity,
     is_finite,
-    orthonormal,
 )
 from liegroup_core.lie.coefficients import dexpinv_coefficients, truncated_dexpinv_coefficients
 from liegroup_core.lie.se3 import se3_dexpinv_of
-from liegroup_core.lie.so3 import so3_dexpinv_of
+from liegroup_core.lie.so3 import so3_dexpinv_of, so3_nearest
 from liegroup_core.lie.vec3 import (
     ZERO3,
     add3,
@@ -104,7 +103,7 @@ def move(model, work, scheme, group, h, stage, end, pose):
         work.report[1] = max(work.report[1], rotation)
         rot, r = displace(group, pose, i, xi, eta)
         if end:
-            rot = orthonormal(rot)
+            rot = so3_nearest(rot)
         store3(xi, work.slopes, stage * n + i, 0)
         store3(eta, work.slopes, stage * n + i, 3)
         v = add3(load3(work.velocity, i, 3), dv)
@@ -153,8 +152,9 @@ def _store_slope(work, scheme, group, n, i, stage):
 
 @kernel
 def accelerate(model, work, external):
-    """Compute the accelerations of a stage. Returns -1, or the joint with dependent rows."""
-    return accelerations(model, work, work.stage_pose, work.stage_twist, external)
+    """Compute the accelerations of a stage. Returns -1, or the element with dependent rows."""
+    joint = accelerations(model, work, work.stage_pose, work.stage_twist, external)
+    return joint if joint < 0 else model.joints[joint]["element"]
 
 
 @kernel

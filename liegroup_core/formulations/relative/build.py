@@ -1,0 +1,425 @@
+# SPDX-License-Identifier: Apache-2.0
+"""RelativeModel of a scene: links, freedoms, and the rows of the cut joints that are independent."""
+
+import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+from liegroup_core.joints.elements import ELEMENT, PAIR, WORLD
+from liegroup_core.joints.linkage import RANK_TOLERANCE, Linkage
+from liegroup_core.lie.groups import SE3
+from liegroup_core.model.arrays import JOINT
+from liegroup_core.model.redundancy import (
+    generic_poses,
+    independent_rows,
+    loop_joints,
+)
+from liegroup_core.scene.consistency import resolve_elements, resolve_frames
+
+from .arrays import (
+    AFTER_CROSS,
+    BALL,
+    CROSS,
+    CYLINDER,
+    FREE,
+    FREEDOMS,
+    HINGE,
+    LINK,
+    OWN,
+    PART,
+    PLANE,
+    SCREW,
+    SLIDE,
+    RelativeModel,
+)
+from .spanning_tree import WORLD_NAME, spanning_tree
+
+GROUPS = {
+    "revolute": HINGE,
+    "prismatic": SLIDE,
+    "screw": SCREW,
+    "cylindrical": CYLINDER,
+    "planar": PLANE,
+    "spherical": BALL,
+}
+# Components of S in the order of the freedoms.
+COMPONENTS = {
+    HINGE: (2,),
+    SLIDE: (5,),
+    SCREW: (2,),
+    CYLINDER: (2, 5),
+    PLANE: (2, 3, 4),
+    BALL: (0, 1, 2),
+    FREE: (0, 1, 2, 3, 4, 5),
+}
+# Axes of a universal joint as z axes: x of its parent frame, y of its child frame.
+FIRST_AXIS, SECOND_AXIS = np.eye(4)[:, [1, 2, 0, 3]], np.eye(4)[:, [2, 0, 1, 3]]
+
+
+class _Link:
+    """Link under construction: `placement` T in its parent, and poses of its bodies in it."""
+
+    def __init__(self, group, parent, placement, bodies, coordinates=OWN, pitch=0.0):
+        self.group, self.parent, self.placement = group, parent, placement
+        self.bodies, self.coordinates, self.pitch = bodies, coordinates, pitch
+
+    def directions(self):
+        """S (6, freedoms)."""
+        S = np.eye(6)[:, list(COMPONENTS[self.group])]
+        if self.group == SCREW:
+            S[5, 0] = self.pitch
+        return S
+
+
+def relative_model(scene, model):
+    """RelativeModel of a mechanism.
+
+    scene : Scene with body frames at the centres of mass
+    model : its Model
+    """
+    frames, parts = resolve_frames(scene), resolve_elements(scene)
+    tree = spanning_tree(scene)
+    links, places = _links(scene, frames, tree)
+    index = {body.name: i for i, body in enumerate(scene.bodies)}
+    records = _records(scene, links, index)
+    cut, rows = _cut_rows(scene, frames, parts, tree, links, places, model)
+    elements = _elements(model, frames, cut, places, scene)
+    arrays = _loop_arrays(links, records, cut, rows, elements)
+    part_records = np.array(
+        [
+            (places[body.name][0], places[body.name][1][:3, :3].ravel(), places[body.name][1][:3, 3])
+            for body in scene.bodies
+        ],
+        dtype=PART,
+    )
+    return RelativeModel(
+        space=model,
+        gravity=model.gravity,
+        bodies=records,
+        parts=part_records,
+        has_forces=any(map(len, model.forces.values())),
+        elements=elements,
+        projects=bool(model.projects and len(arrays["joints"])),
+        baumgarte_rate=model.baumgarte_rate,
+        **arrays,
+    )
+
+
+def _welds(scene, frames, members):
+    """{body: pose in the frame of the first body of its weld group (in the world for the world's)}."""
+    poses = {}
+    ends = [
+        (joint.parent, joint.child, F_a @ SE3.inverse(F_b))
+        for joint, (F_a, F_b) in zip(scene.joints, frames)
+        if joint.type == "fixed"
+    ]
+    beside = {}
+    for a, b, relative in ends:
+        beside.setdefault(a, []).append((b, relative))
+        beside.setdefault(b, []).append((a, SE3.inverse(relative)))
+    for group, bodies in enumerate(members):
+        root = WORLD_NAME if group == 0 else bodies[0]
+        poses[root], pending = np.eye(4), [root]
+        while pending:
+            name = pending.pop()
+            for other, relative in beside.get(name, ()):
+                if other not in poses:
+                    poses[other] = poses[name] @ relative
+                    pending.append(other)
+    return poses
+
+
+def _links(scene, frames, tree):
+    """([_Link], {body or world: (link index or WORLD, pose (4, 4) in the link)})."""
+    welds = _welds(scene, frames, tree.members)
+    places = {name: (WORLD, welds[name]) for name in (WORLD_NAME, *tree.members[0])}
+    links = []
+    for group, _, j in tree.links:
+        bodies = tree.members[group]
+        if j is None:
+            # The link frame is at the common centre of mass, with the axes of the first body.
+            masses = np.array([scene.bodies[_index(scene, name)].mass for name in bodies])
+            centre = sum(m * welds[name][:3, 3] for m, name in zip(masses, bodies)) / masses.sum()
+            frame = np.eye(4)
+            frame[:3, 3] = centre
+            links.append(_Link(FREE, WORLD, np.eye(4), None))
+        else:
+            joint, (F_a, F_b) = scene.joints[j], frames[j]
+            reverse = joint.child not in bodies
+            inner, outer = (joint.child, joint.parent) if reverse else (joint.parent, joint.child)
+            F_in, F_out = (F_b, F_a) if reverse else (F_a, F_b)
+            parent, pose = places[inner]
+            placement = pose @ F_in
+            if joint.type == "universal":
+                first, second = (
+                    (SECOND_AXIS, FIRST_AXIS) if reverse else (FIRST_AXIS, SECOND_AXIS)
+                )
+                links.append(_Link(HINGE, parent, placement @ first, {}, CROSS))
+                links.append(
+                    _Link(HINGE, len(links) - 1, first.T @ second, None, AFTER_CROSS)
+                )
+                frame = welds[outer] @ F_out @ second
+            else:
+                kind = GROUPS[joint.type]
+                pitch = joint.pitch if joint.type == "screw" else 0.0
+                links.append(_Link(kind, parent, placement, None, pitch=pitch))
+                frame = welds[outer] @ F_out
+        to_link = SE3.inverse(frame)
+        links[-1].bodies = {name: to_link @ welds[name] for name in bodies}
+        for name in bodies:
+            places[name] = (len(links) - 1, links[-1].bodies[name])
+    return links, places
+
+
+def _index(scene, name):
+    """Index of a body."""
+    return next(i for i, body in enumerate(scene.bodies) if body.name == name)
+
+
+def _records(scene, links, index):
+    """(L,) of LINK."""
+    records, first = [], 0
+    for link in links:
+        mass, moment, inertia = 0.0, np.zeros(3), np.zeros((3, 3))
+        for name, pose in link.bodies.items():
+            body = scene.bodies[index[name]]
+            R, c = pose[:3, :3], pose[:3, 3]
+            mass += body.mass
+            moment += body.mass * c
+            inertia += R @ body.inertia_matrix @ R.T
+            inertia += body.mass * ((c @ c) * np.eye(3) - np.outer(c, c))
+        # The heaviest body represents the link: its pose is nearest to the centre of mass.
+        main = max(link.bodies, key=lambda name: scene.bodies[index[name]].mass, default=None)
+        pose = link.bodies.get(main, np.eye(4))
+        records.append(
+            (
+                link.group,
+                link.parent,
+                first,
+                FREEDOMS[link.group],
+                WORLD if main is None else index[main],
+                link.coordinates,
+                link.placement[:3, :3].ravel(),
+                link.placement[:3, 3],
+                pose[:3, :3].ravel(),
+                pose[:3, 3],
+                link.pitch,
+                mass,
+                moment,
+                inertia[np.triu_indices(3)],
+            )
+        )
+        first += FREEDOMS[link.group]
+    return np.array(records, dtype=LINK)
+
+
+def _path(links, b):
+    """Links between a link and the world, itself first."""
+    path = []
+    while b != WORLD:
+        path.append(b)
+        b = links[b].parent
+    return path
+
+
+def _cut_rows(scene, frames, parts, tree, links, places, model):
+    """([(joint, element of `model`, part)], [kept rows (k, 6) or mask]) of the cut joints."""
+    cut = []
+    element = 0
+    for j, elements in enumerate(parts):
+        for part in elements:
+            if j in tree.cut:
+                cut.append((j, element, part))
+            element += 1
+    if not cut:
+        return cut, []
+    counts = [len(part.names) for _, _, part in cut]
+    in_loops = set(loop_joints([(joint.parent, joint.child) for joint in scene.joints]))
+    chosen = np.ones(sum(counts), dtype=bool)
+    linkage = Linkage(scene, frames, parts, sorted(in_loops))
+    matrices = _tree_jacobians(linkage, scene, frames, cut, links, places)
+    if matrices:
+        chosen, _ = independent_rows(matrices, np.zeros(len(chosen), dtype=bool))
+    rows, at = [], 0
+    for count in counts:
+        rows.append(np.flatnonzero(chosen[at : at + count]))
+        at += count
+    return cut, rows
+
+
+def _tree_jacobians(linkage, scene, frames, cut, links, places):
+    """Unit rows of the cut joints for the freedoms of the tree, at generic poses of the linkage."""
+    length = linkage.length
+    matrices = []
+    freedom = np.concatenate([[0], np.cumsum([FREEDOMS[link.group] for link in links])])
+    place = {j: k for k, j in enumerate(sorted(
+        loop_joints([(joint.parent, joint.child) for joint in scene.joints])))}
+    needed = {i for j, _, _ in cut for name in (scene.joints[j].parent, scene.joints[j].child)
+              for i in _path(links, places[name][0])}
+    for poses in generic_poses(linkage):
+        world = _link_poses(links, needed, poses | {
+            body.name: body.pose for body in scene.bodies if body.name not in poses})
+        directions = {i: SE3.Ad(world[i]) @ links[i].directions() for i in needed}
+        blocks = []
+        done = set()
+        for j, _, _ in cut:
+            if j in done:
+                continue
+            done.add(j)
+            joint = scene.joints[j]
+            child = poses[joint.child]
+            J = linkage.joint_rows(place[j], poses)
+            J /= np.linalg.norm(J / ([length] * 3 + [1.0] * 3), axis=1, keepdims=True)
+            J = J @ SE3.Ad(SE3.inverse(child))
+            block = np.zeros((len(J), freedom[-1]))
+            b, a = (_path(links, places[name][0]) for name in (joint.child, joint.parent))
+            for sign, path, other in ((1.0, b, a), (-1.0, a, b)):
+                for i in path:
+                    if i not in other:
+                        S = directions[i].copy()
+                        block[:, freedom[i] : freedom[i + 1]] = sign * J @ S
+            blocks.append(block)
+        matrix = np.concatenate(blocks)
+        # Rotations and translations in comparable units.
+        for i in needed:
+            turns = links[i].directions()[:3].any(axis=0)
+            columns = np.arange(freedom[i], freedom[i + 1])[turns]
+            matrix[:, columns] /= length
+        # Rows that the tree satisfies already, such as those out of the plane of planar loops.
+        matrix[np.linalg.norm(matrix, axis=1) < RANK_TOLERANCE] = 0.0
+        matrices.append(matrix)
+    return matrices
+
+
+def _link_poses(links, needed, poses):
+    """{link: (4, 4)} in the world, from poses of the bodies."""
+    world = {}
+    for i, link in enumerate(links):
+        if i not in needed:
+            continue
+        if link.bodies:
+            name, place = next(iter(link.bodies.items()))
+            world[i] = poses[name] @ SE3.inverse(place)
+        else:
+            world[i] = None
+    for i, link in enumerate(links):
+        if i in needed and world[i] is None:
+            # The massless link of a universal joint: its z axis is that of the parent's frame, and
+            # it is perpendicular to the axis of the next link, which is fixed in it.
+            start = (world[link.parent] if link.parent != WORLD else np.eye(4)) @ link.placement
+            after = links[i + 1]
+            z, second = start[:3, 2], world[i + 1][:3, 2]
+            rot_2 = after.placement[:3, :3]
+            # Columns of this link's rotation: R e_z = z, R (rot_2 e_z) = second.
+            fixed = np.column_stack([rot_2[:, 2], np.cross([0, 0, 1.0], rot_2[:, 2]), [0, 0, 1.0]])
+            moved = np.column_stack([second, np.cross(z, second), z])
+            pose = np.eye(4)
+            pose[:3, :3] = moved @ fixed.T
+            pose[:3, 3] = start[:3, 3]
+            world[i] = pose
+    return world
+
+
+def _elements(model, frames, cut, places, scene):
+    """ELEMENT records of the cut joints, between links and in link frames."""
+    records = np.zeros(len(cut), dtype=ELEMENT)
+    first = 0
+    for record, (j, element, part) in zip(records, cut):
+        joint, (F_a, F_b) = scene.joints[j], frames[j]
+        (a, pose_a), (b, pose_b) = places[joint.parent], places[joint.child]
+        if b == WORLD:
+            raise ValueError("a joint to a body welded to the world")
+        records_of = part.record(a, b, first, pose_a @ F_a, pose_b @ F_b)
+        for name, value in zip(ELEMENT.names, records_of):
+            record[name] = value
+        first += len(part.names)
+    return records
+
+
+def _loop_arrays(links, records, cut, rows, elements):
+    """Arrays of the cut joints, ordered so that the envelope of W is narrow."""
+    solved = [k for k in range(len(cut)) if len(rows[k])]
+    paths = [
+        sorted(
+            {i for end in ("parent", "child") for i in _path(links, int(elements[k][end]))},
+            reverse=True,
+        )
+        for k in solved
+    ]
+    order = _narrow([set(path) for path in paths])
+    solved, paths = [solved[k] for k in order], [paths[k] for k in order]
+    joints = np.zeros(len(solved), dtype=JOINT)
+    jacobians, residuals, first = [np.zeros((0, 6))], [], 0
+    for joint, k in zip(joints, solved):
+        element = elements[k]
+        joint["parent"], joint["child"], joint["kind"] = (
+            element["parent"],
+            element["child"],
+            element["kind"],
+        )
+        joint["element"], joint["rows"], joint["first"] = k, len(rows[k]), first
+        joint["start"] = first
+        first += len(rows[k])
+        residuals += [element["row_start"] + r for r in rows[k]]
+        jacobian = np.zeros((element["rows"], 6))
+        if element["kind"] == PAIR:
+            frame = np.eye(4)
+            frame[:3, :3] = element["child_rotation"].reshape(3, 3)
+            frame[:3, 3] = element["child_point"]
+            jacobian = element["forbidden"][: 6 * element["rows"]].reshape(-1, 6) @ SE3.Ad(
+                SE3.inverse(frame)
+            )
+        jacobians.append(jacobian[rows[k]])
+    ranges, at = [], 0
+    for path in paths:
+        ranges.append((at, at + len(path)))
+        at += len(path)
+    path_places, spots, at = [], [], 0
+    for path, joint in zip(paths, joints):
+        path_places.append(at)
+        spot = {}
+        for i in path:
+            group, f, count = records[i]["group"], records[i]["freedom"], records[i]["freedoms"]
+            # In the order of elimination, see loops._number.
+            numbers = (2, 0, 1, *range(3, count)) if group >= BALL else range(count)
+            for number in numbers:
+                spot[int(f + number)] = at
+                at += int(joint["rows"])
+        spots.append(spot)
+    shared, entries = [], []
+    first_joint = list(range(len(joints)))
+    for i, spot_i in enumerate(spots):
+        for j in range(i + 1):
+            common = sorted(spot_i.keys() & spots[j].keys())
+            if common:
+                entries += [(f, spot_i[f], spots[j][f]) for f in common]
+                shared.append((i, j, len(entries)))
+                first_joint[i] = min(first_joint[i], j)
+    column = np.array(
+        [
+            joints[first_joint[i]]["first"]
+            for i in range(len(joints))
+            for _ in range(joints[i]["rows"])
+        ],
+        dtype=np.int64,
+    )
+    return {
+        "joints": joints,
+        "owners": np.array([cut[k][1] for k in solved], dtype=np.int64),
+        "row_residual": np.array(residuals, dtype=np.int64),
+        "child_jacobian": np.concatenate(jacobians),
+        "paths": np.array(ranges, dtype=np.int64).reshape(-1, 2),
+        "path_links": np.array([i for path in paths for i in path], dtype=np.int64),
+        "path_places": np.array([*path_places, at], dtype=np.int64),
+        "shared": np.array(shared, dtype=np.int64).reshape(-1, 3),
+        "shared_freedoms": np.array(entries, dtype=np.int64).reshape(-1, 3),
+        "first_column": column,
+    }
+
+
+def _narrow(paths):
+    """Order of the cut joints with a narrow envelope, by reverse Cuthill-McKee."""
+    if not paths:
+        return []
+    touch = np.array([[bool(a & b) for b in paths] for a in paths])
+    return reverse_cuthill_mckee(csr_matrix(touch), symmetric_mode=True).tolist()
