@@ -33,7 +33,7 @@ from liegroup_core.lie.vec3 import (
     vector3,
 )
 
-from .arrays import AFTER_CROSS, BALL, CROSS, CYLINDER, FREE, HINGE, PLANE, SCREW, SLIDE
+from .arrays import AFTER_CROSS, BALL, CROSS, CYLINDER, FREE, HINGE, OWN, PLANE, SCREW, SLIDE
 
 
 @kernel
@@ -167,11 +167,13 @@ def _body_of_link(link, pose, twist, world_out, velocities_out, b):
 
 
 @kernel
-def _turn(rot):
-    """Cosine and sine of the rotation about z nearest to a rotation."""
-    c, s = rot[0] + rot[4], rot[3] - rot[1]
+def _unit(c, s):
+    """Cosine and sine of an angle, from multiples of them.
+
+    R00 + R11 and R10 - R01 are those of the rotation about z nearest to R. Upside down no angle is
+    nearest: the joint does not allow such a pose.
+    """
     length = math.sqrt(c * c + s * s)
-    # Upside down no angle is nearest: the joint does not allow such a pose.
     return (c / length, s / length) if length > 0.0 else (1.0, 0.0)
 
 
@@ -200,6 +202,20 @@ def coordinates(model, work, pose, twist):
         place = link["coordinates"]
         row = n + b
         rot_a, r_a, w_a, v_a = matrix3(link["rotation"]), vector3(link["point"]), ZERO3, ZERO3
+        if link["group"] == HINGE and place == OWN:
+            _body_of_link(link, pose, twist, world, velocities, b)
+            rot = load9(world, b, 0)
+            x_b, y_b = (rot[0], rot[3], rot[6]), (rot[1], rot[4], rot[7])
+            x_a, y_a = (rot_a[0], rot_a[3], rot_a[6]), (rot_a[1], rot_a[4], rot_a[7])
+            twist[row, 0] = velocities[b, 2]
+            if a != WORLD:
+                rot = load9(world, a, 0)
+                x_a, y_a = matvec3(rot, x_a), matvec3(rot, y_a)
+                twist[row, 0] -= dot3((rot_a[2], rot_a[5], rot_a[8]), load3(velocities, a, 0))
+            pose[row, 0], pose[row, 1] = _unit(
+                dot3(x_a, x_b) + dot3(y_a, y_b), dot3(y_a, x_b) - dot3(x_a, y_b)
+            )
+            continue
         if a != WORLD:
             rot_a, r_a = se3_compose(load9(world, a, 0), load3(world, a, 9), rot_a, r_a)
             w_a, v_a = load3(velocities, a, 0), load3(velocities, a, 3)
@@ -213,10 +229,7 @@ def coordinates(model, work, pose, twist):
             dx, dy = rot_2[2], rot_2[5]
             x, y, _ = matvec3(rot, (dx, dy, 0.0))
             c, s = dx * x + dy * y, dx * y - dy * x
-            length = math.sqrt(c * c + s * s)
-            pose[row, 0], pose[row, 1] = (
-                (c / length, s / length) if length > 0.0 else (1.0, 0.0)
-            )
+            pose[row, 0], pose[row, 1] = _unit(c, s)
             rot, _ = relative_pose(link, pose, row)
             if a != WORLD:
                 rot = matmul3(load9(world, a, 0), rot)
@@ -245,7 +258,7 @@ def coordinates(model, work, pose, twist):
             store9(so3_nearest(rot), pose, row, 0)
             store3(p, pose, row, 9)
         else:
-            c, s = _turn(rot)
+            c, s = _unit(rot[0] + rot[4], rot[3] - rot[1])
             if group == SLIDE:
                 c, s = 1.0, 0.0
             if group == SCREW:
@@ -290,7 +303,7 @@ def place_bodies(model, world, velocities, pose, twist):
             continue
         rotation, point = matrix3(part["rotation"]), vector3(part["point"])
         rot, p = se3_compose(load9(world, b, 0), load3(world, b, 9), rotation, point)
-        store9(so3_nearest(rot), pose, i, 0)
+        store9(rot, pose, i, 0)
         store3(p, pose, i, 9)
         w = load3(velocities, b, 0)
         store3(tmatvec3(rotation, w), twist, i, 0)

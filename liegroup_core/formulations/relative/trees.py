@@ -29,6 +29,7 @@ from liegroup_core.lie.vec3 import (
     load3,
     load9,
     matvec3,
+    scale3,
     store3,
     store9,
     sub3,
@@ -271,21 +272,51 @@ def _without_freedoms(work, m, torque, force, f, group, pitch):
 
 @kernel
 def _add_inertia(m, rot, p, out, row):
-    """Add X^T I X to row `row` of `out`; rot, p: C_ba^-1, pose of the link in its parent."""
+    """Add X^T I X to row `row` of `out`; rot, p: pose of the link in its parent."""
     r0, r1, r2 = (rot[0], rot[1], rot[2]), (rot[3], rot[4], rot[5]), (rot[6], rot[7], rot[8])
     # A R^T by columns, then R A R^T.
     a0 = _symmetric_times(m[0], m[1], m[2], m[3], m[4], m[5], r0)
     a1 = _symmetric_times(m[0], m[1], m[2], m[3], m[4], m[5], r1)
     a2 = _symmetric_times(m[0], m[1], m[2], m[3], m[4], m[5], r2)
-    c0 = _symmetric_times(m[15], m[16], m[17], m[18], m[19], m[20], r0)
-    c1 = _symmetric_times(m[15], m[16], m[17], m[18], m[19], m[20], r1)
-    c2 = _symmetric_times(m[15], m[16], m[17], m[18], m[19], m[20], r2)
+    A = (dot3(r0, a0), dot3(r0, a1), dot3(r0, a2), dot3(r1, a1), dot3(r1, a2), dot3(r2, a2))
     B = (m[6], m[7], m[8], m[9], m[10], m[11], m[12], m[13], m[14])
     t0, t1, t2 = matvec3(B, r0), matvec3(B, r1), matvec3(B, r2)
-    # Rows of B1 = R B R^T.
     b0 = (dot3(r0, t0), dot3(r0, t1), dot3(r0, t2))
     b1 = (dot3(r1, t0), dot3(r1, t1), dot3(r1, t2))
     b2 = (dot3(r2, t0), dot3(r2, t1), dot3(r2, t2))
+    _add_shifted(A, b0, b1, b2, m, r0, r1, r2, p, out, row)
+
+
+@kernel
+def _add_hinge_inertia(m, rot, p, out, row):
+    """`_add_inertia` without rotation about z: A and B have two rows."""
+    r0, r1, r2 = (rot[0], rot[1], rot[2]), (rot[3], rot[4], rot[5]), (rot[6], rot[7], rot[8])
+    x, y = (rot[0], rot[3], rot[6]), (rot[1], rot[4], rot[7])
+    s, t = axpy3(m[0], x, scale3(m[1], y)), axpy3(m[1], x, scale3(m[3], y))
+    A = (
+        s[0] * x[0] + t[0] * y[0],
+        s[0] * x[1] + t[0] * y[1],
+        s[0] * x[2] + t[0] * y[2],
+        s[1] * x[1] + t[1] * y[1],
+        s[1] * x[2] + t[1] * y[2],
+        s[2] * x[2] + t[2] * y[2],
+    )
+    s, t = matvec3(rot, (m[6], m[7], m[8])), matvec3(rot, (m[9], m[10], m[11]))
+    b0 = axpy3(x[0], s, scale3(y[0], t))
+    b1 = axpy3(x[1], s, scale3(y[1], t))
+    b2 = axpy3(x[2], s, scale3(y[2], t))
+    _add_shifted(A, b0, b1, b2, m, r0, r1, r2, p, out, row)
+
+
+@kernel
+def _add_shifted(A, b0, b1, b2, m, r0, r1, r2, p, out, row):
+    """Add an inertia at p to row `row` of `out`.
+
+    A, b0, b1, b2 : R A R^T and the rows of R B R^T; r0, r1, r2: rows of R; C is in m
+    """
+    c0 = _symmetric_times(m[15], m[16], m[17], m[18], m[19], m[20], r0)
+    c1 = _symmetric_times(m[15], m[16], m[17], m[18], m[19], m[20], r1)
+    c2 = _symmetric_times(m[15], m[16], m[17], m[18], m[19], m[20], r2)
     c00, c01, c02 = dot3(r0, c0), dot3(r0, c1), dot3(r0, c2)
     c11, c12, c22 = dot3(r1, c1), dot3(r1, c2), dot3(r2, c2)
     # B' = B1 + [p] C, A' = A1 - B' [p] + [p] B1^T.
@@ -295,12 +326,12 @@ def _add_inertia(m, rot, p, out, row):
     d2 = (b2[0] + x * c01 - y * c00, b2[1] + x * c11 - y * c01, b2[2] + x * c12 - y * c02)
     e0, e1, e2 = cross3(d0, p), cross3(d1, p), cross3(d2, p)
     f0, f1, f2 = cross3(b0, p), cross3(b1, p), cross3(b2, p)
-    out[row, 0] += dot3(r0, a0) - e0[0] - f0[0]
-    out[row, 1] += dot3(r0, a1) - e0[1] - f1[0]
-    out[row, 2] += dot3(r0, a2) - e0[2] - f2[0]
-    out[row, 3] += dot3(r1, a1) - e1[1] - f1[1]
-    out[row, 4] += dot3(r1, a2) - e1[2] - f2[1]
-    out[row, 5] += dot3(r2, a2) - e2[2] - f2[2]
+    out[row, 0] += A[0] - e0[0] - f0[0]
+    out[row, 1] += A[1] - e0[1] - f1[0]
+    out[row, 2] += A[2] - e0[2] - f2[0]
+    out[row, 3] += A[3] - e1[1] - f1[1]
+    out[row, 4] += A[4] - e1[2] - f2[1]
+    out[row, 5] += A[5] - e2[2] - f2[2]
     for k in range(3):
         out[row, 6 + k] += d0[k]
         out[row, 9 + k] += d1[k]
@@ -410,12 +441,28 @@ def gather(model, work):
         if a == WORLD:
             continue
         rot, p = load9(work.relative, b, 0), load3(work.relative, b, 9)
-        dw, dv = _times(m, load3(work.drift, b, 0), load3(work.drift, b, 3))
-        add_wrench(add3(torque, dw), add3(force, dv), rot, p, work.force, a)
-        if group == BALL:
+        w, v = load3(work.drift, b, 0), load3(work.drift, b, 3)
+        if group == HINGE:
+            # Neither rotation about z nor drift along it.
+            torque = (
+                torque[0] + (m[0] * w[0] + m[1] * w[1] + m[6] * v[0] + m[7] * v[1]),
+                torque[1] + (m[1] * w[0] + m[3] * w[1] + m[9] * v[0] + m[10] * v[1]),
+                torque[2],
+            )
+            force = (
+                force[0] + (m[6] * w[0] + m[9] * w[1] + m[15] * v[0] + m[16] * v[1]),
+                force[1] + (m[7] * w[0] + m[10] * w[1] + m[16] * v[0] + m[18] * v[1]),
+                force[2] + (m[8] * w[0] + m[11] * w[1] + m[17] * v[0] + m[19] * v[1]),
+            )
+            _add_hinge_inertia(m, rot, p, work.inertia, a)
+        elif group == BALL:
+            force = add3(force, _symmetric_times(m[15], m[16], m[17], m[18], m[19], m[20], v))
             _add_mass(m, rot, p, work.inertia, a)
         else:
+            dw, dv = _times(m, w, v)
+            torque, force = add3(torque, dw), add3(force, dv)
             _add_inertia(m, rot, p, work.inertia, a)
+        add_wrench(torque, force, rot, p, work.force, a)
     return 0
 
 
