@@ -21,7 +21,7 @@ from liegroup_core.observables.sample import Sample
 from liegroup_core.scene.description import Scene
 
 from .errors import SimulationError
-from .integrators.families import check_group, check_options, make_integrator
+from .integrators.families import check_group, check_options, choose_group, make_integrator
 from .layout import Layout, make_layout
 from .status import (
     DEPENDENT_ROWS,
@@ -72,8 +72,9 @@ class Engine:
     scene  : Scene, from `load_scene` or built in code
     method : name of METHODS; default "rkmk4"
     step   : step size h, s; default 1e-3. A method with error control takes substeps within it
-    group  : "se3" for SE(3)^n, "so3xr3" for (SO(3) x R^3)^n, or "auto": "se3" except for methods
-             that support only "so3xr3"
+    group  : configuration space: "se3" for SE(3)^n, "so3xr3" for (SO(3) x R^3)^n, "relative" for
+             the product of the joints' motion groups (Munthe-Kaas methods). "auto": the cheapest of
+             "se3" and "relative" for Munthe-Kaas methods, else the first that the method supports
     stabilisation : treatment of constraint drift: "none"; "projection" of poses and velocities
                     after every step; or "baumgarte", which damps the drift with the time constant
                     baumgarte_time
@@ -116,13 +117,14 @@ class Engine:
         if not is_positive(step):
             raise ValueError(f"the step must be a positive number of seconds, got {step!r}")
         self.scene, self.method, self.step = scene, method, float(step)
-        self.group = check_group(method, group)
+        check_group(method, group)
         self.options = check_options(method, options)
         self.stabilisation, self.baumgarte_time = stabilisation, baumgarte_time
         layout = make_layout(scene) if layout is None else layout
         self.layout = layout.with_model(
             _stabilised(layout.model, stabilisation, baumgarte_time, self.step)
         )
+        self.group = choose_group(method, group, self.options, self.layout)
         self._integrator = make_integrator(method, self.layout, self.group, self.step, self.options)
         self._work = self._integrator.work
         self._body = {name: i for i, name in enumerate(self.layout.body_names)}

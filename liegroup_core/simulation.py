@@ -11,7 +11,8 @@ import numpy as np
 from .accuracy import DEFAULT, METHOD, MINUTE, SMALLEST, AccuracyControl
 from .engine import Engine
 from .errors import SimulationError
-from .integrators.methods import is_positive
+from .integrators.families import check_group, check_options, choose_group
+from .integrators.methods import RELATIVE, is_positive
 from .joints.pairs import LOWER_PAIRS
 from .layout import make_layout
 from .observables.sample import Sample
@@ -97,11 +98,13 @@ class Simulation(Engine):
             raise ValueError("an accuracy requires the estimate of the error; or give a method")
         for name in {"rtol", "atol"} & options.keys():
             raise ValueError(f"an accuracy sets {name}; remove it, or give a method")
-        if stabilisation is None:
-            stabilisation = "projection" if _drifts(scene, group) else "none"
-        settings = (group, stabilisation, baumgarte_time)
-        layout = make_layout(scene)
+        check_group(METHOD, group)
         tolerances = {"rtol": accuracy, "atol": accuracy} | options
+        layout = make_layout(scene)
+        group = choose_group(METHOD, group, check_options(METHOD, tolerances), layout)
+        if stabilisation is None:
+            stabilisation = "projection" if _drifts(layout, group) else "none"
+        settings = (group, stabilisation, baumgarte_time)
         if isinstance(step, (list, tuple)):
             step, layout = _suitable(step, scene, layout, settings, tolerances)
         super().__init__(scene, METHOD, step, *settings, quiet, layout, **tolerances)
@@ -264,14 +267,20 @@ def _checked(accuracy):
     return float(accuracy)
 
 
-def _drifts(scene, group):
-    """Whether joints open by the errors of the steps: all but one lower pair per body to the ground."""
-    held = [body for joint in scene.joints for body in (joint.parent, joint.child)]
+def _drifts(layout, group):
+    """Whether joints open by the errors of the steps.
+
+    In relative coordinates only cut joints do, on SE(3)^n all but one lower pair per body to ground.
+    """
+    if group == RELATIVE:
+        return len(layout.relative.joints) > 0
+    joints = layout.scene.joints
+    held = [body for joint in joints for body in (joint.parent, joint.child)]
     return group == "so3xr3" or any(
         joint.type not in LOWER_PAIRS
         or "world" not in (joint.parent, joint.child)
         or max(map(held.count, {joint.parent, joint.child} - {"world"})) > 1
-        for joint in scene.joints
+        for joint in joints
     )
 
 

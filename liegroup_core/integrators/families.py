@@ -14,13 +14,14 @@ and with error control
     tighten(part)    multiply the tolerances of the options by `part`
 """
 
+from liegroup_core.formulations.relative.cost import is_cheaper
 from liegroup_core.integrators.generalized_alpha.generalized_alpha import GeneralizedAlpha
 from liegroup_core.integrators.rattle.rattle import Constrained
 from liegroup_core.integrators.rkmk.munthe_kaas import MuntheKaas
 from liegroup_core.integrators.rotation.bodies import misfit as rotation_misfit
 from liegroup_core.integrators.rotation.rotation import Rotation
 
-from .methods import GROUPS, METHODS
+from .methods import CONFIGURATION_GROUPS, METHODS, RELATIVE
 
 FAMILIES = {
     "rkmk": MuntheKaas,
@@ -45,18 +46,34 @@ def check_options(method, options):
 
 
 def check_group(method, group):
-    """Return the name of the group that a method uses. Raises ValueError, one line."""
-    if group not in ("auto", *GROUPS):
-        raise ValueError(f"unknown group {group!r}; choose one of: auto, {', '.join(GROUPS)}")
-    fixed_group = METHODS[method].family in NOT_ON_SE3
-    if group == "auto":
-        return "so3xr3" if fixed_group else "se3"
-    if fixed_group and group != "so3xr3":
+    """Raise ValueError, one line, for a group that is unknown or that a method does not support."""
+    if group not in ("auto", *CONFIGURATION_GROUPS):
+        raise ValueError(
+            f"unknown group {group!r}; choose one of: auto, {', '.join(CONFIGURATION_GROUPS)}"
+        )
+    family = METHODS[method].family
+    if group == RELATIVE and family != "rkmk":
+        raise ValueError(
+            f"method {method} does not support group 'relative': choose a Munthe-Kaas method, "
+            "rkmk..., or another group"
+        )
+    if family in NOT_ON_SE3 and group not in ("auto", "so3xr3"):
         raise ValueError(
             f"method {method} integrates on SO(3) x R^3 only: group must be 'so3xr3' or "
             f"'auto', got {group!r}"
         )
-    return group
+
+
+def choose_group(method, group, options, layout):
+    """Name of the group that a method uses for a scene (layout.Layout); group: may be "auto"."""
+    family = METHODS[method].family
+    if group != "auto":
+        return group
+    if family in NOT_ON_SE3:
+        return "so3xr3"
+    if family != "rkmk" or options["space"] == "space" or layout.plane is not None:
+        return "se3"
+    return RELATIVE if is_cheaper(layout.relative) else "se3"
 
 
 def misfit(method, layout):

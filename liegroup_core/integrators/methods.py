@@ -31,6 +31,9 @@ import numpy as np
 # Groups of the pose of a body, with their codes for kernels.
 SE3, SO3XR3 = 0, 1
 GROUPS = {"se3": SE3, "so3xr3": SO3XR3}
+# The product of the motion groups of the joints of a tree, formulations/relative.
+RELATIVE = "relative"
+CONFIGURATION_GROUPS = (*GROUPS, RELATIVE)
 
 EXACT = -1                  # instead of the last power of ad in dexpinv: closed form
 

@@ -18,7 +18,7 @@ from liegroup_core import Simulation, SimulationError, load_scene
 from liegroup_core.accuracy import DEFAULT, MINUTE
 from liegroup_core.engine import STABILISATIONS, STEP
 from liegroup_core.errors import LieGroupSimError
-from liegroup_core.integrators.methods import GROUPS, METHODS
+from liegroup_core.integrators.methods import CONFIGURATION_GROUPS, METHODS
 from liegroup_core.simulation import default_steps
 from liegroup_sim_ros.recording.write_run import ArrayFile, LogFile, TableFile
 
@@ -113,8 +113,8 @@ def add_settings(parser):
     parser.add_argument(
         "--group",
         metavar="NAME",
-        help=f"configuration space of a body: {' or '.join(GROUPS)}; auto: se3, or so3xr3 "
-        "for methods that require it (default: auto)",
+        help=f"configuration space: {', '.join(CONFIGURATION_GROUPS)} or auto, the cheapest one "
+        "that the method supports (default: auto)",
     )
     parser.add_argument(
         "--stabilisation",

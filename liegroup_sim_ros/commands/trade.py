@@ -13,7 +13,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from liegroup_core import SimulationError, load_scene
 from liegroup_core.engine import STABILISATIONS
 from liegroup_core.errors import LieGroupSimError
-from liegroup_core.integrators.methods import GROUPS, METHODS
+from liegroup_core.integrators.methods import CONFIGURATION_GROUPS, METHODS
 from liegroup_core.study.trade.trade import BUDGET, Trade
 from liegroup_sim_ros.report.files import check_files, write_file, write_text
 from liegroup_sim_ros.report.trade_figures import document_part, print_trade
@@ -50,7 +50,10 @@ def add_arguments(parser):
         "--methods", nargs="+", metavar="NAME", help="methods (default: all that are applicable)"
     )
     parser.add_argument(
-        "--groups", nargs="+", metavar="NAME", help=f"groups (default: {' '.join(GROUPS)})"
+        "--groups",
+        nargs="+",
+        metavar="NAME",
+        help=f"groups: {', '.join(CONFIGURATION_GROUPS)} (default: all that are applicable)",
     )
     parser.add_argument(
         "--stabilisation",
@@ -160,7 +163,7 @@ def _check(args):
     """Raise TradeError or ReportError for wrong arguments, before the work."""
     for given, known, what in (
         (args.methods, METHODS, "method"),
-        (args.groups, GROUPS, "group"),
+        (args.groups, CONFIGURATION_GROUPS, "group"),
         (args.stabilisation, STABILISATIONS, "stabilisation"),
     ):
         for name in given or ():

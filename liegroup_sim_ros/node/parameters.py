@@ -21,7 +21,7 @@ from rclpy.parameter import Parameter
 from liegroup_core.accuracy import DEFAULT, MINUTE, SMALLEST
 from liegroup_core.engine import STABILISATIONS, STEP
 from liegroup_core.errors import LieGroupSimError
-from liegroup_core.integrators.methods import GROUPS, METHODS
+from liegroup_core.integrators.methods import CONFIGURATION_GROUPS, METHODS
 from liegroup_core.simulation import STEPS
 from liegroup_sim_ros.messages.samples import OPTIONAL
 
@@ -104,9 +104,9 @@ TABLE = (
     Entry(
         "group",
         "auto",
-        "configuration space of a body: SE(3) or SO(3) x R^3; auto: SE(3), or SO(3) x "
-        "R^3 for methods that require it",
-        choices=("auto", *GROUPS),
+        "configuration space: SE(3) or SO(3) x R^3 for every body, or relative, the product of the "
+        "joints' motion groups; auto: the cheapest one that the method supports",
+        choices=("auto", *CONFIGURATION_GROUPS),
     ),
     Entry(
         "step",

@@ -3,7 +3,7 @@
 
 import math
 
-from liegroup_core.integrators.methods import GROUPS
+from liegroup_core.integrators.methods import CONFIGURATION_GROUPS
 
 from .errors import RecordingError
 
@@ -33,7 +33,7 @@ def check_settings(recording, scene):
     checks = {
         "scene": isinstance(settings["scene"], str),
         "method": isinstance(settings["method"], str),
-        "group": settings["group"] in tuple(GROUPS),
+        "group": settings["group"] in CONFIGURATION_GROUPS,
         "step": isinstance(settings["step"], (int, float))
         and not isinstance(settings["step"], bool)
         and 1e-9 <= settings["step"] <= 1e6,

@@ -16,60 +16,75 @@ A state has n + L rows. The first n are poses (n, 12) and twists (n, 6) of the b
 Row n + b has the coordinates of link b: X as (R row by row, r) for the groups SO(3) and SE(3), else
 (cos, sin, x, y, z) of a rotation about z and a translation; and qdot.
 """
+
 import numpy as np
 
 from liegroup_core.compiling import Struct
 from liegroup_core.model.arrays import Model, Work
 
 # Motion groups.
-HINGE = 0      # SO(2)
-SLIDE = 1      # R
-SCREW = 2      # turns and translates by the pitch
-CYLINDER = 3   # SO(2) x R
-PLANE = 4      # SE(2)
-BALL = 5       # SO(3)
-FREE = 6       # SE(3)
+HINGE = 0  # SO(2)
+SLIDE = 1  # R
+SCREW = 2  # turns and translates by the pitch
+CYLINDER = 3  # SO(2) x R
+PLANE = 4  # SE(2)
+BALL = 5  # SO(3)
+FREE = 6  # SE(3)
 FREEDOMS = (1, 1, 1, 2, 3, 3, 6)
 
 # How the coordinates of a link are found from poses of bodies.
 OWN, CROSS, AFTER_CROSS = 0, 1, 2
 
-LINK = np.dtype([
-    ("group", "i8"), ("parent", "i8"),             # parent: link, or WORLD
-    ("freedom", "i8"), ("freedoms", "i8"),         # first freedom, and their number
-    ("body", "i8"), ("coordinates", "i8"),         # body that represents the link; OWN, or CROSS for
-                                                   # the massless link of a universal joint
-    ("rotation", "f8", (9,)), ("point", "f8", (3,)),          # T
-    ("body_rotation", "f8", (9,)), ("body_point", "f8", (3,)),  # D: pose of `body` in the link
-    ("pitch", "f8"), ("mass", "f8"),               # m/rad, kg
-    ("moment", "f8", (3,)), ("inertia", "f8", (6,)),  # m c; xx, xy, xz, yy, yz, zz about the origin
-], align=True)
+LINK = np.dtype(
+    [
+        ("group", "i8"),
+        ("parent", "i8"),  # parent: link, or WORLD
+        ("freedom", "i8"),
+        ("freedoms", "i8"),  # first freedom, and their number
+        ("body", "i8"),
+        ("coordinates", "i8"),  # body that represents the link; OWN, or CROSS for
+        # the massless link of a universal joint
+        ("rotation", "f8", (9,)),
+        ("point", "f8", (3,)),  # T
+        ("body_rotation", "f8", (9,)),
+        ("body_point", "f8", (3,)),  # D: pose of `body` in the link
+        ("pitch", "f8"),
+        ("mass", "f8"),  # m/rad, kg
+        ("moment", "f8", (3,)),
+        ("inertia", "f8", (6,)),  # m c; xx, xy, xz, yy, yz, zz about the origin
+    ],
+    align=True,
+)
 
-PART = np.dtype([                                  # body of the scene in its link
-    ("link", "i8"),                                # link, or WORLD: welded to the world
-    ("rotation", "f8", (9,)), ("point", "f8", (3,)),          # its pose in the link
-], align=True)
+PART = np.dtype(
+    [  # body of the scene in its link
+        ("link", "i8"),  # link, or WORLD: welded to the world
+        ("rotation", "f8", (9,)),
+        ("point", "f8", (3,)),  # its pose in the link
+    ],
+    align=True,
+)
 
 
 class RelativeModel(Struct):
     """Constants of a mechanism in relative coordinates; parents precede their children."""
 
-    space: Model                   # the same mechanism on SE(3)^n
-    gravity: np.ndarray            # (1, 3) m/s^2, world axes
-    bodies: np.ndarray             # (L,) of LINK
-    parts: np.ndarray              # (n,) of PART
-    has_forces: bool               # any force other than gravity
-    elements: np.ndarray           # of ELEMENT: those of the cut joints, between links
-    joints: np.ndarray             # (c,) of JOINT: cut elements with rows that are solved for
-    owners: np.ndarray             # (c,) their elements in `space`
-    row_residual: np.ndarray       # (m,) which residual is that of a row
-    child_jacobian: np.ndarray     # (m, 6) rows of every PAIR for its child link
-    paths: np.ndarray              # (c, 2) range of each joint in `path_links`
-    path_links: np.ndarray         # links between the joint and the world, children first
-    path_places: np.ndarray        # (c + 1,) where the joint's responses start in Work.response
-    shared: np.ndarray             # (k, 3) joints i, j <= i that share freedoms, end in shared_freedoms
-    shared_freedoms: np.ndarray    # (l, 3) a freedom, its place in the responses of both joints
-    first_column: np.ndarray       # (m,) first nonzero column of each row of the factor of W
+    space: Model  # the same mechanism on SE(3)^n
+    gravity: np.ndarray  # (1, 3) m/s^2, world axes
+    bodies: np.ndarray  # (L,) of LINK
+    parts: np.ndarray  # (n,) of PART
+    has_forces: bool  # any force other than gravity
+    elements: np.ndarray  # of ELEMENT: those of the cut joints, between links
+    joints: np.ndarray  # (c,) of JOINT: cut elements with rows that are solved for
+    owners: np.ndarray  # (c,) their elements in `space`
+    row_residual: np.ndarray  # (m,) which residual is that of a row
+    child_jacobian: np.ndarray  # (m, 6) rows of every PAIR for its child link
+    paths: np.ndarray  # (c, 2) range of each joint in `path_links`
+    path_links: np.ndarray  # links between the joint and the world, children first
+    path_places: np.ndarray  # (c + 1,) where the joint's responses start in Work.response
+    shared: np.ndarray  # (k, 3) joints i, j <= i that share freedoms, end in shared_freedoms
+    shared_freedoms: np.ndarray  # (l, 3) a freedom, its place in the responses of both joints
+    first_column: np.ndarray  # (m,) first nonzero column of each row of the factor of W
     projects: bool
     baumgarte_rate: float
 
@@ -78,43 +93,43 @@ class RelativeWork(Struct):
     """Scratch memory of one simulation; fields without a comment as in Work."""
 
     space: Work
-    angle: np.ndarray              # that of `space`
-    acting: np.ndarray             # that of `space`
-    start_angle: np.ndarray        # that of `space`
-    report: np.ndarray             # that of `space`
-    pose: np.ndarray               # (n + L, 12) the state
-    twist: np.ndarray              # (n + L, 6)
-    stage_pose: np.ndarray         # (n + L, 12)
-    stage_twist: np.ndarray        # (n + L, 6)
-    start_pose: np.ndarray         # (n + L, 12)
-    start_twist: np.ndarray        # (n + L, 6)
-    velocity: np.ndarray           # (L, 6) qdot at the start of the step
-    slopes: np.ndarray             # ((s + 1) f, 2) k: algebra, then qdot part
-    external: np.ndarray           # (n, 16) external wrenches of the call
-    pushed: np.ndarray             # (1,) 1 if any of them is not zero
-    wrench: np.ndarray             # (n, 6) wrenches on the bodies
-    relative: np.ndarray           # (L, 12) pose of each link in its parent link
-    world: np.ndarray              # (L, 12) pose in the world; where it is needed
-    velocities: np.ndarray         # (L, 6) twists of the links
-    drift: np.ndarray              # (L, 6) [V, S qdot]
-    moved: np.ndarray              # (L, 6) Vdot - gravity of the links
-    inertia: np.ndarray            # (L, 21) of the articulated body: A (6), B (9), C (6)
-    force: np.ndarray              # (L, 6) its bias force
-    freedoms: np.ndarray           # (f, 8) U, 1 / D, u of each freedom
-    acceleration: np.ndarray       # (f, 1) qddot
-    child_jacobian: np.ndarray     # (m, 6)
-    parent_jacobian: np.ndarray    # (m, 6)
-    slip: np.ndarray               # (m,) J V
-    gap: np.ndarray                # (all rows of the cut joints,)
-    right: np.ndarray              # (m,) bias, then multipliers
-    carried: np.ndarray            # (L, 6) a row's wrench on its way to the world
-    response: np.ndarray           # y of each row and freedom on its path
-    matrix: np.ndarray             # (m, m) W in the upper, its factor in the lower triangle
-    diagonal: np.ndarray           # (m,) pivots
-    residual: np.ndarray           # (m,)
-    multipliers: np.ndarray        # (m,)
-    difference: np.ndarray         # (2, 6) that of a link: algebra, qdot
-    errors: np.ndarray             # (2 L, 12) error estimates of the links: xi, eta, dw, dv
+    angle: np.ndarray  # that of `space`
+    acting: np.ndarray  # that of `space`
+    start_angle: np.ndarray  # that of `space`
+    report: np.ndarray  # that of `space`
+    pose: np.ndarray  # (n + L, 12) the state
+    twist: np.ndarray  # (n + L, 6)
+    stage_pose: np.ndarray  # (n + L, 12)
+    stage_twist: np.ndarray  # (n + L, 6)
+    start_pose: np.ndarray  # (n + L, 12)
+    start_twist: np.ndarray  # (n + L, 6)
+    velocity: np.ndarray  # (L, 6) qdot at the start of the step
+    slopes: np.ndarray  # ((s + 1) f, 2) k: algebra, then qdot part
+    external: np.ndarray  # (n, 16) external wrenches of the call
+    pushed: np.ndarray  # (1,) 1 if any of them is not zero
+    wrench: np.ndarray  # (n, 6) wrenches on the bodies
+    relative: np.ndarray  # (L, 12) pose of each link in its parent link
+    world: np.ndarray  # (L, 12) pose in the world; where it is needed
+    velocities: np.ndarray  # (L, 6) twists of the links
+    drift: np.ndarray  # (L, 6) [V, S qdot]
+    moved: np.ndarray  # (L, 6) Vdot - gravity of the links
+    inertia: np.ndarray  # (L, 21) of the articulated body: A (6), B (9), C (6)
+    force: np.ndarray  # (L, 6) its bias force
+    freedoms: np.ndarray  # (f, 8) U, 1 / D, u of each freedom
+    acceleration: np.ndarray  # (f, 1) qddot
+    child_jacobian: np.ndarray  # (m, 6)
+    parent_jacobian: np.ndarray  # (m, 6)
+    slip: np.ndarray  # (m,) J V
+    gap: np.ndarray  # (all rows of the cut joints,)
+    right: np.ndarray  # (m,) bias, then multipliers
+    carried: np.ndarray  # (L, 6) a row's wrench on its way to the world
+    response: np.ndarray  # y of each row and freedom on its path
+    matrix: np.ndarray  # (m, m) W in the upper, its factor in the lower triangle
+    diagonal: np.ndarray  # (m,) pivots
+    residual: np.ndarray  # (m,)
+    multipliers: np.ndarray  # (m,)
+    difference: np.ndarray  # (2, 6) that of a link: algebra, qdot
+    errors: np.ndarray  # (2 L, 12) error estimates of the links: xi, eta, dw, dv
 
 
 def make_relative_work(model, work, stages):
@@ -122,18 +137,38 @@ def make_relative_work(model, work, stages):
     n, links, rows = len(model.parts), len(model.bodies), len(model.row_residual)
     freedoms = int(model.bodies["freedoms"].sum())
     return RelativeWork(
-        space=work, angle=work.angle, acting=work.acting, start_angle=work.start_angle,
+        space=work,
+        angle=work.angle,
+        acting=work.acting,
+        start_angle=work.start_angle,
         report=work.report,
         **{name: np.zeros((n + links, 12)) for name in ("pose", "stage_pose", "start_pose")},
         **{name: np.zeros((n + links, 6)) for name in ("twist", "stage_twist", "start_twist")},
-        velocity=np.zeros((links, 6)), slopes=np.zeros(((stages + 1) * freedoms, 2)),
-        external=np.zeros((n, 16)), pushed=np.zeros(1), wrench=np.zeros((n, 6)),
-        relative=np.zeros((links, 12)), world=np.zeros((links, 12)),
-        velocities=np.zeros((links, 6)), drift=np.zeros((links, 6)), moved=np.zeros((links, 6)),
-        inertia=np.zeros((links, 21)), force=np.zeros((links, 6)),
-        freedoms=np.zeros((freedoms, 8)), acceleration=np.zeros((freedoms, 1)),
-        child_jacobian=model.child_jacobian.copy(), parent_jacobian=np.zeros((rows, 6)),
-        slip=np.zeros(rows), gap=np.zeros(int(model.elements["rows"].sum())),
-        right=np.zeros(rows), carried=np.zeros((links, 6)), response=np.zeros(int(model.path_places[-1])),
-        matrix=np.zeros((rows, rows)), diagonal=np.zeros(rows), residual=np.zeros(rows),
-        multipliers=np.zeros(rows), difference=np.zeros((2, 6)), errors=np.zeros((2 * links, 12)))
+        velocity=np.zeros((links, 6)),
+        slopes=np.zeros(((stages + 1) * freedoms, 2)),
+        external=np.zeros((n, 16)),
+        pushed=np.zeros(1),
+        wrench=np.zeros((n, 6)),
+        relative=np.zeros((links, 12)),
+        world=np.zeros((links, 12)),
+        velocities=np.zeros((links, 6)),
+        drift=np.zeros((links, 6)),
+        moved=np.zeros((links, 6)),
+        inertia=np.zeros((links, 21)),
+        force=np.zeros((links, 6)),
+        freedoms=np.zeros((freedoms, 8)),
+        acceleration=np.zeros((freedoms, 1)),
+        child_jacobian=model.child_jacobian.copy(),
+        parent_jacobian=np.zeros((rows, 6)),
+        slip=np.zeros(rows),
+        gap=np.zeros(int(model.elements["rows"].sum())),
+        right=np.zeros(rows),
+        carried=np.zeros((links, 6)),
+        response=np.zeros(int(model.path_places[-1])),
+        matrix=np.zeros((rows, rows)),
+        diagonal=np.zeros(rows),
+        residual=np.zeros(rows),
+        multipliers=np.zeros(rows),
+        difference=np.zeros((2, 6)),
+        errors=np.zeros((2 * links, 12)),
+    )

@@ -9,11 +9,7 @@ from liegroup_core.joints.elements import ELEMENT, PAIR, WORLD
 from liegroup_core.joints.linkage import RANK_TOLERANCE, Linkage
 from liegroup_core.lie.groups import SE3
 from liegroup_core.model.arrays import JOINT
-from liegroup_core.model.redundancy import (
-    generic_poses,
-    independent_rows,
-    loop_joints,
-)
+from liegroup_core.model.redundancy import generic_poses, independent_rows, loop_joints
 from liegroup_core.scene.consistency import resolve_elements, resolve_frames
 
 from .arrays import (
@@ -87,7 +83,11 @@ def relative_model(scene, model):
     arrays = _loop_arrays(links, records, cut, rows, elements)
     part_records = np.array(
         [
-            (places[body.name][0], places[body.name][1][:3, :3].ravel(), places[body.name][1][:3, 3])
+            (
+                places[body.name][0],
+                places[body.name][1][:3, :3].ravel(),
+                places[body.name][1][:3, 3],
+            )
             for body in scene.bodies
         ],
         dtype=PART,
@@ -151,13 +151,9 @@ def _links(scene, frames, tree):
             parent, pose = places[inner]
             placement = pose @ F_in
             if joint.type == "universal":
-                first, second = (
-                    (SECOND_AXIS, FIRST_AXIS) if reverse else (FIRST_AXIS, SECOND_AXIS)
-                )
+                first, second = (SECOND_AXIS, FIRST_AXIS) if reverse else (FIRST_AXIS, SECOND_AXIS)
                 links.append(_Link(HINGE, parent, placement @ first, {}, CROSS))
-                links.append(
-                    _Link(HINGE, len(links) - 1, first.T @ second, None, AFTER_CROSS)
-                )
+                links.append(_Link(HINGE, len(links) - 1, first.T @ second, None, AFTER_CROSS))
                 frame = welds[outer] @ F_out @ second
             else:
                 kind = GROUPS[joint.type]
@@ -252,13 +248,24 @@ def _tree_jacobians(linkage, scene, frames, cut, links, places):
     length = linkage.length
     matrices = []
     freedom = np.concatenate([[0], np.cumsum([FREEDOMS[link.group] for link in links])])
-    place = {j: k for k, j in enumerate(sorted(
-        loop_joints([(joint.parent, joint.child) for joint in scene.joints])))}
-    needed = {i for j, _, _ in cut for name in (scene.joints[j].parent, scene.joints[j].child)
-              for i in _path(links, places[name][0])}
+    place = {
+        j: k
+        for k, j in enumerate(
+            sorted(loop_joints([(joint.parent, joint.child) for joint in scene.joints]))
+        )
+    }
+    needed = {
+        i
+        for j, _, _ in cut
+        for name in (scene.joints[j].parent, scene.joints[j].child)
+        for i in _path(links, places[name][0])
+    }
     for poses in generic_poses(linkage):
-        world = _link_poses(links, needed, poses | {
-            body.name: body.pose for body in scene.bodies if body.name not in poses})
+        world = _link_poses(
+            links,
+            needed,
+            poses | {body.name: body.pose for body in scene.bodies if body.name not in poses},
+        )
         directions = {i: SE3.Ad(world[i]) @ links[i].directions() for i in needed}
         blocks = []
         done = set()
@@ -327,9 +334,13 @@ def _elements(model, frames, cut, places, scene):
     for record, (j, element, part) in zip(records, cut):
         joint, (F_a, F_b) = scene.joints[j], frames[j]
         (a, pose_a), (b, pose_b) = places[joint.parent], places[joint.child]
+        F_a, F_b = pose_a @ F_a, pose_b @ F_b
         if b == WORLD:
-            raise ValueError("a joint to a body welded to the world")
-        records_of = part.record(a, b, first, pose_a @ F_a, pose_b @ F_b)
+            # The child of a joint moves: exchange the ends.
+            if joint.type == "universal":
+                F_a, F_b = F_a @ SECOND_AXIS, F_b @ FIRST_AXIS
+            a, b, F_a, F_b = b, a, F_b, F_a
+        records_of = part.record(a, b, first, F_a, F_b)
         for name, value in zip(ELEMENT.names, records_of):
             record[name] = value
         first += len(part.names)

@@ -102,11 +102,7 @@ def displace(link, coordinates, row, screws, at, scale, out):
         if group == BALL:
             store9(matmul3(rot, so3_exp(xi)), out, row, 0)
         else:
-            eta = (
-                scale * screws[at + 3, 0],
-                scale * screws[at + 4, 0],
-                scale * screws[at + 5, 0],
-            )
+            eta = (scale * screws[at + 3, 0], scale * screws[at + 4, 0], scale * screws[at + 5, 0])
             turn, shift = se3_exp(xi, eta)
             rot, p = se3_compose(rot, load3(coordinates, row, 9), turn, shift)
             store9(rot, out, row, 0)
@@ -272,11 +268,7 @@ def coordinates(model, work, pose, twist):
         rel, q = relative_pose(link, pose, row)
         w, v = se3_Ad_inverse(rel, q, w_a, v_a)
         _store_rates(
-            link,
-            sub3(load3(velocities, b, 0), w),
-            sub3(load3(velocities, b, 3), v),
-            twist,
-            row,
+            link, sub3(load3(velocities, b, 0), w), sub3(load3(velocities, b, 3), v), twist, row
         )
 
 
@@ -307,6 +299,4 @@ def place_bodies(model, world, velocities, pose, twist):
         store3(p, pose, i, 9)
         w = load3(velocities, b, 0)
         store3(tmatvec3(rotation, w), twist, i, 0)
-        store3(
-            tmatvec3(rotation, sub3(load3(velocities, b, 3), cross3(point, w))), twist, i, 3
-        )
+        store3(tmatvec3(rotation, sub3(load3(velocities, b, 3), cross3(point, w))), twist, i, 3)

@@ -34,7 +34,7 @@ from liegroup_core.lie.vec3 import (
 )
 from liegroup_core.status import DEPENDENT_ROWS, NOT_PROJECTED, OK
 
-from .arrays import BALL, CYLINDER, FREE, HINGE, PLANE, SCREW, SLIDE
+from .arrays import BALL, CYLINDER, FREE, PLANE, SCREW, SLIDE
 from .coordinates import displace, place_links
 from .trees import add_wrench, gather, move_links, spread
 
@@ -58,9 +58,7 @@ def set_rows(model, work):
         else:
             rot = tmatmul3(rot_b, load9(work.world, a, 0))
             p = tmatvec3(rot_b, sub3(load3(work.world, a, 9), r_b))
-            w_a, v_a = se3_Ad(
-                rot, p, load3(work.velocities, a, 0), load3(work.velocities, a, 3)
-            )
+            w_a, v_a = se3_Ad(rot, p, load3(work.velocities, a, 0), load3(work.velocities, a, 3))
         error_w, error_v = sub3(w_b, w_a), sub3(v_b, v_a)
         rate = 0.0
         if joint["kind"] != PAIR:
@@ -294,9 +292,9 @@ def close_loops(model, work):
                 load3(work.child_jacobian, r, 3), v
             )
             if a != WORLD:
-                relative += dot3(
-                    load3(work.parent_jacobian, r, 0), load3(work.moved, a, 0)
-                ) + dot3(load3(work.parent_jacobian, r, 3), load3(work.moved, a, 3))
+                relative += dot3(load3(work.parent_jacobian, r, 0), load3(work.moved, a, 0)) + dot3(
+                    load3(work.parent_jacobian, r, 3), load3(work.moved, a, 3)
+                )
             work.right[r] = relative - work.right[r]
     _set_responses(model, work)
     dependent = _factor(model, work, 0.0)

@@ -20,7 +20,7 @@ Source: Featherstone, Rigid Body Dynamics Algorithms, section 7.3.
 
 from liegroup_core.compiling import kernel, subroutine
 from liegroup_core.joints.elements import WORLD
-from liegroup_core.lie.se3 import se3_Ad_inverse, se3_ad
+from liegroup_core.lie.se3 import se3_ad, se3_Ad_inverse
 from liegroup_core.lie.vec3 import (
     add3,
     axpy3,
@@ -174,7 +174,29 @@ def _without_turn(work, m, torque, force, f):
     """Eliminate the rotation about z: freedom f."""
     U = (m[2], m[4], m[5], m[12], m[13], m[14])
     m, torque, force = _eliminate(work, m, torque, force, f, U, U[2], -torque[2])
-    m = (m[0], m[1], 0.0, m[3], 0.0, 0.0, m[6], m[7], m[8], m[9], m[10], m[11], 0.0, 0.0, 0.0, m[15], m[16], m[17], m[18], m[19], m[20])
+    m = (
+        m[0],
+        m[1],
+        0.0,
+        m[3],
+        0.0,
+        0.0,
+        m[6],
+        m[7],
+        m[8],
+        m[9],
+        m[10],
+        m[11],
+        0.0,
+        0.0,
+        0.0,
+        m[15],
+        m[16],
+        m[17],
+        m[18],
+        m[19],
+        m[20],
+    )
     return m, (torque[0], torque[1], 0.0), force
 
 
@@ -183,7 +205,29 @@ def _without_tilt_x(work, m, torque, force, f):
     """Eliminate the rotation about x: freedom f."""
     U = (m[0], m[1], m[2], m[6], m[7], m[8])
     m, torque, force = _eliminate(work, m, torque, force, f, U, U[0], -torque[0])
-    m = (0.0, 0.0, 0.0, m[3], m[4], m[5], 0.0, 0.0, 0.0, m[9], m[10], m[11], m[12], m[13], m[14], m[15], m[16], m[17], m[18], m[19], m[20])
+    m = (
+        0.0,
+        0.0,
+        0.0,
+        m[3],
+        m[4],
+        m[5],
+        0.0,
+        0.0,
+        0.0,
+        m[9],
+        m[10],
+        m[11],
+        m[12],
+        m[13],
+        m[14],
+        m[15],
+        m[16],
+        m[17],
+        m[18],
+        m[19],
+        m[20],
+    )
     return m, (0.0, torque[1], torque[2]), force
 
 
@@ -192,7 +236,29 @@ def _without_tilt_y(work, m, torque, force, f):
     """Eliminate the rotation about y: freedom f."""
     U = (m[1], m[3], m[4], m[9], m[10], m[11])
     m, torque, force = _eliminate(work, m, torque, force, f, U, U[1], -torque[1])
-    m = (m[0], 0.0, m[2], 0.0, 0.0, m[5], m[6], m[7], m[8], 0.0, 0.0, 0.0, m[12], m[13], m[14], m[15], m[16], m[17], m[18], m[19], m[20])
+    m = (
+        m[0],
+        0.0,
+        m[2],
+        0.0,
+        0.0,
+        m[5],
+        m[6],
+        m[7],
+        m[8],
+        0.0,
+        0.0,
+        0.0,
+        m[12],
+        m[13],
+        m[14],
+        m[15],
+        m[16],
+        m[17],
+        m[18],
+        m[19],
+        m[20],
+    )
     return m, (torque[0], 0.0, torque[2]), force
 
 
@@ -201,7 +267,29 @@ def _without_shift_x(work, m, torque, force, f):
     """Eliminate the translation along x: freedom f."""
     U = (m[6], m[9], m[12], m[15], m[16], m[17])
     m, torque, force = _eliminate(work, m, torque, force, f, U, U[3], -force[0])
-    m = (m[0], m[1], m[2], m[3], m[4], m[5], 0.0, m[7], m[8], 0.0, m[10], m[11], 0.0, m[13], m[14], 0.0, 0.0, 0.0, m[18], m[19], m[20])
+    m = (
+        m[0],
+        m[1],
+        m[2],
+        m[3],
+        m[4],
+        m[5],
+        0.0,
+        m[7],
+        m[8],
+        0.0,
+        m[10],
+        m[11],
+        0.0,
+        m[13],
+        m[14],
+        0.0,
+        0.0,
+        0.0,
+        m[18],
+        m[19],
+        m[20],
+    )
     return m, torque, (0.0, force[1], force[2])
 
 
@@ -210,7 +298,29 @@ def _without_shift_y(work, m, torque, force, f):
     """Eliminate the translation along y: freedom f."""
     U = (m[7], m[10], m[13], m[16], m[18], m[19])
     m, torque, force = _eliminate(work, m, torque, force, f, U, U[4], -force[1])
-    m = (m[0], m[1], m[2], m[3], m[4], m[5], m[6], 0.0, m[8], m[9], 0.0, m[11], m[12], 0.0, m[14], m[15], 0.0, m[17], 0.0, 0.0, m[20])
+    m = (
+        m[0],
+        m[1],
+        m[2],
+        m[3],
+        m[4],
+        m[5],
+        m[6],
+        0.0,
+        m[8],
+        m[9],
+        0.0,
+        m[11],
+        m[12],
+        0.0,
+        m[14],
+        m[15],
+        0.0,
+        m[17],
+        0.0,
+        0.0,
+        m[20],
+    )
     return m, torque, (force[0], 0.0, force[2])
 
 
@@ -219,7 +329,29 @@ def _without_lift(work, m, torque, force, f):
     """Eliminate the translation along z: freedom f."""
     U = (m[8], m[11], m[14], m[17], m[19], m[20])
     m, torque, force = _eliminate(work, m, torque, force, f, U, U[5], -force[2])
-    m = (m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], 0.0, m[9], m[10], 0.0, m[12], m[13], 0.0, m[15], m[16], 0.0, m[18], 0.0, 0.0)
+    m = (
+        m[0],
+        m[1],
+        m[2],
+        m[3],
+        m[4],
+        m[5],
+        m[6],
+        m[7],
+        0.0,
+        m[9],
+        m[10],
+        0.0,
+        m[12],
+        m[13],
+        0.0,
+        m[15],
+        m[16],
+        0.0,
+        m[18],
+        0.0,
+        0.0,
+    )
     return m, torque, (force[0], force[1], 0.0)
 
 
@@ -470,19 +602,23 @@ def gather(model, work):
 def _move_on(work, f, axis, w, v):
     """Add the acceleration of freedom f, a unit direction, to the acceleration (w, v) of its link."""
     U = work.freedoms
-    rate = U[f, 6] * (
-        U[f, 7] - (dot3(load3(U, f, 0), w) + dot3(load3(U, f, 3), v))
-    )
+    rate = U[f, 6] * (U[f, 7] - (dot3(load3(U, f, 0), w) + dot3(load3(U, f, 3), v)))
     work.acceleration[f, 0] = rate
     if axis < 3:
         return (
-            (w[0] + rate, w[1], w[2]) if axis == 0 else
-            (w[0], w[1] + rate, w[2]) if axis == 1 else (w[0], w[1], w[2] + rate),
+            (w[0] + rate, w[1], w[2])
+            if axis == 0
+            else (w[0], w[1] + rate, w[2])
+            if axis == 1
+            else (w[0], w[1], w[2] + rate),
             v,
         )
     return w, (
-        (v[0] + rate, v[1], v[2]) if axis == 3 else
-        (v[0], v[1] + rate, v[2]) if axis == 4 else (v[0], v[1], v[2] + rate)
+        (v[0] + rate, v[1], v[2])
+        if axis == 3
+        else (v[0], v[1] + rate, v[2])
+        if axis == 4
+        else (v[0], v[1], v[2] + rate)
     )
 
 

@@ -28,7 +28,7 @@ import numpy as np
 from liegroup_core.compiling import SameTypes, Struct, borrowed, kernel, stepper, warm_up
 from liegroup_core.formulations.planar.arrays import make_planar_work
 from liegroup_core.formulations.relative.arrays import make_relative_work
-from liegroup_core.integrators.methods import EXACT, GROUPS, is_positive
+from liegroup_core.integrators.methods import EXACT, GROUPS, RELATIVE, SE3, is_positive
 from liegroup_core.integrators.motion import copy_state
 from liegroup_core.model.arrays import make_work
 from liegroup_core.status import DEPENDENT_ROWS, OFF_PLANE, OK, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS
@@ -215,7 +215,7 @@ class MuntheKaas:
 
     dexpinv    : "exact", or "truncated" to the powers of ad that the method's order needs
     space      : "auto": planar mechanisms (formulations/planar/build.py) are integrated in their
-                 plane; "space": all mechanisms are integrated in space
+                 plane; "space": all mechanisms are integrated in space, and on SE(3)^n by default
     rtol, atol : tolerances of error control, only for a tableau with an error estimate; see above
 
     passes     : True: a step that cannot meet its tolerance is taken with a larger one
@@ -232,19 +232,19 @@ class MuntheKaas:
             tableau.e,
             EXACT if options["dexpinv"] == "exact" else max(method.order - 2, 0),
         )
-        self._model, self._group, self._longest = layout.model, GROUPS[group], step
+        relative = group == RELATIVE
+        self._model, self._longest = layout.relative if relative else layout.model, step
+        self._group = GROUPS.get(group, SE3)
         self.work = make_work(layout.model, stages)
-        self._relative = options["space"] == "relative"
-        self._plane = layout.plane if options["space"] == "auto" else None
+        in_plane = options["space"] == "auto" and not relative
+        self._plane = layout.plane if in_plane else None
         self.kernels = "rkmk" if self._plane is None else "rkmk-planar"
         if self._plane is not None:
             self._planar_work = make_planar_work(self._plane, self.work, stages)
-        if self._relative:
+        self._work = self.work
+        if relative:
             self.kernels = "rkmk-relative"
-            self._model = layout.relative
             self._work = make_relative_work(self._model, self.work, stages)
-        else:
-            self._work = self.work
         self._control = np.zeros(6)
         self._control[4:] = self._tolerances = options.get("rtol", 0.0), options.get("atol", 1.0)
         self._advance, self._advance_planar = SameTypes(advance), SameTypes(advance)
@@ -256,7 +256,7 @@ class MuntheKaas:
         """{name: (default, description of valid values, check)} of the method's options."""
         options = {
             name: (values[0], " or ".join(map(repr, values)), values.__contains__)
-            for name, values in (("dexpinv", ("exact", "truncated")), ("space", ("auto", "space", "relative")))
+            for name, values in (("dexpinv", ("exact", "truncated")), ("space", ("auto", "space")))
         }
         if method.controlled:
             options["rtol"] = options["atol"] = (1e-6, "a positive number", is_positive)

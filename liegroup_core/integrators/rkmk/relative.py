@@ -9,7 +9,7 @@ import math
 
 from liegroup_core.compiling import kernel
 from liegroup_core.forces import kinds
-from liegroup_core.formulations.relative.arrays import BALL, FREE, PLANE
+from liegroup_core.formulations.relative.arrays import BALL, PLANE
 from liegroup_core.formulations.relative.coordinates import (
     coordinates,
     displace,
@@ -22,20 +22,11 @@ from liegroup_core.formulations.relative.loops import project
 from liegroup_core.formulations.relative.trees import move_links
 from liegroup_core.integrators.methods import EXACT
 from liegroup_core.integrators.motion import copy_state, is_finite
+from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.coefficients import dexpinv_coefficients, truncated_dexpinv_coefficients
 from liegroup_core.lie.se3 import se3_Ad_inverse, se3_dexpinv_of
 from liegroup_core.lie.so3 import so3_dexpinv_of
-from liegroup_core.lie.vec3 import (
-    ZERO3,
-    add3,
-    cross3,
-    dot3,
-    load3,
-    load9,
-    store3,
-    vector3,
-)
-from liegroup_core.joints.elements import WORLD
+from liegroup_core.lie.vec3 import add3, cross3, dot3, load3, load9, store3, vector3
 from liegroup_core.status import (
     LARGEST_ROTATION,
     NOT_FINITE,
@@ -109,9 +100,7 @@ def move(model, work, scheme, group, h, stage, end, pose):
     for b in range(len(model.bodies)):
         link = model.bodies[b]
         f = first + link["freedom"]
-        largest = max(
-            largest, displace(link, pose, n + b, work.slopes, f, 1.0, work.stage_pose)
-        )
+        largest = max(largest, displace(link, pose, n + b, work.slopes, f, 1.0, work.stage_pose))
         for k in range(link["freedoms"]):
             work.stage_twist[n + b, k] = work.velocity[b, k] + work.slopes[f + k, 1]
     if not largest < LARGEST_ROTATION * LARGEST_ROTATION:

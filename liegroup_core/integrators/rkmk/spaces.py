@@ -38,7 +38,14 @@ from . import relative, spatial
 
 
 def _of(name):
-    return Choice(name, {Model: getattr(spatial, name), PlanarModel: getattr(planar, name), RelativeModel: getattr(relative, name)})
+    return Choice(
+        name,
+        {
+            Model: getattr(spatial, name),
+            PlanarModel: getattr(planar, name),
+            RelativeModel: getattr(relative, name),
+        },
+    )
 
 
 enter, leave, begin, move = map(_of, ("enter", "leave", "begin", "move"))

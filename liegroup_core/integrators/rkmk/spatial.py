@@ -13,12 +13,7 @@ from liegroup_core.formulations.absolute.constraints import clear_ground_slip
 from liegroup_core.formulations.absolute.newton_euler import accelerations
 from liegroup_core.formulations.absolute.projection import close_joints
 from liegroup_core.integrators.methods import EXACT, SE3
-from liegroup_core.integrators.motion import (
-    copy_state,
-    displace,
-    group_velocity,
-    is_finite,
-)
+from liegroup_core.integrators.motion import copy_state, displace, group_velocity, is_finite
 from liegroup_core.lie.coefficients import dexpinv_coefficients, truncated_dexpinv_coefficients
 from liegroup_core.lie.se3 import se3_dexpinv_of
 from liegroup_core.lie.so3 import so3_dexpinv_of, so3_nearest

@@ -10,7 +10,7 @@ from fractions import Fraction
 from typing import NamedTuple
 
 from liegroup_core.integrators.families import NOT_ON_SE3, fitting_methods
-from liegroup_core.integrators.methods import GROUPS, METHODS
+from liegroup_core.integrators.methods import CONFIGURATION_GROUPS, GROUPS, METHODS, RELATIVE
 
 STABILISATIONS = ("none", "projection")
 # Candidates for the best configuration: methods that win in at least one example scene if all are
@@ -83,12 +83,21 @@ def ladders(layout, methods=None, groups=None, stabilisations=None):
         if method not in fitting:
             continue
         family = METHODS[method].family
-        alone = family in NOT_ON_SE3
-        for group in ("so3xr3",) if alone else groups or tuple(GROUPS):
+        for group in _groups(family, layout, groups):
+            drifts = layout.relative.joints if group == RELATIVE else layout.scene.joints
             for kind in stabilisations or STABILISATIONS:
-                if kind == "none" or (family == "rkmk" and layout.scene.joints):
+                if kind == "none" or (family == "rkmk" and len(drifts)):
                     found.append(Ladder(method, group, kind))
     return found
+
+
+def _groups(family, layout, groups):
+    """Groups of a family for a scene; groups : those to use, None for all."""
+    if family in NOT_ON_SE3:
+        return ("so3xr3",)
+    if groups is None:
+        groups = GROUPS if layout.plane is not None else CONFIGURATION_GROUPS
+    return [group for group in groups if group != RELATIVE or family == "rkmk"]
 
 
 def steps(horizon):
