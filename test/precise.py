@@ -355,3 +355,13 @@ def accelerations(scene, wrenches=(), samples=3):
 def errors(exact, found):
     """Errors (n, 6), as floats, of accelerations (n, 6) in double precision."""
     return np.abs((decimals(found) - exact.acceleration).astype(float))
+
+
+@precise
+def solved_with(scene, wrenches, J, right):
+    """Accelerations (n, 6), in decimals, with other rows in place of those of naive.py.
+
+    J (m, 6 n), right (m,) : independent rows and their right-hand side, in double precision
+    """
+    system = _system(scene, wrenches, Reader())._replace(J=decimals(J), right=decimals(right))
+    return _solved(system, np.arange(len(J))).reshape(-1, 6)
