@@ -6,7 +6,10 @@ import numpy as np
 
 from liegroup_core.engine import Engine
 from liegroup_core.formulations.absolute.constraints import assemble, position_residuals
+from liegroup_core.formulations.relative.coordinates import place_links
+from liegroup_core.integrators.methods import RELATIVE
 from liegroup_core.integrators.rkmk import spaces
+from liegroup_core.lie.groups import SE3
 
 
 def residual(model, found):
@@ -65,7 +68,7 @@ def engine_accelerations(scene, wrenches=(), **options):
     simulation.advance(0)  # writes the wrenches of this instant
     integrator = simulation._integrator
     plane = integrator._plane
-    model, work = simulation.layout.model, integrator.work
+    model, work = integrator._model, integrator._work
     if plane is not None:
         model, work = plane, integrator._planar_work
     pose, twist, external, status = spaces.enter(
@@ -74,7 +77,25 @@ def engine_accelerations(scene, wrenches=(), **options):
     assert status == 0
     spaces.begin(model, work, integrator._group, pose, twist)
     assert spaces.accelerate(model, work, external) == -1
+    if simulation.group == RELATIVE:
+        return _of_links(simulation.layout, work)
     return _found(plane, model, work)
+
+
+def _of_links(layout, work):
+    """Accelerations (n, 6) of the bodies from those of the links, which lack that of gravity."""
+    relative = layout.relative
+    place_links(relative, work.relative, work.world)
+    found = np.zeros((len(relative.parts), 6))
+    for part, out in zip(relative.parts, found):
+        if part["link"] >= 0:
+            moved = work.moved[part["link"]].copy()
+            turn = work.world[part["link"], :9].reshape(3, 3)
+            moved[3:] += turn.T @ relative.gravity[0]
+            C = np.eye(4)
+            C[:3, :3], C[:3, 3] = part["rotation"].reshape(3, 3), part["point"]
+            out[:] = SE3.Ad(SE3.inverse(C)) @ moved
+    return found
 
 
 def _found(plane, model, work):

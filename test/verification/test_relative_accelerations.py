@@ -40,9 +40,7 @@ import pytest
 import random_mechanisms
 
 from liegroup_core.engine import Engine
-from liegroup_core.integrators.families import check_options
 from liegroup_core.joints.kinds import TYPES
-from liegroup_core.layout import make_layout
 from liegroup_core.model.redundancy import loop_joints
 from liegroup_core.scene.description import FORCES
 
@@ -50,7 +48,7 @@ pytestmark = pytest.mark.slow
 
 ACCURACY, ROUNDINGS, ROUND_OFF = 1e-12, 16.0, 2.0**-53
 # Roundings of the largest acceleration without joints: 7 in 400 trees.
-ABSOLUTE, LOST = ("space", "auto"), 16.0
+LOST = 16.0
 SINGULAR = 1e10  # cond(S)
 # Parts of all mechanisms, in percent; those of 20 to 40 bodies take a few seconds each.
 SHARES = {
@@ -64,16 +62,7 @@ SHARES = {
 }
 
 
-def known(space):
-    """True if the engine has this formulation."""
-    try:
-        check_options("rkmk4", {"space": space})
-    except ValueError:
-        return False
-    return True
-
-
-SPACES = [space for space in ("space", "auto", "relative") if known(space)]
+SPACES = {"se3": {"group": "se3", "space": "space"}, "relative": {"group": "relative"}}
 
 
 def count(name, total):
@@ -115,14 +104,11 @@ def judged(name, seed, spaces):
     lost *= ROUND_OFF * max(size.max(), np.abs(exact.free).max())
     results = []
     for space in spaces:
-        # "auto" differs from "space" for planar mechanisms only.
-        if space == "auto" and make_layout(scene).plane is None:
+        if space == "se3" and in_loops and exact.squared_condition > SINGULAR:
             continue
-        if space in ABSOLUTE and in_loops and exact.squared_condition > SINGULAR:
-            continue
-        found = engine.engine_accelerations(scene, wrenches, space=space)
+        found = engine.engine_accelerations(scene, wrenches, **SPACES[space])
         error = precise.errors(exact, found).max(axis=1)
-        allowed = limit + lost if space in ABSOLUTE else limit
+        allowed = limit + lost if space == "se3" else limit
         results.append(Judged(space, error, size, limit, allowed))
     return results
 
