@@ -245,6 +245,7 @@ def test_real_time_that_does_not_allow_the_accuracy_raises_it(node, tmp_path, mo
         time.sleep(0.3)
         assert raised() == []
         monkeypatch.setattr(simulation_thread, "SHARE", 0.0)
+        monkeypatch.setattr(simulation_thread, "WORTH", 0.0)
         wait_for(lambda: len(raised()) >= 2)
         monkeypatch.setattr(simulation_thread, "SHARE", 0.5)
         pushed(run, "lower", (0, 0, 0, 0, 5.0, 0), 0.1)
@@ -262,7 +263,8 @@ def test_real_time_that_does_not_allow_the_accuracy_raises_it(node, tmp_path, mo
         run.close()
     text = raised()[0][2]
     assert text.startswith("1e-08 is the accuracy from t = ") and ": 1e-09 takes " in text
-    assert text.endswith(" % of a core in real time") and text in caplog.text
+    assert re.search(r"takes \d+ % of a core in real time, messages \d+ %$", text)
+    assert text in caplog.text
     recordings = [repeats(path) for path in sorted(tmp_path.glob("*.mcap"))]
     assert len(recordings) >= 3
     assert sum(e.name == "accuracy" for r in recordings for e in r.events) == len(raised())
@@ -280,6 +282,7 @@ def test_real_time_that_does_not_allow_the_accuracy_raises_it(node, tmp_path, mo
 
 def test_the_accuracy_is_raised_at_most_to_a_tenth(node, tmp_path, monkeypatch):
     monkeypatch.setattr(simulation_thread, "SHARE", 0.0)
+    monkeypatch.setattr(simulation_thread, "WORTH", 0.0)
     monkeypatch.setattr(simulation_thread, "SHARE_PERIOD", 0.02)
     run = scene_run(node, "heavy_top", accuracy=3e-3, record=tmp_path / "run.mcap")
     run.start()
@@ -290,6 +293,46 @@ def test_the_accuracy_is_raised_at_most_to_a_tenth(node, tmp_path, monkeypatch):
         run.close()
     changes = [e.text for e in repeats(tmp_path / "run.mcap").events if e.name == "accuracy"]
     assert [text.split()[0] for text in changes] == ["0.03", "0.1"]
+
+
+@pytest.mark.parametrize(
+    "accuracy, factor, publish_rate",
+    [
+        (1e-2, 3.0, 100.0),  # one substep per step already
+        (1e-12, 1000.0, 1000.0),  # the messages alone take more than a core
+    ],
+)
+def test_an_accuracy_is_not_given_away_if_that_does_not_help(
+    node, tmp_path, monkeypatch, caplog, accuracy, factor, publish_rate
+):
+    """The run says once that it is too slow, and with what."""
+    monkeypatch.setattr(simulation_thread, "SHARE", 0.0)
+    monkeypatch.setattr(simulation_thread, "SLOW", 1.1)
+    run = scene_run(
+        node,
+        "heavy_top",
+        accuracy=accuracy,
+        real_time_factor=factor,
+        publish_rate=publish_rate,
+        record=tmp_path / "run.mcap",
+    )
+    run.start()
+    try:
+        wait_for(lambda: " is the real-time factor at t = " in caplog.text)
+        time.sleep(1.5)
+        assert run.simulation.promise["accuracy"] == accuracy
+    finally:
+        run.close()
+    recording = repeats(tmp_path / "run.mcap")
+    (text,) = [event.text for event in recording.events if event.name == "slow"]
+    assert re.search(
+        rf"of {factor:g}: in real time the integration takes \d+ % of a core at the accuracy of "
+        rf"{accuracy:g}, messages \d+ %$",
+        text,
+    )
+    assert 0.0 < events_of_runs.number(text) < 1.1 * factor
+    assert caplog.text.count(text) == 1
+    assert "accuracy" not in {event.name for event in recording.events}
 
 
 def test_as_fast_as_possible_has_no_share_of_real_time(node, tmp_path, monkeypatch):

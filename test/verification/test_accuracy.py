@@ -128,6 +128,24 @@ def test_in_chaos_the_accuracy_ends_with_a_line_and_the_joints_stay_closed():
     assert simulation.energy() == pytest.approx(energy, abs=1e-6 * max(1.0, abs(energy)))
 
 
+def test_another_accuracy_counts_anew_only_while_the_error_allows_it():
+    simulation = Simulation(load_scene("double_pendulum"), accuracy=1e-10)
+    while simulation.accurate_until == math.inf:
+        simulation.advance(4)
+    simulation.set_accuracy(1e-5)
+    assert simulation.accurate_until == math.inf
+    while simulation.predictable_until == math.inf:
+        simulation.advance(4)
+    since, said = simulation.accurate_until, simulation.doubt
+    assert since <= simulation.predictable_until and said.count("above the accuracy") == 2
+    simulation.set_accuracy(1e-4)
+    simulation.advance(8)
+    assert (simulation.accurate_until, simulation.doubt) == (since, said)
+    assert simulation.promise["accuracy"] == 1e-4
+    simulation.reset()
+    assert simulation.accurate_until == math.inf and simulation.promise["accuracy"] == 1e-10
+
+
 @pytest.mark.parametrize(
     "wrong, text",
     [
