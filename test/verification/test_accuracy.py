@@ -6,9 +6,10 @@ import math
 import mechanisms
 import numpy as np
 import pytest
+from true_error import distance_at
 
 from liegroup_core import Simulation, load_scene
-from liegroup_core.reference import Reference, Trajectory, WrenchChange, distance
+from liegroup_core.reference import Reference, WrenchChange
 from liegroup_core.scene.library import four_bar_windows
 
 FORCE = {"heavy_top": 40.0, "four_bar": 5.0, "double_pendulum": 2.0, "slider_crank": 3.0}  # N
@@ -35,16 +36,7 @@ def true_error(simulation, changes, times):
     assert max(uncertainty.position.max() / length, uncertainty.angle.max()) < 1e-9
     for k, time in enumerate(times):
         simulation.advance(round(time / simulation.step) - simulation.steps)
-        sample = simulation.sample()
-        n = len(sample.pose)
-        found = Trajectory(
-            times[k : k + 1],
-            sample.pose[None, :, :9].reshape(1, n, 3, 3),
-            sample.pose[None, :, 9:],
-            sample.twist[None],
-        )
-        there = Trajectory(times[k : k + 1], *(part[k : k + 1] for part in exact[1:]))
-        off = distance(found, there)
+        off = distance_at(simulation.sample(), exact, k)
         worst = max(worst, off.position.max() / length, off.angle.max())
     return worst
 
