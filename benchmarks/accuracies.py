@@ -80,7 +80,7 @@ class Run:
         began = time.thread_time()
         simulation.advance(steps)
         self.cpu += time.thread_time() - began
-        pose, twist = simulation.state()
+        pose, twist = simulation.at_bodies()
         n = len(pose)
         rotation, position = pose[None, :, :9].reshape(1, n, 3, 3), pose[None, :, 9:]
         return Trajectory(None, rotation.copy(), position.copy(), twist[None].copy())
@@ -106,8 +106,10 @@ def true_motion(scene, pushes, times, size, stabilisation, step, budget):
             largest = max(largest, apart(states[-1], other.state_at(at), size))
         except SimulationError:
             break
+        if largest > LOST:
+            break
         unknown.append(largest)
-        if largest > LOST or fine.cpu + other.cpu > budget:
+        if fine.cpu + other.cpu > budget:
             break
     return states[: len(unknown)], np.array(unknown)
 
