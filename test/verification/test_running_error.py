@@ -44,7 +44,7 @@ def pushed(scene, method, step, stabilisation):
 def test_estimates_cover_the_true_error_through_a_push(name, method, step, stabilisation):
     """At least half of the true error in 49 of 50 samples, and at most five times it in half of them.
 
-    In many more mechanisms: benchmarks/coverage.py. Errors that oscillate pass through zero, where
+    In many more mechanisms: benchmarks/estimate_coverage.py. Errors that oscillate pass through zero, where
     the estimate stays above them.
     """
     scene = load_scene(name)

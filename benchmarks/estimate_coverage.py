@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Coverage of the running error: estimates against true errors, with the cost of carrying them.
 
-    python benchmarks/coverage.py [--random N] [--seed S] [--json FILE]
+    python benchmarks/estimate_coverage.py [--random N] [--seed S] [--json FILE]
 
 The example scenes and N random mechanisms (one to six bodies, all types of joints, loops, springs,
 dampers, drag) are simulated for 2 s with two pushes at random times, in body and in world axes. The
