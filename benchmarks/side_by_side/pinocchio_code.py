@@ -19,7 +19,7 @@ import pinocchio
 from scipy.integrate import DOP853
 
 from .measure import Entry, geometric
-from .problems import BALL, FREE, GROUND, HINGE
+from .problems import BALL, CYLINDRICAL, FREE, GROUND, HINGE, SLIDE, UNIVERSAL
 
 CODE = "pinocchio"
 SOURCE = Path(__file__).with_name("pinocchio_loop.cpp")
@@ -38,7 +38,7 @@ FLAGS = [
     f"-I{PREFIX / 'include'}",
     f"-I{PREFIX / 'include' / 'eigen3'}",
 ]
-KINDS = {FREE: 0, BALL: 1, HINGE: 2}
+KINDS = {FREE: 0, BALL: 1, HINGE: 2, SLIDE: 3, UNIVERSAL: 4, CYLINDRICAL: 5}
 # Regularisation of a loop's redundant row, the value its documentation recommends.
 MU = 1e-12
 # Rate at which gaps of a loop die out, 1/s: the best of 0, 10, 30, 60, 100, 200 and 300 for P3.
@@ -100,17 +100,10 @@ class _Run:
         kinds = [KINDS[joint.kind] for joint in tree] or [KINDS[FREE]]
         parents = [joint.parent for joint in tree] or [GROUND]
         points = [joint.point for joint in tree] or [bodies[0].position]
-        axes = [joint.axis for joint in tree] or [np.zeros(3)]
+        axes = [[*joint.axis, *joint.second] for joint in tree] or [np.zeros(6)]
         origin = {GROUND: np.zeros(3)} | dict(enumerate(points))
-        omega = {GROUND: np.zeros(3)} | {i: body.omega for i, body in enumerate(bodies)}
-        speeds = []
-        for i, (kind, parent, axis) in enumerate(zip(kinds, parents, axes)):
-            relative = omega[i] - omega[parent]
-            speeds += {
-                KINDS[FREE]: [*bodies[i].velocity, *relative],
-                KINDS[BALL]: [*relative],
-                KINDS[HINGE]: [relative @ axis],
-            }[kind]
+        speeds = [rate for i in range(len(tree)) for rate in problem.rates(i)]
+        speeds = speeds or [*bodies[0].velocity, *bodies[0].omega]
         anchors = [
             [*(loop.point - origin[loop.parent]), *(loop.point - origin[loop.child])]
             for loop in problem.loops

@@ -106,18 +106,18 @@ def delta():
             start = elbow + side * tangent
             rod = made.rod(arm, start, start + along, 0.15, 0.012, velocity, 200.0 * side)
             pairs.append((rod, start + along))
-    (first, corner), *others = pairs
+    middle = centre + (0.01, -0.005, -0.02)
     platform = made.add(
-        BALL,
-        first,
-        corner,
+        FREE,
+        GROUND,
+        middle,
         None,
-        -made.omega(first),
+        (*velocity, 0.0, 0.0, 0.0),
         0.6,
-        centre + (0.01, -0.005, -0.02),
+        middle,
         box(0.6, 0.16, 0.14, 0.04),
     )
-    for rod, corner in others:
+    for rod, corner in pairs:
         made.close(rod, platform, corner)
     return made.problem("S7", "Delta robot", 0.4, 3, (4.0, 6.0, 15.0))
 
