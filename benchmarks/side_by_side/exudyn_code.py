@@ -282,7 +282,12 @@ class _Run:
             raise ArithmeticError(f"Exudyn's solver failed: {error}") from None
 
     def advance(self, times):
-        self.take(times * self.steps)
+        if not self.controlled:
+            self.take(times * self.steps)
+            return
+        # Beyond the duration, its steps would be those of another motion.
+        for _ in range(times):
+            self.take(self.steps)
 
     def end(self):
         rotations, gap = self.state()

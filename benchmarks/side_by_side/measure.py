@@ -38,7 +38,7 @@ class Run(Protocol):
         """Steps that `advance(1)` takes."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Entry:
     """A code and its configuration.
 

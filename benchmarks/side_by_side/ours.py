@@ -193,11 +193,13 @@ def estimating(entry):
 
 
 def stepper(problem, step, space=SPACES[0]):
-    """Function take_steps(n) of RKMK4 steps from the initial state."""
+    """Function take_steps(n) of RKMK4 steps from the initial state, anew after each duration."""
     simulation = Engine(scene_of(problem), method="rkmk4", step=step, space=space)
+    most = round(problem.duration / step)
 
     def take_steps(count):
-        simulation.reset()
-        simulation.advance(count)
+        for done in range(0, count, most):
+            simulation.reset()
+            simulation.advance(min(most, count - done))
 
     return take_steps
