@@ -300,8 +300,10 @@ class _Run:
 
 
 def entries(problem, ratio):
-    """Explicit methods for problems without constraints, else the implicit solver."""
+    """Explicit methods for problems without constraints, else the implicit solver, in a plane."""
     if problem.loops:
+        if any(joint.kind != HINGE or joint.axis[2] != 1.0 for joint in problem.tree):
+            return
         chosen = [("index 2, planar", _planar_bodies, "TrapezoidalIndex2")]
     elif len(problem.bodies) == 1:
         chosen = [(f"Lie {solver}", _one_body, solver) for solver in EXPLICIT]

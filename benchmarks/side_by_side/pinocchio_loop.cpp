@@ -3,7 +3,7 @@
 //
 // Joint frames stand at the joints, aligned with the world at the start. The state is Pinocchio's
 // (q, v); an increment psi in the tangent space moves it by pinocchio::integrate, and
-//     psi' = dexp^-1_{-psi} v,   v' = aba(q, v)   or   constraintDynamics(q, v) with loops.
+//     psi' = dexp^-1_{-psi} v,   v' = aba(q, v),   with loops constraintDynamics(q, v) or lcaba(q, v).
 // Nothing is allocated in a step but what Pinocchio allocates.
 #include <cmath>
 #include <memory>
@@ -13,6 +13,7 @@
 #include <pinocchio/algorithm/constrained-dynamics.hpp>
 #include <pinocchio/algorithm/joint-configuration.hpp>
 #include <pinocchio/algorithm/kinematics.hpp>
+#include <pinocchio/algorithm/loop-constrained-aba.hpp>
 
 namespace pin = pinocchio;
 using Eigen::Matrix3d;
@@ -62,11 +63,15 @@ struct Loop
   VectorXd q_start, v_start, q, v, torque, psi, q_stage, v_stage;
   MatrixXd a, k_q, k_v;  // a: tableau, below it its weights; k: one column per stage
   int highest;           // last power of ad in dexp^-1
+  bool embedded;         // loops by lcaba
 
   void evaluate(const VectorXd & q_at, const VectorXd & v_at, int stage)
   {
     if (constraints.empty())
       k_v.col(stage) = pin::aba(model, *data, q_at, v_at, torque);
+    else if (embedded)
+      k_v.col(stage) =
+        pin::lcaba(model, *data, q_at, v_at, torque, constraints, constraint_data, settings);
     else
       k_v.col(stage) = pin::constraintDynamics(
         model, *data, q_at, v_at, torque, constraints, constraint_data, settings);
@@ -142,7 +147,7 @@ extern "C"
     int n, const int * kinds, const int * parents, const double * points, const double * axes,
     const double * masses, const double * centres, const double * inertias, const double * gravity,
     const double * v, int m, const int * loops, const double * anchors, int stages, const double * a,
-    int highest, double mu, double rate)
+    int highest, double mu, double rate, int embedded, int iterations)
   {
     auto loop = new Loop;
     pin::Model & model = loop->model;
@@ -186,9 +191,12 @@ extern "C"
     loop->data = std::make_unique<pin::Data>(model);
     for (const auto & constraint : loop->constraints)
       loop->constraint_data.emplace_back(constraint);
-    if (m > 0)
+    if (m > 0 && embedded)
+      pin::computeJointMinimalOrdering(model, *loop->data, loop->constraints);
+    else if (m > 0)
       pin::initConstraintDynamics(model, *loop->data, loop->constraints, loop->constraint_data);
-    loop->settings = pin::ProximalSettings(1e-14, mu, 10);
+    loop->settings = pin::ProximalSettings(1e-14, mu, iterations);
+    loop->embedded = embedded;
     loop->q_start = pin::neutral(model);
     loop->v_start = Eigen::Map<const VectorXd>(v, model.nv);
     loop->q = loop->q_stage = loop->q_start;
