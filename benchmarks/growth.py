@@ -13,6 +13,7 @@ spatial four-bars.
 import argparse
 import json
 import os
+import sys
 import tracemalloc
 
 # Before Numba comes in: counting what its code allocates is off by default.
@@ -70,7 +71,8 @@ def slope(figures):
 
 def shown(figures, counts):
     """Cells of a table for {count: us or None}."""
-    return [f"{figures[n]:.3g}" if figures.get(n) is not None else "-" for n in counts]
+    values = [figures.get(n) for n in counts]
+    return ["-" if t is None else f"{t:.3g}" if t < 100.0 else f"{t:.0f}" for t in values]
 
 
 def allocations(take_steps, steps):
@@ -159,7 +161,7 @@ def main():
     parser.add_argument("--json", metavar="FILE", help="write all that was measured")
     options = parser.parse_args()
     shortest, rounds = (0.05, 1) if options.quick else (0.3, 5)
-    console = Console(highlight=False, soft_wrap=True)
+    console = Console(width=None if sys.stdout.isatty() else 130, highlight=False)
     peers = load_peers(console)
     ours.prepare()
     spaces = ours.available(options.space, console)

@@ -40,11 +40,11 @@ FLAGS = [
 ]
 KINDS = {FREE: 0, BALL: 1, HINGE: 2, SLIDE: 3, UNIVERSAL: 4, CYLINDRICAL: 5}
 # How loops are closed: regularisation, whether by lcaba, iterations. That of a redundant row is the
-# value which the documentation recommends; balls have no such row. lcaba needs one always: it has
-# the error 6e-10 in S5, and fails for P3, S4 and S7, whose motions it gets wrong (4.1.0).
+# value which the documentation recommends; balls have no such row. lcaba always needs one. In 4.1.0
+# it moves S4 and S7, whose trees have balls, wrongly.
 REDUNDANT, REGULAR, EMBEDDED = (1e-12, 0, 10), (0.0, 0, 1), (1e-6, 1, 3)
 # Rates at which gaps of a loop die out, 1/s. 100 is the best of 0, 10, 30, 60, 100, 200 and 300 for
-# P3, and better than 0 for S4; 0 is better for S5 and S7.
+# P3; 0 is better for S5 and S7, and for S4 to 1e-3.
 RATES = (0.0, 100.0)
 
 # The classical method, its weights below it.
