@@ -88,6 +88,15 @@ class RelativeModel(Struct):
     projects: bool
     baumgarte_rate: float
 
+    def kept_rows(self, element):
+        """Numbers of the rows that are solved for, of an element of `space` in a cut joint."""
+        (found,) = (self.owners == element).nonzero()
+        if not len(found):
+            return []
+        joint = self.joints[found[0]]
+        rows = self.row_residual[joint["first"] : joint["first"] + joint["rows"]]
+        return (rows - self.elements[joint["element"]]["row_start"]).tolist()
+
 
 class RelativeWork(Struct):
     """Scratch memory of one simulation; fields without a comment as in Work."""
@@ -162,13 +171,12 @@ def make_relative_work(model, work, stages):
         parent_jacobian=np.zeros((rows, 6)),
         slip=np.zeros(rows),
         gap=np.zeros(int(model.elements["rows"].sum())),
+        bias=np.zeros(rows),
         right=np.zeros(rows),
         carried=np.zeros((links, 6)),
         response=np.zeros(int(model.path_places[-1])),
         matrix=np.zeros((rows, rows)),
         diagonal=np.zeros(rows),
-        residual=np.zeros(rows),
-        multipliers=np.zeros(rows),
         difference=np.zeros((2, 6)),
         errors=np.zeros((2 * links, 12)),
     )

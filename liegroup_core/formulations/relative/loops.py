@@ -46,7 +46,7 @@ REGULARISATION, REFINEMENTS_WHEN_SINGULAR = 1e-8, 4
 
 @kernel
 def set_rows(model, work):
-    """Rows of all cut joints, J V to work.slip and the bias of J Vdot to work.right."""
+    """Rows of all cut joints, J V to work.slip and the bias of J Vdot to work.bias."""
     for j in range(len(model.joints)):
         joint = model.joints[j]
         a, b, first, rows = joint["parent"], joint["child"], joint["first"], joint["rows"]
@@ -79,7 +79,7 @@ def set_rows(model, work):
         bracket_w, bracket_v = se3_ad(w_b, v_b, w_a, v_a)
         bracket_v = add3(bracket_v, cross3(w_b, e))
         for r in range(first, first + rows):
-            work.right[r] = -rate - (
+            work.bias[r] = -rate - (
                 dot3(load3(work.child_jacobian, r, 0), bracket_w)
                 + dot3(load3(work.child_jacobian, r, 3), bracket_v)
             )
@@ -90,9 +90,9 @@ def _add_baumgarte(model, work):
     """Add Baumgarte's terms to the bias."""
     rate = model.baumgarte_rate
     position_residuals(model, work.world, work.gap)
-    for r in range(len(work.right)):
+    for r in range(len(work.bias)):
         g = work.gap[model.row_residual[r]]
-        work.right[r] -= rate * (2.0 * work.slip[r] + rate * g)
+        work.bias[r] -= rate * (2.0 * work.slip[r] + rate * g)
 
 
 @kernel
@@ -226,25 +226,22 @@ def _solve(model, work):
 
 
 @kernel
-def _refine(model, work, times):
-    """Solve for work.right by the shifted factor and `times` refinements with W itself."""
-    for r in range(len(work.right)):
-        work.residual[r], work.multipliers[r] = work.right[r], 0.0
-    for step in range(times + 1):
-        if step > 0:
-            for r in range(len(work.right)):
-                work.right[r] = work.residual[r]
-            for r in range(len(work.right)):
-                for s in range(model.first_column[r], r + 1):
-                    W = work.matrix[s, r]
-                    work.right[r] -= W * work.multipliers[s]
-                    if s != r:
-                        work.right[s] -= W * work.multipliers[r]
-        _solve(model, work)
-        for r in range(len(work.right)):
-            work.multipliers[r] += work.right[r]
-    for r in range(len(work.right)):
-        work.right[r] = work.multipliers[r]
+def _set_residual(model, work):
+    """J Vdot - bias of the rows at the present accelerations, to work.right."""
+    for j in range(len(model.joints)):
+        joint = model.joints[j]
+        a, b = joint["parent"], joint["child"]
+        w, v = load3(work.moved, b, 0), load3(work.moved, b, 3)
+        if a == WORLD:
+            # The world accelerates by -g, see trees.py.
+            v = add3(v, tmatvec3(load9(work.world, b, 0), load3(model.gravity, 0, 0)))
+        for r in range(joint["first"], joint["first"] + joint["rows"]):
+            value = dot3(load3(work.child_jacobian, r, 0), w)
+            value += dot3(load3(work.child_jacobian, r, 3), v)
+            if a != WORLD:
+                value += dot3(load3(work.parent_jacobian, r, 0), load3(work.moved, a, 0))
+                value += dot3(load3(work.parent_jacobian, r, 3), load3(work.moved, a, 3))
+            work.right[r] = value - work.bias[r]
 
 
 @kernel
@@ -279,37 +276,22 @@ def close_loops(model, work):
     set_rows(model, work)
     if model.baumgarte_rate > 0.0:
         _add_baumgarte(model, work)
-    for j in range(len(model.joints)):
-        joint = model.joints[j]
-        a, b = joint["parent"], joint["child"]
-        w, v = load3(work.moved, b, 0), load3(work.moved, b, 3)
-        if a == WORLD:
-            # The world accelerates by -g, see trees.py.
-            g = tmatvec3(load9(work.world, b, 0), load3(model.gravity, 0, 0))
-            v = add3(v, g)
-        for r in range(joint["first"], joint["first"] + joint["rows"]):
-            relative = dot3(load3(work.child_jacobian, r, 0), w) + dot3(
-                load3(work.child_jacobian, r, 3), v
-            )
-            if a != WORLD:
-                relative += dot3(load3(work.parent_jacobian, r, 0), load3(work.moved, a, 0)) + dot3(
-                    load3(work.parent_jacobian, r, 3), load3(work.moved, a, 3)
-                )
-            work.right[r] = relative - work.right[r]
     _set_responses(model, work)
+    refinements = model.space.refinements
     dependent = _factor(model, work, 0.0)
-    if dependent < 0:
-        _solve(model, work)
-    else:
+    if dependent >= 0:
         # Singular pose: accelerations that the joints leave undetermined follow from the masses.
         work.report[2] += 1.0
+        refinements = REFINEMENTS_WHEN_SINGULAR
         dependent = _factor(model, work, REGULARISATION)
         if dependent >= 0:
             return dependent
-        _refine(model, work, REFINEMENTS_WHEN_SINGULAR)
-    _subtract_responses(model, work)
     g = load3(model.gravity, 0, 0)
-    spread(model, work, g[0], g[1], g[2], 1)
+    for _ in range(refinements + 1):
+        _set_residual(model, work)
+        _solve(model, work)
+        _subtract_responses(model, work)
+        spread(model, work, g[0], g[1], g[2], 1)
     return -1
 
 
