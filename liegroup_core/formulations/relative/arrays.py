@@ -123,20 +123,23 @@ class RelativeWork(Struct):
     drift: np.ndarray  # (L, 6) [V, S qdot]
     moved: np.ndarray  # (L, 6) Vdot - gravity of the links
     inertia: np.ndarray  # (L, 21) of the articulated body: A (6), B (9), C (6)
+    applied: np.ndarray  # (L, 6) applied wrenches on the links
     force: np.ndarray  # (L, 6) its bias force
     freedoms: np.ndarray  # (f, 8) U, 1 / D, u of each freedom
     acceleration: np.ndarray  # (f, 1) qddot
+    total: np.ndarray  # (f, 1) qddot and
+    total_moved: np.ndarray  # (L, 6) Vdot - gravity before a refinement
     child_jacobian: np.ndarray  # (m, 6)
     parent_jacobian: np.ndarray  # (m, 6)
     slip: np.ndarray  # (m,) J V
     gap: np.ndarray  # (all rows of the cut joints,)
-    right: np.ndarray  # (m,) bias, then multipliers
+    bias: np.ndarray  # (m,) J Vdot = bias
+    right: np.ndarray  # (m,) residual, then a change of the multipliers
+    multipliers: np.ndarray  # (m,)
     carried: np.ndarray  # (L, 6) a row's wrench on its way to the world
     response: np.ndarray  # y of each row and freedom on its path
     matrix: np.ndarray  # (m, m) W in the upper, its factor in the lower triangle
     diagonal: np.ndarray  # (m,) pivots
-    residual: np.ndarray  # (m,)
-    multipliers: np.ndarray  # (m,)
     difference: np.ndarray  # (2, 6) that of a link: algebra, qdot
     errors: np.ndarray  # (2 L, 12) error estimates of the links: xi, eta, dw, dv
 
@@ -164,15 +167,19 @@ def make_relative_work(model, work, stages):
         drift=np.zeros((links, 6)),
         moved=np.zeros((links, 6)),
         inertia=np.zeros((links, 21)),
+        applied=np.zeros((links, 6)),
         force=np.zeros((links, 6)),
         freedoms=np.zeros((freedoms, 8)),
         acceleration=np.zeros((freedoms, 1)),
+        total=np.zeros((freedoms, 1)),
+        total_moved=np.zeros((links, 6)),
         child_jacobian=model.child_jacobian.copy(),
         parent_jacobian=np.zeros((rows, 6)),
         slip=np.zeros(rows),
         gap=np.zeros(int(model.elements["rows"].sum())),
         bias=np.zeros(rows),
         right=np.zeros(rows),
+        multipliers=np.zeros(rows),
         carried=np.zeros((links, 6)),
         response=np.zeros(int(model.path_places[-1])),
         matrix=np.zeros((rows, rows)),

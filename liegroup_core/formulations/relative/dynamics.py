@@ -1,20 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Index-1 accelerations in relative coordinates, with applied wrenches, forces and loops."""
 
-from liegroup_core.compiling import kernel
+from liegroup_core.compiling import kernel, subroutine
 from liegroup_core.forces.external import external_wrench
 from liegroup_core.forces.kinds import add_wrenches
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.vec3 import load3, matrix3, store3, vector3
 
 from .coordinates import place_bodies, place_links
-from .loops import close_loops
-from .trees import add_wrench, gather, move_links, spread
+from .loops import SINGULAR, add_multipliers, close_loops, set_loops
+from .trees import add_wrench, gather, gather_residual, move_links, spread
+
+# Each refinement multiplies the error in regular directions by the shift of W divided by its pivot.
+REFINEMENTS_WHEN_SINGULAR = 4
 
 
 @kernel
 def _apply(model, work, external):
-    """Write the applied wrenches on the links to work.force.
+    """Add the applied wrenches on the bodies to work.applied.
 
     external : (n, 16) external wrenches, see forces/external.py
     """
@@ -40,9 +43,39 @@ def _apply(model, work, external):
                 load3(work.wrench, i, 3),
                 matrix3(part["rotation"]),
                 vector3(part["point"]),
-                work.force,
+                work.applied,
                 part["link"],
             )
+
+
+@subroutine
+def _refine(model, work):
+    """Add the accelerations for what the present ones leave of the equations of motion."""
+    for f in range(len(work.total)):
+        work.total[f, 0] = work.acceleration[f, 0]
+    for b in range(len(model.bodies)):
+        for c in range(6):
+            work.total_moved[b, c] = work.moved[b, c]
+            work.force[b, c] = 0.0
+    add_multipliers(model, work, work.force)
+    gather_residual(model, work)
+    spread(model, work, 0.0, 0.0, 0.0, 0)
+    if len(model.joints) > 0:
+        _add_total(model, work)
+        close_loops(model, work)
+        spread(model, work, 0.0, 0.0, 0.0, 0)
+    _add_total(model, work)
+    for f in range(len(work.total)):
+        work.acceleration[f, 0] += work.total[f, 0]
+    return 0
+
+
+@kernel
+def _add_total(model, work):
+    """Add the accelerations before the refinement to those of the links."""
+    for b in range(len(model.bodies)):
+        for c in range(6):
+            work.moved[b, c] += work.total_moved[b, c]
 
 
 @kernel
@@ -55,7 +88,7 @@ def accelerations(model, work, external):
     move_links(model, work, work.stage_pose, work.stage_twist, len(model.parts))
     for b in range(len(model.bodies)):
         for c in range(6):
-            work.force[b, c] = 0.0
+            work.applied[b, c] = 0.0
     applied = model.has_forces or work.pushed[0] > 0.0
     if applied or len(model.joints) > 0:
         place_links(model, work.relative, work.world)
@@ -64,6 +97,15 @@ def accelerations(model, work, external):
     gather(model, work)
     g = load3(model.gravity, 0, 0)
     spread(model, work, g[0], g[1], g[2], 1)
+    refinements = model.space.refinements
     if len(model.joints) > 0:
-        return close_loops(model, work)
+        found = set_loops(model, work)
+        if found >= 0:
+            return found
+        if found == SINGULAR:
+            refinements = REFINEMENTS_WHEN_SINGULAR
+        close_loops(model, work)
+        spread(model, work, g[0], g[1], g[2], 1)
+    for _ in range(refinements):
+        _refine(model, work)
     return -1

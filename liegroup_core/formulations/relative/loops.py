@@ -34,14 +34,14 @@ from liegroup_core.lie.vec3 import (
 )
 from liegroup_core.status import DEPENDENT_ROWS, NOT_PROJECTED, OK
 
-from .arrays import BALL, CYLINDER, FREE, PLANE, SCREW, SLIDE
 from .coordinates import displace, place_links
-from .trees import add_wrench, gather, move_links, spread
+from .trees import add_wrench, eliminate, gather, move_links, number, spread
 
 # Pivots of W below this part of its diagonal are zero: see model/build.py.
 SMALLEST_PIVOT = 1e-10
-# Shift of the diagonal of W in the solve at a singular pose, and its refinements.
-REGULARISATION, REFINEMENTS_WHEN_SINGULAR = 1e-8, 4
+# Shift of the diagonal of W at a singular pose.
+REGULARISATION = 1e-8
+SINGULAR = -2
 
 
 @kernel
@@ -96,30 +96,6 @@ def _add_baumgarte(model, work):
 
 
 @kernel
-def _axis(group, k):
-    """Component of a twist that freedom k of a link is, in the order of elimination."""
-    if group == SLIDE:
-        return 5
-    if group == CYLINDER:
-        return 2 if k == 0 else 5
-    if group == PLANE:
-        return 2 if k == 0 else 2 + k
-    if group >= BALL and k < 3:
-        return 2 if k == 0 else k - 1
-    if group == FREE:
-        return k
-    return 2
-
-
-@kernel
-def _number(group, k):
-    """Number of the freedom that is eliminated as the k-th one of a link."""
-    if group >= BALL and k < 3:
-        return 2 if k == 0 else k - 1
-    return k
-
-
-@kernel
 def _respond(model, work, j):
     """Responses y of the rows of joint j, along its path to the world."""
     joint = model.joints[j]
@@ -138,20 +114,10 @@ def _respond(model, work, j):
         for k in range(model.paths[j, 0], model.paths[j, 1]):
             i = model.path_links[k]
             link = model.bodies[i]
-            group = link["group"]
             for d in range(link["freedoms"]):
-                f = link["freedom"] + _number(group, d)
-                axis = _axis(group, d)
-                y = work.carried[i, axis]
-                if group == SCREW:
-                    y += link["pitch"] * work.carried[i, 5]
-                work.response[at] = y
+                f = link["freedom"] + number(link["group"], d)
+                work.response[at] = eliminate(link, work, f, d, work.carried, i)
                 at += rows
-                share = y * work.freedoms[f, 6]
-                for c in range(6):
-                    work.carried[i, c] -= share * work.freedoms[f, c]
-                if group != SCREW:
-                    work.carried[i, axis] = 0.0
             parent = link["parent"]
             if parent != WORLD:
                 add_wrench(
@@ -253,7 +219,7 @@ def _subtract_responses(model, work):
         for k in range(model.paths[j, 0], model.paths[j, 1]):
             link = model.bodies[model.path_links[k]]
             for d in range(link["freedoms"]):
-                f = link["freedom"] + _number(link["group"], d)
+                f = link["freedom"] + number(link["group"], d)
                 for r in range(rows):
                     work.freedoms[f, 7] -= work.response[at + r] * work.right[first + r]
                 at += rows
@@ -268,31 +234,47 @@ def _set_responses(model, work):
 
 
 @subroutine
-def close_loops(model, work):
-    """Change the accelerations of the tree to those with loops.
+def set_loops(model, work):
+    """Rows of the cut joints, and the factor of W.
 
-    returns -1, or the joint with dependent rows if the regularised solve fails too
+    returns -1; SINGULAR where W had to be shifted; or the joint with dependent rows if that fails too
     """
     set_rows(model, work)
     if model.baumgarte_rate > 0.0:
         _add_baumgarte(model, work)
+    for r in range(len(work.multipliers)):
+        work.multipliers[r] = 0.0
     _set_responses(model, work)
-    refinements = model.space.refinements
-    dependent = _factor(model, work, 0.0)
-    if dependent >= 0:
-        # Singular pose: accelerations that the joints leave undetermined follow from the masses.
-        work.report[2] += 1.0
-        refinements = REFINEMENTS_WHEN_SINGULAR
-        dependent = _factor(model, work, REGULARISATION)
-        if dependent >= 0:
-            return dependent
-    g = load3(model.gravity, 0, 0)
-    for _ in range(refinements + 1):
-        _set_residual(model, work)
-        _solve(model, work)
-        _subtract_responses(model, work)
-        spread(model, work, g[0], g[1], g[2], 1)
-    return -1
+    if _factor(model, work, 0.0) < 0:
+        return -1
+    # Singular pose: accelerations that the joints leave undetermined follow from the masses.
+    work.report[2] += 1.0
+    dependent = _factor(model, work, REGULARISATION)
+    return dependent if dependent >= 0 else SINGULAR
+
+
+@subroutine
+def close_loops(model, work):
+    """Change u of the freedoms so that the accelerations in work.moved satisfy the cut joints."""
+    _set_residual(model, work)
+    _solve(model, work)
+    for r in range(len(work.right)):
+        work.multipliers[r] += work.right[r]
+    _subtract_responses(model, work)
+    return 0
+
+
+@kernel
+def add_multipliers(model, work, wrench_out):
+    """Add J^T lambda of the cut joints to wrenches on the links (L, 6)."""
+    for j in range(len(model.joints)):
+        joint = model.joints[j]
+        a, b = joint["parent"], joint["child"]
+        for r in range(joint["first"], joint["first"] + joint["rows"]):
+            for c in range(6):
+                wrench_out[b, c] += work.multipliers[r] * work.child_jacobian[r, c]
+                if a != WORLD:
+                    wrench_out[a, c] += work.multipliers[r] * work.parent_jacobian[r, c]
 
 
 @subroutine
@@ -307,7 +289,7 @@ def project(model, work, pose, twist):
         place_links(model, work.relative, work.world)
         for b in range(links):
             for c in range(6):
-                work.force[b, c] = 0.0
+                work.applied[b, c] = 0.0
         gather(model, work)
         set_rows(model, work)
         position_residuals(model, work.world, work.gap)

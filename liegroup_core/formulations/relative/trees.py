@@ -547,12 +547,22 @@ def add_wrench(torque, force, rot, p, out, row):
 
 
 @kernel
+def _momentum(link, w, v):
+    """I V of a link without its children: angular and linear momentum."""
+    moment, inertia = vector3(link["moment"]), link["inertia"]
+    angular = _symmetric_times(
+        inertia[0], inertia[1], inertia[2], inertia[3], inertia[4], inertia[5], w
+    )
+    return add3(angular, cross3(moment, v)), axpy3(link["mass"], v, cross3(w, moment))
+
+
+@kernel
 def _start(model, work):
-    """Set inertia and bias force of every link to its own; work.force has the applied wrenches."""
+    """Set inertia and bias force of every link to its own."""
     for b in range(len(model.bodies)):
         link = model.bodies[b]
-        mass, moment, inertia = link["mass"], vector3(link["moment"]), link["inertia"]
-        x, y, z = moment
+        mass, inertia = link["mass"], link["inertia"]
+        x, y, z = vector3(link["moment"])
         for k in range(6):
             work.inertia[b, k] = inertia[k]
         # B = [m c]: L = I w + m c x v
@@ -562,25 +572,16 @@ def _start(model, work):
         work.inertia[b, 15], work.inertia[b, 16], work.inertia[b, 17] = mass, 0.0, 0.0
         work.inertia[b, 18], work.inertia[b, 19], work.inertia[b, 20] = mass, 0.0, mass
         w, v = load3(work.velocities, b, 0), load3(work.velocities, b, 3)
-        angular = add3(
-            _symmetric_times(
-                inertia[0], inertia[1], inertia[2], inertia[3], inertia[4], inertia[5], w
-            ),
-            cross3(moment, v),
-        )
-        linear = axpy3(mass, v, cross3(w, moment))
+        angular, linear = _momentum(link, w, v)
         torque = add3(cross3(w, angular), cross3(v, linear))
         force = cross3(w, linear)
-        store3(sub3(torque, load3(work.force, b, 0)), work.force, b, 0)
-        store3(sub3(force, load3(work.force, b, 3)), work.force, b, 3)
+        store3(sub3(torque, load3(work.applied, b, 0)), work.force, b, 0)
+        store3(sub3(force, load3(work.applied, b, 3)), work.force, b, 3)
 
 
 @subroutine
 def gather(model, work):
-    """Articulated inertias and bias forces, from the leaves to the world.
-
-    work.force : applied wrenches (L, 6) on the links, replaced by bias forces
-    """
+    """Articulated inertias and bias forces for work.applied, from the leaves to the world."""
     _start(model, work)
     for b in range(len(model.bodies) - 1, -1, -1):
         link = model.bodies[b]
@@ -688,4 +689,83 @@ def spread(model, work, gx, gy, gz, drift):
         w, v = _with_freedoms(work, link["freedom"], link["group"], link["pitch"], w, v)
         store3(w, work.moved, b, 0)
         store3(v, work.moved, b, 3)
+    return 0
+
+
+@kernel
+def _axis(group, k):
+    """Component of a twist that the k-th freedom of a link is, in the order of elimination."""
+    if group == SLIDE:
+        return 5
+    if group == CYLINDER:
+        return 2 if k == 0 else 5
+    if group == PLANE:
+        return 2 if k == 0 else 2 + k
+    if group >= BALL and k < 3:
+        return 2 if k == 0 else k - 1
+    if group == FREE:
+        return k
+    return 2
+
+
+@kernel
+def number(group, k):
+    """Number of the freedom of a link that is eliminated as its k-th one."""
+    if group >= BALL and k < 3:
+        return 2 if k == 0 else k - 1
+    return k
+
+
+@kernel
+def eliminate(link, work, f, k, wrenches, row):
+    """Component s . w of a wrench along freedom f of a link; w becomes w - U (s . w) / D.
+
+    k : place of the freedom in the order of elimination; wrenches : row `row` has w
+    """
+    group = link["group"]
+    axis = _axis(group, k)
+    y = wrenches[row, axis]
+    if group == SCREW:
+        y += link["pitch"] * wrenches[row, 5]
+    share = y * work.freedoms[f, 6]
+    for c in range(6):
+        wrenches[row, c] -= share * work.freedoms[f, c]
+    if group != SCREW:
+        wrenches[row, axis] = 0.0
+    return y
+
+
+@subroutine
+def gather_residual(model, work):
+    """u of all freedoms for what the accelerations in work.moved leave of the equations of motion.
+
+    Own inertias and accelerations of links are small numbers where articulated inertias are sums of
+    very different ones: the residual has the digits that a solve with those loses.
+    work.force : J^T lambda of the cut joints (L, 6); overwritten
+    """
+    for b in range(len(model.bodies)):
+        link = model.bodies[b]
+        w, v = load3(work.velocities, b, 0), load3(work.velocities, b, 3)
+        angular, linear = _momentum(link, w, v)
+        torque, force = add3(cross3(w, angular), cross3(v, linear)), cross3(w, linear)
+        angular, linear = _momentum(link, load3(work.moved, b, 0), load3(work.moved, b, 3))
+        torque, force = add3(torque, angular), add3(force, linear)
+        for c in range(3):
+            work.force[b, c] += torque[c] - work.applied[b, c]
+            work.force[b, 3 + c] += force[c] - work.applied[b, 3 + c]
+    for b in range(len(model.bodies) - 1, -1, -1):
+        link = model.bodies[b]
+        for k in range(link["freedoms"]):
+            f = link["freedom"] + number(link["group"], k)
+            work.freedoms[f, 7] = -eliminate(link, work, f, k, work.force, b)
+        a = link["parent"]
+        if a != WORLD:
+            add_wrench(
+                load3(work.force, b, 0),
+                load3(work.force, b, 3),
+                load9(work.relative, b, 0),
+                load3(work.relative, b, 9),
+                work.force,
+                a,
+            )
     return 0
