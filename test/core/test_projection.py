@@ -169,7 +169,7 @@ def test_a_constraint_without_solution_is_reported():
     scene = mechanisms.mechanism(
         np.random.default_rng(5), [("world", "a", "spherical")], loops=[("world", "a", "distance")]
     )
-    simulation = Simulation(scene, method="rkmk4", stabilisation="projection")
+    simulation = Simulation(scene, method="rkmk4", group="se3", stabilisation="projection")
     simulation.advance(10)
     before = simulation.state()
     simulation.layout.model.elements["parameter"][1] += 100.0
@@ -221,6 +221,7 @@ def test_baumgarte_bounds_the_drift_of_a_long_run():
             mechanisms.named("chain of balls"),
             method="rkmk4",
             step=4e-3,
+            group="se3",
             stabilisation=stabilisation,
         )
         simulation.advance(1000)

@@ -106,6 +106,7 @@ class RelativeWork(Struct):
     acting: np.ndarray  # that of `space`
     start_angle: np.ndarray  # that of `space`
     report: np.ndarray  # that of `space`
+    known: np.ndarray  # (1,) 1 if the rows of the links in pose and twist are those of the state
     pose: np.ndarray  # (n + L, 12) the state
     twist: np.ndarray  # (n + L, 6)
     stage_pose: np.ndarray  # (n + L, 12)
@@ -156,6 +157,7 @@ def make_relative_work(model, work, stages):
         report=work.report,
         **{name: np.zeros((n + links, 12)) for name in ("pose", "stage_pose", "start_pose")},
         **{name: np.zeros((n + links, 6)) for name in ("twist", "stage_twist", "start_twist")},
+        known=np.zeros(1),
         velocity=np.zeros((links, 6)),
         slopes=np.zeros(((stages + 1) * freedoms, 2)),
         external=np.zeros((n, 16)),
@@ -187,3 +189,9 @@ def make_relative_work(model, work, stages):
         difference=np.zeros((2, 6)),
         errors=np.zeros((2 * links, 12)),
     )
+
+
+def links_of(work):
+    """Arrays of a RelativeWork that are the state: coordinates and rates, and whether they are."""
+    n = len(work.pose) - len(work.relative)
+    return work.known, work.pose[n:], work.twist[n:]
