@@ -153,7 +153,7 @@ def _entry(problem, scene, method, ratio, options):
     def start(level, **more):
         return _Run(problem, scene, method, level, **options, **more)
 
-    return Entry(CODE, setting, levels, start, kind=options["space"])
+    return Entry(CODE, setting, levels, start, kind=options["group"])
 
 
 def estimating(entry):
@@ -167,7 +167,7 @@ def estimating(entry):
     )
 
 
-def stepper(problem, step, space=SPACES[0]):
+def stepper(problem, step, group=GROUPS[0]):
     """Function take_steps(n) of RKMK4 steps from the initial state, anew after each duration."""
     simulation = Engine(scene_of(problem), method="rkmk4", step=step, group=group)
     most = round(problem.duration / step)
