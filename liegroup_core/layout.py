@@ -10,6 +10,7 @@ from .errors import SceneError
 from .forces import kinds
 from .forces.torsional_spring_damper import UNKNOWN_TURN
 from .formulations.planar.build import planar_model
+from .formulations.relative.arrays import RelativeModel
 from .formulations.relative.build import relative_model
 from .model.arrays import Model
 from .model.build import build_model
@@ -49,21 +50,30 @@ class Layout:
 
     @cached_property
     def relative(self):
-        """RelativeModel of the scene."""
+        """RelativeModel of the scene; a PlaneModel if the joints keep all bodies in a plane."""
         return relative_model(self.centred, self.model)
+
+    @cached_property
+    def relative_in_space(self):
+        """RelativeModel of the scene that is no PlaneModel."""
+        if type(self.relative) is RelativeModel:
+            return self.relative
+        return relative_model(self.centred, self.model, in_space=True)
 
     def with_model(self, model):
         """The layout with other options of its model; what does not depend on them is kept."""
         layout = replace(self, model=model)
-        plane, relative = self.__dict__.get("plane"), self.__dict__.get("relative")
+        plane = self.__dict__.get("plane")
         if plane is not None and model.baumgarte_rate == 0.0:
             layout.__dict__["plane"] = plane.replace(space=model, projects=model.projects)
-        if relative is not None:
-            layout.__dict__["relative"] = relative.replace(
-                space=model,
-                projects=model.projects and len(relative.joints) > 0,
-                baumgarte_rate=model.baumgarte_rate,
-            )
+        for name in ("relative", "relative_in_space"):
+            relative = self.__dict__.get(name)
+            if relative is not None:
+                layout.__dict__[name] = relative.replace(
+                    space=model,
+                    projects=model.projects and len(relative.joints) > 0,
+                    baumgarte_rate=model.baumgarte_rate,
+                )
         return layout
 
     @cached_property

@@ -89,8 +89,43 @@ class RelativeModel(Struct):
     baumgarte_rate: float
 
 
+PLANE_LINK = np.dtype(
+    [  # link of a planar mechanism; what the sweeps need, close together
+        ("group", "i8"),
+        ("parent", "i8"),
+        ("freedom", "i8"),
+        ("mass", "f8"),  # kg
+        ("moment_x", "f8"),
+        ("moment_y", "f8"),  # m c, kg m
+        ("inertia", "f8"),  # about the origin, kg m^2
+        ("cos", "f8"),
+        ("sin", "f8"),
+        ("x", "f8"),
+        ("y", "f8"),  # T
+    ],
+    align=True,
+)
+
+
+class PlaneModel(RelativeModel):
+    """RelativeModel of a planar mechanism; z of all link frames is normal to the plane.
+
+    The coordinates of a link are its pose in its parent, T X, as (cos, sin, x, y). A slide moves
+    along the x axis of its frame. Twists are (omega, v_x, v_y).
+    """
+
+    axes: np.ndarray  # (1, 9) axes of the plane in world axes, as columns; the last is its normal
+    plane_gravity: np.ndarray  # (1, 2) m/s^2
+    links: np.ndarray  # (L,) of PLANE_LINK
+    link_heights: np.ndarray  # (L,) of the link frames along the normal, m
+    heights: np.ndarray  # (n,) of the bodies
+
+
 class RelativeWork(Struct):
-    """Scratch memory of one simulation; fields without a comment as in Work."""
+    """Scratch memory of one simulation; fields without a comment as in Work.
+
+    In a plane twists and wrenches have 3 numbers instead of 6, inertias 6, drift is (L, 2): A.
+    """
 
     space: Work
     angle: np.ndarray  # that of `space`
@@ -110,6 +145,7 @@ class RelativeWork(Struct):
     wrench: np.ndarray  # (n, 6) wrenches on the bodies
     relative: np.ndarray  # (L, 12) pose of each link in its parent link
     world: np.ndarray  # (L, 12) pose in the world; where it is needed
+    placed: np.ndarray  # (L, 4) pose in the plane: cos, sin, x, y
     velocities: np.ndarray  # (L, 6) twists of the links
     drift: np.ndarray  # (L, 6) [V, S qdot]
     moved: np.ndarray  # (L, 6) Vdot - gravity of the links
@@ -136,6 +172,8 @@ def make_relative_work(model, work, stages):
     """Allocate the scratch memory of a RelativeModel; work: Work of the same mechanism."""
     n, links, rows = len(model.parts), len(model.bodies), len(model.row_residual)
     freedoms = int(model.bodies["freedoms"].sum())
+    in_plane = isinstance(model, PlaneModel)
+    size = 3 if in_plane else 6
     return RelativeWork(
         space=work,
         angle=work.angle,
@@ -151,11 +189,12 @@ def make_relative_work(model, work, stages):
         wrench=np.zeros((n, 6)),
         relative=np.zeros((links, 12)),
         world=np.zeros((links, 12)),
-        velocities=np.zeros((links, 6)),
-        drift=np.zeros((links, 6)),
-        moved=np.zeros((links, 6)),
-        inertia=np.zeros((links, 21)),
-        force=np.zeros((links, 6)),
+        placed=np.zeros((links, 4)),
+        velocities=np.zeros((links, size)),
+        drift=np.zeros((links, 2 if in_plane else 6)),
+        moved=np.zeros((links, size)),
+        inertia=np.zeros((links, 6 if in_plane else 21)),
+        force=np.zeros((links, size)),
         freedoms=np.zeros((freedoms, 8)),
         acceleration=np.zeros((freedoms, 1)),
         child_jacobian=model.child_jacobian.copy(),
@@ -163,7 +202,7 @@ def make_relative_work(model, work, stages):
         slip=np.zeros(rows),
         gap=np.zeros(int(model.elements["rows"].sum())),
         right=np.zeros(rows),
-        carried=np.zeros((links, 6)),
+        carried=np.zeros((links, size)),
         response=np.zeros(int(model.path_places[-1])),
         matrix=np.zeros((rows, rows)),
         diagonal=np.zeros(rows),

@@ -24,10 +24,13 @@ from .arrays import (
     OWN,
     PART,
     PLANE,
+    PLANE_LINK,
     SCREW,
     SLIDE,
+    PlaneModel,
     RelativeModel,
 )
+from .plane import find_plane, frame_in_plane, plane_axes
 from .spanning_tree import WORLD_NAME, spanning_tree
 
 GROUPS = {
@@ -58,24 +61,28 @@ class _Link:
     def __init__(self, group, parent, placement, bodies, coordinates=OWN, pitch=0.0):
         self.group, self.parent, self.placement = group, parent, placement
         self.bodies, self.coordinates, self.pitch = bodies, coordinates, pitch
+        self.components = COMPONENTS[group]
 
     def directions(self):
         """S (6, freedoms)."""
-        S = np.eye(6)[:, list(COMPONENTS[self.group])]
+        S = np.eye(6)[:, list(self.components)]
         if self.group == SCREW:
             S[5, 0] = self.pitch
         return S
 
 
-def relative_model(scene, model):
-    """RelativeModel of a mechanism.
+def relative_model(scene, model, in_space=False):
+    """RelativeModel of a mechanism; a PlaneModel if it is planar.
 
-    scene : Scene with body frames at the centres of mass
-    model : its Model
+    scene    : Scene with body frames at the centres of mass
+    model    : its Model
+    in_space : True: never a PlaneModel
     """
     frames, parts = resolve_frames(scene), resolve_elements(scene)
-    tree = spanning_tree(scene)
-    links, places = _links(scene, frames, tree)
+    plane = None if in_space else find_plane(scene, frames, parts)
+    normal, allowed = (None, None) if plane is None else plane
+    tree = spanning_tree(scene, allowed)
+    links, places = _links(scene, frames, tree, normal)
     index = {body.name: i for i, body in enumerate(scene.bodies)}
     records = _records(scene, links, index)
     cut, rows = _cut_rows(scene, frames, parts, tree, links, places, model)
@@ -92,7 +99,7 @@ def relative_model(scene, model):
         ],
         dtype=PART,
     )
-    return RelativeModel(
+    common = dict(
         space=model,
         gravity=model.gravity,
         bodies=records,
@@ -103,6 +110,47 @@ def relative_model(scene, model):
         baumgarte_rate=model.baumgarte_rate,
         **arrays,
     )
+    if normal is None:
+        return RelativeModel(**common)
+    return PlaneModel(**common, **_plane_arrays(model, links, records, places, scene, normal))
+
+
+def _plane_arrays(model, links, records, places, scene, normal):
+    """Fields of a PlaneModel that a RelativeModel does not have."""
+    axes = plane_axes(normal)
+    plane_links, heights = [], []
+    for link, record in zip(links, records):
+        T = link.placement
+        if link.parent == WORLD:
+            turned = np.eye(4)
+            turned[:3, :3] = axes
+            T = turned.T @ T
+        turn = T[:2, 0] / np.linalg.norm(T[:2, 0])
+        heights.append(T[2, 3] + (0.0 if link.parent == WORLD else heights[link.parent]))
+        plane_links.append(
+            (
+                link.group,
+                link.parent,
+                record["freedom"],
+                record["mass"],
+                *record["moment"][:2],
+                record["inertia"][5],
+                *turn,
+                *T[:2, 3],
+            )
+        )
+    return {
+        "axes": axes.reshape(1, 9),
+        "plane_gravity": model.gravity @ axes[:, :2],
+        "links": np.array(plane_links, dtype=PLANE_LINK),
+        "link_heights": np.array(heights),
+        "heights": np.array(
+            [
+                (0.0 if b == WORLD else heights[b]) + pose[2, 3]
+                for b, pose in (places[body.name] for body in scene.bodies)
+            ]
+        ),
+    }
 
 
 def _welds(scene, frames, members):
@@ -129,8 +177,12 @@ def _welds(scene, frames, members):
     return poses
 
 
-def _links(scene, frames, tree):
-    """([_Link], {body or world: (link index or WORLD, pose (4, 4) in the link)})."""
+def _links(scene, frames, tree, normal):
+    """([_Link], {body or world: (link index or WORLD, pose (4, 4) in the link)}).
+
+    normal : of the plane of a planar mechanism, else None
+    """
+    poses = {body.name: body.pose for body in scene.bodies} | {WORLD_NAME: np.eye(4)}
     welds = _welds(scene, frames, tree.members)
     places = {name: (WORLD, welds[name]) for name in (WORLD_NAME, *tree.members[0])}
     links = []
@@ -148,6 +200,9 @@ def _links(scene, frames, tree):
             reverse = joint.child not in bodies
             inner, outer = (joint.child, joint.parent) if reverse else (joint.parent, joint.child)
             F_in, F_out = (F_b, F_a) if reverse else (F_a, F_b)
+            if normal is not None:
+                to_plane = frame_in_plane(joint.type, (poses[outer] @ F_out)[:3, :3], normal)
+                F_in, F_out = F_in @ to_plane, F_out @ to_plane
             parent, pose = places[inner]
             placement = pose @ F_in
             if joint.type == "universal":
@@ -159,6 +214,8 @@ def _links(scene, frames, tree):
                 kind = GROUPS[joint.type]
                 pitch = joint.pitch if joint.type == "screw" else 0.0
                 links.append(_Link(kind, parent, placement, None, pitch=pitch))
+                if normal is not None and kind == SLIDE:
+                    links[-1].components = (3,)
                 frame = welds[outer] @ F_out
         to_link = SE3.inverse(frame)
         links[-1].bodies = {name: to_link @ welds[name] for name in bodies}

@@ -16,27 +16,20 @@ Newton's method, and velocities likewise: the tree stays exactly closed.
 from liegroup_core.compiling import kernel, subroutine
 from liegroup_core.formulations.absolute.constraints import position_residuals
 from liegroup_core.formulations.absolute.projection import MAX_ITERATIONS, is_satisfied
-from liegroup_core.joints.elements import PAIR, WORLD
-from liegroup_core.joints.kinds import variable_row
-from liegroup_core.lie.se3 import se3_Ad, se3_ad, se3_inverse
-from liegroup_core.lie.vec3 import (
-    ZERO3,
-    add3,
-    axpy3,
-    cross3,
-    dot3,
-    load3,
-    load9,
-    store3,
-    sub3,
-    tmatmul3,
-    tmatvec3,
-)
 from liegroup_core.status import DEPENDENT_ROWS, NOT_PROJECTED, OK
 
-from .arrays import BALL, CYLINDER, FREE, PLANE, SCREW, SLIDE
-from .coordinates import displace, place_links
-from .trees import add_wrench, gather, move_links, spread
+from .kinds import (
+    displace,
+    gather,
+    lift_links,
+    move_links,
+    place_links,
+    respond,
+    set_right,
+    set_rows,
+    spread_response,
+)
+from .rows import number
 
 # Pivots of W below this part of its diagonal are zero: see model/build.py.
 SMALLEST_PIVOT = 1e-10
@@ -45,123 +38,13 @@ REGULARISATION, REFINEMENTS_WHEN_SINGULAR = 1e-8, 4
 
 
 @kernel
-def set_rows(model, work):
-    """Rows of all cut joints, J V to work.slip and the bias of J Vdot to work.right."""
-    for j in range(len(model.joints)):
-        joint = model.joints[j]
-        a, b, first, rows = joint["parent"], joint["child"], joint["first"], joint["rows"]
-        rot_b, r_b = load9(work.world, b, 0), load3(work.world, b, 9)
-        w_b, v_b = load3(work.velocities, b, 0), load3(work.velocities, b, 3)
-        if a == WORLD:
-            rot, p = se3_inverse(rot_b, r_b)
-            w_a, v_a = ZERO3, ZERO3
-        else:
-            rot = tmatmul3(rot_b, load9(work.world, a, 0))
-            p = tmatvec3(rot_b, sub3(load3(work.world, a, 9), r_b))
-            w_a, v_a = se3_Ad(rot, p, load3(work.velocities, a, 0), load3(work.velocities, a, 3))
-        error_w, error_v = sub3(w_b, w_a), sub3(v_b, v_a)
-        rate = 0.0
-        if joint["kind"] != PAIR:
-            row_w, row_v, rate = variable_row(
-                model.elements[joint["element"]], rot, p, error_w, error_v
-            )
-            store3(row_w, work.child_jacobian, first, 0)
-            store3(row_v, work.child_jacobian, first, 3)
-        e = ZERO3
-        for r in range(first, first + rows):
-            alpha, beta = load3(work.child_jacobian, r, 0), load3(work.child_jacobian, r, 3)
-            slip = dot3(alpha, error_w) + dot3(beta, error_v)
-            work.slip[r] = slip
-            e = axpy3(slip, beta, e)
-            store3(tmatvec3(rot, sub3(cross3(p, beta), alpha)), work.parent_jacobian, r, 0)
-            back = tmatvec3(rot, beta)
-            store3((-back[0], -back[1], -back[2]), work.parent_jacobian, r, 3)
-        bracket_w, bracket_v = se3_ad(w_b, v_b, w_a, v_a)
-        bracket_v = add3(bracket_v, cross3(w_b, e))
-        for r in range(first, first + rows):
-            work.right[r] = -rate - (
-                dot3(load3(work.child_jacobian, r, 0), bracket_w)
-                + dot3(load3(work.child_jacobian, r, 3), bracket_v)
-            )
-
-
-@kernel
 def _add_baumgarte(model, work):
-    """Add Baumgarte's terms to the bias."""
+    """Add Baumgarte's terms to work.right."""
     rate = model.baumgarte_rate
     position_residuals(model, work.world, work.gap)
     for r in range(len(work.right)):
         g = work.gap[model.row_residual[r]]
-        work.right[r] -= rate * (2.0 * work.slip[r] + rate * g)
-
-
-@kernel
-def _axis(group, k):
-    """Component of a twist that freedom k of a link is, in the order of elimination."""
-    if group == SLIDE:
-        return 5
-    if group == CYLINDER:
-        return 2 if k == 0 else 5
-    if group == PLANE:
-        return 2 if k == 0 else 2 + k
-    if group >= BALL and k < 3:
-        return 2 if k == 0 else k - 1
-    if group == FREE:
-        return k
-    return 2
-
-
-@kernel
-def _number(group, k):
-    """Number of the freedom that is eliminated as the k-th one of a link."""
-    if group >= BALL and k < 3:
-        return 2 if k == 0 else k - 1
-    return k
-
-
-@kernel
-def _respond(model, work, j):
-    """Responses y of the rows of joint j, along its path to the world."""
-    joint = model.joints[j]
-    a, b, first, rows = joint["parent"], joint["child"], joint["first"], joint["rows"]
-    for r in range(rows):
-        at = model.path_places[j] + r
-        for k in range(model.paths[j, 0], model.paths[j, 1]):
-            link = model.path_links[k]
-            for c in range(6):
-                work.carried[link, c] = 0.0
-        for c in range(6):
-            work.carried[b, c] = work.child_jacobian[first + r, c]
-        if a != WORLD:
-            for c in range(6):
-                work.carried[a, c] += work.parent_jacobian[first + r, c]
-        for k in range(model.paths[j, 0], model.paths[j, 1]):
-            i = model.path_links[k]
-            link = model.bodies[i]
-            group = link["group"]
-            for d in range(link["freedoms"]):
-                f = link["freedom"] + _number(group, d)
-                axis = _axis(group, d)
-                y = work.carried[i, axis]
-                if group == SCREW:
-                    y += link["pitch"] * work.carried[i, 5]
-                work.response[at] = y
-                at += rows
-                share = y * work.freedoms[f, 6]
-                for c in range(6):
-                    work.carried[i, c] -= share * work.freedoms[f, c]
-                if group != SCREW:
-                    work.carried[i, axis] = 0.0
-            parent = link["parent"]
-            if parent != WORLD:
-                add_wrench(
-                    load3(work.carried, i, 0),
-                    load3(work.carried, i, 3),
-                    load9(work.relative, i, 0),
-                    load3(work.relative, i, 9),
-                    work.carried,
-                    parent,
-                )
+        work.right[r] += rate * (2.0 * work.slip[r] + rate * g)
 
 
 @kernel
@@ -256,7 +139,7 @@ def _subtract_responses(model, work):
         for k in range(model.paths[j, 0], model.paths[j, 1]):
             link = model.bodies[model.path_links[k]]
             for d in range(link["freedoms"]):
-                f = link["freedom"] + _number(link["group"], d)
+                f = link["freedom"] + number(link["group"], d)
                 for r in range(rows):
                     work.freedoms[f, 7] -= work.response[at + r] * work.right[first + r]
                 at += rows
@@ -266,36 +149,20 @@ def _subtract_responses(model, work):
 def _set_responses(model, work):
     """Responses of all joints, and W."""
     for j in range(len(model.joints)):
-        _respond(model, work, j)
+        respond(model, work, j)
     _set_matrix(model, work)
 
 
 @subroutine
 def close_loops(model, work):
-    """Change the accelerations of the tree to those with loops.
+    """Change the forces u of the freedoms to those with loops.
 
     returns -1, or the joint with dependent rows if the regularised solve fails too
     """
-    set_rows(model, work)
+    set_right(model, work)
     if model.baumgarte_rate > 0.0:
+        lift_links(model, work)
         _add_baumgarte(model, work)
-    for j in range(len(model.joints)):
-        joint = model.joints[j]
-        a, b = joint["parent"], joint["child"]
-        w, v = load3(work.moved, b, 0), load3(work.moved, b, 3)
-        if a == WORLD:
-            # The world accelerates by -g, see trees.py.
-            g = tmatvec3(load9(work.world, b, 0), load3(model.gravity, 0, 0))
-            v = add3(v, g)
-        for r in range(joint["first"], joint["first"] + joint["rows"]):
-            relative = dot3(load3(work.child_jacobian, r, 0), w) + dot3(
-                load3(work.child_jacobian, r, 3), v
-            )
-            if a != WORLD:
-                relative += dot3(load3(work.parent_jacobian, r, 0), load3(work.moved, a, 0)) + dot3(
-                    load3(work.parent_jacobian, r, 3), load3(work.moved, a, 3)
-                )
-            work.right[r] = relative - work.right[r]
     _set_responses(model, work)
     dependent = _factor(model, work, 0.0)
     if dependent < 0:
@@ -308,24 +175,20 @@ def close_loops(model, work):
             return dependent
         _refine(model, work, REFINEMENTS_WHEN_SINGULAR)
     _subtract_responses(model, work)
-    g = load3(model.gravity, 0, 0)
-    spread(model, work, g[0], g[1], g[2], 1)
     return -1
 
 
 @subroutine
-def project(model, work, pose, twist):
-    """Project the rows of the links in pose, twist (n + L, ...) onto the cut joints, in place.
+def project(model, work):
+    """Project the links at the stage onto the cut joints, in place.
 
     returns a status: OK, NOT_PROJECTED or DEPENDENT_ROWS + (element of `space` << 8)
     """
     n, links = len(model.parts), len(model.bodies)
     for _ in range(MAX_ITERATIONS + 1):
-        move_links(model, work, pose, twist, n)
-        place_links(model, work.relative, work.world)
-        for b in range(links):
-            for c in range(6):
-                work.force[b, c] = 0.0
+        move_links(model, work)
+        place_links(model, work)
+        lift_links(model, work)
         gather(model, work)
         set_rows(model, work)
         position_residuals(model, work.world, work.gap)
@@ -340,14 +203,14 @@ def project(model, work, pose, twist):
         for f in range(len(work.freedoms)):
             work.freedoms[f, 7] = 0.0
         _subtract_responses(model, work)
-        spread(model, work, 0.0, 0.0, 0.0, 0)
+        spread_response(model, work)
         for b in range(links):
-            link = model.bodies[b]
+            f = model.bodies[b]["freedom"]
             if satisfied:
-                for k in range(link["freedoms"]):
-                    twist[n + b, k] += work.acceleration[link["freedom"] + k, 0]
+                for k in range(model.bodies[b]["freedoms"]):
+                    work.stage_twist[n + b, k] += work.acceleration[f + k, 0]
             else:
-                displace(link, pose, n + b, work.acceleration, link["freedom"], 1.0, pose)
+                displace(model, b, work.stage_pose, work.acceleration, f, work.stage_pose)
         if satisfied:
             return OK
     return NOT_PROJECTED

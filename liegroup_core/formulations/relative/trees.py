@@ -28,6 +28,7 @@ from liegroup_core.lie.vec3 import (
     dot3,
     load3,
     load9,
+    matrix3,
     matvec3,
     scale3,
     store3,
@@ -41,11 +42,9 @@ from .coordinates import rate_twist, relative_pose
 
 
 @kernel
-def move_links(model, work, coordinates, rates, first):
-    """Write relative poses, twists V and [V, S qdot] of all links.
-
-    coordinates, rates : arrays whose rows from `first` on are those of the links
-    """
+def move_links(model, work):
+    """Relative poses, twists V and [V, S qdot] of all links at the stage; no applied wrenches."""
+    first, coordinates, rates = len(model.parts), work.stage_pose, work.stage_twist
     for b in range(len(model.bodies)):
         link = model.bodies[b]
         a = link["parent"]
@@ -73,6 +72,8 @@ def move_links(model, work, coordinates, rates, first):
                 store3(cv, work.drift, b, 3)
         store3(w, work.velocities, b, 0)
         store3(v, work.velocities, b, 3)
+        store3((0.0, 0.0, 0.0), work.force, b, 0)
+        store3((0.0, 0.0, 0.0), work.force, b, 3)
 
 
 @kernel
@@ -529,6 +530,22 @@ def add_wrench(torque, force, rot, p, out, row):
 
 
 @kernel
+def apply_wrenches(model, work):
+    """Add the wrenches on the bodies, work.wrench, to those on the links."""
+    for i in range(len(model.parts)):
+        part = model.parts[i]
+        if part["link"] != WORLD:
+            add_wrench(
+                load3(work.wrench, i, 0),
+                load3(work.wrench, i, 3),
+                matrix3(part["rotation"]),
+                vector3(part["point"]),
+                work.force,
+                part["link"],
+            )
+
+
+@kernel
 def _start(model, work):
     """Set inertia and bias force of every link to its own; work.force has the applied wrenches."""
     for b in range(len(model.bodies)):
@@ -649,7 +666,7 @@ def _with_freedoms(work, f, group, pitch, w, v):
 
 
 @subroutine
-def spread(model, work, gx, gy, gz, drift):
+def _spread(model, work, gx, gy, gz, drift):
     """Accelerations of all freedoms and links, from the world to the leaves.
 
     gx, gy, gz : acceleration of gravity, world axes
@@ -671,3 +688,16 @@ def spread(model, work, gx, gy, gz, drift):
         store3(w, work.moved, b, 0)
         store3(v, work.moved, b, 3)
     return 0
+
+
+@kernel
+def spread(model, work):
+    """Accelerations of all freedoms and links at the stage."""
+    g = load3(model.gravity, 0, 0)
+    _spread(model, work, g[0], g[1], g[2], 1)
+
+
+@kernel
+def spread_response(model, work):
+    """The same without gravity and velocities: the response to the forces u of the freedoms."""
+    _spread(model, work, 0.0, 0.0, 0.0, 0)

@@ -233,7 +233,10 @@ class MuntheKaas:
             EXACT if options["dexpinv"] == "exact" else max(method.order - 2, 0),
         )
         relative = group == RELATIVE
-        self._model, self._longest = layout.relative if relative else layout.model, step
+        self._model, self._longest = layout.model, step
+        if relative:
+            in_space = options["space"] == "space"
+            self._model = layout.relative_in_space if in_space else layout.relative
         self._group = GROUPS.get(group, SE3)
         self.work = make_work(layout.model, stages)
         in_plane = options["space"] == "auto" and not relative
@@ -243,7 +246,7 @@ class MuntheKaas:
             self._planar_work = make_planar_work(self._plane, self.work, stages)
         self._work = self.work
         if relative:
-            self.kernels = "rkmk-relative"
+            self.kernels = "rkmk-relative" if in_space else "rkmk-relative-plane"
             self._work = make_relative_work(self._model, self.work, stages)
         self._control = np.zeros(6)
         self._control[4:] = self._tolerances = options.get("rtol", 0.0), options.get("atol", 1.0)

@@ -30,7 +30,7 @@ for a PlanarModel:
 
 from liegroup_core.compiling import Choice
 from liegroup_core.formulations.planar.arrays import PlanarModel
-from liegroup_core.formulations.relative.arrays import RelativeModel
+from liegroup_core.formulations.relative.arrays import PlaneModel, RelativeModel
 from liegroup_core.model.arrays import Model
 
 from . import planar as planar
@@ -44,6 +44,7 @@ def _of(name):
             Model: getattr(spatial, name),
             PlanarModel: getattr(planar, name),
             RelativeModel: getattr(relative, name),
+            PlaneModel: getattr(relative, name),
         },
     )
 
