@@ -81,8 +81,10 @@ class RelativeModel(Struct):
     child_jacobian: np.ndarray  # (m, 6) rows of every PAIR for its child link
     paths: np.ndarray  # (c, 2) range of each joint in `path_links`
     path_links: np.ndarray  # links between the joint and the world, children first
+    path_freedoms: np.ndarray  # freedoms of these links, in the order of elimination
+    path_ends: np.ndarray  # (c + 1,) where those of each joint start in `path_freedoms`
     path_places: np.ndarray  # (c + 1,) where the joint's responses start in Work.response
-    shared: np.ndarray  # (k, 3) joints i, j <= i that share freedoms, end in shared_freedoms
+    shared: np.ndarray  # (k, 3) joints i, j < i that share freedoms, end in shared_freedoms
     shared_freedoms: np.ndarray  # (l, 3) a freedom, its place in the responses of both joints
     first_column: np.ndarray  # (m,) first nonzero column of each row of the factor of W
     projects: bool
@@ -124,7 +126,7 @@ class PlaneModel(RelativeModel):
 class RelativeWork(Struct):
     """Scratch memory of one simulation; fields without a comment as in Work.
 
-    In a plane twists and wrenches have 3 numbers instead of 6, inertias 6, drift is (L, 2): A.
+    In a plane velocities, moved, force and U have 3 numbers, inertia has 6; drift is A, (L, 2).
     """
 
     space: Work
@@ -158,7 +160,7 @@ class RelativeWork(Struct):
     slip: np.ndarray  # (m,) J V
     gap: np.ndarray  # (all rows of the cut joints,)
     right: np.ndarray  # (m,) bias, then multipliers
-    carried: np.ndarray  # (L, 6) a row's wrench on its way to the world
+    carried: np.ndarray  # (L, 6) a row's wrench on its way to the world; those of two rows in a plane
     response: np.ndarray  # y of each row and freedom on its path
     matrix: np.ndarray  # (m, m) W in the upper, its factor in the lower triangle
     diagonal: np.ndarray  # (m,) pivots
@@ -202,7 +204,7 @@ def make_relative_work(model, work, stages):
         slip=np.zeros(rows),
         gap=np.zeros(int(model.elements["rows"].sum())),
         right=np.zeros(rows),
-        carried=np.zeros((links, size)),
+        carried=np.zeros((links, 6)),
         response=np.zeros(int(model.path_places[-1])),
         matrix=np.zeros((rows, rows)),
         diagonal=np.zeros(rows),

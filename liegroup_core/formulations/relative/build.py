@@ -442,22 +442,24 @@ def _loop_arrays(links, records, cut, rows, elements):
     for path in paths:
         ranges.append((at, at + len(path)))
         at += len(path)
-    path_places, spots, at = [], [], 0
+    path_places, path_freedoms, path_ends, spots, at = [], [], [0], [], 0
     for path, joint in zip(paths, joints):
         path_places.append(at)
         spot = {}
         for i in path:
             group, f, count = records[i]["group"], records[i]["freedom"], records[i]["freedoms"]
-            # In the order of elimination, see loops._number.
+            # In the order of elimination, see rows._number.
             numbers = (2, 0, 1, *range(3, count)) if group >= BALL else range(count)
             for number in numbers:
                 spot[int(f + number)] = at
                 at += int(joint["rows"])
         spots.append(spot)
+        path_freedoms += spot
+        path_ends.append(len(path_freedoms))
     shared, entries = [], []
     first_joint = list(range(len(joints)))
     for i, spot_i in enumerate(spots):
-        for j in range(i + 1):
+        for j in range(i):
             common = sorted(spot_i.keys() & spots[j].keys())
             if common:
                 entries += [(f, spot_i[f], spots[j][f]) for f in common]
@@ -478,6 +480,8 @@ def _loop_arrays(links, records, cut, rows, elements):
         "child_jacobian": np.concatenate(jacobians),
         "paths": np.array(ranges, dtype=np.int64).reshape(-1, 2),
         "path_links": np.array([i for path in paths for i in path], dtype=np.int64),
+        "path_freedoms": np.array(path_freedoms, dtype=np.int64),
+        "path_ends": np.array(path_ends, dtype=np.int64),
         "path_places": np.array([*path_places, at], dtype=np.int64),
         "shared": np.array(shared, dtype=np.int64).reshape(-1, 3),
         "shared_freedoms": np.array(entries, dtype=np.int64).reshape(-1, 3),

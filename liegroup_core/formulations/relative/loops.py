@@ -29,13 +29,14 @@ from .kinds import (
     set_rows,
     spread_response,
 )
-from .rows import number
-
-# Pivots of W below this part of its diagonal are zero: see model/build.py.
-SMALLEST_PIVOT = 1e-10
-# Shift of the diagonal of W in the solve at a singular pose, and its refinements.
-REGULARISATION, REFINEMENTS_WHEN_SINGULAR = 1e-8, 4
-
+from .matrix import (
+    REFINEMENTS_WHEN_SINGULAR,
+    REGULARISATION,
+    factor,
+    refine,
+    set_shared,
+    solve,
+)
 
 @kernel
 def _add_baumgarte(model, work):
@@ -48,101 +49,17 @@ def _add_baumgarte(model, work):
 
 
 @kernel
-def _set_matrix(model, work):
-    """W in the upper triangle of work.matrix, within its envelope."""
-    for r in range(len(work.right)):
-        for s in range(model.first_column[r], r + 1):
-            work.matrix[s, r] = 0.0
-    start = 0
-    for k in range(len(model.shared)):
-        i, j, end = model.shared[k, 0], model.shared[k, 1], model.shared[k, 2]
-        rows_i, rows_j = model.joints[i]["rows"], model.joints[j]["rows"]
-        at_i, at_j = model.joints[i]["first"], model.joints[j]["first"]
-        for e in range(start, end):
-            inverse = work.freedoms[model.shared_freedoms[e, 0], 6]
-            place_i, place_j = model.shared_freedoms[e, 1], model.shared_freedoms[e, 2]
-            for s in range(rows_j):
-                y = inverse * work.response[place_j + s]
-                # j <= i: the column is that of the later row.
-                for r in range(s if i == j else 0, rows_i):
-                    work.matrix[at_j + s, at_i + r] += y * work.response[place_i + r]
-        start = end
-
-
-@kernel
-def _factor(model, work, shift):
-    """Factorise W + shift diag(W) = L D L^T. Returns -1, or the joint of a dependent row."""
-    W = work.matrix
-    for j in range(len(model.joints)):
-        first = model.joints[j]["first"]
-        for r in range(first, first + model.joints[j]["rows"]):
-            begin = model.first_column[r]
-            pivot = W[r, r] * (1.0 + shift)
-            # W_rr is needed again: L has a unit diagonal, and D is in work.diagonal.
-            for s in range(begin, r):
-                value = W[s, r]
-                for t in range(max(begin, model.first_column[s]), s):
-                    value -= W[r, t] * W[s, t]
-                W[r, s] = value
-            for s in range(begin, r):
-                value = W[r, s]
-                W[r, s] = value * work.diagonal[s]
-                pivot -= value * W[r, s]
-            if not pivot > SMALLEST_PIVOT * W[r, r]:
-                return j
-            work.diagonal[r] = 1.0 / pivot
-    return -1
-
-
-@kernel
-def _solve(model, work):
-    """Solve for work.right in place with the factor of W."""
-    L, x = work.matrix, work.right
-    for r in range(len(x)):
-        for s in range(model.first_column[r], r):
-            x[r] -= L[r, s] * x[s]
-    for r in range(len(x)):
-        x[r] *= work.diagonal[r]
-    for r in range(len(x) - 1, -1, -1):
-        for s in range(model.first_column[r], r):
-            x[s] -= L[r, s] * x[r]
-
-
-@kernel
-def _refine(model, work, times):
-    """Solve for work.right by the shifted factor and `times` refinements with W itself."""
-    for r in range(len(work.right)):
-        work.residual[r], work.multipliers[r] = work.right[r], 0.0
-    for step in range(times + 1):
-        if step > 0:
-            for r in range(len(work.right)):
-                work.right[r] = work.residual[r]
-            for r in range(len(work.right)):
-                for s in range(model.first_column[r], r + 1):
-                    W = work.matrix[s, r]
-                    work.right[r] -= W * work.multipliers[s]
-                    if s != r:
-                        work.right[s] -= W * work.multipliers[r]
-        _solve(model, work)
-        for r in range(len(work.right)):
-            work.multipliers[r] += work.right[r]
-    for r in range(len(work.right)):
-        work.right[r] = work.multipliers[r]
-
-
-@kernel
 def _subtract_responses(model, work):
     """Subtract y . lambda from u of all freedoms; lambda is in work.right."""
     for j in range(len(model.joints)):
         first, rows = model.joints[j]["first"], model.joints[j]["rows"]
         at = model.path_places[j]
-        for k in range(model.paths[j, 0], model.paths[j, 1]):
-            link = model.bodies[model.path_links[k]]
-            for d in range(link["freedoms"]):
-                f = link["freedom"] + number(link["group"], d)
-                for r in range(rows):
-                    work.freedoms[f, 7] -= work.response[at + r] * work.right[first + r]
-                at += rows
+        for k in range(model.path_ends[j], model.path_ends[j + 1]):
+            total = 0.0
+            for r in range(rows):
+                total += work.response[at + r] * work.right[first + r]
+            work.freedoms[model.path_freedoms[k], 7] -= total
+            at += rows
 
 
 @kernel
@@ -150,7 +67,7 @@ def _set_responses(model, work):
     """Responses of all joints, and W."""
     for j in range(len(model.joints)):
         respond(model, work, j)
-    _set_matrix(model, work)
+    set_shared(model, work)
 
 
 @subroutine
@@ -164,16 +81,16 @@ def close_loops(model, work):
         lift_links(model, work)
         _add_baumgarte(model, work)
     _set_responses(model, work)
-    dependent = _factor(model, work, 0.0)
+    dependent = factor(model, work, 0.0)
     if dependent < 0:
-        _solve(model, work)
+        solve(model, work)
     else:
         # Singular pose: accelerations that the joints leave undetermined follow from the masses.
         work.report[2] += 1.0
-        dependent = _factor(model, work, REGULARISATION)
+        dependent = factor(model, work, REGULARISATION)
         if dependent >= 0:
             return dependent
-        _refine(model, work, REFINEMENTS_WHEN_SINGULAR)
+        refine(model, work, REFINEMENTS_WHEN_SINGULAR)
     _subtract_responses(model, work)
     return -1
 
@@ -194,12 +111,12 @@ def project(model, work):
         position_residuals(model, work.world, work.gap)
         satisfied = is_satisfied(model, work, work.world)
         _set_responses(model, work)
-        dependent = _factor(model, work, 0.0)
+        dependent = factor(model, work, 0.0)
         if dependent >= 0:
             return DEPENDENT_ROWS + (model.owners[dependent] << 8)
         for r in range(len(work.right)):
             work.right[r] = work.slip[r] if satisfied else work.gap[model.row_residual[r]]
-        _solve(model, work)
+        solve(model, work)
         for f in range(len(work.freedoms)):
             work.freedoms[f, 7] = 0.0
         _subtract_responses(model, work)

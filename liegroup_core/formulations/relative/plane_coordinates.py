@@ -8,7 +8,7 @@ needs the placement. Link frames have the normal of the plane as z axis.
 
 from liegroup_core.compiling import kernel
 from liegroup_core.joints.elements import WORLD
-from liegroup_core.lie.coefficients import exp_coefficients
+from liegroup_core.lie.coefficients import turn_coefficients
 from liegroup_core.lie.vec3 import (
     dot3,
     load3,
@@ -36,17 +36,18 @@ def displace(model, b, coordinates, screws, at, out):
         out[row, 2] = coordinates[row, 2] + c0 * psi
         out[row, 3] = coordinates[row, 3] + s0 * psi
         return 0.0
-    sinc, versinc, _ = exp_coefficients(psi * psi)
-    c, s = 1.0 - psi * psi * versinc, psi * sinc
+    x = psi * psi
+    sinc, versinc = turn_coefficients(x)
+    c, s = 1.0 - x * versinc, psi * sinc
     if group == PLANE:
         # dexp_psi of the translation, in the axes of the start
-        x, y = screws[at + 1, 0], screws[at + 2, 0]
+        ex, ey = screws[at + 1, 0], screws[at + 2, 0]
         q = psi * versinc
-        x, y = sinc * x - q * y, sinc * y + q * x
-        out[row, 2] = coordinates[row, 2] + (c0 * x - s0 * y)
-        out[row, 3] = coordinates[row, 3] + (s0 * x + c0 * y)
+        ex, ey = sinc * ex - q * ey, sinc * ey + q * ex
+        out[row, 2] = coordinates[row, 2] + (c0 * ex - s0 * ey)
+        out[row, 3] = coordinates[row, 3] + (s0 * ex + c0 * ey)
     out[row, 0], out[row, 1] = c0 * c - s0 * s, s0 * c + c0 * s
-    return psi * psi
+    return x
 
 
 @kernel

@@ -9,6 +9,7 @@ from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.vec3 import load3
 
 from .arrays import HINGE, SLIDE
+from .matrix import set_block
 
 
 @kernel
@@ -61,57 +62,75 @@ def set_right(model, work):
 
 @kernel
 def respond(model, work, j):
-    """Responses y of the rows of joint j, along its path to the world; sum of y u / D to work.right."""
+    """Responses y of the rows of joint j, along its path to the world; their block of W.
+
+    Adds the sums of y u / D to work.right. Two rows at a time: few joints have more in a plane.
+    """
     joint = model.joints[j]
     a, b, first, rows = joint["parent"], joint["child"], joint["first"], joint["rows"]
     begin, end = model.paths[j, 0], model.paths[j, 1]
-    carried, freedoms, n = work.carried, work.freedoms, len(model.parts)
-    for r in range(rows):
-        at = model.path_places[j] + r
-        total = 0.0
+    carried, U, n, W = work.carried, work.freedoms, len(model.parts), work.matrix
+    for start in range(0, rows, 2):
+        r, both = first + start, start + 1 < rows
+        at = model.path_places[j] + start
         for k in range(begin, end):
-            i = model.path_links[k]
-            carried[i, 0], carried[i, 1], carried[i, 2] = 0.0, 0.0, 0.0
+            for c in range(6):
+                carried[model.path_links[k], c] = 0.0
         for c in range(3):
-            carried[b, c] = work.child_jacobian[first + r, 2 + c]
+            carried[b, c] = work.child_jacobian[r, 2 + c]
+            if both:
+                carried[b, 3 + c] = work.child_jacobian[r + 1, 2 + c]
         if a != WORLD:
             for c in range(3):
-                carried[a, c] += work.parent_jacobian[first + r, 2 + c]
+                carried[a, c] += work.parent_jacobian[r, 2 + c]
+                if both:
+                    carried[a, 3 + c] += work.parent_jacobian[r + 1, 2 + c]
+        right, other_right = 0.0, 0.0
+        square, product, other_square = 0.0, 0.0, 0.0
         for k in range(begin, end):
             i = model.path_links[k]
-            link = model.links[i]
-            f, group = link["freedom"], link["group"]
-            torque, fx, fy = load3(carried, i, 0)
-            if group != HINGE and group != SLIDE:
-                y = torque
+            group, f, parent = model.links[i]["group"], model.links[i]["freedom"], WORLD
+            count = 1 if group == HINGE or group == SLIDE else 3
+            if count == 1:
+                parent = model.links[i]["parent"]
+            for d in range(f, f + count):
+                axis = d - f + (1 if group == SLIDE else 0)
+                y, z = carried[i, axis], carried[i, 3 + axis]
                 work.response[at] = y
-                share = y * freedoms[f, 6]
-                total += share * freedoms[f, 7]
-                fx, fy = fx - share * freedoms[f, 1], fy - share * freedoms[f, 2]
-                work.response[at + rows] = fx
-                share = fx * freedoms[f + 1, 6]
-                total += share * freedoms[f + 1, 7]
-                fy -= share * freedoms[f + 1, 2]
-                work.response[at + 2 * rows] = fy
-                total += fy * freedoms[f + 2, 6] * freedoms[f + 2, 7]
-                at += 3 * rows
-                continue
-            y = torque if group == HINGE else fx
-            work.response[at] = y
-            at += rows
-            share = y * freedoms[f, 6]
-            total += share * freedoms[f, 7]
-            parent = link["parent"]
-            if parent != WORLD:
-                row = n + i
-                c, s = work.stage_pose[row, 0], work.stage_pose[row, 1]
-                fx, fy = c * fx - s * fy, s * fx + c * fy
-                torque += work.stage_pose[row, 2] * fy - work.stage_pose[row, 3] * fx
-                # U of hinges and slides is in the axes of the parent.
-                carried[parent, 0] += torque - share * freedoms[f, 0]
-                carried[parent, 1] += fx - share * freedoms[f, 1]
-                carried[parent, 2] += fy - share * freedoms[f, 2]
-        work.right[first + r] += total
+                if both:
+                    work.response[at + 1] = z
+                at += rows
+                share, other = y * U[d, 6], z * U[d, 6]
+                right, other_right = right + share * U[d, 7], other_right + other * U[d, 7]
+                square, product = square + share * y, product + share * z
+                other_square += other * z
+                if count == 3:
+                    for c in range(3):
+                        carried[i, c] -= share * U[d, c]
+                        carried[i, 3 + c] -= other * U[d, c]
+                elif parent != WORLD:
+                    _carry(work, i, n + i, 0, share, d, parent)
+                    _carry(work, i, n + i, 3, other, d, parent)
+        work.right[r] += right
+        W[r, r] = square
+        if both:
+            work.right[r + 1] += other_right
+            W[r, r + 1], W[r + 1, r + 1] = product, other_square
+    if rows > 2:
+        set_block(model, work, j)
+
+
+@kernel
+def _carry(work, i, row, column, share, f, parent):
+    """Add a wrench on a hinge or slide i, less that of its freedom f, to the wrench on its parent."""
+    carried, pose, U = work.carried, work.stage_pose, work.freedoms
+    torque, fx, fy = load3(carried, i, column)
+    c, s = pose[row, 0], pose[row, 1]
+    fx, fy = c * fx - s * fy, s * fx + c * fy
+    # U is in the axes of the parent.
+    carried[parent, column] += (torque + (pose[row, 2] * fy - pose[row, 3] * fx)) - share * U[f, 0]
+    carried[parent, column + 1] += fx - share * U[f, 1]
+    carried[parent, column + 2] += fy - share * U[f, 2]
 
 
 # The rows and J V are by-products.

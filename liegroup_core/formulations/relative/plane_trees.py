@@ -144,31 +144,38 @@ def gather(model, work):
             continue
         c, s, x, y = pose[row, 0], pose[row, 1], pose[row, 2], pose[row, 3]
         xx, xy, yy = load3(inertia, b, 3)
+        share = inverse * u
         if group == HINGE:
-            U0, Ux, Uy = ww, c * wx - s * wy, s * wx + c * wy
-            # Without rotation only a mass matrix is left, and no torque.
-            share = inverse * wx
-            xx, xy, fx = xx - share * wx, xy - share * wy, fx + share * u
-            share = inverse * wy
-            yy, fy = yy - share * wy, fy + share * u
+            # Without rotation only a mass matrix is left, and no torque: M - U U^T / D at the
+            # place of the link. The division is last: the next link waits for it.
+            Ux, Uy = c * wx - s * wy, s * wx + c * wy
+            arm = x * Uy - y * Ux
+            # M times the velocity of the link if the parent turns
+            gx, gy = s * x - c * y, s * y + c * x
+            hx, hy = xx * gx + xy * gy, xy * gx + yy * gy
+            fx, fy = c * fx - s * fy, s * fx + c * fy
             xx, xy, yy = _turn_mass(c, s, xx, xy, yy)
-            bx, by = xy * x - xx * y, yy * x - xy * y
-            inertia[a, 0] += x * by - y * bx
-            inertia[a, 1] += bx
-            inertia[a, 2] += by
-            torque = 0.0
-        else:
-            U0, Ux, Uy = wx, c * xx - s * xy, s * xx + c * xy
-            share = inverse * wx
-            ww, wy, torque = ww - share * wx, wy - share * xy, torque + share * u
-            share = inverse * xy
-            yy, fx, fy = yy - share * xy, 0.0, fy + share * u
-            wx, wy = -s * wy, c * wy
-            xx, xy, yy = s * s * yy, -c * s * yy, c * c * yy
-            bx, by = xy * x - xx * y, yy * x - xy * y
-            inertia[a, 0] += ww + (x * (by + 2.0 * wy) - y * (bx + 2.0 * wx))
-            inertia[a, 1] += wx + bx
-            inertia[a, 2] += wy + by
+            inertia[a, 0] += (gx * hx + gy * hy) - inverse * (arm * arm)
+            inertia[a, 1] += (c * hx - s * hy) - inverse * (arm * Ux)
+            inertia[a, 2] += (s * hx + c * hy) - inverse * (arm * Uy)
+            inertia[a, 3] += xx - inverse * (Ux * Ux)
+            inertia[a, 4] += xy - inverse * (Ux * Uy)
+            inertia[a, 5] += yy - inverse * (Uy * Uy)
+            force[a, 0] += (x * fy - y * fx) + share * arm
+            force[a, 1] += fx + share * Ux
+            force[a, 2] += fy + share * Uy
+            _store_freedom(work.freedoms, f, ww + arm, Ux, Uy, inverse, u)
+            continue
+        Ux, Uy = c * xx - s * xy, s * xx + c * xy
+        _store_freedom(work.freedoms, f, wx + (x * Uy - y * Ux), Ux, Uy, inverse, u)
+        ww, wy, torque = ww - inverse * wx * wx, wy - inverse * wx * xy, torque + share * wx
+        yy, fx, fy = yy - inverse * xy * xy, 0.0, fy + share * xy
+        wx, wy = -s * wy, c * wy
+        xx, xy, yy = s * s * yy, -c * s * yy, c * c * yy
+        bx, by = xy * x - xx * y, yy * x - xy * y
+        inertia[a, 0] += ww + (x * (by + 2.0 * wy) - y * (bx + 2.0 * wx))
+        inertia[a, 1] += wx + bx
+        inertia[a, 2] += wy + by
         inertia[a, 3] += xx
         inertia[a, 4] += xy
         inertia[a, 5] += yy
@@ -176,7 +183,6 @@ def gather(model, work):
         force[a, 0] += torque + (x * fy - y * fx)
         force[a, 1] += fx
         force[a, 2] += fy
-        _store_freedom(work.freedoms, f, U0 + (x * Uy - y * Ux), Ux, Uy, inverse, u)
     return 0
 
 

@@ -20,6 +20,7 @@ from liegroup_core.lie.vec3 import (
 )
 
 from .arrays import BALL, CYLINDER, FREE, PLANE, SCREW, SLIDE
+from .matrix import set_block
 from .trees import add_wrench, spread
 
 
@@ -105,7 +106,7 @@ def _axis(group, k):
 
 
 @kernel
-def number(group, k):
+def _number(group, k):
     """Number of the freedom that is eliminated as the k-th one of a link."""
     if group >= BALL and k < 3:
         return 2 if k == 0 else k - 1
@@ -114,7 +115,7 @@ def number(group, k):
 
 @kernel
 def respond(model, work, j):
-    """Responses y of the rows of joint j, along its path to the world."""
+    """Responses y of the rows of joint j, along its path to the world, and their block of W."""
     joint = model.joints[j]
     a, b, first, rows = joint["parent"], joint["child"], joint["first"], joint["rows"]
     for r in range(rows):
@@ -133,7 +134,7 @@ def respond(model, work, j):
             link = model.bodies[i]
             group = link["group"]
             for d in range(link["freedoms"]):
-                f = link["freedom"] + number(group, d)
+                f = link["freedom"] + _number(group, d)
                 axis = _axis(group, d)
                 y = work.carried[i, axis]
                 if group == SCREW:
@@ -155,3 +156,4 @@ def respond(model, work, j):
                     work.carried,
                     parent,
                 )
+    set_block(model, work, j)

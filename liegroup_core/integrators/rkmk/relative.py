@@ -67,9 +67,11 @@ def begin(model, work, group, pose, twist):
     """Set stage 0 to the state."""
     n = len(model.parts)
     for b in range(len(model.bodies)):
+        for k in range(12):
+            work.stage_pose[n + b, k] = pose[n + b, k]
         for k in range(6):
             work.velocity[b, k] = twist[n + b, k]
-    copy_state(pose, twist, work.stage_pose, work.stage_twist)
+            work.stage_twist[n + b, k] = twist[n + b, k]
 
 
 @kernel
@@ -101,7 +103,8 @@ def move(model, work, scheme, group, h, stage, end, pose):
         link = model.bodies[b]
         f = first + link["freedom"]
         largest = max(largest, displace(model, b, pose, work.slopes, f, work.stage_pose))
-        for k in range(link["freedoms"]):
+        work.stage_twist[n + b, 0] = work.velocity[b, 0] + work.slopes[f, 1]
+        for k in range(1, link["freedoms"]):
             work.stage_twist[n + b, k] = work.velocity[b, k] + work.slopes[f + k, 1]
     if not largest < LARGEST_ROTATION * LARGEST_ROTATION:
         return ROTATION_TOO_LARGE if largest < math.inf else NOT_FINITE

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""W of the cut joints from their responses, its factor and solve; see loops.py."""
+
+from liegroup_core.compiling import kernel
+
+# Pivots of W below this part of its diagonal are zero: see model/build.py.
+SMALLEST_PIVOT = 1e-10
+# Shift of the diagonal of W in the solve at a singular pose, and its refinements.
+REGULARISATION, REFINEMENTS_WHEN_SINGULAR = 1e-8, 4
+
+
+@kernel
+def set_block(model, work, j):
+    """The block of W of joint j, from its responses."""
+    first, rows = model.joints[j]["first"], model.joints[j]["rows"]
+    W, y = work.matrix, work.response
+    for s in range(first, first + rows):
+        for r in range(s, first + rows):
+            W[s, r] = 0.0
+    at = model.path_places[j]
+    for k in range(model.path_ends[j], model.path_ends[j + 1]):
+        inverse = work.freedoms[model.path_freedoms[k], 6]
+        for s in range(rows):
+            share = inverse * y[at + s]
+            for r in range(s, rows):
+                W[first + s, first + r] += share * y[at + r]
+        at += rows
+
+
+@kernel
+def set_shared(model, work):
+    """The other blocks of W, within its envelope: those of joints that share freedoms."""
+    W, y = work.matrix, work.response
+    for j in range(len(model.joints)):
+        first = model.joints[j]["first"]
+        for r in range(first, first + model.joints[j]["rows"]):
+            for s in range(model.first_column[r], first):
+                W[s, r] = 0.0
+    start = 0
+    for k in range(len(model.shared)):
+        i, j, end = model.shared[k, 0], model.shared[k, 1], model.shared[k, 2]
+        at_i, at_j = model.joints[i]["first"], model.joints[j]["first"]
+        rows_i, rows_j = model.joints[i]["rows"], model.joints[j]["rows"]
+        for e in range(start, end):
+            inverse = work.freedoms[model.shared_freedoms[e, 0], 6]
+            place_i, place_j = model.shared_freedoms[e, 1], model.shared_freedoms[e, 2]
+            for s in range(rows_j):
+                share = inverse * y[place_j + s]
+                for r in range(rows_i):
+                    W[at_j + s, at_i + r] += share * y[place_i + r]
+        start = end
+
+
+@kernel
+def factor(model, work, shift):
+    """Factorise W + shift diag(W) = L D L^T. Returns -1, or the joint of a dependent row."""
+    W = work.matrix
+    for j in range(len(model.joints)):
+        first = model.joints[j]["first"]
+        for r in range(first, first + model.joints[j]["rows"]):
+            begin = model.first_column[r]
+            pivot = W[r, r] * (1.0 + shift)
+            # W_rr is needed again: L has a unit diagonal, and D is in work.diagonal.
+            for s in range(begin, r):
+                value = W[s, r]
+                for t in range(max(begin, model.first_column[s]), s):
+                    value -= W[r, t] * W[s, t]
+                W[r, s] = value
+            for s in range(begin, r):
+                value = W[r, s]
+                W[r, s] = value * work.diagonal[s]
+                pivot -= value * W[r, s]
+            if not pivot > SMALLEST_PIVOT * W[r, r]:
+                return j
+            work.diagonal[r] = 1.0 / pivot
+    return -1
+
+
+@kernel
+def solve(model, work):
+    """Solve for work.right in place with the factor of W."""
+    L, x = work.matrix, work.right
+    for r in range(len(x)):
+        value = x[r]
+        for s in range(model.first_column[r], r):
+            value -= L[r, s] * x[s]
+        x[r] = value
+    for r in range(len(x)):
+        x[r] *= work.diagonal[r]
+    for r in range(len(x) - 1, -1, -1):
+        value = x[r]
+        for s in range(model.first_column[r], r):
+            x[s] -= L[r, s] * value
+
+
+@kernel
+def refine(model, work, times):
+    """Solve for work.right by the shifted factor and `times` refinements with W itself."""
+    for r in range(len(work.right)):
+        work.residual[r], work.multipliers[r] = work.right[r], 0.0
+    for step in range(times + 1):
+        if step > 0:
+            for r in range(len(work.right)):
+                work.right[r] = work.residual[r]
+            for r in range(len(work.right)):
+                for s in range(model.first_column[r], r + 1):
+                    W = work.matrix[s, r]
+                    work.right[r] -= W * work.multipliers[s]
+                    if s != r:
+                        work.right[s] -= W * work.multipliers[r]
+        solve(model, work)
+        for r in range(len(work.right)):
+            work.multipliers[r] += work.right[r]
+    for r in range(len(work.right)):
+        work.right[r] = work.multipliers[r]
