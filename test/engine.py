@@ -4,7 +4,9 @@
 import naive
 import numpy as np
 
+from liegroup_core.engine import Engine
 from liegroup_core.formulations.absolute.constraints import assemble, position_residuals
+from liegroup_core.integrators.rkmk import spaces
 
 
 def residual(model, found):
@@ -45,3 +47,43 @@ def masses(scene):
         M[6 * i : 6 * i + 3, 6 * i : 6 * i + 3] = body.inertia_matrix
         M[6 * i + 3 : 6 * i + 6, 6 * i + 3 : 6 * i + 6] = body.mass * np.eye(3)
     return M
+
+
+def engine_accelerations(scene, wrenches=(), **options):
+    """Accelerations (n, 6) at the initial state: body axes, at the centres of mass.
+
+    wrenches : [(body, (6,) torque and force about the origin of the body's frame, "body" or
+               "world")]
+    options  : of the engine, such as space="space"
+
+    The engine enters its first stage and solves there, as in a step. What it then has in its
+    scratch memory is read as it is: a difference of velocities would lose digits.
+    """
+    simulation = Engine(scene, "rkmk4", quiet=True, **options)
+    for body, wrench, axes in wrenches:
+        simulation.apply_wrench(body, wrench, source=axes, axes=axes)
+    simulation.advance(0)  # writes the wrenches of this instant
+    integrator = simulation._integrator
+    plane = integrator._plane
+    model, work = simulation.layout.model, integrator.work
+    if plane is not None:
+        model, work = plane, integrator._planar_work
+    pose, twist, external, status = spaces.enter(
+        model, work, *simulation.state(), simulation._external
+    )
+    assert status == 0
+    spaces.begin(model, work, integrator._group, pose, twist)
+    assert spaces.accelerate(model, work, external) == -1
+    return _found(plane, model, work)
+
+
+def _found(plane, model, work):
+    """Accelerations (n, 6) from the scratch memory of a stage."""
+    if plane is None:
+        return work.acceleration.copy()
+    found = np.zeros((len(model.bodies), 6))
+    for i, body in enumerate(model.bodies):
+        axes = body["axes"].reshape(3, 3)  # planar axes from those of the body
+        turn, x, y = work.solution[3 * i : 3 * i + 3]
+        found[i, :3], found[i, 3:] = axes.T @ (0.0, 0.0, turn), axes.T @ (x, y, 0.0)
+    return found

@@ -80,18 +80,19 @@ def frame(pose):
     return Frame(position=pose[:3, 3], rotation_vector=SO3.log(pose[:3, :3]))
 
 
-def mechanism(rng, links, springs=2, loops=()):
+def mechanism(rng, links, springs=2, loops=(), place=random_pose):
     """Scene from links (parent, child, kind), parents first, and loops (a, b, kind).
 
     A link of kind None is a body without a joint. The joint of a loop has no frame on b, or no
     length: the poses determine it. Twists are random in the null space of the joints' Jacobian.
+    place : function (rng, size in m) of a joint frame (4, 4) in a body
     """
     poses, joints = {"world": np.eye(4)}, []
     for parent, child, kind in links:
         if kind is None:
             poses[child] = random_pose(rng)
             continue
-        at_parent, at_child = random_pose(rng, 0.4), random_pose(rng, 0.4)
+        at_parent, at_child = place(rng, 0.4), place(rng, 0.4)
         poses[child] = (
             poses[parent] @ at_parent @ allowed_motion(rng, kind) @ np.linalg.inv(at_child)
         )
@@ -106,14 +107,14 @@ def mechanism(rng, links, springs=2, loops=()):
             )
         )
     for parent, child, kind in loops:
-        keys = {"child_frame": frame(random_pose(rng, 0.5))} if kind == "distance" else {}
+        keys = {"child_frame": frame(place(rng, 0.5))} if kind == "distance" else {}
         joints.append(
             joint(
                 kind,
                 name=f"j{len(joints)}",
                 parent=parent,
                 child=child,
-                parent_frame=frame(random_pose(rng, 0.5)),
+                parent_frame=frame(place(rng, 0.5)),
                 **keys,
             )
         )

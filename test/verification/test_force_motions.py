@@ -293,7 +293,7 @@ def along_z(force, joint_type):
         joints=[joint] if joint_type else [],
         forces=[force] if joint_type else [],
     )
-    simulation = Simulation(scene, method="rkmk4", step=0.02)
+    simulation = Simulation(scene, method="rkmk4", step=0.02, group="se3")
     if joint_type is None:
         ends = {"slider": (0, 1, ground.pose, ground.pose)}
         forces = kinds.make_forces([force], {"first": 0, "second": 1}, ends)

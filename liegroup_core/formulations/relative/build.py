@@ -286,69 +286,58 @@ def _cut_rows(scene, frames, parts, tree, links, places, model):
             element += 1
     if not cut:
         return cut, []
-    counts = [len(part.names) for _, _, part in cut]
-    in_loops = set(loop_joints([(joint.parent, joint.child) for joint in scene.joints]))
-    chosen = np.ones(sum(counts), dtype=bool)
-    linkage = Linkage(scene, frames, parts, sorted(in_loops))
-    matrices = _tree_jacobians(linkage, scene, frames, cut, links, places)
-    if matrices:
-        chosen, _ = independent_rows(matrices, np.zeros(len(chosen), dtype=bool))
-    rows, at = [], 0
-    for count in counts:
-        rows.append(np.flatnonzero(chosen[at : at + count]))
-        at += count
-    return cut, rows
+    keep = [np.ones(len(part.names), dtype=bool) for _, _, part in cut]
+    loops = loop_joints([(joint.parent, joint.child) for joint in scene.joints])
+    # A distance joint is cut also where it closes no loop: then its row is independent.
+    closing = [k for k, (j, _, _) in enumerate(cut) if j in set(loops)]
+    if closing:
+        linkage = Linkage(scene, frames, parts, loops)
+        joints = sorted({cut[k][0] for k in closing})
+        matrices = _tree_jacobians(linkage, scene, loops, joints, links, places)
+        chosen, _ = independent_rows(matrices, np.zeros(len(matrices[0]), dtype=bool))
+        at = 0
+        for k in closing:
+            keep[k] = chosen[at : at + len(keep[k])]
+            at += len(keep[k])
+    return cut, [np.flatnonzero(rows) for rows in keep]
 
 
-def _tree_jacobians(linkage, scene, frames, cut, links, places):
-    """Unit rows of the cut joints for the freedoms of the tree, at generic poses of the linkage."""
+def _tree_jacobians(linkage, scene, loops, joints, links, places):
+    """Rows of cut joints for the freedoms of the tree, at generic poses of the linkage of all loops.
+
+    loops, joints : indices of the joints of the linkage, and of the cut ones among them
+    """
     length = linkage.length
+    first = np.concatenate([[0], np.cumsum([FREEDOMS[link.group] for link in links])])
+    ends = {
+        j: [
+            _path(links, places[name][0])
+            for name in (scene.joints[j].child, scene.joints[j].parent)
+        ]
+        for j in joints
+    }
+    needed = sorted({i for paths in ends.values() for path in paths for i in path})
+    start = {body.name: body.pose for body in scene.bodies}
+    # Rotations and translations in comparable units.
+    units = np.concatenate(
+        [np.where(link.directions()[:3].any(axis=0), length, 1.0) for link in links]
+    )
     matrices = []
-    freedom = np.concatenate([[0], np.cumsum([FREEDOMS[link.group] for link in links])])
-    place = {
-        j: k
-        for k, j in enumerate(
-            sorted(loop_joints([(joint.parent, joint.child) for joint in scene.joints]))
-        )
-    }
-    needed = {
-        i
-        for j, _, _ in cut
-        for name in (scene.joints[j].parent, scene.joints[j].child)
-        for i in _path(links, places[name][0])
-    }
     for poses in generic_poses(linkage):
-        world = _link_poses(
-            links,
-            needed,
-            poses | {body.name: body.pose for body in scene.bodies if body.name not in poses},
-        )
-        directions = {i: SE3.Ad(world[i]) @ links[i].directions() for i in needed}
+        world = _link_poses(links, needed, start | poses)
+        motions = {i: SE3.Ad(world[i]) @ links[i].directions() for i in needed}
         blocks = []
-        done = set()
-        for j, _, _ in cut:
-            if j in done:
-                continue
-            done.add(j)
-            joint = scene.joints[j]
-            child = poses[joint.child]
-            J = linkage.joint_rows(place[j], poses)
-            J /= np.linalg.norm(J / ([length] * 3 + [1.0] * 3), axis=1, keepdims=True)
-            J = J @ SE3.Ad(SE3.inverse(child))
-            block = np.zeros((len(J), freedom[-1]))
-            b, a = (_path(links, places[name][0]) for name in (joint.child, joint.parent))
-            for sign, path, other in ((1.0, b, a), (-1.0, a, b)):
-                for i in path:
-                    if i not in other:
-                        S = directions[i].copy()
-                        block[:, freedom[i] : freedom[i + 1]] = sign * J @ S
+        for j in joints:
+            J = linkage.joint_rows(loops.index(j), poses)
+            J = J / np.linalg.norm(J / ([length] * 3 + [1.0] * 3), axis=1, keepdims=True)
+            J = J @ SE3.Ad(SE3.inverse(poses[scene.joints[j].child]))
+            block = np.zeros((len(J), first[-1]))
+            child, parent = ends[j]
+            for sign, path, other in ((1.0, child, parent), (-1.0, parent, child)):
+                for i in set(path) - set(other):
+                    block[:, first[i] : first[i + 1]] = sign * J @ motions[i]
             blocks.append(block)
-        matrix = np.concatenate(blocks)
-        # Rotations and translations in comparable units.
-        for i in needed:
-            turns = links[i].directions()[:3].any(axis=0)
-            columns = np.arange(freedom[i], freedom[i + 1])[turns]
-            matrix[:, columns] /= length
+        matrix = np.concatenate(blocks) / units
         # Rows that the tree satisfies already, such as those out of the plane of planar loops.
         matrix[np.linalg.norm(matrix, axis=1) < RANK_TOLERANCE] = 0.0
         matrices.append(matrix)
@@ -358,16 +347,13 @@ def _tree_jacobians(linkage, scene, frames, cut, links, places):
 def _link_poses(links, needed, poses):
     """{link: (4, 4)} in the world, from poses of the bodies."""
     world = {}
-    for i, link in enumerate(links):
-        if i not in needed:
-            continue
-        if link.bodies:
-            name, place = next(iter(link.bodies.items()))
+    for i in needed:
+        if links[i].bodies:
+            name, place = next(iter(links[i].bodies.items()))
             world[i] = poses[name] @ SE3.inverse(place)
-        else:
-            world[i] = None
-    for i, link in enumerate(links):
-        if i in needed and world[i] is None:
+    for i in needed:
+        link = links[i]
+        if not link.bodies:
             # The massless link of a universal joint: its z axis is that of the parent's frame, and
             # it is perpendicular to the axis of the next link, which is fixed in it.
             start = (world[link.parent] if link.parent != WORLD else np.eye(4)) @ link.placement

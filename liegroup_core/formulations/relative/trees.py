@@ -152,16 +152,22 @@ def _reduced(m, U, inverse):
 
 
 @kernel
+def _store(work, f, U, inverse, u):
+    """Store a freedom: U, 1 / D and u."""
+    for c in range(6):
+        work.freedoms[f, c] = U[c]
+    work.freedoms[f, 6] = inverse
+    work.freedoms[f, 7] = u
+
+
+@kernel
 def _eliminate(work, m, torque, force, f, U, D, u):
     """Store a freedom and return inertia and bias force without it; see above.
 
     A freedom without inertia does not accelerate.
     """
     inverse = 1.0 / D if D > 0.0 else 0.0
-    for c in range(6):
-        work.freedoms[f, c] = U[c]
-    work.freedoms[f, 6] = inverse
-    work.freedoms[f, 7] = u
+    _store(work, f, U, inverse, u)
     share = u * inverse
     return (
         _reduced(m, U, inverse),
@@ -380,6 +386,19 @@ def _without_turns(work, m, torque, force, f):
 
 
 @kernel
+def _without_shifts(work, m, force, f):
+    """Eliminate all translations of a floating link: freedoms f to f + 2, the last ones."""
+    xx, xy, xz, yy, yz, zz = m[15], m[16], m[17], m[18], m[19], m[20]
+    _store(work, f, (0.0, 0.0, 0.0, xx, xy, xz), 1.0 / xx, -force[0])
+    a, b = xy / xx, xz / xx
+    yy, yz, zz = yy - a * xy, yz - a * xz, zz - b * xz
+    y, z = force[1] - a * force[0], force[2] - b * force[0]
+    _store(work, f + 1, (0.0, 0.0, 0.0, 0.0, yy, yz), 1.0 / yy, -y)
+    c = yz / yy
+    _store(work, f + 2, (0.0, 0.0, 0.0, 0.0, 0.0, zz - c * yz), 1.0 / (zz - c * yz), c * y - z)
+
+
+@kernel
 def _without_freedoms(work, m, torque, force, f, group, pitch):
     """Eliminate the freedoms of a link, the first of which is f."""
     if group == HINGE:
@@ -398,9 +417,8 @@ def _without_freedoms(work, m, torque, force, f, group, pitch):
         m, torque, force = _without_shift_x(work, m, torque, force, f + 1)
         return _without_shift_y(work, m, torque, force, f + 2)
     m, torque, force = _without_turns(work, m, torque, force, f)
-    m, torque, force = _without_shift_x(work, m, torque, force, f + 3)
-    m, torque, force = _without_shift_y(work, m, torque, force, f + 4)
-    return _without_lift(work, m, torque, force, f + 5)
+    _without_shifts(work, m, force, f + 3)
+    return m, torque, force
 
 
 @kernel

@@ -1,0 +1,301 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Random mechanisms for tests of accelerations: a name and a seed give a scene and wrenches.
+
+Trees and loops of all types of joints with full inertia tensors, all kinds of forces, wrenches in
+body and in world axes, and consistent velocities.
+"""
+
+import functools
+import itertools
+
+import mechanisms
+import numpy as np
+from other_frames import described_elsewhere
+
+from liegroup_core.errors import SceneError
+from liegroup_core.joints.kinds import TYPES
+from liegroup_core.layout import make_layout
+from liegroup_core.lie.groups import SO3
+from liegroup_core.scene.description import (
+    ConstantWrench,
+    Drag,
+    LinearMotor,
+    LinearSpringDamper,
+    Motor,
+    TorsionalSpringDamper,
+)
+
+# Independent motions that a type of joint allows; None: a body without a joint.
+FREEDOMS = {
+    "spherical": 3,
+    "revolute": 1,
+    "prismatic": 1,
+    "cylindrical": 2,
+    "planar": 3,
+    "screw": 1,
+    "fixed": 0,
+    "universal": 2,
+    "distance": 5,
+    None: 6,
+}
+# Joints that do not leave a plane, and those that do not leave a point.
+IN_PLANE, AT_POINT = {"revolute": 1, "fixed": 0}, {"revolute": 1, "spherical": 3}
+
+
+def tree(rng, n, kinds=mechanisms.KINDS, grounded=0.2):
+    """Links (parent, child, kind) of n bodies; a body hangs on one of the three before it.
+
+    grounded : probability that a body hangs on the world instead, in one case of five without a joint
+    """
+    links = []
+    for i in range(n):
+        if i == 0 or rng.random() < grounded:
+            free = None in kinds and rng.random() < 0.2
+            links.append(("world", f"b{i}", None if free else _any(rng, kinds)))
+        else:
+            links.append((f"b{rng.integers(max(0, i - 3), i)}", f"b{i}", _any(rng, kinds)))
+    return links
+
+
+def _any(rng, kinds):
+    return str(rng.choice([kind for kind in kinds if kind is not None]))
+
+
+def closings(rng, links, count, freedoms=FREEDOMS, group=6):
+    """Up to `count` loops (a, b, kind) that leave every loop a freedom.
+
+    group : dimension of the group of all motions of the mechanism: 3 in a plane or about a point
+    """
+    up = {child: (parent, kind) for parent, child, kind in links}
+    left = sum(freedoms.get(kind, FREEDOMS[kind]) for _, _, kind in links)
+    found = []
+    for _ in range(30 * count):
+        a, b = rng.choice(["world", *up], 2, replace=False)
+        kind = _any(rng, freedoms)
+        if b == "world" or len(found) == count:
+            continue
+        lost = group - freedoms[kind]
+        around = sum(freedoms.get(k, FREEDOMS[k]) for k in _between(up, a, b))
+        if around - lost >= 1 and left - lost >= 1:
+            found.append((str(a), str(b), kind))
+            left -= lost
+    return found
+
+
+def _between(up, a, b):
+    """Kinds of the joints between two bodies of a tree."""
+    ways = []
+    for body in (a, b):
+        way = {}
+        while body != "world":
+            parent, way[body] = up[body]
+            body = parent
+        ways.append(way)
+    return [
+        kind for body, kind in (ways[0] | ways[1]).items() if (body in ways[0]) != (body in ways[1])
+    ]
+
+
+def flat_frame(rng, size):
+    """Frame (4, 4) whose z axis is that of the body."""
+    pose = mechanisms.random_pose(rng, size)
+    pose[:3, :3] = SO3.exp([0.0, 0.0, 3.0 * rng.normal()])
+    return pose
+
+
+def frame_at_origin(rng, size):
+    """Frame (4, 4) with the origin of the body."""
+    pose = mechanisms.random_pose(rng)
+    pose[:3, 3] = 0.0
+    return pose
+
+
+def tilted(rng, scene):
+    """The mechanism of a scene in another position and attitude in the world; gravity stays."""
+    pose = mechanisms.random_pose(rng)
+
+    def at(place):
+        placed = pose @ place.pose
+        return {"position": placed[:3, 3], "rotation_vector": SO3.log(placed[:3, :3])}
+
+    def moved(link):
+        if link.parent != "world":
+            return link
+        if hasattr(link, "parent_point"):
+            return link.remade(parent_point=pose[:3, :3] @ link.parent_point + pose[:3, 3])
+        return link.remade(parent_frame=link.parent_frame.remade(**at(link.parent_frame)))
+
+    return scene.remade(
+        bodies=[body.remade(**at(body)) for body in scene.bodies],
+        joints=[moved(joint) for joint in scene.joints],
+        forces=[moved(force) for force in scene.forces],
+    )
+
+
+def heavier(rng, scene, decades):
+    """Masses and inertias of all bodies times 10^x, x between -decades/2 and decades/2.
+
+    x is uniform, or one of both ends: then a body is light between heavy ones, or the reverse.
+    """
+    bodies, ends = [], rng.random() < 0.5
+    for body in scene.bodies:
+        x = rng.choice([-0.5, 0.5]) if ends else rng.uniform(-0.5, 0.5)
+        factor = 10.0 ** (decades * x)
+        inertia = factor * np.array(body.inertia)
+        bodies.append(body.remade(mass=factor * body.mass, inertia=inertia))
+    return scene.remade(bodies=bodies)
+
+
+def slender(rng, scene, thin):
+    """Bodies with one moment of inertia that is `thin` times the others, axes in any direction."""
+    bodies = []
+    for body in scene.bodies:
+        turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        matrix = 0.1 * body.mass * turn @ np.diag([1.0, 1.0, thin]) @ turn.T
+        inertia = (*np.diag(matrix), matrix[0, 1], matrix[0, 2], matrix[1, 2])
+        bodies.append(body.remade(inertia=inertia))
+    return scene.remade(bodies=bodies)
+
+
+def forced(rng, scene):
+    """The scene with forces of all kinds; those at joints where the types of its joints allow it."""
+    forces = list(scene.forces)
+
+    def add(kind, chance, **keys):
+        if rng.random() < chance:
+            forces.append(kind(name=f"f{len(forces)}", **keys))
+
+    for joint in scene.joints:
+        some = rng.uniform(0.1, 3.0, size=8)
+        if TYPES[joint.type].turns:
+            add(
+                TorsionalSpringDamper,
+                0.3,
+                joint=joint.name,
+                stiffness=5 * some[0],
+                damping=some[1],
+                rest_angle=some[2] - 1.5,
+            )
+            add(Motor, 0.2, joint=joint.name, torque=some[3])
+            add(Motor, 0.2, joint=joint.name, torque=-some[3], rate_limit=some[4])
+        if TYPES[joint.type].slides:
+            add(
+                LinearSpringDamper,
+                0.3,
+                joint=joint.name,
+                stiffness=20 * some[5],
+                damping=some[6],
+                rest_position=some[7] - 1.5,
+            )
+            add(LinearMotor, 0.2, joint=joint.name, force=-some[3])
+            add(LinearMotor, 0.2, joint=joint.name, force=some[3], speed_limit=some[4])
+    for body in scene.bodies:
+        some = rng.uniform(0.0, 0.5, size=4)
+        add(
+            Drag,
+            0.2,
+            body=body.name,
+            linear=some[0],
+            quadratic=some[1],
+            angular=some[2],
+            angular_quadratic=some[3],
+        )
+        add(
+            ConstantWrench,
+            0.2,
+            body=body.name,
+            torque=body.mass * rng.normal(size=3),
+            force=5.0 * body.mass * rng.normal(size=3),
+            point=rng.normal(size=3),
+            axes=str(rng.choice(["body", "world"])),
+        )
+    return scene.remade(forces=forces)
+
+
+def pushes(rng, scene):
+    """External wrenches [(body, (6,) torque and force, axes)] on up to two bodies."""
+    found = []
+    for axes in ("body", "world"):
+        body = scene.bodies[rng.integers(len(scene.bodies))]
+        if rng.random() < 0.5:
+            found.append((body.name, 3.0 * body.mass * rng.normal(size=6), axes))
+    return found
+
+
+def with_centres(rng, scene):
+    """The mechanism in body frames that are not at the centres of mass."""
+    return described_elsewhere(
+        scene, {body.name: rng.normal(size=3) * 0.2 for body in scene.bodies}
+    )
+
+
+def _tree(rng, low=1, high=8):
+    links = tree(rng, int(rng.integers(low, high + 1)), (*mechanisms.KINDS, None))
+    return mechanisms.mechanism(rng, links, springs=int(rng.integers(4)))
+
+
+def _loops(rng, low=2, high=8, most=3):
+    links = tree(rng, int(rng.integers(low, high + 1)), (*mechanisms.KINDS, None))
+    loops = closings(rng, links, int(rng.integers(1, most + 1)))
+    return mechanisms.mechanism(rng, links, int(rng.integers(4)), loops)
+
+
+def _overconstrained(rng, freedoms, place):
+    """Loops of hinges with parallel axes or with axes through one point: redundant rows."""
+    n = int(rng.integers(3, 8))
+    links = [(f"b{i - 1}" if i else "world", f"b{i}", "revolute") for i in range(n)]
+    for i in range(3, n):
+        if rng.random() < 0.4:
+            links[i] = (f"b{rng.integers(i)}", f"b{i}", _any(rng, freedoms))
+    loops = closings(rng, links, int(rng.integers(1, 3)), freedoms, group=3)
+    return mechanisms.mechanism(rng, links, int(rng.integers(3)), loops, place)
+
+
+def _flat(rng):
+    scene = _overconstrained(rng, IN_PLANE, flat_frame)
+    return tilted(rng, scene) if rng.random() < 0.7 else scene
+
+
+def _at_point(rng):
+    scene = _overconstrained(rng, AT_POINT, frame_at_origin)
+    return scene.remade(bodies=[body.remade(com=rng.normal(size=3) * 0.3) for body in scene.bodies])
+
+
+def _ratios(rng):
+    scene = _tree(rng, 2) if rng.random() < 0.6 else _loops(rng)
+    return heavier(rng, scene, 8.0)
+
+
+def _slender(rng):
+    scene = _tree(rng, 2) if rng.random() < 0.6 else _loops(rng)
+    return slender(rng, scene, 10.0 ** rng.uniform(-6.0, -1.0))
+
+
+def _large(rng):
+    return _tree(rng, 20, 40) if rng.random() < 0.5 else _loops(rng, 20, 40, 6)
+
+
+CLASSES = {
+    "tree": _tree,
+    "loops": _loops,
+    "planar loops": _flat,
+    "spherical loops": _at_point,
+    "mass ratios": _ratios,
+    "slender": _slender,
+    "large": _large,
+}
+
+
+@functools.lru_cache(maxsize=None)
+def random_mechanism(name, seed):
+    """(scene, wrenches) of a class of CLASSES. Loops that do not fit are drawn again."""
+    for attempt in itertools.count():
+        rng = np.random.default_rng([seed, attempt, len(name)])
+        try:
+            scene = forced(rng, CLASSES[name](rng))
+            if name in ("tree", "loops", "large") and rng.random() < 0.4:
+                scene = with_centres(rng, scene)
+            make_layout(scene)
+        except (SceneError, ValueError, np.linalg.LinAlgError):
+            continue
+        return scene, pushes(rng, scene)

@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Accelerations of random trees and loops, in all formulations, against 50 digits.
+
+    python test/verification/test_relative_accelerations.py [COUNT [SPACE ...]]
+
+prints a table for COUNT (500) mechanisms. As a test it takes 120, or MECHANISMS of the environment.
+
+What a body does must come out to the digits that its data determine. Of a body with acceleration a
+an error, in rad/s^2 or m/s^2 (bodies and arms are 0.1 to 1 m long), may be
+
+    1e-12 max(|a|, |g|) + ROUNDINGS change
+
+`change` is what one unit of round-off in every number of the scene (2^-53, at random, three times)
+changes of a in exact arithmetic: no algorithm that receives rounded data can do better. The largest
+of a hundred such changes is up to five times that of three, and every algorithm rounds numbers more
+than once: together 16. The first term is the accuracy that is asked for. It is ten thousand times the
+rounding of a: room for sums along forty bodies and for levers. There is a bound for every body, so
+that a light body that is thrown about hides no error of a heavy one.
+
+The absolute formulation eliminates bodies and leaves S = J M^-1 J^T of all joints, in space and in the
+plane. What it starts from are the accelerations without joints, M^-1 Q. They may be much larger than
+those with joints, and joints take them away only to their round-off. In a loop their errors grow by
+cond(S), of unit diagonal. Both are allowed here for that formulation only. Pivots below 1e-10 it
+takes as a singular pose (SMALLEST_PIVOT of model/build.py): loops with such a cond(S), of bodies
+whose masses differ by 1e8, are not asked from it.
+"""
+
+import os
+import sys
+from typing import NamedTuple
+
+if __name__ == "__main__":
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    sys.path.insert(0, os.path.join(os.path.dirname(__file__), ".."))
+
+import engine
+import numpy as np
+import precise
+import pytest
+import random_mechanisms
+
+from liegroup_core.engine import Engine
+from liegroup_core.integrators.families import check_options
+from liegroup_core.joints.kinds import TYPES
+from liegroup_core.layout import make_layout
+from liegroup_core.model.redundancy import loop_joints
+from liegroup_core.scene.description import FORCES
+
+pytestmark = pytest.mark.slow
+
+ACCURACY, ROUNDINGS, ROUND_OFF = 1e-12, 16.0, 2.0**-53
+# Roundings of the largest acceleration without joints: 7 in 400 trees.
+ABSOLUTE, LOST = ("space", "auto"), 16.0
+SINGULAR = 1e10  # cond(S)
+# Parts of all mechanisms, in percent; those of 20 to 40 bodies take a few seconds each.
+SHARES = {
+    "tree": 25,
+    "loops": 20,
+    "planar loops": 14,
+    "spherical loops": 10,
+    "mass ratios": 16,
+    "slender": 12,
+    "large": 3,
+}
+
+
+def known(space):
+    """True if the engine has this formulation."""
+    try:
+        check_options("rkmk4", {"space": space})
+    except ValueError:
+        return False
+    return True
+
+
+SPACES = [space for space in ("space", "auto", "relative") if known(space)]
+
+
+def count(name, total):
+    """Number of mechanisms of a class."""
+    return max(1, round(SHARES[name] * total / 100))
+
+
+def sizes(scene, exact):
+    """(n,) max(|a|, |g|) of every body."""
+    own = np.abs(exact.acceleration.astype(float)).max(axis=1)
+    return np.maximum(own, np.linalg.norm(scene.gravity))
+
+
+def bound(scene, exact):
+    """(n,) largest error of every body, see above."""
+    return ACCURACY * sizes(scene, exact) + ROUNDINGS * exact.change.max(axis=1)
+
+
+class Judged(NamedTuple):
+    """Errors of one formulation in one mechanism."""
+
+    space: str
+    error: np.ndarray  # (n,) of every body, rad/s^2 or m/s^2
+    size: np.ndarray  # (n,) max(|a|, |g|)
+    bound: np.ndarray  # (n,) for every formulation
+    allowed: np.ndarray  # (n,) for this one
+
+
+def judged(name, seed, spaces):
+    """[Judged] of a mechanism; none at a nearly singular pose."""
+    scene, wrenches = random_mechanisms.random_mechanism(name, seed)
+    try:
+        exact = precise.accelerations(scene, wrenches)
+    except precise.NearlySingular:
+        return []
+    size, limit = sizes(scene, exact), bound(scene, exact)
+    in_loops = loop_joints([(joint.parent, joint.child) for joint in scene.joints])
+    lost = max(LOST, exact.squared_condition) if in_loops else LOST
+    lost *= ROUND_OFF * max(size.max(), np.abs(exact.free).max())
+    results = []
+    for space in spaces:
+        # "auto" differs from "space" for planar mechanisms only.
+        if space == "auto" and make_layout(scene).plane is None:
+            continue
+        if space in ABSOLUTE and in_loops and exact.squared_condition > SINGULAR:
+            continue
+        found = engine.engine_accelerations(scene, wrenches, space=space)
+        error = precise.errors(exact, found).max(axis=1)
+        allowed = limit + lost if space in ABSOLUTE else limit
+        results.append(Judged(space, error, size, limit, allowed))
+    return results
+
+
+@pytest.mark.parametrize("name", random_mechanisms.CLASSES)
+def test_accelerations_have_the_digits_that_the_data_determine(name):
+    total = count(name, int(os.environ.get("MECHANISMS", 120)))
+    wrong, done = [], 0
+    for seed in range(total):
+        results = judged(name, seed, SPACES)
+        done += bool(results)
+        for found in results:
+            part = (found.error / found.allowed).max()
+            if not part <= 1.0:
+                wrong.append(f"{name} {seed}, {found.space}: {part:.3g} of the bound")
+    assert not wrong
+    assert done >= 0.8 * total
+
+
+@pytest.mark.parametrize("name", ["tree", "loops", "planar loops", "mass ratios"])
+def test_rounded_rows_of_the_engine_meet_the_bound_if_they_are_solved_exactly(name):
+    """The bound asks for what rounded numbers allow, and two derivations of the rows agree.
+
+    Rows and right-hand sides are those of the absolute formulation, with its choice of independent
+    rows; only the elimination is left out.
+    """
+    for seed in range(3):
+        scene, wrenches = random_mechanisms.random_mechanism(name, seed)
+        exact = precise.accelerations(scene, wrenches)
+        J, right = engine.rows(Engine(scene, quiet=True, space="space"))
+        kept = J.any(axis=1)
+        found = precise.solved_with(scene, wrenches, J[kept], right[kept])
+        error = np.abs((found - exact.acceleration).astype(float)).max(axis=1)
+        assert (error <= bound(scene, exact)).all(), seed
+
+
+def test_every_type_of_joint_and_force_is_among_them():
+    joints, forces, axes = set(), set(), set()
+    for name in random_mechanisms.CLASSES:
+        for seed in range(count(name, 120)):
+            scene, wrenches = random_mechanisms.random_mechanism(name, seed)
+            joints |= {joint.type for joint in scene.joints}
+            forces |= {force.type for force in scene.forces}
+            axes |= {push[2] for push in wrenches}
+    assert joints == set(TYPES)
+    assert forces == {cls.model_fields["type"].default for cls in FORCES}
+    assert axes == {"body", "world"}
+
+
+def main(total=500, *spaces):
+    """Print the worst errors of every class and formulation."""
+    print(
+        "Worst error of a body, in brackets its seed: relative to max(|a|, |g|); as a part of the"
+    )
+    print("bound of all formulations, and of that allowed here; mechanisms beyond either bound.")
+    for name in random_mechanisms.CLASSES:
+        rows = {space: [] for space in spaces or SPACES}
+        for seed in range(count(name, int(total))):
+            for found in judged(name, seed, rows):
+                scales = found.size, found.bound, found.allowed
+                rows[found.space].append([*((found.error / x).max() for x in scales), seed])
+        for space, found in rows.items():
+            if found:
+                worst = [max(found, key=lambda row: row[k]) for k in range(3)]
+                print(
+                    f"{name:16s} {space:9s} {len(found):4d}",
+                    *(f"{row[k]:9.2g} ({row[3]})".ljust(16) for k, row in enumerate(worst)),
+                    *(f"{sum(not row[k] <= 1.0 for row in found):4d}" for k in (1, 2)),
+                    flush=True,
+                )
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
