@@ -4,6 +4,8 @@
 JSON types, computed without taking a step; independent of the machine.
 """
 
+import numpy as np
+
 from liegroup_core.joints.elements import PAIR, WORLD
 from liegroup_core.model.sparsity import operations
 from liegroup_core.model.symmetry import body_groups, conserved_momentum
@@ -24,10 +26,10 @@ def describe(layout):
         degrees_of_freedom  6 n minus the number of independent rows; larger at singular poses
         rows, solved_rows   number of rows of all joints, with and without redundant ones
         dropped_rows        [[joint, row]] of redundant rows
-        plane               normal, x, y or z, of the plane in which the joints keep all bodies;
-                            Munthe-Kaas methods then integrate in that plane. None: no such plane
-        solve               structure of K in (6.22), in that plane or in space, see
-                            `solve_structure`
+        plane               normal of the plane in which the joints keep all bodies: x, y or z, or
+                            its components in world axes as text; in relative coordinates
+                            Munthe-Kaas methods integrate in that plane. None: no such plane
+        solve               structure of K in (6.22), in space, see `solve_structure`
         methods             names of the integration methods that can integrate the scene
         groups              [[body]]: bodies that joints or forces connect, not counting the world
         kept_momentum       [{bodies, components}] of the conserved momentum, as text; None if a
@@ -67,8 +69,8 @@ def describe(layout):
         "rows": int(model.elements["rows"].sum()),
         "solved_rows": len(model.row_residual),
         "dropped_rows": [list(entry) for entry in dropped],
-        "plane": None if layout.plane is None else "xyz"[int(layout.plane.world[0, 6:].argmax())],
-        "solve": solve_structure(model if layout.plane is None else layout.plane),
+        "plane": _direction(layout.normal),
+        "solve": solve_structure(model),
         "methods": fitting_methods(layout),
         "groups": [[scene.bodies[i].name for i in group] for group in body_groups(scene)],
         "kept_momentum": [
@@ -111,6 +113,15 @@ def solve_structure(model):
         "constant": model.fresh == 0,
         "refinements": int(model.refinements),
     }
+
+
+def _direction(normal):
+    """Name of a world axis, or components of another unit vector as text; None without one."""
+    if normal is None:
+        return None
+    if np.abs(normal).max() == 1.0:
+        return "xyz"[int(np.abs(normal).argmax())]
+    return " ".join(f"{value:.6g}" for value in normal)
 
 
 def _acts_on(force):

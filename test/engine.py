@@ -6,6 +6,7 @@ import numpy as np
 
 from liegroup_core.engine import Engine
 from liegroup_core.formulations.absolute.constraints import assemble, position_residuals
+from liegroup_core.formulations.relative.arrays import PlaneModel, RelativeModel
 from liegroup_core.integrators.rkmk import spaces
 
 
@@ -64,26 +65,31 @@ def engine_accelerations(scene, wrenches=(), **options):
         simulation.apply_wrench(body, wrench, source=axes, axes=axes)
     simulation.advance(0)  # writes the wrenches of this instant
     integrator = simulation._integrator
-    plane = integrator._plane
-    model, work = simulation.layout.model, integrator.work
-    if plane is not None:
-        model, work = plane, integrator._planar_work
+    model, work = integrator._model, integrator._work
     pose, twist, external, status = spaces.enter(
         model, work, *simulation.state(), simulation._external
     )
     assert status == 0
     spaces.begin(model, work, integrator._group, pose, twist)
     assert spaces.accelerate(model, work, external) == -1
-    return _found(plane, model, work)
+    if isinstance(model, RelativeModel):
+        return _of_bodies(model, work, simulation.state()[0])
+    return work.acceleration.copy()
 
 
-def _found(plane, model, work):
-    """Accelerations (n, 6) from the scratch memory of a stage."""
-    if plane is None:
-        return work.acceleration.copy()
-    found = np.zeros((len(model.bodies), 6))
-    for i, body in enumerate(model.bodies):
-        axes = body["axes"].reshape(3, 3)  # planar axes from those of the body
-        turn, x, y = work.solution[3 * i : 3 * i + 3]
-        found[i, :3], found[i, 3:] = axes.T @ (0.0, 0.0, turn), axes.T @ (x, y, 0.0)
+def _of_bodies(model, work, pose):
+    """Accelerations (n, 6) of the bodies, from those of their links less gravity."""
+    gravity, links = model.gravity[0], work.moved
+    if isinstance(model, PlaneModel):
+        normal = model.axes[0, 2::3]
+        gravity = gravity - normal * (normal @ gravity)
+        links = np.zeros((len(work.moved), 6))
+        links[:, 2:5] = work.moved
+        links[:, 3:5] += work.drift
+    found = np.zeros((len(pose), 6))
+    for i, part in enumerate(model.parts):
+        if part["link"] >= 0:
+            turn, (w, v) = part["rotation"].reshape(3, 3), links[part["link"]].reshape(2, 3)
+            found[i, :3], found[i, 3:] = w @ turn, (v + np.cross(w, part["point"])) @ turn
+            found[i, 3:] += gravity @ pose[i, :9].reshape(3, 3)
     return found

@@ -316,7 +316,8 @@ def _tree_jacobians(linkage, scene, loops, joints, links, places):
         ]
         for j in joints
     }
-    needed = sorted({i for paths in ends.values() for path in paths for i in path})
+    # Links that both ends share do not move a joint, and may be outside the linkage.
+    needed = sorted({i for child, parent in ends.values() for i in set(child) ^ set(parent)})
     start = {body.name: body.pose for body in scene.bodies}
     # Rotations and translations in comparable units.
     units = np.concatenate(
@@ -356,7 +357,10 @@ def _link_poses(links, needed, poses):
         if not link.bodies:
             # The massless link of a universal joint: its z axis is that of the parent's frame, and
             # it is perpendicular to the axis of the next link, which is fixed in it.
-            start = (world[link.parent] if link.parent != WORLD else np.eye(4)) @ link.placement
+            start = link.placement
+            if link.parent != WORLD:
+                name, place = next(iter(links[link.parent].bodies.items()))
+                start = poses[name] @ SE3.inverse(place) @ start
             after = links[i + 1]
             z, second = start[:3, 2], world[i + 1][:3, 2]
             rot_2 = after.placement[:3, :3]
