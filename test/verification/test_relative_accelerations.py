@@ -17,11 +17,12 @@ than once: together 16. The first term is the accuracy that is asked for. It is 
 rounding of a: room for sums along forty bodies and for levers. There is a bound for every body, so
 that a light body that is thrown about hides no error of a heavy one.
 
-The absolute formulation eliminates bodies and leaves S = J M^-1 J^T of all joints. What it starts from are the accelerations without joints, M^-1 Q. They may be much larger than
-those with joints, and joints take them away only to their round-off. In a loop their errors grow by
-cond(S), of unit diagonal. Both are allowed here for that formulation only. Pivots below 1e-10 it
-takes as a singular pose (SMALLEST_PIVOT of model/build.py): loops with such a cond(S), of bodies
-whose masses differ by 1e8, are not asked from it.
+The absolute formulation eliminates bodies and leaves S = J M^-1 J^T of all joints. What it starts
+from are the accelerations without joints, M^-1 Q. They may be much larger than those with joints,
+and joints take them away only to their round-off. In a loop their errors grow by cond(S), of unit
+diagonal. Both are allowed here for that formulation only. Pivots below 1e-10 it takes as a singular
+pose (SMALLEST_PIVOT of model/build.py): loops with such a cond(S), of bodies whose masses differ by
+1e8, are not asked from it.
 """
 
 import os

@@ -160,7 +160,9 @@ class RelativeWork(Struct):
     slip: np.ndarray  # (m,) J V
     gap: np.ndarray  # (all rows of the cut joints,)
     right: np.ndarray  # (m,) bias, then multipliers
-    carried: np.ndarray  # (L, 6) a row's wrench on its way to the world; those of two rows in a plane
+    carried: (
+        np.ndarray
+    )  # (L, 6) a row's wrench on its way to the world; those of two rows in a plane
     response: np.ndarray  # y of each row and freedom on its path
     matrix: np.ndarray  # (m, m) W in the upper, its factor in the lower triangle
     diagonal: np.ndarray  # (m,) pivots

@@ -47,4 +47,6 @@ def is_cheaper(relative):
 
     In a plane they do always: a link costs a third of one in space.
     """
-    return isinstance(relative, PlaneModel) or relative_cost(relative) < absolute_cost(relative.space)
+    return isinstance(relative, PlaneModel) or relative_cost(relative) < absolute_cost(
+        relative.space
+    )

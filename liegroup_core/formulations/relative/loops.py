@@ -29,14 +29,8 @@ from .kinds import (
     set_rows,
     spread_response,
 )
-from .matrix import (
-    REFINEMENTS_WHEN_SINGULAR,
-    REGULARISATION,
-    factor,
-    refine,
-    set_shared,
-    solve,
-)
+from .matrix import REFINEMENTS_WHEN_SINGULAR, REGULARISATION, factor, refine, set_shared, solve
+
 
 @kernel
 def _add_baumgarte(model, work):

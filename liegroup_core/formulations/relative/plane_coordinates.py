@@ -161,6 +161,4 @@ def place_bodies(model, work, pose, twist):
         w, vx, vy = load3(work.velocities, b, 0)
         vx, vy = vx - w * py, vy + w * px
         store3((w * m[6], w * m[7], w * m[8]), twist, i, 0)
-        store3(
-            (vx * m[0] + vy * m[3], vx * m[1] + vy * m[4], vx * m[2] + vy * m[5]), twist, i, 3
-        )
+        store3((vx * m[0] + vy * m[3], vx * m[1] + vy * m[4], vx * m[2] + vy * m[5]), twist, i, 3)
