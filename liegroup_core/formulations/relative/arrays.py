@@ -78,6 +78,7 @@ class RelativeModel(Struct):
     joints: np.ndarray  # (c,) of JOINT: cut elements with rows that are solved for
     owners: np.ndarray  # (c,) their elements in `space`
     row_residual: np.ndarray  # (m,) which residual is that of a row
+    row_turns: np.ndarray  # (m,) 1: the row forbids a rotation, 0: a translation
     child_jacobian: np.ndarray  # (m, 6) rows of every PAIR for its child link
     paths: np.ndarray  # (c, 2) range of each joint in `path_links`
     path_links: np.ndarray  # links between the joint and the world, children first

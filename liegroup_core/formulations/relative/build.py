@@ -30,7 +30,7 @@ from .arrays import (
     PlaneModel,
     RelativeModel,
 )
-from .plane import find_plane, frame_in_plane, plane_axes
+from .plane import align, find_plane, frame_in_plane, plane_axes
 from .spanning_tree import WORLD_NAME, spanning_tree
 
 GROUPS = {
@@ -219,6 +219,9 @@ def _links(scene, frames, tree, normal):
                 frame = welds[outer] @ F_out
         to_link = SE3.inverse(frame)
         links[-1].bodies = {name: to_link @ welds[name] for name in bodies}
+        if normal is not None:
+            for pose in links[-1].bodies.values():
+                align(pose)
         for name in bodies:
             places[name] = (len(links) - 1, links[-1].bodies[name])
     return links, places
@@ -288,6 +291,8 @@ def _cut_rows(scene, frames, parts, tree, links, places, model):
         return cut, []
     keep = [np.ones(len(part.names), dtype=bool) for _, _, part in cut]
     loops = loop_joints([(joint.parent, joint.child) for joint in scene.joints])
+    # The order of model/redundancy.py: the linkage is analysed once.
+    loops.sort(key=lambda j: scene.joints[j].parent != WORLD_NAME)
     # A distance joint is cut also where it closes no loop: then its row is independent.
     closing = [k for k, (j, _, _) in enumerate(cut) if j in set(loops)]
     if closing:
@@ -407,7 +412,7 @@ def _loop_arrays(links, records, cut, rows, elements):
     order = _narrow([set(path) for path in paths])
     solved, paths = [solved[k] for k in order], [paths[k] for k in order]
     joints = np.zeros(len(solved), dtype=JOINT)
-    jacobians, residuals, first = [np.zeros((0, 6))], [], 0
+    jacobians, residuals, turns, first = [np.zeros((0, 6))], [], [], 0
     for joint, k in zip(joints, solved):
         element = elements[k]
         joint["parent"], joint["child"], joint["kind"] = (
@@ -419,6 +424,7 @@ def _loop_arrays(links, records, cut, rows, elements):
         joint["start"] = first
         first += len(rows[k])
         residuals += [element["row_start"] + r for r in rows[k]]
+        turns += [cut[k][2].names[r].startswith("w") for r in rows[k]]
         jacobian = np.zeros((element["rows"], 6))
         if element["kind"] == PAIR:
             frame = np.eye(4)
@@ -466,6 +472,7 @@ def _loop_arrays(links, records, cut, rows, elements):
     return {
         "joints": joints,
         "owners": np.array([cut[k][1] for k in solved], dtype=np.int64),
+        "row_turns": np.array(turns, dtype=np.int64),
         "row_residual": np.array(residuals, dtype=np.int64),
         "child_jacobian": np.concatenate(jacobians),
         "paths": np.array(ranges, dtype=np.int64).reshape(-1, 2),

@@ -5,7 +5,10 @@ from liegroup_core.compiling import kernel
 
 # Pivots of W below this part of its diagonal are zero: see model/build.py.
 SMALLEST_PIVOT = 1e-10
-# Shift of the diagonal of W in the solve at a singular pose, and its refinements.
+# So are those below this part of the diagonal of another row of the joint: in a flat pose a joint
+# may have no mobility at all in one direction.
+SMALLEST_MOBILITY = 1e-12
+# Shift of W in the solve at a singular pose, and its refinements.
 REGULARISATION, REFINEMENTS_WHEN_SINGULAR = 1e-8, 4
 
 
@@ -52,14 +55,29 @@ def set_shared(model, work):
 
 
 @kernel
+def _mobility(model, W, r, first, rows):
+    """Largest diagonal entry of W among the rows of a joint that forbid what row r does."""
+    largest = W[r, r]
+    for s in range(first, first + rows):
+        if W[s, s] > largest and model.row_turns[s] == model.row_turns[r]:
+            largest = W[s, s]
+    return largest
+
+
+@kernel
 def factor(model, work, shift):
-    """Factorise W + shift diag(W) = L D L^T. Returns -1, or the joint of a dependent row."""
+    """Factorise W + shift w = L D L^T, w the diagonal matrix of `_mobility`.
+
+    returns -1, or the joint of a dependent row
+    """
     W = work.matrix
     for j in range(len(model.joints)):
         first = model.joints[j]["first"]
-        for r in range(first, first + model.joints[j]["rows"]):
+        rows = model.joints[j]["rows"]
+        for r in range(first, first + rows):
             begin = model.first_column[r]
-            pivot = W[r, r] * (1.0 + shift)
+            mobility = _mobility(model, W, r, first, rows)
+            pivot = W[r, r] + shift * mobility
             # W_rr is needed again: L has a unit diagonal, and D is in work.diagonal.
             for s in range(begin, r):
                 value = W[s, r]
@@ -70,7 +88,7 @@ def factor(model, work, shift):
                 value = W[r, s]
                 W[r, s] = value * work.diagonal[s]
                 pivot -= value * W[r, s]
-            if not pivot > SMALLEST_PIVOT * W[r, r]:
+            if not pivot > max(SMALLEST_PIVOT * W[r, r], SMALLEST_MOBILITY * mobility):
                 return j
             work.diagonal[r] = 1.0 / pivot
     return -1

@@ -89,6 +89,17 @@ def plane_axes(normal):
     return np.column_stack([first, np.cross(normal, first), normal]) + 0.0
 
 
+def align(pose):
+    """Make the pose of a body in its link exact, in place, if the normal is an axis of the body.
+
+    A body whose axes are those of the plane then leaves it not even by round-off.
+    """
+    near = np.round(pose[2, :3])
+    if np.abs(pose[2, :3] - near).max() <= PARALLEL:
+        pose[2, :3] = near
+        pose[:2, np.abs(near).argmax()] = 0.0
+
+
 def frame_in_plane(kind, axis_frame, normal):
     """Frame (4, 4), relative to that of a joint, with the normal as z axis.
 
