@@ -290,7 +290,9 @@ def test_slides_alone_have_a_normal_across_them():
             )
             for k, direction in enumerate(directions)
         ]
-        return make_layout(Scene(name="rails", gravity=(0, 0, -9.81), bodies=bodies, joints=joints)).normal
+        return make_layout(
+            Scene(name="rails", gravity=(0, 0, -9.81), bodies=bodies, joints=joints)
+        ).normal
 
     assert (rails((1, 0, 0)) == (0, 0, 1)).all() and (rails((0, 0, 1)) == (0, 1, 0)).all()
     for first, second in (((1, 2, 3), (3, -1, 0.5)), ((1, 2, 3), (1, 2, 3))):
