@@ -1,31 +1,48 @@
 # SPDX-License-Identifier: Apache-2.0
 """Growth of the cost of a step with the number of bodies, and memory allocated by steps.
 
-    python benchmarks/growth.py [--quick] [--json FILE]
+    python benchmarks/growth.py [--quick] [--space auto relative] [--json FILE]
 
-CPU us per step, in native loops, of chains of ball and of hinge joints that fall from rest: RK4 of
-every code, and Exudyn's implicit method. Peers that are not installed are left out, and said so.
+CPU us per step, in native loops, of chains that fall from rest: RK4 of every code, and Exudyn's
+implicit method. `ball` and `hinge` fall in a plane; in space, hinges are at random angles (S2's
+kind) and balls are pulled aside. Peers that are not installed are left out, and said so. Of this
+package also the growth with the bodies, t ~ n^p, and rows of closed loops: planar windows, and
+spatial four-bars.
 """
 
 import argparse
 import json
 import os
+import sys
 import tracemalloc
 
 # Before Numba comes in: counting what its code allocates is off by default.
 os.environ["NUMBA_NRT_STATS"] = "1"
 
+import numpy as np  # noqa: E402
 from numba.core.runtime import rtsys  # noqa: E402
 from rich.console import Console  # noqa: E402
 from rich.table import Table  # noqa: E402
-from side_by_side import load_peers, ours, problems  # noqa: E402
+from side_by_side import load_peers, ours, problems, spatial  # noqa: E402
 from side_by_side.measure import seconds_per_step  # noqa: E402
 
-LINKS = (1, 10, 100, 1000)
+LINKS = (1, 10, 100, 1000, 2000)
+LOOPS = (1, 10, 40)
+BALL, HINGE = problems.BALL, problems.HINGE
+CHAINS = {
+    "ball": (BALL, lambda links: problems.chain(links, BALL)),
+    "hinge": (HINGE, lambda links: problems.chain(links, HINGE)),
+    "ball in space": (BALL, lambda links: spatial.chain_in_space(links, BALL)),
+    "hinge in space": (HINGE, lambda links: spatial.chain_in_space(links)),
+}
+ROWS = {"windows": problems.windows, "spatial four-bars": spatial.ladder}
+# Links from which the growth is fitted: a few bodies cost what a step costs anyhow.
+GROWING = 10
 # s. Exudyn's implicit method is made for larger steps, and solves more often in them.
 STEP, IMPLICIT_STEP = 1e-4, 1e-3
-# Largest chains. Beyond, the memory is gone (pinocchio: 200 balls take 8 GB, 300 take 27) or the
-# time (mujoco: 1000 balls take 5 s per step). Exudyn's stepper knows balls only.
+# Largest chains of others. Beyond, the memory is gone (pinocchio: 200 balls take 8 GB, 300 take 27)
+# or the time (mujoco: 1000 balls take 5 s per step). Exudyn's stepper knows balls only.
+LARGEST_OTHER = 1000
 LARGEST = {
     ("pinocchio", "ball"): 100,
     ("pinocchio", "hinge"): 100,
@@ -34,10 +51,28 @@ LARGEST = {
 }
 
 
-def microseconds(code, problem, shortest, rounds):
-    """CPU time of one step, us."""
+def microseconds(code, problem, shortest, rounds, **options):
+    """CPU time of one step, us; None if ours has no formulation of that kind for the problem."""
     step = IMPLICIT_STEP if code.CODE == "exudyn" else STEP
-    return 1e6 * seconds_per_step(code.stepper(problem, step), shortest, rounds)
+    try:
+        take_steps = code.stepper(problem, step, **options)
+    except ValueError:
+        if not options:
+            raise
+        return None
+    return 1e6 * seconds_per_step(take_steps, shortest, rounds)
+
+
+def slope(figures):
+    """Exponent p of the growth t ~ n^p of {bodies: us}, a least-squares fit from GROWING on."""
+    points = [(np.log(n), np.log(t)) for n, t in figures.items() if n >= GROWING and t is not None]
+    return float(np.polyfit(*zip(*points), 1)[0]) if len(points) > 1 else float("nan")
+
+
+def shown(figures, counts):
+    """Cells of a table for {count: us or None}."""
+    values = [figures.get(n) for n in counts]
+    return ["-" if t is None else f"{t:.3g}" if t < 100.0 else f"{t:.0f}" for t in values]
 
 
 def allocations(take_steps, steps):
@@ -51,46 +86,88 @@ def allocations(take_steps, steps):
     return rtsys.get_allocation_stats().alloc - before, kept
 
 
-def main():
-    """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="one short timing of each")
-    parser.add_argument("--json", metavar="FILE", help="write all that was measured")
-    options = parser.parse_args()
-    shortest, rounds = (0.05, 1) if options.quick else (0.3, 5)
-    console = Console(highlight=False, soft_wrap=True)
-    codes = [ours, *load_peers(console)]
-    ours.prepare()
-
+def chains(console, spaces, peers, timing):
+    """Measure and print chains: {code and joints: {bodies: us per step}}."""
     table = Table(title="Chains: CPU us per step")
     table.add_column("code")
     table.add_column("joints")
     for links in LINKS:
         table.add_column(str(links), justify="right")
-    data = {"chains": {}}
-    for code in codes:
-        for kind in (problems.BALL, problems.HINGE):
-            largest = LARGEST.get((code.CODE, kind), LINKS[-1])
+    table.add_column(f"us/body at {LINKS[-1]}", justify="right")
+    table.add_column("t ~ n^p", justify="right")
+    data = {}
+    codes = [(ours, {"space": space}) for space in spaces] + [(peer, {}) for peer in peers]
+    for code, options in codes:
+        for name, (kind, make) in CHAINS.items():
+            largest = LARGEST.get((code.CODE, kind), LINKS[-1] if options else LARGEST_OTHER)
             figures = {
-                links: microseconds(code, problems.chain(links, kind), shortest, rounds)
+                links: microseconds(code, make(links), *timing, **options)
                 for links in LINKS
                 if links <= largest
             }
-            if figures:
-                data["chains"][f"{code.CODE} {kind}"] = figures
-                table.add_row(
-                    code.CODE,
-                    kind,
-                    *(f"{figures[links]:.3g}" if links in figures else "-" for links in LINKS),
-                )
+            if not figures:
+                continue
+            words = " ".join([code.CODE, *options.values()])
+            data[f"{words} {name}"] = figures
+            last = figures.get(LINKS[-1])
+            table.add_row(
+                words,
+                name,
+                *shown(figures, LINKS),
+                "-" if last is None else f"{last / LINKS[-1]:.3g}",
+                f"{slope(figures):.2f}",
+            )
     console.print(table)
+    return data
 
-    row = problems.windows(40)
-    data["40 windows"] = microseconds(ours, row, shortest, rounds)
-    console.print(
-        f"{ours.CODE}, 40 four-bar windows in a row, {len(row.bodies)} bodies, "
-        f"{len(row.tree + row.loops)} hinges: {data['40 windows']:.4g} us per step"
+
+def rows_of_loops(console, spaces, timing):
+    """Measure and print rows of closed loops with ours: {formulation and row: {loops: us per step}}."""
+    table = Table(title="Rows of closed loops: CPU us per step")
+    table.add_column("formulation")
+    table.add_column("loops")
+    for count in LOOPS:
+        table.add_column(str(count), justify="right")
+    table.add_column(f"us/loop at {LOOPS[-1]}", justify="right")
+    table.add_column("t ~ n^p", justify="right")
+    data = {}
+    for space in spaces:
+        for name, make in ROWS.items():
+            figures = {n: microseconds(ours, make(n), *timing, space=space) for n in LOOPS}
+            data[f"{space} {name}"] = figures
+            last = figures[LOOPS[-1]]
+            table.add_row(
+                space,
+                name,
+                *shown(figures, LOOPS),
+                "-" if last is None else f"{last / LOOPS[-1]:.3g}",
+                f"{slope(figures):.2f}",
+            )
+    console.print(table)
+    return data
+
+
+def main():
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="one short timing of each")
+    parser.add_argument(
+        "--space",
+        nargs="+",
+        choices=ours.SPACES,
+        default=["auto"],
+        help="values of the option `space` of our method; several are compared",
     )
+    parser.add_argument("--json", metavar="FILE", help="write all that was measured")
+    options = parser.parse_args()
+    shortest, rounds = (0.05, 1) if options.quick else (0.3, 5)
+    console = Console(width=None if sys.stdout.isatty() else 130, highlight=False)
+    peers = load_peers(console)
+    ours.prepare()
+    spaces = ours.available(options.space, console)
+    timing = (shortest, rounds)
+    data = {"chains": chains(console, spaces, peers, timing)}
+    data["loops"] = rows_of_loops(console, spaces, timing)
 
     data["allocations"] = {}
     for problem in (problems.chain(100, problems.BALL), problems.four_bar()):

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Comparison with MuJoCo, Pinocchio and Exudyn: cost of a given true accuracy.
 
-    python benchmarks/peers.py [--quick] [--only P1 P3 ...] [--json FILE]
+    python benchmarks/peers.py [--quick] [--only P1 S3 ...] [--space auto relative] [--json FILE]
 
-Four problems with exact ends (side_by_side/problems.py, references.py); every code in a native
-loop, on one core, in one process. Pinocchio's loop is compiled here if there is a C++ compiler.
-Packages that are not installed are reported and omitted: pip install '.[bench]'.
+P1..P4 are planar or have one body (side_by_side/problems.py), S1..S5 are mechanisms in space
+(spatial.py), S6..S8 robots (robots.py). Their exact ends come from references.py and, in space,
+mechanism_reference.py. Every code runs in a native loop, on one core, in one process. Pinocchio's
+loop is compiled here if there is a C++ compiler. Packages that are not installed are reported and
+omitted: pip install '.[bench]'.
 """
 
 import argparse
@@ -18,42 +20,79 @@ from importlib.metadata import version
 
 import numpy as np
 from rich.console import Console
-from side_by_side import load_peers, ours, problems
+from side_by_side import load_peers, ours, problems, robots, spatial
 from side_by_side.measure import TARGETS, climb, cost_at, time_ladders
 from side_by_side.report import as_data, costs_table, shortfalls
 
+# Of entries that are measured with the estimate of their error: cost by that of the cheapest.
+CLOSE = 1.2
+
 
 def cases():
-    """{name: variants of a problem with the same exact end state}."""
+    """{name: function that makes the variants of a problem with the same exact end state}."""
+    chains = {
+        f"P4 N={links}": lambda links=links: [
+            problems.chain(links, problems.HINGE),
+            problems.chain(links, problems.BALL),
+        ]
+        for links in (10, 100)
+    }
     return {
-        "P1": [problems.heavy_top()],
-        "P2": [problems.free_body()],
-        "P3": [problems.four_bar()],
-        **{
-            f"P4 N={links}": [
-                problems.chain(links, problems.HINGE),
-                problems.chain(links, problems.BALL),
-            ]
-            for links in (10, 100)
-        },
+        "P1": lambda: [problems.heavy_top()],
+        "P2": lambda: [problems.free_body()],
+        "P3": lambda: [problems.four_bar()],
+        **chains,
+        "S1": lambda: [spatial.arm()],
+        "S2": lambda: [spatial.chain_in_space(10)],
+        "S3": lambda: [spatial.chain_in_space(100)],
+        "S4": lambda: [spatial.four_bar_in_space()],
+        "S5": lambda: [spatial.stewart()],
+        "S6": lambda: [robots.humanoid()],
+        "S7": lambda: [robots.delta()],
+        "S8": lambda: [robots.crane()],
     }
 
 
-def measure(variants, codes, ratio, budget, rounds):
-    """([(entry, rungs, {target: cost})] of all codes, uncertainty of the exact end state)."""
+def measure(variants, codes, spaces, ratio, budget, rounds):
+    """([(entry, rungs, {target: cost})] of all codes, uncertainty of the exact end state).
+
+    spaces : values of the option `space` of our methods
+    """
     exact = variants[0].exact(1)
     known = np.abs(exact - variants[0].exact(0)).max()
     entries, ladders = [], []
+
+    def run(entry, problem):
+        entries.append(entry)
+        ladders.append(climb(entry, problem, exact, budget))
+
     for problem in variants:
+        before = len(entries)
+        for entry in ours.entries(problem, ratio, spaces):
+            run(entry, problem)
+        for entry in promising(entries[before:], ladders[before:]):
+            run(ours.estimating(entry), problem)
         for code in codes:
             for entry in code.entries(problem, ratio):
-                entries.append(entry)
-                ladders.append(climb(entry, problem, exact, budget))
+                run(entry, problem)
     time_ladders(ladders, variants[0].duration, rounds)
     return [
         (entry, rungs, {target: cost_at(rungs, target) for target in TARGETS})
         for entry, rungs in zip(entries, ladders)
     ], known
+
+
+def promising(entries, ladders):
+    """Entries that may turn out the cheapest for a target, by the cost of their first runs."""
+    chosen = {}
+    for target in TARGETS:
+        costs = {
+            entry: met.cost
+            for entry, rungs in zip(entries, ladders)
+            if (met := cost_at(rungs, target))
+        }
+        chosen |= {e: None for e, cost in costs.items() if cost <= CLOSE * min(costs.values())}
+    return list(chosen)
 
 
 def main():
@@ -62,7 +101,14 @@ def main():
     parser.add_argument(
         "--quick", action="store_true", help="coarser ladders, fewer rounds, no run above a second"
     )
-    parser.add_argument("--only", nargs="+", metavar="P", help="begin of a problem's name: P1..P4")
+    parser.add_argument("--only", nargs="+", metavar="P", help="begin of a problem's name: P1..S8")
+    parser.add_argument(
+        "--space",
+        nargs="+",
+        choices=ours.SPACES,
+        default=["auto"],
+        help="values of the option `space` of our methods; several are compared",
+    )
     parser.add_argument("--json", metavar="FILE", help="write all that was measured")
     options = parser.parse_args()
     ratio, budget, rounds = (2.0, 1.0, 3) if options.quick else (1.5, 10.0, 7)
@@ -83,18 +129,20 @@ def main():
     )
 
     ours.prepare()
+    spaces = ours.available(options.space, console)
     data, missed, start = {}, [], time.perf_counter()
-    for name, variants in cases().items():
+    for name, make in cases().items():
         if options.only and not name.startswith(tuple(options.only)):
             continue
-        results, known = measure(variants, [ours, *peers], ratio, budget, rounds)
+        variants = make()
         problem = variants[0]
-        console.print(costs_table(name, problem.title, problem.duration, results))
+        results, known = measure(variants, peers, spaces, ratio, budget, rounds)
+        console.print(costs_table(name, problem, results))
         console.print(
             f"exact end known to {known:.0e}; {time.perf_counter() - start:.0f} s so far\n"
         )
-        missed += shortfalls(name, results)
-        data[name] = as_data(results) | {"exact_known_to": float(known)}
+        missed += shortfalls(name, problem, results)
+        data[name] = as_data(problem, results) | {"exact_known_to": float(known)}
     console.print("[bold]Where we fall short[/bold]" if missed else "Every target is met.")
     for sentence in missed:
         console.print(f"* {sentence}", soft_wrap=True)

@@ -33,6 +33,13 @@ ARGUMENTS = {
     "rviz": ("false", "true: start RViz with config/scene.rviz; use it with preset:=show"),
     "foxglove": ("false", "true: start foxglove_bridge; the layout is config/foxglove.json"),
 }
+# Topics in config/scene.rviz, relative to the node.
+SHOWN = (
+    "markers",
+    "crank/pose_with_covariance",
+    "rod/pose_with_covariance",
+    "slider/pose_with_covariance",
+)
 # Arguments that are parameters of the node; a value that is not empty overrides the preset.
 PARAMETERS = ("scene", "record", "frame_prefix")
 
@@ -72,7 +79,8 @@ def _viewers(context):
             {
                 "arguments": ["-d", [FindPackageShare(PACKAGE), "/config/scene.rviz"]],
                 "remappings": [
-                    ("/sim_node/markers", [LaunchConfiguration("namespace"), "/sim_node/markers"])
+                    (f"/sim_node/{topic}", [LaunchConfiguration("namespace"), f"/sim_node/{topic}"])
+                    for topic in SHOWN
                 ],
             },
         ),

@@ -74,10 +74,12 @@ class AccuracyControl:
         """Largest error at a time in s."""
         return self.accuracy * max(1.0, (time - self._begin) / self.horizon)
 
-    def change(self, accuracy):
-        """Continue with another accuracy."""
+    def change(self, accuracy, time, error):
+        """Continue with another accuracy; the estimated error at a time in s may exceed that, too."""
         tolerance = self._tolerance * accuracy / self.accuracy
-        self.accuracy, self.ended = accuracy, math.inf
+        self.accuracy = accuracy
+        if not error > self.wanted(time):
+            self.ended = math.inf
         self._set(tolerance)
 
     def follow(self, time, error, predictable):

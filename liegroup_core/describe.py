@@ -6,11 +6,23 @@ JSON types, computed without taking a step; independent of the machine.
 
 import numpy as np
 
+from liegroup_core.formulations.relative.build import tree_of
+from liegroup_core.formulations.relative.cost import absolute_cost, relative_cost
 from liegroup_core.joints.elements import PAIR, WORLD
 from liegroup_core.model.sparsity import operations
 from liegroup_core.model.symmetry import body_groups, conserved_momentum
 
-from .integrators.families import fitting_methods
+from .integrators.families import check_options, choose_group, fitting_methods
+
+MOTION_GROUPS = {
+    "revolute": "SO(2)",
+    "prismatic": "R",
+    "screw": "screw",
+    "cylindrical": "SO(2) x R",
+    "planar": "SE(2)",
+    "spherical": "SO(3)",
+    "universal": "SO(2) x SO(2)",
+}
 
 
 def describe(layout):
@@ -29,7 +41,9 @@ def describe(layout):
         plane               normal of the plane in which the joints keep all bodies: x, y or z, or
                             its components in world axes as text; in relative coordinates
                             Munthe-Kaas methods integrate in that plane. None: no such plane
-        solve               structure of K in (6.22), in space, see `solve_structure`
+        formulation         configuration space of Munthe-Kaas methods, see `formulation`
+        solve               structure of K in (6.22), in space, see `solve_structure`: of all
+                            methods on SE(3)^n or (SO(3) x R^3)^n
         methods             names of the integration methods that can integrate the scene
         groups              [[body]]: bodies that joints or forces connect, not counting the world
         kept_momentum       [{bodies, components}] of the conserved momentum, as text; None if a
@@ -70,6 +84,7 @@ def describe(layout):
         "solved_rows": len(model.row_residual),
         "dropped_rows": [list(entry) for entry in dropped],
         "plane": _direction(layout.normal),
+        "formulation": formulation(layout),
         "solve": solve_structure(model),
         "methods": fitting_methods(layout),
         "groups": [[scene.bodies[i].name for i in group] for group in body_groups(scene)],
@@ -79,6 +94,48 @@ def describe(layout):
         ]
         if only_pairs
         else None,
+    }
+
+
+def formulation(layout):
+    """Configuration space that Munthe-Kaas methods use by default, and what it saves.
+
+    returns dict of
+        group            "relative", or "se3" for SE(3)^n, see Engine
+        coordinates      dimension of the relative configuration space, before cut joints
+        tree             [{bodies, joint, parent, group}] of every link: its bodies, welded if several;
+                         the joint that holds it and the bodies of its parent link, and its motion
+                         group; None for a floating link
+        cut              [{joint, rows, dropped}] of the joints that close loops: names of the rows that
+                         are solved for, and of the redundant ones
+        predicted_ns     {group: predicted cost of a stage on a core of 3 GHz, ns}
+    """
+    scene, relative = layout.centred, layout.relative
+    tree = tree_of(scene)
+    cut = {}
+    for element, (owner, names) in enumerate(zip(layout.owners, layout.row_names)):
+        if owner in tree.cut:
+            entry = cut.setdefault(
+                owner, {"joint": scene.joints[owner].name, "rows": [], "dropped": []}
+            )
+            for r, name in enumerate(names):
+                kept = r in relative.kept_rows(element)
+                entry["rows" if kept else "dropped"].append(name)
+    predicted = {"relative": relative_cost(relative), "se3": absolute_cost(layout.model)}
+    return {
+        "group": choose_group("rkmk4", "auto", check_options("rkmk4", {}), layout),
+        "coordinates": int(relative.bodies["freedoms"].sum()),
+        "tree": [
+            {
+                "bodies": list(tree.members[group]),
+                "joint": None if j is None else scene.joints[j].name,
+                "parent": list(tree.members[parent]) or ["world"],
+                "group": "SE(3)" if j is None else MOTION_GROUPS[scene.joints[j].type],
+            }
+            for group, parent, j in tree.links
+        ],
+        "cut": list(cut.values()),
+        "predicted_ns": {group: round(cost) for group, cost in predicted.items()},
     }
 
 

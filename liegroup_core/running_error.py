@@ -20,7 +20,7 @@ a repeated run has bit-identical estimates. If every meeting is one, as with an 
 grew is taken to grow on until the next one. If the companion cannot continue, the estimate is infinite
 from then on. Before the first meeting it is NaN.
 
-Coverage, that is estimate against true error: benchmarks/coverage.py,
+Coverage, that is estimate against true error: benchmarks/estimate_coverage.py,
 test/verification/test_running_error.py.
 """
 

@@ -145,11 +145,14 @@ class Simulation(Engine):
         }
 
     def set_accuracy(self, accuracy: float) -> None:
-        """Continue with another accuracy, until the state is set. Raises ValueError."""
+        """Continue with another accuracy, until the state is set. Raises ValueError.
+
+        If the estimated error exceeds this one, too, `accurate_until` stays.
+        """
         if self._control is None:
             raise ValueError("a simulation with a method has no accuracy")
-        self._control.change(_checked(accuracy))
-        self._exceeded = False
+        self._control.change(_checked(accuracy), self.time, self.largest_error)
+        self._exceeded = self.accurate_until <= self.time
 
     @property
     def accurate_until(self) -> float:

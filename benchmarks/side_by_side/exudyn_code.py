@@ -3,18 +3,21 @@
 
 one body  Lie group node and explicit Runge-Kutta methods. They ignore joints, so a body about
           a fixed point is a body there, with its inertia about it and its weight off it.
-chain     ObjectKinematicTree, minimal coordinates of hinges, explicit
+tree      ObjectKinematicTree, minimal coordinates of hinges and slides, explicit: fixed steps, and
+          DOPRI5 with error control. Joints of more freedoms are several, with massless links between
+          them; balls would need three angles, which become singular, and are left out
 loop      planar bodies with joints at velocity level (index 2), implicit trapezoidal rule
 """
 
 import contextlib
 import io
 import sys
+from math import ceil, log
 
 import numpy as np
 
 from .measure import Entry, geometric
-from .problems import GROUND, HINGE
+from .problems import CYLINDRICAL, FREE, GROUND, HINGE, SLIDE, UNIVERSAL
 
 sys.exudynFast = True
 with contextlib.redirect_stdout(io.StringIO()):
@@ -23,6 +26,18 @@ with contextlib.redirect_stdout(io.StringIO()):
 
 CODE = "exudyn"
 EXPLICIT = ("RK44", "RK67")
+CONTROLLED = "DOPRI5"
+LOOSEST, TIGHTEST = 1e-2, 1e-13  # of its tolerances
+FIRST_STEPS = 500  # of its first size for the duration; it finds its own soon
+X, Y, Z = np.eye(3)
+# Links of a joint: (turning, axis), None for an axis of the joint.
+LINKS = {
+    HINGE: [(True, 0)],
+    SLIDE: [(False, 0)],
+    UNIVERSAL: [(True, 0), (True, 1)],
+    CYLINDRICAL: [(True, 0), (False, 0)],
+    FREE: [(False, X), (False, Y), (False, Z), (True, X), (True, Y), (True, Z)],
+}
 
 
 def version():
@@ -58,44 +73,87 @@ def _one_body(mbs, problem):
     )
 
 
-def _tree_of_hinges(mbs, problem):
-    """Minimal coordinates of revolute joints about y."""
-    count = len(problem.bodies)
+def _axis_frame(axis):
+    """Rotation (3, 3) whose z is an axis."""
+    side = np.cross(axis, X if abs(axis[0]) < 0.5 else Y)
+    side /= np.linalg.norm(side)
+    return np.column_stack([side, np.cross(axis, side), axis])
+
+
+def _links(problem):
+    """(rows, last) of the links of one freedom, z their axis, and the last link of each body.
+
+    rows : (turning, parent, frame (3, 3), offset (3,) in world axes at the start, speed, body or None)
+    """
+    rows, last, place = [], {GROUND: -1}, {GROUND: np.zeros(3)}
+    for i, joint in enumerate(problem.tree):
+        parts = LINKS[joint.kind]
+        for count, ((turning, axis), rate) in enumerate(zip(parts, problem.rates(i))):
+            axis = (joint.axis, joint.second)[axis] if isinstance(axis, int) else axis
+            first, end = count == 0, count == len(parts) - 1
+            rows.append(
+                (
+                    turning,
+                    last[joint.parent] if first else len(rows) - 1,
+                    _axis_frame(axis),
+                    joint.point - place[joint.parent] if first else np.zeros(3),
+                    rate,
+                    i if end else None,
+                )
+            )
+        last[i], place[i] = len(rows) - 1, joint.point
+    return rows, last
+
+
+def _tree(mbs, problem):
+    """Minimal coordinates of hinges and slides."""
+    rows, last = _links(problem)
+    turning, parents, frames, offsets, speeds, held = zip(*rows)
+    count = len(rows)
+    outer = [np.eye(3) if parent < 0 else frames[parent] for parent in parents]
     node = mbs.AddNode(
         items.NodeGenericODE2(
             referenceCoordinates=[0.0] * count,
             initialCoordinates=[0.0] * count,
-            initialCoordinates_t=[0.0] * count,
+            initialCoordinates_t=[*speeds],
             numberOfODE2Coordinates=count,
         )
     )
-    origins = {GROUND: np.zeros(3)} | {joint.child: joint.point for joint in problem.tree}
+    bodies = [None if i is None else problem.bodies[i] for i in held]
+    arms = [
+        np.zeros(3) if i is None else frame.T @ (problem.bodies[i].position - problem.tree[i].point)
+        for i, frame in zip(held, frames)
+    ]
+    inertias = [
+        np.zeros((3, 3)) if body is None else frame.T @ body.inertia @ frame
+        for body, frame in zip(bodies, frames)
+    ]
+    kinds = exu.JointType
     mbs.AddObject(
         items.ObjectKinematicTree(
             nodeNumber=node,
             gravity=problem.gravity,
-            jointTypes=[exu.JointType.RevoluteY] * count,
-            linkParents=[joint.parent for joint in problem.tree],
-            jointTransformations=exu.Matrix3DList([np.eye(3)] * count),
-            jointOffsets=exu.Vector3DList(
-                [joint.point - origins[joint.parent] for joint in problem.tree]
-            ),
-            linkInertiasCOM=exu.Matrix3DList([body.inertia for body in problem.bodies]),
-            linkCOMs=exu.Vector3DList(
-                [body.position - origins[i] for i, body in enumerate(problem.bodies)]
-            ),
-            linkMasses=[body.mass for body in problem.bodies],
+            jointTypes=[kinds.RevoluteZ if turns else kinds.PrismaticZ for turns in turning],
+            linkParents=[*parents],
+            jointTransformations=exu.Matrix3DList([a.T @ b for a, b in zip(outer, frames)]),
+            jointOffsets=exu.Vector3DList([a.T @ offset for a, offset in zip(outer, offsets)]),
+            linkInertiasCOM=exu.Matrix3DList(inertias),
+            linkCOMs=exu.Vector3DList(arms),
+            linkMasses=[0.0 if body is None else body.mass for body in bodies],
         )
     )
 
     def state():
-        turns = mbs.GetNodeOutput(node, exu.OutputVariableType.Coordinates)
-        angle = np.zeros(count)
-        for joint, turn in zip(problem.tree, np.atleast_1d(turns)):
-            angle[joint.child] = turn + (angle[joint.parent] if joint.parent != GROUND else 0.0)
-        c, s, zero = np.cos(angle), np.sin(angle), np.zeros(count)
-        rotations = np.array([[c, zero, s], [zero, zero + 1, zero], [-s, zero, c]])
-        return rotations.transpose(2, 0, 1), 0.0
+        found = mbs.GetNodeOutput(node, exu.OutputVariableType.Coordinates)
+        rotations = []
+        for turns, parent, before, frame, q in zip(
+            turning, parents, outer, frames, np.atleast_1d(found)
+        ):
+            c, s = np.cos(q), np.sin(q)
+            turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) if turns else np.eye(3)
+            base = np.eye(3) if parent < 0 else rotations[parent]
+            rotations.append(base @ before.T @ frame @ turn)
+        return [rotations[last[i]] @ frames[last[i]].T for i in range(len(problem.bodies))], 0.0
 
     return state
 
@@ -186,7 +244,8 @@ def _spatial_bodies(mbs, problem):
 class _Run:
     """One Exudyn solver with a number of steps per duration; each run restarts."""
 
-    def __init__(self, problem, build, solver, steps, sparse=False):
+    def __init__(self, problem, build, solver, steps, sparse=False, tolerance=None):
+        self.controlled = tolerance is not None
         exu.config.printToConsole, exu.config.suppressWarnings = False, True
         self.step, self.steps = problem.duration / steps, steps
         self.mbs = exu.SystemContainer().AddSystem()
@@ -199,6 +258,12 @@ class _Run:
         settings.timeIntegration.explicit.useLieGroupIntegration = True
         settings.timeIntegration.explicit.computeEndOfStepAccelerations = False
         settings.timeIntegration.newton.useModifiedNewton = True
+        settings.timeIntegration.automaticStepSize = self.controlled
+        if self.controlled:
+            settings.timeIntegration.relativeTolerance = tolerance
+            settings.timeIntegration.absoluteTolerance = tolerance
+            settings.timeIntegration.initialStepSize = problem.duration / FIRST_STEPS
+            settings.timeIntegration.minimumStepSize = 1e-10
         if sparse:
             settings.linearSolver.solverType = exu.LinearSolverType.EigenSparse
 
@@ -210,37 +275,58 @@ class _Run:
         self.settings.timeIntegration.numberOfSteps = steps
         self.settings.timeIntegration.endTime = steps * self.step
         try:
-            self.mbs.SolveDynamic(self.settings, solverType=self.solver, storeSolver=False)
+            self.mbs.SolveDynamic(
+                self.settings, solverType=self.solver, storeSolver=self.controlled
+            )
         except Exception as error:
             raise ArithmeticError(f"Exudyn's solver failed: {error}") from None
 
     def advance(self, times):
-        self.take(times * self.steps)
+        if not self.controlled:
+            self.take(times * self.steps)
+            return
+        # Beyond the duration, its steps would be those of another motion.
+        for _ in range(times):
+            self.take(self.steps)
 
     def end(self):
         rotations, gap = self.state()
         return np.array(rotations), gap
 
     def steps_per_duration(self):
+        if self.controlled:
+            return self.mbs.sys["dynamicSolver"].it.currentStepIndex
         return self.steps
 
 
 def entries(problem, ratio):
-    """Explicit methods for problems without constraints, else the implicit solver."""
+    """Explicit methods for problems without constraints, else the implicit solver, in a plane."""
     if problem.loops:
+        if any(joint.kind != HINGE or joint.axis[2] != 1.0 for joint in problem.tree):
+            return
         chosen = [("index 2, planar", _planar_bodies, "TrapezoidalIndex2")]
     elif len(problem.bodies) == 1:
         chosen = [(f"Lie {solver}", _one_body, solver) for solver in EXPLICIT]
-    elif problem.tree[0].kind == HINGE:
-        chosen = [(f"{solver} hinges", _tree_of_hinges, solver) for solver in EXPLICIT]
+    elif all(joint.kind in LINKS for joint in problem.tree):
+        chosen = [(f"{solver} {problem.joints}", _tree, solver) for solver in EXPLICIT]
     else:
         return
     for setting, build, solver in chosen:
         yield Entry(
             CODE,
-            setting,
+            setting.strip(),
             geometric(problem.coarsest, ratio),
             lambda steps, b=build, s=solver: _Run(problem, b, s, steps),
+        )
+    if chosen[0][1] is _tree:
+        yield Entry(
+            CODE,
+            f"{CONTROLLED} {problem.joints}".strip(),
+            [
+                LOOSEST / ratio ** (5 * k)
+                for k in range(ceil(log(LOOSEST / TIGHTEST, ratio) / 5) + 1)
+            ],
+            lambda tolerance: _Run(problem, _tree, CONTROLLED, 1, tolerance=tolerance),
         )
 
 

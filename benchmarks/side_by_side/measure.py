@@ -38,13 +38,14 @@ class Run(Protocol):
         """Steps that `advance(1)` takes."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Entry:
     """A code and its configuration.
 
     levels  : settings from coarse to fine: steps per duration, or tolerances
     start   : level -> Run
     counted : False for what only puts the others into perspective
+    kind    : kinds of a code's settings that are compared with each other
     """
 
     code: str
@@ -52,6 +53,7 @@ class Entry:
     levels: Iterable
     start: Callable
     counted: bool = True
+    kind: str = ""
 
 
 @dataclass(eq=False)

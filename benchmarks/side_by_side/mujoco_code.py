@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from .measure import Entry, geometric
-from .problems import BALL, GROUND, HINGE
+from .problems import BALL, CYLINDRICAL, FREE, GROUND, HINGE, SLIDE, UNIVERSAL
 
 CODE = "mujoco"
 # Time constant of a loop's spring in steps, and its impedance: the largest that MuJoCo accepts.
@@ -27,6 +27,20 @@ mujoco.set_mju_user_warning(lambda message: None)
 def version():
     """Version of the package."""
     return mujoco.__version__
+
+
+def _joints(joint):
+    """[(type, axis)] of a tree joint, from the parent on; None: of a free body."""
+    kinds = mujoco.mjtJoint
+    if joint is None or joint.kind == FREE:
+        return [(kinds.mjJNT_FREE, np.zeros(3))]
+    return {
+        BALL: [(kinds.mjJNT_BALL, np.zeros(3))],
+        HINGE: [(kinds.mjJNT_HINGE, joint.axis)],
+        SLIDE: [(kinds.mjJNT_SLIDE, joint.axis)],
+        UNIVERSAL: [(kinds.mjJNT_HINGE, joint.axis), (kinds.mjJNT_HINGE, joint.second)],
+        CYLINDRICAL: [(kinds.mjJNT_HINGE, joint.axis), (kinds.mjJNT_SLIDE, joint.axis)],
+    }[joint.kind]
 
 
 def model_of(problem, step):
@@ -47,12 +61,8 @@ def model_of(problem, step):
             explicitinertial=True,
             fullinertia=body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]],
         )
-        if joint is None:
-            made[i].add_freejoint()
-        elif joint.kind == BALL:
-            made[i].add_joint(type=mujoco.mjtJoint.mjJNT_BALL)
-        else:
-            made[i].add_joint(type=mujoco.mjtJoint.mjJNT_HINGE, axis=joint.axis)
+        for kind, axis in _joints(joint):
+            made[i].add_joint(type=kind, axis=axis)
     for loop in problem.loops:
         anchor = np.zeros(mujoco.mjNEQDATA)
         anchor[:3] = loop.point - origins[loop.parent]
@@ -60,7 +70,7 @@ def model_of(problem, step):
             type=mujoco.mjtEq.mjEQ_CONNECT,
             objtype=mujoco.mjtObj.mjOBJ_BODY,
             data=anchor,
-            name1=f"b{loop.parent}",
+            name1="world" if loop.parent == GROUND else f"b{loop.parent}",
             name2=f"b{loop.child}",
             solref=[LOOP_STEPS * step, 1.0],
             solimp=[LOOP_IMPEDANCE, LOOP_IMPEDANCE, 1.0, 0.5, 2.0],
@@ -82,15 +92,10 @@ class _Run:
         mujoco.mj_resetData(self.model, self.data)
         if not self.problem.tree:
             speed[:] = [*bodies[0].velocity, *bodies[0].omega]
-        for i, joint in enumerate(self.problem.tree):
+        for i in range(len(self.problem.tree)):
+            rates = self.problem.rates(i)
             first = self.model.body_dofadr[self.ids[i]]
-            relative = bodies[i].omega
-            if joint.parent != GROUND:
-                relative = relative - bodies[joint.parent].omega
-            if joint.kind == HINGE:
-                speed[first] = relative @ joint.axis
-            else:
-                speed[first : first + 3] = relative
+            speed[first : first + len(rates)] = rates
 
     def advance(self, times):
         mujoco.mj_step(self.model, self.data, nstep=times * self.steps)

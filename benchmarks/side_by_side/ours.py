@@ -1,21 +1,36 @@
 # SPDX-License-Identifier: Apache-2.0
-"""This package on the problems: each method of order 4 or more, on each group."""
+"""This package on the problems: each method of order 4 or more, on each group.
+
+Its errors are not estimated while it runs, as the other codes' are not; `estimating` is what that
+estimate costs.
+"""
 
 import logging
 import math
 
-from liegroup_core import Scene, SimulationError, load_scene
+import numpy as np
+
+from liegroup_core import Scene, Simulation, SimulationError, load_scene
 from liegroup_core.engine import STABILISATIONS, Engine
 from liegroup_core.integrators.methods import GROUPS, METHODS
+from liegroup_core.lie.groups import SO3
 from liegroup_core.scene.description import Body, Frame, Joint
 
 from .measure import Entry, geometric
-from .problems import BALL, GROUND, HINGE
+from .problems import BALL, CYLINDRICAL, FREE, GROUND, HINGE, SLIDE, UNIVERSAL
 
 CODE = "liegroup_core"
 # Methods of lower order are not competitive for any target.
 LOWEST_ORDER = 4
-JOINT_TYPES = {BALL: "spherical", HINGE: "revolute"}
+JOINT_TYPES = {
+    BALL: "spherical",
+    HINGE: "revolute",
+    SLIDE: "prismatic",
+    UNIVERSAL: "universal",
+    CYLINDRICAL: "cylindrical",
+}
+# Choice of the configuration's group, an option of Munthe-Kaas methods.
+SPACES = ("auto", "space", "relative")
 LOOSEST, TIGHTEST = 1e-2, 1e-13
 
 
@@ -26,7 +41,7 @@ def prepare():
 
 
 def scene_of(problem):
-    """Scene of the problem: joint frames at the joint points, revolute joints about their z."""
+    """Scene of the problem: joint frames at the joint points, their z along the axes of joints."""
 
     def name(body):
         return "world" if body == GROUND else f"body{body}"
@@ -48,13 +63,32 @@ def scene_of(problem):
             type=JOINT_TYPES[joint.kind],
             parent=name(joint.parent),
             child=name(joint.child),
-            child_frame=Frame(
-                position=joint.point - problem.bodies[joint.child].position, axis=joint.axis
-            ),
+            child_frame=_frame(joint, joint.point - problem.bodies[joint.child].position),
         )
         for i, joint in enumerate(problem.tree + problem.loops)
+        if joint.kind != FREE
     ]
     return Scene(name="problem", gravity=problem.gravity, bodies=bodies, joints=joints)
+
+
+def _frame(joint, position):
+    """Frame of a joint on its child; a cross has x along its first axis and y along its second."""
+    if joint.kind == UNIVERSAL:
+        turned = np.column_stack([joint.axis, joint.second, np.cross(joint.axis, joint.second)])
+        return Frame(position=position, rotation_vector=SO3.log(turned))
+    return Frame(position=position, axis=joint.axis if joint.axis.any() else None)
+
+
+def available(spaces, console):
+    """Those values of the option `space` that this version has; prints the others."""
+    found = []
+    for space in spaces:
+        try:
+            Engine(load_scene("heavy_top"), space=space)
+            found.append(space)
+        except ValueError as error:
+            console.print(f"[yellow]Left out: {CODE}: {error}[/yellow]")
+    return found
 
 
 def _has_error_control(method):
@@ -64,15 +98,13 @@ def _has_error_control(method):
 class _Run:
     """A number of steps per duration, or substeps chosen by a tolerance."""
 
-    def __init__(self, problem, scene, method, level, **options):
+    def __init__(self, problem, scene, method, level, make=Engine, **options):
         self.controlled = _has_error_control(method)
         self.steps = 1 if self.controlled else level
         if self.controlled:
             options = options | {"rtol": level, "atol": level}
         # Without the step check, which the other codes do not have either.
-        self.simulation = Engine(
-            scene, method=method, step=problem.duration / self.steps, **options
-        )
+        self.simulation = make(scene, method=method, step=problem.duration / self.steps, **options)
         self.start = self.simulation.state()
         # Substeps follow the motion: where it changes, they are paid for as it is at first. And with
         # loops, coarse steps end up with open joints, which cost more than the problem does.
@@ -108,31 +140,66 @@ def _levels(problem, method, ratio):
     return [LOOSEST / ratio ** (METHODS[method].order * k) for k in range(count + 1)]
 
 
-def entries(problem, ratio):
+def entries(problem, ratio, spaces=SPACES[:1]):
     """All methods and groups; for loops also all stabilisations."""
     scene = scene_of(problem)
     for stabilisation in STABILISATIONS if problem.loops else ("none",):
-        for group in GROUPS:
-            for method in METHODS:
-                # The others keep momentum over long runs, or serve single bodies or stiff scenes.
-                if METHODS[method].order < LOWEST_ORDER or METHODS[method].family != "rkmk":
-                    continue
-                options = {"group": group, "stabilisation": stabilisation}
-                words = [method, group, problem.joints, stabilisation.replace("none", "")]
-                yield Entry(
-                    CODE,
-                    " ".join(filter(None, words)),
-                    _levels(problem, method, ratio),
-                    lambda level, m=method, o=options: _Run(problem, scene, m, level, **o),
-                )
+        for space in spaces:
+            for group in GROUPS:
+                for method in METHODS:
+                    # The others keep momentum over long runs, or serve single bodies or stiff scenes.
+                    if METHODS[method].order < LOWEST_ORDER or METHODS[method].family != "rkmk":
+                        continue
+                    options = {"group": group, "stabilisation": stabilisation, "space": space}
+                    if _fits(scene, method, options):
+                        yield _entry(problem, scene, method, ratio, options)
 
 
-def stepper(problem, step):
-    """Function take_steps(n) of RKMK4 steps from the initial state."""
-    simulation = Engine(scene_of(problem), method="rkmk4", step=step)
+def _fits(scene, method, options):
+    """Whether a formulation can integrate the scene with these options."""
+    try:
+        Engine(scene, method=method, quiet=True, **options)
+    except (ValueError, NotImplementedError):
+        return False
+    return True
+
+
+def _entry(problem, scene, method, ratio, options):
+    words = [
+        method,
+        options["group"],
+        problem.joints,
+        options["stabilisation"].replace("none", ""),
+        options["space"].replace("auto", ""),
+    ]
+    setting = " ".join(filter(None, words))
+    levels = _levels(problem, method, ratio)
+
+    def start(level, **more):
+        return _Run(problem, scene, method, level, **options, **more)
+
+    return Entry(CODE, setting, levels, start, kind=options["space"])
+
+
+def estimating(entry):
+    """Entry with the settings of another one of ours, with the running estimate of its error."""
+    return Entry(
+        CODE,
+        f"{entry.setting} + estimate",
+        entry.levels,
+        lambda level: entry.start(level, make=Simulation),
+        counted=False,
+    )
+
+
+def stepper(problem, step, space=SPACES[0]):
+    """Function take_steps(n) of RKMK4 steps from the initial state, anew after each duration."""
+    simulation = Engine(scene_of(problem), method="rkmk4", step=step, space=space)
+    most = round(problem.duration / step)
 
     def take_steps(count):
-        simulation.reset()
-        simulation.advance(count)
+        for done in range(0, count, most):
+            simulation.reset()
+            simulation.advance(min(most, count - done))
 
     return take_steps

@@ -3,7 +3,7 @@
 //
 // Joint frames stand at the joints, aligned with the world at the start. The state is Pinocchio's
 // (q, v); an increment psi in the tangent space moves it by pinocchio::integrate, and
-//     psi' = dexp^-1_{-psi} v,   v' = aba(q, v)   or   constraintDynamics(q, v) with loops.
+//     psi' = dexp^-1_{-psi} v,   v' = aba(q, v),   with loops constraintDynamics(q, v) or lcaba(q, v).
 // Nothing is allocated in a step but what Pinocchio allocates.
 #include <cmath>
 #include <memory>
@@ -13,6 +13,7 @@
 #include <pinocchio/algorithm/constrained-dynamics.hpp>
 #include <pinocchio/algorithm/joint-configuration.hpp>
 #include <pinocchio/algorithm/kinematics.hpp>
+#include <pinocchio/algorithm/loop-constrained-aba.hpp>
 
 namespace pin = pinocchio;
 using Eigen::Matrix3d;
@@ -20,24 +21,57 @@ using Eigen::MatrixXd;
 using Eigen::Vector3d;
 using Eigen::VectorXd;
 
-enum Kind { FREE = 0, BALL = 1, HINGE = 2 };
+enum Kind { FREE = 0, BALL = 1, HINGE = 2, SLIDE = 3, UNIVERSAL = 4, CYLINDRICAL = 5 };
+
+// A hinge or a slide; those about and along the axes have code of their own.
+template<class X, class Y, class Z, class Unaligned>
+pin::JointModel with_axis(const Vector3d & axis)
+{
+  if (axis[0] == 1.)
+    return X();
+  if (axis[1] == 1.)
+    return Y();
+  if (axis[2] == 1.)
+    return Z();
+  return Unaligned(axis);
+}
+
+pin::JointModel joint_of(int kind, const Vector3d & axis, const Vector3d & second)
+{
+  if (kind == FREE)
+    return pin::JointModelFreeFlyer();
+  if (kind == BALL)
+    return pin::JointModelSpherical();
+  if (kind == UNIVERSAL)
+    return pin::JointModelUniversal(axis, second);
+  if (kind == SLIDE)
+    return with_axis<
+      pin::JointModelPX, pin::JointModelPY, pin::JointModelPZ, pin::JointModelPrismaticUnaligned>(
+      axis);
+  return with_axis<
+    pin::JointModelRX, pin::JointModelRY, pin::JointModelRZ, pin::JointModelRevoluteUnaligned>(axis);
+}
 
 struct Loop
 {
   pin::Model model;
   std::unique_ptr<pin::Data> data;
-  std::vector<int> kinds;
+  std::vector<int> kinds, ids;  // of the bodies, and of the joints that they are on
   std::vector<pin::RigidConstraintModel> constraints;
   std::vector<pin::RigidConstraintData> constraint_data;
   pin::ProximalSettings settings;
   VectorXd q_start, v_start, q, v, torque, psi, q_stage, v_stage;
   MatrixXd a, k_q, k_v;  // a: tableau, below it its weights; k: one column per stage
   int highest;           // last power of ad in dexp^-1
+  bool embedded;         // loops by lcaba
 
   void evaluate(const VectorXd & q_at, const VectorXd & v_at, int stage)
   {
     if (constraints.empty())
       k_v.col(stage) = pin::aba(model, *data, q_at, v_at, torque);
+    else if (embedded)
+      k_v.col(stage) =
+        pin::lcaba(model, *data, q_at, v_at, torque, constraints, constraint_data, settings);
     else
       k_v.col(stage) = pin::constraintDynamics(
         model, *data, q_at, v_at, torque, constraints, constraint_data, settings);
@@ -50,7 +84,7 @@ struct Loop
     k_q.col(stage) = v_at;
     for (size_t i = 0; i < kinds.size(); ++i)
     {
-      const int at = model.joints[i + 1].idx_v();
+      const int at = model.joints[ids[i]].idx_v();
       if (kinds[i] == BALL)
       {
         const Vector3d u = psi.segment<3>(at), w = v_at.segment<3>(at);
@@ -106,34 +140,34 @@ struct Loop
 
 extern "C"
 {
-  // kinds, parents (n); points (n, 3) of the joints in the parent's joint frame; axes (n, 3);
-  // masses (n); centres (n, 3) in the joint frame; inertias (n, 9) about the centres; v (nv);
+  // kinds, parents (n); points (n, 3) of the joints in the parent's joint frame; axes (n, 6) two of
+  // each; masses (n); centres (n, 3) in the joint frame; inertias (n, 9) about the centres; v (nv);
   // loops (m, 2) bodies; anchors (m, 6) points in the joint frames of the two; a (stages + 1, stages)
   Loop * make(
     int n, const int * kinds, const int * parents, const double * points, const double * axes,
     const double * masses, const double * centres, const double * inertias, const double * gravity,
     const double * v, int m, const int * loops, const double * anchors, int stages, const double * a,
-    int highest, double mu, double rate)
+    int highest, double mu, double rate, int embedded, int iterations)
   {
     auto loop = new Loop;
     pin::Model & model = loop->model;
     model.gravity.linear() = Eigen::Map<const Vector3d>(gravity);
     for (int i = 0; i < n; ++i)
     {
-      const Vector3d axis = Eigen::Map<const Vector3d>(axes + 3 * i);
-      pin::JointModel joint = pin::JointModelRevoluteUnaligned(axis);
-      if (kinds[i] == FREE)
-        joint = pin::JointModelFreeFlyer();
-      else if (kinds[i] == BALL)
-        joint = pin::JointModelSpherical();
-      else if (axis[1] == 1.)
-        joint = pin::JointModelRY();
-      else if (axis[2] == 1.)
-        joint = pin::JointModelRZ();
-      const auto id = model.addJoint(
-        parents[i] + 1, joint,
-        pin::SE3(Matrix3d::Identity(), Eigen::Map<const Vector3d>(points + 3 * i)),
-        "joint" + std::to_string(i));
+      const Vector3d axis = Eigen::Map<const Vector3d>(axes + 6 * i);
+      const Vector3d second = Eigen::Map<const Vector3d>(axes + 6 * i + 3);
+      const std::string name = "joint" + std::to_string(i);
+      pin::SE3 place(Matrix3d::Identity(), Eigen::Map<const Vector3d>(points + 3 * i));
+      size_t id = parents[i] < 0 ? 0 : loop->ids[parents[i]];
+      if (kinds[i] == CYLINDRICAL)
+      {
+        // Two joints with nothing between them take less time than a composite one.
+        id = model.addJoint(id, joint_of(HINGE, axis, second), place, name + "turn");
+        place.setIdentity();
+      }
+      id = model.addJoint(
+        id, joint_of(kinds[i] == CYLINDRICAL ? SLIDE : kinds[i], axis, second), place, name);
+      loop->ids.push_back(int(id));
       model.appendBodyToJoint(
         id, pin::Inertia(
               masses[i], Eigen::Map<const Vector3d>(centres + 3 * i),
@@ -146,17 +180,23 @@ extern "C"
         return pin::SE3(
           Matrix3d::Identity(), Eigen::Map<const Vector3d>(anchors + 6 * l + 3 * end));
       };
+      const auto id = [&](int end) {
+        return loops[2 * l + end] < 0 ? 0 : size_t(loop->ids[loops[2 * l + end]]);
+      };
       loop->constraints.emplace_back(
-        pin::CONTACT_3D, model, loops[2 * l] + 1, at(0), loops[2 * l + 1] + 1, at(1));
+        pin::CONTACT_3D, model, id(0), at(0), id(1), at(1));
       // Gaps die out like those of a critically damped spring of this rate, 1/s.
       loop->constraints.back().m_baumgarte_parameters = {rate * rate, 2. * rate};
     }
     loop->data = std::make_unique<pin::Data>(model);
     for (const auto & constraint : loop->constraints)
       loop->constraint_data.emplace_back(constraint);
-    if (m > 0)
+    if (m > 0 && embedded)
+      pin::computeJointMinimalOrdering(model, *loop->data, loop->constraints);
+    else if (m > 0)
       pin::initConstraintDynamics(model, *loop->data, loop->constraints, loop->constraint_data);
-    loop->settings = pin::ProximalSettings(1e-14, mu, 10);
+    loop->settings = pin::ProximalSettings(1e-14, mu, iterations);
+    loop->embedded = embedded;
     loop->q_start = pin::neutral(model);
     loop->v_start = Eigen::Map<const VectorXd>(v, model.nv);
     loop->q = loop->q_stage = loop->q_start;
@@ -186,7 +226,7 @@ extern "C"
     pin::forwardKinematics(loop->model, *loop->data, loop->q);
     for (size_t i = 0; i < loop->kinds.size(); ++i)
       Eigen::Map<Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(rotations + 9 * i) =
-        loop->data->oMi[i + 1].rotation();
+        loop->data->oMi[loop->ids[i]].rotation();
     double gap = 0.;
     for (const auto & c : loop->constraints)
       gap = std::max(

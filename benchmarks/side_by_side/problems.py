@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Code-independent descriptions of the problems P1..P4 and of chains of any length.
+"""Code-independent descriptions of problems: P1..P4, and planar mechanisms of any length.
+
+Mechanisms in space are made in spatial.py and robots.py.
 
 All body frames are aligned with the world at the start, R_i(0) = I, and sit at the centre of
 mass; inertias (3, 3) are about it. So a joint is a point and an axis in the world at the start,
@@ -15,6 +17,7 @@ import numpy as np
 from . import references
 
 BALL, HINGE, FREE = "ball", "hinge", "free"
+SLIDE, UNIVERSAL, CYLINDRICAL = "slide", "universal", "cylindrical"
 GROUND = -1
 GRAVITY = 9.81
 
@@ -32,25 +35,32 @@ class Body:
 
 @dataclass(frozen=True)
 class Joint:
-    """Joint of kind BALL or HINGE at a world point (3,); `axis` is that of a HINGE."""
+    """Joint of a kind at a world point (3,), m; axes are unit vectors (3,) in the world.
+
+    axis   : of all but BALL and FREE; of a UNIVERSAL the one that is fixed in the parent
+    second : of a UNIVERSAL, fixed in the child, perpendicular to `axis`
+    """
 
     kind: str
     parent: int
     child: int
     point: np.ndarray
     axis: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
+    second: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(frozen=True)
 class Problem:
     """Mechanism with its duration and requested results.
 
-    tree     : joint i holds body i to an earlier body or to the ground; empty for a free body
+    tree     : joint i holds body i to an earlier body or to the ground; empty for a free body.
+               A FREE joint stands at its body's centre, on the ground
     loops    : further joints, which close loops
     duration : s, at its end the attitudes are compared
     coarsest : steps for the duration with which to begin
     changes  : True when the motion is of another kind after the duration
     exact    : function of a fineness 0 or 1 that returns the exact attitudes then, (n, 3, 3)
+    wanted   : by how much we want to be faster than the best other code, at each of TARGETS
     """
 
     name: str
@@ -63,11 +73,36 @@ class Problem:
     coarsest: int
     changes: bool
     exact: Callable | None = None
+    wanted: tuple = (3.0, 5.0, 8.0)
 
     @property
     def joints(self):
-        """Kind of its joints in words."""
-        return {BALL: "balls", HINGE: "hinges"}[self.tree[0].kind] if self.tree else ""
+        """Kind of its joints in words, if they are all hinges or all balls."""
+        kinds = {joint.kind for joint in self.tree}
+        return {BALL: "balls", HINGE: "hinges"}.get(kinds.pop(), "") if len(kinds) == 1 else ""
+
+    def rates(self, i):
+        """Speeds of tree joint i at the start, rad/s and m/s, a list of one number per freedom.
+
+        FREE: velocity and omega; BALL: omega relative to the parent, world axes; UNIVERSAL: about
+        `axis`, about `second`; CYLINDRICAL: about and along its axis
+        """
+        joint, body = self.tree[i], self.bodies[i]
+        if joint.kind == FREE:
+            return [*body.velocity, *body.omega]
+        turn, shift = body.omega, body.velocity + np.cross(body.omega, joint.point - body.position)
+        if joint.parent != GROUND:
+            parent = self.bodies[joint.parent]
+            turn = turn - parent.omega
+            shift = shift - parent.velocity
+            shift = shift - np.cross(parent.omega, joint.point - parent.position)
+        return {
+            BALL: [*turn],
+            HINGE: [turn @ joint.axis],
+            SLIDE: [shift @ joint.axis],
+            UNIVERSAL: [turn @ joint.axis, turn @ joint.second],
+            CYLINDRICAL: [turn @ joint.axis, shift @ joint.axis],
+        }[joint.kind]
 
 
 def heavy_top():

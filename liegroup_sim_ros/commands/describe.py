@@ -41,7 +41,11 @@ def run(args):
     scene = load_scene(args.scene)
     facts = describe(make_layout(scene))
     with Console(stderr=True).status("measuring (the first start on a machine compiles)"):
-        facts["cost"] = {method: step_cost(scene, method) for method in METHODS}
+        facts["cost"] = {
+            f"{method}{', ' + group if group != 'auto' else ''}": step_cost(scene, method, group)
+            for method in METHODS
+            for group in ("auto", "se3")
+        }
     if args.json:
         print(json.dumps(facts, indent=1, allow_nan=False))
     else:
@@ -49,12 +53,12 @@ def run(args):
     return 0
 
 
-def step_cost(scene, method, seconds=MEASURING):
+def step_cost(scene, method, group="auto", seconds=MEASURING):
     """Measured cost of a step: {"step_us", "runs", "steps"}, or {"failed": text}.
 
     step_us : minimum of several runs of many steps each; other load of the machine only adds time
     """
-    simulation = Engine(scene, method, STEP)
+    simulation = Engine(scene, method, STEP, group)
     steps, times = 1, []
     end = time.perf_counter() + seconds
     try:
@@ -122,7 +126,8 @@ def sections(facts):
             [(force["name"], force["type"], " - ".join(force["on"])) for force in facts["forces"]],
         ),
         ("Degrees of freedom", _freedom_rows(facts)),
-        ("Solve", _solve_rows(facts["solve"], facts["plane"])),
+        ("Formulation of Munthe-Kaas methods", _formulation_rows(facts["formulation"])),
+        ("Solve on SE(3)^n", _solve_rows(facts["solve"], facts["plane"])),
         ("Applicable methods", [("", ", ".join(facts["methods"]), "")]),
         ("Conserved quantities", _conserved_rows(facts)),
         (
@@ -139,6 +144,36 @@ def sections(facts):
             ],
         ),
     ]
+
+
+def _formulation_rows(facts):
+    cut = [
+        f"{entry['joint']} ({' '.join(entry['rows'])})" for entry in facts["cut"] if entry["rows"]
+    ]
+    welded = [" + ".join(link["bodies"]) for link in facts["tree"] if len(link["bodies"]) > 1]
+    floating = [" + ".join(link["bodies"]) for link in facts["tree"] if link["joint"] is None]
+    relative, absolute = (facts["predicted_ns"][group] for group in ("relative", "se3"))
+    rows = [
+        ("chosen group", facts["group"], "--group, or the option group, chooses another"),
+        (
+            "relative coordinates",
+            str(facts["coordinates"]),
+            "joint positions of a spanning tree; its joints are satisfied exactly",
+        ),
+        ("cut joints", ", ".join(cut) or "none", "and their rows that are solved for"),
+    ]
+    if welded:
+        rows.append(("merged bodies", ", ".join(welded), "welded by fixed joints"))
+    if floating:
+        rows.append(("floating", ", ".join(floating), "six coordinates each"))
+    rows.append(
+        (
+            "predicted cost",
+            f"{relative / 1e3:.2g} us a stage",
+            f"on SE(3)^n {absolute / 1e3:.2g} us, on a core of 3 GHz",
+        )
+    )
+    return rows
 
 
 def _freedom_rows(facts):

@@ -2,12 +2,32 @@
 """Texts of the events about the accuracy of a run; they begin with the number that a reader needs."""
 
 
-def accuracy(value, time, before, share):
-    """From now on another accuracy is kept, as the one before takes this share of a core."""
+def accuracy(value, time, before, share, share_of_messages):
+    """From now on another accuracy is kept, as the one before takes too much of a core."""
     return (
         f"{value:g} is the accuracy from t = {time:.6g} s on: {before:g} takes "
-        f"{100.0 * share:.0f} % of a core in real time"
+        f"{_percent(share)} of a core in real time, messages {_percent(share_of_messages)}"
     )
+
+
+def slow(had, wanted, time, share, share_of_messages, accuracy):
+    """Real time is not kept.
+
+    had, wanted : real-time factors
+    time        : s
+    share       : of a core, that the integration takes in real time
+    accuracy    : that holds; None with a method
+    """
+    return (
+        f"{had:.3g} is the real-time factor at t = {time:.6g} s, of {wanted:g}: in real time the "
+        f"integration takes {_percent(share)} of a core"
+        + (f" at the accuracy of {accuracy:g}" if accuracy else "")
+        + f", messages {_percent(share_of_messages)}"
+    )
+
+
+def _percent(share):
+    return f"{100.0 * share:.0f} %"
 
 
 def inaccurate(since):

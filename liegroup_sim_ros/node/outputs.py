@@ -5,8 +5,11 @@ Topics, types and frames: docs/reference/node.md. Stamps are simulated time in n
 rate 0 is not created, and nothing is computed for it.
 """
 
+import contextlib
 import importlib
+import time
 
+from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from liegroup_core.forces.schedule import AXES
@@ -17,6 +20,10 @@ from liegroup_sim_ros.messages.markers import Markers, markers
 from liegroup_sim_ros.messages.topics import wrench_frame
 
 from .parameters import ParameterError
+
+# Longest time for which the last messages of all topics together may be on their way, s. A topic with
+# fewer messages than its depth is acknowledged only by the next heartbeat of DDS, seconds later.
+LAST_WORDS = 0.5
 
 
 class Stream:
@@ -74,6 +81,11 @@ class Stream:
         """Record a serialized message, without publishing it."""
         if self._write is not None:
             self._write(self._channel, stamp_ns, data)
+
+    def wait(self, seconds):
+        """Wait until all reliable subscribers have all messages, at most so many seconds."""
+        with contextlib.suppress(RuntimeError):  # some middlewares cannot tell
+            self._publisher.wait_for_all_acked(Duration(seconds=seconds))
 
     def close(self):
         """Destroy the publisher."""
@@ -202,8 +214,13 @@ class Outputs:
 
     def close(self, stamp_ns=None):
         """Destroy all publishers; with the last stamp, delete the markers in viewers first."""
-        if self._marker_stream is not None and stamp_ns is not None:
-            self._marker_stream.publish(self._markers.encode_end(stamp_ns))
+        if stamp_ns is not None:
+            if self._marker_stream is not None:
+                self._marker_stream.publish(self._markers.encode_end(stamp_ns))
+            # A subscriber drops what arrives after it has learned that the publisher is gone.
+            end = time.monotonic() + LAST_WORDS
+            for stream in self._streams:
+                stream.wait(max(0.0, end - time.monotonic()))
         for stream in self._streams:
             stream.close()
 

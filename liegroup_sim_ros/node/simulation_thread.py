@@ -16,16 +16,20 @@ from concurrent.futures import Future
 
 from liegroup_core import SimulationError
 from liegroup_core.errors import LieGroupSimError
-from liegroup_core.pacing import Pacer
+from liegroup_core.pacing import SLOW, Pacer
 from liegroup_sim_ros.messages import events
 
 log = logging.getLogger("liegroup_core")
 
 DIAGNOSTICS_PERIOD = 1.0  # s of wall time
-# Of a core, what the integration may take in real time; checked over so much wall time, in s. If it
-# takes more, the accuracy is raised by a factor, up to the largest one.
-SHARE, SHARE_PERIOD = 0.5, 0.2
+# Of a core, what the integration may take in real time, and what it may take with the messages;
+# checked over so much wall time, in s. If they take more, the accuracy is raised by a factor, up to
+# the largest one.
+SHARE, SHARE_OF_ALL, SHARE_PERIOD = 0.5, 0.9, 0.2
 COARSER, COARSEST = 10.0, 0.1
+# No accuracy takes less than one substep per step. It is raised only above so many, and only if one
+# per step, with the messages, would take less than so much of a core.
+WORTH, REACHABLE = 1.2, 1.0
 IDLE_TICK = 0.01  # s of simulated time between two ticks if no output has a period
 
 
@@ -73,8 +77,9 @@ class SimulationServer(threading.Thread):
         self._origin = origin
         self._factor_seen = 0.0  # achieved real-time factor at the last diagnostics
         self._said = set()  # events that are sent once
-        self._cpu = self._advanced = 0.0  # s of CPU time for s of simulated time
-        self._share = 0.0  # of a core, in real time
+        self._measure_shares()
+        self._share = self._share_of_messages = 0.0  # of a core, in real time
+        self._slow = False  # at the last diagnostics
         self._reference_energy = None  # J, at the last known instant without an applied wrench
         self.pacer = Pacer(factor, sleep=self._wake.wait)
         self.state = "paused" if paused else "running"
@@ -181,6 +186,7 @@ class SimulationServer(threading.Thread):
             self._wake.wait(idle)
         if time.monotonic() >= self._next_diagnostics:
             self._factor_seen = self.pacer.recent_factor()
+            self._tell_of_real_time()
             self._output.diagnostics(self.stamp_ns, self._figures(self._simulation.sample()))
             self._next_diagnostics = max(
                 self._next_diagnostics + DIAGNOSTICS_PERIOD, time.monotonic()
@@ -223,28 +229,55 @@ class SimulationServer(threading.Thread):
         except SimulationError as error:
             self._fault(str(error))
             return False
-        self._cpu += time.thread_time() - began
+        integrated = time.thread_time()
+        self._cpu += integrated - began
         self._advanced += (tick - first) * self._simulation.step
         self._send_outputs()
-        if self.state == "running" and self._advanced >= SHARE_PERIOD * self.pacer.factor > 0.0:
+        self._cpu_of_messages += time.thread_time() - integrated
+        factor = self.pacer.factor
+        # A run that is much too slow is not waited for.
+        enough = self._advanced >= SHARE_PERIOD * factor or self._cpu >= SHARE_PERIOD
+        if self.state == "running" and factor > 0.0 and enough:
             self._keep_to_real_time()
         return True
 
+    def _measure_shares(self):
+        """Begin to measure what the integration and the messages take."""
+        # s of CPU time for s of simulated time
+        self._cpu = self._cpu_of_messages = self._advanced = 0.0
+        self._substeps_before = self._simulation.substeps[1]
+
     def _keep_to_real_time(self):
-        """Raise the accuracy if the integration takes more than its share of a core."""
-        before, self._share = self._share, self._cpu / self._advanced * self.pacer.factor
-        self._cpu = self._advanced = 0.0
+        """Raise the accuracy if real time requires it, and if it helps."""
+        before = self._needs_more_time()
+        in_real_time = self.pacer.factor / self._advanced
+        self._share = self._cpu * in_real_time
+        self._share_of_messages = self._cpu_of_messages * in_real_time
+        steps = self._advanced / self._simulation.step
+        substeps = (self._simulation.substeps[1] - self._substeps_before) / steps
+        self._measure_shares()
         promise = self._simulation.promise
         # Twice in succession: once may be a disturbance.
-        if min(before, self._share) > SHARE and promise and promise["accuracy"] < COARSEST:
+        if not promise or not (before and self._needs_more_time()):
+            return
+        least = self._share_of_messages + self._share / max(1.0, substeps)
+        if promise["accuracy"] < COARSEST and substeps > WORTH and least < REACHABLE:
             accuracy = min(COARSEST, COARSER * promise["accuracy"])
             self._simulation.set_accuracy(accuracy)
-            self._said.discard("inaccurate")
+            if self._simulation.accurate_until == math.inf:
+                self._said.discard("inaccurate")
             text = events.accuracy(
-                accuracy, self._simulation.time, promise["accuracy"], self._share
+                accuracy,
+                self._simulation.time,
+                promise["accuracy"],
+                self._share,
+                self._share_of_messages,
             )
             log.warning(text)
             self._event("accuracy", text)
+
+    def _needs_more_time(self):
+        return self._share > SHARE or self._share + self._share_of_messages > SHARE_OF_ALL
 
     def _apply_wrenches(self):
         with self._lock:
@@ -279,6 +312,26 @@ class SimulationServer(threading.Thread):
             if name not in self._said:
                 self._said.add(name)
                 self._event(name, text)
+
+    def _tell_of_real_time(self):
+        """Send an event and log a warning once real time is not kept for two diagnostics."""
+        factor = self.pacer.factor
+        before, self._slow = self._slow, 0.0 < self._factor_seen < SLOW * factor
+        if self.state != "running":
+            self._slow = False
+        if before and self._slow and "slow" not in self._said:
+            self._said.add("slow")
+            promise = self._simulation.promise
+            text = events.slow(
+                self._factor_seen,
+                factor,
+                self._simulation.time,
+                self._share,
+                self._share_of_messages,
+                promise and promise["accuracy"],
+            )
+            log.warning(text)
+            self._event("slow", text)
 
     def _send_state(self, stamp_ns, sample):
         self._output.state(stamp_ns, self._figures(sample))
@@ -329,7 +382,8 @@ class SimulationServer(threading.Thread):
             self._wrenches.clear()
         self._simulation.reset()
         self._said.clear()
-        self._cpu = self._advanced = 0.0
+        self._measure_shares()
+        self._slow = False
         self._event("reset", "initial state, step 0")
         for body, axes in list(self._output.acting):
             self._send_wrench(self.stamp_ns, body, (0.0,) * 6, axes)
@@ -358,7 +412,10 @@ class SimulationServer(threading.Thread):
 
     def _speed(self, factor):
         self.pacer.factor = factor
-        self._cpu = self._advanced = self._share = 0.0
+        self._measure_shares()
+        self._share = self._share_of_messages = 0.0
+        self._slow = False
+        self._said.discard("slow")
         if self.state == "running":
             self.pacer.start(self._seconds())
         self._event("speed", f"real-time factor {factor:g}")
@@ -429,6 +486,7 @@ class SimulationServer(threading.Thread):
             "overruns": pacing["overruns"],
             "reanchored": pacing["reanchored"],
             "integration_share_of_core": self._share,
+            "messages_share_of_core": self._share_of_messages,
             "energy_J": sample.energy,
             "energy_drift_J": drift,
             "constraint_residual": sample.constraint_residual,

@@ -3,6 +3,8 @@
 
 import numpy as np
 
+ERRORS = ("position", "attitude", "velocity", "angular_velocity")  # m, rad, m/s, rad/s
+
 
 def data_frame(recording, what):
     """DataFrame with the time in s as index; see Recording.to_pandas."""
@@ -48,6 +50,16 @@ def data_frame(recording, what):
                 axis=1,
             )
         )
+    elif what == "errors":
+        track = recording.errors
+        columns = pandas.MultiIndex.from_product([recording.bodies, ERRORS])
+        frame = (
+            pandas.DataFrame()
+            if track is None
+            else pandas.DataFrame(
+                track.errors.reshape(len(track.errors), len(columns)), track.time, columns
+            )
+        )
     elif what == "events":
         frame = pandas.DataFrame(
             [event[1:] for event in recording.events],
@@ -55,6 +67,6 @@ def data_frame(recording, what):
             ["name", "text"],
         )
     else:
-        raise ValueError(f"what must be motion, wrench, joints or events, got {what!r}")
+        raise ValueError(f"what must be motion, wrench, joints, errors or events, got {what!r}")
     frame.index.name = "time_s"
     return frame

@@ -288,8 +288,11 @@ class Recording:
         """pandas DataFrame with the time in s as index.
 
         what : "motion"  columns (body, quantity): x, y, z, qx, qy, qz, qw, wx, wy, wz, vx, vy, vz
-               "wrench"  columns body, tx, ty, tz, fx, fy, fz: the total wrench from this time on
+               "wrench"  columns body, axes, tx, ty, tz, fx, fy, fz: the total wrench in these axes
+                         from this time on
                "joints"  columns (joint, "position" or "velocity")
+               "errors"  columns (body, "position", "attitude", "velocity" or "angular_velocity"):
+                         estimated errors in m, rad, m/s, rad/s, as in `errors`
                "events"  columns name, text
         raises ImportError without pandas, ValueError for any other `what`
         """

@@ -5,6 +5,14 @@ from liegroup_sim_ros.analysis.timing import requested_text
 from liegroup_sim_ros.numbers import GROUPS, counted, error_text, shown
 
 MOST_JOINTS = 8  # in the table; the JSON document has all
+# Parts of an error in the analysis, and their names for the user.
+PARTS = {
+    "position": "position",
+    "angle": "attitude",
+    "attitude": "attitude |R - Rref|",
+    "angular": "angular velocity",
+    "linear": "velocity",
+}
 OVERVIEW = ("position", "attitude", "energy", "joints", "bit-identical", "dropped")
 
 
@@ -135,13 +143,6 @@ def _run_rows(figures):
 
 
 def _error_rows(figures):
-    names = {
-        "position": "position",
-        "angle": "attitude",
-        "attitude": "attitude |R - Rref|",
-        "angular": "angular velocity",
-        "linear": "velocity",
-    }
     return [
         (
             text,
@@ -149,18 +150,11 @@ def _error_rows(figures):
             f"at the end {shown(entry['final'], entry['unit'])}, "
             f"reference ± {shown(entry['uncertainty'], entry['unit'])}",
         )
-        for key, text in names.items()
-        for entry in [figures["reference"][key]]
+        for text, entry in _named(figures["reference"])
     ]
 
 
 def _estimate_rows(figures):
-    names = {
-        "position": "position",
-        "angle": "attitude",
-        "angular": "angular velocity",
-        "linear": "velocity",
-    }
     return [
         (
             text,
@@ -171,9 +165,13 @@ def _estimate_rows(figures):
             if entry["samples"]
             else "no error above the reference uncertainty to compare with",
         )
-        for key, text in names.items()
-        for entry in [figures["estimate"][key]]
+        for text, entry in _named(figures["estimate"])
     ]
+
+
+def _named(parts):
+    """[(name for the user, entry)] of the parts of an error that are there; parts : {key: entry}."""
+    return [(text, parts[key]) for key, text in PARTS.items() if key in parts]
 
 
 def _percent(share):

@@ -27,3 +27,16 @@ def client():
     client = Client()
     yield client
     client.close()
+
+
+@pytest.fixture(scope="module")
+def ros_node():
+    """rclpy node in this process for parts of the simulation node, without its process."""
+    import rclpy
+    from node_process import own_context
+
+    context = own_context()
+    node = rclpy.create_node("sim_node", context=context)
+    yield node
+    node.destroy_node()
+    context.try_shutdown()

@@ -73,6 +73,16 @@ def python(code, *arguments, env=None, under=()):
     )
 
 
+def own_context():
+    """rclpy Context of this process in the domain of the tests."""
+    os.environ.update(
+        {key: ENVIRONMENT[key] for key in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")}
+    )
+    context = rclpy.Context()
+    context.init()
+    return context
+
+
 class NodeProcess:
     """Simulation node, stopped by `with`. parameters: {name: value}; under: as in `python`."""
 
@@ -112,11 +122,7 @@ class Client:
     """ROS node in this process that subscribes, calls services and publishes wrenches."""
 
     def __init__(self):
-        os.environ.update(
-            {key: ENVIRONMENT[key] for key in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")}
-        )
-        self._context = rclpy.Context()
-        self._context.init()
+        self._context = own_context()
         self.node = rclpy.create_node("test_client", context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)

@@ -3,7 +3,6 @@
 
 import json
 import math
-import os
 import re
 import signal
 import time
@@ -12,11 +11,10 @@ from types import SimpleNamespace
 
 import jsonschema
 import pytest
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from made_run import record
-from node_process import COMPILING, ENVIRONMENT, NodeProcess
+from node_process import COMPILING, NodeProcess
 from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
@@ -137,20 +135,7 @@ def test_a_node_says_when_its_motion_cannot_be_known_any_more(client, tmp_path):
     assert "Later the run itself reports a larger error" in found["verdict"]
 
 
-@pytest.fixture(scope="module")
-def node():
-    os.environ.update(
-        {key: ENVIRONMENT[key] for key in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")}
-    )
-    context = rclpy.Context()
-    context.init()
-    node = rclpy.create_node("sim_node", context=context)
-    yield node
-    node.destroy_node()
-    context.try_shutdown()
-
-
-def scene_run(node, scene, before=None, **parameters):
+def scene_run(ros_node, scene, before=None, **parameters):
     """SceneRun of the node's own parts, in this process."""
     values = SimpleNamespace(**{entry.name: entry.default for entry in TABLE} | parameters, qos=[])
     values.record = str(values.record)
@@ -161,7 +146,7 @@ def scene_run(node, scene, before=None, **parameters):
         horizon=values.accuracy_horizon,
     )
     set_step(values, simulation.step)
-    return SceneRun(node, values, simulation, before)
+    return SceneRun(ros_node, values, simulation, before)
 
 
 def pushed(run, body, wrench, duration, source="test", axes="body"):
@@ -178,11 +163,11 @@ def wait_for(condition, seconds=30.0):
 @pytest.mark.parametrize(
     "scene, body", [("heavy_top", "top"), ("double_pendulum", "lower"), ("hinge_chain", "rod5")]
 )
-def test_parts_of_a_run_to_an_accuracy_repeat_alone(node, tmp_path, monkeypatch, scene, body):
+def test_parts_of_a_run_to_an_accuracy_repeat_alone(ros_node, tmp_path, monkeypatch, scene, body):
     """With wrenches that span parts. Each begins where the two runs of the estimate meet."""
     monkeypatch.setattr(simulation_thread, "SHARE", math.inf)
     run = scene_run(
-        node,
+        ros_node,
         scene,
         record=tmp_path / "run.mcap",
         record_split_duration=0.43,
@@ -221,10 +206,12 @@ def test_parts_of_a_run_to_an_accuracy_repeat_alone(node, tmp_path, monkeypatch,
     )
 
 
-def test_real_time_that_does_not_allow_the_accuracy_raises_it(node, tmp_path, monkeypatch, caplog):
+def test_real_time_that_does_not_allow_the_accuracy_raises_it(
+    ros_node, tmp_path, monkeypatch, caplog
+):
     """By ten, with an event and a warning; a reset returns to the accuracy asked for."""
     run = scene_run(
-        node,
+        ros_node,
         "double_pendulum",
         accuracy=1e-9,
         record=tmp_path / "run.mcap",
@@ -245,6 +232,7 @@ def test_real_time_that_does_not_allow_the_accuracy_raises_it(node, tmp_path, mo
         time.sleep(0.3)
         assert raised() == []
         monkeypatch.setattr(simulation_thread, "SHARE", 0.0)
+        monkeypatch.setattr(simulation_thread, "WORTH", 0.0)
         wait_for(lambda: len(raised()) >= 2)
         monkeypatch.setattr(simulation_thread, "SHARE", 0.5)
         pushed(run, "lower", (0, 0, 0, 0, 5.0, 0), 0.1)
@@ -262,7 +250,8 @@ def test_real_time_that_does_not_allow_the_accuracy_raises_it(node, tmp_path, mo
         run.close()
     text = raised()[0][2]
     assert text.startswith("1e-08 is the accuracy from t = ") and ": 1e-09 takes " in text
-    assert text.endswith(" % of a core in real time") and text in caplog.text
+    assert re.search(r"takes \d+ % of a core in real time, messages \d+ %$", text)
+    assert text in caplog.text
     recordings = [repeats(path) for path in sorted(tmp_path.glob("*.mcap"))]
     assert len(recordings) >= 3
     assert sum(e.name == "accuracy" for r in recordings for e in r.events) == len(raised())
@@ -278,10 +267,11 @@ def test_real_time_that_does_not_allow_the_accuracy_raises_it(node, tmp_path, mo
     assert later["kept"] is later["seconds"] is None
 
 
-def test_the_accuracy_is_raised_at_most_to_a_tenth(node, tmp_path, monkeypatch):
+def test_the_accuracy_is_raised_at_most_to_a_tenth(ros_node, tmp_path, monkeypatch):
     monkeypatch.setattr(simulation_thread, "SHARE", 0.0)
+    monkeypatch.setattr(simulation_thread, "WORTH", 0.0)
     monkeypatch.setattr(simulation_thread, "SHARE_PERIOD", 0.02)
-    run = scene_run(node, "heavy_top", accuracy=3e-3, record=tmp_path / "run.mcap")
+    run = scene_run(ros_node, "heavy_top", accuracy=3e-3, record=tmp_path / "run.mcap")
     run.start()
     try:
         wait_for(lambda: run.simulation.promise["accuracy"] == simulation_thread.COARSEST)
@@ -292,9 +282,49 @@ def test_the_accuracy_is_raised_at_most_to_a_tenth(node, tmp_path, monkeypatch):
     assert [text.split()[0] for text in changes] == ["0.03", "0.1"]
 
 
-def test_as_fast_as_possible_has_no_share_of_real_time(node, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    "accuracy, factor, publish_rate",
+    [
+        (1e-2, 3.0, 100.0),  # one substep per step already
+        (1e-12, 1000.0, 1000.0),  # the messages alone take more than a core
+    ],
+)
+def test_an_accuracy_is_not_given_away_if_that_does_not_help(
+    ros_node, tmp_path, monkeypatch, caplog, accuracy, factor, publish_rate
+):
+    """The run says once that it is too slow, and with what."""
     monkeypatch.setattr(simulation_thread, "SHARE", 0.0)
-    run = scene_run(node, "heavy_top", record=tmp_path / "run.mcap", real_time_factor=0.0)
+    monkeypatch.setattr(simulation_thread, "SLOW", 1.1)
+    run = scene_run(
+        ros_node,
+        "heavy_top",
+        accuracy=accuracy,
+        real_time_factor=factor,
+        publish_rate=publish_rate,
+        record=tmp_path / "run.mcap",
+    )
+    run.start()
+    try:
+        wait_for(lambda: " is the real-time factor at t = " in caplog.text)
+        time.sleep(1.5)
+        assert run.simulation.promise["accuracy"] == accuracy
+    finally:
+        run.close()
+    recording = repeats(tmp_path / "run.mcap")
+    (text,) = [event.text for event in recording.events if event.name == "slow"]
+    assert re.search(
+        rf"of {factor:g}: in real time the integration takes \d+ % of a core at the accuracy of "
+        rf"{accuracy:g}, messages \d+ %$",
+        text,
+    )
+    assert 0.0 < events_of_runs.number(text) < 1.1 * factor
+    assert caplog.text.count(text) == 1
+    assert "accuracy" not in {event.name for event in recording.events}
+
+
+def test_as_fast_as_possible_has_no_share_of_real_time(ros_node, tmp_path, monkeypatch):
+    monkeypatch.setattr(simulation_thread, "SHARE", 0.0)
+    run = scene_run(ros_node, "heavy_top", record=tmp_path / "run.mcap", real_time_factor=0.0)
     run.start()
     time.sleep(0.5)
     run.close()

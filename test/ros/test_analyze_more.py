@@ -575,6 +575,7 @@ changes = recording.to_pandas("wrench")
 assert changes.body.tolist() == ["left"] and changes.fz.tolist() == [2.0] == wrench.wrench[:, 5]
 assert recording.to_pandas("events").name.tolist() == ["start", "stop"]
 assert recording.joint_states is None and recording.to_pandas("joints").empty
+assert recording.errors is None and recording.to_pandas("errors").empty
 """
     done = subprocess.run([sys.executable, "-c", code, str(log)], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

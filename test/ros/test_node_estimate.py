@@ -102,7 +102,7 @@ def _check_errors(recording, published):
     figures = analyse(recording).figures
     for entry in figures["estimate"].values():
         assert entry["samples"] > 100 and entry["max"] > 0.0
-        # Measured over many mechanisms: benchmarks/coverage.py.
+        # Measured over many mechanisms: benchmarks/estimate_coverage.py.
         assert entry["covering"] > 0.8 and entry["close"] > 0.5
 
 

@@ -299,6 +299,7 @@ def test_reload_starts_a_new_scene_with_new_topics_and_a_new_file(client, node, 
         m for m in node.messages["marker_rate"] if m.markers[0].action == Marker.DELETEALL
     )
     assert len(deleted.markers) == 1 and deleted.markers[0].header.frame_id == "map"
+    assert [event.name for event in node.events].count("stop") == 1
     push = client.pusher(NODE, "puck/wrench")
     push(f"{PREFIX}puck", force=(0.0, 2.0, 0.0))
     client.until(lambda: len(applied) >= 2)

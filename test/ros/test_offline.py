@@ -53,6 +53,8 @@ def test_every_file_has_the_estimated_errors_if_they_are_carried(tmp_path, capsy
     recording = read_recording(tmp_path / "a.mcap")
     assert np.array_equal(recording.errors.stamp_ns, recording.pose["lower"].stamp_ns)
     (piece,) = recording.samples()
+    frame = recording.to_pandas("errors")
+    assert frame.shape == (96, 8) and (frame.index == recording.errors.time).all()
     simulation = Simulation(load_scene("double_pendulum"), "rkmk4")
     for k in range(96):
         errors = simulation.sample().errors
@@ -60,6 +62,8 @@ def test_every_file_has_the_estimated_errors_if_they_are_carried(tmp_path, capsy
         assert arrays["errors"][k].tobytes() == errors.tobytes()
         assert recording.errors.errors[k].tobytes() == piece.errors[k].tobytes() == errors.tobytes()
         for body, values in zip(("upper", "lower"), errors):
+            parts = frame[body][["position", "attitude", "velocity", "angular_velocity"]]
+            assert parts.iloc[k].to_numpy().tobytes() == values.tobytes()
             for name, value in zip(
                 (
                     "position_error [m]",

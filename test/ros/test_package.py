@@ -17,6 +17,8 @@ from ament_index_python.packages import get_package_prefix, get_package_share_di
 
 import liegroup_core
 import liegroup_sim_ros
+from liegroup_core import Simulation, load_scene
+from liegroup_sim_ros.messages.samples import OPTIONAL
 from liegroup_sim_ros.node.parameters import TABLE
 
 NAME = "liegroup_sim_ros"
@@ -82,19 +84,53 @@ def test_share_files_are_installed():
         assert (share / file).read_bytes() == (SOURCE / file).read_bytes()
 
 
+def rviz_displays(displays):
+    """All displays of an RViz configuration, those in groups too."""
+    for display in displays:
+        yield display
+        yield from rviz_displays(display.get("Displays", ()))
+
+
+def test_the_displays_of_rviz_show_topics_of_the_preset():
+    """With their types; poses with estimated errors of every body of its scene."""
+    preset = yaml.safe_load((SOURCE / "config" / "show.yaml").read_text())
+    values = preset["/**"]["ros__parameters"]
+    layout = Simulation(load_scene(values["scene"])).layout
+    published = {"~/markers": "visualization_msgs/msg/MarkerArray"} | {
+        topic: message_type
+        for name, (make, _) in OPTIONAL.items()
+        if values.get(name)
+        for topic, message_type, _ in make(layout, "world")
+    }
+    rviz = yaml.safe_load((SOURCE / "config" / "scene.rviz").read_text())
+    shown = {
+        display["Topic"]["Value"].replace("/sim_node", "~"): display
+        for display in rviz_displays(rviz["Visualization Manager"]["Displays"])
+        if "Topic" in display
+    }
+    types = {
+        "rviz_default_plugins/MarkerArray": "visualization_msgs/msg/MarkerArray",
+        "rviz_default_plugins/PoseWithCovariance": "geometry_msgs/msg/PoseWithCovarianceStamped",
+    }
+    assert values["marker_rate"] > 0.0
+    for topic, display in shown.items():
+        assert published[topic] == types[display["Class"]] and display["Enabled"] is True, topic
+    assert shown.keys() == {"~/markers"} | {
+        f"~/{body}/pose_with_covariance" for body in layout.body_names
+    }
+    # A namespace moves them all.
+    launch = (SOURCE / "launch" / "sim.launch.py").read_text()
+    moved = ast.literal_eval(re.search(r"SHOWN = (\(.*?\n\))", launch, re.DOTALL)[1])
+    assert {f"~/{topic}" for topic in moved} == shown.keys()
+
+
 def test_layouts_show_only_topics_of_the_node():
     documented = (SOURCE / "docs" / "reference" / "node.md").read_text()
-    rviz = yaml.safe_load((SOURCE / "config" / "scene.rviz").read_text())
-    shown = [
-        display["Topic"]["Value"]
-        for display in rviz["Visualization Manager"]["Displays"]
-        if "Topic" in display
-    ]
     foxglove = json.loads((SOURCE / "config" / "foxglove.json").read_text())["configById"]
-    shown += foxglove["3D!scene"]["topics"]
+    shown = list(foxglove["3D!scene"]["topics"])
     shown += [path["value"].partition(".")[0] for path in foxglove["Plot!joints"]["paths"]]
     shown.append(foxglove["DiagnosticStatusPanel!figures"]["topicToRender"])
-    assert len(shown) == 5
+    assert len(shown) == 4
     for topic in shown:
         assert f"`{topic.replace('/sim_node', '~')}`" in documented, topic
 

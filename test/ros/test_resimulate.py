@@ -5,14 +5,11 @@ The node's own parts run here without its process: SceneRun with its thread, its
 pacing and its recorder, which divides the recording.
 """
 
-import os
 import time
 from types import SimpleNamespace
 
 import pytest
-import rclpy
 from made_run import record
-from node_process import ENVIRONMENT
 
 from liegroup_core import Simulation, load_scene
 from liegroup_core.integrators.methods import METHODS
@@ -45,19 +42,6 @@ bodies:
 """
 
 
-@pytest.fixture(scope="module")
-def node():
-    os.environ.update(
-        {key: ENVIRONMENT[key] for key in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")}
-    )
-    context = rclpy.Context()
-    context.init()
-    node = rclpy.create_node("sim_node", context=context)
-    yield node
-    node.destroy_node()
-    context.try_shutdown()
-
-
 def values(path):
     """Parameters of a node that samples every second step."""
     found = SimpleNamespace(**{entry.name: entry.default for entry in TABLE})
@@ -70,9 +54,9 @@ def values(path):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_resimulation_is_bit_identical_with_every_method(node, tmp_path, method):
+def test_resimulation_is_bit_identical_with_every_method(ros_node, tmp_path, method):
     run = SceneRun(
-        node, values(tmp_path / "run.mcap"), Simulation(scene_from_text(TOP), method, STEP)
+        ros_node, values(tmp_path / "run.mcap"), Simulation(scene_from_text(TOP), method, STEP)
     )
     run.start()
 
@@ -101,7 +85,7 @@ def test_resimulation_is_bit_identical_with_every_method(node, tmp_path, method)
         time.sleep(0.03)
         call("hold")
         reloaded = SceneRun(
-            node,
+            ros_node,
             values(tmp_path / "run.mcap"),
             Simulation(scene_from_text(FREE), method, STEP),
             run,

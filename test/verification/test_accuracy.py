@@ -6,9 +6,10 @@ import math
 import mechanisms
 import numpy as np
 import pytest
+from true_error import distance_at
 
 from liegroup_core import Simulation, load_scene
-from liegroup_core.reference import Reference, Trajectory, WrenchChange, distance
+from liegroup_core.reference import Reference, WrenchChange
 from liegroup_core.scene.library import four_bar_windows
 
 FORCE = {"heavy_top": 40.0, "four_bar": 5.0, "double_pendulum": 2.0, "slider_crank": 3.0}  # N
@@ -35,16 +36,7 @@ def true_error(simulation, changes, times):
     assert max(uncertainty.position.max() / length, uncertainty.angle.max()) < 1e-9
     for k, time in enumerate(times):
         simulation.advance(round(time / simulation.step) - simulation.steps)
-        sample = simulation.sample()
-        n = len(sample.pose)
-        found = Trajectory(
-            times[k : k + 1],
-            sample.pose[None, :, :9].reshape(1, n, 3, 3),
-            sample.pose[None, :, 9:],
-            sample.twist[None],
-        )
-        there = Trajectory(times[k : k + 1], *(part[k : k + 1] for part in exact[1:]))
-        off = distance(found, there)
+        off = distance_at(simulation.sample(), exact, k)
         worst = max(worst, off.position.max() / length, off.angle.max())
     return worst
 
@@ -126,6 +118,24 @@ def test_in_chaos_the_accuracy_ends_with_a_line_and_the_joints_stay_closed():
     assert simulation.sample().constraint_residual < 1e-12
     # 1e-6 of the energy that is exchanged, about m g h of the chain.
     assert simulation.energy() == pytest.approx(energy, abs=1e-6 * max(1.0, abs(energy)))
+
+
+def test_another_accuracy_counts_anew_only_while_the_error_allows_it():
+    simulation = Simulation(load_scene("double_pendulum"), accuracy=1e-10)
+    while simulation.accurate_until == math.inf:
+        simulation.advance(4)
+    simulation.set_accuracy(1e-5)
+    assert simulation.accurate_until == math.inf
+    while simulation.predictable_until == math.inf:
+        simulation.advance(4)
+    since, said = simulation.accurate_until, simulation.doubt
+    assert since <= simulation.predictable_until and said.count("above the accuracy") == 2
+    simulation.set_accuracy(1e-4)
+    simulation.advance(8)
+    assert (simulation.accurate_until, simulation.doubt) == (since, said)
+    assert simulation.promise["accuracy"] == 1e-4
+    simulation.reset()
+    assert simulation.accurate_until == math.inf and simulation.promise["accuracy"] == 1e-10
 
 
 @pytest.mark.parametrize(

@@ -5,9 +5,10 @@ import math
 
 import numpy as np
 import pytest
+from true_error import distance_at
 
 from liegroup_core import Simulation, load_scene
-from liegroup_core.reference import Reference, Trajectory, WrenchChange, distance
+from liegroup_core.reference import Reference, WrenchChange
 
 FORCE = {"heavy_top": 40.0, "four_bar": 5.0, "double_pendulum": 2.0, "free_body": 20.0}  # N
 ON, OFF = 0.1203, 0.2417  # s, inside a step
@@ -44,9 +45,9 @@ def pushed(scene, method, step, stabilisation):
 def test_estimates_cover_the_true_error_through_a_push(name, method, step, stabilisation):
     """At least half of the true error in 49 of 50 samples, and at most five times it in half of them.
 
-    In many more mechanisms: benchmarks/coverage.py. Errors that oscillate pass through zero, where
-    the estimate stays above them. As a function of the step too: that of the four-bar, which has one
-    degree of freedom, does so near 1 ms.
+    In many more mechanisms: benchmarks/estimate_coverage.py. Errors that oscillate pass through zero,
+    where the estimate stays above them. As a function of the step too: that of the four-bar, which
+    has one degree of freedom, does so near 1 ms.
     """
     scene = load_scene(name)
     simulation, changes = pushed(scene, method, step, stabilisation)
@@ -57,18 +58,10 @@ def test_estimates_cover_the_true_error_through_a_push(name, method, step, stabi
     for k, time in enumerate(times):
         simulation.advance(round(time / step) - simulation.steps)
         sample = simulation.sample()
-        n = len(sample.pose)
-        found = Trajectory(
-            times[k : k + 1],
-            sample.pose[None, :, :9].reshape(1, n, 3, 3),
-            sample.pose[None, :, 9:],
-            sample.twist[None],
-        )
-        there = Trajectory(times[k : k + 1], *(part[k : k + 1] for part in exact[1:]))
-        true = distance(found, there)
+        true = distance_at(sample, exact, k)
         parts = ("position", "angle", "linear", "angular")
         for column, part in enumerate(parts):
-            error, unknown = getattr(true, part)[0], getattr(uncertainty, part)[k]
+            error, unknown = getattr(true, part), getattr(uncertainty, part)[k]
             known = (error > 10.0 * unknown) & (error > 1e-12)
             ratios += list(sample.errors[known, column] / error[known])
     assert len(ratios) >= 50

@@ -91,6 +91,15 @@ class RelativeModel(Struct):
     projects: bool
     baumgarte_rate: float
 
+    def kept_rows(self, element):
+        """Numbers of the rows that are solved for, of an element of `space` in a cut joint."""
+        (found,) = (self.owners == element).nonzero()
+        if not len(found):
+            return []
+        joint = self.joints[found[0]]
+        rows = self.row_residual[joint["first"] : joint["first"] + joint["rows"]]
+        return (rows - self.elements[joint["element"]]["row_start"]).tolist()
+
 
 PLANE_LINK = np.dtype(
     [  # link of a planar mechanism; what the sweeps need, close together
@@ -127,7 +136,9 @@ class PlaneModel(RelativeModel):
 class RelativeWork(Struct):
     """Scratch memory of one simulation; fields without a comment as in Work.
 
-    In a plane velocities, moved, force and U have 3 numbers, inertia has 6; drift is A, (L, 2).
+    In a plane velocities, moved, force and U have 3 numbers and inertia has 6; drift is A, (L, 2);
+    moved is E, and `applied` has the bias forces of the links less the applied wrenches: see
+    plane_trees.py.
     """
 
     space: Work
@@ -135,6 +146,7 @@ class RelativeWork(Struct):
     acting: np.ndarray  # that of `space`
     start_angle: np.ndarray  # that of `space`
     report: np.ndarray  # that of `space`
+    known: np.ndarray  # (1,) 1 if the rows of the links in pose and twist are those of the state
     pose: np.ndarray  # (n + L, 12) the state
     twist: np.ndarray  # (n + L, 6)
     stage_pose: np.ndarray  # (n + L, 12)
@@ -153,22 +165,23 @@ class RelativeWork(Struct):
     drift: np.ndarray  # (L, 6) [V, S qdot]
     moved: np.ndarray  # (L, 6) Vdot - gravity of the links
     inertia: np.ndarray  # (L, 21) of the articulated body: A (6), B (9), C (6)
+    applied: np.ndarray  # (L, 6) applied wrenches on the links
     force: np.ndarray  # (L, 6) its bias force
     freedoms: np.ndarray  # (f, 8) U, 1 / D, u of each freedom
     acceleration: np.ndarray  # (f, 1) qddot
+    total: np.ndarray  # (f, 1) qddot and
+    total_moved: np.ndarray  # (L, 6) Vdot - gravity before a refinement
     child_jacobian: np.ndarray  # (m, 6)
     parent_jacobian: np.ndarray  # (m, 6)
     slip: np.ndarray  # (m,) J V
     gap: np.ndarray  # (all rows of the cut joints,)
-    right: np.ndarray  # (m,) bias, then multipliers
-    carried: (
-        np.ndarray
-    )  # (L, 6) a row's wrench on its way to the world; those of two rows in a plane
+    bias: np.ndarray  # (m,) J Vdot = bias
+    right: np.ndarray  # (m,) residual, then a change of the multipliers
+    multipliers: np.ndarray  # (m,)
+    carried: np.ndarray  # (L, 6) a row's wrench on its way to the world; in a plane those of two
     response: np.ndarray  # y of each row and freedom on its path
     matrix: np.ndarray  # (m, m) W in the upper, its factor in the lower triangle
     diagonal: np.ndarray  # (m,) pivots
-    residual: np.ndarray  # (m,)
-    multipliers: np.ndarray  # (m,)
     difference: np.ndarray  # (2, 6) that of a link: algebra, qdot
     errors: np.ndarray  # (2 L, 12) error estimates of the links: xi, eta, dw, dv
 
@@ -187,6 +200,7 @@ def make_relative_work(model, work, stages):
         report=work.report,
         **{name: np.zeros((n + links, 12)) for name in ("pose", "stage_pose", "start_pose")},
         **{name: np.zeros((n + links, 6)) for name in ("twist", "stage_twist", "start_twist")},
+        known=np.zeros(1),
         velocity=np.zeros((links, 6)),
         slopes=np.zeros(((stages + 1) * freedoms, 2)),
         external=np.zeros((n, 16)),
@@ -199,20 +213,29 @@ def make_relative_work(model, work, stages):
         drift=np.zeros((links, 2 if in_plane else 6)),
         moved=np.zeros((links, size)),
         inertia=np.zeros((links, 6 if in_plane else 21)),
+        applied=np.zeros((links, size)),
         force=np.zeros((links, size)),
         freedoms=np.zeros((freedoms, 8)),
         acceleration=np.zeros((freedoms, 1)),
+        total=np.zeros((freedoms, 1)),
+        total_moved=np.zeros((links, size)),
         child_jacobian=model.child_jacobian.copy(),
         parent_jacobian=np.zeros((rows, 6)),
         slip=np.zeros(rows),
         gap=np.zeros(int(model.elements["rows"].sum())),
+        bias=np.zeros(rows),
         right=np.zeros(rows),
+        multipliers=np.zeros(rows),
         carried=np.zeros((links, 6)),
         response=np.zeros(int(model.path_places[-1])),
         matrix=np.zeros((rows, rows)),
         diagonal=np.zeros(rows),
-        residual=np.zeros(rows),
-        multipliers=np.zeros(rows),
         difference=np.zeros((2, 6)),
         errors=np.zeros((2 * links, 12)),
     )
+
+
+def links_of(work):
+    """Arrays of a RelativeWork that are the state: coordinates and rates, and whether they are."""
+    n = len(work.pose) - len(work.relative)
+    return work.known, work.pose[n:], work.twist[n:]

@@ -58,9 +58,9 @@ FIRST_AXIS, SECOND_AXIS = np.eye(4)[:, [1, 2, 0, 3]], np.eye(4)[:, [2, 0, 1, 3]]
 class _Link:
     """Link under construction: `placement` T in its parent, and poses of its bodies in it."""
 
-    def __init__(self, group, parent, placement, bodies, coordinates=OWN, pitch=0.0):
-        self.group, self.parent, self.placement = group, parent, placement
-        self.bodies, self.coordinates, self.pitch = bodies, coordinates, pitch
+    def __init__(self, joint, group, parent, placement, coordinates=OWN, pitch=0.0):
+        self.joint, self.group, self.parent, self.placement = joint, group, parent, placement
+        self.coordinates, self.pitch, self.bodies = coordinates, pitch, {}
         self.components = COMPONENTS[group]
 
     def directions(self):
@@ -113,6 +113,12 @@ def relative_model(scene, model, in_space=False):
     if normal is None:
         return RelativeModel(**common)
     return PlaneModel(**common, **_plane_arrays(model, links, records, places, scene, normal))
+
+
+def tree_of(scene):
+    """SpanningTree that a RelativeModel of a scene is built on."""
+    plane = find_plane(scene, resolve_frames(scene), resolve_elements(scene))
+    return spanning_tree(scene, None if plane is None else plane[1])
 
 
 def _plane_arrays(model, links, records, places, scene, normal):
@@ -194,7 +200,7 @@ def _links(scene, frames, tree, normal):
             centre = sum(m * welds[name][:3, 3] for m, name in zip(masses, bodies)) / masses.sum()
             frame = np.eye(4)
             frame[:3, 3] = centre
-            links.append(_Link(FREE, WORLD, np.eye(4), None))
+            links.append(_Link(None, FREE, WORLD, np.eye(4)))
         else:
             joint, (F_a, F_b) = scene.joints[j], frames[j]
             reverse = joint.child not in bodies
@@ -207,13 +213,13 @@ def _links(scene, frames, tree, normal):
             placement = pose @ F_in
             if joint.type == "universal":
                 first, second = (SECOND_AXIS, FIRST_AXIS) if reverse else (FIRST_AXIS, SECOND_AXIS)
-                links.append(_Link(HINGE, parent, placement @ first, {}, CROSS))
-                links.append(_Link(HINGE, len(links) - 1, first.T @ second, None, AFTER_CROSS))
+                links.append(_Link(j, HINGE, parent, placement @ first, CROSS))
+                links.append(_Link(j, HINGE, len(links) - 1, first.T @ second, AFTER_CROSS))
                 frame = welds[outer] @ F_out @ second
             else:
                 kind = GROUPS[joint.type]
                 pitch = joint.pitch if joint.type == "screw" else 0.0
-                links.append(_Link(kind, parent, placement, None, pitch=pitch))
+                links.append(_Link(j, kind, parent, placement, pitch=pitch))
                 if normal is not None and kind == SLIDE:
                     links[-1].components = (3,)
                 frame = welds[outer] @ F_out
@@ -291,14 +297,11 @@ def _cut_rows(scene, frames, parts, tree, links, places, model):
         return cut, []
     keep = [np.ones(len(part.names), dtype=bool) for _, _, part in cut]
     loops = loop_joints([(joint.parent, joint.child) for joint in scene.joints])
-    # The order of model/redundancy.py: the linkage is analysed once.
-    loops.sort(key=lambda j: scene.joints[j].parent != WORLD_NAME)
     # A distance joint is cut also where it closes no loop: then its row is independent.
     closing = [k for k, (j, _, _) in enumerate(cut) if j in set(loops)]
     if closing:
-        linkage = Linkage(scene, frames, parts, loops)
         joints = sorted({cut[k][0] for k in closing})
-        matrices = _tree_jacobians(linkage, scene, loops, joints, links, places)
+        matrices = _tree_jacobians(scene, frames, parts, loops, joints, links, places)
         chosen, _ = independent_rows(matrices, np.zeros(len(matrices[0]), dtype=bool))
         at = 0
         for k in closing:
@@ -307,12 +310,11 @@ def _cut_rows(scene, frames, parts, tree, links, places, model):
     return cut, [np.flatnonzero(rows) for rows in keep]
 
 
-def _tree_jacobians(linkage, scene, loops, joints, links, places):
-    """Rows of cut joints for the freedoms of the tree, at generic poses of the linkage of all loops.
+def _tree_jacobians(scene, frames, parts, loops, joints, links, places):
+    """Rows of the cut joints of loops for the freedoms of the tree, at generic poses.
 
-    loops, joints : indices of the joints of the linkage, and of the cut ones among them
+    loops, joints : indices of the joints in loops, and of the cut ones among them
     """
-    length = linkage.length
     first = np.concatenate([[0], np.cumsum([FREEDOMS[link.group] for link in links])])
     ends = {
         j: [
@@ -321,20 +323,26 @@ def _tree_jacobians(linkage, scene, loops, joints, links, places):
         ]
         for j in joints
     }
-    # Links that both ends share do not move a joint, and may be outside the linkage.
-    needed = sorted({i for child, parent in ends.values() for i in set(child) ^ set(parent)})
-    start = {body.name: body.pose for body in scene.bodies}
+    # On their common path to the world both ends of a joint move alike.
+    needed = sorted(set().union(*(set(a) ^ set(b) for a, b in ends.values())))
+    # The loops move with welded bodies, and with the joints that hold them beside a floating part.
+    used = {links[i].joint for i in needed} - {None}
+    used |= {j for j, joint in enumerate(scene.joints) if joint.type == "fixed"}
+    # In the order of model/redundancy.py: the same linkage is analysed once.
+    used = sorted(used.union(loops), key=lambda j: (scene.joints[j].parent != WORLD_NAME, j))
+    linkage = Linkage(scene, frames, parts, used)
+    length = linkage.length
     # Rotations and translations in comparable units.
     units = np.concatenate(
         [np.where(link.directions()[:3].any(axis=0), length, 1.0) for link in links]
     )
     matrices = []
     for poses in generic_poses(linkage):
-        world = _link_poses(links, needed, start | poses)
+        world = _link_poses(links, needed, poses)
         motions = {i: SE3.Ad(world[i]) @ links[i].directions() for i in needed}
         blocks = []
         for j in joints:
-            J = linkage.joint_rows(loops.index(j), poses)
+            J = linkage.joint_rows(used.index(j), poses)
             J = J / np.linalg.norm(J / ([length] * 3 + [1.0] * 3), axis=1, keepdims=True)
             J = J @ SE3.Ad(SE3.inverse(poses[scene.joints[j].child]))
             block = np.zeros((len(J), first[-1]))
@@ -352,30 +360,26 @@ def _tree_jacobians(linkage, scene, loops, joints, links, places):
 
 def _link_poses(links, needed, poses):
     """{link: (4, 4)} in the world, from poses of the bodies."""
+
+    def of_bodies(i):
+        if i == WORLD:
+            return np.eye(4)
+        name, place = next(iter(links[i].bodies.items()))
+        return poses[name] @ SE3.inverse(place)
+
     world = {}
     for i in needed:
-        if links[i].bodies:
-            name, place = next(iter(links[i].bodies.items()))
-            world[i] = poses[name] @ SE3.inverse(place)
-    for i in needed:
         link = links[i]
-        if not link.bodies:
-            # The massless link of a universal joint: its z axis is that of the parent's frame, and
-            # it is perpendicular to the axis of the next link, which is fixed in it.
-            start = link.placement
-            if link.parent != WORLD:
-                name, place = next(iter(links[link.parent].bodies.items()))
-                start = poses[name] @ SE3.inverse(place) @ start
-            after = links[i + 1]
-            z, second = start[:3, 2], world[i + 1][:3, 2]
-            rot_2 = after.placement[:3, :3]
-            # Columns of this link's rotation: R e_z = z, R (rot_2 e_z) = second.
-            fixed = np.column_stack([rot_2[:, 2], np.cross([0, 0, 1.0], rot_2[:, 2]), [0, 0, 1.0]])
-            moved = np.column_stack([second, np.cross(z, second), z])
-            pose = np.eye(4)
-            pose[:3, :3] = moved @ fixed.T
-            pose[:3, 3] = start[:3, 3]
-            world[i] = pose
+        if link.bodies:
+            world[i] = of_bodies(i)
+            continue
+        # The massless link of a universal joint: both its axes are those of its neighbours.
+        start = of_bodies(link.parent) @ link.placement
+        after = links[i + 1].placement[:3, 2]
+        z, second = start[:3, 2], of_bodies(i + 1)[:3, 2]
+        own = np.column_stack([after, np.cross(after, (0.0, 0.0, 1.0)), (0.0, 0.0, 1.0)])
+        world[i] = start.copy()
+        world[i][:3, :3] = np.column_stack([second, np.cross(second, z), z]) @ own.T
     return world
 
 

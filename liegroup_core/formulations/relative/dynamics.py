@@ -1,13 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
 """Index-1 accelerations in relative coordinates, with applied wrenches, forces and loops."""
 
-from liegroup_core.compiling import kernel
+from liegroup_core.compiling import kernel, subroutine
 from liegroup_core.forces.external import external_wrench
 from liegroup_core.forces.kinds import add_wrenches
 from liegroup_core.lie.vec3 import store3
 
-from .kinds import apply_wrenches, gather, move_links, place_bodies, place_links, spread
-from .loops import close_loops
+from .kinds import (
+    add_multipliers,
+    apply_wrenches,
+    gather,
+    gather_residual,
+    move_links,
+    place_bodies,
+    place_links,
+    set_free_residual,
+    set_residual,
+    spread,
+    spread_response,
+)
+from .loops import SINGULAR, close_loops, set_loops
+
+# Each refinement multiplies the error in regular directions by the shift of W divided by its pivot.
+REFINEMENTS_WHEN_SINGULAR = 4
 
 
 @kernel
@@ -33,6 +48,29 @@ def _apply(model, work, external):
     apply_wrenches(model, work)
 
 
+@subroutine
+def _refine(model, work):
+    """Add the accelerations for what the present ones leave of the equations of motion."""
+    for f in range(len(work.total)):
+        work.total[f, 0] = work.acceleration[f, 0]
+    for b in range(len(model.bodies)):
+        for c in range(work.moved.shape[1]):
+            work.total_moved[b, c] = work.moved[b, c]
+            work.force[b, c] = 0.0
+    add_multipliers(model, work)
+    gather_residual(model, work)
+    if len(model.joints) > 0:
+        set_residual(model, work)
+        close_loops(model, work)
+    spread_response(model, work)
+    for b in range(len(model.bodies)):
+        for c in range(work.moved.shape[1]):
+            work.moved[b, c] += work.total_moved[b, c]
+    for f in range(len(work.total)):
+        work.acceleration[f, 0] += work.total[f, 0]
+    return 0
+
+
 @kernel
 def accelerations(model, work, external):
     """Accelerations of all freedoms at the stage, to work.acceleration.
@@ -47,9 +85,16 @@ def accelerations(model, work, external):
     if applied:
         _apply(model, work, external)
     gather(model, work)
+    refinements = model.space.refinements
     if len(model.joints) > 0:
-        dependent = close_loops(model, work)
-        if dependent >= 0:
-            return dependent
+        found = set_loops(model, work)
+        if found >= 0:
+            return found
+        if found == SINGULAR:
+            refinements = REFINEMENTS_WHEN_SINGULAR
+        set_free_residual(model, work)
+        close_loops(model, work)
     spread(model, work)
+    for _ in range(refinements):
+        _refine(model, work)
     return -1

@@ -25,21 +25,22 @@ from .kinds import (
     move_links,
     place_links,
     respond,
-    set_right,
     set_rows,
     spread_response,
 )
-from .matrix import REFINEMENTS_WHEN_SINGULAR, REGULARISATION, factor, refine, set_shared, solve
+from .matrix import REGULARISATION, factor, set_shared, solve
+
+SINGULAR = -2
 
 
 @kernel
 def _add_baumgarte(model, work):
-    """Add Baumgarte's terms to work.right."""
+    """Add Baumgarte's terms to the bias."""
     rate = model.baumgarte_rate
     position_residuals(model, work.world, work.gap)
-    for r in range(len(work.right)):
+    for r in range(len(work.bias)):
         g = work.gap[model.row_residual[r]]
-        work.right[r] += rate * (2.0 * work.slip[r] + rate * g)
+        work.bias[r] -= rate * (2.0 * work.slip[r] + rate * g)
 
 
 @kernel
@@ -65,28 +66,34 @@ def _set_responses(model, work):
 
 
 @subroutine
-def close_loops(model, work):
-    """Change the forces u of the freedoms to those with loops.
+def set_loops(model, work):
+    """Rows of the cut joints, and the factor of W.
 
-    returns -1, or the joint with dependent rows if the regularised solve fails too
+    returns -1; SINGULAR where W had to be shifted; or the joint with dependent rows if that fails too
     """
-    set_right(model, work)
+    set_rows(model, work)
     if model.baumgarte_rate > 0.0:
         lift_links(model, work)
         _add_baumgarte(model, work)
+    for r in range(len(work.multipliers)):
+        work.multipliers[r] = 0.0
     _set_responses(model, work)
-    dependent = factor(model, work, 0.0)
-    if dependent < 0:
-        solve(model, work)
-    else:
-        # Singular pose: accelerations that the joints leave undetermined follow from the masses.
-        work.report[2] += 1.0
-        dependent = factor(model, work, REGULARISATION)
-        if dependent >= 0:
-            return dependent
-        refine(model, work, REFINEMENTS_WHEN_SINGULAR)
+    if factor(model, work, 0.0) < 0:
+        return -1
+    # Singular pose: accelerations that the joints leave undetermined follow from the masses.
+    work.report[2] += 1.0
+    dependent = factor(model, work, REGULARISATION)
+    return dependent if dependent >= 0 else SINGULAR
+
+
+@subroutine
+def close_loops(model, work):
+    """Change u of the freedoms so that the residual of the rows in work.right vanishes."""
+    solve(model, work)
+    for r in range(len(work.right)):
+        work.multipliers[r] += work.right[r]
     _subtract_responses(model, work)
-    return -1
+    return 0
 
 
 @subroutine

@@ -8,8 +8,8 @@ SMALLEST_PIVOT = 1e-10
 # So are those below this part of the diagonal of another row of the joint: in a flat pose a joint
 # may have no mobility at all in one direction.
 SMALLEST_MOBILITY = 1e-12
-# Shift of W in the solve at a singular pose, and its refinements.
-REGULARISATION, REFINEMENTS_WHEN_SINGULAR = 1e-8, 4
+# Shift of W at a singular pose.
+REGULARISATION = 1e-8
 
 
 @kernel
@@ -109,25 +109,3 @@ def solve(model, work):
         value = x[r]
         for s in range(model.first_column[r], r):
             x[s] -= L[r, s] * value
-
-
-@kernel
-def refine(model, work, times):
-    """Solve for work.right by the shifted factor and `times` refinements with W itself."""
-    for r in range(len(work.right)):
-        work.residual[r], work.multipliers[r] = work.right[r], 0.0
-    for step in range(times + 1):
-        if step > 0:
-            for r in range(len(work.right)):
-                work.right[r] = work.residual[r]
-            for r in range(len(work.right)):
-                for s in range(model.first_column[r], r + 1):
-                    W = work.matrix[s, r]
-                    work.right[r] -= W * work.multipliers[s]
-                    if s != r:
-                        work.right[s] -= W * work.multipliers[r]
-        solve(model, work)
-        for r in range(len(work.right)):
-            work.multipliers[r] += work.right[r]
-    for r in range(len(work.right)):
-        work.right[r] = work.multipliers[r]

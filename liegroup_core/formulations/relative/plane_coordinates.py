@@ -51,6 +51,20 @@ def displace(model, b, coordinates, screws, at, out):
 
 
 @kernel
+def normalise(model, b, coordinates):
+    """Remove the round-off by which a product leaves the group of link b."""
+    link, row = model.links[b], len(model.parts) + b
+    c, s = coordinates[row, 0], coordinates[row, 1]
+    if link["group"] == SLIDE:
+        x, y = coordinates[row, 2] - link["x"], coordinates[row, 3] - link["y"]
+        along = c * x + s * y
+        coordinates[row, 2], coordinates[row, 3] = link["x"] + c * along, link["y"] + s * along
+    else:
+        scale = 1.5 - 0.5 * (c * c + s * s)
+        coordinates[row, 0], coordinates[row, 1] = scale * c, scale * s
+
+
+@kernel
 def _place_from_body(model, work, pose, twist, b):
     """Write pose in the plane and velocity of link b from those of the body that represents it."""
     link = model.bodies[b]

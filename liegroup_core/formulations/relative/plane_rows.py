@@ -13,8 +13,8 @@ from .matrix import set_block
 
 
 @kernel
-def set_right(model, work):
-    """Rows of all cut joints, J V to work.slip, and J A minus the bias of J Vdot to work.right.
+def set_rows(model, work):
+    """Rows of all cut joints, J V to work.slip, and the bias of J E to work.bias.
 
     With p and R of the parent in axes of the child, W = X V_a and J_b = (alpha, beta):
         J V = alpha (omega_b - omega_a) + beta . (v_b - W_v) ,   J_a = -J_b X
@@ -57,14 +57,15 @@ def set_right(model, work):
                 parent[r, 3], parent[r, 4] = -(c * x + s * y), s * x - c * y
         ax, ay = ax - w * along_y, ay + w * along_x
         for r in range(first, first + rows):
-            work.right[r] = child[r, 3] * ax + child[r, 4] * ay
+            work.bias[r] = -(child[r, 3] * ax + child[r, 4] * ay)
 
 
 @kernel
 def respond(model, work, j):
     """Responses y of the rows of joint j, along its path to the world; their block of W.
 
-    Adds the sums of y u / D to work.right. Two rows at a time: few joints have more in a plane.
+    Writes J E of the links without cut joints, the sums of y u / D, to work.right. Two rows at a
+    time: few joints have more in a plane.
     """
     joint = model.joints[j]
     a, b, first, rows = joint["parent"], joint["child"], joint["first"], joint["rows"]
@@ -111,10 +112,10 @@ def respond(model, work, j):
                 elif parent != WORLD:
                     _carry(work, i, n + i, 0, share, d, parent)
                     _carry(work, i, n + i, 3, other, d, parent)
-        work.right[r] += right
+        work.right[r] = right
         W[r, r] = square
         if both:
-            work.right[r + 1] += other_right
+            work.right[r + 1] = other_right
             W[r, r + 1], W[r + 1, r + 1] = product, other_square
     if rows > 2:
         set_block(model, work, j)
@@ -131,7 +132,3 @@ def _carry(work, i, row, column, share, f, parent):
     carried[parent, column] += (torque + (pose[row, 2] * fy - pose[row, 3] * fx)) - share * U[f, 0]
     carried[parent, column + 1] += fx - share * U[f, 1]
     carried[parent, column + 2] += fy - share * U[f, 2]
-
-
-# The rows and J V are by-products.
-set_rows = set_right

@@ -24,7 +24,8 @@ from .arrays import HINGE, SLIDE
 def move_links(model, work):
     """Velocities and A of all links at the stage; own inertias and bias forces.
 
-    Writes work.velocities, drift (A), inertia and force (without applied wrenches).
+    Writes work.velocities, drift (A) and inertia; to force and applied the bias forces without
+    applied wrenches.
     """
     n = len(model.parts)
     pose, twist, velocities, drift = work.stage_pose, work.stage_twist, work.velocities, work.drift
@@ -58,7 +59,9 @@ def move_links(model, work):
         mass, mx, my = link["mass"], link["moment_x"], link["moment_y"]
         px, py = mass * vx - w * my, mass * vy + w * mx
         torque = (vx * py - vy * px) + (mx * ay - my * ax)
-        store3((torque, mass * ax - w * py, mass * ay + w * px), work.force, b, 0)
+        fx, fy = mass * ax - w * py, mass * ay + w * px
+        store3((torque, fx, fy), work.force, b, 0)
+        store3((torque, fx, fy), work.applied, b, 0)
         inertia = work.inertia
         inertia[b, 0], inertia[b, 1], inertia[b, 2] = link["inertia"], -my, mx
         inertia[b, 3], inertia[b, 4], inertia[b, 5] = mass, 0.0, mass
@@ -75,9 +78,11 @@ def apply_wrenches(model, work):
         m, (px, py, _) = matrix3(part["rotation"]), vector3(part["point"])
         torque, force = load3(work.wrench, i, 0), load3(work.wrench, i, 3)
         fx, fy = dot3((m[0], m[1], m[2]), force), dot3((m[3], m[4], m[5]), force)
-        work.force[b, 0] -= dot3((m[6], m[7], m[8]), torque) + (px * fy - py * fx)
-        work.force[b, 1] -= fx
-        work.force[b, 2] -= fy
+        moment = dot3((m[6], m[7], m[8]), torque) + (px * fy - py * fx)
+        for out in (work.force, work.applied):
+            out[b, 0] -= moment
+            out[b, 1] -= fx
+            out[b, 2] -= fy
 
 
 @kernel

@@ -19,14 +19,14 @@ from liegroup_core.lie.vec3 import (
     tmatvec3,
 )
 
-from .arrays import BALL, CYLINDER, FREE, PLANE, SCREW, SLIDE
 from .matrix import set_block
-from .trees import add_wrench, spread
+from .residuals import eliminate, number
+from .trees import add_wrench
 
 
 @kernel
 def set_rows(model, work):
-    """Rows of all cut joints, J V to work.slip, and minus the bias of J Vdot to work.right."""
+    """Rows of all cut joints, J V to work.slip, and the bias of J Vdot to work.bias."""
     for j in range(len(model.joints)):
         joint = model.joints[j]
         a, b, first, rows = joint["parent"], joint["child"], joint["first"], joint["rows"]
@@ -59,58 +59,10 @@ def set_rows(model, work):
         bracket_w, bracket_v = se3_ad(w_b, v_b, w_a, v_a)
         bracket_v = add3(bracket_v, cross3(w_b, e))
         for r in range(first, first + rows):
-            work.right[r] = rate + (
+            work.bias[r] = -rate - (
                 dot3(load3(work.child_jacobian, r, 0), bracket_w)
                 + dot3(load3(work.child_jacobian, r, 3), bracket_v)
             )
-
-
-@kernel
-def set_right(model, work):
-    """Rows of all cut joints, and J Vdot without them minus its bias to work.right."""
-    spread(model, work)
-    set_rows(model, work)
-    for j in range(len(model.joints)):
-        joint = model.joints[j]
-        a, b = joint["parent"], joint["child"]
-        w, v = load3(work.moved, b, 0), load3(work.moved, b, 3)
-        if a == WORLD:
-            # The world accelerates by -g, see trees.py.
-            g = tmatvec3(load9(work.world, b, 0), load3(model.gravity, 0, 0))
-            v = add3(v, g)
-        for r in range(joint["first"], joint["first"] + joint["rows"]):
-            relative = dot3(load3(work.child_jacobian, r, 0), w) + dot3(
-                load3(work.child_jacobian, r, 3), v
-            )
-            if a != WORLD:
-                relative += dot3(load3(work.parent_jacobian, r, 0), load3(work.moved, a, 0)) + dot3(
-                    load3(work.parent_jacobian, r, 3), load3(work.moved, a, 3)
-                )
-            work.right[r] += relative
-
-
-@kernel
-def _axis(group, k):
-    """Component of a twist that freedom k of a link is, in the order of elimination."""
-    if group == SLIDE:
-        return 5
-    if group == CYLINDER:
-        return 2 if k == 0 else 5
-    if group == PLANE:
-        return 2 if k == 0 else 2 + k
-    if group >= BALL and k < 3:
-        return 2 if k == 0 else k - 1
-    if group == FREE:
-        return k
-    return 2
-
-
-@kernel
-def _number(group, k):
-    """Number of the freedom that is eliminated as the k-th one of a link."""
-    if group >= BALL and k < 3:
-        return 2 if k == 0 else k - 1
-    return k
 
 
 @kernel
@@ -132,20 +84,10 @@ def respond(model, work, j):
         for k in range(model.paths[j, 0], model.paths[j, 1]):
             i = model.path_links[k]
             link = model.bodies[i]
-            group = link["group"]
             for d in range(link["freedoms"]):
-                f = link["freedom"] + _number(group, d)
-                axis = _axis(group, d)
-                y = work.carried[i, axis]
-                if group == SCREW:
-                    y += link["pitch"] * work.carried[i, 5]
-                work.response[at] = y
+                f = link["freedom"] + number(link["group"], d)
+                work.response[at] = eliminate(link, work, f, d, work.carried, i)
                 at += rows
-                share = y * work.freedoms[f, 6]
-                for c in range(6):
-                    work.carried[i, c] -= share * work.freedoms[f, c]
-                if group != SCREW:
-                    work.carried[i, axis] = 0.0
             parent = link["parent"]
             if parent != WORLD:
                 add_wrench(

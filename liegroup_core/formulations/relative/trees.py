@@ -72,8 +72,8 @@ def move_links(model, work):
                 store3(cv, work.drift, b, 3)
         store3(w, work.velocities, b, 0)
         store3(v, work.velocities, b, 3)
-        store3((0.0, 0.0, 0.0), work.force, b, 0)
-        store3((0.0, 0.0, 0.0), work.force, b, 3)
+        store3((0.0, 0.0, 0.0), work.applied, b, 0)
+        store3((0.0, 0.0, 0.0), work.applied, b, 3)
 
 
 @kernel
@@ -548,8 +548,18 @@ def add_wrench(torque, force, rot, p, out, row):
 
 
 @kernel
+def momentum(link, w, v):
+    """I V of a link without its children: angular and linear momentum."""
+    moment, inertia = vector3(link["moment"]), link["inertia"]
+    angular = _symmetric_times(
+        inertia[0], inertia[1], inertia[2], inertia[3], inertia[4], inertia[5], w
+    )
+    return add3(angular, cross3(moment, v)), axpy3(link["mass"], v, cross3(w, moment))
+
+
+@kernel
 def apply_wrenches(model, work):
-    """Add the wrenches on the bodies, work.wrench, to those on the links."""
+    """Add the wrenches on the bodies, work.wrench, to work.applied."""
     for i in range(len(model.parts)):
         part = model.parts[i]
         if part["link"] != WORLD:
@@ -558,18 +568,18 @@ def apply_wrenches(model, work):
                 load3(work.wrench, i, 3),
                 matrix3(part["rotation"]),
                 vector3(part["point"]),
-                work.force,
+                work.applied,
                 part["link"],
             )
 
 
 @kernel
 def _start(model, work):
-    """Set inertia and bias force of every link to its own; work.force has the applied wrenches."""
+    """Set inertia and bias force of every link to its own."""
     for b in range(len(model.bodies)):
         link = model.bodies[b]
-        mass, moment, inertia = link["mass"], vector3(link["moment"]), link["inertia"]
-        x, y, z = moment
+        mass, inertia = link["mass"], link["inertia"]
+        x, y, z = vector3(link["moment"])
         for k in range(6):
             work.inertia[b, k] = inertia[k]
         # B = [m c]: L = I w + m c x v
@@ -579,25 +589,16 @@ def _start(model, work):
         work.inertia[b, 15], work.inertia[b, 16], work.inertia[b, 17] = mass, 0.0, 0.0
         work.inertia[b, 18], work.inertia[b, 19], work.inertia[b, 20] = mass, 0.0, mass
         w, v = load3(work.velocities, b, 0), load3(work.velocities, b, 3)
-        angular = add3(
-            _symmetric_times(
-                inertia[0], inertia[1], inertia[2], inertia[3], inertia[4], inertia[5], w
-            ),
-            cross3(moment, v),
-        )
-        linear = axpy3(mass, v, cross3(w, moment))
+        angular, linear = momentum(link, w, v)
         torque = add3(cross3(w, angular), cross3(v, linear))
         force = cross3(w, linear)
-        store3(sub3(torque, load3(work.force, b, 0)), work.force, b, 0)
-        store3(sub3(force, load3(work.force, b, 3)), work.force, b, 3)
+        store3(sub3(torque, load3(work.applied, b, 0)), work.force, b, 0)
+        store3(sub3(force, load3(work.applied, b, 3)), work.force, b, 3)
 
 
 @subroutine
 def gather(model, work):
-    """Articulated inertias and bias forces, from the leaves to the world.
-
-    work.force : applied wrenches (L, 6) on the links, replaced by bias forces
-    """
+    """Articulated inertias and bias forces for work.applied, from the leaves to the world."""
     _start(model, work)
     for b in range(len(model.bodies) - 1, -1, -1):
         link = model.bodies[b]

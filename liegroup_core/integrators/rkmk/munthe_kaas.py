@@ -26,7 +26,7 @@ import math
 import numpy as np
 
 from liegroup_core.compiling import SameTypes, Struct, borrowed, kernel, stepper
-from liegroup_core.formulations.relative.arrays import make_relative_work
+from liegroup_core.formulations.relative.arrays import links_of, make_relative_work
 from liegroup_core.integrators.methods import EXACT, GROUPS, RELATIVE, SE3, is_positive
 from liegroup_core.integrators.motion import copy_state
 from liegroup_core.model.arrays import make_work
@@ -204,7 +204,8 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
             done += 1
         elif controlled:
             _restore(work, pose, twist, control)
-    spaces.leave(model, work, pose, twist, pose_in, twist_in)
+    if done > 0:
+        spaces.leave(model, work, pose, twist, pose_in, twist_in)
     return done, status
 
 
@@ -257,6 +258,8 @@ class MuntheKaas:
     def restart(self):
         """Clear the memory between calls: the state was set."""
         self._control[:4] = self._longest, 0.0, 0.0, self._longest
+        if self._work is not self.work:
+            self._work.known[0] = 0.0
 
     def tighten(self, part):
         """Set the tolerances to a fraction of those of the options."""
@@ -265,8 +268,9 @@ class MuntheKaas:
 
     @property
     def memory(self):
-        """Arrays of the memory between calls; none without error control."""
-        return (self._control[:4],) if self.controlled else ()
+        """Arrays of the memory between calls: substeps of error control, relative coordinates."""
+        control = (self._control[:4],) if self.controlled else ()
+        return control if self._work is self.work else (*control, *links_of(self._work))
 
     @property
     def substeps(self):

@@ -15,6 +15,7 @@ from liegroup_core.formulations.relative.kinds import (
     coordinates,
     displace,
     move_links,
+    normalise,
     place_bodies,
     place_links,
 )
@@ -38,12 +39,14 @@ from .relative_errors import error_square as error_square
 
 @kernel
 def enter(model, work, pose, twist, external):
-    """Find the coordinates of the links from the caller's state."""
+    """Continue from the coordinates of the last call, or find them from a state that was set."""
     copy_state(pose, twist, work.pose, work.twist)
-    coordinates(model, work, work.pose, work.twist)
-    # Bodies that are welded to the world are never placed.
-    copy_state(work.pose, work.twist, work.stage_pose, work.stage_twist)
-    copy_state(pose, twist, work.space.stage_pose, work.space.stage_twist)
+    if work.known[0] == 0.0:
+        coordinates(model, work, work.pose, work.twist)
+        work.known[0] = 1.0
+        # Bodies that are welded to the world are never placed.
+        copy_state(work.pose, work.twist, work.stage_pose, work.stage_twist)
+        copy_state(pose, twist, work.space.stage_pose, work.space.stage_twist)
     total = 0.0
     for i in range(len(external)):
         for c in range(12):
@@ -54,12 +57,9 @@ def enter(model, work, pose, twist, external):
 
 @kernel
 def leave(model, work, pose, twist, pose_out, twist_out):
-    """Write the poses and twists of the bodies back to the caller's arrays."""
-    for i in range(len(pose_out)):
-        for c in range(12):
-            pose_out[i, c] = pose[i, c]
-        for c in range(6):
-            twist_out[i, c] = twist[i, c]
+    """Write poses and twists of the bodies to the caller's arrays."""
+    begin(model, work, 0, pose, twist)
+    _place(model, work, pose_out, twist_out)
 
 
 @kernel
@@ -94,7 +94,7 @@ def _add_slopes(h, weights, row, stages, slopes, count, to):
 
 @kernel
 def move(model, work, scheme, group, h, stage, end, pose):
-    """Set all links to X_0 exp Psi of a stage; at the end of a step, the bodies too."""
+    """Set all links to X_0 exp Psi of a stage; at the end of a step, bodies where they are needed."""
     n, count = len(model.parts), len(work.freedoms)
     first = stage * count
     _add_slopes(h, scheme.a, stage, stage, work.slopes, count, first)
@@ -103,24 +103,25 @@ def move(model, work, scheme, group, h, stage, end, pose):
         link = model.bodies[b]
         f = first + link["freedom"]
         largest = max(largest, displace(model, b, pose, work.slopes, f, work.stage_pose))
+        if end:
+            normalise(model, b, work.stage_pose)
         work.stage_twist[n + b, 0] = work.velocity[b, 0] + work.slopes[f, 1]
         for k in range(1, link["freedoms"]):
             work.stage_twist[n + b, k] = work.velocity[b, k] + work.slopes[f + k, 1]
     if not largest < LARGEST_ROTATION * LARGEST_ROTATION:
         return ROTATION_TOO_LARGE if largest < math.inf else NOT_FINITE
     work.report[1] = max(work.report[1], largest)
-    if end:
-        _place(model, work)
+    if end and (len(scheme.error) > 0 or len(work.angle) > 0):
+        _place(model, work, work.stage_pose, work.stage_twist)
     return OK
 
 
 @kernel
-def _place(model, work):
-    """Place the bodies at the end of a step, and find the coordinates again: see coordinates.py."""
+def _place(model, work, pose_out, twist_out):
+    """Poses and twists of the bodies, from the links at the stage."""
     move_links(model, work)
     place_links(model, work)
-    place_bodies(model, work, work.stage_pose, work.stage_twist)
-    coordinates(model, work, work.stage_pose, work.stage_twist)
+    place_bodies(model, work, pose_out, twist_out)
 
 
 @kernel
@@ -199,8 +200,8 @@ def check_end(model, work, h):
 def close(model, work):
     """Project the end of a step onto the cut joints. Returns a status."""
     status = project(model, work)
-    if status == OK:
-        _place(model, work)
+    if status == OK and len(work.angle) > 0:
+        _place(model, work, work.stage_pose, work.stage_twist)
     return status
 
 

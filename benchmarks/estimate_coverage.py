@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Coverage of the running error: estimates against true errors, with the cost of carrying them.
 
-    python benchmarks/coverage.py [--random N] [--seed S] [--json FILE]
+    python benchmarks/estimate_coverage.py [--random N] [--seed S] [--json FILE]
 
 The example scenes and N random mechanisms (one to six bodies, all types of joints, loops, springs,
 dampers, drag) are simulated for 2 s with two pushes at random times, in body and in world axes. The
@@ -25,13 +25,14 @@ from rich.table import Table
 
 from liegroup_core import Simulation, SimulationError, load_scene
 from liegroup_core.errors import SceneError
-from liegroup_core.reference import Reference, Trajectory, WrenchChange, distance
+from liegroup_core.reference import Reference, WrenchChange
 from liegroup_core.scene.description import Drag
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "test"))  # random mechanisms
+sys.path.insert(0, str(ROOT / "test"))  # random mechanisms, true errors
 
 import mechanisms  # noqa: E402
+from true_error import distance_at  # noqa: E402
 
 METHODS = {
     "rkmk4": (5e-4, 2e-3, 8e-3),
@@ -149,12 +150,8 @@ def follow(simulation, times, exact, uncertainty, size):
         except SimulationError:
             break
         sample = simulation.sample()
-        pose, n = sample.pose[None], len(sample.pose)
-        found = Trajectory(
-            None, pose[..., :9].reshape(1, n, 3, 3), pose[..., 9:], sample.twist[None]
-        )
-        true = distance(found, Trajectory(None, *(part[k : k + 1] for part in exact[1:])))
-        error = np.stack([getattr(true, part)[0] for part in PARTS], axis=1)
+        true = distance_at(sample, exact, k)
+        error = np.stack([getattr(true, part) for part in PARTS], axis=1)
         unknown = np.stack([getattr(uncertainty, part)[k] for part in PARTS], axis=1)
         known = (error > np.maximum(10.0 * unknown, SMALLEST)) & ~np.isnan(sample.errors)
         ratios.append(sample.errors[known] / error[known])

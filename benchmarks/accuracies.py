@@ -1,0 +1,315 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Promised against true errors, and CPU time, through random pushes.
+
+    python -P benchmarks/accuracies.py [--only SCENE ...] [--accuracies A ...] [--horizons S ...]
+                                       [--budget S] [--seed N] [--json FILE]
+
+Every scene is simulated to every accuracy over every horizon, with six pushes in body and in world
+axes at random times, of random durations. Errors are the larger of position error / size of the
+mechanism and attitude error in rad, at 50 times.
+
+The true motion is that of two fine runs, `rkmk853` and `rkmk54` at a tolerance of 1e-13. Their distance
+is its uncertainty; only samples count that are known to a tenth of the accuracy.
+In the shortest horizon the first one is also compared with the integration that shares no code with
+the engine (liegroup_core.reference).
+
+`compared`: until the end, until the last time at which the run says that its error is within the
+accuracy (said), until the true motion is not known any more (unknown), or until the budget. `true`:
+largest true error until then; `estimate`: the run's own. Cheapest: of `rkmk4` and `rkmk8` in steps from
+a fiftieth of the horizon down, and of `rkmk54` and `rkmk853` at tolerances from 1e-2 down, without an
+estimate, the cheapest one of which no error exceeds the accuracy until then. CPU times are for a
+simulated second, the fastest of three runs if they are short.
+"""
+
+import argparse
+import json
+import logging
+import math
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from liegroup_core import Simulation, SimulationError, load_scene
+from liegroup_core.reference import Reference, Trajectory, WrenchChange, distance
+
+ROOT = Path(__file__).resolve().parents[1]
+ACCURACIES, HORIZONS = (1e-3, 1e-6, 1e-9), (1.0, 10.0, 100.0)
+SHORT = {"andrews_squeezer": 0.01}  # of the horizons: milliseconds of a fast mechanism
+SAMPLES, PUSHES = 50, 6
+TIGHT = 1e-13  # tolerance of the two fine runs
+KNOWN = 0.1  # of an accuracy, largest uncertainty of a sample that counts
+LOST = 1e-2  # distance at which the two fine runs end
+PARTS = (1, 2, 4, 10, 20, 40, 100, 200, 400, 1000, 2000, 4000)  # steps in a fiftieth of the horizon
+TOLERANCES = tuple(10.0**-k for k in range(2, 14))
+FIXED = {"rkmk4": "step", "rkmk8": "step", "rkmk54": "tolerance", "rkmk853": "tolerance"}
+CHECKPOINT = 8  # steps after which a simulation to an accuracy has estimated its error again
+REPEATED = 0.2  # s: shorter runs are measured three times
+
+
+def random_pushes(scene, size, horizon, rng):
+    """[(body, wrench, start, duration, axes)]: each changes velocities by a third of sqrt(g size)."""
+    found = []
+    for k in range(PUSHES):
+        body = scene.bodies[rng.integers(len(scene.bodies))]
+        duration = round(horizon * float(0.01 * 10.0 ** rng.random()), 9)  # whole nanoseconds
+        force = body.mass * math.sqrt(9.81 * size) / (3.0 * duration) * rng.normal(size=3)
+        torque = 0.1 * size * np.linalg.norm(force) * rng.normal(size=3)
+        start = round(horizon * float(0.85 * rng.random()), 9)
+        axes = ("body", "world")[k % 2]
+        found.append((body.name, (*torque.tolist(), *force.tolist()), start, duration, axes))
+    return found
+
+
+class Run:
+    """Simulation with pushes, advanced from sample to sample; `cpu` is in s."""
+
+    def __init__(self, scene, pushes, **settings):
+        self.simulation = Simulation(scene, quiet=True, **settings)
+        for k, (body, wrench, start, duration, axes) in enumerate(pushes):
+            self.simulation.apply_wrench(body, wrench, start, duration, f"push{k}", axes)
+        self.cpu = 0.0
+
+    def state_at(self, at):
+        """Trajectory of one time in s."""
+        simulation = self.simulation
+        steps = round(at / simulation.step) - simulation.steps
+        began = time.thread_time()
+        simulation.advance(steps)
+        self.cpu += time.thread_time() - began
+        pose, twist = simulation.at_bodies()
+        n = len(pose)
+        rotation, position = pose[None, :, :9].reshape(1, n, 3, 3), pose[None, :, 9:]
+        return Trajectory(None, rotation.copy(), position.copy(), twist[None].copy())
+
+
+def apart(one, other, size):
+    """Distance of two states as one number: part of the size, or rad."""
+    found = distance(one, other)
+    return float(max(found.position.max() / size, found.angle.max()))
+
+
+def true_motion(scene, pushes, times, size, stabilisation, step, budget):
+    """(states, uncertainties) at the first of the times, as long as they are known."""
+    settings = {"step": step, "stabilisation": stabilisation, "rtol": TIGHT, "atol": TIGHT}
+    fine, other = (
+        Run(scene, pushes, method=method, estimate=False, **settings)
+        for method in ("rkmk853", "rkmk54")
+    )
+    states, unknown, largest = [], [], 0.0
+    for at in times:
+        try:
+            states.append(fine.state_at(at))
+            largest = max(largest, apart(states[-1], other.state_at(at), size))
+        except SimulationError:
+            break
+        if largest > LOST:
+            break
+        unknown.append(largest)
+        if fine.cpu + other.cpu > budget:
+            break
+    return states[: len(unknown)], np.array(unknown)
+
+
+def independent(scene, pushes, times, states, size):
+    """Largest distance of the states from the integration that shares no code; None: not available.
+
+    Of the pushes on a body in the same axes the total acts.
+    """
+    acting, totals = {}, []
+    events = sorted(
+        (at, k, on)
+        for k, (_, _, start, duration, _) in enumerate(pushes)
+        for at, on in ((start, True), (start + duration, False))
+    )
+    for at, k, on in events:
+        body, wrench, _, _, axes = pushes[k]
+        mine = acting.setdefault((body, axes), {})
+        if on:
+            mine[k] = np.array(wrench)
+        else:
+            mine.pop(k)
+        total = sum(mine.values(), np.zeros(6))
+        totals.append(WrenchChange(at, body, tuple(total.tolist()), axes))
+    try:
+        start = Simulation(scene, quiet=True).state()
+        exact, _ = Reference(scene, *start, totals, end=times[-1]).at(np.array(times))
+    except (SimulationError, ValueError):
+        return None
+    return max(
+        apart(state, Trajectory(None, *(part[k : k + 1] for part in exact[1:])), size)
+        for k, state in enumerate(states)
+    )
+
+
+def keep(scene, pushes, times, truth, size, accuracy, horizon, budget):
+    """Results of a simulation to an accuracy, with the number of samples that were compared."""
+    states, unknown = truth
+    run = Run(scene, pushes, accuracy=accuracy, horizon=horizon)
+    errors, estimates, cpu, last = [], [], [], "end"
+    for k, at in enumerate(times):
+        state = run.state_at(at)
+        if run.simulation.accurate_until < at:
+            break
+        if k >= len(states) or unknown[k] > KNOWN * accuracy:
+            last = "unknown"
+            break
+        errors.append(apart(state, states[k], size))
+        estimates.append(np.nan_to_num(run.simulation.largest_error, nan=0.0, posinf=np.inf))
+        cpu.append(run.cpu)
+        if run.cpu > budget:
+            last = "budget"
+            break
+    # The next checkpoint may show that the accuracy was exceeded since the one before.
+    online = max(errors, default=0.0)
+    run.simulation.advance(CHECKPOINT)
+    until = run.simulation.accurate_until
+    if until < math.inf and (last == "end" or until < times[len(errors) - 1]):
+        last = "said"
+    count = sum(at <= until for at in times[: len(errors)])
+    return {
+        "true": max(errors[:count], default=0.0),
+        "estimate": float(max(estimates[:count], default=0.0)),
+        "true_before_said": online,
+        "cpu": cpu[count - 1] if count else 0.0,
+        "count": count,
+        "last": last,
+    }
+
+
+def cheapest(scene, pushes, times, states, size, accuracy, settings):
+    """(CPU s, text) of the cheapest fixed configuration that keeps to the accuracy at all times."""
+    best, name = math.inf, None
+    for method, kind in FIXED.items():
+        for value in PARTS if kind == "step" else TOLERANCES:
+            choice = {"method": method, "step": times[0] / value if kind == "step" else times[0]}
+            if kind == "tolerance":
+                choice |= {"rtol": value, "atol": value}
+            cpu = _cost(scene, pushes, times, states, size, accuracy, best, choice | settings)
+            if cpu is not None:
+                if cpu < best:
+                    number = f"{choice['step']:g} s" if kind == "step" else f"{value:g}"
+                    best, name = cpu, f"{method} {number}"
+                break
+    return best, name
+
+
+def _cost(scene, pushes, times, states, size, accuracy, limit, settings):
+    """CPU time in s; None if an error exceeds the accuracy, infinite if it exceeds the limit."""
+    try:
+        run = Run(scene, pushes, estimate=False, **settings)
+        for at, state in zip(times, states):
+            if not apart(run.state_at(at), state, size) <= accuracy:
+                return None
+            if run.cpu > 2.0 * limit:
+                return math.inf
+    except (SimulationError, ValueError):
+        return None
+    return run.cpu
+
+
+def rows_of(scene, horizon, accuracies, seed, budget, first):
+    """Rows of one scene and horizon."""
+    default = Simulation(scene, horizon=horizon, quiet=True)
+    size, stabilisation, step = default.promise["length"], default.stabilisation, default.step
+    name = sum(map(ord, scene.name))
+    pushes = random_pushes(scene, size, horizon, np.random.default_rng([seed, name, int(horizon)]))
+    times = [horizon * k / SAMPLES for k in range(1, SAMPLES + 1)]
+    truth = true_motion(scene, pushes, times, size, stabilisation, step, budget)
+    common = {"scene": scene.name, "horizon": horizon}
+    if first and len(truth[0]):
+        common["from_independent"] = independent(
+            scene, pushes, times[: len(truth[0])], truth[0], size
+        )
+    for accuracy in accuracies:
+        case = (scene, pushes, times, truth, size, accuracy, horizon, budget)
+        try:
+            found = keep(*case)
+        except SimulationError as error:
+            yield common | {"accuracy": accuracy, "stopped": str(error)}
+            continue
+        count = found["count"]
+        if count:
+            fixed, text = cheapest(
+                scene, pushes, times[:count], truth[0], size, accuracy,
+                {"stabilisation": stabilisation},
+            )  # fmt: skip
+            if found["cpu"] < REPEATED:
+                found["cpu"] = min(found["cpu"], *(_again(case, times[:count]) for _ in range(2)))
+            found |= {"fixed_cpu": fixed, "fixed": text}
+        known = float(truth[1][count - 1]) if count else None
+        yield common | {"accuracy": accuracy, "seconds": count * times[0], "unknown": known} | found
+
+
+def _again(case, times):
+    """CPU time in s of one more run to an accuracy."""
+    scene, pushes, *_, accuracy, horizon, _ = case
+    run = Run(scene, pushes, accuracy=accuracy, horizon=horizon)
+    for at in times:
+        run.state_at(at)
+    return run.cpu
+
+
+def main():
+    """Measure and print."""
+    logging.disable(logging.CRITICAL)
+    scenes = sorted(path.stem for path in (ROOT / "config" / "scenes").glob("*.yaml"))
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--only", nargs="+", choices=scenes, default=scenes, metavar="SCENE")
+    parser.add_argument("--accuracies", nargs="+", type=float, default=ACCURACIES)
+    parser.add_argument("--horizons", nargs="+", type=float, default=HORIZONS, help="s")
+    parser.add_argument("--budget", type=float, default=60.0, help="CPU s of a run")
+    parser.add_argument("--seed", type=int, default=0, help="of the pushes")
+    parser.add_argument("--json", help="file for all rows")
+    args = parser.parse_args()
+    table = Table(title="Promised and true errors through random pushes")
+    for title in (
+        "scene", "horizon", "accuracy", "compared", "true", "estimate", "CPU", "cheapest", "times",
+    ):  # fmt: skip
+        table.add_column(title, justify="left" if title in ("scene", "cheapest") else "right")
+    rows = []
+    for name in args.only:
+        scene = load_scene(name)
+        for i, horizon in enumerate(args.horizons):
+            horizon = horizon * SHORT.get(name, 1.0)
+            for row in rows_of(scene, horizon, args.accuracies, args.seed, args.budget, i == 0):
+                rows.append(row)
+                table.add_row(*_shown(row))
+                print(*_shown(row), sep="  ", file=sys.stderr, flush=True)
+                if args.json:
+                    Path(args.json).write_text(json.dumps(rows, indent=1))
+    Console(width=130).print(table)
+    compared = [row for row in rows if row.get("count")]
+    missed = [row for row in compared if row["true"] > row["accuracy"]]
+    ratios = [row["cpu"] / row["fixed_cpu"] for row in compared if row["fixed_cpu"] < math.inf]
+    print(f"compared: {len(compared)} of {len(rows)}; accuracy not kept: {len(missed)}")
+    late = [row for row in compared if row["true_before_said"] > row["accuracy"]]
+    print(f"error above the accuracy before the run could say so: {len(late)}")
+    if ratios:
+        print(f"times the cheapest: median {np.median(ratios):.1f}, largest {max(ratios):.1f}")
+    for row in rows:
+        if row.get("from_independent") is not None and row["accuracy"] == args.accuracies[0]:
+            print(f"{row['scene']}: {row['from_independent']:.1e} from the independent integration")
+
+
+def _shown(row):
+    begin = [row["scene"], f"{row['horizon']:g} s", f"{row['accuracy']:g}"]
+    if not row.get("count"):
+        return [*begin, row.get("stopped", row.get("last", ""))[:40], *[""] * 5]
+    seconds, fixed = row["seconds"], row["fixed_cpu"]
+    return [
+        *begin,
+        f"{seconds:g} s" + ("" if row["last"] == "end" else f" ({row['last']})"),
+        f"{row['true']:.1e}",
+        f"{row['estimate']:.1e}",
+        f"{1e3 * row['cpu'] / seconds:.3g} ms/s",
+        f"{row['fixed']}, {1e3 * fixed / seconds:.3g} ms/s" if row["fixed"] else "none",
+        f"{row['cpu'] / fixed:.1f}" if row["fixed"] else "",
+    ]
+
+
+if __name__ == "__main__":
+    main()
