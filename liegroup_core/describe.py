@@ -4,8 +4,10 @@
 JSON types, computed without taking a step; independent of the machine.
 """
 
+import numpy as np
+
+from liegroup_core.formulations.relative.build import tree_of
 from liegroup_core.formulations.relative.cost import absolute_cost, relative_cost
-from liegroup_core.formulations.relative.spanning_tree import spanning_tree
 from liegroup_core.joints.elements import PAIR, WORLD
 from liegroup_core.model.sparsity import operations
 from liegroup_core.model.symmetry import body_groups, conserved_momentum
@@ -36,11 +38,12 @@ def describe(layout):
         degrees_of_freedom  6 n minus the number of independent rows; larger at singular poses
         rows, solved_rows   number of rows of all joints, with and without redundant ones
         dropped_rows        [[joint, row]] of redundant rows
-        plane               normal, x, y or z, of the plane in which the joints keep all bodies;
-                            Munthe-Kaas methods then integrate in that plane. None: no such plane
+        plane               normal of the plane in which the joints keep all bodies: x, y or z, or
+                            its components in world axes as text; in relative coordinates
+                            Munthe-Kaas methods integrate in that plane. None: no such plane
         formulation         configuration space of Munthe-Kaas methods, see `formulation`
-        solve               structure of K in (6.22), in that plane or in space, see
-                            `solve_structure`: of all methods on SE(3)^n or (SO(3) x R^3)^n
+        solve               structure of K in (6.22), in space, see `solve_structure`: of all
+                            methods on SE(3)^n or (SO(3) x R^3)^n
         methods             names of the integration methods that can integrate the scene
         groups              [[body]]: bodies that joints or forces connect, not counting the world
         kept_momentum       [{bodies, components}] of the conserved momentum, as text; None if a
@@ -80,9 +83,9 @@ def describe(layout):
         "rows": int(model.elements["rows"].sum()),
         "solved_rows": len(model.row_residual),
         "dropped_rows": [list(entry) for entry in dropped],
-        "plane": None if layout.plane is None else "xyz"[int(layout.plane.world[0, 6:].argmax())],
+        "plane": _direction(layout.normal),
         "formulation": formulation(layout),
-        "solve": solve_structure(model if layout.plane is None else layout.plane),
+        "solve": solve_structure(model),
         "methods": fitting_methods(layout),
         "groups": [[scene.bodies[i].name for i in group] for group in body_groups(scene)],
         "kept_momentum": [
@@ -108,7 +111,7 @@ def formulation(layout):
         predicted_ns     {group: predicted cost of a stage on a core of 3 GHz, ns}
     """
     scene, relative = layout.centred, layout.relative
-    tree = spanning_tree(scene)
+    tree = tree_of(scene)
     cut = {}
     for element, (owner, names) in enumerate(zip(layout.owners, layout.row_names)):
         if owner in tree.cut:
@@ -167,6 +170,15 @@ def solve_structure(model):
         "constant": model.fresh == 0,
         "refinements": int(model.refinements),
     }
+
+
+def _direction(normal):
+    """Name of a world axis, or components of another unit vector as text; None without one."""
+    if normal is None:
+        return None
+    if np.abs(normal).max() == 1.0:
+        return "xyz"[int(np.abs(normal).argmax())]
+    return " ".join(f"{value:.6g}" for value in normal)
 
 
 def _acts_on(force):

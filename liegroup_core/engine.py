@@ -81,8 +81,9 @@ class Engine:
     baumgarte_time : s, at least the step; default: ten steps
     options: further options of the method, see its family in `integrators`:
              dexpinv="exact" or "truncated"  of all Munthe-Kaas methods
-             space="auto" or "space"         of all Munthe-Kaas methods; "auto": planar mechanisms
-                                             are integrated in their plane
+             space="auto" or "space"         of all Munthe-Kaas methods; "auto": in relative
+                                             coordinates planar mechanisms move in their plane;
+                                             "space": in space, and on SE(3)^n by default
              rtol=1e-6, atol=1e-6            tolerances of methods with error control (rkmk54,
                                              rkmk853)
              rho_inf=0.8                     damping of generalized_alpha

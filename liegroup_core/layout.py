@@ -9,7 +9,7 @@ import numpy as np
 from .errors import SceneError
 from .forces import kinds
 from .forces.torsional_spring_damper import UNKNOWN_TURN
-from .formulations.planar.build import planar_model
+from .formulations.relative.arrays import PlaneModel
 from .formulations.relative.build import relative_model
 from .model.arrays import Model
 from .model.build import build_model
@@ -38,32 +38,34 @@ class Layout:
     kept_rows: tuple  # numbers of the independent rows of each element
 
     @cached_property
-    def plane(self):
-        """PlanarModel if the joints keep all bodies in a plane, else None; None with Baumgarte."""
-        if self.model.baumgarte_rate > 0.0:
-            return None
-        try:
-            return planar_model(self.centred, self.model)
-        except np.linalg.LinAlgError:
-            raise self.scene.located(_unsolvable(self.scene)) from None
+    def relative(self):
+        """RelativeModel of the scene; a PlaneModel if the joints keep all bodies in a plane."""
+        return relative_model(self.centred, self.model)
+
+    @property
+    def normal(self):
+        """Unit normal (3,), world axes, of the plane in which the joints keep all bodies, or None."""
+        planar = isinstance(self.relative, PlaneModel)
+        return self.relative.axes[0, 2::3] if planar else None
 
     @cached_property
-    def relative(self):
-        """RelativeModel of the scene."""
-        return relative_model(self.centred, self.model)
+    def relative_in_space(self):
+        """RelativeModel of the scene that is no PlaneModel."""
+        if self.normal is None:
+            return self.relative
+        return relative_model(self.centred, self.model, in_space=True)
 
     def with_model(self, model):
         """The layout with other options of its model; what does not depend on them is kept."""
         layout = replace(self, model=model)
-        plane, relative = self.__dict__.get("plane"), self.__dict__.get("relative")
-        if plane is not None and model.baumgarte_rate == 0.0:
-            layout.__dict__["plane"] = plane.replace(space=model, projects=model.projects)
-        if relative is not None:
-            layout.__dict__["relative"] = relative.replace(
-                space=model,
-                projects=model.projects and len(relative.joints) > 0,
-                baumgarte_rate=model.baumgarte_rate,
-            )
+        for name in ("relative", "relative_in_space"):
+            relative = self.__dict__.get(name)
+            if relative is not None:
+                layout.__dict__[name] = relative.replace(
+                    space=model,
+                    projects=model.projects and len(relative.joints) > 0,
+                    baumgarte_rate=model.baumgarte_rate,
+                )
         return layout
 
     @cached_property

@@ -12,9 +12,8 @@ SUBSTEP_TOO_SMALL = 5
 TOO_MANY_SUBSTEPS = 6
 NOT_CONVERGED = 7
 NOT_PROJECTED = 8
-OFF_PLANE = 9  # internal: the steps are repeated in space
-NO_RATTLE_STEP = 10
-DIVERGED = 11
+NO_RATTLE_STEP = 9
+DIVERGED = 10
 
 # rad in one step. dexp^-1 is singular at 2 pi and loses digits near it: its norm is
 # (t/2)/sin(t/2), 62 at 2 pi - 0.1. Beyond pi a step is valid but rarely accurate.

@@ -6,10 +6,8 @@ import numpy as np
 
 from liegroup_core.engine import Engine
 from liegroup_core.formulations.absolute.constraints import assemble, position_residuals
-from liegroup_core.formulations.relative.coordinates import place_links
-from liegroup_core.integrators.methods import RELATIVE
+from liegroup_core.formulations.relative.arrays import PlaneModel, RelativeModel
 from liegroup_core.integrators.rkmk import spaces
-from liegroup_core.lie.groups import SE3
 
 
 def residual(model, found):
@@ -67,44 +65,31 @@ def engine_accelerations(scene, wrenches=(), **options):
         simulation.apply_wrench(body, wrench, source=axes, axes=axes)
     simulation.advance(0)  # writes the wrenches of this instant
     integrator = simulation._integrator
-    plane = integrator._plane
     model, work = integrator._model, integrator._work
-    if plane is not None:
-        model, work = plane, integrator._planar_work
     pose, twist, external, status = spaces.enter(
         model, work, *simulation.state(), simulation._external
     )
     assert status == 0
     spaces.begin(model, work, integrator._group, pose, twist)
     assert spaces.accelerate(model, work, external) == -1
-    if simulation.group == RELATIVE:
-        return _of_links(simulation.layout, work)
-    return _found(plane, model, work)
+    if isinstance(model, RelativeModel):
+        return _of_bodies(model, work, simulation.state()[0])
+    return work.acceleration.copy()
 
 
-def _of_links(layout, work):
-    """Accelerations (n, 6) of the bodies from those of the links, which lack that of gravity."""
-    relative = layout.relative
-    place_links(relative, work.relative, work.world)
-    found = np.zeros((len(relative.parts), 6))
-    for part, out in zip(relative.parts, found):
+def _of_bodies(model, work, pose):
+    """Accelerations (n, 6) of the bodies, from those of their links less gravity."""
+    gravity, links = model.gravity[0], work.moved
+    if isinstance(model, PlaneModel):
+        normal = model.axes[0, 2::3]
+        gravity = gravity - normal * (normal @ gravity)
+        links = np.zeros((len(work.moved), 6))
+        links[:, 2:5] = work.moved
+        links[:, 3:5] += work.drift
+    found = np.zeros((len(pose), 6))
+    for i, part in enumerate(model.parts):
         if part["link"] >= 0:
-            moved = work.moved[part["link"]].copy()
-            turn = work.world[part["link"], :9].reshape(3, 3)
-            moved[3:] += turn.T @ relative.gravity[0]
-            C = np.eye(4)
-            C[:3, :3], C[:3, 3] = part["rotation"].reshape(3, 3), part["point"]
-            out[:] = SE3.Ad(SE3.inverse(C)) @ moved
-    return found
-
-
-def _found(plane, model, work):
-    """Accelerations (n, 6) from the scratch memory of a stage."""
-    if plane is None:
-        return work.acceleration.copy()
-    found = np.zeros((len(model.bodies), 6))
-    for i, body in enumerate(model.bodies):
-        axes = body["axes"].reshape(3, 3)  # planar axes from those of the body
-        turn, x, y = work.solution[3 * i : 3 * i + 3]
-        found[i, :3], found[i, 3:] = axes.T @ (0.0, 0.0, turn), axes.T @ (x, y, 0.0)
+            turn, (w, v) = part["rotation"].reshape(3, 3), links[part["link"]].reshape(2, 3)
+            found[i, :3], found[i, 3:] = w @ turn, (v + np.cross(w, part["point"])) @ turn
+            found[i, 3:] += gravity @ pose[i, :9].reshape(3, 3)
     return found

@@ -71,7 +71,7 @@ def choose_group(method, group, options, layout):
         return group
     if family in NOT_ON_SE3:
         return "so3xr3"
-    if family != "rkmk" or options["space"] == "space" or layout.plane is not None:
+    if family != "rkmk" or options["space"] == "space":
         return "se3"
     return RELATIVE if is_cheaper(layout.relative) else "se3"
 

@@ -48,21 +48,24 @@ def rotation_status(squared):
 
 @kernel
 def copy_state(source_pose, source_twist, pose_out, twist_out):
-    """Copy pose (n, ...) and twist (n, ...) of a state."""
+    """Copy pose (n, 12) and twist (n, 6) of a state."""
     for i in range(len(source_pose)):
-        for c in range(source_pose.shape[1]):
+        for c in range(12):
             pose_out[i, c] = source_pose[i, c]
-        for c in range(source_twist.shape[1]):
+        for c in range(6):
             twist_out[i, c] = source_twist[i, c]
 
 
 @kernel
 def is_finite(pose, twist):
-    """True if pose and twist are finite: neither NaN nor infinity."""
+    """True if pose (n, 12) and twist (n, 6) are finite: neither NaN nor infinity."""
     total = 0.0
     for i in range(len(pose)):
-        for c in range(pose.shape[1]):
-            total += abs(pose[i, c])
-        for c in range(twist.shape[1]):
-            total += abs(twist[i, c])
+        # Sums of rows do not wait for each other.
+        row = 0.0
+        for c in range(12):
+            row += abs(pose[i, c])
+        for c in range(6):
+            row += abs(twist[i, c])
+        total += row
     return total < math.inf

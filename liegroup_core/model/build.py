@@ -73,7 +73,7 @@ def build_model(scene):
         dtype=BODY,
     )
     few = refinements(bodies, ends, elements)
-    structure = cheapest_structure(6, n, rows, ends, elements["kind"][solved] != PAIR, few == 0)
+    structure = cheapest_structure(n, rows, ends, elements["kind"][solved] != PAIR, few == 0)
     joints = structure.joints()
     joints["element"] = solved
     joints["kind"] = elements["kind"][solved]

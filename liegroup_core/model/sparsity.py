@@ -26,6 +26,8 @@ from liegroup_core.joints.elements import WORLD
 
 from .arrays import JOINT, VERTEX
 
+SCALARS = 6  # of a body
+
 
 def elimination_order(sizes, neighbours, bodies, bodies_first=False):
     """Elimination order of the vertices, and their fill.
@@ -173,14 +175,14 @@ def operations(vertices, columns, updates):
     return factor, solve
 
 
-def cheapest_structure(body, n, rows, ends, changing, alike):
+def cheapest_structure(n, rows, ends, changing, alike):
     """Structure of a mechanism with the fewest operations at a new pose.
 
     alike : True if neighbouring masses are similar, so that both orders for trees are accurate
     The other arguments are those of Structure.
     """
     ways = [
-        Structure(body, n, rows, ends, changing, bodies_first)
+        Structure(n, rows, ends, changing, bodies_first)
         for bodies_first in ((False, True) if alike else (False,))
     ]
     return min(ways, key=lambda structure: structure.operations)
@@ -214,7 +216,6 @@ def _keep_body(block):
 class Structure:
     """Blocks of K for bodies and the joints between them.
 
-    body : scalars of a body, 6 in space or 3 in a plane
     n    : number of bodies
     rows : scalars of each joint, at least one
     ends : (parent, child) body of each joint; the parent may be WORLD
@@ -225,9 +226,9 @@ class Structure:
     operations : additions and multiplications of a solve at a new pose
     """
 
-    def __init__(self, body, n, rows, ends, changing, bodies_first):
-        self._body, self._n, self._rows, self._ends = body, n, rows, ends
-        sizes = [body] * n + list(rows)  # bodies 0..n-1, then joints
+    def __init__(self, n, rows, ends, changing, bodies_first):
+        self._n, self._rows, self._ends = n, rows, ends
+        sizes = [SCALARS] * n + list(rows)  # bodies 0..n-1, then joints
         neighbours = [set() for _ in sizes]
         for j, pair in enumerate(ends):
             for end in pair:
@@ -244,7 +245,7 @@ class Structure:
             sizes, self._below, blocks
         )
         # In Work.solution: bodies, then joints, each in their own order.
-        self._starts = np.cumsum([0, *([body] * n), *rows])
+        self._starts = np.cumsum([0, *([SCALARS] * n), *rows])
         self._vertices = np.array(
             [(max(v - n, -1), sizes[p], self._starts[v], *ranges[p]) for p, v in enumerate(order)],
             dtype=VERTEX,
@@ -279,7 +280,7 @@ class Structure:
         """Fields of a Model: vertices, columns, updates, K and its constant part.
 
         masses    : mass matrix of each body
-        jacobians : (k, body) rows of each joint for its child; zeros if they depend on the pose
+        jacobians : (k, 6) rows of each joint for its child; zeros if they depend on the pose
         """
         summed, fresh, _, _ = self._ends_of_parts
         constant = self._constant_part(masses, jacobians)

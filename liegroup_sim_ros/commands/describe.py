@@ -194,7 +194,7 @@ def _solve_rows(solve, plane):
     where = (
         ("in space", "six coordinates per body")
         if plane is None
-        else (f"across {plane}", "all bodies move in a plane: three coordinates per body")
+        else (f"across {plane}", "all bodies move in a plane: at most three coordinates per body")
     )
     return [
         ("motion", *where),

@@ -107,6 +107,18 @@ def test_series_coefficients_are_rounded_rationals_and_the_truncation_suffices(t
     assert remainder < 0.1 * UNIT * 0.4 * abs(series[0])
 
 
+def test_turns_have_the_accuracy_of_exp_coefficients():
+    """Bounds of exp_coefficients; the terms left out at the switch are below a tenth of a unit."""
+    switch = coefficients.SHORT_SERIES_BELOW
+    for series in (coefficients.SINC_SERIES, coefficients.VERSINC_SERIES):
+        assert 2.0 * abs(series[6]) * switch**6 < 0.2 * UNIT * series[0]
+    sides = [math.nextafter(switch, to) for to in (0.0, 9.0)]
+    for x in (0.0, 1e-300, switch, *sides, *np.geomspace(1e-9, 9.0, 300)):
+        wanted = exact(x)[:2] if x > 1e-12 else (1.0, 0.5)
+        for got, want, units in zip(coefficients.turn_coefficients(x), wanted, (12, 5)):
+            assert abs(got - want) <= units * UNIT * abs(want)
+
+
 @pytest.mark.parametrize("x", [0.0, 5e-324, 1e-320, 1e-300, 1e-150, 1e-20])
 def test_tiny_angles_give_the_limits(x):
     # The next term is x/6 of the limit or less: below half a unit for x = 1e-20.

@@ -112,7 +112,7 @@ def test_both_elimination_orders_of_a_tree_agree_with_the_dense_solve(
         }
     )
     monkeypatch.setattr(
-        build, "cheapest_structure", lambda *given: Structure(*given[:5], bodies_first)
+        build, "cheapest_structure", lambda *given: Structure(*given[:4], bodies_first)
     )
     simulation = Simulation(scene)
     assert distance_to_dense(simulation) <= 1e-12

@@ -15,7 +15,6 @@ from scipy.special import ndtr
 
 from liegroup_core import load_scene
 from liegroup_core.fields.frames import ROTATIONS
-from liegroup_core.formulations.planar import build as planar_build
 from liegroup_core.layout import make_layout
 from liegroup_core.model import redundancy
 from liegroup_core.model.redundancy import generic_poses
@@ -300,7 +299,7 @@ def test_assembly_failures_and_changes_are_reported():
 
 def test_a_linkage_is_analysed_once_per_geometry():
     """A cached result is that of a new analysis for other masses; other lengths are not cached."""
-    for kept in (generic_poses, redundancy._chosen, planar_build._chosen):
+    for kept in (generic_poses, redundancy._chosen):
         kept.cache_clear()
     base = scene_as_written((SCENES[0].parent / "four_bar.yaml").read_text())
     paths = [
@@ -311,7 +310,7 @@ def test_a_linkage_is_analysed_once_per_geometry():
     layouts, looks = [], []
     for values in paths:
         layouts.append(make_layout(changed(base, values)))
-        assert layouts[-1].plane is not None
+        assert layouts[-1].normal is not None
         looks.append(generic_poses.cache_info().misses)
     assert looks == [1, 1, 2]
     assert layouts[0].kept_rows == layouts[1].kept_rows and layouts[0].dropped_rows

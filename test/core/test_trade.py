@@ -69,7 +69,8 @@ def test_errors_are_bit_identical_with_two_workers(scene, trade, tmp_path):
 @pytest.mark.parametrize("method", MEASURED)
 def test_errors_decrease_at_the_order_of_the_method(trade, method):
     """Between rungs in the asymptotic range, in the middle: 0.2 of the order, as steps are no
-    powers of each other and the next term of the error still counts.
+    powers of each other and the next term of the error still counts. The reference is known to a
+    hundredth of the errors: that changes a slope by 0.015 at most.
     """
     for group in {cell["group"] for cell in trade.cells if cell["method"] == method}:
         cells = [
@@ -81,7 +82,7 @@ def test_errors_decrease_at_the_order_of_the_method(trade, method):
         slopes = [
             np.log(a["error"] / b["error"]) / np.log(a["step"] / b["step"])
             for a, b in zip(cells, cells[1:])
-            if a["error"] < 1e-2 and b["error"] > 1e3 * trade.truth.known
+            if a["error"] < 1e-2 and b["error"] > 1e2 * trade.truth.known
         ]
         assert len(slopes) >= 3
         assert np.median(slopes) == pytest.approx(METHODS[method].order, abs=0.2)

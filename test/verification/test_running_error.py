@@ -18,7 +18,7 @@ CASES = [
     ("heavy_top", "rkmk54", 2e-2, "none"),
     ("heavy_top", "generalized_alpha", 1e-3, "none"),
     ("heavy_top", "constrained_rattle", 1e-3, "none"),
-    ("four_bar", "rkmk4", 1e-3, "projection"),
+    ("four_bar", "rkmk4", 5e-4, "projection"),
     ("four_bar", "rkmk2", 1e-4, "baumgarte"),
     ("double_pendulum", "rkmk4", 5e-3, "none"),
     ("double_pendulum", "constrained_rattle4", 5e-3, "none"),
@@ -45,8 +45,9 @@ def pushed(scene, method, step, stabilisation):
 def test_estimates_cover_the_true_error_through_a_push(name, method, step, stabilisation):
     """At least half of the true error in 49 of 50 samples, and at most five times it in half of them.
 
-    In many more mechanisms: benchmarks/estimate_coverage.py. Errors that oscillate pass through zero, where
-    the estimate stays above them.
+    In many more mechanisms: benchmarks/estimate_coverage.py. Errors that oscillate pass through zero,
+    where the estimate stays above them. As a function of the step too: that of the four-bar, which
+    has one degree of freedom, does so near 1 ms.
     """
     scene = load_scene(name)
     simulation, changes = pushed(scene, method, step, stabilisation)

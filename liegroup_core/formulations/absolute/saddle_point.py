@@ -13,9 +13,9 @@ small triangular systems: their latency would take most of the time. If the bloc
 constant mass matrix, W and d are not computed: M^-1 (a small matrix and a number) and K_iv M^-1 are
 stored.
 
-The most frequent sizes (a body, 6 scalars or 3 in a plane, and two kinds of joints) are passed as
-constants. The compiler then unrolls the loops over a block, which reduces the time to a quarter or
-a third (measured).
+The most frequent sizes (a body and two kinds of joints) are passed as constants. The
+compiler then unrolls the loops over a block, which reduces the time to a quarter or a third
+(measured).
 """
 
 from liegroup_core.compiling import kernel, shared
@@ -32,8 +32,7 @@ from .blocks import (
 )
 
 # Scalars of a body and of the two most frequent kinds of joints.
-SPATIAL_SIZES = (6, 3, 5)  # body; spherical; revolute or prismatic
-PLANAR_SIZES = (3, 2, 1)  # body; revolute or prismatic; one remaining row of a loop
+SIZES = (6, 3, 5)  # body; spherical; revolute or prismatic
 NONE = 0  # no second frequent size
 
 # Diagonal entry of dependent rows, as a multiple of their pivot floor.
@@ -190,19 +189,18 @@ def _substitute_vertex(model, solve, x, v, k, frequent, second):
 
 
 @kernel
-def eliminate(model, solve, x, fresh, shift, sizes):
+def eliminate(model, solve, x, fresh, shift):
     """Forward elimination of K (Vdot, lambda) = (Q, bias), in place of K and the right-hand side.
 
     solve : lower triangle of K if `fresh`, else the result of an earlier call; then scratch memory
     x     : (unknowns,) right-hand side: bodies, then joints
     shift : 0, or multiple of the pivot floors to subtract from the zero diagonal of the joints
-    sizes : SPATIAL_SIZES or PLANAR_SIZES
     returns -1, or the joint (index in model.joints) with dependent rows: K is singular
 
     K and the right-hand side are eliminated together, vertex by vertex: this hides the latency of
     divisions.
     """
-    body, first, second = sizes
+    body, first, second = SIZES
     for v in range(len(model.vertices)):
         k = model.vertices[v]["size"]
         good = True
@@ -223,9 +221,9 @@ def eliminate(model, solve, x, fresh, shift, sizes):
 
 
 @kernel
-def _substitute(model, solve, x, sizes):
+def _substitute(model, solve, x):
     """Back substitution after `eliminate`, in place."""
-    body, first, second = sizes
+    body, first, second = SIZES
     for v in range(len(model.vertices) - 1, -1, -1):
         k = model.vertices[v]["size"]
         if model.vertices[v]["joint"] < 0:
@@ -291,15 +289,15 @@ def _subtract_image(model, matrix, x, y_out, body):
             )
 
 
-@kernel
-def _solve(model, work, refinements, shift, sizes, fresh):
+@shared
+def solve(model, work, refinements, shift, fresh):
     """Solve K x = b with iterative refinement.
 
     work.matrix   : K, overwritten; constant vertices are already eliminated
     work.solution : b, overwritten by x
     fresh         : False: work.matrix is the result of an earlier call; with refinement, work.kept
                     is K
-    shift, sizes  : see `eliminate`. Refinement removes the effect of the shift, except in directions
+    shift         : see `eliminate`. Refinement removes the effect of the shift, except in directions
                     in which K is singular: there the constraints have no effect
     returns -1, or the joint with dependent rows
     """
@@ -315,24 +313,12 @@ def _solve(model, work, refinements, shift, sizes, fresh):
             x = work.residual
             for i in range(len(work.right)):
                 x[i] = work.right[i]
-            _subtract_image(model, work.kept, work.solution, x, sizes[0])
-        dependent = eliminate(model, work.matrix, x, fresh and step == 0, shift, sizes)
+            _subtract_image(model, work.kept, work.solution, x, SIZES[0])
+        dependent = eliminate(model, work.matrix, x, fresh and step == 0, shift)
         if dependent >= 0:
             return dependent
-        _substitute(model, work.matrix, x, sizes)
+        _substitute(model, work.matrix, x)
         if step > 0:
             for i in range(len(work.right)):
                 work.solution[i] += x[i]
     return -1
-
-
-@shared
-def solve(model, work, refinements, shift, fresh):
-    """`_solve` for a Model."""
-    return _solve(model, work, refinements, shift, SPATIAL_SIZES, fresh)
-
-
-@shared
-def solve_in_plane(model, work, refinements, shift):
-    """`_solve` for a PlanarModel."""
-    return _solve(model, work, refinements, shift, PLANAR_SIZES, True)

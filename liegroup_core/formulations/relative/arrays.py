@@ -78,11 +78,14 @@ class RelativeModel(Struct):
     joints: np.ndarray  # (c,) of JOINT: cut elements with rows that are solved for
     owners: np.ndarray  # (c,) their elements in `space`
     row_residual: np.ndarray  # (m,) which residual is that of a row
+    row_turns: np.ndarray  # (m,) 1: the row forbids a rotation, 0: a translation
     child_jacobian: np.ndarray  # (m, 6) rows of every PAIR for its child link
     paths: np.ndarray  # (c, 2) range of each joint in `path_links`
     path_links: np.ndarray  # links between the joint and the world, children first
+    path_freedoms: np.ndarray  # freedoms of these links, in the order of elimination
+    path_ends: np.ndarray  # (c + 1,) where those of each joint start in `path_freedoms`
     path_places: np.ndarray  # (c + 1,) where the joint's responses start in Work.response
-    shared: np.ndarray  # (k, 3) joints i, j <= i that share freedoms, end in shared_freedoms
+    shared: np.ndarray  # (k, 3) joints i, j < i that share freedoms, end in shared_freedoms
     shared_freedoms: np.ndarray  # (l, 3) a freedom, its place in the responses of both joints
     first_column: np.ndarray  # (m,) first nonzero column of each row of the factor of W
     projects: bool
@@ -98,8 +101,45 @@ class RelativeModel(Struct):
         return (rows - self.elements[joint["element"]]["row_start"]).tolist()
 
 
+PLANE_LINK = np.dtype(
+    [  # link of a planar mechanism; what the sweeps need, close together
+        ("group", "i8"),
+        ("parent", "i8"),
+        ("freedom", "i8"),
+        ("mass", "f8"),  # kg
+        ("moment_x", "f8"),
+        ("moment_y", "f8"),  # m c, kg m
+        ("inertia", "f8"),  # about the origin, kg m^2
+        ("cos", "f8"),
+        ("sin", "f8"),
+        ("x", "f8"),
+        ("y", "f8"),  # T
+    ],
+    align=True,
+)
+
+
+class PlaneModel(RelativeModel):
+    """RelativeModel of a planar mechanism; z of all link frames is normal to the plane.
+
+    The coordinates of a link are its pose in its parent, T X, as (cos, sin, x, y). A slide moves
+    along the x axis of its frame. Twists are (omega, v_x, v_y).
+    """
+
+    axes: np.ndarray  # (1, 9) axes of the plane in world axes, as columns; the last is its normal
+    plane_gravity: np.ndarray  # (1, 2) m/s^2
+    links: np.ndarray  # (L,) of PLANE_LINK
+    link_heights: np.ndarray  # (L,) of the link frames along the normal, m
+    heights: np.ndarray  # (n,) of the bodies
+
+
 class RelativeWork(Struct):
-    """Scratch memory of one simulation; fields without a comment as in Work."""
+    """Scratch memory of one simulation; fields without a comment as in Work.
+
+    In a plane velocities, moved, force and U have 3 numbers and inertia has 6; drift is A, (L, 2);
+    moved is E, and `applied` has the bias forces of the links less the applied wrenches: see
+    plane_trees.py.
+    """
 
     space: Work
     angle: np.ndarray  # that of `space`
@@ -120,6 +160,7 @@ class RelativeWork(Struct):
     wrench: np.ndarray  # (n, 6) wrenches on the bodies
     relative: np.ndarray  # (L, 12) pose of each link in its parent link
     world: np.ndarray  # (L, 12) pose in the world; where it is needed
+    placed: np.ndarray  # (L, 4) pose in the plane: cos, sin, x, y
     velocities: np.ndarray  # (L, 6) twists of the links
     drift: np.ndarray  # (L, 6) [V, S qdot]
     moved: np.ndarray  # (L, 6) Vdot - gravity of the links
@@ -137,7 +178,7 @@ class RelativeWork(Struct):
     bias: np.ndarray  # (m,) J Vdot = bias
     right: np.ndarray  # (m,) residual, then a change of the multipliers
     multipliers: np.ndarray  # (m,)
-    carried: np.ndarray  # (L, 6) a row's wrench on its way to the world
+    carried: np.ndarray  # (L, 6) a row's wrench on its way to the world; in a plane those of two
     response: np.ndarray  # y of each row and freedom on its path
     matrix: np.ndarray  # (m, m) W in the upper, its factor in the lower triangle
     diagonal: np.ndarray  # (m,) pivots
@@ -149,6 +190,8 @@ def make_relative_work(model, work, stages):
     """Allocate the scratch memory of a RelativeModel; work: Work of the same mechanism."""
     n, links, rows = len(model.parts), len(model.bodies), len(model.row_residual)
     freedoms = int(model.bodies["freedoms"].sum())
+    in_plane = isinstance(model, PlaneModel)
+    size = 3 if in_plane else 6
     return RelativeWork(
         space=work,
         angle=work.angle,
@@ -165,16 +208,17 @@ def make_relative_work(model, work, stages):
         wrench=np.zeros((n, 6)),
         relative=np.zeros((links, 12)),
         world=np.zeros((links, 12)),
-        velocities=np.zeros((links, 6)),
-        drift=np.zeros((links, 6)),
-        moved=np.zeros((links, 6)),
-        inertia=np.zeros((links, 21)),
-        applied=np.zeros((links, 6)),
-        force=np.zeros((links, 6)),
+        placed=np.zeros((links, 4)),
+        velocities=np.zeros((links, size)),
+        drift=np.zeros((links, 2 if in_plane else 6)),
+        moved=np.zeros((links, size)),
+        inertia=np.zeros((links, 6 if in_plane else 21)),
+        applied=np.zeros((links, size)),
+        force=np.zeros((links, size)),
         freedoms=np.zeros((freedoms, 8)),
         acceleration=np.zeros((freedoms, 1)),
         total=np.zeros((freedoms, 1)),
-        total_moved=np.zeros((links, 6)),
+        total_moved=np.zeros((links, size)),
         child_jacobian=model.child_jacobian.copy(),
         parent_jacobian=np.zeros((rows, 6)),
         slip=np.zeros(rows),

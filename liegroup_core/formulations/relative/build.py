@@ -24,10 +24,13 @@ from .arrays import (
     OWN,
     PART,
     PLANE,
+    PLANE_LINK,
     SCREW,
     SLIDE,
+    PlaneModel,
     RelativeModel,
 )
+from .plane import align, find_plane, frame_in_plane, plane_axes
 from .spanning_tree import WORLD_NAME, spanning_tree
 
 GROUPS = {
@@ -58,24 +61,28 @@ class _Link:
     def __init__(self, joint, group, parent, placement, coordinates=OWN, pitch=0.0):
         self.joint, self.group, self.parent, self.placement = joint, group, parent, placement
         self.coordinates, self.pitch, self.bodies = coordinates, pitch, {}
+        self.components = COMPONENTS[group]
 
     def directions(self):
         """S (6, freedoms)."""
-        S = np.eye(6)[:, list(COMPONENTS[self.group])]
+        S = np.eye(6)[:, list(self.components)]
         if self.group == SCREW:
             S[5, 0] = self.pitch
         return S
 
 
-def relative_model(scene, model):
-    """RelativeModel of a mechanism.
+def relative_model(scene, model, in_space=False):
+    """RelativeModel of a mechanism; a PlaneModel if it is planar.
 
-    scene : Scene with body frames at the centres of mass
-    model : its Model
+    scene    : Scene with body frames at the centres of mass
+    model    : its Model
+    in_space : True: never a PlaneModel
     """
     frames, parts = resolve_frames(scene), resolve_elements(scene)
-    tree = spanning_tree(scene)
-    links, places = _links(scene, frames, tree)
+    plane = None if in_space else find_plane(scene, frames, parts)
+    normal, allowed = (None, None) if plane is None else plane
+    tree = spanning_tree(scene, allowed)
+    links, places = _links(scene, frames, tree, normal)
     index = {body.name: i for i, body in enumerate(scene.bodies)}
     records = _records(scene, links, index)
     cut, rows = _cut_rows(scene, frames, parts, tree, links, places, model)
@@ -92,7 +99,7 @@ def relative_model(scene, model):
         ],
         dtype=PART,
     )
-    return RelativeModel(
+    common = dict(
         space=model,
         gravity=model.gravity,
         bodies=records,
@@ -103,6 +110,53 @@ def relative_model(scene, model):
         baumgarte_rate=model.baumgarte_rate,
         **arrays,
     )
+    if normal is None:
+        return RelativeModel(**common)
+    return PlaneModel(**common, **_plane_arrays(model, links, records, places, scene, normal))
+
+
+def tree_of(scene):
+    """SpanningTree that a RelativeModel of a scene is built on."""
+    plane = find_plane(scene, resolve_frames(scene), resolve_elements(scene))
+    return spanning_tree(scene, None if plane is None else plane[1])
+
+
+def _plane_arrays(model, links, records, places, scene, normal):
+    """Fields of a PlaneModel that a RelativeModel does not have."""
+    axes = plane_axes(normal)
+    plane_links, heights = [], []
+    for link, record in zip(links, records):
+        T = link.placement
+        if link.parent == WORLD:
+            turned = np.eye(4)
+            turned[:3, :3] = axes
+            T = turned.T @ T
+        turn = T[:2, 0] / np.linalg.norm(T[:2, 0])
+        heights.append(T[2, 3] + (0.0 if link.parent == WORLD else heights[link.parent]))
+        plane_links.append(
+            (
+                link.group,
+                link.parent,
+                record["freedom"],
+                record["mass"],
+                *record["moment"][:2],
+                record["inertia"][5],
+                *turn,
+                *T[:2, 3],
+            )
+        )
+    return {
+        "axes": axes.reshape(1, 9),
+        "plane_gravity": model.gravity @ axes[:, :2],
+        "links": np.array(plane_links, dtype=PLANE_LINK),
+        "link_heights": np.array(heights),
+        "heights": np.array(
+            [
+                (0.0 if b == WORLD else heights[b]) + pose[2, 3]
+                for b, pose in (places[body.name] for body in scene.bodies)
+            ]
+        ),
+    }
 
 
 def _welds(scene, frames, members):
@@ -129,8 +183,12 @@ def _welds(scene, frames, members):
     return poses
 
 
-def _links(scene, frames, tree):
-    """([_Link], {body or world: (link index or WORLD, pose (4, 4) in the link)})."""
+def _links(scene, frames, tree, normal):
+    """([_Link], {body or world: (link index or WORLD, pose (4, 4) in the link)}).
+
+    normal : of the plane of a planar mechanism, else None
+    """
+    poses = {body.name: body.pose for body in scene.bodies} | {WORLD_NAME: np.eye(4)}
     welds = _welds(scene, frames, tree.members)
     places = {name: (WORLD, welds[name]) for name in (WORLD_NAME, *tree.members[0])}
     links = []
@@ -148,6 +206,9 @@ def _links(scene, frames, tree):
             reverse = joint.child not in bodies
             inner, outer = (joint.child, joint.parent) if reverse else (joint.parent, joint.child)
             F_in, F_out = (F_b, F_a) if reverse else (F_a, F_b)
+            if normal is not None:
+                to_plane = frame_in_plane(joint.type, (poses[outer] @ F_out)[:3, :3], normal)
+                F_in, F_out = F_in @ to_plane, F_out @ to_plane
             parent, pose = places[inner]
             placement = pose @ F_in
             if joint.type == "universal":
@@ -159,9 +220,14 @@ def _links(scene, frames, tree):
                 kind = GROUPS[joint.type]
                 pitch = joint.pitch if joint.type == "screw" else 0.0
                 links.append(_Link(j, kind, parent, placement, pitch=pitch))
+                if normal is not None and kind == SLIDE:
+                    links[-1].components = (3,)
                 frame = welds[outer] @ F_out
         to_link = SE3.inverse(frame)
         links[-1].bodies = {name: to_link @ welds[name] for name in bodies}
+        if normal is not None:
+            for pose in links[-1].bodies.values():
+                align(pose)
         for name in bodies:
             places[name] = (len(links) - 1, links[-1].bodies[name])
     return links, places
@@ -262,7 +328,8 @@ def _tree_jacobians(scene, frames, parts, loops, joints, links, places):
     # The loops move with welded bodies, and with the joints that hold them beside a floating part.
     used = {links[i].joint for i in needed} - {None}
     used |= {j for j, joint in enumerate(scene.joints) if joint.type == "fixed"}
-    used = sorted(used.union(loops))
+    # In the order of model/redundancy.py: the same linkage is analysed once.
+    used = sorted(used.union(loops), key=lambda j: (scene.joints[j].parent != WORLD_NAME, j))
     linkage = Linkage(scene, frames, parts, used)
     length = linkage.length
     # Rotations and translations in comparable units.
@@ -349,7 +416,7 @@ def _loop_arrays(links, records, cut, rows, elements):
     order = _narrow([set(path) for path in paths])
     solved, paths = [solved[k] for k in order], [paths[k] for k in order]
     joints = np.zeros(len(solved), dtype=JOINT)
-    jacobians, residuals, first = [np.zeros((0, 6))], [], 0
+    jacobians, residuals, turns, first = [np.zeros((0, 6))], [], [], 0
     for joint, k in zip(joints, solved):
         element = elements[k]
         joint["parent"], joint["child"], joint["kind"] = (
@@ -361,6 +428,7 @@ def _loop_arrays(links, records, cut, rows, elements):
         joint["start"] = first
         first += len(rows[k])
         residuals += [element["row_start"] + r for r in rows[k]]
+        turns += [cut[k][2].names[r].startswith("w") for r in rows[k]]
         jacobian = np.zeros((element["rows"], 6))
         if element["kind"] == PAIR:
             frame = np.eye(4)
@@ -374,22 +442,24 @@ def _loop_arrays(links, records, cut, rows, elements):
     for path in paths:
         ranges.append((at, at + len(path)))
         at += len(path)
-    path_places, spots, at = [], [], 0
+    path_places, path_freedoms, path_ends, spots, at = [], [], [0], [], 0
     for path, joint in zip(paths, joints):
         path_places.append(at)
         spot = {}
         for i in path:
             group, f, count = records[i]["group"], records[i]["freedom"], records[i]["freedoms"]
-            # In the order of elimination, see loops._number.
+            # In the order of elimination, see rows._number.
             numbers = (2, 0, 1, *range(3, count)) if group >= BALL else range(count)
             for number in numbers:
                 spot[int(f + number)] = at
                 at += int(joint["rows"])
         spots.append(spot)
+        path_freedoms += spot
+        path_ends.append(len(path_freedoms))
     shared, entries = [], []
     first_joint = list(range(len(joints)))
     for i, spot_i in enumerate(spots):
-        for j in range(i + 1):
+        for j in range(i):
             common = sorted(spot_i.keys() & spots[j].keys())
             if common:
                 entries += [(f, spot_i[f], spots[j][f]) for f in common]
@@ -406,10 +476,13 @@ def _loop_arrays(links, records, cut, rows, elements):
     return {
         "joints": joints,
         "owners": np.array([cut[k][1] for k in solved], dtype=np.int64),
+        "row_turns": np.array(turns, dtype=np.int64),
         "row_residual": np.array(residuals, dtype=np.int64),
         "child_jacobian": np.concatenate(jacobians),
         "paths": np.array(ranges, dtype=np.int64).reshape(-1, 2),
         "path_links": np.array([i for path in paths for i in path], dtype=np.int64),
+        "path_freedoms": np.array(path_freedoms, dtype=np.int64),
+        "path_ends": np.array(path_ends, dtype=np.int64),
         "path_places": np.array([*path_places, at], dtype=np.int64),
         "shared": np.array(shared, dtype=np.int64).reshape(-1, 3),
         "shared_freedoms": np.array(entries, dtype=np.int64).reshape(-1, 3),

@@ -88,21 +88,22 @@ def rate_twist(link, rates, row):
 
 
 @kernel
-def displace(link, coordinates, row, screws, at, scale, out):
-    """Write X exp(Psi) of a link to row `row` of `out`.
+def displace(model, b, coordinates, screws, at, out):
+    """Write X exp(Psi) of link b to its row of `out`.
 
-    Psi : scale times the first column of `screws`, from row `at` on
+    Psi : first column of `screws`, from row `at` on
     returns the squared rotation angle, rad^2
     """
+    link, row = model.bodies[b], len(model.parts) + b
     group = link["group"]
-    psi = scale * screws[at, 0]
+    psi = screws[at, 0]
     if group >= BALL:
-        xi = (psi, scale * screws[at + 1, 0], scale * screws[at + 2, 0])
+        xi = (psi, screws[at + 1, 0], screws[at + 2, 0])
         rot = load9(coordinates, row, 0)
         if group == BALL:
             store9(matmul3(rot, so3_exp(xi)), out, row, 0)
         else:
-            eta = (scale * screws[at + 3, 0], scale * screws[at + 4, 0], scale * screws[at + 5, 0])
+            eta = (screws[at + 3, 0], screws[at + 4, 0], screws[at + 5, 0])
             turn, shift = se3_exp(xi, eta)
             rot, p = se3_compose(rot, load3(coordinates, row, 9), turn, shift)
             store9(rot, out, row, 0)
@@ -118,10 +119,10 @@ def displace(link, coordinates, row, screws, at, scale, out):
     if group == SCREW:
         out[row, 4] = coordinates[row, 4] + link["pitch"] * psi
     elif group == CYLINDER:
-        out[row, 4] = coordinates[row, 4] + scale * screws[at + 1, 0]
+        out[row, 4] = coordinates[row, 4] + screws[at + 1, 0]
     elif group == PLANE:
         # dexp_psi of the translation, in the axes of the start
-        x, y = scale * screws[at + 1, 0], scale * screws[at + 2, 0]
+        x, y = screws[at + 1, 0], screws[at + 2, 0]
         q = psi * versinc
         x, y = sinc * x - q * y, sinc * y + q * x
         x0, y0 = coordinates[row, 2], coordinates[row, 3]
@@ -131,9 +132,10 @@ def displace(link, coordinates, row, screws, at, scale, out):
 
 
 @kernel
-def normalise(link, coordinates, row):
-    """Remove the round-off by which a product of rotations leaves the group."""
-    if link["group"] >= BALL:
+def normalise(model, b, coordinates):
+    """Remove the round-off by which a product of rotations leaves the group of link b."""
+    row = len(model.parts) + b
+    if model.bodies[b]["group"] >= BALL:
         store9(so3_nearest(load9(coordinates, row, 0)), coordinates, row, 0)
     else:
         c, s = coordinates[row, 0], coordinates[row, 1]
@@ -174,7 +176,7 @@ def _body_of_link(link, pose, twist, world_out, velocities_out, b):
 
 
 @kernel
-def _unit(c, s):
+def nearest_turn(c, s):
     """Cosine and sine of an angle, from multiples of them.
 
     R00 + R11 and R10 - R01 are those of the rotation about z nearest to R. Upside down no angle is
@@ -219,7 +221,7 @@ def coordinates(model, work, pose, twist):
                 rot = load9(world, a, 0)
                 x_a, y_a = matvec3(rot, x_a), matvec3(rot, y_a)
                 twist[row, 0] -= dot3((rot_a[2], rot_a[5], rot_a[8]), load3(velocities, a, 0))
-            pose[row, 0], pose[row, 1] = _unit(
+            pose[row, 0], pose[row, 1] = nearest_turn(
                 dot3(x_a, x_b) + dot3(y_a, y_b), dot3(y_a, x_b) - dot3(x_a, y_b)
             )
             continue
@@ -236,7 +238,7 @@ def coordinates(model, work, pose, twist):
             dx, dy = rot_2[2], rot_2[5]
             x, y, _ = matvec3(rot, (dx, dy, 0.0))
             c, s = dx * x + dy * y, dx * y - dy * x
-            pose[row, 0], pose[row, 1] = _unit(c, s)
+            pose[row, 0], pose[row, 1] = nearest_turn(c, s)
             rot, _ = relative_pose(link, pose, row)
             if a != WORLD:
                 rot = matmul3(load9(world, a, 0), rot)
@@ -265,7 +267,7 @@ def coordinates(model, work, pose, twist):
             store9(so3_nearest(rot), pose, row, 0)
             store3(p, pose, row, 9)
         else:
-            c, s = _unit(rot[0] + rot[4], rot[3] - rot[1])
+            c, s = nearest_turn(rot[0] + rot[4], rot[3] - rot[1])
             if group == SLIDE:
                 c, s = 1.0, 0.0
             if group == SCREW:
@@ -284,8 +286,9 @@ def coordinates(model, work, pose, twist):
 
 
 @kernel
-def place_links(model, relative, world_out):
-    """Poses in the world of all links, from their poses in their parents."""
+def place_links(model, work):
+    """Poses in the world of all links at the stage, from their poses in their parents."""
+    relative, world_out = work.relative, work.world
     for b in range(len(model.bodies)):
         a = model.bodies[b]["parent"]
         rot, p = load9(relative, b, 0), load3(relative, b, 9)
@@ -297,8 +300,14 @@ def place_links(model, relative, world_out):
 
 
 @kernel
-def place_bodies(model, world, velocities, pose, twist):
+def lift_links(model, work):
+    """Nothing: `place_links` has written work.world. See plane_coordinates.py."""
+
+
+@kernel
+def place_bodies(model, work, pose, twist):
     """Poses and twists of the bodies, from those of the links."""
+    world, velocities = work.world, work.velocities
     for i in range(len(model.parts)):
         part = model.parts[i]
         b = part["link"]

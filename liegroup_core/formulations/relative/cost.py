@@ -9,6 +9,8 @@ import numpy as np
 
 from liegroup_core.model.sparsity import operations
 
+from .arrays import PlaneModel
+
 # ns of a link by its motion group, in the order of the codes in arrays.py.
 LINK_COSTS = np.array([95.0, 95.0, 105.0, 130.0, 190.0, 150.0, 200.0])
 PLACED_LINK = 90.0  # ns of a link where joints are cut: poses in the world
@@ -23,10 +25,11 @@ def relative_cost(relative):
     cost = LINK_COSTS[relative.bodies["group"]].sum()
     if len(relative.joints) == 0:
         return float(cost)
-    rows = relative.joints["rows"]
+    rows, own = relative.joints["rows"], np.diff(relative.path_ends)
     cost += PLACED_LINK * len(relative.bodies)
     cost += RESPONSE * ((relative.paths[:, 1] - relative.paths[:, 0]) * rows).sum()
     i, j, end = relative.shared.T
+    cost += PRODUCT * (own * rows**2).sum()
     cost += PRODUCT * (np.diff(end, prepend=0) * rows[i] * rows[j]).sum()
     width = np.arange(len(relative.first_column)) - relative.first_column
     return float(cost + FACTOR * (width**2).sum())
@@ -40,5 +43,10 @@ def absolute_cost(model):
 
 
 def is_cheaper(relative):
-    """True if relative coordinates cost less than SE(3)^n; relative: RelativeModel."""
-    return relative_cost(relative) < absolute_cost(relative.space)
+    """True if relative coordinates cost less than SE(3)^n; relative: RelativeModel.
+
+    In a plane they do always: a link costs a third of one in space.
+    """
+    return isinstance(relative, PlaneModel) or relative_cost(relative) < absolute_cost(
+        relative.space
+    )

@@ -38,8 +38,8 @@ class SpanningTree:
     cut: list
 
 
-def spanning_tree(scene):
-    """SpanningTree of a scene."""
+def spanning_tree(scene, allowed=None):
+    """SpanningTree of a scene; allowed: joints that the tree may contain, None: all."""
     group, members = _welded(scene)
     joints = [
         (j, group[joint.parent], group[joint.child])
@@ -48,7 +48,7 @@ def spanning_tree(scene):
     ]
     of_group = {}
     for entry in joints:
-        if scene.joints[entry[0]].type in ROWS:
+        if scene.joints[entry[0]].type in ROWS and (allowed is None or entry[0] in allowed):
             for g in entry[1:]:
                 of_group.setdefault(g, []).append(entry)
     depth, links, used = {0: 0}, [], set()

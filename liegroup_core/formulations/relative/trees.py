@@ -28,6 +28,7 @@ from liegroup_core.lie.vec3 import (
     dot3,
     load3,
     load9,
+    matrix3,
     matvec3,
     scale3,
     store3,
@@ -41,11 +42,9 @@ from .coordinates import rate_twist, relative_pose
 
 
 @kernel
-def move_links(model, work, coordinates, rates, first):
-    """Write relative poses, twists V and [V, S qdot] of all links.
-
-    coordinates, rates : arrays whose rows from `first` on are those of the links
-    """
+def move_links(model, work):
+    """Relative poses, twists V and [V, S qdot] of all links at the stage; no applied wrenches."""
+    first, coordinates, rates = len(model.parts), work.stage_pose, work.stage_twist
     for b in range(len(model.bodies)):
         link = model.bodies[b]
         a = link["parent"]
@@ -73,6 +72,8 @@ def move_links(model, work, coordinates, rates, first):
                 store3(cv, work.drift, b, 3)
         store3(w, work.velocities, b, 0)
         store3(v, work.velocities, b, 3)
+        store3((0.0, 0.0, 0.0), work.applied, b, 0)
+        store3((0.0, 0.0, 0.0), work.applied, b, 3)
 
 
 @kernel
@@ -547,13 +548,29 @@ def add_wrench(torque, force, rot, p, out, row):
 
 
 @kernel
-def _momentum(link, w, v):
+def momentum(link, w, v):
     """I V of a link without its children: angular and linear momentum."""
     moment, inertia = vector3(link["moment"]), link["inertia"]
     angular = _symmetric_times(
         inertia[0], inertia[1], inertia[2], inertia[3], inertia[4], inertia[5], w
     )
     return add3(angular, cross3(moment, v)), axpy3(link["mass"], v, cross3(w, moment))
+
+
+@kernel
+def apply_wrenches(model, work):
+    """Add the wrenches on the bodies, work.wrench, to work.applied."""
+    for i in range(len(model.parts)):
+        part = model.parts[i]
+        if part["link"] != WORLD:
+            add_wrench(
+                load3(work.wrench, i, 0),
+                load3(work.wrench, i, 3),
+                matrix3(part["rotation"]),
+                vector3(part["point"]),
+                work.applied,
+                part["link"],
+            )
 
 
 @kernel
@@ -572,7 +589,7 @@ def _start(model, work):
         work.inertia[b, 15], work.inertia[b, 16], work.inertia[b, 17] = mass, 0.0, 0.0
         work.inertia[b, 18], work.inertia[b, 19], work.inertia[b, 20] = mass, 0.0, mass
         w, v = load3(work.velocities, b, 0), load3(work.velocities, b, 3)
-        angular, linear = _momentum(link, w, v)
+        angular, linear = momentum(link, w, v)
         torque = add3(cross3(w, angular), cross3(v, linear))
         force = cross3(w, linear)
         store3(sub3(torque, load3(work.applied, b, 0)), work.force, b, 0)
@@ -668,7 +685,7 @@ def _with_freedoms(work, f, group, pitch, w, v):
 
 
 @subroutine
-def spread(model, work, gx, gy, gz, drift):
+def _spread(model, work, gx, gy, gz, drift):
     """Accelerations of all freedoms and links, from the world to the leaves.
 
     gx, gy, gz : acceleration of gravity, world axes
@@ -693,79 +710,13 @@ def spread(model, work, gx, gy, gz, drift):
 
 
 @kernel
-def _axis(group, k):
-    """Component of a twist that the k-th freedom of a link is, in the order of elimination."""
-    if group == SLIDE:
-        return 5
-    if group == CYLINDER:
-        return 2 if k == 0 else 5
-    if group == PLANE:
-        return 2 if k == 0 else 2 + k
-    if group >= BALL and k < 3:
-        return 2 if k == 0 else k - 1
-    if group == FREE:
-        return k
-    return 2
+def spread(model, work):
+    """Accelerations of all freedoms and links at the stage."""
+    g = load3(model.gravity, 0, 0)
+    _spread(model, work, g[0], g[1], g[2], 1)
 
 
 @kernel
-def number(group, k):
-    """Number of the freedom of a link that is eliminated as its k-th one."""
-    if group >= BALL and k < 3:
-        return 2 if k == 0 else k - 1
-    return k
-
-
-@kernel
-def eliminate(link, work, f, k, wrenches, row):
-    """Component s . w of a wrench along freedom f of a link; w becomes w - U (s . w) / D.
-
-    k : place of the freedom in the order of elimination; wrenches : row `row` has w
-    """
-    group = link["group"]
-    axis = _axis(group, k)
-    y = wrenches[row, axis]
-    if group == SCREW:
-        y += link["pitch"] * wrenches[row, 5]
-    share = y * work.freedoms[f, 6]
-    for c in range(6):
-        wrenches[row, c] -= share * work.freedoms[f, c]
-    if group != SCREW:
-        wrenches[row, axis] = 0.0
-    return y
-
-
-@subroutine
-def gather_residual(model, work):
-    """u of all freedoms for what the accelerations in work.moved leave of the equations of motion.
-
-    Own inertias and accelerations of links are small numbers where articulated inertias are sums of
-    very different ones: the residual has the digits that a solve with those loses.
-    work.force : J^T lambda of the cut joints (L, 6); overwritten
-    """
-    for b in range(len(model.bodies)):
-        link = model.bodies[b]
-        w, v = load3(work.velocities, b, 0), load3(work.velocities, b, 3)
-        angular, linear = _momentum(link, w, v)
-        torque, force = add3(cross3(w, angular), cross3(v, linear)), cross3(w, linear)
-        angular, linear = _momentum(link, load3(work.moved, b, 0), load3(work.moved, b, 3))
-        torque, force = add3(torque, angular), add3(force, linear)
-        for c in range(3):
-            work.force[b, c] += torque[c] - work.applied[b, c]
-            work.force[b, 3 + c] += force[c] - work.applied[b, 3 + c]
-    for b in range(len(model.bodies) - 1, -1, -1):
-        link = model.bodies[b]
-        for k in range(link["freedoms"]):
-            f = link["freedom"] + number(link["group"], k)
-            work.freedoms[f, 7] = -eliminate(link, work, f, k, work.force, b)
-        a = link["parent"]
-        if a != WORLD:
-            add_wrench(
-                load3(work.force, b, 0),
-                load3(work.force, b, 3),
-                load9(work.relative, b, 0),
-                load3(work.relative, b, 9),
-                work.force,
-                a,
-            )
-    return 0
+def spread_response(model, work):
+    """The same without gravity and velocities: the response to the forces u of the freedoms."""
+    _spread(model, work, 0.0, 0.0, 0.0, 0)

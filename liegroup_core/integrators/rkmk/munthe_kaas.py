@@ -25,13 +25,12 @@ import math
 
 import numpy as np
 
-from liegroup_core.compiling import SameTypes, Struct, borrowed, kernel, stepper, warm_up
-from liegroup_core.formulations.planar.arrays import make_planar_work
+from liegroup_core.compiling import SameTypes, Struct, borrowed, kernel, stepper
 from liegroup_core.formulations.relative.arrays import links_of, make_relative_work
 from liegroup_core.integrators.methods import EXACT, GROUPS, RELATIVE, SE3, is_positive
 from liegroup_core.integrators.motion import copy_state
 from liegroup_core.model.arrays import make_work
-from liegroup_core.status import DEPENDENT_ROWS, OFF_PLANE, OK, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS
+from liegroup_core.status import DEPENDENT_ROWS, OK, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS
 
 from . import spaces
 
@@ -129,15 +128,14 @@ def _restore(work, pose, twist, control):
 def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in, control):
     """Take `steps` steps of size h in place of pose (n, 12) and twist (n, 6).
 
-    model, work     : Model and Work, or PlanarModel and PlanarWork
+    model, work     : Model and Work, or RelativeModel or PlaneModel and RelativeWork
     external        : external wrenches of these steps, see forces/external.py
     control (6,)    : next substep in s, numbers of accepted and of attempted substeps so far, next
                       substep at the start of the step, rtol of velocities, atol in rad, m, rad/s,
                       m/s; only for schemes with error control
     returns (steps done, status): fewer steps if status is not OK. Pose, twist and work.angle are
     those of the last valid step. The low byte of status is the code. The other bytes are the element
-    of DEPENDENT_ROWS or the torsional spring of TURNS_NOT_COUNTED. OFF_PLANE: the state is not in
-    the plane of a PlanarModel; it is unchanged.
+    of DEPENDENT_ROWS or the torsional spring of TURNS_NOT_COUNTED.
 
     Steps, substeps and stages are loops of one function: the mechanics are inlined and compiled at
     every call.
@@ -215,8 +213,8 @@ class MuntheKaas:
     """Munthe-Kaas method of a tableau of METHODS for a model, with its memory between calls.
 
     dexpinv    : "exact", or "truncated" to the powers of ad that the method's order needs
-    space      : "auto": planar mechanisms (formulations/planar/build.py) are integrated in their
-                 plane; "space": all mechanisms are integrated in space, and on SE(3)^n by default
+    space      : "auto": in relative coordinates planar mechanisms (formulations/relative/plane.py)
+                 move in their plane; "space": all mechanisms move in space, and on SE(3)^n by default
     rtol, atol : tolerances of error control, only for a tableau with an error estimate; see above
 
     passes     : True: a step that cannot meet its tolerance is taken with a larger one
@@ -233,23 +231,17 @@ class MuntheKaas:
             tableau.e,
             EXACT if options["dexpinv"] == "exact" else max(method.order - 2, 0),
         )
-        relative = group == RELATIVE
-        self._model, self._longest = layout.relative if relative else layout.model, step
-        self._group = GROUPS.get(group, SE3)
-        self.work = make_work(layout.model, stages)
-        in_plane = options["space"] == "auto" and not relative
-        self._plane = layout.plane if in_plane else None
-        self.kernels = "rkmk" if self._plane is None else "rkmk-planar"
-        if self._plane is not None:
-            self._planar_work = make_planar_work(self._plane, self.work, stages)
-        self._work = self.work
-        if relative:
-            self.kernels = "rkmk-relative"
+        self._group, self._longest = GROUPS.get(group, SE3), step
+        self._model, self.kernels = layout.model, "rkmk"
+        self._work = self.work = make_work(layout.model, stages)
+        if group == RELATIVE:
+            in_space = options["space"] == "space" or layout.normal is None
+            self._model = layout.relative_in_space if in_space else layout.relative
+            self.kernels = "rkmk-relative" if in_space else "rkmk-plane"
             self._work = make_relative_work(self._model, self.work, stages)
         self._control = np.zeros(6)
         self._control[4:] = self._tolerances = options.get("rtol", 0.0), options.get("atol", 1.0)
-        self._advance, self._advance_planar = SameTypes(advance), SameTypes(advance)
-        self._left_plane = False
+        self._advance = SameTypes(advance)
         self.restart()
 
     @staticmethod
@@ -305,27 +297,6 @@ class MuntheKaas:
         return done, status
 
     def _take(self, h, steps, pose, twist, external):
-        if self._plane is not None:
-            done, status = self._advance_planar(
-                self._plane,
-                self._planar_work,
-                self._scheme,
-                self._group,
-                h,
-                steps,
-                pose,
-                twist,
-                external,
-                self._control,
-            )
-            if status != OFF_PLANE:
-                return done, status
-            if not self._left_plane:
-                self._left_plane = True
-                warm_up(lambda: self._in_space(h, 0, pose, twist, external), "rkmk")
-        return self._in_space(h, steps, pose, twist, external)
-
-    def _in_space(self, h, steps, pose, twist, external):
         return self._advance(
             self._model,
             self._work,

@@ -10,24 +10,22 @@ import math
 from liegroup_core.compiling import kernel
 from liegroup_core.forces import kinds
 from liegroup_core.formulations.relative.arrays import BALL, PLANE
-from liegroup_core.formulations.relative.coordinates import (
+from liegroup_core.formulations.relative.dynamics import accelerations
+from liegroup_core.formulations.relative.kinds import (
     coordinates,
     displace,
+    move_links,
     normalise,
     place_bodies,
     place_links,
-    rate_twist,
 )
-from liegroup_core.formulations.relative.dynamics import accelerations
 from liegroup_core.formulations.relative.loops import project
-from liegroup_core.formulations.relative.trees import move_links
 from liegroup_core.integrators.methods import EXACT
 from liegroup_core.integrators.motion import copy_state, is_finite
-from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.coefficients import dexpinv_coefficients, truncated_dexpinv_coefficients
-from liegroup_core.lie.se3 import se3_Ad_inverse, se3_dexpinv_of
+from liegroup_core.lie.se3 import se3_dexpinv_of
 from liegroup_core.lie.so3 import so3_dexpinv_of
-from liegroup_core.lie.vec3 import add3, cross3, dot3, load3, load9, store3, vector3
+from liegroup_core.lie.vec3 import dot3, load3
 from liegroup_core.status import (
     LARGEST_ROTATION,
     NOT_FINITE,
@@ -35,6 +33,8 @@ from liegroup_core.status import (
     ROTATION_TOO_LARGE,
     TURNS_NOT_COUNTED,
 )
+
+from .relative_errors import error_square as error_square
 
 
 @kernel
@@ -58,7 +58,8 @@ def enter(model, work, pose, twist, external):
 @kernel
 def leave(model, work, pose, twist, pose_out, twist_out):
     """Write poses and twists of the bodies to the caller's arrays."""
-    _place(model, work, pose, twist, pose_out, twist_out)
+    begin(model, work, 0, pose, twist)
+    _place(model, work, pose_out, twist_out)
 
 
 @kernel
@@ -66,9 +67,11 @@ def begin(model, work, group, pose, twist):
     """Set stage 0 to the state."""
     n = len(model.parts)
     for b in range(len(model.bodies)):
+        for k in range(12):
+            work.stage_pose[n + b, k] = pose[n + b, k]
         for k in range(6):
             work.velocity[b, k] = twist[n + b, k]
-    copy_state(pose, twist, work.stage_pose, work.stage_twist)
+            work.stage_twist[n + b, k] = twist[n + b, k]
 
 
 @kernel
@@ -99,25 +102,26 @@ def move(model, work, scheme, group, h, stage, end, pose):
     for b in range(len(model.bodies)):
         link = model.bodies[b]
         f = first + link["freedom"]
-        largest = max(largest, displace(link, pose, n + b, work.slopes, f, 1.0, work.stage_pose))
+        largest = max(largest, displace(model, b, pose, work.slopes, f, work.stage_pose))
         if end:
-            normalise(link, work.stage_pose, n + b)
-        for k in range(link["freedoms"]):
+            normalise(model, b, work.stage_pose)
+        work.stage_twist[n + b, 0] = work.velocity[b, 0] + work.slopes[f, 1]
+        for k in range(1, link["freedoms"]):
             work.stage_twist[n + b, k] = work.velocity[b, k] + work.slopes[f + k, 1]
     if not largest < LARGEST_ROTATION * LARGEST_ROTATION:
         return ROTATION_TOO_LARGE if largest < math.inf else NOT_FINITE
     work.report[1] = max(work.report[1], largest)
     if end and (len(scheme.error) > 0 or len(work.angle) > 0):
-        _place(model, work, work.stage_pose, work.stage_twist, work.stage_pose, work.stage_twist)
+        _place(model, work, work.stage_pose, work.stage_twist)
     return OK
 
 
 @kernel
-def _place(model, work, pose, twist, pose_out, twist_out):
-    """Poses and twists of the bodies, from the rows of the links in pose and twist (n + L, ...)."""
-    move_links(model, work, pose, twist, len(model.parts))
-    place_links(model, work.relative, work.world)
-    place_bodies(model, work.world, work.velocities, pose_out, twist_out)
+def _place(model, work, pose_out, twist_out):
+    """Poses and twists of the bodies, from the links at the stage."""
+    move_links(model, work)
+    place_links(model, work)
+    place_bodies(model, work, pose_out, twist_out)
 
 
 @kernel
@@ -193,60 +197,11 @@ def check_end(model, work, h):
 
 
 @kernel
-def error_square(model, work, scheme, row, h, twist, i, rtol, atol):
-    """Square of an error estimate of the body that represents link i; see munthe_kaas.py.
-
-    The differences of the freedoms add up along the tree: links come in the order of the tree.
-    """
-    link = model.bodies[i]
-    count, links = len(work.freedoms), len(model.bodies)
-    parts = work.difference
-    for k in range(link["freedoms"]):
-        psi, dq = 0.0, 0.0
-        for stage in range(scheme.error.shape[1]):
-            weight = scheme.error[row, stage]
-            if weight != 0.0:
-                at = stage * count + link["freedom"] + k
-                psi += weight * work.slopes[at, 0]
-                dq += weight * work.slopes[at, 1]
-        parts[0, k], parts[1, k] = h * psi, h * dq
-    xi, eta = rate_twist(link, parts, 0)
-    dw, dv = rate_twist(link, parts, 1)
-    a = link["parent"]
-    place = row * links
-    if a != WORLD:
-        rot, p = load9(work.relative, i, 0), load3(work.relative, i, 9)
-        at = place + a
-        w, v = se3_Ad_inverse(rot, p, load3(work.errors, at, 0), load3(work.errors, at, 3))
-        xi, eta = add3(xi, w), add3(eta, v)
-        w, v = se3_Ad_inverse(rot, p, load3(work.errors, at, 6), load3(work.errors, at, 9))
-        dw, dv = add3(dw, w), add3(dv, v)
-    store3(xi, work.errors, place + i, 0)
-    store3(eta, work.errors, place + i, 3)
-    store3(dw, work.errors, place + i, 6)
-    store3(dv, work.errors, place + i, 9)
-    body = link["body"]
-    if body < 0:
-        return 0.0
-    point = vector3(link["body_point"])
-    eta, dv = add3(eta, cross3(xi, point)), add3(dv, cross3(dw, point))
-    w0, w1 = load3(twist, body, 0), load3(work.stage_twist, body, 0)
-    v0, v1 = load3(twist, body, 3), load3(work.stage_twist, body, 3)
-    tol_w = atol + rtol * math.sqrt(max(dot3(w0, w0), dot3(w1, w1)))
-    tol_v = atol + rtol * math.sqrt(max(dot3(v0, v0), dot3(v1, v1)))
-    return (
-        (dot3(xi, xi) + dot3(eta, eta)) / (atol * atol)
-        + dot3(dw, dw) / (tol_w * tol_w)
-        + dot3(dv, dv) / (tol_v * tol_v)
-    )
-
-
-@kernel
 def close(model, work):
     """Project the end of a step onto the cut joints. Returns a status."""
-    status = project(model, work, work.stage_pose, work.stage_twist)
+    status = project(model, work)
     if status == OK and len(work.angle) > 0:
-        _place(model, work, work.stage_pose, work.stage_twist, work.stage_pose, work.stage_twist)
+        _place(model, work, work.stage_pose, work.stage_twist)
     return status
 
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Operations of a Munthe-Kaas step, selected by the type of the model: in space or in a plane.
+"""Operations of a Munthe-Kaas step, selected by the type of the model: absolute or relative.
 
-munthe_kaas.py takes the steps for both. spatial.py has the operations for a Model, planar.py those
-for a PlanarModel:
+munthe_kaas.py takes the steps for both. spatial.py has the operations for a Model, relative.py those
+for a RelativeModel or a PlaneModel:
 
     enter(model, work, pose, twist, external) -> (pose, twist, external, status)
                             arrays to integrate, from the arrays of the caller, which stay
@@ -29,11 +29,9 @@ for a PlanarModel:
 """
 
 from liegroup_core.compiling import Choice
-from liegroup_core.formulations.planar.arrays import PlanarModel
-from liegroup_core.formulations.relative.arrays import RelativeModel
+from liegroup_core.formulations.relative.arrays import PlaneModel, RelativeModel
 from liegroup_core.model.arrays import Model
 
-from . import planar as planar
 from . import relative, spatial
 
 
@@ -42,8 +40,8 @@ def _of(name):
         name,
         {
             Model: getattr(spatial, name),
-            PlanarModel: getattr(planar, name),
             RelativeModel: getattr(relative, name),
+            PlaneModel: getattr(relative, name),
         },
     )
 

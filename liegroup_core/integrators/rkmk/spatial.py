@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Operations of a Munthe-Kaas step for bodies in space: states on SE(3)^n or (SO(3) x R^3)^n.
 
-spaces.py lists these functions; planar.py has those for planar mechanisms. Here `model` is a Model
-and `work` a Work.
+spaces.py lists these functions; relative.py has those in relative coordinates. Here `model` is a
+Model and `work` a Work.
 """
 
 import math

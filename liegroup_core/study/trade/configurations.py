@@ -10,7 +10,7 @@ from fractions import Fraction
 from typing import NamedTuple
 
 from liegroup_core.integrators.families import NOT_ON_SE3, fitting_methods
-from liegroup_core.integrators.methods import CONFIGURATION_GROUPS, GROUPS, METHODS, RELATIVE
+from liegroup_core.integrators.methods import CONFIGURATION_GROUPS, METHODS, RELATIVE
 
 STABILISATIONS = ("none", "projection")
 # Candidates for the best configuration: methods that win in at least one example scene if all are
@@ -96,7 +96,7 @@ def _groups(family, layout, groups):
     if family in NOT_ON_SE3:
         return ("so3xr3",)
     if groups is None:
-        groups = GROUPS if layout.plane is not None else CONFIGURATION_GROUPS
+        groups = CONFIGURATION_GROUPS
     return [group for group in groups if group != RELATIVE or family == "rkmk"]
 
 

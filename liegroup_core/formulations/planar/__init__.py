@@ -1,2 +1,0 @@
-# SPDX-License-Identifier: Apache-2.0
-"""Planar mechanisms: equations of motion on SE(2)^n, three coordinates per body."""

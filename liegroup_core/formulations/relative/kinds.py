@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Functions of the sweeps, selected by the type of the model: in space or in a plane."""
+
+from liegroup_core.compiling import Choice
+
+from . import coordinates as space_coordinates
+from . import plane_coordinates, plane_residuals, plane_rows, plane_trees, residuals, rows, trees
+from .arrays import PlaneModel, RelativeModel
+
+
+def _of(name, space, plane):
+    """Choice of the function of this name of two modules."""
+    return Choice(name, {RelativeModel: getattr(space, name), PlaneModel: getattr(plane, name)})
+
+
+coordinates, displace, normalise = (
+    _of(name, space_coordinates, plane_coordinates)
+    for name in ("coordinates", "displace", "normalise")
+)
+place_links, lift_links, place_bodies = (
+    _of(name, space_coordinates, plane_coordinates)
+    for name in ("place_links", "lift_links", "place_bodies")
+)
+move_links, apply_wrenches, gather, spread, spread_response = (
+    _of(name, trees, plane_trees)
+    for name in ("move_links", "apply_wrenches", "gather", "spread", "spread_response")
+)
+set_rows, respond = (_of(name, rows, plane_rows) for name in ("set_rows", "respond"))
+add_multipliers, gather_residual, set_free_residual, set_residual = (
+    _of(name, residuals, plane_residuals)
+    for name in ("add_multipliers", "gather_residual", "set_free_residual", "set_residual")
+)

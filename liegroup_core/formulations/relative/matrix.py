@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""W of the cut joints from their responses, its factor and solve; see loops.py."""
+
+from liegroup_core.compiling import kernel
+
+# Pivots of W below this part of its diagonal are zero: see model/build.py.
+SMALLEST_PIVOT = 1e-10
+# So are those below this part of the diagonal of another row of the joint: in a flat pose a joint
+# may have no mobility at all in one direction.
+SMALLEST_MOBILITY = 1e-12
+# Shift of W at a singular pose.
+REGULARISATION = 1e-8
+
+
+@kernel
+def set_block(model, work, j):
+    """The block of W of joint j, from its responses."""
+    first, rows = model.joints[j]["first"], model.joints[j]["rows"]
+    W, y = work.matrix, work.response
+    for s in range(first, first + rows):
+        for r in range(s, first + rows):
+            W[s, r] = 0.0
+    at = model.path_places[j]
+    for k in range(model.path_ends[j], model.path_ends[j + 1]):
+        inverse = work.freedoms[model.path_freedoms[k], 6]
+        for s in range(rows):
+            share = inverse * y[at + s]
+            for r in range(s, rows):
+                W[first + s, first + r] += share * y[at + r]
+        at += rows
+
+
+@kernel
+def set_shared(model, work):
+    """The other blocks of W, within its envelope: those of joints that share freedoms."""
+    W, y = work.matrix, work.response
+    for j in range(len(model.joints)):
+        first = model.joints[j]["first"]
+        for r in range(first, first + model.joints[j]["rows"]):
+            for s in range(model.first_column[r], first):
+                W[s, r] = 0.0
+    start = 0
+    for k in range(len(model.shared)):
+        i, j, end = model.shared[k, 0], model.shared[k, 1], model.shared[k, 2]
+        at_i, at_j = model.joints[i]["first"], model.joints[j]["first"]
+        rows_i, rows_j = model.joints[i]["rows"], model.joints[j]["rows"]
+        for e in range(start, end):
+            inverse = work.freedoms[model.shared_freedoms[e, 0], 6]
+            place_i, place_j = model.shared_freedoms[e, 1], model.shared_freedoms[e, 2]
+            for s in range(rows_j):
+                share = inverse * y[place_j + s]
+                for r in range(rows_i):
+                    W[at_j + s, at_i + r] += share * y[place_i + r]
+        start = end
+
+
+@kernel
+def _mobility(model, W, r, first, rows):
+    """Largest diagonal entry of W among the rows of a joint that forbid what row r does."""
+    largest = W[r, r]
+    for s in range(first, first + rows):
+        if W[s, s] > largest and model.row_turns[s] == model.row_turns[r]:
+            largest = W[s, s]
+    return largest
+
+
+@kernel
+def factor(model, work, shift):
+    """Factorise W + shift w = L D L^T, w the diagonal matrix of `_mobility`.
+
+    returns -1, or the joint of a dependent row
+    """
+    W = work.matrix
+    for j in range(len(model.joints)):
+        first = model.joints[j]["first"]
+        rows = model.joints[j]["rows"]
+        for r in range(first, first + rows):
+            begin = model.first_column[r]
+            mobility = _mobility(model, W, r, first, rows)
+            pivot = W[r, r] + shift * mobility
+            # W_rr is needed again: L has a unit diagonal, and D is in work.diagonal.
+            for s in range(begin, r):
+                value = W[s, r]
+                for t in range(max(begin, model.first_column[s]), s):
+                    value -= W[r, t] * W[s, t]
+                W[r, s] = value
+            for s in range(begin, r):
+                value = W[r, s]
+                W[r, s] = value * work.diagonal[s]
+                pivot -= value * W[r, s]
+            if not pivot > max(SMALLEST_PIVOT * W[r, r], SMALLEST_MOBILITY * mobility):
+                return j
+            work.diagonal[r] = 1.0 / pivot
+    return -1
+
+
+@kernel
+def solve(model, work):
+    """Solve for work.right in place with the factor of W."""
+    L, x = work.matrix, work.right
+    for r in range(len(x)):
+        value = x[r]
+        for s in range(model.first_column[r], r):
+            value -= L[r, s] * x[s]
+        x[r] = value
+    for r in range(len(x)):
+        x[r] *= work.diagonal[r]
+    for r in range(len(x) - 1, -1, -1):
+        value = x[r]
+        for s in range(model.first_column[r], r):
+            x[s] -= L[r, s] * value

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Detection of planar mechanisms.
+
+A joint is planar if it allows planar motions only: a revolute joint along the normal, a prismatic
+joint in the plane, a planar joint across the normal, a fixed joint. If such joints connect every
+body to the world, no body can leave the plane, for any wrench and any inertia: their constraint
+wrenches balance all other loads. The spanning tree consists of these joints. All other joints close
+loops; only the part of their rows in the plane is left.
+"""
+
+import numpy as np
+
+from liegroup_core.joints.elements import PAIR
+
+from .spanning_tree import WORLD_NAME
+
+# Directions that differ by less are parallel, up to round-off.
+PARALLEL = 1e-12
+TURNS, SLIDES = ("revolute", "planar"), ("prismatic",)
+# Reverses the z axis of a frame.
+FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+def find_plane(scene, frames, parts):
+    """(normal, planar joints) of a planar mechanism, else None.
+
+    scene  : Scene with body frames at the centres of mass
+    frames : its joint frames, see scene/consistency.py
+    parts  : elements of its joints
+    """
+    poses = {body.name: body.pose for body in scene.bodies} | {WORLD_NAME: np.eye(4)}
+    axes = [(poses[joint.child] @ F_b)[:3, 2] for joint, (_, F_b) in zip(scene.joints, frames)]
+    for normal in _candidates(scene, axes):
+        joints = [
+            j
+            for j, (joint, axis) in enumerate(zip(scene.joints, axes))
+            if joint.type == "fixed"
+            or (joint.type in TURNS and np.abs(np.cross(normal, axis)).max() <= PARALLEL)
+            or (joint.type in SLIDES and abs(normal @ axis) <= PARALLEL)
+        ]
+        if _connect(scene, joints):
+            cut = (part for j, of in enumerate(parts) if j not in joints for part in of)
+            return (normal, joints) if all(part.kind == PAIR for part in cut) else None
+    return None
+
+
+def _candidates(scene, axes):
+    """Unit normals that may be those of the plane; world axes exactly."""
+    turns = [axis for joint, axis in zip(scene.joints, axes) if joint.type in TURNS]
+    slides = [axis for joint, axis in zip(scene.joints, axes) if joint.type in SLIDES]
+    if turns:
+        found = turns
+    else:
+        found = list(np.eye(3)[::-1])
+        if slides:
+            across = [np.cross(slides[0], axis) for axis in (*slides[1:], *np.eye(3))]
+            found += [axis for axis in across if np.linalg.norm(axis) > 0.5]
+    normals = []
+    for axis in found:
+        axis = axis / np.linalg.norm(axis)
+        near = np.round(axis)
+        normal = near if np.abs(axis - near).max() <= PARALLEL else axis
+        normal = normal * np.sign(normal[np.abs(normal).argmax()]) + 0.0
+        if not any(np.abs(normal - other).max() <= PARALLEL for other in normals):
+            normals.append(normal)
+    return normals
+
+
+def _connect(scene, joints):
+    """True if these joints connect every body to the world."""
+    reached, last = {WORLD_NAME}, 0
+    pairs = [{scene.joints[j].parent, scene.joints[j].child} for j in joints]
+    while len(reached) > last:
+        last = len(reached)
+        for pair in pairs:
+            if reached & pair:
+                reached |= pair
+    return len(reached) == len(scene.bodies) + 1
+
+
+def plane_axes(normal):
+    """Axes of the plane as columns (3, 3), right-handed, the normal last; world axes if possible."""
+    k = int(np.abs(normal).argmin())
+    if np.abs(normal).max() == 1.0:
+        # A permutation: no round-off.
+        k = (int(np.abs(normal).argmax()) + 1) % 3
+    first = np.eye(3)[k] - normal[k] * normal
+    first /= np.linalg.norm(first)
+    return np.column_stack([first, np.cross(normal, first), normal]) + 0.0
+
+
+def align(pose):
+    """Make the pose of a body in its link exact, in place, if the normal is an axis of the body.
+
+    A body whose axes are those of the plane then leaves it not even by round-off.
+    """
+    near = np.round(pose[2, :3])
+    if np.abs(pose[2, :3] - near).max() <= PARALLEL:
+        pose[2, :3] = near
+        pose[:2, np.abs(near).argmax()] = 0.0
+
+
+def frame_in_plane(kind, axis_frame, normal):
+    """Frame (4, 4), relative to that of a joint, with the normal as z axis.
+
+    kind       : type of the joint; that of a prismatic joint is its x axis
+    axis_frame : rotation (3, 3) of the joint frame in the world
+    """
+    if kind in TURNS:
+        return np.eye(4) if axis_frame[:, 2] @ normal > 0.0 else FLIP
+    across = axis_frame.T @ normal
+    across[2] = 0.0
+    across /= np.linalg.norm(across)
+    frame = np.eye(4)
+    x = np.array([0.0, 0.0, 1.0])
+    frame[:3, :3] = np.column_stack([x, np.cross(across, x), across])
+    return frame

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What accelerations leave of the equations of motion and of the rows of cut joints."""
+
+from liegroup_core.compiling import kernel, subroutine
+from liegroup_core.joints.elements import WORLD
+from liegroup_core.lie.vec3 import add3, cross3, dot3, load3, load9, tmatvec3
+
+from .arrays import BALL, CYLINDER, FREE, PLANE, SCREW, SLIDE
+from .trees import add_wrench, momentum, spread, spread_response
+
+
+@kernel
+def _axis(group, k):
+    """Component of a twist that the k-th freedom of a link is, in the order of elimination."""
+    if group == SLIDE:
+        return 5
+    if group == CYLINDER:
+        return 2 if k == 0 else 5
+    if group == PLANE:
+        return 2 if k == 0 else 2 + k
+    if group >= BALL and k < 3:
+        return 2 if k == 0 else k - 1
+    if group == FREE:
+        return k
+    return 2
+
+
+@kernel
+def number(group, k):
+    """Number of the freedom of a link that is eliminated as its k-th one."""
+    if group >= BALL and k < 3:
+        return 2 if k == 0 else k - 1
+    return k
+
+
+@kernel
+def eliminate(link, work, f, k, wrenches, row):
+    """Component s . w of a wrench along freedom f of a link; w becomes w - U (s . w) / D.
+
+    k : place of the freedom in the order of elimination; wrenches : row `row` has w
+    """
+    group = link["group"]
+    axis = _axis(group, k)
+    y = wrenches[row, axis]
+    if group == SCREW:
+        y += link["pitch"] * wrenches[row, 5]
+    share = y * work.freedoms[f, 6]
+    for c in range(6):
+        wrenches[row, c] -= share * work.freedoms[f, c]
+    if group != SCREW:
+        wrenches[row, axis] = 0.0
+    return y
+
+
+@subroutine
+def gather_residual(model, work):
+    """u of all freedoms for what the accelerations in work.moved leave of the equations of motion.
+
+    Own inertias and accelerations of links are small numbers where articulated inertias are sums of
+    very different ones: the residual has the digits that a solve with those loses.
+    work.force : J^T lambda of the cut joints (L, 6); overwritten
+    """
+    for b in range(len(model.bodies)):
+        link = model.bodies[b]
+        w, v = load3(work.velocities, b, 0), load3(work.velocities, b, 3)
+        angular, linear = momentum(link, w, v)
+        torque, force = add3(cross3(w, angular), cross3(v, linear)), cross3(w, linear)
+        angular, linear = momentum(link, load3(work.moved, b, 0), load3(work.moved, b, 3))
+        torque, force = add3(torque, angular), add3(force, linear)
+        for c in range(3):
+            work.force[b, c] += torque[c] - work.applied[b, c]
+            work.force[b, 3 + c] += force[c] - work.applied[b, 3 + c]
+    for b in range(len(model.bodies) - 1, -1, -1):
+        link = model.bodies[b]
+        for k in range(link["freedoms"]):
+            f = link["freedom"] + number(link["group"], k)
+            work.freedoms[f, 7] = -eliminate(link, work, f, k, work.force, b)
+        a = link["parent"]
+        if a != WORLD:
+            add_wrench(
+                load3(work.force, b, 0),
+                load3(work.force, b, 3),
+                load9(work.relative, b, 0),
+                load3(work.relative, b, 9),
+                work.force,
+                a,
+            )
+    return 0
+
+
+@kernel
+def add_multipliers(model, work):
+    """Add J^T lambda of the cut joints to work.force."""
+    for j in range(len(model.joints)):
+        joint = model.joints[j]
+        a, b = joint["parent"], joint["child"]
+        for r in range(joint["first"], joint["first"] + joint["rows"]):
+            for c in range(6):
+                work.force[b, c] += work.multipliers[r] * work.child_jacobian[r, c]
+                if a != WORLD:
+                    work.force[a, c] += work.multipliers[r] * work.parent_jacobian[r, c]
+
+
+@kernel
+def _set_right(model, work):
+    """J Vdot - bias of the rows at the accelerations in work.moved, to work.right."""
+    for j in range(len(model.joints)):
+        joint = model.joints[j]
+        a, b = joint["parent"], joint["child"]
+        w, v = load3(work.moved, b, 0), load3(work.moved, b, 3)
+        if a == WORLD:
+            # The world accelerates by -g, see trees.py.
+            v = add3(v, tmatvec3(load9(work.world, b, 0), load3(model.gravity, 0, 0)))
+        for r in range(joint["first"], joint["first"] + joint["rows"]):
+            value = dot3(load3(work.child_jacobian, r, 0), w)
+            value += dot3(load3(work.child_jacobian, r, 3), v)
+            if a != WORLD:
+                value += dot3(load3(work.parent_jacobian, r, 0), load3(work.moved, a, 0))
+                value += dot3(load3(work.parent_jacobian, r, 3), load3(work.moved, a, 3))
+            work.right[r] = value - work.bias[r]
+
+
+@subroutine
+def set_free_residual(model, work):
+    """Residual of the rows without cut joints, to work.right."""
+    spread(model, work)
+    _set_right(model, work)
+    return 0
+
+
+@subroutine
+def set_residual(model, work):
+    """Residual of the rows at work.total_moved and the response to u, to work.right."""
+    spread_response(model, work)
+    for b in range(len(model.bodies)):
+        for c in range(6):
+            work.moved[b, c] += work.total_moved[b, c]
+    _set_right(model, work)
+    return 0

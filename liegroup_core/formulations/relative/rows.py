@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rows of the cut joints, and their responses in the freedoms of the tree; see loops.py."""
+
+from liegroup_core.compiling import kernel
+from liegroup_core.joints.elements import PAIR, WORLD
+from liegroup_core.joints.kinds import variable_row
+from liegroup_core.lie.se3 import se3_Ad, se3_ad, se3_inverse
+from liegroup_core.lie.vec3 import (
+    ZERO3,
+    add3,
+    axpy3,
+    cross3,
+    dot3,
+    load3,
+    load9,
+    store3,
+    sub3,
+    tmatmul3,
+    tmatvec3,
+)
+
+from .matrix import set_block
+from .residuals import eliminate, number
+from .trees import add_wrench
+
+
+@kernel
+def set_rows(model, work):
+    """Rows of all cut joints, J V to work.slip, and the bias of J Vdot to work.bias."""
+    for j in range(len(model.joints)):
+        joint = model.joints[j]
+        a, b, first, rows = joint["parent"], joint["child"], joint["first"], joint["rows"]
+        rot_b, r_b = load9(work.world, b, 0), load3(work.world, b, 9)
+        w_b, v_b = load3(work.velocities, b, 0), load3(work.velocities, b, 3)
+        if a == WORLD:
+            rot, p = se3_inverse(rot_b, r_b)
+            w_a, v_a = ZERO3, ZERO3
+        else:
+            rot = tmatmul3(rot_b, load9(work.world, a, 0))
+            p = tmatvec3(rot_b, sub3(load3(work.world, a, 9), r_b))
+            w_a, v_a = se3_Ad(rot, p, load3(work.velocities, a, 0), load3(work.velocities, a, 3))
+        error_w, error_v = sub3(w_b, w_a), sub3(v_b, v_a)
+        rate = 0.0
+        if joint["kind"] != PAIR:
+            row_w, row_v, rate = variable_row(
+                model.elements[joint["element"]], rot, p, error_w, error_v
+            )
+            store3(row_w, work.child_jacobian, first, 0)
+            store3(row_v, work.child_jacobian, first, 3)
+        e = ZERO3
+        for r in range(first, first + rows):
+            alpha, beta = load3(work.child_jacobian, r, 0), load3(work.child_jacobian, r, 3)
+            slip = dot3(alpha, error_w) + dot3(beta, error_v)
+            work.slip[r] = slip
+            e = axpy3(slip, beta, e)
+            store3(tmatvec3(rot, sub3(cross3(p, beta), alpha)), work.parent_jacobian, r, 0)
+            back = tmatvec3(rot, beta)
+            store3((-back[0], -back[1], -back[2]), work.parent_jacobian, r, 3)
+        bracket_w, bracket_v = se3_ad(w_b, v_b, w_a, v_a)
+        bracket_v = add3(bracket_v, cross3(w_b, e))
+        for r in range(first, first + rows):
+            work.bias[r] = -rate - (
+                dot3(load3(work.child_jacobian, r, 0), bracket_w)
+                + dot3(load3(work.child_jacobian, r, 3), bracket_v)
+            )
+
+
+@kernel
+def respond(model, work, j):
+    """Responses y of the rows of joint j, along its path to the world, and their block of W."""
+    joint = model.joints[j]
+    a, b, first, rows = joint["parent"], joint["child"], joint["first"], joint["rows"]
+    for r in range(rows):
+        at = model.path_places[j] + r
+        for k in range(model.paths[j, 0], model.paths[j, 1]):
+            link = model.path_links[k]
+            for c in range(6):
+                work.carried[link, c] = 0.0
+        for c in range(6):
+            work.carried[b, c] = work.child_jacobian[first + r, c]
+        if a != WORLD:
+            for c in range(6):
+                work.carried[a, c] += work.parent_jacobian[first + r, c]
+        for k in range(model.paths[j, 0], model.paths[j, 1]):
+            i = model.path_links[k]
+            link = model.bodies[i]
+            for d in range(link["freedoms"]):
+                f = link["freedom"] + number(link["group"], d)
+                work.response[at] = eliminate(link, work, f, d, work.carried, i)
+                at += rows
+            parent = link["parent"]
+            if parent != WORLD:
+                add_wrench(
+                    load3(work.carried, i, 0),
+                    load3(work.carried, i, 3),
+                    load9(work.relative, i, 0),
+                    load3(work.relative, i, 9),
+                    work.carried,
+                    parent,
+                )
+    set_block(model, work, j)
