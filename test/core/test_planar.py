@@ -5,8 +5,10 @@ Both are relative coordinates, but the sweeps in space have six numbers per twis
 with those in the plane. On SE(3)^n see test/verification/test_relative_accelerations.py.
 """
 
+import engine
 import mechanisms
 import numpy as np
+import precise
 import pytest
 
 from liegroup_core import Scene, Simulation, load_scene
@@ -209,6 +211,31 @@ def test_every_configuration_has_a_planar_form(settings):
     planar, space = both(mechanism("chain with a loop", "z"), **settings)
     assert difference(planar, space) <= 1e-11
     assert planar.substeps == space.substeps
+
+
+@pytest.mark.parametrize("name", ["tree", "chain", *LOOPS])
+def test_accelerations_of_unlike_masses_against_50_digits(name):
+    """Masses that differ by up to 1e8; bound as in test_relative_accelerations.py."""
+    for seed in range(3):
+        scene = mechanism(name, "tilted", seed)
+        factors = 10.0 ** np.random.default_rng([seed, 5]).uniform(-4, 4, len(scene.bodies))
+        bodies = [
+            body.model_copy(
+                update={
+                    "mass": body.mass * factor,
+                    "inertia": tuple(factor * value for value in body.inertia),
+                }
+            )
+            for body, factor in zip(scene.bodies, factors)
+        ]
+        scene = scene.model_copy(update={"bodies": tuple(bodies)})
+        exact = precise.accelerations(scene, [])
+        found = engine.engine_accelerations(scene, group="relative")
+        size = np.maximum(
+            np.abs(exact.acceleration.astype(float)).max(axis=1), np.linalg.norm(scene.gravity)
+        )
+        bound = 1e-12 * size + 16.0 * exact.change.max(axis=1)
+        assert (precise.errors(exact, found).max(axis=1) <= bound).all()
 
 
 def test_planar_mechanisms_are_integrated_in_relative_coordinates_unless_in_space():
