@@ -10,7 +10,7 @@ from .errors import SceneError
 from .forces import kinds
 from .forces.torsional_spring_damper import UNKNOWN_TURN
 from .formulations.planar.build import planar_model
-from .formulations.relative.build import relative_model
+from .formulations.relative.build import refuse_freedoms_without_inertia, relative_model
 from .model.arrays import Model
 from .model.build import build_model
 from .observables.joint_coordinates import JointCoordinates
@@ -18,6 +18,7 @@ from .observables.sample import Sample
 from .scene.assembly import ready
 from .scene.centres import Offsets
 from .scene.description import Scene
+from .scene.massless import lack_of_inertia
 
 
 @dataclass(frozen=True)
@@ -39,13 +40,21 @@ class Layout:
 
     @cached_property
     def plane(self):
-        """PlanarModel if the joints keep all bodies in a plane, else None; None with Baumgarte."""
-        if self.model.baumgarte_rate > 0.0:
+        """PlanarModel if the joints keep all bodies in a plane, else None.
+
+        None also with Baumgarte, and with a body without inertia about an axis.
+        """
+        if self.model.baumgarte_rate > 0.0 or self.lack_of_inertia:
             return None
         try:
             return planar_model(self.centred, self.model)
         except np.linalg.LinAlgError:
             raise self.scene.located(_unsolvable(self.scene)) from None
+
+    @cached_property
+    def lack_of_inertia(self):
+        """Text that names a body without inertia about an axis, or ""; see scene/massless.py."""
+        return lack_of_inertia(self.centred)
 
     @cached_property
     def relative(self):
@@ -55,6 +64,7 @@ class Layout:
     def with_model(self, model):
         """The layout with other options of its model; what does not depend on them is kept."""
         layout = replace(self, model=model)
+        layout.__dict__["lack_of_inertia"] = self.lack_of_inertia
         plane, relative = self.__dict__.get("plane"), self.__dict__.get("relative")
         if plane is not None and model.baumgarte_rate == 0.0:
             layout.__dict__["plane"] = plane.replace(space=model, projects=model.projects)
@@ -118,7 +128,10 @@ def make_layout(scene):
     try:
         try:
             described, centred = ready(scene)
-            return Layout(described, centred, Offsets(described), *build_model(centred))
+            layout = Layout(described, centred, Offsets(described), *build_model(centred))
+            if layout.lack_of_inertia:
+                refuse_freedoms_without_inertia(centred)
+            return layout
         except np.linalg.LinAlgError:
             raise _unsolvable(scene) from None
     except SceneError as error:

@@ -7,6 +7,7 @@ from liegroup_core.forces.kinds import make_forces
 from liegroup_core.joints.elements import ELEMENT, PAIR, WORLD
 from liegroup_core.lie.groups import SE3
 from liegroup_core.scene.consistency import resolve_elements, resolve_frames
+from liegroup_core.scene.massless import invertible_inertia
 
 from .arrays import BODY, Model
 from .redundancy import kept_rows, loop_joints
@@ -60,15 +61,16 @@ def build_model(scene):
     jacobians = [_constant_rows(elements[e])[list(kept[e])] for e in solved]
 
     loops = set(loop_joints([(joint.parent, joint.child) for joint in scene.joints]))
+    inertias = [_solved_inertia(i, body, elements) for i, body in enumerate(scene.bodies)]
     bodies = np.array(
         [
             (
                 body.mass,
                 1.0 / body.mass,
                 body.inertia_matrix.ravel(),
-                np.linalg.inv(body.inertia_matrix).ravel(),
+                np.linalg.inv(inertia).ravel(),
             )
-            for body in scene.bodies
+            for body, inertia in zip(scene.bodies, inertias)
         ],
         dtype=BODY,
     )
@@ -97,7 +99,7 @@ def build_model(scene):
             [j for j, e in enumerate(solved) if owners[e] in loops],
         ),
         refinements=few,
-        **structure.arrays([_mass_matrix(body) for body in scene.bodies], jacobians),
+        **structure.arrays(list(map(_mass_matrix, scene.bodies, inertias)), jacobians),
     )
     names = tuple(part.names for elements in parts for part in elements)
     return model, tuple(frames), owners, names, tuple(kept)
@@ -125,10 +127,21 @@ def _constant_rows(element):
     return element["forbidden"][: 6 * element["rows"]].reshape(-1, 6) @ SE3.Ad(SE3.inverse(frame))
 
 
-def _mass_matrix(body):
+def _solved_inertia(i, body, elements):
+    """Inertia (3, 3) of body i about its centre of mass, for the arrays of the solve on SE(3)^n.
+
+    Without inertia about an axis, that of the body's mass at its joints is added: no method solves
+    with it (integrators/families.py), but the other arrays of the Model are used.
+    """
+    points = [elements[f"{end}_point"][elements[end] == i] for end in ("parent", "child")]
+    reach = np.linalg.norm(np.concatenate(points), axis=1).max(initial=0.0)
+    return invertible_inertia(body, reach or 1.0)
+
+
+def _mass_matrix(body, inertia):
     """Mass matrix (6, 6) of a body of the scene about its centre of mass."""
     matrix = np.zeros((6, 6))
-    matrix[:3, :3] = body.inertia_matrix
+    matrix[:3, :3] = inertia
     matrix[3:, 3:] = body.mass * np.eye(3)
     return matrix
 

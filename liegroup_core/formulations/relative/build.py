@@ -28,6 +28,7 @@ from .arrays import (
     SLIDE,
     RelativeModel,
 )
+from .inertia import check_inertia
 from .spanning_tree import WORLD_NAME, spanning_tree
 
 GROUPS = {
@@ -103,6 +104,16 @@ def relative_model(scene, model):
         baumgarte_rate=model.baumgarte_rate,
         **arrays,
     )
+
+
+def refuse_freedoms_without_inertia(scene):
+    """Raise SceneError if a freedom of the spanning tree has no inertia.
+
+    scene : Scene with body frames at the centres of mass
+    """
+    links, places = _links(scene, resolve_frames(scene), spanning_tree(scene))
+    poses = {body.name: body.pose for body in scene.bodies} | {WORLD_NAME: np.eye(4)}
+    check_inertia(scene, links, places, _link_poses(links, range(len(links)), poses))
 
 
 def _welds(scene, frames, members):
