@@ -74,7 +74,7 @@ def build_model(scene):
         ],
         dtype=BODY,
     )
-    few = refinements(bodies, ends, elements)
+    few = refinements(bodies, np.trace(inertias, axis1=1, axis2=2), ends, elements)
     structure = cheapest_structure(6, n, rows, ends, elements["kind"][solved] != PAIR, few == 0)
     joints = structure.joints()
     joints["element"] = solved
@@ -197,10 +197,11 @@ def _forces(scene, index, frames):
     return make_forces(scene.forces, index, ends)
 
 
-def refinements(bodies, ends, elements):
+def refinements(bodies, inertias, ends, elements):
     """Number of iterative refinements that recover the digits lost in the solve.
 
-    bodies : (n,) of BODY; ends : (parent, child) of each joint; elements : of ELEMENT
+    bodies : (n,) of BODY; inertias : (n,) their sums of principal moments that are solved with
+    ends   : (parent, child) of each joint; elements : of ELEMENT
     """
     inverse = bodies["inverse_inertia"].reshape(-1, 3, 3)
     turned = []
@@ -211,7 +212,7 @@ def refinements(bodies, ends, elements):
             bodies["mass"][held[end]]
             * np.einsum("eri,eij,erj->e", lever, inverse[held[end]], lever)
         )
-    unlike = are_unlike(bodies["mass"], bodies["inertia"][:, [0, 4, 8]].sum(axis=1), ends, turned)
+    unlike = are_unlike(bodies["mass"], inertias, ends, turned)
     mixed = _mixed_turns(inverse, elements, _outer_ends(len(bodies), ends, elements))
     return max(int(unlike), int(np.searchsorted(SLENDER, mixed)))
 
