@@ -247,7 +247,7 @@ def test_least_kinetic_energy_of_assembly_is_the_limit():
         ),
         (
             BOB,
-            [joint("distance", "bob", ABOVE + ", length: 1")],
+            [joint("distance", "bob", "parent_frame: {}, child_frame: {}, length: 1")],
             'bodies[0] "bob": it is free to rotate about any axis',
         ),
         (
@@ -363,7 +363,8 @@ def test_a_loop_of_thin_rods_is_the_limit_of_thick_ones(stabilisation):
     thin = end(scene(bodies, *joints), 300, stabilisation=stabilisation)
     assert thin.group == "relative" and thin.sample().constraint_residual < 1e-9
     assert abs(thin.energy() - Engine(scene(bodies, *joints)).energy()) < 1e-9
-    thick = end(scene(*loop(1e-3)), 300, stabilisation=stabilisation, group="relative")
+    bodies, joints = loop(1e-3)
+    thick = end(scene(bodies, *joints), 300, stabilisation=stabilisation, group="relative")
     assert np.abs(thick.sample().pose - thin.sample().pose).max() < 1e-9
 
 
@@ -378,10 +379,22 @@ def test_a_simulation_to_an_accuracy_with_its_estimate():
     assert error < 1e-8 and 0.0 < simulation.largest_error < 1e-8 and simulation.doubt is None
 
 
+def test_a_body_that_is_fixed_to_the_world_stays():
+    engine = Engine(scene(BOB, joint("fixed", "bob", ABOVE)), "rkmk4", 1e-2)
+    engine.advance(10)
+    np.testing.assert_array_equal(engine.sample().positions["bob"], [0, 0, -1])
+
+
 def test_commands(tmp_path, capsys):
     path = tmp_path / "massless.yaml"
     path.write_text(pendulum().text)
     assert main(["describe", str(path), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["formulation"]["group"] == "relative"
+    assert main(["describe", str(path)]) == 0 and "relative" in capsys.readouterr().out
     assert main(["run", str(path), "--duration", "0.5", "--out", str(tmp_path / "run.npz")]) == 0
+    refused = ["run", str(path), "--duration", "0.5", "--out", str(tmp_path / "no.npz")]
+    assert main([*refused, "--method", "rkmk4", "--group", "se3"]) != 0
+    assert 'bodies[0] "bob" has no inertia about any axis' in " ".join(
+        capsys.readouterr().err.split()
+    )

@@ -45,6 +45,8 @@ def _free_turns(scene, links, places, world):
 
     The link is the innermost of those that move. Arguments as for `check_inertia`.
     """
+    if not links:  # all bodies are welded to the world
+        return None
     columns = [SE3.Ad(world[i]) @ link.directions() for i, link in enumerate(links)]
     owner = np.repeat(np.arange(len(links)), [S.shape[1] for S in columns])
     origins = np.array([world[i][:3, 3] for i in owner])
@@ -59,8 +61,6 @@ def _free_turns(scene, links, places, world):
         shifts.append((S[3:] + np.cross(S[:3].T, C[:3, 3]).T) * moves)
         turns.append(_axes_with_inertia(body) @ C[:3, :3].T @ S[:3] * moves)
         arms.append(np.linalg.norm(C[:3, 3] - origins, axis=1) * moves)
-    if not shifts:
-        return None
     # The arms of a freedom are compared with the part of the tree that it moves: a small finger of a
     # large machine is not singular.
     arms = np.max(arms, axis=0)
