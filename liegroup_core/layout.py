@@ -10,7 +10,7 @@ from .errors import SceneError
 from .forces import kinds
 from .forces.torsional_spring_damper import UNKNOWN_TURN
 from .formulations.relative.arrays import PlaneModel
-from .formulations.relative.build import relative_model
+from .formulations.relative.build import refuse_freedoms_without_inertia, relative_model
 from .model.arrays import Model
 from .model.build import build_model
 from .observables.joint_coordinates import JointCoordinates
@@ -18,6 +18,7 @@ from .observables.sample import Sample
 from .scene.assembly import ready
 from .scene.centres import Offsets
 from .scene.description import Scene
+from .scene.massless import lack_of_inertia
 
 
 @dataclass(frozen=True)
@@ -55,9 +56,15 @@ class Layout:
             return self.relative
         return relative_model(self.centred, self.model, in_space=True)
 
+    @cached_property
+    def lack_of_inertia(self):
+        """Text that names a body without inertia about an axis, or ""; see scene/massless.py."""
+        return lack_of_inertia(self.centred)
+
     def with_model(self, model):
         """The layout with other options of its model; what does not depend on them is kept."""
         layout = replace(self, model=model)
+        layout.__dict__["lack_of_inertia"] = self.lack_of_inertia
         for name in ("relative", "relative_in_space"):
             relative = self.__dict__.get(name)
             if relative is not None:
@@ -120,7 +127,10 @@ def make_layout(scene):
     try:
         try:
             described, centred = ready(scene)
-            return Layout(described, centred, Offsets(described), *build_model(centred))
+            layout = Layout(described, centred, Offsets(described), *build_model(centred))
+            if layout.lack_of_inertia:
+                refuse_freedoms_without_inertia(centred)
+            return layout
         except np.linalg.LinAlgError:
             raise _unsolvable(scene) from None
     except SceneError as error:

@@ -33,6 +33,9 @@ LARGEST_NUMBER = 1e100
 # Four components rounded to three digits have errors up to 5e-4, their norm at most 1e-3.
 QUATERNION_NORM_TOLERANCE = 1e-3
 
+# Negative principal moments down to this part of the largest are zero.
+NEGATIVE_ROUND_OFF = 1e-12
+
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
 
 
@@ -153,23 +156,20 @@ def _direction(vector):
 
 
 def real_inertia(moments):
-    """Return moments of inertia that a rigid body can have; raise ValueError for others."""
+    """Return moments of inertia that a rigid body can have; raise ValueError for others.
+
+    Principal moments may be zero: point masses, rods without thickness.
+    """
     if len(moments) not in (3, 6):
         raise ValueError("must have 3 numbers [Ixx, Iyy, Izz] or 6 [Ixx, Iyy, Izz, Ixy, Ixz, Iyz]")
     scale = max(abs(moment) for moment in moments) or 1.0
     small, middle, large = np.linalg.eigvalsh(inertia_matrix(moments) / scale)
     principal = ", ".join(f"{scale * moment:.6g}" for moment in (small, middle, large))
-    # Eigenvalues of a scaled 3x3 matrix have errors of a few 1e-16: zero may come out as 1e-16. A
-    # rod of diameter d and length L has the ratio (d / L)^2, above 1e-12.
-    if not small > 1e-12:
-        hint = (
-            "a rod without thickness has no inertia about its own axis: give a small "
-            "value, 1e-6 of the largest"
-            if small > -1e-12 and middle > 1e-12
-            else "check order and signs"
-        )
+    # Eigenvalues of a scaled 3x3 matrix have errors of a few 1e-16, numbers written with 15 digits of
+    # a few 1e-15: the zero of a rod without thickness may come out negative.
+    if not small >= -NEGATIVE_ROUND_OFF:
         raise ValueError(
-            f"must be positive definite, but its principal moments are {principal}; {hint}"
+            f"must not be negative, but its principal moments are {principal}; check order and signs"
         )
     # Moments rounded to seven digits have errors up to 5e-7 of the largest, in both sides of the
     # inequality: 1e-6 in all. A flat plate lies on the bound.

@@ -71,14 +71,19 @@ def choose_group(method, group, options, layout):
         return group
     if family in NOT_ON_SE3:
         return "so3xr3"
+    if family == "rkmk" and layout.lack_of_inertia:
+        return RELATIVE
     if family != "rkmk" or options["space"] == "space":
         return "se3"
     return RELATIVE if is_cheaper(layout.relative) else "se3"
 
 
 def misfit(method, layout):
-    """Reason why a method cannot integrate a scene (layout.Layout), or ""."""
-    return rotation_misfit(layout) if METHODS[method].family == "rotation" else ""
+    """Reason why a method cannot integrate a scene (layout.Layout) in any group, or ""."""
+    family = METHODS[method].family
+    if family != "rkmk" and layout.lack_of_inertia:
+        return layout.lack_of_inertia
+    return rotation_misfit(layout) if family == "rotation" else ""
 
 
 def fitting_methods(layout):
@@ -92,6 +97,12 @@ def make_integrator(method, layout, group, step, options):
     Raises ValueError, one line, if the method does not fit the scene or its stabilisation.
     """
     entry = METHODS[method]
+    if layout.lack_of_inertia and group != RELATIVE:
+        raise ValueError(
+            f"method {method} in group {group!r} needs inertia about all axes, but "
+            f"{layout.lack_of_inertia}: use a Munthe-Kaas method, rkmk..., with group "
+            "'relative', or give it inertia"
+        )
     reason = misfit(method, layout)
     if reason:
         raise ValueError(

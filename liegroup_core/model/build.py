@@ -7,6 +7,7 @@ from liegroup_core.forces.kinds import make_forces
 from liegroup_core.joints.elements import ELEMENT, PAIR, WORLD
 from liegroup_core.lie.groups import SE3
 from liegroup_core.scene.consistency import resolve_elements, resolve_frames
+from liegroup_core.scene.massless import invertible_inertia
 
 from .arrays import BODY, Model
 from .redundancy import kept_rows, loop_joints
@@ -60,19 +61,20 @@ def build_model(scene):
     jacobians = [_constant_rows(elements[e])[list(kept[e])] for e in solved]
 
     loops = set(loop_joints([(joint.parent, joint.child) for joint in scene.joints]))
+    inertias = [_solved_inertia(i, body, elements) for i, body in enumerate(scene.bodies)]
     bodies = np.array(
         [
             (
                 body.mass,
                 1.0 / body.mass,
                 body.inertia_matrix.ravel(),
-                np.linalg.inv(body.inertia_matrix).ravel(),
+                np.linalg.inv(inertia).ravel(),
             )
-            for body in scene.bodies
+            for body, inertia in zip(scene.bodies, inertias)
         ],
         dtype=BODY,
     )
-    few = refinements(bodies, ends, elements)
+    few = refinements(bodies, np.trace(inertias, axis1=1, axis2=2), ends, elements)
     structure = cheapest_structure(n, rows, ends, elements["kind"][solved] != PAIR, few == 0)
     joints = structure.joints()
     joints["element"] = solved
@@ -97,7 +99,7 @@ def build_model(scene):
             [j for j, e in enumerate(solved) if owners[e] in loops],
         ),
         refinements=few,
-        **structure.arrays([_mass_matrix(body) for body in scene.bodies], jacobians),
+        **structure.arrays(list(map(_mass_matrix, scene.bodies, inertias)), jacobians),
     )
     names = tuple(part.names for elements in parts for part in elements)
     return model, tuple(frames), owners, names, tuple(kept)
@@ -125,10 +127,21 @@ def _constant_rows(element):
     return element["forbidden"][: 6 * element["rows"]].reshape(-1, 6) @ SE3.Ad(SE3.inverse(frame))
 
 
-def _mass_matrix(body):
+def _solved_inertia(i, body, elements):
+    """Inertia (3, 3) of body i about its centre of mass, for the arrays of the solve on SE(3)^n.
+
+    Without inertia about an axis, that of the body's mass at its joints is added: no method solves
+    with it (integrators/families.py), but the other arrays of the Model are used.
+    """
+    points = [elements[f"{end}_point"][elements[end] == i] for end in ("parent", "child")]
+    reach = np.linalg.norm(np.concatenate(points), axis=1).max(initial=0.0)
+    return invertible_inertia(body, reach or 1.0)
+
+
+def _mass_matrix(body, inertia):
     """Mass matrix (6, 6) of a body of the scene about its centre of mass."""
     matrix = np.zeros((6, 6))
-    matrix[:3, :3] = body.inertia_matrix
+    matrix[:3, :3] = inertia
     matrix[3:, 3:] = body.mass * np.eye(3)
     return matrix
 
@@ -184,10 +197,11 @@ def _forces(scene, index, frames):
     return make_forces(scene.forces, index, ends)
 
 
-def refinements(bodies, ends, elements):
+def refinements(bodies, inertias, ends, elements):
     """Number of iterative refinements that recover the digits lost in the solve.
 
-    bodies : (n,) of BODY; ends : (parent, child) of each joint; elements : of ELEMENT
+    bodies : (n,) of BODY; inertias : (n,) their sums of principal moments that are solved with
+    ends   : (parent, child) of each joint; elements : of ELEMENT
     """
     inverse = bodies["inverse_inertia"].reshape(-1, 3, 3)
     turned = []
@@ -198,7 +212,7 @@ def refinements(bodies, ends, elements):
             bodies["mass"][held[end]]
             * np.einsum("eri,eij,erj->e", lever, inverse[held[end]], lever)
         )
-    unlike = are_unlike(bodies["mass"], bodies["inertia"][:, [0, 4, 8]].sum(axis=1), ends, turned)
+    unlike = are_unlike(bodies["mass"], inertias, ends, turned)
     mixed = _mixed_turns(inverse, elements, _outer_ends(len(bodies), ends, elements))
     return max(int(unlike), int(np.searchsorted(SLENDER, mixed)))
 

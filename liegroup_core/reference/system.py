@@ -5,6 +5,7 @@ import numpy as np
 
 from liegroup_core.errors import SimulationError
 from liegroup_core.scene.consistency import resolve_frames
+from liegroup_core.scene.massless import lack_of_inertia
 
 from .equations import DISTANCE, GROUND, JOINTS, Equations, X
 from .loads import Loads
@@ -30,6 +31,11 @@ def build_system(scene, pose):
             raise SimulationError(
                 f"the reference integration does not support {entry.type} ({entry.name})"
             )
+    lack = lack_of_inertia(scene)
+    if lack:
+        raise SimulationError(
+            f"the reference integration needs inertia about all axes, but {lack}: give it inertia"
+        )
     frames = {joint.name: pair for joint, pair in zip(scene.joints, resolve_frames(scene))}
     relative = _relative(
         scene,

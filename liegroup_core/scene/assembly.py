@@ -18,6 +18,7 @@ result of an iteration: frames and lengths come from steps 1 and 2, which only m
 """
 
 import numpy as np
+import scipy
 
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.frames import ROTATIONS, Frame
@@ -28,6 +29,7 @@ from liegroup_core.lie.groups import SE3, SO3
 from .centres import Offsets, at_centres_of_mass
 from .consistency import check_consistency, resolve_elements, resolve_frames
 from .description import WORLD
+from .massless import invertible_inertia, lack_of_inertia
 
 # Largest residual of the velocities, relative to the velocities involved: round-off.
 TOLERANCE = 1e-10
@@ -170,7 +172,7 @@ def _velocities(scene, linkage, poses, rates, fixed, kept):
     inverse = np.zeros((len(V), 6 * len(free)))  # L^-T of the bodies that are free
     for i, name in enumerate(free):
         at = linkage.place[name]
-        block = np.linalg.inv(np.linalg.cholesky(bodies[name].inertia_matrix))
+        block = np.linalg.inv(np.linalg.cholesky(invertible_inertia(bodies[name])))
         inverse[at : at + 3, 6 * i : 6 * i + 3] = block.T
         inverse[at + 3 : at + 6, 6 * i + 3 : 6 * i + 6] = np.eye(3) / np.sqrt(bodies[name].mass)
     A = J @ inverse
@@ -179,11 +181,33 @@ def _velocities(scene, linkage, poses, rates, fixed, kept):
     for _ in range(2):  # once more for round-off
         miss = wanted - J @ V
         V = V + inverse @ np.linalg.lstsq(A / size[:, None], miss / size, rcond=RANK_TOLERANCE)[0]
+    if lack_of_inertia(scene):
+        start = np.concatenate([given[name] for name in linkage.bodies])
+        moves = inverse.any(axis=1)
+        V[moves] += _to_least_energy(
+            A / size[:, None], inverse[moves], free, bodies, (V - start)[moves]
+        )
     miss = wanted - J @ V
     scale = np.abs(J) @ np.abs(V) + np.abs(wanted)
     if (np.abs(miss) > TOLERANCE * (scale.max() + 1.0)).any():
         raise _contradiction(scene, J, owner, miss)
     return given | dict(zip(linkage.bodies, V.reshape(-1, 6)))
+
+
+def _to_least_energy(A, inverse, free, bodies, change):
+    """What to add to a change of velocities (6 n,), so that it has the least kinetic energy.
+
+    For bodies without inertia about an axis, whose M is singular: `change` is that with inertia.
+    A, inverse : A L^-T of the conditions, unit rows, and L^-T with that inertia; free : n bodies
+    """
+    motions = inverse @ scipy.linalg.null_space(A, rcond=RANK_TOLERANCE)
+    root = np.zeros((len(change), len(change)))
+    for i, name in enumerate(free):
+        moments, axes = np.linalg.eigh(bodies[name].inertia_matrix)
+        at = 6 * i
+        root[at : at + 3, at : at + 3] = np.sqrt(np.maximum(moments, 0.0))[:, None] * axes.T
+        root[at + 3 : at + 6, at + 3 : at + 6] = np.sqrt(bodies[name].mass) * np.eye(3)
+    return -motions @ np.linalg.lstsq(root @ motions, root @ change, rcond=RANK_TOLERANCE)[0]
 
 
 def _with_start(scene, centred, length, poses, twists):

@@ -59,7 +59,7 @@ class Body(Placed):
         None,
         description="inertia about the centre of mass in kg m^2, body axes: "
         "[Ixx, Iyy, Izz], or [Ixx, Iyy, Izz, Ixy, Ixz, Iyz], the elements of the symmetric "
-        "matrix; required without a shape",
+        "matrix; principal moments may be 0; required without a shape",
     )
     com: Vector3 = Field((0.0, 0.0, 0.0), description="centre of mass in m, in the body frame")
     shape: one_of(SHAPES) | None = Field(

@@ -39,12 +39,16 @@ def add_arguments(parser):
 def run(args):
     """Run the subcommand; returns the exit code. Raises SceneError."""
     scene = load_scene(args.scene)
-    facts = describe(make_layout(scene))
+    layout = make_layout(scene)
+    facts = describe(layout)
+    # Without inertia about an axis there are relative coordinates only.
+    groups = ("auto",) if layout.lack_of_inertia else ("auto", "se3")
     with Console(stderr=True).status("measuring (the first start on a machine compiles)"):
         facts["cost"] = {
             f"{method}{', ' + group if group != 'auto' else ''}": step_cost(scene, method, group)
             for method in METHODS
-            for group in ("auto", "se3")
+            if method in facts["methods"]
+            for group in groups
         }
     if args.json:
         print(json.dumps(facts, indent=1, allow_nan=False))

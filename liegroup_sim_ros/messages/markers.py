@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from liegroup_core.model.size import mechanism_size
 from liegroup_core.observables.along import quaternions
 
 from .cdr import Template, stamp
@@ -43,7 +44,8 @@ class Markers:
         self._bodies = layout.body_names
         place = {body: i for i, body in enumerate(self._bodies)}
         solids = [solid(body) for body in scene.bodies]
-        largest = max(max(size) for _, size, _ in solids)
+        # Point masses have no size.
+        largest = max(max(size) for _, size, _ in solids) or mechanism_size(layout.model)
         self._template = template = Template()
         self._end = Template()
         self._end.put("I", 1)

@@ -31,6 +31,7 @@ from .arrays import (
     PlaneModel,
     RelativeModel,
 )
+from .inertia import check_inertia
 from .plane import align, find_plane, frame_in_plane, plane_axes
 from .spanning_tree import WORLD_NAME, spanning_tree
 
@@ -169,7 +170,18 @@ def _refinements(model):
     bodies, elements = model.bodies, model.elements
     ends = list(zip(elements["parent"].tolist(), elements["child"].tolist()))
     traces = bodies["inertia"][:, [0, 4, 8]].sum(axis=1)
+    traces[traces <= 0.0] = traces.max() or 1.0  # point masses
     return int(are_unlike(bodies["mass"], traces, ends, []))
+
+
+def refuse_freedoms_without_inertia(scene):
+    """Raise SceneError if a freedom of the spanning tree has no inertia.
+
+    scene : Scene with body frames at the centres of mass
+    """
+    links, places = _links(scene, resolve_frames(scene), spanning_tree(scene))
+    poses = {body.name: body.pose for body in scene.bodies} | {WORLD_NAME: np.eye(4)}
+    check_inertia(scene, links, places, _link_poses(links, range(len(links)), poses))
 
 
 def _welds(scene, frames, members):

@@ -95,6 +95,8 @@ def _groups(family, layout, groups):
     """Groups of a family for a scene; groups : those to use, None for all."""
     if family in NOT_ON_SE3:
         return ("so3xr3",)
+    if layout.lack_of_inertia:
+        return (RELATIVE,)
     if groups is None:
         groups = CONFIGURATION_GROUPS
     return [group for group in groups if group != RELATIVE or family == "rkmk"]
