@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Dynamics of multibody systems integrated on their Lie group SE(3)^n. Imports no ROS.
+"""Dynamics of multibody systems integrated on Lie groups. Imports no ROS.
 
     from liegroup_core import Simulation, load_scene
 

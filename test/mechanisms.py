@@ -80,12 +80,13 @@ def frame(pose):
     return Frame(position=pose[:3, 3], rotation_vector=SO3.log(pose[:3, :3]))
 
 
-def mechanism(rng, links, springs=2, loops=(), place=random_pose):
+def mechanism(rng, links, springs=2, loops=(), place=random_pose, start=None):
     """Scene from links (parent, child, kind), parents first, and loops (a, b, kind).
 
     A link of kind None is a body without a joint. The joint of a loop has no frame on b, or no
     length: the poses determine it. Twists are random in the null space of the joints' Jacobian.
     place : function (rng, size in m) of a joint frame (4, 4) in a body
+    start : function (rng, scene) of the scene with twists, default `moving`
     """
     poses, joints = {"world": np.eye(4)}, []
     for parent, child, kind in links:
@@ -138,7 +139,7 @@ def mechanism(rng, links, springs=2, loops=(), place=random_pose):
                 )
             )
     scene = Scene(name="made", gravity=GRAVITY, bodies=bodies, joints=joints, forces=forces)
-    return moving(rng, scene)
+    return (start or moving)(rng, scene)
 
 
 def moving(rng, scene):
