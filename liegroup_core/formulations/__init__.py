@@ -3,7 +3,8 @@
 
     absolute/   SE(3)^n or (SO(3) x R^3)^n: six coordinates per body, all joints as constraint
                 equations
-    planar/     SE(2)^n: mechanisms whose joints keep every body in a plane
+    relative/   product of the motion groups of the joints of a spanning tree: only joints that close
+                loops as constraint equations
 
 In: a model, poses, twists, applied wrenches. Out: accelerations, constraint residuals, projections.
 A formulation knows no integrator, no time step and no scene file.
