@@ -132,8 +132,22 @@ def displace(model, b, coordinates, screws, at, out):
 
 
 @kernel
+def _along_screw(c, s, z, pitch):
+    """Displacement of a screw: that of its angle, in the turn nearest to a displacement z."""
+    lead = 2.0 * math.pi * pitch
+    turn = math.atan2(s, c)
+    ahead = z - pitch * turn
+    if abs(ahead) < 1e15 * abs(lead):
+        turn += 2.0 * math.pi * math.floor(ahead / lead + 0.5)
+    return pitch * turn
+
+
+@kernel
 def normalise(model, b, coordinates):
-    """Remove the round-off by which a product of rotations leaves the group of link b."""
+    """Remove the round-off by which products of rotations, and sums of a screw, leave the group.
+
+    b : link
+    """
     row = len(model.parts) + b
     if model.bodies[b]["group"] >= BALL:
         store9(so3_nearest(load9(coordinates, row, 0)), coordinates, row, 0)
@@ -141,6 +155,9 @@ def normalise(model, b, coordinates):
         c, s = coordinates[row, 0], coordinates[row, 1]
         scale = 1.5 - 0.5 * (c * c + s * s)
         coordinates[row, 0], coordinates[row, 1] = scale * c, scale * s
+        if model.bodies[b]["group"] == SCREW:
+            pitch = model.bodies[b]["pitch"]
+            coordinates[row, 4] = _along_screw(c, s, coordinates[row, 4], pitch)
 
 
 @kernel
@@ -184,17 +201,6 @@ def nearest_turn(c, s):
     """
     length = math.sqrt(c * c + s * s)
     return (c / length, s / length) if length > 0.0 else (1.0, 0.0)
-
-
-@kernel
-def _along_screw(c, s, z, pitch):
-    """Displacement of a screw: that of its angle, in the turn nearest to a displacement z."""
-    lead = 2.0 * math.pi * pitch
-    turn = math.atan2(s, c)
-    ahead = z - pitch * turn
-    if abs(ahead) < 1e15 * abs(lead):
-        turn += 2.0 * math.pi * math.floor(ahead / lead + 0.5)
-    return pitch * turn
 
 
 @kernel
