@@ -13,12 +13,6 @@ The first term is what is asked for. Arms are at most L, and a pose of a body fo
 link by one product. The second term: coordinates of a body far from the origin are rounded to 2^-53 of
 themselves, and bodies that have slid apart by d see a tilt of 2^-53 as 2^-53 d. The largest residual
 of 400 runs is a quarter of this bound.
-
-Turn and translation of a screw are two numbers, which every substep rounds apart: of N substeps
-
-    2^-53 N (|r_a| + |r_b|)
-
-is added to its bound.
 Residuals are those of naive.py, which shares nothing with the engine.
 """
 
@@ -136,10 +130,8 @@ def opening(scene, method, step, group="relative", spoil=lambda relative: None):
             engine.advance(STEPS // SAMPLES)
         except SimulationError:
             going = False
-        substeps = max(engine.steps, engine._integrator.substeps[0])
         for joint, gap, far in residuals(scene, frames, engine.sample()):
-            roundings = ROUNDINGS + (substeps if joint.type == "screw" else 0)
-            part = gap / (1e-13 * size + roundings * ROUND_OFF * far)
+            part = gap / (1e-13 * size + ROUNDINGS * ROUND_OFF * far)
             if not part <= worst:  # also a residual that is not a number
                 worst, where = part, f"{joint.name}, {joint.type}"
         if not going:
