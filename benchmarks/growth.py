@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Growth of the cost of a step with the number of bodies, and memory allocated by steps.
 
-    python benchmarks/growth.py [--quick] [--space auto relative] [--json FILE]
+    python benchmarks/growth.py [--quick] [--group auto se3] [--json FILE]
 
 CPU us per step, in native loops, of chains that fall from rest: RK4 of every code, and Exudyn's
 implicit method. `ball` and `hinge` fall in a plane; in space, hinges are at random angles (S2's
@@ -86,7 +86,7 @@ def allocations(take_steps, steps):
     return rtsys.get_allocation_stats().alloc - before, kept
 
 
-def chains(console, spaces, peers, timing):
+def chains(console, groups, peers, timing):
     """Measure and print chains: {code and joints: {bodies: us per step}}."""
     table = Table(title="Chains: CPU us per step")
     table.add_column("code")
@@ -96,7 +96,7 @@ def chains(console, spaces, peers, timing):
     table.add_column(f"us/body at {LINKS[-1]}", justify="right")
     table.add_column("t ~ n^p", justify="right")
     data = {}
-    codes = [(ours, {"space": space}) for space in spaces] + [(peer, {}) for peer in peers]
+    codes = [(ours, {"group": group}) for group in groups] + [(peer, {}) for peer in peers]
     for code, options in codes:
         for name, (kind, make) in CHAINS.items():
             largest = LARGEST.get((code.CODE, kind), LINKS[-1] if options else LARGEST_OTHER)
@@ -121,7 +121,7 @@ def chains(console, spaces, peers, timing):
     return data
 
 
-def rows_of_loops(console, spaces, timing):
+def rows_of_loops(console, groups, timing):
     """Measure and print rows of closed loops with ours: {formulation and row: {loops: us per step}}."""
     table = Table(title="Rows of closed loops: CPU us per step")
     table.add_column("formulation")
@@ -131,13 +131,13 @@ def rows_of_loops(console, spaces, timing):
     table.add_column(f"us/loop at {LOOPS[-1]}", justify="right")
     table.add_column("t ~ n^p", justify="right")
     data = {}
-    for space in spaces:
+    for group in groups:
         for name, make in ROWS.items():
-            figures = {n: microseconds(ours, make(n), *timing, space=space) for n in LOOPS}
-            data[f"{space} {name}"] = figures
+            figures = {n: microseconds(ours, make(n), *timing, group=group) for n in LOOPS}
+            data[f"{group} {name}"] = figures
             last = figures[LOOPS[-1]]
             table.add_row(
-                space,
+                group,
                 name,
                 *shown(figures, LOOPS),
                 "-" if last is None else f"{last / LOOPS[-1]:.3g}",
@@ -152,11 +152,11 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="one short timing of each")
     parser.add_argument(
-        "--space",
+        "--group",
         nargs="+",
-        choices=ours.SPACES,
+        choices=ours.GROUPS,
         default=["auto"],
-        help="values of the option `space` of our method; several are compared",
+        help="values of the option `group` of our method; several are compared",
     )
     parser.add_argument("--json", metavar="FILE", help="write all that was measured")
     options = parser.parse_args()
@@ -164,10 +164,10 @@ def main():
     console = Console(width=None if sys.stdout.isatty() else 130, highlight=False)
     peers = load_peers(console)
     ours.prepare()
-    spaces = ours.available(options.space, console)
+    groups = options.group
     timing = (shortest, rounds)
-    data = {"chains": chains(console, spaces, peers, timing)}
-    data["loops"] = rows_of_loops(console, spaces, timing)
+    data = {"chains": chains(console, groups, peers, timing)}
+    data["loops"] = rows_of_loops(console, groups, timing)
 
     data["allocations"] = {}
     for problem in (problems.chain(100, problems.BALL), problems.four_bar()):

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Comparison with MuJoCo, Pinocchio and Exudyn: cost of a given true accuracy.
 
-    python benchmarks/peers.py [--quick] [--only P1 S3 ...] [--space auto relative] [--json FILE]
+    python benchmarks/peers.py [--quick] [--only P1 S3 ...] [--group auto se3] [--json FILE]
 
 P1..P4 are planar or have one body (side_by_side/problems.py), S1..S5 are mechanisms in space
 (spatial.py), S6..S8 robots (robots.py). Their exact ends come from references.py and, in space,
@@ -53,10 +53,10 @@ def cases():
     }
 
 
-def measure(variants, codes, spaces, ratio, budget, rounds):
+def measure(variants, codes, groups, ratio, budget, rounds):
     """([(entry, rungs, {target: cost})] of all codes, uncertainty of the exact end state).
 
-    spaces : values of the option `space` of our methods
+    groups : values of the option `group` of our methods
     """
     exact = variants[0].exact(1)
     known = np.abs(exact - variants[0].exact(0)).max()
@@ -68,7 +68,7 @@ def measure(variants, codes, spaces, ratio, budget, rounds):
 
     for problem in variants:
         before = len(entries)
-        for entry in ours.entries(problem, ratio, spaces):
+        for entry in ours.entries(problem, ratio, groups):
             run(entry, problem)
         for entry in promising(entries[before:], ladders[before:]):
             run(ours.estimating(entry), problem)
@@ -103,11 +103,11 @@ def main():
     )
     parser.add_argument("--only", nargs="+", metavar="P", help="begin of a problem's name: P1..S8")
     parser.add_argument(
-        "--space",
+        "--group",
         nargs="+",
-        choices=ours.SPACES,
+        choices=ours.GROUPS,
         default=["auto"],
-        help="values of the option `space` of our methods; several are compared",
+        help="values of the option `group` of our methods; several are compared",
     )
     parser.add_argument("--json", metavar="FILE", help="write all that was measured")
     options = parser.parse_args()
@@ -129,14 +129,14 @@ def main():
     )
 
     ours.prepare()
-    spaces = ours.available(options.space, console)
+    groups = options.group
     data, missed, start = {}, [], time.perf_counter()
     for name, make in cases().items():
         if options.only and not name.startswith(tuple(options.only)):
             continue
         variants = make()
         problem = variants[0]
-        results, known = measure(variants, peers, spaces, ratio, budget, rounds)
+        results, known = measure(variants, peers, groups, ratio, budget, rounds)
         console.print(costs_table(name, problem, results))
         console.print(
             f"exact end known to {known:.0e}; {time.perf_counter() - start:.0f} s so far\n"

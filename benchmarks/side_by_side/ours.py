@@ -12,7 +12,7 @@ import numpy as np
 
 from liegroup_core import Scene, Simulation, SimulationError, load_scene
 from liegroup_core.engine import STABILISATIONS, Engine
-from liegroup_core.integrators.methods import GROUPS, METHODS
+from liegroup_core.integrators.methods import CONFIGURATION_GROUPS, METHODS
 from liegroup_core.lie.groups import SO3
 from liegroup_core.scene.description import Body, Frame, Joint
 
@@ -29,8 +29,8 @@ JOINT_TYPES = {
     UNIVERSAL: "universal",
     CYLINDRICAL: "cylindrical",
 }
-# Choice of the configuration's group, an option of Munthe-Kaas methods.
-SPACES = ("auto", "space", "relative")
+# The option `group`.
+GROUPS = ("auto", *CONFIGURATION_GROUPS)
 LOOSEST, TIGHTEST = 1e-2, 1e-13
 
 
@@ -77,18 +77,6 @@ def _frame(joint, position):
         turned = np.column_stack([joint.axis, joint.second, np.cross(joint.axis, joint.second)])
         return Frame(position=position, rotation_vector=SO3.log(turned))
     return Frame(position=position, axis=joint.axis if joint.axis.any() else None)
-
-
-def available(spaces, console):
-    """Those values of the option `space` that this version has; prints the others."""
-    found = []
-    for space in spaces:
-        try:
-            Engine(load_scene("heavy_top"), space=space)
-            found.append(space)
-        except ValueError as error:
-            console.print(f"[yellow]Left out: {CODE}: {error}[/yellow]")
-    return found
 
 
 def _has_error_control(method):
@@ -140,37 +128,24 @@ def _levels(problem, method, ratio):
     return [LOOSEST / ratio ** (METHODS[method].order * k) for k in range(count + 1)]
 
 
-def entries(problem, ratio, spaces=SPACES[:1]):
+def entries(problem, ratio, groups=GROUPS[:1]):
     """All methods and groups; for loops also all stabilisations."""
     scene = scene_of(problem)
     for stabilisation in STABILISATIONS if problem.loops else ("none",):
-        for space in spaces:
-            for group in GROUPS:
-                for method in METHODS:
-                    # The others keep momentum over long runs, or serve single bodies or stiff scenes.
-                    if METHODS[method].order < LOWEST_ORDER or METHODS[method].family != "rkmk":
-                        continue
-                    options = {"group": group, "stabilisation": stabilisation, "space": space}
-                    if _fits(scene, method, options):
-                        yield _entry(problem, scene, method, ratio, options)
-
-
-def _fits(scene, method, options):
-    """Whether a formulation can integrate the scene with these options."""
-    try:
-        Engine(scene, method=method, quiet=True, **options)
-    except (ValueError, NotImplementedError):
-        return False
-    return True
+        for group in groups:
+            for method in METHODS:
+                # The others keep momentum over long runs, or serve single bodies or stiff scenes.
+                if METHODS[method].order >= LOWEST_ORDER and METHODS[method].family == "rkmk":
+                    options = {"group": group, "stabilisation": stabilisation}
+                    yield _entry(problem, scene, method, ratio, options)
 
 
 def _entry(problem, scene, method, ratio, options):
     words = [
         method,
-        options["group"],
+        options["group"].replace("auto", ""),
         problem.joints,
         options["stabilisation"].replace("none", ""),
-        options["space"].replace("auto", ""),
     ]
     setting = " ".join(filter(None, words))
     levels = _levels(problem, method, ratio)
@@ -178,7 +153,7 @@ def _entry(problem, scene, method, ratio, options):
     def start(level, **more):
         return _Run(problem, scene, method, level, **options, **more)
 
-    return Entry(CODE, setting, levels, start, kind=options["space"])
+    return Entry(CODE, setting, levels, start, kind=options["group"])
 
 
 def estimating(entry):
@@ -192,9 +167,9 @@ def estimating(entry):
     )
 
 
-def stepper(problem, step, space=SPACES[0]):
+def stepper(problem, step, group=GROUPS[0]):
     """Function take_steps(n) of RKMK4 steps from the initial state, anew after each duration."""
-    simulation = Engine(scene_of(problem), method="rkmk4", step=step, space=space)
+    simulation = Engine(scene_of(problem), method="rkmk4", step=step, group=group)
     most = round(problem.duration / step)
 
     def take_steps(count):

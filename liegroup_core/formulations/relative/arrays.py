@@ -88,6 +88,7 @@ class RelativeModel(Struct):
     shared: np.ndarray  # (k, 3) joints i, j < i that share freedoms, end in shared_freedoms
     shared_freedoms: np.ndarray  # (l, 3) a freedom, its place in the responses of both joints
     first_column: np.ndarray  # (m,) first nonzero column of each row of the factor of W
+    refinements: int  # steps of iterative refinement that each solve takes
     projects: bool
     baumgarte_rate: float
 

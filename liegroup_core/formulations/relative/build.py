@@ -9,6 +9,7 @@ from liegroup_core.joints.elements import ELEMENT, PAIR, WORLD
 from liegroup_core.joints.linkage import RANK_TOLERANCE, Linkage
 from liegroup_core.lie.groups import SE3
 from liegroup_core.model.arrays import JOINT
+from liegroup_core.model.build import are_unlike
 from liegroup_core.model.redundancy import generic_poses, independent_rows, loop_joints
 from liegroup_core.scene.consistency import resolve_elements, resolve_frames
 
@@ -106,6 +107,7 @@ def relative_model(scene, model, in_space=False):
         parts=part_records,
         has_forces=any(map(len, model.forces.values())),
         elements=elements,
+        refinements=_refinements(model),
         projects=bool(model.projects and len(arrays["joints"])),
         baumgarte_rate=model.baumgarte_rate,
         **arrays,
@@ -157,6 +159,17 @@ def _plane_arrays(model, links, records, places, scene, normal):
             ]
         ),
     }
+
+
+def _refinements(model):
+    """Number of refinements: one where neighbours differ so much that articulated inertias lose digits.
+
+    Slender bodies and long levers lose none (test/verification/test_relative_accelerations.py).
+    """
+    bodies, elements = model.bodies, model.elements
+    ends = list(zip(elements["parent"].tolist(), elements["child"].tolist()))
+    traces = bodies["inertia"][:, [0, 4, 8]].sum(axis=1)
+    return int(are_unlike(bodies["mass"], traces, ends, []))
 
 
 def _welds(scene, frames, members):

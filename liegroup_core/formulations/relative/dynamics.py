@@ -85,7 +85,7 @@ def accelerations(model, work, external):
     if applied:
         _apply(model, work, external)
     gather(model, work)
-    refinements = model.space.refinements
+    refinements = model.refinements
     if len(model.joints) > 0:
         found = set_loops(model, work)
         if found >= 0:
