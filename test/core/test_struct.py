@@ -324,6 +324,8 @@ def test_states_of_any_memory_layout_are_accepted(scene):
     one, other = (Simulation(load_scene(scene), method="rkmk4") for _ in range(2))
     one.advance(50)
     pose, twist = one.state()
+    # Both find relative coordinates from the poses.
+    one.set_state(pose, twist, 50)
     other.set_state(np.asfortranarray(pose), np.asfortranarray(twist), 50)
     for simulation in (one, other):
         simulation.advance(50)
