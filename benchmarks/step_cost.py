@@ -25,8 +25,9 @@ from liegroup_core.engine import Engine
 STEPS = 20_000
 # Simulations that together use all kernels.
 FAMILIES = {
-    "bodies in space": ("heavy_top", "rkmk4"),
-    "bodies in a plane": ("four_bar", "rkmk4"),
+    "SE(3)^n": ("free_body", "rkmk4"),
+    "relative coordinates in space": ("heavy_top", "rkmk4"),
+    "relative coordinates in a plane": ("four_bar", "rkmk4"),
     "generalized_alpha": ("four_bar", "generalized_alpha"),
     "constrained_rattle": ("four_bar", "constrained_rattle"),
     "rotation methods": ("lagrangian_top", "rattle"),

@@ -348,7 +348,7 @@ def test_lists_of_methods_are_those_that_can_integrate_it():
     assert fitting_methods(layout) == methods
     assert {ladder.group for ladder in ladders(layout)} == {"relative"}
     facts = describe(make_layout(pendulum()))
-    assert facts["plane"] is None and facts["formulation"]["group"] == "relative"
+    assert facts["formulation"]["group"] == "relative"
     assert facts["methods"] == methods and facts["degrees_of_freedom"] == 1
 
 

@@ -179,7 +179,7 @@ def refuse_freedoms_without_inertia(scene):
 
     scene : Scene with body frames at the centres of mass
     """
-    links, places = _links(scene, resolve_frames(scene), spanning_tree(scene))
+    links, places = _links(scene, resolve_frames(scene), spanning_tree(scene), None)
     poses = {body.name: body.pose for body in scene.bodies} | {WORLD_NAME: np.eye(4)}
     check_inertia(scene, links, places, _link_poses(links, range(len(links)), poses))
 
