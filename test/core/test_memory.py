@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A run continued from a saved state is bit-identical, for methods with any memory."""
 
+import numpy as np
 import pytest
 
 from liegroup_core import Simulation, load_scene
@@ -39,11 +40,17 @@ def test_a_run_continued_from_a_saved_state_is_bit_identical(method):
     state = (*saved.state(), SAVED, saved.sample().angles)
     expected = bits(run(scene, method, END))
     assert bits(run(scene, method, END, (*state, saved.memory()))) == expected
-    if saved.memory():  # without it, the continued run must differ
-        assert bits(run(scene, method, END, state)) != expected
+    if saved.memory():
+        without = run(scene, method, END, state)
+        if saved.group == "relative" and not METHODS[method].controlled:
+            # Relative coordinates are found again from the poses, to their round-off.
+            for mine, kept in zip(without.state(), run(scene, method, END).state()):
+                assert np.abs(mine - kept).max() <= 1e-13 * np.abs(kept).max()
+        else:
+            assert bits(without) != expected
 
 
 def test_method_memory_of_the_wrong_size_is_refused():
     simulation = run("four_bar", "rkmk54", SAVED)
-    with pytest.raises(ValueError, match="expected 32 bytes of method memory, got 3"):
+    with pytest.raises(ValueError, match="expected [0-9]+ bytes of method memory, got 3"):
         simulation.set_state(*simulation.state(), memory=b"abc")
