@@ -6,7 +6,7 @@ import math
 from liegroup_core.compiling import kernel
 from liegroup_core.lie.se3 import se3_compose, se3_exp
 from liegroup_core.lie.so3 import so3_exp
-from liegroup_core.lie.vec3 import add3, load3, load9, matmul3, matvec3, store3
+from liegroup_core.lie.vec3 import add3, dot3, load3, load9, matmul3, matvec3, store3
 from liegroup_core.status import LARGEST_ROTATION, NOT_FINITE, OK, ROTATION_TOO_LARGE
 
 from .methods import SE3
@@ -34,6 +34,24 @@ def displace(group, pose, i, xi, eta):
         turn, shift = se3_exp(xi, eta)
         return se3_compose(rot, r, turn, shift)
     return matmul3(rot, so3_exp(xi)), add3(r, eta)
+
+
+@kernel
+def error_norm_square(xi, eta, dw, dv, start, end, i, rtol, atol):
+    """Square of the norm of an error estimate of a body, see rkmk/munthe_kaas.py.
+
+    xi, eta, dw, dv : estimated errors of rotation, translation, angular and linear velocity
+    start, end      : twists (n, 6) at both ends of the step; row i is that of the body
+    """
+    w0, w1 = load3(start, i, 0), load3(end, i, 0)
+    v0, v1 = load3(start, i, 3), load3(end, i, 3)
+    tol_w = atol + rtol * math.sqrt(max(dot3(w0, w0), dot3(w1, w1)))
+    tol_v = atol + rtol * math.sqrt(max(dot3(v0, v0), dot3(v1, v1)))
+    return (
+        (dot3(xi, xi) + dot3(eta, eta)) / (atol * atol)
+        + dot3(dw, dw) / (tol_w * tol_w)
+        + dot3(dv, dv) / (tol_v * tol_v)
+    )
 
 
 @kernel

@@ -6,7 +6,7 @@ from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.vec3 import add3, cross3, dot3, load3, load9, tmatvec3
 
 from .arrays import BALL, CYLINDER, FREE, PLANE, SCREW, SLIDE
-from .trees import add_wrench, momentum, spread, spread_response
+from .trees import momentum, pass_on, spread, spread_response
 
 
 @kernel
@@ -77,14 +77,7 @@ def gather_residual(model, work):
             work.freedoms[f, 7] = -eliminate(link, work, f, k, work.force, b)
         a = link["parent"]
         if a != WORLD:
-            add_wrench(
-                load3(work.force, b, 0),
-                load3(work.force, b, 3),
-                load9(work.relative, b, 0),
-                load3(work.relative, b, 9),
-                work.force,
-                a,
-            )
+            pass_on(work, work.force, b, a)
     return 0
 
 

@@ -21,7 +21,7 @@ from liegroup_core.lie.vec3 import (
 
 from .matrix import set_block
 from .residuals import eliminate, number
-from .trees import add_wrench
+from .trees import pass_on
 
 
 @kernel
@@ -90,12 +90,5 @@ def respond(model, work, j):
                 at += rows
             parent = link["parent"]
             if parent != WORLD:
-                add_wrench(
-                    load3(work.carried, i, 0),
-                    load3(work.carried, i, 3),
-                    load9(work.relative, i, 0),
-                    load3(work.relative, i, 9),
-                    work.carried,
-                    parent,
-                )
+                pass_on(work, work.carried, i, parent)
     set_block(model, work, j)

@@ -4,14 +4,13 @@
 The differences of the freedoms add up along the tree: links come in the order of the tree.
 """
 
-import math
-
 from liegroup_core.compiling import Choice, kernel
 from liegroup_core.formulations.relative.arrays import HINGE, SLIDE, PlaneModel, RelativeModel
 from liegroup_core.formulations.relative.coordinates import rate_twist
+from liegroup_core.integrators.motion import error_norm_square
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.se3 import se3_Ad_inverse
-from liegroup_core.lie.vec3 import add3, cross3, dot3, load3, load9, store3, vector3
+from liegroup_core.lie.vec3 import add3, cross3, load3, load9, store3, vector3
 
 
 @kernel
@@ -30,20 +29,24 @@ def _difference(model, work, scheme, row, h, i):
 
 
 @kernel
+def _with_parent(work, at, rot, p, moved, rate):
+    """Differences of a link in those of its parent: row `at` of work.errors; rot, p: its pose there."""
+    errors = work.errors
+    xi, eta = se3_Ad_inverse(rot, p, load3(errors, at, 0), load3(errors, at, 3))
+    dw, dv = se3_Ad_inverse(rot, p, load3(errors, at, 6), load3(errors, at, 9))
+    return add3(moved[0], xi), add3(moved[1], eta), add3(rate[0], dw), add3(rate[1], dv)
+
+
+@kernel
 def _in_space(model, work, i, place):
     """Differences (xi, eta, dw, dv) of the origin of link i; work.errors has its parent's."""
     link = model.bodies[i]
-    xi, eta = rate_twist(link, work.difference, 0)
-    dw, dv = rate_twist(link, work.difference, 1)
+    moved, rate = rate_twist(link, work.difference, 0), rate_twist(link, work.difference, 1)
     a = link["parent"]
-    if a != WORLD:
-        rot, p = load9(work.relative, i, 0), load3(work.relative, i, 9)
-        at = place + a
-        w, v = se3_Ad_inverse(rot, p, load3(work.errors, at, 0), load3(work.errors, at, 3))
-        xi, eta = add3(xi, w), add3(eta, v)
-        w, v = se3_Ad_inverse(rot, p, load3(work.errors, at, 6), load3(work.errors, at, 9))
-        dw, dv = add3(dw, w), add3(dv, v)
-    return xi, eta, dw, dv
+    if a == WORLD:
+        return moved[0], moved[1], rate[0], rate[1]
+    rot, p = load9(work.relative, i, 0), load3(work.relative, i, 9)
+    return _with_parent(work, place + a, rot, p, moved, rate)
 
 
 @kernel
@@ -61,19 +64,14 @@ def _planar_twist(group, rates, row):
 def _in_plane(model, work, i, place):
     """`_in_space` for a planar mechanism."""
     group, a = model.links[i]["group"], model.links[i]["parent"]
-    xi, eta = _planar_twist(group, work.difference, 0)
-    dw, dv = _planar_twist(group, work.difference, 1)
-    if a != WORLD:
-        row = len(model.parts) + i
-        c, s = work.stage_pose[row, 0], work.stage_pose[row, 1]
-        rot = (c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0)
-        p = (work.stage_pose[row, 2], work.stage_pose[row, 3], 0.0)
-        at = place + a
-        w, v = se3_Ad_inverse(rot, p, load3(work.errors, at, 0), load3(work.errors, at, 3))
-        xi, eta = add3(xi, w), add3(eta, v)
-        w, v = se3_Ad_inverse(rot, p, load3(work.errors, at, 6), load3(work.errors, at, 9))
-        dw, dv = add3(dw, w), add3(dv, v)
-    return xi, eta, dw, dv
+    moved, rate = _planar_twist(group, work.difference, 0), _planar_twist(group, work.difference, 1)
+    if a == WORLD:
+        return moved[0], moved[1], rate[0], rate[1]
+    row = len(model.parts) + i
+    c, s = work.stage_pose[row, 0], work.stage_pose[row, 1]
+    rot = (c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0)
+    p = (work.stage_pose[row, 2], work.stage_pose[row, 3], 0.0)
+    return _with_parent(work, place + a, rot, p, moved, rate)
 
 
 _of_link = Choice("_of_link", {RelativeModel: _in_space, PlaneModel: _in_plane})
@@ -95,12 +93,4 @@ def error_square(model, work, scheme, row, h, twist, i, rtol, atol):
         return 0.0
     point = vector3(link["body_point"])
     eta, dv = add3(eta, cross3(xi, point)), add3(dv, cross3(dw, point))
-    w0, w1 = load3(twist, body, 0), load3(work.stage_twist, body, 0)
-    v0, v1 = load3(twist, body, 3), load3(work.stage_twist, body, 3)
-    tol_w = atol + rtol * math.sqrt(max(dot3(w0, w0), dot3(w1, w1)))
-    tol_v = atol + rtol * math.sqrt(max(dot3(v0, v0), dot3(v1, v1)))
-    return (
-        (dot3(xi, xi) + dot3(eta, eta)) / (atol * atol)
-        + dot3(dw, dw) / (tol_w * tol_w)
-        + dot3(dv, dv) / (tol_v * tol_v)
-    )
+    return error_norm_square(xi, eta, dw, dv, twist, work.stage_twist, body, rtol, atol)

@@ -13,7 +13,13 @@ from liegroup_core.formulations.absolute.constraints import clear_ground_slip
 from liegroup_core.formulations.absolute.newton_euler import accelerations
 from liegroup_core.formulations.absolute.projection import close_joints
 from liegroup_core.integrators.methods import EXACT, SE3
-from liegroup_core.integrators.motion import copy_state, displace, group_velocity, is_finite
+from liegroup_core.integrators.motion import (
+    copy_state,
+    displace,
+    error_norm_square,
+    group_velocity,
+    is_finite,
+)
 from liegroup_core.lie.coefficients import dexpinv_coefficients, truncated_dexpinv_coefficients
 from liegroup_core.lie.se3 import se3_dexpinv_of
 from liegroup_core.lie.so3 import so3_dexpinv_of, so3_nearest
@@ -176,15 +182,7 @@ def error_square(model, work, scheme, row, h, twist, i, rtol, atol):
     """Square of an error estimate of body i for a step from `twist`; see munthe_kaas.py."""
     n = len(twist)
     xi, eta, dw, dv = _increment(h, scheme.error, row, scheme.error.shape[1], work.slopes, n, i)
-    w0, w1 = load3(twist, i, 0), load3(work.stage_twist, i, 0)
-    v0, v1 = load3(twist, i, 3), load3(work.stage_twist, i, 3)
-    tol_w = atol + rtol * math.sqrt(max(dot3(w0, w0), dot3(w1, w1)))
-    tol_v = atol + rtol * math.sqrt(max(dot3(v0, v0), dot3(v1, v1)))
-    return (
-        (dot3(xi, xi) + dot3(eta, eta)) / (atol * atol)
-        + dot3(dw, dw) / (tol_w * tol_w)
-        + dot3(dv, dv) / (tol_v * tol_v)
-    )
+    return error_norm_square(xi, eta, dw, dv, twist, work.stage_twist, i, rtol, atol)
 
 
 @kernel
