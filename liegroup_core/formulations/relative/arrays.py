@@ -30,6 +30,7 @@ CYLINDER = 3  # SO(2) x R
 PLANE = 4  # SE(2)
 BALL = 5  # SO(3)
 FREE = 6  # SE(3)
+LARGEST_ROWS = 6  # of a joint
 FREEDOMS = (1, 1, 1, 2, 3, 3, 6)
 
 # How the coordinates of a link are found from poses of bodies.
@@ -179,7 +180,7 @@ class RelativeWork(Struct):
     bias: np.ndarray  # (m,) J Vdot = bias
     right: np.ndarray  # (m,) residual, then a change of the multipliers
     multipliers: np.ndarray  # (m,)
-    carried: np.ndarray  # (L, 6) a row's wrench on its way to the world; in a plane those of two
+    carried: np.ndarray  # (6 L, 6) wrenches of the rows of a joint on their way to the world
     response: np.ndarray  # y of each row and freedom on its path
     matrix: np.ndarray  # (m, m) W in the upper, its factor in the lower triangle
     diagonal: np.ndarray  # (m,) pivots
@@ -227,7 +228,7 @@ def make_relative_work(model, work, stages):
         bias=np.zeros(rows),
         right=np.zeros(rows),
         multipliers=np.zeros(rows),
-        carried=np.zeros((links, 6)),
+        carried=np.zeros((LARGEST_ROWS * links, 6)),
         response=np.zeros(int(model.path_places[-1])),
         matrix=np.zeros((rows, rows)),
         diagonal=np.zeros(rows),

@@ -77,7 +77,7 @@ def gather_residual(model, work):
             work.freedoms[f, 7] = -eliminate(link, work, f, k, work.force, b)
         a = link["parent"]
         if a != WORLD:
-            pass_on(work, work.force, b, a)
+            pass_on(work, b, work.force, b, a)
     return 0
 
 

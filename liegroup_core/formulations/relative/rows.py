@@ -19,6 +19,7 @@ from liegroup_core.lie.vec3 import (
     tmatvec3,
 )
 
+from .arrays import LARGEST_ROWS
 from .matrix import set_block
 from .residuals import eliminate, number
 from .trees import pass_on
@@ -70,25 +71,28 @@ def respond(model, work, j):
     """Responses y of the rows of joint j, along its path to the world, and their block of W."""
     joint = model.joints[j]
     a, b, first, rows = joint["parent"], joint["child"], joint["first"], joint["rows"]
+    carried, at = work.carried, model.path_places[j]
+    for k in range(model.paths[j, 0], model.paths[j, 1]):
+        start = LARGEST_ROWS * model.path_links[k]
+        for r in range(start, start + rows):
+            for c in range(6):
+                carried[r, c] = 0.0
     for r in range(rows):
-        at = model.path_places[j] + r
-        for k in range(model.paths[j, 0], model.paths[j, 1]):
-            link = model.path_links[k]
-            for c in range(6):
-                work.carried[link, c] = 0.0
         for c in range(6):
-            work.carried[b, c] = work.child_jacobian[first + r, c]
-        if a != WORLD:
-            for c in range(6):
-                work.carried[a, c] += work.parent_jacobian[first + r, c]
-        for k in range(model.paths[j, 0], model.paths[j, 1]):
-            i = model.path_links[k]
-            link = model.bodies[i]
-            for d in range(link["freedoms"]):
-                f = link["freedom"] + number(link["group"], d)
-                work.response[at] = eliminate(link, work, f, d, work.carried, i)
-                at += rows
-            parent = link["parent"]
-            if parent != WORLD:
-                pass_on(work, work.carried, i, parent)
+            carried[LARGEST_ROWS * b + r, c] = work.child_jacobian[first + r, c]
+            if a != WORLD:
+                carried[LARGEST_ROWS * a + r, c] += work.parent_jacobian[first + r, c]
+    for k in range(model.paths[j, 0], model.paths[j, 1]):
+        i = model.path_links[k]
+        link = model.bodies[i]
+        start, parent = LARGEST_ROWS * i, link["parent"]
+        for d in range(link["freedoms"]):
+            f = link["freedom"] + number(link["group"], d)
+            # The rows do not depend on each other: a processor works on several at once.
+            for r in range(rows):
+                work.response[at + r] = eliminate(link, work, f, d, carried, start + r)
+            at += rows
+        if parent != WORLD:
+            for r in range(rows):
+                pass_on(work, i, carried, start + r, LARGEST_ROWS * parent + r)
     set_block(model, work, j)

@@ -96,11 +96,11 @@ def add_wrench(torque, force, rot, p, out, row):
 
 
 @kernel
-def pass_on(work, wrenches, b, parent):
-    """Add X^T W to row `parent` of `wrenches`, for the wrench W on link b in row b."""
-    torque, force = load3(wrenches, b, 0), load3(wrenches, b, 3)
+def pass_on(work, b, wrenches, row, to):
+    """Add X^T W to row `to` of `wrenches`, for the wrench W on link b in row `row`."""
+    torque, force = load3(wrenches, row, 0), load3(wrenches, row, 3)
     rot, p = load9(work.relative, b, 0), load3(work.relative, b, 9)
-    add_wrench(torque, force, rot, p, wrenches, parent)
+    add_wrench(torque, force, rot, p, wrenches, to)
 
 
 @kernel
