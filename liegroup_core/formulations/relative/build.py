@@ -10,7 +10,7 @@ from liegroup_core.scene.consistency import resolve_elements, resolve_frames
 from .arrays import PART, PLANE_LINK, PlaneModel, RelativeModel
 from .cuts import cut_elements, cut_rows, loop_arrays
 from .inertia import check_inertia
-from .links import find_links, link_poses, link_records
+from .links import eliminated, find_links, link_poses, link_records
 from .plane import find_plane, plane_axes
 from .spanning_tree import WORLD_NAME, spanning_tree
 
@@ -48,6 +48,14 @@ def relative_model(scene, model, in_space=False):
         gravity=model.gravity,
         bodies=records,
         parts=part_records,
+        order=np.array(
+            [
+                (record["freedom"] + k, link.components[k])
+                for link, record in zip(links, records)
+                for k in eliminated(link.group)
+            ],
+            dtype=np.int64,
+        ).reshape(-1, 2),
         has_forces=any(map(len, model.forces.values())),
         elements=elements,
         refinements=_refinements(model),

@@ -11,8 +11,8 @@ from liegroup_core.lie.groups import SE3
 from liegroup_core.model.arrays import JOINT
 from liegroup_core.model.redundancy import generic_poses, independent_rows, loop_joints
 
-from .arrays import BALL, FREEDOMS
-from .links import FIRST_AXIS, SECOND_AXIS, link_poses
+from .arrays import FREEDOMS
+from .links import FIRST_AXIS, SECOND_AXIS, eliminated, link_poses
 from .spanning_tree import WORLD_NAME
 
 
@@ -163,10 +163,8 @@ def loop_arrays(links, records, cut, rows, elements):
         path_places.append(at)
         spot = {}
         for i in path:
-            group, f, count = records[i]["group"], records[i]["freedom"], records[i]["freedoms"]
-            # In the order of elimination, see residuals.number.
-            numbers = (2, 0, 1, *range(3, count)) if group >= BALL else range(count)
-            for number in numbers:
+            group, f = records[i]["group"], records[i]["freedom"]
+            for number in eliminated(group):
                 spot[int(f + number)] = at
                 at += int(joint["rows"])
         spots.append(spot)

@@ -19,7 +19,7 @@ from .kinds import (
     spread,
     spread_response,
 )
-from .loops import SINGULAR, close_loops, set_loops
+from .loops import POOR, SINGULAR, close_loops, set_loops
 
 # Each refinement multiplies the error in regular directions by the shift of W divided by its pivot.
 REFINEMENTS_WHEN_SINGULAR = 4
@@ -90,7 +90,9 @@ def accelerations(model, work, external):
         found = set_loops(model, work)
         if found >= 0:
             return found
-        if found == SINGULAR:
+        if found == POOR:
+            refinements = max(refinements, 1)
+        elif found == SINGULAR:
             refinements = REFINEMENTS_WHEN_SINGULAR
         set_free_residual(model, work)
         close_loops(model, work)

@@ -45,6 +45,11 @@ COMPONENTS = {
 FIRST_AXIS, SECOND_AXIS = np.eye(4)[:, [1, 2, 0, 3]], np.eye(4)[:, [2, 0, 1, 3]]
 
 
+def eliminated(group):
+    """Numbers of the freedoms of a link in the order in which they are eliminated."""
+    return (2, 0, 1, *range(3, FREEDOMS[group])) if group >= BALL else range(FREEDOMS[group])
+
+
 class Link:
     """Link under construction: `placement` T in its parent, and poses of its bodies in it."""
 

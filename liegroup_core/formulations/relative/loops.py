@@ -28,9 +28,9 @@ from .kinds import (
     set_rows,
     spread_response,
 )
-from .matrix import REGULARISATION, factor, set_shared, solve
+from .matrix import REGULARISATION, factor, has_small_pivot, set_shared, solve
 
-SINGULAR = -2
+SINGULAR, POOR = -2, -3
 
 
 @kernel
@@ -69,7 +69,8 @@ def _set_responses(model, work):
 def set_loops(model, work):
     """Rows of the cut joints, and the factor of W.
 
-    returns -1; SINGULAR where W had to be shifted; or the joint with dependent rows if that fails too
+    returns -1; POOR near a singular pose; SINGULAR where W had to be shifted; or the joint with
+    dependent rows if that fails too
     """
     set_rows(model, work)
     if model.baumgarte_rate > 0.0:
@@ -79,7 +80,7 @@ def set_loops(model, work):
         work.multipliers[r] = 0.0
     _set_responses(model, work)
     if factor(model, work, 0.0) < 0:
-        return -1
+        return POOR if has_small_pivot(work) else -1
     # Singular pose: accelerations that the joints leave undetermined follow from the masses.
     work.report[2] += 1.0
     dependent = factor(model, work, REGULARISATION)

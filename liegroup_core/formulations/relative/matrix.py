@@ -8,6 +8,9 @@ SMALLEST_PIVOT = 1e-10
 # So are those below this part of the diagonal of another row of the joint: in a flat pose a joint
 # may have no mobility at all in one direction.
 SMALLEST_MOBILITY = 1e-12
+# A solve loses the digits of the largest ratio of a diagonal entry and its pivot, and the refinement
+# that follows gains them back: from here on.
+SMALL_PIVOT = 1e-2
 # Shift of W at a singular pose.
 REGULARISATION = 1e-8
 
@@ -17,10 +20,23 @@ def set_block(model, work, j):
     """The block of W of joint j, from its responses."""
     first, rows = model.joints[j]["first"], model.joints[j]["rows"]
     W, y = work.matrix, work.response
+    at = model.path_places[j]
+    if rows == 3:
+        xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for k in range(model.path_ends[j], model.path_ends[j + 1]):
+            a, b, c = y[at], y[at + 1], y[at + 2]
+            inverse = work.freedoms[model.path_freedoms[k], 6]
+            x, v, z = inverse * a, inverse * b, inverse * c
+            xx, xy, xz = xx + x * a, xy + x * b, xz + x * c
+            yy, yz, zz = yy + v * b, yz + v * c, zz + z * c
+            at += 3
+        W[first, first], W[first, first + 1], W[first, first + 2] = xx, xy, xz
+        W[first + 1, first + 1], W[first + 1, first + 2] = yy, yz
+        W[first + 2, first + 2] = zz
+        return
     for s in range(first, first + rows):
         for r in range(s, first + rows):
             W[s, r] = 0.0
-    at = model.path_places[j]
     for k in range(model.path_ends[j], model.path_ends[j + 1]):
         inverse = work.freedoms[model.path_freedoms[k], 6]
         for s in range(rows):
@@ -28,6 +44,25 @@ def set_block(model, work, j):
             for r in range(s, rows):
                 W[first + s, first + r] += share * y[at + r]
         at += rows
+
+
+@kernel
+def _add_three(model, work, start, end, s, r):
+    """Add the block of two joints with three rows, s and r the first ones, to W."""
+    y = work.response
+    xx, xy, xz, yx, yy, yz, zx, zy, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for e in range(start, end):
+        at, other = model.shared_freedoms[e, 2], model.shared_freedoms[e, 1]
+        a, b, c = y[other], y[other + 1], y[other + 2]
+        inverse = work.freedoms[model.shared_freedoms[e, 0], 6]
+        d, f, g = inverse * y[at], inverse * y[at + 1], inverse * y[at + 2]
+        xx, xy, xz = xx + d * a, xy + d * b, xz + d * c
+        yx, yy, yz = yx + f * a, yy + f * b, yz + f * c
+        zx, zy, zz = zx + g * a, zy + g * b, zz + g * c
+    W = work.matrix
+    W[s, r], W[s, r + 1], W[s, r + 2] = xx, xy, xz
+    W[s + 1, r], W[s + 1, r + 1], W[s + 1, r + 2] = yx, yy, yz
+    W[s + 2, r], W[s + 2, r + 1], W[s + 2, r + 2] = zx, zy, zz
 
 
 @kernel
@@ -44,6 +79,10 @@ def set_shared(model, work):
         i, j, end = model.shared[k, 0], model.shared[k, 1], model.shared[k, 2]
         at_i, at_j = model.joints[i]["first"], model.joints[j]["first"]
         rows_i, rows_j = model.joints[i]["rows"], model.joints[j]["rows"]
+        if rows_i == 3 and rows_j == 3:
+            _add_three(model, work, start, end, at_j, at_i)
+            start = end
+            continue
         for e in range(start, end):
             inverse = work.freedoms[model.shared_freedoms[e, 0], 6]
             place_i, place_j = model.shared_freedoms[e, 1], model.shared_freedoms[e, 2]
@@ -92,6 +131,15 @@ def factor(model, work, shift):
                 return j
             work.diagonal[r] = 1.0 / pivot
     return -1
+
+
+@kernel
+def has_small_pivot(work):
+    """Whether a pivot of W is below SMALL_PIVOT of its diagonal entry."""
+    for r in range(len(work.diagonal)):
+        if SMALL_PIVOT * work.matrix[r, r] * work.diagonal[r] > 1.0:
+            return True
+    return False
 
 
 @kernel

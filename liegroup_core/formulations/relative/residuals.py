@@ -5,49 +5,23 @@ from liegroup_core.compiling import kernel, subroutine
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.vec3 import add3, cross3, dot3, load3, load9, tmatvec3
 
-from .arrays import BALL, CYLINDER, FREE, PLANE, SCREW, SLIDE
 from .trees import momentum, pass_on, spread, spread_response
 
 
 @kernel
-def _axis(group, k):
-    """Component of a twist that the k-th freedom of a link is, in the order of elimination."""
-    if group == SLIDE:
-        return 5
-    if group == CYLINDER:
-        return 2 if k == 0 else 5
-    if group == PLANE:
-        return 2 if k == 0 else 2 + k
-    if group >= BALL and k < 3:
-        return 2 if k == 0 else k - 1
-    if group == FREE:
-        return k
-    return 2
-
-
-@kernel
-def number(group, k):
-    """Number of the freedom of a link that is eliminated as its k-th one."""
-    if group >= BALL and k < 3:
-        return 2 if k == 0 else k - 1
-    return k
-
-
-@kernel
-def eliminate(link, work, f, k, wrenches, row):
+def eliminate(work, f, axis, pitch, wrenches, row):
     """Component s . w of a wrench along freedom f of a link; w becomes w - U (s . w) / D.
 
-    k : place of the freedom in the order of elimination; wrenches : row `row` has w
+    axis, pitch : the component of a twist that f is, and the pitch of its screw or 0
+    wrenches    : row `row` has w
     """
-    group = link["group"]
-    axis = _axis(group, k)
     y = wrenches[row, axis]
-    if group == SCREW:
-        y += link["pitch"] * wrenches[row, 5]
+    if pitch != 0.0:
+        y += pitch * wrenches[row, 5]
     share = y * work.freedoms[f, 6]
     for c in range(6):
         wrenches[row, c] -= share * work.freedoms[f, c]
-    if group != SCREW:
+    if pitch == 0.0:
         wrenches[row, axis] = 0.0
     return y
 
@@ -72,9 +46,9 @@ def gather_residual(model, work):
             work.force[b, 3 + c] += force[c] - work.applied[b, 3 + c]
     for b in range(len(model.bodies) - 1, -1, -1):
         link = model.bodies[b]
-        for k in range(link["freedoms"]):
-            f = link["freedom"] + number(link["group"], k)
-            work.freedoms[f, 7] = -eliminate(link, work, f, k, work.force, b)
+        for k in range(link["freedom"], link["freedom"] + link["freedoms"]):
+            f, axis = model.order[k, 0], model.order[k, 1]
+            work.freedoms[f, 7] = -eliminate(work, f, axis, link["pitch"], work.force, b)
         a = link["parent"]
         if a != WORLD:
             pass_on(work, b, work.force, b, a)

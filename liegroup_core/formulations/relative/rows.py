@@ -21,7 +21,7 @@ from liegroup_core.lie.vec3 import (
 
 from .arrays import LARGEST_ROWS
 from .matrix import set_block
-from .residuals import eliminate, number
+from .residuals import eliminate
 from .trees import pass_on
 
 
@@ -82,15 +82,15 @@ def respond(model, work, j):
             carried[LARGEST_ROWS * b + r, c] = work.child_jacobian[first + r, c]
             if a != WORLD:
                 carried[LARGEST_ROWS * a + r, c] += work.parent_jacobian[first + r, c]
-    for k in range(model.paths[j, 0], model.paths[j, 1]):
-        i = model.path_links[k]
+    for p in range(model.paths[j, 0], model.paths[j, 1]):
+        i = model.path_links[p]
         link = model.bodies[i]
-        start, parent = LARGEST_ROWS * i, link["parent"]
-        for d in range(link["freedoms"]):
-            f = link["freedom"] + number(link["group"], d)
+        start, parent, pitch = LARGEST_ROWS * i, link["parent"], link["pitch"]
+        for k in range(link["freedom"], link["freedom"] + link["freedoms"]):
+            f, axis = model.order[k, 0], model.order[k, 1]
             # The rows do not depend on each other: a processor works on several at once.
             for r in range(rows):
-                work.response[at + r] = eliminate(link, work, f, d, carried, start + r)
+                work.response[at + r] = eliminate(work, f, axis, pitch, carried, start + r)
             at += rows
         if parent != WORLD:
             for r in range(rows):
