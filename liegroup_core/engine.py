@@ -30,6 +30,7 @@ from .status import (
     NO_RATTLE_STEP,
     NOT_CONVERGED,
     OK,
+    ROTATION_TOO_LARGE,
     TURNS_NOT_COUNTED,
 )
 
@@ -465,6 +466,9 @@ class Engine:
         if status & 0xFF in (NO_RATTLE_STEP, NOT_CONVERGED) and not self._times_inside():
             works = step_that_works(self._integrator, self.step, *self.state(), self._external)
             hint = f": {works:g} s works from here" if works else ""
+        if status & 0xFF == ROTATION_TOO_LARGE and self.stabilisation != "projection":
+            if self.layout.drifts(self.group):
+                hint = ", or stabilisation projection near a singular configuration"
         if status & 0xFF == DEPENDENT_ROWS:
             joint = self._joint_name(status >> 8)
         if status & 0xFF == TURNS_NOT_COUNTED:

@@ -11,6 +11,9 @@ from .forces import kinds
 from .forces.torsional_spring_damper import UNKNOWN_TURN
 from .formulations.relative.arrays import PlaneModel
 from .formulations.relative.build import refuse_freedoms_without_inertia, relative_model
+from .formulations.relative.spanning_tree import WORLD_NAME
+from .integrators.methods import RELATIVE
+from .joints.pairs import LOWER_PAIRS
 from .model.arrays import Model
 from .model.build import build_model
 from .observables.joint_coordinates import JointCoordinates
@@ -55,6 +58,23 @@ class Layout:
         if self.normal is None:
             return self.relative
         return relative_model(self.centred, self.model, in_space=True)
+
+    def drifts(self, group):
+        """Whether joints open by the errors of the steps of a Munthe-Kaas method on a group.
+
+        In relative coordinates only cut joints do, on SE(3)^n all but one lower pair per body to
+        ground, on (SO(3) x R^3)^n all.
+        """
+        if group == RELATIVE:
+            return len(self.relative.joints) > 0
+        joints = self.scene.joints
+        held = [body for joint in joints for body in (joint.parent, joint.child)]
+        return group == "so3xr3" or any(
+            joint.type not in LOWER_PAIRS
+            or WORLD_NAME not in (joint.parent, joint.child)
+            or max(map(held.count, {joint.parent, joint.child} - {WORLD_NAME})) > 1
+            for joint in joints
+        )
 
     @cached_property
     def lack_of_inertia(self):

@@ -12,8 +12,7 @@ from .accuracy import DEFAULT, METHOD, MINUTE, SMALLEST, AccuracyControl
 from .engine import Engine
 from .errors import SimulationError
 from .integrators.families import check_group, check_options, choose_group
-from .integrators.methods import RELATIVE, is_positive
-from .joints.pairs import LOWER_PAIRS
+from .integrators.methods import is_positive
 from .layout import make_layout
 from .observables.sample import Sample
 from .running_error import RunningError
@@ -103,7 +102,7 @@ class Simulation(Engine):
         layout = make_layout(scene)
         group = choose_group(METHOD, group, check_options(METHOD, tolerances), layout)
         if stabilisation is None:
-            stabilisation = "projection" if _drifts(layout, group) else "none"
+            stabilisation = "projection" if layout.drifts(group) else "none"
         settings = (group, stabilisation, baumgarte_time)
         if isinstance(step, (list, tuple)):
             step, layout = _suitable(step, scene, layout, settings, tolerances)
@@ -268,23 +267,6 @@ def _checked(accuracy):
     if not (is_positive(accuracy) and SMALLEST <= accuracy <= 1.0):
         raise ValueError(f"the accuracy must be a number from {SMALLEST:g} to 1, got {accuracy!r}")
     return float(accuracy)
-
-
-def _drifts(layout, group):
-    """Whether joints open by the errors of the steps.
-
-    In relative coordinates only cut joints do, on SE(3)^n all but one lower pair per body to ground.
-    """
-    if group == RELATIVE:
-        return len(layout.relative.joints) > 0
-    joints = layout.scene.joints
-    held = [body for joint in joints for body in (joint.parent, joint.child)]
-    return group == "so3xr3" or any(
-        joint.type not in LOWER_PAIRS
-        or "world" not in (joint.parent, joint.child)
-        or max(map(held.count, {joint.parent, joint.child} - {"world"})) > 1
-        for joint in joints
-    )
 
 
 def default_steps(horizon=None):

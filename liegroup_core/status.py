@@ -27,8 +27,7 @@ MESSAGES = {
     NOT_FINITE: "the state is not finite any more: the step is too large for this motion, or a "
     "force is too large; use a smaller step",
     ROTATION_TOO_LARGE: "a body would rotate by almost 2 pi within one step, beyond the method's "
-    "limit; use a smaller step, or stabilisation projection if the mechanism is "
-    "close to a singular configuration",
+    "limit; use a smaller step{hint}",
     DEPENDENT_ROWS: "the constraint equations of joint {joint} are redundant in this configuration "
     "(a singular configuration or a redundant joint)",
     TURNS_NOT_COUNTED: "the joint of {force} rotates by pi or more within one step, so its angle "
