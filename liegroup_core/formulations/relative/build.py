@@ -58,7 +58,7 @@ def relative_model(scene, model, in_space=False):
         ).reshape(-1, 2),
         has_forces=any(map(len, model.forces.values())),
         elements=elements,
-        refinements=_refinements(model),
+        refinements=_refinements(model, len(arrays["joints"]) > 0),
         projects=bool(model.projects and len(arrays["joints"])),
         baumgarte_rate=model.baumgarte_rate,
         **arrays,
@@ -112,16 +112,19 @@ def _plane_arrays(model, links, records, places, scene, normal):
     }
 
 
-def _refinements(model):
-    """Number of refinements: one where neighbours differ so much that articulated inertias lose digits.
+def _refinements(model, has_cuts):
+    """Number of refinements that each solve takes, for all its digits.
 
-    Slender bodies and long levers lose none (test/verification/test_relative_accelerations.py).
+    One where neighbours differ so much that articulated inertias lose digits; slender bodies and
+    long levers lose none. W of cut joints loses twice as many, and some with slender bodies
+    (test/verification/test_relative_accelerations.py).
     """
     bodies, elements = model.bodies, model.elements
     ends = list(zip(elements["parent"].tolist(), elements["child"].tolist()))
     traces = bodies["inertia"][:, [0, 4, 8]].sum(axis=1)
     traces[traces <= 0.0] = traces.max() or 1.0  # point masses
-    return int(are_unlike(bodies["mass"], traces, ends, []))
+    unlike = int(are_unlike(bodies["mass"], traces, ends, []))
+    return max(2 * unlike, model.refinements) if has_cuts else unlike
 
 
 def refuse_freedoms_without_inertia(scene):
