@@ -30,6 +30,7 @@ FAMILIES = {
     "constrained": Constrained,
 }
 NOT_ON_SE3 = ("rotation", "constrained")  # families with a group of their own
+ON_JOINTS = ("rkmk", "generalized_alpha")  # families that support relative coordinates
 
 
 def check_options(method, options):
@@ -52,10 +53,10 @@ def check_group(method, group):
             f"unknown group {group!r}; choose one of: auto, {', '.join(CONFIGURATION_GROUPS)}"
         )
     family = METHODS[method].family
-    if group == RELATIVE and family != "rkmk":
+    if group == RELATIVE and family not in ON_JOINTS:
         raise ValueError(
             f"method {method} does not support group 'relative': choose a Munthe-Kaas method, "
-            "rkmk..., or another group"
+            "rkmk..., generalized_alpha, or another group"
         )
     if family in NOT_ON_SE3 and group not in ("auto", "so3xr3"):
         raise ValueError(
