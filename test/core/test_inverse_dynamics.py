@@ -29,9 +29,7 @@ def solved(scene, wrenches, space):
         simulation.apply_wrench(body, wrench, source=axes, axes=axes)
     simulation.advance(0)
     model, work = simulation._integrator._model, simulation._integrator._work
-    pose, twist, external, _ = spaces.enter(
-        model, work, *simulation.state(), simulation._external
-    )
+    pose, twist, external, _ = spaces.enter(model, work, *simulation.state(), simulation._external)
     spaces.begin(model, work, 0, pose, twist)
     assert spaces.accelerate(model, work, external) == -1
     return simulation, model, work
@@ -73,7 +71,9 @@ def test_the_mass_matrix_is_that_of_the_kinetic_energy(name, space):
         rates = np.concatenate(
             [
                 row[:count]
-                for row, count in zip(work.stage_twist[len(model.parts) :], model.bodies["freedoms"])
+                for row, count in zip(
+                    work.stage_twist[len(model.parts) :], model.bodies["freedoms"]
+                )
             ]
         )
         twists = simulation.state()[1].ravel()

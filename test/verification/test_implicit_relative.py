@@ -42,7 +42,9 @@ def test_order_two_in_loops(name, space):
     assert slope == pytest.approx(2.0, abs=0.2), found
 
 
-@pytest.mark.parametrize("name, step", [("n_four_bar", 1e-2), ("n_four_bar", 2e-3), ("bricard", 1e-2)])
+@pytest.mark.parametrize(
+    "name, step", [("n_four_bar", 1e-2), ("n_four_bar", 2e-3), ("bricard", 1e-2)]
+)
 def test_loops_are_closed_next_to_singular_poses_too(name, step):
     """n_four_bar passes flat poses. Newton's method ends at ten times the round-off of positions."""
     engine = Engine(load_scene(name), METHOD, step, quiet=True)
@@ -63,10 +65,7 @@ def stiffened(scene, factor):
         if not hasattr(force, "stiffness"):
             forces.append(force)
             continue
-        keys = {
-            "stiffness": factor * force.stiffness,
-            "damping": np.sqrt(factor) * force.damping,
-        }
+        keys = {"stiffness": factor * force.stiffness, "damping": np.sqrt(factor) * force.damping}
         if hasattr(force, "rest_length"):
             ends = [
                 poses[getattr(force, end)] @ [*getattr(force, f"{end}_point"), 1.0]

@@ -30,7 +30,7 @@ from liegroup_core.lie.vec3 import (
     sub3,
     tmatvec3,
 )
-from liegroup_core.status import OK, TURNS_NOT_COUNTED, NOT_FINITE
+from liegroup_core.status import NOT_FINITE, OK, TURNS_NOT_COUNTED
 
 from .arrays import set_end, set_size, sigma
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Coefficients and memory of the generalised-alpha method, and its formulas for one step.
 
-    f freedoms: 6 n on SE(3)^n and (SO(3) x R^3)^n, those of the tree in relative coordinates
-    N = f + rows unknowns: Vdot_1 on the group, then the multipliers of the rows
+f is the number of freedoms: 6 n on SE(3)^n and (SO(3) x R^3)^n, those of the tree in relative
+coordinates. N = f + rows is that of the unknowns: Vdot_1 on the group, then the multipliers.
 """
 
 import math

@@ -19,10 +19,10 @@ from .spaces import residual
 # largest coordinate or 1: about ten times round-off. Its effect on velocities is larger by 2 / h.
 # If round-off is larger and corrections stop decreasing, the bound is STUCK times that.
 TOLERANCE, STUCK = 2e-15, 100.0
-# The matrix is factorised again if a correction exceeds SLOW times the one before and that bound, or
-# if constraints are violated by more than TOLERANCE: next to a singular pose old factors do not
-# satisfy them. A correction is halved if the next one exceeds GROWTH times it. Some growth is allowed: if the initial guess
-# stretches a stiff spring, corrections increase before they decrease.
+# The matrix is factorised again if a correction exceeds SLOW times the one before, and either that
+# bound, or the constraints are violated by more than TOLERANCE: next to a singular pose old factors
+# do not satisfy them. A correction is halved if the next one exceeds GROWTH times it. Some growth is
+# allowed: if the initial guess stretches a stiff spring, corrections increase before they decrease.
 SLOW, GROWTH = 0.1, 10.0
 MOST_ITERATIONS = 50
 DISPLACEMENT = 1e-7  # rad and m, perturbation of a pose: the derivative has half of all digits
@@ -36,7 +36,9 @@ def _differentiate(model, work, memory, numbers, group, h, pose, external):
     """
     for c in range(len(memory.x)):
         value = memory.x[c]
-        memory.x[c] += DISPLACEMENT / sigma(numbers, h) if c < len(memory.rate) else 1.0 + abs(value)
+        memory.x[c] += (
+            DISPLACEMENT / sigma(numbers, h) if c < len(memory.rate) else 1.0 + abs(value)
+        )
         change = memory.x[c] - value
         status = residual(model, work, memory, numbers, group, h, pose, external)
         memory.x[c] = value
@@ -124,7 +126,7 @@ def newton(model, work, memory, numbers, group, h, pose, external):
         for k in range(size):
             memory.correction[k] = memory.next[k]
             memory.x[k] -= memory.correction[k]
-        if correction <= tolerance or (SLOW * previous < correction <= STUCK * tolerance):
+        if correction <= tolerance or SLOW * previous < correction <= STUCK * tolerance:
             return OK
         previous = correction
     if status != OK:
