@@ -5,7 +5,7 @@ With the relative pose C_ba of parent a and child b, X = Ad(C_ba), and an accele
 world,
     Vdot_b = X Vdot_a + [V_b, S qdot] + S qddot
 from the world to the leaves, and from the leaves to the world
-    F_b = I Vdot_b - ad*(V_b) I V_b - W_b + sum of X^T F of its children ,   f_b = S^T F_b
+    F_b = I Vdot_b - ad_V^T I V_b - W_b + sum of X^T F of its children ,   f_b = S^T F_b
 W_b are the applied wrenches less J^T lambda of the cut joints. Own inertias of the links enter, no
 sums of them, so that the result has the digits that articulated inertias may lose.
 
@@ -15,12 +15,12 @@ Source: Featherstone, Rigid Body Dynamics Algorithms, section 5.3 (recursive New
 from liegroup_core.compiling import kernel, subroutine
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.se3 import se3_Ad_inverse
-from liegroup_core.lie.vec3 import ZERO3, add3, cross3, load3, load9, store3, sub3
+from liegroup_core.lie.vec3 import ZERO3, add3, load3, load9, store3
 
 from .arrays import BALL, CYLINDER, PLANE, SCREW, SLIDE
 from .coordinates import rate_twist
-from .residuals import add_multipliers
-from .trees import add_wrench, momentum
+from .residuals import add_multipliers, add_own_forces
+from .trees import pass_on
 
 
 @kernel
@@ -54,36 +54,26 @@ def _accelerate(model, work, rates):
 
 @subroutine
 def inverse_dynamics(model, work, rates, force_out):
-    """Forces f of all freedoms, N m or N, that are missing for their accelerations.
+    """Forces that the freedoms lack for given accelerations: M qddot + bias + J^T lambda - S^T W.
 
-    rates     : (f, ...) qddot, rad/s^2 or m/s^2
-    force_out : (f, ...) M qddot + bias + J^T lambda - S^T W; zero if the equations of motion hold
+    rates     : (f,) qddot, rad/s^2 or m/s^2; longer arrays are allowed
+    force_out : (f,) N m or N; zero if the equations of motion hold
     Uses kinematics, work.applied and work.multipliers of the stage; overwrites work.velocity, moved
-    and force.
+    and force. Accuracy: test/core/test_inverse_dynamics.py.
     """
     _accelerate(model, work, rates)
     for b in range(len(model.bodies)):
         for c in range(6):
             work.force[b, c] = 0.0
     add_multipliers(model, work)
+    add_own_forces(model, work)
     for b in range(len(model.bodies) - 1, -1, -1):
         link = model.bodies[b]
-        w, v = load3(work.velocities, b, 0), load3(work.velocities, b, 3)
-        angular, linear = momentum(link, w, v)
-        torque, force = add3(cross3(w, angular), cross3(v, linear)), cross3(w, linear)
-        angular, linear = momentum(link, load3(work.moved, b, 0), load3(work.moved, b, 3))
-        torque = sub3(add3(torque, angular), load3(work.applied, b, 0))
-        force = sub3(add3(force, linear), load3(work.applied, b, 3))
-        torque = add3(torque, load3(work.force, b, 0))
-        force = add3(force, load3(work.force, b, 3))
-        store3(torque, work.force, b, 0)
-        store3(force, work.force, b, 3)
         group, first, a = link["group"], link["freedom"], link["parent"]
         for k in range(link["freedoms"]):
             force_out[first + k] = work.force[b, _component(group, k)]
         if group == SCREW:
-            force_out[first] += link["pitch"] * force[2]
+            force_out[first] += link["pitch"] * work.force[b, 5]
         if a != WORLD:
-            rot, p = load9(work.relative, b, 0), load3(work.relative, b, 9)
-            add_wrench(torque, force, rot, p, work.force, a)
+            pass_on(work, b, work.force, b, a)
     return 0

@@ -10,7 +10,7 @@ from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.vec3 import load3, store3
 
 from .arrays import HINGE, SLIDE
-from .plane_residuals import add_multipliers
+from .plane_residuals import add_multipliers, add_own_forces
 
 
 @kernel
@@ -43,14 +43,11 @@ def inverse_dynamics(model, work, rates, force_out):
     for b in range(len(model.links)):
         store3((0.0, 0.0, 0.0), force, b, 0)
     add_multipliers(model, work)
+    add_own_forces(model, work)
     for b in range(len(model.links) - 1, -1, -1):
         link = model.links[b]
         group, f, a, row = link["group"], link["freedom"], link["parent"], n + b
-        mass, mx, my = link["mass"], link["moment_x"], link["moment_y"]
-        w, x, y = load3(work.moved, b, 0)
-        torque = force[b, 0] + (work.applied[b, 0] + (link["inertia"] * w + (mx * y - my * x)))
-        fx = force[b, 1] + (work.applied[b, 1] + (mass * x - my * w))
-        fy = force[b, 2] + (work.applied[b, 2] + (mass * y + mx * w))
+        torque, fx, fy = load3(force, b, 0)
         if group == HINGE:
             force_out[f] = torque
         elif group == SLIDE:

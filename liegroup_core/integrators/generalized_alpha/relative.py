@@ -21,9 +21,9 @@ from liegroup_core.formulations.relative.kinds import (
     place_links,
     set_rows,
 )
-from liegroup_core.integrators import links
-from liegroup_core.integrators.links import enter as enter
-from liegroup_core.integrators.links import leave as leave
+from liegroup_core.integrators import link_state
+from liegroup_core.integrators.link_state import enter as enter
+from liegroup_core.integrators.link_state import leave as leave
 from liegroup_core.integrators.motion import is_finite, rotation_status
 from liegroup_core.status import NOT_FINITE, OK, TURNS_NOT_COUNTED
 
@@ -44,7 +44,7 @@ def begin(model, work, memory, group, pose, twist):
 def initialise(model, work, memory, group, pose, twist, external):
     """qddot and lambda from the index-1 equations, to memory.x; returns -1 or a dependent element."""
     set_size(model.space, memory, pose)
-    links.begin(model, work, group, pose, twist)
+    link_state.begin(model, work, group, pose, twist)
     dependent = accelerations(model, work, external)
     if dependent >= 0:
         return model.owners[dependent]
@@ -104,7 +104,7 @@ def finish(model, work, memory, h):
     """Check and normalise the end of the step, place the bodies, unwrap angles. Returns a status."""
     for b in range(len(model.bodies)):
         normalise(model, b, work.stage_pose)
-    links.place(model, work, work.stage_pose, work.stage_twist)
+    link_state.place(model, work, work.stage_pose, work.stage_twist)
     if not is_finite(work.stage_pose, work.stage_twist):
         return NOT_FINITE
     fast = forces.too_fast(model.space.forces, h, work.stage_pose, work.stage_twist)

@@ -13,10 +13,10 @@ from liegroup_core.formulations.relative.arrays import BALL, PLANE
 from liegroup_core.formulations.relative.dynamics import accelerations
 from liegroup_core.formulations.relative.kinds import displace, normalise
 from liegroup_core.formulations.relative.loops import project
-from liegroup_core.integrators.links import begin as begin
-from liegroup_core.integrators.links import enter as enter
-from liegroup_core.integrators.links import leave as leave
-from liegroup_core.integrators.links import place
+from liegroup_core.integrators.link_state import begin as begin
+from liegroup_core.integrators.link_state import enter as enter
+from liegroup_core.integrators.link_state import leave as leave
+from liegroup_core.integrators.link_state import place
 from liegroup_core.integrators.methods import EXACT
 from liegroup_core.integrators.motion import is_finite
 from liegroup_core.lie.coefficients import dexpinv_coefficients, truncated_dexpinv_coefficients
