@@ -30,7 +30,7 @@ PYTEST = PYTHONSAFEPATH=1 .venv/bin/python -m pytest -n 2 --dist loadfile
 test: .venv/installed ## run all tests against the installed package (about 6 min on two cores)
 	@$(PYTEST) -m "not compiler" $(ARGS)
 
-plain: .venv/installed ## run the tests of the plain compilation of every method family (about 3 min)
+plain: .venv/installed ## run the tests of the plain compilation of every method family (about 5 min)
 	@$(PYTEST) -m compiler --dist load test/core/test_plain_numba.py
 
 quick: .venv/installed ## run the quick tests of the core (below 60 s once the kernels are compiled)

@@ -28,7 +28,9 @@ FAMILIES = {
     "SE(3)^n": ("free_body", "rkmk4"),
     "relative coordinates in space": ("heavy_top", "rkmk4"),
     "relative coordinates in a plane": ("four_bar", "rkmk4"),
-    "generalized_alpha": ("four_bar", "generalized_alpha"),
+    "generalized_alpha on SE(3)^n": ("free_body", "generalized_alpha"),
+    "generalized_alpha in relative coordinates in space": ("heavy_top", "generalized_alpha"),
+    "generalized_alpha in relative coordinates in a plane": ("four_bar", "generalized_alpha"),
     "constrained_rattle": ("four_bar", "constrained_rattle"),
     "rotation methods": ("lagrangian_top", "rattle"),
 }

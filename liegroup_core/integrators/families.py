@@ -14,7 +14,7 @@ and with error control
     tighten(part)    multiply the tolerances of the options by `part`
 """
 
-from liegroup_core.formulations.relative.cost import is_cheaper
+from liegroup_core.formulations.relative.cost import has_fewer_unknowns, is_cheaper
 from liegroup_core.integrators.generalized_alpha.generalized_alpha import GeneralizedAlpha
 from liegroup_core.integrators.rattle.rattle import Constrained
 from liegroup_core.integrators.rkmk.munthe_kaas import MuntheKaas
@@ -30,6 +30,7 @@ FAMILIES = {
     "constrained": Constrained,
 }
 NOT_ON_SE3 = ("rotation", "constrained")  # families with a group of their own
+ON_JOINTS = ("rkmk", "generalized_alpha")  # families that support relative coordinates
 
 
 def check_options(method, options):
@@ -52,10 +53,10 @@ def check_group(method, group):
             f"unknown group {group!r}; choose one of: auto, {', '.join(CONFIGURATION_GROUPS)}"
         )
     family = METHODS[method].family
-    if group == RELATIVE and family != "rkmk":
+    if group == RELATIVE and family not in ON_JOINTS:
         raise ValueError(
             f"method {method} does not support group 'relative': choose a Munthe-Kaas method, "
-            "rkmk..., or another group"
+            "rkmk..., generalized_alpha, or another group"
         )
     if family in NOT_ON_SE3 and group not in ("auto", "so3xr3"):
         raise ValueError(
@@ -71,17 +72,18 @@ def choose_group(method, group, options, layout):
         return group
     if family in NOT_ON_SE3:
         return "so3xr3"
-    if family == "rkmk" and layout.lack_of_inertia:
+    if layout.lack_of_inertia:
         return RELATIVE
-    if family != "rkmk" or options["space"] == "space":
+    if options["space"] == "space":
         return "se3"
-    return RELATIVE if is_cheaper(layout.relative) else "se3"
+    better = is_cheaper if family == "rkmk" else has_fewer_unknowns
+    return RELATIVE if better(layout.relative) else "se3"
 
 
 def misfit(method, layout):
     """Reason why a method cannot integrate a scene (layout.Layout) in any group, or ""."""
     family = METHODS[method].family
-    if family != "rkmk" and layout.lack_of_inertia:
+    if family not in ON_JOINTS and layout.lack_of_inertia:
         return layout.lack_of_inertia
     return rotation_misfit(layout) if family == "rotation" else ""
 
@@ -100,8 +102,8 @@ def make_integrator(method, layout, group, step, options):
     if layout.lack_of_inertia and group != RELATIVE:
         raise ValueError(
             f"method {method} in group {group!r} needs inertia about all axes, but "
-            f"{layout.lack_of_inertia}: use a Munthe-Kaas method, rkmk..., with group "
-            "'relative', or give it inertia"
+            f"{layout.lack_of_inertia}: use a Munthe-Kaas method, rkmk..., or generalized_alpha "
+            "with group 'relative', or give it inertia"
         )
     reason = misfit(method, layout)
     if reason:

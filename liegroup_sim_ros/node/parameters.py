@@ -105,8 +105,8 @@ TABLE = (
         "group",
         "auto",
         "configuration space: SE(3) or SO(3) x R^3 for every body, or relative, the product of the "
-        "joints' motion groups; auto: the cheaper one of relative and SE(3) for rkmk methods and with "
-        "an accuracy, else SE(3), or SO(3) x R^3 for methods that require it",
+        "joints' motion groups; auto: the cheaper one of relative and SE(3) for rkmk methods, "
+        "generalized_alpha and with an accuracy, else SO(3) x R^3",
         choices=("auto", *CONFIGURATION_GROUPS),
     ),
     Entry(

@@ -16,8 +16,8 @@ import pytest
 from scipy.integrate import RK45
 
 from liegroup_core import Simulation, SimulationError, load_scene
-from liegroup_core.integrators.families import FAMILIES, NOT_ON_SE3, check_options
-from liegroup_core.integrators.methods import METHODS
+from liegroup_core.integrators.families import FAMILIES, NOT_ON_SE3, ON_JOINTS, check_options
+from liegroup_core.integrators.methods import CONFIGURATION_GROUPS, METHODS, RELATIVE
 from liegroup_core.integrators.rkmk import spatial
 from liegroup_core.status import (
     DEPENDENT_ROWS,
@@ -36,8 +36,9 @@ CONTROLLED = [name for name, method in METHODS.items() if method.controlled]
 ON_GROUPS = [
     (name, group)
     for name, method in METHODS.items()
-    for group in ("se3", "so3xr3")
-    if group == "so3xr3" or method.family not in NOT_ON_SE3
+    for group in CONFIGURATION_GROUPS
+    if group == "so3xr3"
+    or (method.family in ON_JOINTS if group == RELATIVE else method.family not in NOT_ON_SE3)
 ]
 UNIT = 2.0**-53
 

@@ -16,7 +16,7 @@ from liegroup_core import SceneError, Simulation
 from liegroup_core.describe import describe
 from liegroup_core.engine import Engine
 from liegroup_core.errors import SimulationError
-from liegroup_core.integrators.families import fitting_methods
+from liegroup_core.integrators.families import ON_JOINTS, fitting_methods
 from liegroup_core.integrators.methods import METHODS
 from liegroup_core.layout import make_layout
 from liegroup_core.reference.trajectory import Reference
@@ -327,7 +327,7 @@ def test_a_freedom_with_some_inertia_is_accepted(bodies, joints):
     [
         {"method": "rkmk4", "group": "se3"},
         {"method": "rkmk4", "group": "so3xr3"},
-        {"method": "generalized_alpha"},
+        {"method": "generalized_alpha", "group": "se3"},
         {"method": "constrained_rattle"},
         {"method": "lie_midpoint"},
     ],
@@ -337,14 +337,14 @@ def test_methods_that_need_inertia_refuse_in_one_line(settings):
         Simulation(pendulum(), **settings)
     assert str(caught.value).endswith(
         'needs inertia about all axes, but bodies[0] "bob" has no inertia about any axis: use a '
-        "Munthe-Kaas method, rkmk..., with group 'relative', or give it inertia"
+        "Munthe-Kaas method, rkmk..., or generalized_alpha with group 'relative', or give it inertia"
     )
     assert str(caught.value).startswith(f"method {settings['method']} in group ")
 
 
 def test_lists_of_methods_are_those_that_can_integrate_it():
     layout = make_layout(spinning_rod(0))
-    methods = [name for name in METHODS if METHODS[name].family == "rkmk"]
+    methods = [name for name in METHODS if METHODS[name].family in ON_JOINTS]
     assert fitting_methods(layout) == methods
     assert {ladder.group for ladder in ladders(layout)} == {"relative"}
     facts = describe(make_layout(pendulum()))
@@ -377,6 +377,17 @@ def test_a_simulation_to_an_accuracy_with_its_estimate():
     y = solve_ivp(slope, (0, 2), [*ANGLES, 0, 0], method="DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
     error = np.abs(simulation.sample().positions["b"] - points(*y[:2])[1]).max()
     assert error < 1e-8 and 0.0 < simulation.largest_error < 1e-8 and simulation.doubt is None
+
+
+def test_generalized_alpha_has_order_two_without_inertia():
+    y = solve_ivp(slope, (0, 1), [*ANGLES, 0, 0], method="DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+    counts, found = (128, 256, 512), []
+    for count in counts:
+        engine = Engine(double_pendulum(0), "generalized_alpha", 1 / count)
+        engine.advance(count)
+        found.append(np.abs(engine.sample().positions["b"] - points(*y[:2])[1]).max())
+    assert engine.group == "relative"
+    assert -np.polyfit(np.log(counts), np.log(found), 1)[0] == pytest.approx(2.0, abs=0.2)
 
 
 def test_a_body_that_is_fixed_to_the_world_stays():

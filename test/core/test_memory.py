@@ -42,7 +42,8 @@ def test_a_run_continued_from_a_saved_state_is_bit_identical(method):
     assert bits(run(scene, method, END, (*state, saved.memory()))) == expected
     if saved.memory():
         without = run(scene, method, END, state)
-        if saved.group == "relative" and not METHODS[method].controlled:
+        entry = METHODS[method]
+        if saved.group == "relative" and entry.family == "rkmk" and not entry.controlled:
             # Relative coordinates are found again from the poses, to their round-off.
             for mine, kept in zip(without.state(), run(scene, method, END).state()):
                 assert np.abs(mine - kept).max() <= 1e-13 * np.abs(kept).max()

@@ -32,6 +32,7 @@ CASES = [
     pytest.param(["heavy_top", "ball_chain"], "rkmk4", marks=LONG),
     pytest.param(["four_bar"], "rkmk54", marks=LONG),
     pytest.param(["double_pendulum"], "generalized_alpha", marks=LONG),
+    pytest.param(["heavy_top", "free_body"], "generalized_alpha", marks=LONG),
     pytest.param(["double_pendulum"], "constrained_rattle", marks=LONG),
 ]
 

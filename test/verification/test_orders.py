@@ -34,8 +34,13 @@ from liegroup_core.scene.description import (
 GROUPS = ("se3", "so3xr3")
 
 
+ALL_GROUPS = (*GROUPS, "relative")
+
+
 def groups(method):
-    return GROUPS if METHODS[method].family not in NOT_ON_SE3 else ("so3xr3",)
+    if METHODS[method].family in NOT_ON_SE3:
+        return ("so3xr3",)
+    return ALL_GROUPS if METHODS[method].family == "generalized_alpha" else GROUPS
 
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
@@ -375,7 +380,7 @@ def options(method):
     return {"rtol": 1e9, "atol": 1e9} if METHODS[method].controlled else {}
 
 
-def test_every_method_is_covered_on_both_groups_and_between_bodies():
+def test_every_method_is_covered_on_its_groups_and_between_bodies():
     for method in METHODS:
         if METHODS[method].family == "rotation":
             continue  # test_rotation.py
@@ -470,7 +475,7 @@ def test_error_follows_the_tolerance(references, problem, group):
     assert found[-1] < 1e-5
 
 
-@pytest.mark.parametrize("group", GROUPS)
+@pytest.mark.parametrize("group", ALL_GROUPS)
 @pytest.mark.parametrize("rho_inf", [0.0, 0.5, 1.0])
 def test_generalized_alpha_has_order_two_for_every_damping(references, group, rho_inf):
     scene, attitudes = references["double pendulum"]
@@ -488,7 +493,7 @@ def test_generalized_alpha_has_order_two_for_every_damping(references, group, rh
 
 
 @pytest.mark.parametrize("name", mechanisms.MECHANISMS)
-@pytest.mark.parametrize("group", GROUPS)
+@pytest.mark.parametrize("group", ALL_GROUPS)
 def test_generalized_alpha_satisfies_all_constraints(name, group):
     """Position level, trees and loops. Tolerance: Newton ends at about ten pose round-offs."""
     simulation = Simulation(
@@ -499,7 +504,7 @@ def test_generalized_alpha_satisfies_all_constraints(name, group):
         assert simulation.sample().constraint_residual <= 1e-12
 
 
-@pytest.mark.parametrize("group", GROUPS)
+@pytest.mark.parametrize("group", ALL_GROUPS)
 def test_generalized_alpha_has_order_two_where_rkmk4_is_unstable(rod, group):
     """Steps of 3 to 27 rad of the rod's vibration; RKMK4 is stable up to 2.8 rad."""
     scene, attitudes = rod
@@ -514,7 +519,7 @@ def test_generalized_alpha_has_order_two_where_rkmk4_is_unstable(rod, group):
     assert errors(scene, attitudes, 1, [8192], method="rkmk4", group=group)[0] < 1e-6
 
 
-@pytest.mark.parametrize("group", GROUPS)
+@pytest.mark.parametrize("group", ALL_GROUPS)
 def test_generalized_alpha_unwraps_angles_and_restarts_at_wrench_changes(group):
     """A wheel winds a torsional spring by 4 turns; a torque acts from 0.3 s to 0.9 s, within steps.
 
@@ -547,7 +552,7 @@ def test_generalized_alpha_unwraps_angles_and_restarts_at_wrench_changes(group):
     assert found[-1] < 1e-3
 
 
-@pytest.mark.parametrize("group", GROUPS)
+@pytest.mark.parametrize("group", ALL_GROUPS)
 def test_generalized_alpha_has_order_two_with_wrench_changes_at_every_step(references, group):
     """The method restarts at each change. Reference: rkmk4 with 16 steps per step."""
     scene, _ = references["double pendulum"]

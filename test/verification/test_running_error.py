@@ -17,6 +17,8 @@ CASES = [
     ("heavy_top", "rkmk8", 2e-2, "none"),
     ("heavy_top", "rkmk54", 2e-2, "none"),
     ("heavy_top", "generalized_alpha", 1e-3, "none"),
+    ("four_bar", "generalized_alpha", 2e-4, "none"),
+    ("double_pendulum", "generalized_alpha", 1e-3, "none"),
     ("heavy_top", "constrained_rattle", 1e-3, "none"),
     ("four_bar", "rkmk4", 5e-4, "projection"),
     ("four_bar", "rkmk2", 1e-4, "baumgarte"),

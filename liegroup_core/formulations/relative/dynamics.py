@@ -26,7 +26,7 @@ REFINEMENTS_WHEN_SINGULAR = 4
 
 
 @kernel
-def _apply(model, work, external):
+def apply_forces(model, work, external):
     """Apply external wrenches and forces to the links.
 
     external : (n, 16) external wrenches, see forces/external.py
@@ -83,7 +83,7 @@ def accelerations(model, work, external):
     if applied or len(model.joints) > 0:
         place_links(model, work)
     if applied:
-        _apply(model, work, external)
+        apply_forces(model, work, external)
     gather(model, work)
     refinements = model.refinements
     if len(model.joints) > 0:

@@ -4,7 +4,17 @@
 from liegroup_core.compiling import Choice
 
 from . import coordinates as space_coordinates
-from . import plane_coordinates, plane_residuals, plane_rows, plane_trees, residuals, rows, trees
+from . import inverse_dynamics as space_inverse_dynamics
+from . import (
+    plane_coordinates,
+    plane_inverse_dynamics,
+    plane_residuals,
+    plane_rows,
+    plane_trees,
+    residuals,
+    rows,
+    trees,
+)
 from .arrays import PlaneModel, RelativeModel
 
 
@@ -30,3 +40,4 @@ add_multipliers, gather_residual, set_free_residual, set_residual = (
     _of(name, residuals, plane_residuals)
     for name in ("add_multipliers", "gather_residual", "set_free_residual", "set_residual")
 )
+inverse_dynamics = _of("inverse_dynamics", space_inverse_dynamics, plane_inverse_dynamics)

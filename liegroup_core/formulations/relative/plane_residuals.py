@@ -21,13 +21,10 @@ def add_multipliers(model, work):
                     work.force[a, c] += work.multipliers[r] * work.parent_jacobian[r, 2 + c]
 
 
-@subroutine
-def gather_residual(model, work):
-    """u of all freedoms for what work.moved leaves of the equations of motion.
-
-    work.force : J^T lambda of the cut joints (L, 3); overwritten
-    """
-    force, U, n = work.force, work.freedoms, len(model.parts)
+@kernel
+def add_own_forces(model, work):
+    """Add the wrench that every single link lacks for its acceleration E to work.force."""
+    force = work.force
     for b in range(len(model.links)):
         link = model.links[b]
         mass, mx, my = link["mass"], link["moment_x"], link["moment_y"]
@@ -35,6 +32,16 @@ def gather_residual(model, work):
         force[b, 0] += work.applied[b, 0] + (link["inertia"] * w + (mx * y - my * x))
         force[b, 1] += work.applied[b, 1] + (mass * x - my * w)
         force[b, 2] += work.applied[b, 2] + (mass * y + mx * w)
+
+
+@subroutine
+def gather_residual(model, work):
+    """u of all freedoms for what work.moved leaves of the equations of motion.
+
+    work.force : J^T lambda of the cut joints (L, 3); overwritten
+    """
+    add_own_forces(model, work)
+    force, U, n = work.force, work.freedoms, len(model.parts)
     for b in range(len(model.links) - 1, -1, -1):
         link = model.links[b]
         group, f, a, row = link["group"], link["freedom"], link["parent"], n + b

@@ -26,13 +26,12 @@ def eliminate(work, f, axis, pitch, wrenches, row):
     return y
 
 
-@subroutine
-def gather_residual(model, work):
-    """u of all freedoms for what the accelerations in work.moved leave of the equations of motion.
+@kernel
+def add_own_forces(model, work):
+    """Add the wrench that every single link lacks for its acceleration in work.moved to work.force.
 
     Own inertias and accelerations of links are small numbers where articulated inertias are sums of
     very different ones: the residual has the digits that a solve with those loses.
-    work.force : J^T lambda of the cut joints (L, 6); overwritten
     """
     for b in range(len(model.bodies)):
         link = model.bodies[b]
@@ -44,6 +43,15 @@ def gather_residual(model, work):
         for c in range(3):
             work.force[b, c] += torque[c] - work.applied[b, c]
             work.force[b, 3 + c] += force[c] - work.applied[b, 3 + c]
+
+
+@subroutine
+def gather_residual(model, work):
+    """u of all freedoms for what the accelerations in work.moved leave of the equations of motion.
+
+    work.force : J^T lambda of the cut joints (L, 6); overwritten
+    """
+    add_own_forces(model, work)
     for b in range(len(model.bodies) - 1, -1, -1):
         link = model.bodies[b]
         for k in range(link["freedom"], link["freedom"] + link["freedoms"]):

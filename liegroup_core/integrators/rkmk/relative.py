@@ -11,17 +11,14 @@ from liegroup_core.compiling import kernel
 from liegroup_core.forces import kinds
 from liegroup_core.formulations.relative.arrays import BALL, PLANE
 from liegroup_core.formulations.relative.dynamics import accelerations
-from liegroup_core.formulations.relative.kinds import (
-    coordinates,
-    displace,
-    move_links,
-    normalise,
-    place_bodies,
-    place_links,
-)
+from liegroup_core.formulations.relative.kinds import displace, normalise
 from liegroup_core.formulations.relative.loops import project
+from liegroup_core.integrators.link_state import begin as begin
+from liegroup_core.integrators.link_state import enter as enter
+from liegroup_core.integrators.link_state import leave as leave
+from liegroup_core.integrators.link_state import place
 from liegroup_core.integrators.methods import EXACT
-from liegroup_core.integrators.motion import copy_state, is_finite
+from liegroup_core.integrators.motion import is_finite
 from liegroup_core.lie.coefficients import dexpinv_coefficients, truncated_dexpinv_coefficients
 from liegroup_core.lie.se3 import se3_dexpinv_of
 from liegroup_core.lie.so3 import so3_dexpinv_of
@@ -35,43 +32,6 @@ from liegroup_core.status import (
 )
 
 from .relative_errors import error_square as error_square
-
-
-@kernel
-def enter(model, work, pose, twist, external):
-    """Continue from the coordinates of the last call, or find them from a state that was set."""
-    copy_state(pose, twist, work.pose, work.twist)
-    if work.known[0] == 0.0:
-        coordinates(model, work, work.pose, work.twist)
-        work.known[0] = 1.0
-        # Bodies that are welded to the world are never placed.
-        copy_state(work.pose, work.twist, work.stage_pose, work.stage_twist)
-        copy_state(pose, twist, work.space.stage_pose, work.space.stage_twist)
-    total = 0.0
-    for i in range(len(external)):
-        for c in range(12):
-            total += abs(external[i, c])
-    work.pushed[0] = total
-    return work.pose, work.twist, external, OK
-
-
-@kernel
-def leave(model, work, pose, twist, pose_out, twist_out):
-    """Write poses and twists of the bodies to the caller's arrays."""
-    begin(model, work, 0, pose, twist)
-    _place(model, work, pose_out, twist_out)
-
-
-@kernel
-def begin(model, work, group, pose, twist):
-    """Set stage 0 to the state."""
-    n = len(model.parts)
-    for b in range(len(model.bodies)):
-        for k in range(12):
-            work.stage_pose[n + b, k] = pose[n + b, k]
-        for k in range(6):
-            work.velocity[b, k] = twist[n + b, k]
-            work.stage_twist[n + b, k] = twist[n + b, k]
 
 
 @kernel
@@ -112,16 +72,8 @@ def move(model, work, scheme, group, h, stage, end, pose):
         return ROTATION_TOO_LARGE if largest < math.inf else NOT_FINITE
     work.report[1] = max(work.report[1], largest)
     if end and (len(scheme.error) > 0 or len(work.angle) > 0):
-        _place(model, work, work.stage_pose, work.stage_twist)
+        place(model, work, work.stage_pose, work.stage_twist)
     return OK
-
-
-@kernel
-def _place(model, work, pose_out, twist_out):
-    """Poses and twists of the bodies, from the links at the stage."""
-    move_links(model, work)
-    place_links(model, work)
-    place_bodies(model, work, pose_out, twist_out)
 
 
 @kernel
@@ -201,7 +153,7 @@ def close(model, work):
     """Project the end of a step onto the cut joints. Returns a status."""
     status = project(model, work)
     if status == OK and len(work.angle) > 0:
-        _place(model, work, work.stage_pose, work.stage_twist)
+        place(model, work, work.stage_pose, work.stage_twist)
     return status
 
 

@@ -9,7 +9,7 @@ import math
 from fractions import Fraction
 from typing import NamedTuple
 
-from liegroup_core.integrators.families import NOT_ON_SE3, fitting_methods
+from liegroup_core.integrators.families import NOT_ON_SE3, ON_JOINTS, fitting_methods
 from liegroup_core.integrators.methods import CONFIGURATION_GROUPS, METHODS, RELATIVE
 
 STABILISATIONS = ("none", "projection")
@@ -99,7 +99,7 @@ def _groups(family, layout, groups):
         return (RELATIVE,)
     if groups is None:
         groups = CONFIGURATION_GROUPS
-    return [group for group in groups if group != RELATIVE or family == "rkmk"]
+    return [group for group in groups if group != RELATIVE or family in ON_JOINTS]
 
 
 def steps(horizon):

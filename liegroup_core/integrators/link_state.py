@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""State in relative coordinates, for all integrators: from the caller's arrays, and back to them.
+
+The coordinates and rates of the links are the state; the bodies follow from them. See
+formulations/relative/coordinates.py.
+"""
+
+from liegroup_core.compiling import kernel
+from liegroup_core.formulations.relative.kinds import (
+    coordinates,
+    move_links,
+    place_bodies,
+    place_links,
+)
+from liegroup_core.status import OK
+
+from .motion import copy_state
+
+
+@kernel
+def enter(model, work, pose, twist, external):
+    """Continue from the coordinates of the last call, or find them from a state that was set."""
+    copy_state(pose, twist, work.pose, work.twist)
+    if work.known[0] == 0.0:
+        coordinates(model, work, work.pose, work.twist)
+        work.known[0] = 1.0
+        # Bodies that are welded to the world are never placed.
+        copy_state(work.pose, work.twist, work.stage_pose, work.stage_twist)
+        copy_state(pose, twist, work.space.stage_pose, work.space.stage_twist)
+    total = 0.0
+    for i in range(len(external)):
+        for c in range(12):
+            total += abs(external[i, c])
+    work.pushed[0] = total
+    return work.pose, work.twist, external, OK
+
+
+@kernel
+def leave(model, work, pose, twist, pose_out, twist_out):
+    """Write poses and twists of the bodies to the caller's arrays."""
+    begin(model, work, 0, pose, twist)
+    place(model, work, pose_out, twist_out)
+
+
+@kernel
+def begin(model, work, group, pose, twist):
+    """Set stage 0 to the state."""
+    n = len(model.parts)
+    for b in range(len(model.bodies)):
+        for k in range(12):
+            work.stage_pose[n + b, k] = pose[n + b, k]
+        for k in range(6):
+            work.velocity[b, k] = twist[n + b, k]
+            work.stage_twist[n + b, k] = twist[n + b, k]
+
+
+@kernel
+def place(model, work, pose_out, twist_out):
+    """Poses and twists of the bodies, from the links at the stage."""
+    move_links(model, work)
+    place_links(model, work)
+    place_bodies(model, work, pose_out, twist_out)
