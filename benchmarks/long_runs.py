@@ -24,16 +24,17 @@ from timing import seconds_of_step
 from liegroup_core import SimulationError, load_scene
 from liegroup_core.engine import Engine
 
-SCENES = {"double_pendulum": 1e-3, "four_bar": 1e-3}  # step of constrained_rattle, s
+SCENES = {"double_pendulum": 1e-3, "four_bar": 1e-3, "bricard": 1e-3}  # step of constrained_rattle, s
 METHODS = (
     ("constrained_rattle", {}),
     ("constrained_rattle4", {}),
     ("constrained_rattle8", {}),
     ("rkmk4", {}),
     ("rkmk4", {"stabilisation": "projection"}),
-    ("rkmk4", {"space": "space"}),
+    ("rkmk4", {"group": "se3"}),
     ("rkmk8", {}),
-    ("rkmk8", {"space": "space"}),
+    ("rkmk8", {"stabilisation": "projection"}),
+    ("rkmk8", {"group": "se3"}),
 )
 SAMPLES, BLOCKS = 2000, 10
 
