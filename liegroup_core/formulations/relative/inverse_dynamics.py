@@ -17,20 +17,10 @@ from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.se3 import se3_Ad_inverse
 from liegroup_core.lie.vec3 import ZERO3, add3, load3, load9, store3
 
-from .arrays import BALL, CYLINDER, PLANE, SCREW, SLIDE
+from .arrays import SCREW
 from .coordinates import rate_twist
 from .residuals import add_multipliers, add_own_forces
 from .trees import pass_on
-
-
-@kernel
-def _component(group, k):
-    """Component of a twist that the k-th freedom of a link is."""
-    if group >= BALL:
-        return k
-    if group == SLIDE or (group == CYLINDER and k == 1):
-        return 5
-    return 2 + k if group == PLANE else 2
 
 
 @kernel
@@ -69,10 +59,10 @@ def inverse_dynamics(model, work, rates, force_out):
     add_own_forces(model, work)
     for b in range(len(model.bodies) - 1, -1, -1):
         link = model.bodies[b]
-        group, first, a = link["group"], link["freedom"], link["parent"]
-        for k in range(link["freedoms"]):
-            force_out[first + k] = work.force[b, _component(group, k)]
-        if group == SCREW:
+        first, a = link["freedom"], link["parent"]
+        for k in range(first, first + link["freedoms"]):
+            force_out[model.order[k, 0]] = work.force[b, model.order[k, 1]]
+        if link["group"] == SCREW:
             force_out[first] += link["pitch"] * work.force[b, 5]
         if a != WORLD:
             pass_on(work, b, work.force, b, a)
