@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A robot's URDF file in a running node: what RViz and robot_state_publisher take from it."""
+
+import numpy as np
+import pytest
+from node_process import COMPILING, NodeProcess
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from robot_texts import ARM_SDF, ARM_URDF
+from rosbags.typesys import Stores, get_typestore
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+from liegroup_core import Simulation, load_scene
+from liegroup_core.robots.read import read_robot
+from liegroup_sim_ros.messages.description import robot_description
+from liegroup_sim_ros.messages.samples import transforms
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def test_a_node_serves_a_urdf_file_to_rviz(client, tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text(ARM_URDF)
+    parameters = {"scene": path, "joint_state_rate": 100.0, "record": tmp_path / "a.mcap"}
+    with NodeProcess(parameters, remap=["__node:=arm"]):
+        states = client.listen("/arm/joint_states", JointState)
+        client.until(lambda: states, COMPILING, "joint states")
+        # A late subscriber still gets the description.
+        texts = client.listen("/arm/robot_description", String, LATCHED)
+        client.until(lambda: texts, 10.0, "the description")
+    assert texts[0].data == ARM_URDF
+    assert states[-1].name == ["shoulder", "extend", "tip_joint"]
+    assert states[-1].position[2] == 0.0 and abs(states[-1].velocity[0]) > 0.0
+
+
+def test_tf_has_the_frames_of_all_links(tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text(ARM_URDF)
+    simulation = Simulation(load_scene(path), "rkmk4", 1e-3)
+    simulation.advance(100)
+    sample = simulation.sample()
+    ((_, message_type, encode),) = transforms(simulation.layout, "world", "a/")
+    store = get_typestore(Stores.ROS2_JAZZY)
+    message = store.deserialize_cdr(encode(5_000_000_000, sample), message_type)
+    found = {}
+    for each in message.transforms:
+        t = each.transform.translation
+        found[each.child_frame_id] = np.array([t.x, t.y, t.z])
+        assert each.header.frame_id == "world" and each.header.stamp.sec == 5
+    assert set(found) == {"a/base", "a/upper", "a/slide", "a/tool", "a/tip"}
+    slide = sample.poses["slide"]
+    assert found["a/tool"] == pytest.approx((slide @ (0, 0.1, 0, 1))[:3], abs=1e-14)
+    assert found["a/upper"] == pytest.approx(sample.positions["upper"], abs=1e-14)
+    assert not found["a/base"].any()
+
+
+@pytest.mark.parametrize("kind", ["sdf", "yaml"])
+def test_other_scenes_get_a_urdf_of_their_bodies(kind, tmp_path):
+    path = tmp_path / "arm.sdf"
+    path.write_text(ARM_SDF.replace("</link>", VISUAL + "</link>", 1))
+    scene = load_scene(path if kind == "sdf" else "four_bar")
+    written = tmp_path / "generated.urdf"
+    written.write_text(robot_description(scene))
+    again = read_robot(written)  # a URDF with one root, every link once
+    assert again.roots == ["world"]
+    assert {joint.type for joint in again.joints} == {"floating"}
+    links = {"upper", "slide", "tool"} if kind == "sdf" else {body.name for body in scene.bodies}
+    shapes = {name: link.visuals for name, link in again.links.items()}
+    assert set(shapes) == links | {"world"}
+    if kind == "sdf":
+        (box,) = shapes["upper"]
+        assert box.kind == "box" and box.size == pytest.approx((0.2, 0.1, 0.3))
+        assert box.pose[:3, 3] == pytest.approx((0.1, 0, 0))
+    else:
+        assert all(len(shapes[name]) == 1 for name in links)
+
+
+VISUAL = """<visual name="v"><pose>0.1 0 0 0 0.5 0</pose>
+<geometry><box><size>0.2 0.1 0.3</size></box></geometry></visual>"""
