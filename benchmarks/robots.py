@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Robots of public packages: which load, and their accelerations against Pinocchio and MuJoCo.
 
-    python benchmarks/robots.py [--states 100] [--json FILE] [WORD ...]
+    python benchmarks/robots.py [--states 100] [--motion] [--json FILE] [WORD ...]
 
 Loads every URDF and SDF of example-robot-data and every MJCF of mujoco and dm_control, or those whose
 path contains one of the words. Prints a table: bodies, degrees of freedom, joints that close loops,
@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from liegroup_core import SceneError, load_scene
+from liegroup_core import SceneError, SimulationError, load_scene
 from liegroup_core.engine import Engine
 from liegroup_core.integrators.rkmk import spaces
 from liegroup_core.layout import make_layout
@@ -147,34 +147,74 @@ def against_mujoco(path, scene, states):
     data = mujoco.MjData(model)
     rng, solve, worst = np.random.default_rng(7), Accelerations(scene), 0.0
     real = _bodies_of(model, scene)
-    held = {joint.child: joint for joint in scene.joints}
     for _ in range(states):
         data.qpos[:] = model.qpos0
         mujoco.mj_integratePos(model, data.qpos, rng.uniform(-1.0, 1.0, model.nv), 1.0)
         data.qvel[:] = rng.uniform(-1.0, 1.0, model.nv)
         mujoco.mj_forward(model, data)
-        mujoco.mj_rnePostConstraint(model, data)
-        poses, twists, theirs = {"world": np.eye(4)}, {"world": np.zeros(6)}, {}
-        for body in _parents_first(scene, held):
-            name = body.name
-            if name in real:
-                i, V, A = real[name], np.zeros(6), np.zeros(6)
-                pose = np.eye(4)
-                pose[:3, :3], pose[:3, 3] = data.xmat[i].reshape(3, 3), data.xpos[i]
-                mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, i, V, 1)
-                mujoco.mj_objectAcceleration(model, data, mujoco.mjtObj.mjOBJ_XBODY, i, A, 1)
-                # Theirs is the acceleration of a point without gravity, ours the rate of the twist.
-                A[3:] += pose[:3, :3].T @ scene.gravity - np.cross(V[:3], V[3:])
-                A[3:] += np.cross(A[:3], body.com)
-                poses[name], twists[name], theirs[name] = pose, V, A
-            else:
-                poses[name], twists[name] = _between(model, data, scene, held[name], poses, twists)
-        flat = [[*poses[b.name][:3, :3].ravel(), *poses[b.name][:3, 3]] for b in scene.bodies]
-        ours = solve(np.array(flat), np.array([twists[b.name] for b in scene.bodies]))
-        rows = [i for i, b in enumerate(scene.bodies) if b.name in theirs]
+        poses, twists, theirs = _state(mujoco, model, data, scene, real)
+        rows = [i for i, body in enumerate(scene.bodies) if body.name in theirs]
         found = np.array([theirs[scene.bodies[i].name] for i in rows])
-        worst = max(worst, difference(ours[rows], found, [scene.bodies[i] for i in rows]))
+        ours = solve(*_arrays(scene, poses, twists))[rows]
+        worst = max(worst, difference(ours, found, [scene.bodies[i] for i in rows]))
     return worst
+
+
+def _state(mujoco, model, data, scene, real):
+    """Poses (4, 4), twists and accelerations (6,) of bodies by name, after mj_forward.
+
+    real : see _bodies_of; massless links have no acceleration
+    """
+    mujoco.mj_rnePostConstraint(model, data)
+    held = {joint.child: joint for joint in scene.joints}
+    poses, twists, theirs = {"world": np.eye(4)}, {"world": np.zeros(6)}, {}
+    for body in _parents_first(scene, held):
+        name = body.name
+        if name not in real:
+            poses[name], twists[name] = _between(model, data, scene, held[name], poses, twists)
+            continue
+        i, V, A = real[name], np.zeros(6), np.zeros(6)
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = data.xmat[i].reshape(3, 3), data.xpos[i]
+        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, i, V, 1)
+        mujoco.mj_objectAcceleration(model, data, mujoco.mjtObj.mjOBJ_XBODY, i, A, 1)
+        # Theirs is the acceleration of a point without gravity, ours the rate of the twist.
+        A[3:] += pose[:3, :3].T @ scene.gravity - np.cross(V[:3], V[3:])
+        A[3:] += np.cross(A[:3], body.com)
+        poses[name], twists[name], theirs[name] = pose, V, A
+    return poses, twists, theirs
+
+
+def _arrays(scene, poses, twists):
+    """Poses (n, 12) and twists (n, 6) of all bodies."""
+    flat = [[*poses[b.name][:3, :3].ravel(), *poses[b.name][:3, 3]] for b in scene.bodies]
+    return np.array(flat), np.array([twists[b.name] for b in scene.bodies])
+
+
+def motion_against_mujoco(path, scene, seconds=1.0):
+    """(largest difference of positions, largest displacement), m, after a motion from random speeds.
+
+    MuJoCo: RK4 with steps of 0.05 ms; ours: rkmk8 with steps of 1 ms.
+    """
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_path(str(path))
+    _as_imported(model, mujoco)
+    model.opt.integrator, model.opt.timestep = mujoco.mjtIntegrator.mjINT_RK4, 5e-5
+    data, real = mujoco.MjData(model), _bodies_of(model, scene)
+    data.qvel[:] = np.random.default_rng(3).uniform(-1.0, 1.0, model.nv)
+    mujoco.mj_forward(model, data)
+    poses, twists, _ = _state(mujoco, model, data, scene, real)
+    engine = Engine(scene, "rkmk8", 1e-3, group="relative", quiet=True)
+    engine.set_state(*engine.layout.offsets.to_centres(*_arrays(scene, poses, twists)))
+    engine.advance(round(seconds / 1e-3))
+    for _ in range(round(seconds / 5e-5)):
+        mujoco.mj_step(model, data)
+    mujoco.mj_kinematics(model, data)
+    found = engine.sample().positions
+    error = max(np.abs(found[name] - data.xpos[i]).max() for name, i in real.items())
+    moved = max(np.abs(found[name] - poses[name][:3, 3]).max() for name in real)
+    return float(error), float(moved)
 
 
 def _as_imported(model, mujoco):
@@ -228,7 +268,7 @@ def _between(model, data, scene, joint, poses, twists):
     return poses[joint.parent] @ relative, twist
 
 
-def row_of(path, states):
+def row_of(path, states, motion=False):
     """Figures of one file as a dict."""
     row = {"robot": "/".join(path.parts[-3:]), "format": path.suffix[1:]}
     start = time.perf_counter()
@@ -252,6 +292,11 @@ def row_of(path, states):
     if states and against and not closed:
         found = against(path, scene, states)
         row["difference"] = found if isinstance(found, str) else float(found)
+        if motion and path.suffix == ".xml":
+            try:
+                row["motion_m"], row["moved_m"] = motion_against_mujoco(path, scene)
+            except SimulationError as error:
+                row["motion_m"] = str(error)
     return row
 
 
@@ -266,10 +311,11 @@ def main():
     parser.add_argument("words", nargs="*")
     parser.add_argument("--states", type=int, default=100)
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--motion", action="store_true", help="MJCF: also compare 1 s of motion")
     args = parser.parse_args()
     rows = []
     for path in files(args.words):
-        rows.append(row_of(path, args.states))
+        rows.append(row_of(path, args.states, args.motion))
         print(rows[-1], flush=True)
     loaded = [row for row in rows if "refused" not in row]
     print(f"{len(loaded)} of {len(rows)} loaded")

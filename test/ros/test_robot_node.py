@@ -13,6 +13,7 @@ from std_msgs.msg import String
 from liegroup_core import Simulation, load_scene
 from liegroup_core.robots.read import read_robot
 from liegroup_sim_ros.messages.description import robot_description
+from liegroup_sim_ros.messages.markers import CUBE, MESH, Markers
 from liegroup_sim_ros.messages.samples import transforms
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -77,3 +78,44 @@ def test_other_scenes_get_a_urdf_of_their_bodies(kind, tmp_path):
 
 VISUAL = """<visual name="v"><pose>0.1 0 0 0 0.5 0</pose>
 <geometry><box><size>0.2 0.1 0.3</size></box></geometry></visual>"""
+
+
+TETRAHEDRON = """solid t
+facet normal 0 0 1
+outer loop
+vertex 0 0 0
+vertex 1 0 0
+vertex 0 1 0
+endloop
+endfacet
+endsolid t
+"""
+
+
+def test_markers_have_the_visuals_and_meshes_of_the_file(tmp_path):
+    """A mesh that is there, one that is missing, and a body without visuals."""
+    (tmp_path / "tool.stl").write_text(TETRAHEDRON)
+    mesh = '<visual><origin xyz="0 0 0.2"/><geometry><mesh filename="{}" scale="2 1 1"/></geometry></visual>'
+    text = ARM_URDF.replace('<link name="tool">', '<link name="tool">' + mesh.format("tool.stl"))
+    text = text.replace('<link name="tip"/>', f'<link name="tip">{mesh.format("none.stl")}</link>')
+    path = tmp_path / "arm.urdf"
+    path.write_text(text)
+    simulation = Simulation(load_scene(path), "rkmk4", 1e-3)
+    simulation.advance(30)
+    sample = simulation.sample()
+    encoder = Markers(simulation.layout, "world", 1.0, {})
+    store = get_typestore(Stores.ROS2_JAZZY)
+    message = store.deserialize_cdr(encoder.encode(0, sample), "visualization_msgs/msg/MarkerArray")
+    bodies = [marker for marker in message.markers if marker.ns == "bodies"]
+    assert [marker.type for marker in bodies] == [CUBE, MESH]
+    box, tool = bodies
+    assert (box.scale.x, box.scale.y, box.scale.z) == (0.2, 0.05, 0.04)
+    at = sample.poses["upper"] @ (0.1, 0, 0, 1)
+    assert (box.pose.position.x, box.pose.position.z) == pytest.approx((at[0], at[2]), abs=1e-14)
+    assert (
+        tool.mesh_resource == (tmp_path / "tool.stl").as_uri() and tool.mesh_use_embedded_materials
+    )
+    assert tool.scale.x == 2.0 and box.mesh_resource == ""
+    link, place = simulation.scene.robot.frames["tool"]
+    at = sample.poses[link] @ place @ (0, 0, 0.2, 1)
+    assert tool.pose.position.z == pytest.approx(at[2], abs=1e-14)
