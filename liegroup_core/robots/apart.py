@@ -34,7 +34,6 @@ def run_apart(tool, path):
             stdin=subprocess.DEVNULL,
             capture_output=True,
             timeout=SECONDS,
-            preexec_fn=_bounded,
         )
     except subprocess.TimeoutExpired:
         raise refusal(
@@ -59,8 +58,8 @@ def run_apart(tool, path):
     raise refusal(path, 0, f"{tool}: {(' '.join(text) or 'failed')[-400:]}; correct the file")
 
 
-def _bounded():
-    """Bound memory and time of the child process."""
+def _bound():
+    """Bound memory and time of this process."""
     for kind, limit in ((resource.RLIMIT_AS, BYTES), (resource.RLIMIT_CPU, SECONDS)):
         hard = resource.getrlimit(kind)[1]
         limit = limit if hard == resource.RLIM_INFINITY else min(limit, hard)
@@ -83,6 +82,7 @@ def _compile(path):
 
 def main(tool, path):
     """Print the result, or one line why there is none; returns the exit code."""
+    _bound()
     try:
         print({"xacro": _expand, "mjcf": _compile}[tool](path))
     except ModuleNotFoundError as error:

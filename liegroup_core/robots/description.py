@@ -196,3 +196,9 @@ def rotation_of_rpy(roll, pitch, yaw):
             [-sp, cp * sr, cp * cr],
         ]
     )
+
+
+def listed(names, most=8):
+    """Names for a note."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more

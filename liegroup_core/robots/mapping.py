@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from liegroup_core.fields.values import NEGATIVE_ROUND_OFF, TRIANGLE_TOLERANCE
-from liegroup_core.lie.groups import SE3, SO3
+from liegroup_core.lie.groups import SO3
 
 from .additions import added_forces, added_joints
-from .description import ONE_COORDINATE, WORLD
-from .links import Grouping
+from .chains import base_of, grouped, kept_joints, locked_joints
+from .description import ONE_COORDINATE, WORLD, listed
 from .names import scene_name, unique_names
 
 # Mass of a link without mass between two joints, relative to the lightest body: its effect on
@@ -55,10 +55,10 @@ def scene_parts(robot, options):
     """SceneParts of a Robot with the additions of a user. Raises SceneError."""
     values = options.coordinates(robot)
     notes = []
-    joints = _kept_joints(robot, options, notes)
-    base = _base(robot, options, joints, notes)
-    lock = _locked(robot, options, values, notes)
-    grouping = _grouped(robot, options, base, joints, lock, values, notes)
+    joints = kept_joints(robot, options, notes)
+    base = base_of(robot, options, joints, notes)
+    lock = locked_joints(robot, options, values, notes)
+    grouping = grouped(robot, options, base, joints, lock, values, notes)
     closing = grouping.place(values)
     extra = added_joints(options, grouping)
     closing += extra
@@ -91,139 +91,9 @@ def scene_parts(robot, options):
             if key == what and name != file
         ]
         if renamed:
-            notes.append(f"renamed {what}: {_listed(renamed)}")
+            notes.append(f"renamed {what}: {listed(renamed)}")
     parts.notes = [*notes, *_left_out(robot, grouping)]
     return parts
-
-
-def _kept_joints(robot, options, notes):
-    """Joints of the file that are kept; with `only`, those on the chains to the given links."""
-    if not options.only:
-        return list(robot.joints)
-    for i, name in enumerate(options.only):
-        if name not in robot.links:
-            raise options.unknown(("only", i), "only: link", name, robot.links)
-    holders = {joint.child: joint for joint in robot.joints if not joint.closes}
-    kept = set(robot.roots)
-    for name in options.only:
-        seen = set()
-        while name not in kept and name not in seen:
-            seen.add(name)
-            if name not in holders:
-                break
-            name = holders[name].parent
-        kept |= seen
-    # What fixed joints hold to a kept link stays: it is a part of the same body.
-    grown = True
-    while grown:
-        grown = False
-        for joint in robot.joints:
-            if joint.type == "fixed" and joint.parent in kept and joint.child not in kept:
-                kept.add(joint.child)
-                grown = True
-    cut = [name for name in robot.links if name not in kept]
-    if cut:
-        mass = sum(robot.links[name].mass for name in cut)
-        notes.append(f"changes the motion: cut {_listed(cut)}, {mass:.6g} kg in all")
-    for name in cut:
-        del robot.links[name]
-    kept.add(WORLD)
-    return [joint for joint in robot.joints if joint.parent in kept and joint.child in kept]
-
-
-def _locked(robot, options, values, notes):
-    """Names of joints that do not move: locked ones, and those that a mimic joint ties to them."""
-    types = {joint.name: joint.type for joint in robot.joints}
-    still = (
-        set(options.lock)
-        | set(robot.locked)
-        | {name for name, kind in types.items() if kind == "fixed"}
-    )
-    changed = True
-    while changed:
-        changed = False
-        for coupling in robot.couplings:
-            first, second = coupling.first in still, coupling.second in still
-            if second and not first:
-                values[coupling.first] = coupling.ratio * values[coupling.second] + coupling.offset
-                still.add(coupling.first)
-                changed = True
-            elif first and not second and coupling.ratio:
-                values[coupling.second] = (
-                    values[coupling.first] - coupling.offset
-                ) / coupling.ratio
-                still.add(coupling.second)
-                changed = True
-    for name in still:
-        if types[name] != "fixed":
-            own = name in options.lock or name in robot.locked
-            why = "" if own else ", because a locked joint drives it"
-            notes.append(f"locked: joint {name} at {values[name]:.6g}{why}")
-    return still
-
-
-def _base(robot, options, joints, notes):
-    """Whether the root links are fixed to the world or float."""
-    if options.base is not None:
-        return options.base
-    if robot.free:
-        return "floating"
-    if options.joints or any(joint.type != "fixed" for joint in joints):
-        return "fixed"
-    notes.append("floating: the robot has no joint that moves")
-    return "floating"
-
-
-def _grouped(robot, options, base, joints, lock, values, notes):
-    """Grouping of the links that stay; links without mass at the end of a chain are held."""
-    welded = [
-        (j.parent, j.child, j.parent_frame @ j.motion(values[j.name]) @ SE3.inverse(j.child_frame))
-        for j in joints
-        if j.name in lock and not j.closes
-    ]
-    if base == "fixed":
-        welded += [(WORLD, name, robot.links[name].pose) for name in robot.roots if name != WORLD]
-    moving = [j for j in joints if j.name not in lock or j.closes]
-    moving = [j for j in moving if j.type != "floating"]
-    tied = {end for entry in options.joints for end in (entry.get("parent"), entry.get("child"))}
-    while True:
-        grouping = Grouping(robot, welded, moving)
-        light = _end_without_mass(grouping, tied)
-        if light is None:
-            return grouping
-        group, joint = light
-        if joint is None:
-            raise robot.error(
-                robot.links[group.links[0]].line,
-                f'link "{group.links[0]}" moves freely and has no mass: give it an inertial, or fix '
-                "it to another link",
-            )
-        notes.append(
-            f"held in place: {_listed(group.links)} at the end of joint {joint.name}, without mass"
-        )
-        welded.append(
-            (
-                joint.parent,
-                joint.child,
-                joint.parent_frame
-                @ joint.motion(values[joint.name])
-                @ SE3.inverse(joint.child_frame),
-            )
-        )
-
-
-def _end_without_mass(grouping, tied):
-    """(group, its only joint or None) of a group without mass at the end of a chain, or None."""
-    joints = {}
-    for joint in grouping.moving:
-        for name in (joint.parent, joint.child):
-            joints.setdefault(id(grouping.of_link[name]), []).append(joint)
-    for group in grouping.groups:
-        if group is grouping.world or tied & set(group.links):
-            continue
-        if grouping.moves_nothing(group) and len(joints.get(id(group), ())) <= 1:
-            return group, next(iter(joints.get(id(group), ())), None)
-    return None
 
 
 def _bodies(robot, grouping, parts, notes):
@@ -238,7 +108,7 @@ def _bodies(robot, grouping, parts, notes):
         raise robot.error(0, f"has no link that moves: all are fixed to the world; {advice}")
     static = [name for name in grouping.world.links if name != WORLD]
     if static:
-        notes.append(f"fixed to the world: {_listed(static)}")
+        notes.append(f"fixed to the world: {listed(static)}")
     names = unique_names([group.links[0] for group in movable], {WORLD})
     masses = [grouping.mass(group) for group in movable]
     lightest = min((mass for mass, _, _ in masses if mass > 0.0), default=1.0)
@@ -251,7 +121,7 @@ def _bodies(robot, grouping, parts, notes):
         if mass == 0.0:
             body["mass"] = NO_MASS * lightest
             notes.append(
-                f"without mass: {_listed(group.links)} between joints, modelled as a point mass of "
+                f"without mass: {listed(group.links)} between joints, modelled as a point mass of "
                 f"{NO_MASS:g} of the lightest body"
             )
         else:
@@ -270,9 +140,9 @@ def _bodies(robot, grouping, parts, notes):
         parts.names["bodies", name] = group.links[0]
         merged = group.links[1:]
         if merged:
-            notes.append(f"merged into {name}: {_listed(merged)}")
+            notes.append(f"merged into {name}: {listed(merged)}")
         parts.comments["bodies", number] = _from_line(robot, line) + (
-            f", with {_listed(merged)}" if merged else ""
+            f", with {listed(merged)}" if merged else ""
         )
     return body_of
 
@@ -385,7 +255,7 @@ def _left_out(robot, grouping):
     ):
         names = [name for name, joint in moving.items() if set(keys) & joint.data.keys()]
         if names:
-            notes.append(f"changes the motion: {text}: {_listed(names)}")
+            notes.append(f"changes the motion: {text}: {listed(names)}")
     for coupling in robot.couplings:
         if coupling.first in moving and coupling.second in moving:
             notes.append(
@@ -393,9 +263,9 @@ def _left_out(robot, grouping):
                 f"{coupling.ratio:.6g} * {coupling.second} + {coupling.offset:.6g} is not simulated"
             )
     for what, names in robot.changes.items():
-        notes.append(f"changes the motion: {what}, left out: {_listed(names)}")
+        notes.append(f"changes the motion: {what}, left out: {listed(names)}")
     for what, names in robot.left_out.items():
-        notes.append(f"left out: {len(names)} {what} ({_listed(names)})")
+        notes.append(f"left out: {len(names)} {what} ({listed(names)})")
     return notes
 
 
@@ -422,10 +292,4 @@ def _from_line(robot, line):
 def _counted(names):
     """Number of shapes, and the links that have them."""
     links = list(dict.fromkeys(names))
-    return f"{len(names)} collision shapes of {_listed(links)}"
-
-
-def _listed(names, most=8):
-    """Names for a note."""
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + more
+    return f"{len(names)} collision shapes of {listed(links)}"

@@ -12,9 +12,10 @@ import numpy as np
 from liegroup_core.fields.frames import rotation_z_to
 from liegroup_core.lie.groups import SE3
 
-from .description import WORLD, Coupling, Link, Robot, RobotJoint, Visual
+from .description import WORLD, Coupling, Robot, RobotJoint
 from .resources import find_resource, resolve
 from .sdf_frames import Model, read_pose, text_of
+from .sdf_links import read_link, value_of
 from .xml import Reader, read_xml
 
 TYPES = {
@@ -29,8 +30,6 @@ TYPES = {
 }
 DEEPEST = 20  # nested models and includes
 PARTS = ("link", "joint", "frame", "model", "pose", "static", "include")
-# Parts of a link that have no influence on its motion.
-OF_LINKS = ("pose", "inertial", "visual", "collision", "self_collide", "gravity")
 
 
 class _Loader:
@@ -129,7 +128,7 @@ def _model(loader, model, pose):
     reader, robot = loader.reader, loader.robot
     own = [part for part in model.element if part.tag == "link"]
     for element in own:
-        link = _link(reader, robot, model, element)
+        link = read_link(reader, robot, model, element)
         link.pose = pose @ model.pose(element.get("name"), element)
         robot.links[link.name] = link
     if own:
@@ -155,70 +154,6 @@ def _model(loader, model, pose):
     for part in model.element:
         if part.tag not in PARTS and part.tag not in ("self_collide", "allow_auto_disable"):
             robot.leave_out(part.tag, part.get("name") or model.name or robot.name)
-
-
-def _link(reader, robot, model, element):
-    name = model.full(element.get("name"))
-    link = Link(name, element.sourceline, 1.0, inertia=np.eye(3))
-    inertial = element.find("inertial")
-    if inertial is None:
-        robot.leave_out("links without <inertial>, with the format's 1 kg and 1 kg m^2", name)
-    else:
-        mass, inertia = inertial.find("mass"), inertial.find("inertia")
-        pose = read_pose(reader, inertial)[0]
-        if mass is not None:
-            link.mass = reader.number(mass, mass.text, f'<mass> of link "{name}"')
-        if link.mass < 0.0:
-            raise reader.error(
-                mass, f'mass of link "{name}" must not be negative, got {link.mass:g}'
-            )
-        if inertia is not None:
-            xx, yy, zz, xy, xz, yz = (
-                _value(reader, inertia, key, default)
-                for key, default in zip(
-                    ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), (1, 1, 1, 0, 0, 0)
-                )
-            )
-            link.inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        if not np.array_equal(pose[:3, :3], np.eye(3)):
-            link.inertia = pose[:3, :3] @ link.inertia @ pose[:3, :3].T
-        link.com = pose[:3, 3]
-    for visual in element.iterfind("visual"):
-        link.visuals += _visuals(reader, visual)
-    for _ in element.iterfind("collision"):
-        robot.leave_out("collision", name, changes_motion=True)
-    if text_of(element, "gravity") in ("false", "0"):
-        robot.leave_out("links without gravity", name, changes_motion=True)
-    for part in element:
-        if part.tag not in OF_LINKS:
-            robot.leave_out(f"{part.tag} of links", part.get("name") or name)
-    return link
-
-
-def _value(reader, element, key, default):
-    """Number of a child element."""
-    found = element.find(key)
-    return float(default) if found is None else reader.number(found, found.text, f"<{key}>")
-
-
-def _visuals(reader, visual):
-    geometry = visual.find("geometry")
-    if geometry is None or not len(geometry):
-        return []
-    pose, solid = read_pose(reader, visual)[0], geometry[0]
-    if solid.tag == "box" and solid.find("size") is not None:
-        size = reader.numbers(solid, solid.find("size").text, 3, "<size>")
-        return [Visual("box", tuple(size), pose)]
-    if solid.tag in ("cylinder", "capsule"):
-        size = tuple(_value(reader, solid, key, 1.0) for key in ("radius", "length"))
-        return [Visual("cylinder", size, pose)]
-    if solid.tag == "sphere":
-        return [Visual("sphere", (_value(reader, solid, "radius", 1.0),), pose)]
-    if solid.tag == "mesh" and text_of(solid, "uri"):
-        scale = solid.find("scale")
-        numbers = (1.0,) * 3 if scale is None else reader.numbers(scale, scale.text, 3, "<scale>")
-        return [Visual("mesh", tuple(numbers), pose, text_of(solid, "uri"))]
-    return []
 
 
 def _joint(loader, model, element, model_pose):
@@ -308,7 +243,7 @@ def _law(reader, robot, element, joint, kind):
         if axis.find("mimic") is not None and key == "axis":
             _mimic(reader, robot, axis.find("mimic"), joint)
         damping, stiffness, friction = (
-            0.0 if dynamics is None else _value(reader, dynamics, part, 0.0)
+            0.0 if dynamics is None else value_of(reader, dynamics, part, 0.0)
             for part in ("damping", "spring_stiffness", "friction")
         )
         if min(damping, stiffness, friction) < 0.0:
@@ -325,7 +260,7 @@ def _law(reader, robot, element, joint, kind):
             continue
         joint.damping, joint.stiffness = damping, stiffness
         if stiffness:
-            joint.rest = _value(reader, dynamics, "spring_reference", 0.0)
+            joint.rest = value_of(reader, dynamics, "spring_reference", 0.0)
         if friction:
             joint.data["friction"] = friction
         if limit is not None:
@@ -347,7 +282,7 @@ def _limit(reader, element, text, part):
 def _mimic(reader, robot, mimic, joint):
     """Coupling of <mimic>: coordinate = multiplier (other - reference) + offset."""
     ratio, offset, reference = (
-        _value(reader, mimic, key, default)
+        value_of(reader, mimic, key, default)
         for key, default in (("multiplier", 1.0), ("offset", 0.0), ("reference", 0.0))
     )
     robot.couplings.append(
@@ -372,7 +307,7 @@ def _gearbox(loader, model, element):
         if given is None:
             raise reader.error(element, f'gearbox "{name}" has no <{key}>: give one')
         parts[key] = model.link_of(given, element)
-    ratio = _value(reader, element, "gearbox_ratio", 1.0)
+    ratio = value_of(reader, element, "gearbox_ratio", 1.0)
     found = []
     for key in ("parent", "child"):
         ends = {parts["gearbox_reference_body"], parts[key]}

@@ -10,9 +10,7 @@ from liegroup_core.robots.options import Options
 from liegroup_core.robots.read import read_robot
 from liegroup_core.scene.load import scene_from_robot
 
-INERTIAL = (
-    "<inertial><mass>2</mass><inertia><ixx>0.1</ixx><iyy>0.2</iyy><izz>0.25</izz></inertia></inertial>"
-)
+INERTIAL = "<inertial><mass>2</mass><inertia><ixx>0.1</ixx><iyy>0.2</iyy><izz>0.25</izz></inertia></inertial>"
 
 
 def freedoms(simulation):
@@ -58,7 +56,12 @@ def test_frames_of_nested_models(tmp_path):
 
 @pytest.mark.parametrize(
     "version, flag, axis",
-    [("1.4", "", (0, 1, 0)), ("1.6", "", (-1, 0, 0)), ("1.6", "1", (0, 1, 0)), ("1.7", "", (-1, 0, 0))],
+    [
+        ("1.4", "", (0, 1, 0)),
+        ("1.6", "", (-1, 0, 0)),
+        ("1.6", "1", (0, 1, 0)),
+        ("1.7", "", (-1, 0, 0)),
+    ],
 )
 def test_axes_of_older_files(version, flag, axis, tmp_path):
     """The joint is turned by 90 degrees about z: its y axis is -x of the model."""
@@ -150,7 +153,9 @@ def test_loops_and_welds_of_mjcf(tmp_path):
     poses = simulation.sample().poses
     weight = np.linalg.inv(poses["crank"]) @ poses["weight"]
     assert weight[:3, 3] == pytest.approx((0, 1.2, 0), abs=1e-9)
-    assert poses["coupler"] @ (1, 0, 0, 1) == pytest.approx(poses["rocker"] @ (0, 1, 0, 1), abs=1e-9)
+    assert poses["coupler"] @ (1, 0, 0, 1) == pytest.approx(
+        poses["rocker"] @ (0, 1, 0, 1), abs=1e-9
+    )
     # A joint equality without a second joint holds the first one.
     path.write_text(FOUR_BAR.format(more='<joint joint1="a" polycoef="0 0 0 0 0"/>'))
     assert "locked: joint a at 0" in load_scene(path).notes

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from node_process import COMPILING, NodeProcess
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from robot_texts import ARM_SDF, ARM_URDF
+from robot_texts import ARM_SDF, ARM_URDF, five_bar_urdf, scissor_lift, stewart_sdf
 from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -19,19 +19,24 @@ from liegroup_sim_ros.messages.samples import transforms
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
+def moved(states):
+    """True if a joint has moved, in any of the messages."""
+    return any(np.abs(state.velocity).max() > 1e-3 for state in states)
+
+
 def test_a_node_serves_a_urdf_file_to_rviz(client, tmp_path):
     path = tmp_path / "arm.urdf"
     path.write_text(ARM_URDF)
     parameters = {"scene": path, "joint_state_rate": 100.0, "record": tmp_path / "a.mcap"}
     with NodeProcess(parameters, remap=["__node:=arm"]):
         states = client.listen("/arm/joint_states", JointState)
-        client.until(lambda: states, COMPILING, "joint states")
+        client.until(lambda: moved(states), COMPILING, "motion")
         # A late subscriber still gets the description.
         texts = client.listen("/arm/robot_description", String, LATCHED)
         client.until(lambda: texts, 10.0, "the description")
     assert texts[0].data == ARM_URDF
     assert states[-1].name == ["shoulder", "extend", "tip_joint"]
-    assert states[-1].position[2] == 0.0 and abs(states[-1].velocity[0]) > 0.0
+    assert states[-1].position[2] == states[-1].velocity[2] == 0.0
 
 
 def test_tf_has_the_frames_of_all_links(tmp_path):
@@ -119,3 +124,57 @@ def test_markers_have_the_visuals_and_meshes_of_the_file(tmp_path):
     link, place = simulation.scene.robot.frames["tool"]
     at = sample.poses[link] @ place @ (0, 0, 0.2, 1)
     assert tool.pose.position.z == pytest.approx(at[2], abs=1e-14)
+
+
+def five_bar(folder):
+    (folder / "five_bar.urdf").write_text(five_bar_urdf())
+    path = folder / "five_bar.yaml"
+    path.write_text(
+        "robot: five_bar.urdf\ngravity: [0, -9.81, 0]\njoints:\n  - {name: tip, type: revolute, parent: left_end,"
+        " child: right_end, parent_frame: {}, child_frame: {}}\n"
+    )
+    return path
+
+
+def lift(folder):
+    text, closing = scissor_lift(2)
+    (folder / "lift.urdf").write_text(text)
+    path = folder / "lift.yaml"
+    path.write_text(closing)
+    return path
+
+
+def platform(folder):
+    path = folder / "stewart.sdf"
+    path.write_text(stewart_sdf())
+    return path
+
+
+@pytest.mark.parametrize(
+    "make, joints",
+    [
+        (five_bar, ["left_crank", "right_crank", "left_elbow", "right_elbow", "tip"]),
+        (lift, ["slide", "lift0", "cross0", "lift1", "cross1", "pin0", "pin1"]),
+        (platform, [f"leg{k}" for k in range(6)]),
+    ],
+)
+def test_the_node_runs_closed_loops(make, joints, client, tmp_path):
+    path = make(tmp_path)
+    name = make.__name__
+    parameters = {"scene": path, "joint_state_rate": 50.0}
+    with NodeProcess(parameters, remap=[f"__node:={name}"]):
+        states = client.listen(f"/{name}/joint_states", JointState)
+        texts = client.listen(f"/{name}/robot_description", String, LATCHED)
+        client.until(lambda: texts and moved(states), COMPILING, "the description and motion")
+    assert states[-1].name == joints
+    # The joints of the description are those of the joint states, or its frames come from /tf.
+    described = tmp_path / "described.urdf"
+    described.write_text(texts[0].data)
+    robot = read_robot(described)
+    if name == "platform":
+        assert set(robot.links) == {"world", "plate"} | {
+            f"{p}{k}" for p in ("lower", "upper") for k in range(6)
+        }
+    else:
+        own = {joint.name for joint in robot.joints if joint.type != "fixed"}
+        assert own <= set(joints) and set(joints) - own <= {"tip", "pin0", "pin1"}
