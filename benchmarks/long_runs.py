@@ -24,7 +24,11 @@ from timing import seconds_of_step
 from liegroup_core import SimulationError, load_scene
 from liegroup_core.engine import Engine
 
-SCENES = {"double_pendulum": 1e-3, "four_bar": 1e-3, "bricard": 1e-3}  # step of constrained_rattle, s
+SCENES = {
+    "double_pendulum": 1e-3,
+    "four_bar": 1e-3,
+    "bricard": 1e-3,
+}  # step of constrained_rattle, s
 METHODS = (
     ("constrained_rattle", {}),
     ("constrained_rattle4", {}),
