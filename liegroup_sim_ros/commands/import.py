@@ -6,7 +6,8 @@ from pathlib import Path
 
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.robots.options import BASES, Options
-from liegroup_core.scene.load import find_scene, scene_from_robot
+from liegroup_core.robots.read import is_robot_file
+from liegroup_core.scene.load import find_scene, load_scene, scene_from_robot
 
 # Types of joints that need no more than the frames of two links.
 CLOSING = ("spherical", "revolute", "prismatic", "cylindrical", "planar", "fixed", "universal")
@@ -85,7 +86,16 @@ def run(args):
         joints=[_closing(*entry) for entry in args.close],
         name=args.name,
     )
-    scene = scene_from_robot(find_scene(args.robot), options)
+    path = find_scene(args.robot)
+    if is_robot_file(path):
+        scene = scene_from_robot(path, options)
+    elif options == Options():
+        scene = load_scene(path)
+    else:
+        raise RobotError(
+            f"{path} is a scene file: write base, start, lock, only, pose, joints and name into it "
+            "instead of options"
+        )
     if args.out is None:
         print(scene.text, end="")
         return 0
