@@ -34,6 +34,7 @@ setup(
     ],
     # ROS 2 itself is not listed: it comes from the sourced workspace or, see Makefile, as wheels.
     install_requires=[
+        "lxml",  # robot files, with the lines of their errors
         "mcap>=1.5",
         "mcap-ros2-support",
         "numba>=0.63",
@@ -53,6 +54,8 @@ setup(
         "exact": ["mpmath"],
         "many": ["dask", "distributed", "pyarrow"],
         "pandas": ["pandas"],
+        # xacro files, and MJCF files through MuJoCo's compiler; plain URDF and SDF need neither.
+        "robots": ["mujoco", "xacro"],
         "remote": ["aiohttp", "fsspec"],
         "test": [
             "aiohttp",
@@ -63,6 +66,7 @@ setup(
             "jsonschema",
             "matplotlib",
             "mpmath",
+            "mujoco",
             "pandas",
             "pyarrow",
             "pybag-sdk",
@@ -70,10 +74,12 @@ setup(
             "pytest-xdist",
             "rosbags",
             "small-mcap",
+            "xacro",
         ],
         "lint": ["mypy", "ruff"],
         # Peers of benchmarks/; cmeel-eigen has the Eigen headers to compile the Pinocchio loop.
-        "bench": ["cmeel-eigen", "exudyn", "mujoco", "pin"],
+        # Robots of benchmarks/robots.py: example-robot-data, dm-control.
+        "bench": ["cmeel-eigen", "dm-control", "example-robot-data", "exudyn", "mujoco", "pin"],
     },
     entry_points={
         "console_scripts": [

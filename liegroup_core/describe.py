@@ -31,6 +31,7 @@ def describe(layout):
     layout : layout.Layout, from `make_layout(scene)` or `Simulation.layout`
     returns dict of
         scene, description, gravity  of the scene; gravity in m/s^2
+        notes               remarks of the scene, such as what an import merged and left out
         bodies              [{name, mass}], kg
         joints              [{name, type, parent, child, rows, dropped}]: names of all rows, wx..vz,
                             and of the redundant ones, which are eliminated
@@ -60,6 +61,7 @@ def describe(layout):
         "scene": scene.name,
         "description": scene.description,
         "gravity": list(scene.gravity),
+        "notes": list(scene.notes),
         "bodies": [
             {"name": body.name, "mass": float(mass)}
             for body, mass in zip(scene.bodies, model.bodies["mass"])

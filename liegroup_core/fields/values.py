@@ -36,6 +36,10 @@ QUATERNION_NORM_TOLERANCE = 1e-3
 # Negative principal moments down to this part of the largest are zero.
 NEGATIVE_ROUND_OFF = 1e-12
 
+# Moments rounded to seven digits have errors up to 5e-7 of the largest, in both sides of the triangle
+# inequality: 1e-6 in all. A flat plate lies on the bound.
+TRIANGLE_TOLERANCE = 1e-6
+
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
 
 
@@ -160,25 +164,35 @@ def real_inertia(moments):
 
     Principal moments may be zero: point masses, rods without thickness.
     """
-    if len(moments) not in (3, 6):
-        raise ValueError("must have 3 numbers [Ixx, Iyy, Izz] or 6 [Ixx, Iyy, Izz, Ixy, Ixz, Iyz]")
-    scale = max(abs(moment) for moment in moments) or 1.0
-    small, middle, large = np.linalg.eigvalsh(inertia_matrix(moments) / scale)
-    principal = ", ".join(f"{scale * moment:.6g}" for moment in (small, middle, large))
-    # Eigenvalues of a scaled 3x3 matrix have errors of a few 1e-16, numbers written with 15 digits of
-    # a few 1e-15: the zero of a rod without thickness may come out negative.
-    if not small >= -NEGATIVE_ROUND_OFF:
-        raise ValueError(
-            f"must not be negative, but its principal moments are {principal}; check order and signs"
-        )
-    # Moments rounded to seven digits have errors up to 5e-7 of the largest, in both sides of the
-    # inequality: 1e-6 in all. A flat plate lies on the bound.
-    if large > small + middle + 1e-6 * large:
+    small, middle, large, scale = _principal(positive_inertia(moments))
+    if large > small + middle + TRIANGLE_TOLERANCE * large:
+        principal = ", ".join(f"{scale * moment:.6g}" for moment in (small, middle, large))
         raise ValueError(
             f"must belong to a physical body: the largest principal moment of {principal} "
             "must not exceed the sum of the other two; check units, order and signs"
         )
     return moments
+
+
+def positive_inertia(moments):
+    """Return moments of inertia without a negative principal moment; raise ValueError for others."""
+    if len(moments) not in (3, 6):
+        raise ValueError("must have 3 numbers [Ixx, Iyy, Izz] or 6 [Ixx, Iyy, Izz, Ixy, Ixz, Iyz]")
+    small, middle, large, scale = _principal(moments)
+    # Eigenvalues of a scaled 3x3 matrix have errors of a few 1e-16, numbers written with 15 digits of
+    # a few 1e-15: the zero of a rod without thickness may come out negative.
+    if not small >= -NEGATIVE_ROUND_OFF:
+        principal = ", ".join(f"{scale * moment:.6g}" for moment in (small, middle, large))
+        raise ValueError(
+            f"must not be negative, but its principal moments are {principal}; check order and signs"
+        )
+    return moments
+
+
+def _principal(moments):
+    """Principal moments in ascending order, in units of the scale that follows them."""
+    scale = max(abs(moment) for moment in moments) or 1.0
+    return (*np.linalg.eigvalsh(inertia_matrix(moments) / scale), scale)
 
 
 def inertia_matrix(moments):
@@ -231,7 +245,10 @@ Quaternion = Annotated[
     _array(_NUMBER, 4, 4),
 ]
 Inertia = Annotated[
-    tuple[Number, ...], BeforeValidator(listed), AfterValidator(real_inertia), _array(_NUMBER, 3, 6)
+    tuple[Number, ...],
+    BeforeValidator(listed),
+    AfterValidator(positive_inertia),
+    _array(_NUMBER, 3, 6),
 ]
 Flag = Annotated[bool, BeforeValidator(_flag)]
 Text = Annotated[str, BeforeValidator(_text)]

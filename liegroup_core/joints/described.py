@@ -30,6 +30,11 @@ class JointBase(Described):
         description="initial joint velocity for assembly: about z in rad/s, or along z in m/s if "
         "the joint does not rotate",
     )
+    data: dict[Name, Number] | None = Field(
+        None,
+        description="numbers by name that the simulation does not use, such as limits of an imported "
+        "robot: lower, upper, velocity, effort, friction, armature",
+    )
 
     @model_validator(mode="after")
     def _one_frame(self):

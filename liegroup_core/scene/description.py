@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import yaml
-from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
+from pydantic import BeforeValidator, Field, PrivateAttr, field_validator, model_validator
 
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.frames import ROTATIONS, Frame, Placed
@@ -30,6 +30,7 @@ from liegroup_core.fields.values import (
     inertia_matrix,
     listed,
     one_of,
+    real_inertia,
     suggestion,
 )
 from liegroup_core.forces import kinds as force_kinds
@@ -54,6 +55,11 @@ class Body(Placed):
     name: Name = Field(description="name: a letter, then letters, digits or _; unique, not world")
     mass: Positive | None = Field(
         None, description="mass in kg, greater than 0; required without a shape"
+    )
+    unphysical: Flag = Field(
+        False,
+        description="true: the inertia may be that of no rigid body, its largest principal moment "
+        "above the sum of the other two, as in some robot descriptions",
     )
     inertia: Inertia | None = Field(
         None,
@@ -87,6 +93,11 @@ class Body(Placed):
         description="use of the given pose and velocities in assembly: guess (starting values) or "
         "fixed (kept)",
     )
+
+    @field_validator("inertia")
+    @classmethod
+    def _of_a_body(cls, moments, info):
+        return moments if moments is None or info.data.get("unphysical") else real_inertia(moments)
 
     @model_validator(mode="after")
     def _check(self):
@@ -154,6 +165,10 @@ class Scene(Described):
         description="true: assemble, correct the given poses and velocities until they satisfy the "
         "joints; false: use them as given",
     )
+    notes: Annotated[tuple[Text, ...], BeforeValidator(listed)] = Field(
+        (),
+        description="remarks that `liegroup_sim describe` prints, such as what an import left out",
+    )
     bodies: Annotated[tuple[Body, ...], BeforeValidator(listed)] = Field(
         description="list of bodies, at least one"
     )
@@ -162,7 +177,8 @@ class Scene(Described):
 
     _text: str | None = PrivateAttr(None)
     _source: str | None = PrivateAttr(None)
-    _line_of: Any = PrivateAttr(None)  # function: place in the scene -> line of its text
+    _where: Any = PrivateAttr(None)  # function: place in the scene -> "file:line"
+    _robot: Any = PrivateAttr(None)
 
     @property
     def text(self):
@@ -174,11 +190,16 @@ class Scene(Described):
         """Path or name that the scene was read from; its own name if it was made in code."""
         return self._source if self._source is not None else self.name
 
+    @property
+    def robot(self):
+        """RobotNames of a scene that was read from a robot's file; None for others."""
+        return self._robot
+
     def located(self, error):
         """SceneError with file and line added, if the scene was read from a text."""
-        if self._line_of is None:
+        if self._where is None:
             return error
-        return SceneError(f"{self.source}:{self._line_of(error.place or ())}: {error}", error.place)
+        return SceneError(f"{self._where(error.place or ())}: {error}", error.place)
 
     @model_validator(mode="after")
     def _check(self):

@@ -31,7 +31,7 @@ def add_arguments(parser):
         "step on this machine."
     )
     parser.add_argument(
-        "scene", metavar="SCENE", help="path of a scene file, or name of an example scene"
+        "scene", metavar="SCENE", help="path of a scene or robot file, or name of an example scene"
     )
     parser.add_argument("--json", action="store_true", help="print JSON")
 
@@ -112,6 +112,7 @@ def print_facts(facts, console):
 def sections(facts):
     """Tables of a description: [(title, [(quantity, value, remark)])]."""
     return [
+        ("Notes", [_note(text) for text in facts["notes"]]),
         ("Bodies", [(body["name"], f"{body['mass']:.6g} kg", "") for body in facts["bodies"]]),
         (
             "Joints",
@@ -148,6 +149,12 @@ def sections(facts):
             ],
         ),
     ]
+
+
+def _note(text):
+    """(kind, text, "") of a note `kind: text`."""
+    kind, separator, rest = text.partition(": ")
+    return (kind, rest, "") if separator and len(kind) < 24 else ("", text, "")
 
 
 def _formulation_rows(facts):

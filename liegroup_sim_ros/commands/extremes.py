@@ -36,7 +36,7 @@ def add_arguments(parser):
         "scene",
         metavar="SCENE",
         nargs="?",
-        help="path of a scene file, or name of an example scene; default: built-in problems "
+        help="path of a scene or robot file, or name of an example scene; default: built-in problems "
         "(docs/explanation/robustness.md)",
     )
     parser.add_argument(

@@ -53,7 +53,7 @@ def add_arguments(parser):
         "(*.npz), a table (*.csv) or a recording (*.mcap) for `liegroup_sim analyze` and other tools."
     )
     parser.add_argument(
-        "scene", metavar="SCENE", help="path of a scene file, or name of an example scene"
+        "scene", metavar="SCENE", help="path of a scene or robot file, or name of an example scene"
     )
     parser.add_argument(
         "--duration",

@@ -38,7 +38,7 @@ def add_arguments(parser):
     )
     parser.epilog = "Finished runs are saved as they come: after Ctrl-C the same command continues."
     parser.add_argument(
-        "scene", metavar="SCENE", help="path of a scene file, or name of an example scene"
+        "scene", metavar="SCENE", help="path of a scene or robot file, or name of an example scene"
     )
     parser.add_argument(
         "--vary",

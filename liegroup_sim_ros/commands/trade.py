@@ -37,7 +37,7 @@ def add_arguments(parser):
         "scenes",
         metavar="SCENE",
         nargs="+",
-        help="path of a scene file, or name of an example scene",
+        help="path of a scene or robot file, or name of an example scene",
     )
     parser.add_argument(
         "--horizon",

@@ -2,7 +2,8 @@
 """visualization_msgs/MarkerArray of a scene for RViz and Foxglove. Imports no ROS.
 
 A body is drawn as its shape. A body without a shape is drawn as the homogeneous box of the same
-mass and inertia, with edges x^2 = 6 (I_y + I_z - I_x) / m about the principal axes. A joint is a
+mass and inertia, with edges x^2 = 6 (I_y + I_z - I_x) / m about the principal axes. A robot is drawn
+with the visuals of its file; meshes need a file that this machine has. A joint is a
 small sphere at the child's joint frame. An applied wrench is drawn as two arrows at the body's
 origin, one for the force and one for the torque; `arrow_scale` sets their length.
 """
@@ -13,10 +14,11 @@ import numpy as np
 
 from liegroup_core.model.size import mechanism_size
 from liegroup_core.observables.along import quaternions
+from liegroup_core.robots.resources import find_resource
 
 from .cdr import Template, stamp
 
-CUBE, SPHERE, CYLINDER, ARROW = 1, 2, 3, 0
+CUBE, SPHERE, CYLINDER, ARROW, MESH = 1, 2, 3, 0, 10
 ADD, DELETE, DELETE_ALL = 0, 2, 3
 BODY_COLOR = (0.35, 0.55, 0.8, 0.9)
 JOINT_COLOR = (0.9, 0.6, 0.1, 1.0)
@@ -51,18 +53,13 @@ class Markers:
         self._end.put("I", 1)
         _add(self._end, "", 0, CUBE, world_frame, (0.0,) * 3, (0.0,) * 4)
         self._owner, self._local = [], []  # body, and pose in it, of each marker except arrows
-        template.put("I", len(solids) + len(scene.joints) + 2 * len(solids))
-        for i, (kind, size, local) in enumerate(solids):
-            _add(
-                template,
-                "bodies",
-                i,
-                kind,
-                world_frame,
-                np.maximum(size, THINNEST * largest),
-                BODY_COLOR,
-            )
-            self._owner.append(i)
+        shapes = drawn(scene)
+        template.put("I", len(shapes) + len(scene.joints) + 2 * len(solids))
+        for i, (body, kind, size, local, mesh) in enumerate(shapes):
+            if kind != MESH:
+                size = np.maximum(size, THINNEST * largest)
+            _add(template, "bodies", i, kind, world_frame, size, BODY_COLOR, mesh)
+            self._owner.append(place.get(body, len(place)))
             self._local.append(local)
         offsets = {body.name: np.array(body.com) for body in scene.bodies}
         for i, (joint, (_, frame)) in enumerate(zip(scene.joints, layout.joint_frames)):
@@ -90,7 +87,8 @@ class Markers:
         """The serialized message."""
         time = stamp(stamp_ns)
         slots = []
-        poses = sample.pose_matrices[self._owner] @ self._local
+        # The world has the index after the last body.
+        poses = np.concatenate([sample.pose_matrices, np.eye(4)[None]])[self._owner] @ self._local
         rows = np.hstack([poses[:, :3, :3].reshape(-1, 9), poses[:, :3, 3]])
         for place, quaternion in zip(rows[:, 9:].tolist(), quaternions(rows).tolist()):
             slots += time, (ADD,), (*place, *quaternion)
@@ -120,8 +118,11 @@ class Markers:
         return self._end.pack(stamp(stamp_ns), (DELETE_ALL,), (0.0,) * 6 + (1.0,))
 
 
-def _add(template, namespace, number, kind, frame, size, color):
-    """Append a visualization_msgs/Marker; slots: stamp, action, pose, and for arrows the points."""
+def _add(template, namespace, number, kind, frame, size, color, mesh=""):
+    """Append a visualization_msgs/Marker; slots: stamp, action, pose, and for arrows the points.
+
+    mesh : address of the mesh of a MESH
+    """
     template.header(frame)
     template.string(namespace)
     template.put("2i", number, kind)
@@ -141,15 +142,51 @@ def _add(template, namespace, number, kind, frame, size, color):
     template.string("")
     template.put("I", 0)
     template.put("I", 0)  # texture coordinates
-    for _ in ("text", "mesh resource", "file name of the mesh"):
-        template.string("")
+    for text in ("", mesh, ""):  # text, mesh resource, file name of the mesh
+        template.string(text)
     template.put("I", 0)  # the mesh
-    template.put("B", False)
+    template.put("B", bool(mesh))  # with its own materials
 
 
 def markers(encoder):
     """[(topic, type, encode)] as in samples.py."""
     return [("~/markers", "visualization_msgs/msg/MarkerArray", encoder.encode)]
+
+
+def drawn(scene):
+    """[(name of the body or world, kind, sizes (3,) in m, pose (4, 4) in the body's frame, mesh)].
+
+    Of a robot all visuals, else one shape a body; mesh: address of a mesh, "" of other shapes.
+    """
+    robot, found, shown = scene.robot, [], set()
+    if robot is not None:
+        for link, (body, place) in robot.frames.items():
+            for visual in robot.visuals.get(link, ()):
+                shape = _of_visual(visual, robot.file)
+                if shape is not None:
+                    kind, size, mesh = shape
+                    found.append((body, kind, size, place @ visual.pose, mesh))
+                    shown.add(body)
+    for body in scene.bodies:
+        if body.name not in shown:
+            kind, size, local = solid(body)
+            found.append((body.name, kind, size, local, ""))
+    return found
+
+
+def _of_visual(visual, file):
+    """(kind, sizes (3,), address of the mesh) of a visual, or None for a mesh that is not there."""
+    if visual.kind == "mesh":
+        path = find_resource(visual.mesh, file)
+        return None if path is None else (MESH, visual.size, path.as_uri())
+    if visual.kind == "box":
+        return CUBE, visual.size, ""
+    across = 2.0 * visual.size[0]
+    return (
+        TYPES[visual.kind],
+        (across, across, visual.size[-1] if visual.kind == "cylinder" else across),
+        "",
+    )
 
 
 def solid(body):

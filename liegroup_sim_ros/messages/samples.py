@@ -9,6 +9,10 @@ body twists: the velocity of the body frame's origin and the angular velocity, i
 
 import math
 
+import numpy as np
+
+from liegroup_core.observables.along import quaternions
+
 from .cdr import Template, stamp
 from .codecs import PoseStampedCodec, TwistStampedCodec, pack_stamp
 
@@ -115,46 +119,70 @@ def pose_array(layout, world_frame, frame_prefix=""):
 def joint_states(layout, world_frame, frame_prefix=""):
     """sensor_msgs/JointState of the joints with one angle or displacement; every effort is NaN.
 
+    Joints of a robot have the names of its file; joints that do not move have their coordinate.
+
     NaN marks an unknown effort, as in ros2_control's joint_state_broadcaster. An empty sequence at
     the end of the message would not do, because readers differ in the padding that they accept
     there: rosbags takes at most 3 bytes more than ROS sends, pybag-sdk needs up to 4.
     """
-    names = layout.coordinates.names
+    names, robot = layout.coordinates.names, layout.scene.robot
+    still = {} if robot is None else robot.still
+    labels = [*names, *still]
+    if robot is not None:
+        labels[: len(names)] = [robot.joints.get(name, name) for name in names]
     template = Template()
     template.header("")
-    template.put("I", len(names))
-    for name in names:
+    template.put("I", len(labels))
+    for name in labels:
         template.string(name)
     for _ in ("position", "velocity"):
-        template.put("I", len(names))
-        template.slot(f"{len(names)}d")
-    template.put("I", len(names))  # effort
-    template.put(f"{len(names)}d", *[math.nan] * len(names))
+        template.put("I", len(labels))
+        template.slot(f"{len(labels)}d")
+    template.put("I", len(labels))  # effort
+    template.put(f"{len(labels)}d", *[math.nan] * len(labels))
+    held, rest = list(still.values()), [0.0] * len(still)
 
     def encode(stamp_ns, sample):
         coordinates = sample.joint_coordinates
         return template.pack(
             stamp(stamp_ns),
-            [coordinates[name][0] for name in names],
-            [coordinates[name][1] for name in names],
+            [coordinates[name][0] for name in names] + held,
+            [coordinates[name][1] for name in names] + rest,
         )
 
     return [("~/joint_states", "sensor_msgs/msg/JointState", encode)]
 
 
 def transforms(layout, world_frame, frame_prefix=""):
-    """tf2_msgs/TFMessage: transforms from the world frame to every body frame."""
-    bodies = layout.body_names
+    """tf2_msgs/TFMessage: transforms from the world frame to every body frame.
+
+    Of a robot: to the frames of all its links, with the names of its file.
+    """
+    robot, bodies = layout.scene.robot, layout.body_names
+    if robot is None:
+        frames = {body: (body, np.eye(4)) for body in bodies}
+    else:
+        frames = robot.frames
     template = Template()
-    template.put("I", len(bodies))
-    for body in bodies:
+    template.put("I", len(frames))
+    for name in frames:
         template.header(world_frame)
-        template.string(frame_prefix + body)
+        template.string(frame_prefix + name)
         template.slot("7d")
+    # The world has the index after the last body.
+    number = {body: i for i, body in enumerate(bodies)}
+    owner = [number.get(body, len(bodies)) for body, _ in frames.values()]
+    local = np.array([pose for _, pose in frames.values()])
+    plain = robot is None
 
     def encode(stamp_ns, sample):
         time = stamp(stamp_ns)
-        return template.pack(*(slot for body in bodies for slot in (time, _pose(sample, body))))
+        if plain:
+            return template.pack(*(slot for body in bodies for slot in (time, _pose(sample, body))))
+        poses = np.concatenate([sample.pose_matrices, np.eye(4)[None]])[owner] @ local
+        rows = np.hstack([poses[:, :3, :3].reshape(-1, 9), poses[:, :3, 3]])
+        places = np.hstack([rows[:, 9:], quaternions(rows)]).tolist()
+        return template.pack(*(slot for place in places for slot in (time, place)))
 
     return [("/tf", "tf2_msgs/msg/TFMessage", encode)]
 

@@ -2,12 +2,13 @@
 """Topics that are in every recording of a run: name, message type, quality of service.
 
 The node publishes and records them; `liegroup_sim run` records the same ones, without those that
-need a clock. Optional topics, each encoded by one function, are in samples.py and markers.py.
+need a clock. ~/robot_description is not recorded. Optional topics, each encoded by one function, are
+in samples.py and markers.py.
 """
 
 from typing import NamedTuple
 
-from . import diagnostics, estimates
+from . import description, diagnostics, estimates
 from .codecs import ClockCodec, LogCodec, PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec
 
 
@@ -45,6 +46,7 @@ def wrench_frame(frame, axes, world_frame):
 # Late subscribers receive the acting wrenches; many wrenches may change at one step.
 APPLIED_WRENCH = Topic("~/applied_wrench", WrenchStampedCodec.TYPE, "transient_local", 1000)
 EVENTS = Topic("~/events", LogCodec.TYPE, "transient_local")
+DESCRIPTION = Topic("~/robot_description", description.TYPE, "transient_local", 1)
 CLOCK = Topic("/clock", ClockCodec.TYPE, depth=1)
 STATE = Topic("~/state", diagnostics.TYPE)
 ERRORS = Topic("~/errors", estimates.TYPE)  # with the samples, if an estimate is carried

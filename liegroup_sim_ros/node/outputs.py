@@ -13,7 +13,7 @@ from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from liegroup_core.forces.schedule import AXES
-from liegroup_sim_ros.messages import diagnostics, estimates, topics
+from liegroup_sim_ros.messages import description, diagnostics, estimates, topics
 from liegroup_sim_ros.messages import samples as sample_messages
 from liegroup_sim_ros.messages.codecs import ClockCodec, LogCodec, WrenchStampedCodec
 from liegroup_sim_ros.messages.markers import Markers, markers
@@ -129,6 +129,9 @@ class Outputs:
             for axes in AXES
         }
         self._events = self._stream(*topics.EVENTS)
+        # For viewers only: the recording has the scene.
+        self._description = Stream(node, overrides, *topics.DESCRIPTION)
+        self._description.publish(description.encoded(description.robot_description(layout.scene)))
         self._diagnostics = self._stream(*topics.DIAGNOSTICS)
         self._clock = self._state = self._marker_stream = None
         if self.clock_steps:
@@ -221,7 +224,7 @@ class Outputs:
             end = time.monotonic() + LAST_WORDS
             for stream in self._streams:
                 stream.wait(max(0.0, end - time.monotonic()))
-        for stream in self._streams:
+        for stream in (*self._streams, self._description):
             stream.close()
 
     def clock(self, stamp_ns):

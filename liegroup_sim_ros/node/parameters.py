@@ -68,7 +68,8 @@ TABLE = (
     Entry(
         "scene",
         "",
-        "path of a scene file (YAML), or name of an example scene; ~/reload loads a new value",
+        "path of a scene file (YAML) or of a robot (URDF, xacro, SDF, MJCF; also package:// and "
+        "model://), or name of an example scene; ~/reload loads a new value",
         read_only=False,
     ),
     Entry(

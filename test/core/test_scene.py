@@ -29,9 +29,11 @@ from liegroup_core.scene import (
     find_scene,
     load_scene,
     scene_from_text,
+    yaml_text,
 )
 from liegroup_core.scene import load as load_module
 from liegroup_core.scene.description import FORCES, JOINTS
+from liegroup_core.scene.robot_file import RobotFile
 from liegroup_core.scene.shapes import SHAPES
 
 GOOD = (Path(__file__).parent / "rig.yaml").read_text(encoding="utf-8")
@@ -44,7 +46,7 @@ PARSERS = sorted(
 @pytest.fixture(params=PARSERS, ids=lambda parser: parser.__name__)
 def parser(request, monkeypatch):
     """Run the test with each YAML parser that may be installed."""
-    monkeypatch.setattr(load_module, "_PARSER", request.param)
+    monkeypatch.setattr(yaml_text, "_PARSER", request.param)
 
 
 # ---------------------------------------------------------------- good scenes
@@ -427,7 +429,7 @@ def test_numbers_and_text_survive_a_round_trip_bit_for_bit(
 
 # ---------------------------------------------------------------- documentation
 
-MODELS = (Scene, Body, *SHAPES, *JOINTS, Frame, *FORCES)
+MODELS = (Scene, Body, *SHAPES, *JOINTS, Frame, *FORCES, RobotFile)
 
 
 def test_every_field_is_documented():

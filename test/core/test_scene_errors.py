@@ -11,8 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from liegroup_core.errors import SceneError
-from liegroup_core.scene import load as load_module
-from liegroup_core.scene import scene_from_text
+from liegroup_core.scene import scene_from_text, yaml_text
 
 GOOD = (Path(__file__).parent / "rig.yaml").read_text(encoding="utf-8")
 PARSERS = sorted({yaml.SafeLoader, getattr(yaml, "CSafeLoader", yaml.SafeLoader)},
@@ -22,7 +21,7 @@ PARSERS = sorted({yaml.SafeLoader, getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 @pytest.fixture(params=PARSERS, ids=lambda parser: parser.__name__)
 def parser(request, monkeypatch):
     """Run the test with each YAML parser that may be installed."""
-    monkeypatch.setattr(load_module, "_PARSER", request.param)
+    monkeypatch.setattr(yaml_text, "_PARSER", request.param)
 
 
 def refusal(text, source="config/x.yaml"):

@@ -10,16 +10,16 @@ from scene_files import ROOT, each_scene
 from liegroup_core.errors import SceneError
 from liegroup_core.scene import scene_from_text
 from liegroup_core.scene.description import FORCES, JOINTS
-from liegroup_core.scene.load import _read
 from liegroup_core.scene.schema import scene_schema, scene_schema_text
 from liegroup_core.scene.shapes import SHAPES
+from liegroup_core.scene.yaml_text import read_yaml
 
 GOOD = (ROOT / "test" / "core" / "rig.yaml").read_text(encoding="utf-8")
 VALIDATOR = jsonschema.Draft202012Validator(scene_schema())
 
 
 def accepts(text):
-    return VALIDATOR.is_valid(_read(text, "x.yaml").value)
+    return VALIDATOR.is_valid(read_yaml(text, "x.yaml").value)
 
 
 def test_the_schema_file_is_up_to_date():
@@ -33,7 +33,7 @@ def test_the_schema_is_a_valid_json_schema():
 
 @each_scene
 def test_every_example_scene_validates(path):
-    values = _read(path.read_text(encoding="utf-8"), str(path)).value
+    values = read_yaml(path.read_text(encoding="utf-8"), str(path)).value
     assert [error.message for error in VALIDATOR.iter_errors(values)] == []
 
 

@@ -394,7 +394,9 @@ def test_names_of_every_length(layout, sample, length):
     assert bytes(store.serialize_cdr(store.deserialize_cdr(payload, kind), kind)) == payload
     for count in range(4):
         names = ["j" * length + str(k) for k in range(count)]
-        joints = SimpleNamespace(coordinates=SimpleNamespace(names=names))
+        joints = SimpleNamespace(
+            coordinates=SimpleNamespace(names=names), scene=SimpleNamespace(robot=None)
+        )
         _, _, encode = only(sample_messages.joint_states(joints, world))
         state = SimpleNamespace(joint_coordinates={name: (0.5, 2.0) for name in names})
         message = as_ros_serializes(encode(STAMP, state), JointState)

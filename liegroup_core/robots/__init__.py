@@ -1,0 +1,15 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Robot descriptions: URDF, SDF and MJCF files as texts of scenes.
+
+In: a file of a robot, and what the user adds to it. Out: the text of a scene file, with comments
+that say what came from where, or one SceneError with file and line. It knows no Scene: a scene is
+read from the text like any other, so a recording of a robot needs no other file.
+
+    read.py                       which format a file has
+    urdf.py, sdf.py, mjcf.py      file -> Robot, a neutral description (description.py)
+    apart.py                      xacro and MuJoCo's compiler, in processes of their own
+    options.py, additions.py      what a user adds: start values, closing joints, forces
+    chains.py, links.py           links that stay, links that move as one, poses at the start
+    mapping.py                    Robot -> bodies, joints, forces and notes of a scene
+    text.py                       -> YAML with comments
+"""

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tools that expand or compile a file, each in a process of its own with bounded time and memory.
+
+    python -m liegroup_core.robots.apart xacro FILE        prints the expanded XML
+    python -m liegroup_core.robots.apart mjcf FILE         prints the compiled model as JSON
+
+A wrong file cannot take this process down, whatever the tool does with it.
+"""
+
+import json
+import os
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+from .description import refusal
+
+SECONDS = 60
+BYTES = 8 * 2**30  # address space
+LARGEST_OUTPUT = 256 * 2**20  # bytes
+MISSING = 3  # exit code: the package of the tool is not installed
+PACKAGES = {"xacro": "xacro", "mjcf": "mujoco"}
+
+
+def run_apart(tool, path):
+    """Text that a tool prints for a file. Raises SceneError with the tool's own message."""
+    command = [sys.executable, "-P", "-m", __name__, tool, str(path)]
+    folders = [str(Path(__file__).resolve().parents[2]), os.environ.get("PYTHONPATH", "")]
+    try:
+        done = subprocess.run(
+            command,
+            env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, folders))},
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            timeout=SECONDS,
+        )
+    except subprocess.TimeoutExpired:
+        raise refusal(
+            path, 0, f"{tool} did not end within {SECONDS} s: make the file smaller"
+        ) from None
+    if done.returncode == 0 and len(done.stdout) <= LARGEST_OUTPUT:
+        return done.stdout.decode("utf-8", errors="replace")
+    if done.returncode == 0:
+        raise refusal(
+            path, 0, f"{tool} made more than {LARGEST_OUTPUT >> 20} MiB: make the file smaller"
+        )
+    if done.returncode == MISSING:
+        package = PACKAGES[tool]
+        raise refusal(
+            path,
+            0,
+            f"is read by the package {package}, which is not installed: pip install {package}",
+        )
+    text = [line for line in done.stderr.decode(errors="replace").splitlines() if line.strip()]
+    if done.returncode < 0 or any("MemoryError" in line or "bad_alloc" in line for line in text):
+        raise refusal(path, 0, f"{tool} ran out of memory or crashed on it: simplify the file")
+    raise refusal(path, 0, f"{tool}: {(' '.join(text) or 'failed')[-400:]}; correct the file")
+
+
+def _bound():
+    """Bound memory and time of this process."""
+    for kind, limit in ((resource.RLIMIT_AS, BYTES), (resource.RLIMIT_CPU, SECONDS)):
+        hard = resource.getrlimit(kind)[1]
+        limit = limit if hard == resource.RLIM_INFINITY else min(limit, hard)
+        resource.setrlimit(kind, (limit, hard))
+
+
+def _expand(path):
+    """Expanded XML of a xacro file."""
+    import xacro
+
+    return xacro.process_file(path).toprettyxml(indent="  ")
+
+
+def _compile(path):
+    """Compiled MJCF as JSON."""
+    from .mjcf_model import arrays_of
+
+    return json.dumps(arrays_of(path))
+
+
+def main(tool, path):
+    """Print the result, or one line why there is none; returns the exit code."""
+    _bound()
+    try:
+        print({"xacro": _expand, "mjcf": _compile}[tool](path))
+    except ModuleNotFoundError as error:
+        if error.name == PACKAGES[tool]:
+            return MISSING
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        return 1
+    except SystemExit:
+        return 1
+    except RecursionError:
+        print("it contains itself, or is nested too deep", file=sys.stderr)
+        return 1
+    except Exception as error:  # whatever the tool finds wrong is the message
+        print(" ".join(str(error).split()) or type(error).__name__, file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))

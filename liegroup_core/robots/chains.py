@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which links of a robot stay, and which of them move as one.
+
+A user may cut what is off the chains of interest, and lock joints. Joints that a locked joint drives
+are locked too. Links without mass at the end of a chain are held in place.
+"""
+
+from liegroup_core.lie.groups import SE3
+
+from .description import WORLD, listed
+from .links import Grouping
+
+
+def kept_joints(robot, options, notes):
+    """Joints of the file that are kept; with `only`, those on the chains to the given links."""
+    if not options.only:
+        return list(robot.joints)
+    for i, name in enumerate(options.only):
+        if name not in robot.links:
+            raise options.unknown(("only", i), "only: link", name, robot.links)
+    holders = {joint.child: joint for joint in robot.joints if not joint.closes}
+    kept = set(robot.roots)
+    for name in options.only:
+        seen = set()
+        while name not in kept and name not in seen:
+            seen.add(name)
+            if name not in holders:
+                break
+            name = holders[name].parent
+        kept |= seen
+    # What fixed joints hold to a kept link stays: it is a part of the same body.
+    grown = True
+    while grown:
+        grown = False
+        for joint in robot.joints:
+            if joint.type == "fixed" and joint.parent in kept and joint.child not in kept:
+                kept.add(joint.child)
+                grown = True
+    cut = [name for name in robot.links if name not in kept]
+    if cut:
+        mass = sum(robot.links[name].mass for name in cut)
+        notes.append(f"changes the motion: cut {listed(cut)}, {mass:.6g} kg in all")
+    for name in cut:
+        del robot.links[name]
+    kept.add(WORLD)
+    return [joint for joint in robot.joints if joint.parent in kept and joint.child in kept]
+
+
+def locked_joints(robot, options, values, notes):
+    """Names of joints that do not move: locked ones, and those that a mimic joint ties to them."""
+    types = {joint.name: joint.type for joint in robot.joints}
+    still = (
+        set(options.lock)
+        | set(robot.locked)
+        | {name for name, kind in types.items() if kind == "fixed"}
+    )
+    changed = True
+    while changed:
+        changed = False
+        for coupling in robot.couplings:
+            first, second = coupling.first in still, coupling.second in still
+            if second and not first:
+                values[coupling.first] = coupling.ratio * values[coupling.second] + coupling.offset
+                still.add(coupling.first)
+                changed = True
+            elif first and not second and coupling.ratio:
+                values[coupling.second] = (
+                    values[coupling.first] - coupling.offset
+                ) / coupling.ratio
+                still.add(coupling.second)
+                changed = True
+    for name in still:
+        if types[name] != "fixed":
+            own = name in options.lock or name in robot.locked
+            why = "" if own else ", because a locked joint drives it"
+            notes.append(f"locked: joint {name} at {values[name]:.6g}{why}")
+    return still
+
+
+def base_of(robot, options, joints, notes):
+    """Whether the root links are fixed to the world or float."""
+    if options.base is not None:
+        return options.base
+    if robot.free:
+        return "floating"
+    if options.joints or any(joint.type != "fixed" for joint in joints):
+        return "fixed"
+    notes.append("floating: the robot has no joint that moves")
+    return "floating"
+
+
+def grouped(robot, options, base, joints, lock, values, notes):
+    """Grouping of the links that stay; links without mass at the end of a chain are held."""
+    welded = [
+        (j.parent, j.child, j.parent_frame @ j.motion(values[j.name]) @ SE3.inverse(j.child_frame))
+        for j in joints
+        if j.name in lock and not j.closes
+    ]
+    if base == "fixed":
+        welded += [(WORLD, name, robot.links[name].pose) for name in robot.roots if name != WORLD]
+    moving = [j for j in joints if j.name not in lock or j.closes]
+    moving = [j for j in moving if j.type != "floating"]
+    tied = {end for entry in options.joints for end in (entry.get("parent"), entry.get("child"))}
+    while True:
+        grouping = Grouping(robot, welded, moving)
+        light = _end_without_mass(grouping, tied)
+        if light is None:
+            return grouping
+        group, joint = light
+        if joint is None:
+            raise robot.error(
+                robot.links[group.links[0]].line,
+                f'link "{group.links[0]}" moves freely and has no mass: give it an inertial, or fix '
+                "it to another link",
+            )
+        notes.append(
+            f"held in place: {listed(group.links)} at the end of joint {joint.name}, without mass"
+        )
+        welded.append(
+            (
+                joint.parent,
+                joint.child,
+                joint.parent_frame
+                @ joint.motion(values[joint.name])
+                @ SE3.inverse(joint.child_frame),
+            )
+        )
+
+
+def _end_without_mass(grouping, tied):
+    """(group, its only joint or None) of a group without mass at the end of a chain, or None."""
+    joints = {}
+    for joint in grouping.moving:
+        for name in (joint.parent, joint.child):
+            joints.setdefault(id(grouping.of_link[name]), []).append(joint)
+    for group in grouping.groups:
+        if group is grouping.world or tied & set(group.links):
+            continue
+        if grouping.moves_nothing(group) and len(joints.get(id(group), ())) <= 1:
+            return group, next(iter(joints.get(id(group), ())), None)
+    return None

@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Neutral description of a robot: what URDF, SDF and MJCF files have in common.
+
+SI units, radians, poses as (4, 4) matrices. The axis of a joint is the z axis of its two frames;
+those of a universal joint are x of the parent's frame and y of the child's. At coordinate 0 the two
+frames of a joint coincide.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from liegroup_core.errors import SceneError
+from liegroup_core.fields.values import suggestion
+from liegroup_core.lie.groups import SE3
+
+WORLD = "world"
+# Types of joints that have one coordinate.
+ONE_COORDINATE = ("revolute", "prismatic", "screw")
+
+
+@dataclass
+class Visual:
+    """Shape that a viewer draws.
+
+    kind  : box, cylinder, sphere or mesh
+    size  : m: edges (x, y, z); (radius, length); (radius,); of a mesh its scale (x, y, z)
+    pose  : (4, 4) in the frame of the link
+    mesh  : address of the file, as the robot's file gives it
+    """
+
+    kind: str
+    size: tuple
+    pose: np.ndarray
+    mesh: str = ""
+
+
+@dataclass
+class Link:
+    """Rigid link.
+
+    mass    : kg, 0 without inertia
+    com     : (3,) m, centre of mass in the frame of the link
+    inertia : (3, 3) kg m^2 about the centre of mass, axes of the link
+    pose    : (4, 4) in the world when all joint coordinates are 0
+    line    : of the file; 0 if it is not known
+    """
+
+    name: str
+    line: int = 0
+    mass: float = 0.0
+    com: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    inertia: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
+    pose: np.ndarray = field(default_factory=lambda: np.eye(4))
+    visuals: list = field(default_factory=list)
+    twist: np.ndarray = field(default_factory=lambda: np.zeros(6))
+
+    @property
+    def moves_nothing(self):
+        """True without mass and inertia."""
+        return self.mass == 0.0 and not self.inertia.any()
+
+
+@dataclass
+class RobotJoint:
+    """Joint between two links, or between the world and a link.
+
+    type          : type of a scene's joint; floating for none
+    parent_frame  : (4, 4) in the frame of the parent; child_frame: in that of the child
+    closes        : True for a joint that is no part of the file's tree
+    damping       : N m s/rad or N s/m;  stiffness, rest: N m/rad or N/m, and its coordinate without torque
+    data          : {name: number} that the simulation does not use: lower, upper, ...
+    """
+
+    name: str
+    type: str
+    parent: str
+    child: str
+    parent_frame: np.ndarray
+    child_frame: np.ndarray
+    line: int = 0
+    closes: bool = False
+    pitch: float = 0.0
+    length: float | None = None
+    damping: float = 0.0
+    stiffness: float = 0.0
+    rest: float = 0.0
+    data: dict = field(default_factory=dict)
+
+    def motion(self, value):
+        """(4, 4) pose of the child's frame in the parent's at a coordinate, rad or m."""
+        twist = np.zeros(6)
+        if self.type in ("revolute", "screw"):
+            twist[2], twist[5] = value, self.pitch * value
+        elif self.type == "prismatic":
+            twist[5] = value
+        return SE3.exp(twist)
+
+
+@dataclass
+class Coupling:
+    """Linear relation of two joint coordinates: first = ratio * second + offset."""
+
+    name: str
+    first: str
+    second: str
+    ratio: float
+    offset: float
+    line: int = 0
+
+
+@dataclass
+class Robot:
+    """Whole robot.
+
+    file     : path, as errors name it;  kind: URDF, SDF or MJCF
+    roots    : links that the file's tree starts from; `base` fixes or frees them
+    free     : True if the roots float unless a joint holds them, as in SDF and MJCF
+    gravity  : (3,) m/s^2, or None if the file has none
+    left_out : {what: [names]} of what has no place in a scene and does not change the motion
+    changes  : {what: [names]} of what is left out and changes the motion
+    poses    : {name of a pose: {joint: coordinate}}
+    locked   : {joint: coordinate} of joints that do not move
+    text     : URDF text of the robot, "" for other kinds
+    """
+
+    name: str
+    file: str
+    kind: str
+    links: dict = field(default_factory=dict)
+    joints: list = field(default_factory=list)
+    couplings: list = field(default_factory=list)
+    roots: list = field(default_factory=list)
+    free: bool = False
+    gravity: tuple | None = None
+    left_out: dict = field(default_factory=dict)
+    changes: dict = field(default_factory=dict)
+    poses: dict = field(default_factory=dict)
+    locked: dict = field(default_factory=dict)
+    text: str = ""
+
+    def error(self, line, message):
+        """SceneError at a line of the file."""
+        return refusal(self.file, line, message)
+
+    def check_couplings(self):
+        """Raise SceneError for a coupling of unknown joints, and for circles of mimic joints."""
+        known = [joint.name for joint in self.joints]
+        for coupling in self.couplings:
+            for name in (coupling.first, coupling.second):
+                if name not in known:
+                    raise self.error(
+                        coupling.line,
+                        f'joint "{coupling.first}" mimics "{coupling.second}": joint {name!r:.60} '
+                        f"does not exist; {suggestion(name, sorted(known))}",
+                    )
+        mimics = {coupling.first: coupling for coupling in self.couplings}
+        for coupling in self.couplings:
+            seen, name = [coupling.first], coupling.second
+            while name in mimics and name not in seen:
+                seen.append(name)
+                name = mimics[name].second
+            if name in seen:
+                raise self.error(
+                    coupling.line,
+                    f"joints mimic each other in a circle: {' -> '.join([*seen[:6], name])}; "
+                    "one of them must move by itself",
+                )
+
+    def leave_out(self, what, name, changes_motion=False):
+        """Note something of the file that the scene does not have."""
+        (self.changes if changes_motion else self.left_out).setdefault(what, []).append(name)
+
+
+def refusal(file, line, message):
+    """SceneError at a line of a file."""
+    return SceneError(f"{file}:{line}: {message}" if line else f"{file}: {message}")
+
+
+def place(position=(0.0, 0.0, 0.0), rotation=None):
+    """(4, 4) pose."""
+    pose = np.eye(4)
+    pose[:3, 3] = position
+    if rotation is not None:
+        pose[:3, :3] = rotation
+    return pose
+
+
+def rotation_of_rpy(roll, pitch, yaw):
+    """(3, 3) rotation Rz(yaw) Ry(pitch) Rx(roll), the convention of URDF and SDF."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos((roll, pitch, yaw)), np.sin((roll, pitch, yaw))
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def listed(names, most=8):
+    """Names for a note."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more

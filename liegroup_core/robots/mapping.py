@@ -1,0 +1,295 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a robot to the entries of a scene: bodies, joints, forces, and notes of what differs.
+
+Links that fixed or locked joints hold together become one body. Links that are held to the world
+become no body. A link without mass between two joints becomes a point mass far below the round-off
+of its neighbours; one at the end of a chain does not influence the motion and is held in place.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from liegroup_core.fields.values import NEGATIVE_ROUND_OFF, TRIANGLE_TOLERANCE
+from liegroup_core.lie.groups import SO3
+
+from .additions import added_forces, added_joints
+from .chains import base_of, grouped, kept_joints, locked_joints
+from .description import ONE_COORDINATE, WORLD, listed
+from .names import scene_name, unique_names
+
+# Mass of a link without mass between two joints, relative to the lightest body: its effect on
+# accelerations is below round-off.
+NO_MASS = 1e-16
+# Moments of inertia in m^2 of the unit mass that are the round-off of 0: radii of 3e-8 m.
+NO_INERTIA = 1e-15
+GRAVITY = (0.0, 0.0, -9.81)  # m/s^2, of files that have none
+
+
+@dataclass
+class SceneParts:
+    """Entries of a scene, as keys and values, with the lines of the file that they come from.
+
+    comments : {("bodies", i): text}; lines: {("bodies", i): line}, also of joints and forces
+    names    : {("bodies", name in the scene): name in the file}, also of joints
+    frames   : {link: (name of its body or world, (4, 4) pose in the frame of the body)}
+    still    : {joint with one coordinate that does not move: coordinate}
+    """
+
+    name: str
+    description: str
+    gravity: tuple
+    assemble: bool
+    bodies: list = field(default_factory=list)
+    joints: list = field(default_factory=list)
+    forces: list = field(default_factory=list)
+    notes: list = field(default_factory=list)
+    comments: dict = field(default_factory=dict)
+    lines: dict = field(default_factory=dict)
+    names: dict = field(default_factory=dict)
+    frames: dict = field(default_factory=dict)
+    still: dict = field(default_factory=dict)
+
+
+def scene_parts(robot, options):
+    """SceneParts of a Robot with the additions of a user. Raises SceneError."""
+    values = options.coordinates(robot)
+    notes = []
+    joints = kept_joints(robot, options, notes)
+    base = base_of(robot, options, joints, notes)
+    lock = locked_joints(robot, options, values, notes)
+    grouping = grouped(robot, options, base, joints, lock, values, notes)
+    closing = grouping.place(values)
+    extra = added_joints(options, grouping)
+    closing += extra
+    parts = SceneParts(
+        scene_name(options.name or robot.name),
+        options.description or f"{robot.kind} file {robot.file.rpartition('/')[2]}",
+        tuple(options.gravity or robot.gravity or GRAVITY),
+        bool(closing),
+    )
+    used = _bodies(robot, grouping, parts, notes)
+    _joints(robot, grouping, parts, used, extra, notes)
+    for i, entry in enumerate(added_forces(options, grouping, parts)):
+        parts.lines["forces", len(parts.forces)] = ("forces", i)
+        parts.forces.append(entry)
+    parts.frames = {
+        link: (used[id(group)], group.places[link])
+        for link, group in grouping.of_link.items()
+        if link != WORLD
+    }
+    moving = {joint.name for joint in grouping.moving}
+    parts.still = {
+        joint.name: values[joint.name]
+        for joint in joints
+        if joint.type in ONE_COORDINATE and joint.name not in moving
+    }
+    for what in ("bodies", "joints"):
+        renamed = [
+            f"{file} is {name}"
+            for (key, name), file in parts.names.items()
+            if key == what and name != file
+        ]
+        if renamed:
+            notes.append(f"renamed {what}: {listed(renamed)}")
+    parts.notes = [*notes, *_left_out(robot, grouping)]
+    return parts
+
+
+def _bodies(robot, grouping, parts, notes):
+    """Append the bodies; returns {id of a group: name of its body}."""
+    movable = [group for group in grouping.groups if group is not grouping.world]
+    if not movable:
+        advice = (
+            "let the root float with base: floating (--base floating), or unlock a joint"
+            if robot.roots
+            else "give a body a joint"
+        )
+        raise robot.error(0, f"has no link that moves: all are fixed to the world; {advice}")
+    static = [name for name in grouping.world.links if name != WORLD]
+    if static:
+        notes.append(f"fixed to the world: {listed(static)}")
+    names = unique_names([group.links[0] for group in movable], {WORLD})
+    masses = [grouping.mass(group) for group in movable]
+    lightest = min((mass for mass, _, _ in masses if mass > 0.0), default=1.0)
+    body_of = {id(grouping.world): WORLD}
+    for group, name, (mass, com, inertia) in zip(movable, names, masses):
+        body_of[id(group)] = name
+        number = len(parts.bodies)
+        line = robot.links[group.links[0]].line
+        body = {"name": name}
+        if mass == 0.0:
+            body["mass"] = NO_MASS * lightest
+            notes.append(
+                f"without mass: {listed(group.links)} between joints, modelled as a point mass of "
+                f"{NO_MASS:g} of the lightest body"
+            )
+        else:
+            body["mass"] = mass
+        if np.abs(inertia).max() <= NO_INERTIA * mass:
+            inertia = np.zeros((3, 3))
+        body["inertia"] = [
+            inertia[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+        ]
+        _check_inertia(robot, group, line, inertia, body, notes)
+        if com.any():
+            body["com"] = com
+        body |= _placed(group.pose)
+        parts.bodies.append(body)
+        parts.lines["bodies", number] = line
+        parts.names["bodies", name] = group.links[0]
+        merged = group.links[1:]
+        if merged:
+            notes.append(f"merged into {name}: {listed(merged)}")
+        parts.comments["bodies", number] = _from_line(robot, line) + (
+            f", with {listed(merged)}" if merged else ""
+        )
+    return body_of
+
+
+def _check_inertia(robot, group, line, inertia, body, notes):
+    """Refuse a negative moment of inertia; note moments that no rigid body has."""
+    moments = np.linalg.eigvalsh(inertia)
+    scale = np.abs(moments).max()
+    text = ", ".join(f"{moment:.6g}" for moment in moments)
+    what = f'link "{group.links[0]}"' + (" with what is fixed to it" if group.links[1:] else "")
+    if moments[0] < -NEGATIVE_ROUND_OFF * scale:
+        for name in group.links:
+            own = np.linalg.eigvalsh(robot.links[name].inertia)
+            if own[0] < -NEGATIVE_ROUND_OFF * np.abs(own).max():
+                line = robot.links[name].line
+        raise robot.error(
+            line,
+            f"{what} has a negative moment of inertia, principal moments {text} kg m^2: correct its "
+            "<inertia>, about the centre of mass",
+        )
+    if moments[2] > moments[0] + moments[1] + TRIANGLE_TOLERANCE * scale:
+        body["unphysical"] = True
+        notes.append(
+            f"inertia of no rigid body: {what}, principal moments {text} kg m^2, used as given"
+            + (f" (line {line})" if line else "")
+        )
+
+
+def _joints(robot, grouping, parts, body_of, extra, notes):
+    """Append the joints, and the forces of their springs and dampers."""
+    moving = [*grouping.moving, *extra]
+    names = unique_names([joint.name for joint in moving], set())
+    taken = set(names)
+    for joint, name in zip(moving, names):
+        number = len(parts.joints)
+        F_a, F_b = grouping.frames(joint)
+        parent, child = (body_of[id(grouping.of_link[end])] for end in (joint.parent, joint.child))
+        if child == WORLD:  # the child of a joint of a scene moves
+            parent, child, F_a, F_b = child, parent, *exchanged(joint.type, F_a, F_b)
+        entry = {"name": name, "type": joint.type, "parent": parent, "child": child}
+        if joint.type == "screw":
+            entry["pitch"] = joint.pitch
+        if joint.length is not None:
+            entry["length"] = joint.length
+        entry["parent_frame"], entry["child_frame"] = _placed(F_a), _placed(F_b)
+        if joint.data:
+            entry["data"] = dict(joint.data)
+        parts.joints.append(entry)
+        own = number - len(grouping.moving)
+        parts.lines["joints", number] = joint.line if own < 0 else ("joints", own)
+        parts.names["joints", name] = joint.name
+        parts.comments["joints", number] = (
+            _from_line(robot, joint.line)
+            if own < 0
+            else f"added between {joint.parent} and {joint.child}"
+        )
+        _law(robot, parts, joint, name, taken)
+
+
+def exchanged(kind, F_a, F_b):
+    """Frames (4, 4) of the same joint with its ends exchanged, and the same coordinate.
+
+    About or along a reversed z axis the reverse motion has the same sign.
+    """
+    reverse = np.diag([1.0, -1.0, -1.0, 1.0])
+    if kind == "universal":  # the arms of the cross, x of the parent and y of the child, exchange
+        reverse = np.array([[0.0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]])
+    return F_b @ reverse, F_a @ reverse
+
+
+def _law(robot, parts, joint, name, taken):
+    """Append the spring and damper of a joint, or note them where no force of a scene has them."""
+    if not joint.damping and not joint.stiffness:
+        return
+    kinds = {"revolute": "torsional", "screw": "torsional", "prismatic": "linear"}
+    if joint.type not in kinds:
+        robot.leave_out(f"damping of {joint.type} joints", joint.name, changes_motion=True)
+        return
+    (own,) = unique_names([f"{name}_{'spring' if joint.stiffness else 'damping'}"], taken)
+    taken.add(own)
+    kind = kinds[joint.type]
+    entry = {
+        "name": own,
+        "type": f"{kind}_spring_damper",
+        "joint": name,
+        "stiffness": joint.stiffness,
+        "damping": joint.damping,
+    }
+    if joint.stiffness:
+        entry["rest_angle" if kind == "torsional" else "rest_position"] = joint.rest
+    parts.lines["forces", len(parts.forces)] = joint.line
+    parts.comments["forces", len(parts.forces)] = _from_line(robot, joint.line)
+    parts.forces.append(entry)
+
+
+def _left_out(robot, grouping):
+    """Notes of what has no place in a scene."""
+    notes = []
+    moving = {joint.name: joint for joint in grouping.moving}
+    contacts = robot.changes.pop("collision", [])
+    if contacts:
+        notes.append(
+            f"changes the motion: no contact, {_counted(contacts)} without effect: "
+            "bodies pass through each other"
+        )
+    for keys, text in (
+        (("lower", "upper"), "joint limits are not enforced"),
+        (("friction",), "joint friction is not simulated"),
+        (("armature",), "armature (rotor inertia) is not simulated"),
+    ):
+        names = [name for name, joint in moving.items() if set(keys) & joint.data.keys()]
+        if names:
+            notes.append(f"changes the motion: {text}: {listed(names)}")
+    for coupling in robot.couplings:
+        if coupling.first in moving and coupling.second in moving:
+            notes.append(
+                f"changes the motion: {coupling.first} moves freely, its coupling "
+                f"{coupling.ratio:.6g} * {coupling.second} + {coupling.offset:.6g} is not simulated"
+            )
+    for what, names in robot.changes.items():
+        notes.append(f"changes the motion: {what}, left out: {listed(names)}")
+    for what, names in robot.left_out.items():
+        notes.append(f"left out: {len(names)} {what} ({listed(names)})")
+    return notes
+
+
+def _placed(pose):
+    """Keys of a scene for a pose (4, 4); {} for the identity."""
+    keys = {}
+    if pose[:3, 3].any():
+        keys["position"] = pose[:3, 3]
+    if not np.array_equal(pose[:3, :3], np.eye(3)):
+        keys["quaternion"] = _quaternion(pose[:3, :3])
+    return keys
+
+
+def _quaternion(R):
+    """Quaternion (4,) of a rotation, without round-off next to zero."""
+    found = SO3.to_quaternion(R)
+    return np.where(np.abs(found) <= 1e-16, 0.0, found)
+
+
+def _from_line(robot, line):
+    return f"line {line}" if line else f"of the {robot.kind} file"
+
+
+def _counted(names):
+    """Number of shapes, and the links that have them."""
+    links = list(dict.fromkeys(names))
+    return f"{len(names)} collision shapes of {listed(links)}"

@@ -1,0 +1,236 @@
+# SPDX-License-Identifier: Apache-2.0
+"""MJCF: the models of MuJoCo, compiled by MuJoCo's own compiler.
+
+Source: https://mujoco.readthedocs.io, chapters Computation and XML Reference. A body may have several
+joints; they act one after the other, the first one next to the parent. Between them are links
+without mass. Joint coordinates are counted from the pose of the file (qpos0).
+"""
+
+import json
+
+import numpy as np
+
+from liegroup_core.fields.frames import rotation_z_to
+from liegroup_core.lie.groups import SO3
+
+from .apart import run_apart
+from .description import WORLD, Coupling, Link, Robot, RobotJoint, Visual, place
+from .xml import Reader
+
+TYPES = {"ball": "spherical", "slide": "prismatic", "hinge": "revolute"}
+VISUALS = {"box", "sphere", "cylinder", "capsule"}
+
+
+def robot_of_mjcf(root, path):
+    """Robot of an MJCF file; root: its root element. Raises SceneError."""
+    model = json.loads(run_apart("mjcf", path))
+    lines = {
+        (element.tag, element.get("name")): element.sourceline
+        for element in root.iter()
+        if element.get("name")
+    }
+    robot = Robot(
+        root.get("model") or model["name"] or "model",
+        Reader(path).file,
+        "MJCF",
+        free=True,
+        gravity=tuple(model["gravity"]),
+    )
+    names = _names([body["name"] for body in model["bodies"]], "body")
+    for body, name in zip(model["bodies"], names):
+        _body(robot, model, body, name, names, lines)
+    _joints(robot, model, names, lines)
+    _equalities(robot, model, names, lines)
+    _shapes(robot, model, names)
+    _poses(robot, model)
+    _others(robot, model)
+    return robot
+
+
+def _names(given, what):
+    """Names, made up where the file has none."""
+    taken = set(given)
+    found = []
+    for i, name in enumerate(given):
+        own, k = name or f"{what}_{i + 1}", 2
+        while not name and own in taken:
+            own, k = f"{what}_{i + 1}_{k}", k + 1
+        taken.add(own)
+        found.append("world_body" if own == WORLD else own)
+    return found
+
+
+def _rotation(quaternion):
+    """(3, 3) of a quaternion w, x, y, z."""
+    w, x, y, z = quaternion
+    return SO3.from_quaternion(np.array([x, y, z, w])) if (x, y, z) != (0, 0, 0) else np.eye(3)
+
+
+def _body(robot, model, body, name, names, lines):
+    R = _rotation(body["iquat"])
+    parent = WORLD if body["parent"] == 0 else names[body["parent"] - 1]
+    above = np.eye(4) if parent == WORLD else robot.links[parent].pose
+    inertia = R @ np.diag(body["inertia"]) @ R.T
+    robot.links[name] = Link(
+        name,
+        lines.get(("body", body["name"]), 0),
+        body["mass"],
+        np.array(body["ipos"]),
+        0.5 * (inertia + inertia.T),
+        above @ place(body["pos"], _rotation(body["quat"])),
+    )
+    if body["gravcomp"]:
+        robot.leave_out("gravity compensation", name, changes_motion=True)
+    if body["mocap"]:
+        robot.leave_out("mocap bodies, which stay in place", name)
+
+
+def _joints(robot, model, names, lines):
+    """Joints of all bodies, with links without mass between several joints of a body."""
+    own = {}
+    labels = _names([joint["name"] for joint in model["joints"]], "joint")
+    for joint, label in zip(model["joints"], labels):
+        joint["label"] = label
+        own.setdefault(joint["body"], []).append(joint)
+    for i, (body, name) in enumerate(zip(model["bodies"], names), 1):
+        parent = WORLD if body["parent"] == 0 else names[body["parent"] - 1]
+        place_in_parent = place(body["pos"], _rotation(body["quat"]))
+        line = robot.links[name].line
+        joints = own.get(i, [])
+        if not joints:
+            robot.joints.append(
+                RobotJoint(f"{name}_weld", "fixed", parent, name, place_in_parent, np.eye(4), line)
+            )
+        for number, joint in enumerate(joints, 1):
+            line_of = lines.get(("joint", joint["name"]), line)
+            if joint["type"] == "free":
+                _free(robot, joint, name)
+                continue
+            child = name if number == len(joints) else f"{name}_{joint['label']}"
+            if child != name:
+                robot.links[child] = Link(child, line_of, pose=robot.links[name].pose)
+            robot.joints.append(_joint(robot, joint, parent, child, place_in_parent, line_of))
+            parent, place_in_parent = child, np.eye(4)
+
+
+def _free(robot, joint, name):
+    """A body with a free joint floats; its joint has no force in a scene."""
+    robot.roots.append(name)
+    if joint["damping"] or joint["stiffness"] or joint["friction"] or joint["armature"]:
+        robot.leave_out(
+            "damping, friction and armature of free joints", joint["label"], changes_motion=True
+        )
+
+
+def _joint(robot, joint, parent, child, placement, line):
+    turn = np.eye(3)
+    if joint["type"] != "ball":
+        turn = rotation_z_to(joint["axis"])
+    frame = place(joint["pos"], turn)
+    if joint["type"] == "slide":  # its position has no meaning
+        frame[:3, 3] = 0.0
+    found = RobotJoint(
+        joint["label"], TYPES[joint["type"]], parent, child, placement @ frame, frame, line
+    )
+    found.damping, found.stiffness = joint["damping"], joint["stiffness"]
+    if joint["type"] != "ball":
+        found.rest = joint["spring"] - joint["zero"]
+    if joint["nonlinear"]:
+        robot.leave_out("nonlinear springs and dampers", joint["label"], changes_motion=True)
+    for key in ("armature", "friction"):
+        if joint[key]:
+            found.data[key] = joint[key]
+    if joint["range"] is not None:
+        zero = 0.0 if joint["type"] == "ball" else joint["zero"]
+        found.data["lower"], found.data["upper"] = (value - zero for value in joint["range"])
+    return found
+
+
+def _equalities(robot, model, names, lines):
+    """Equality constraints: closing joints, couplings, locked joints."""
+    label = [joint["label"] for joint in model["joints"]]
+    for equality in model["equalities"]:
+        kind, name, data = equality["type"], equality["name"], equality["data"]
+        line = lines.get((kind, name), 0)
+        if not equality["active"]:
+            robot.leave_out("equality constraints that are not active", name)
+        elif kind in ("connect", "weld"):
+            robot.joints.append(_closing(robot, equality, names, line))
+        elif kind == "joint" and not any(data[2:5]) and equality["second"] >= 0:
+            robot.couplings.append(
+                Coupling(
+                    name,
+                    label[equality["first"]],
+                    label[equality["second"]],
+                    data[1],
+                    data[0],
+                    line,
+                )
+            )
+        elif kind == "joint" and equality["second"] < 0:
+            robot.locked[label[equality["first"]]] = data[0]
+        else:
+            robot.leave_out(f"equality constraints of {kind}s", name, changes_motion=True)
+
+
+def _closing(robot, equality, names, line):
+    """RobotJoint of a connect or weld between two bodies, or two sites."""
+    data = equality["data"]
+    if "sites" in equality:
+        ends = [0 if site["body"] == 0 else site["body"] for site in equality["sites"]]
+        frames = [place(site["pos"], _rotation(site["quat"])) for site in equality["sites"]]
+    else:
+        ends = [equality["first"], equality["second"]]
+        if equality["type"] == "connect":
+            frames = [place(data[0:3]), place(data[3:6])]
+        else:  # the anchor in the second body, its place in the first one
+            frames = [place(data[3:6], _rotation(data[6:10])), place(data[0:3])]
+    parent, child = (WORLD if end == 0 else names[end - 1] for end in ends)
+    F_a, F_b = frames
+    if child == WORLD:
+        parent, child, F_a, F_b = child, parent, F_b, F_a
+    kind = "spherical" if equality["type"] == "connect" else "fixed"
+    return RobotJoint(equality["name"], kind, parent, child, F_a, F_b, line, closes=True)
+
+
+def _shapes(robot, model, names):
+    """Visuals of primitive shapes, and the shapes that would collide."""
+    for geom in model["geoms"]:
+        if geom["body"] == 0:
+            continue
+        name = names[geom["body"] - 1]
+        if geom["collides"]:
+            robot.leave_out("collision", name, changes_motion=True)
+        if geom["type"] in VISUALS:
+            x, y, z = geom["size"]
+            size = {"box": (2 * x, 2 * y, 2 * z), "sphere": (x,)}.get(geom["type"], (x, 2 * y))
+            kind = "cylinder" if geom["type"] == "capsule" else geom["type"]
+            pose = place(geom["pos"], _rotation(geom["quat"]))
+            robot.links[name].visuals.append(Visual(kind, size, pose))
+
+
+def _poses(robot, model):
+    """Keyframes as joint coordinates; coordinates of free and ball joints have no place in them."""
+    for key in model["keys"]:
+        robot.poses[key["name"]] = {
+            joint["label"]: key["qpos"][joint["qpos"]] - joint["zero"]
+            for joint in model["joints"]
+            if joint["type"] in ("slide", "hinge")
+        }
+
+
+def _others(robot, model):
+    """What has no place in a scene."""
+    if model["fluid"]:
+        robot.leave_out("forces of a fluid", "option density or viscosity", changes_motion=True)
+    for tendon in model["tendons"]:
+        if tendon["force"]:
+            robot.leave_out("tendons with forces or limits", tendon["name"], changes_motion=True)
+        else:
+            robot.leave_out("tendons", tendon["name"])
+    for what in ("flexes", "plugins"):
+        for name in model[what]:
+            robot.leave_out(what, name, changes_motion=True)
+    for what in ("actuators", "sensors"):
+        for name in model[what]:
+            robot.leave_out(what, name)

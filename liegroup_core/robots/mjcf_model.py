@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compiled MuJoCo model as lists and numbers. It is used in a process of its own, see apart.py."""
+
+import mujoco
+import numpy as np
+
+
+def arrays_of(path):
+    """Dict of JSON types of the model of an MJCF file. Quaternions are w, x, y, z, as in MuJoCo."""
+    model = mujoco.MjModel.from_xml_path(path)
+    off = model.opt.disableflags
+    return {
+        "name": _text(model.names, 0),
+        "gravity": [0.0] * 3
+        if off & mujoco.mjtDisableBit.mjDSBL_GRAVITY
+        else model.opt.gravity.tolist(),
+        "fluid": bool(model.opt.density or model.opt.viscosity),
+        "bodies": [_body(model, i) for i in range(1, model.nbody)],
+        "joints": [_joint(model, i) for i in range(model.njnt)],
+        "equalities": [_equality(model, i) for i in range(model.neq)],
+        "geoms": [_geom(model, i) for i in range(model.ngeom)],
+        "tendons": [
+            {
+                "name": model.tendon(i).name or f"tendon_{i}",
+                "force": bool(
+                    model.tendon_stiffness[i]
+                    or model.tendon_damping[i]
+                    or model.tendon_frictionloss[i]
+                    or model.tendon_limited[i]
+                    or model.tendon_armature[i]
+                ),
+            }
+            for i in range(model.ntendon)
+        ],
+        "actuators": [model.actuator(i).name or f"actuator_{i}" for i in range(model.nu)],
+        "sensors": [model.sensor(i).name or f"sensor_{i}" for i in range(model.nsensor)],
+        "flexes": [f"flex_{i}" for i in range(model.nflex)],
+        "plugins": [f"plugin_{i}" for i in range(model.nplugin)],
+        "keys": [
+            {"name": model.key(i).name or f"key_{i}", "qpos": model.key_qpos[i].tolist()}
+            for i in range(model.nkey)
+        ],
+        "qpos0": model.qpos0.tolist(),
+    }
+
+
+def _text(names, start):
+    """Text that ends with 0 in a buffer."""
+    return bytes(names[start:]).split(b"\0", 1)[0].decode(errors="replace")
+
+
+def _body(model, i):
+    return {
+        "name": model.body(i).name,
+        "parent": int(model.body_parentid[i]),
+        "pos": model.body_pos[i].tolist(),
+        "quat": model.body_quat[i].tolist(),
+        "ipos": model.body_ipos[i].tolist(),
+        "iquat": model.body_iquat[i].tolist(),
+        "mass": float(model.body_mass[i]),
+        "inertia": model.body_inertia[i].tolist(),
+        "gravcomp": float(model.body_gravcomp[i]),
+        "mocap": bool(model.body_mocapid[i] >= 0),
+    }
+
+
+def _joint(model, i):
+    dof, at, kind = model.jnt_dofadr[i], model.jnt_qposadr[i], int(model.jnt_type[i])
+    return {
+        "name": model.joint(i).name,
+        "type": ("free", "ball", "slide", "hinge")[kind],
+        "body": int(model.jnt_bodyid[i]),
+        "pos": model.jnt_pos[i].tolist(),
+        "axis": model.jnt_axis[i].tolist(),
+        "qpos": int(at),
+        "zero": float(model.qpos0[at]),
+        "spring": float(model.qpos_spring[at]),
+        "stiffness": float(model.jnt_stiffness[i]),
+        "damping": float(model.dof_damping[dof]),
+        "nonlinear": bool(np.any(model.jnt_stiffnesspoly[i]) or np.any(model.dof_dampingpoly[dof])),
+        "armature": float(model.dof_armature[dof]),
+        "friction": float(model.dof_frictionloss[dof]),
+        "range": model.jnt_range[i].tolist() if model.jnt_limited[i] else None,
+    }
+
+
+def _equality(model, i):
+    kind = mujoco.mjtEq(int(model.eq_type[i])).name.removeprefix("mjEQ_").lower()
+    first, second = int(model.eq_obj1id[i]), int(model.eq_obj2id[i])
+    found = {
+        "name": model.equality(i).name or f"{kind}_{i}",
+        "type": kind,
+        "first": first,
+        "second": second,
+        "data": model.eq_data[i].tolist(),
+        "active": bool(model.eq_active0[i]),
+    }
+    if kind in ("connect", "weld") and model.eq_objtype[i] == mujoco.mjtObj.mjOBJ_SITE:
+        found["sites"] = [
+            {
+                "body": int(model.site_bodyid[site]),
+                "pos": model.site_pos[site].tolist(),
+                "quat": model.site_quat[site].tolist(),
+            }
+            for site in (first, second)
+        ]
+    return found
+
+
+def _geom(model, i):
+    kind = mujoco.mjtGeom(int(model.geom_type[i])).name.removeprefix("mjGEOM_").lower()
+    return {
+        "body": int(model.geom_bodyid[i]),
+        "type": kind,
+        "size": model.geom_size[i].tolist(),
+        "pos": model.geom_pos[i].tolist(),
+        "quat": model.geom_quat[i].tolist(),
+        "collides": bool(model.geom_contype[i] or model.geom_conaffinity[i]),
+    }

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a user adds to a robot: start values, locked joints, closing joints, forces."""
+
+from dataclasses import dataclass, field
+
+from liegroup_core.errors import SceneError
+from liegroup_core.fields.values import suggestion
+
+from .description import ONE_COORDINATE
+
+BASES = ("fixed", "floating")
+
+
+@dataclass
+class Options:
+    """Additions to a robot's file; names are those of the file.
+
+    base      : fixed or floating root links; None: as the format says
+    pose      : name of a pose of the file (keyframe, group state)
+    start     : {joint: coordinate}, rad or m, in place of 0 or of the pose
+    lock      : {joint: coordinate} of joints that do not move
+    only      : links whose chains to the root are kept; empty: all
+    joints    : [keys of a scene's joint], between links; its frames are in the frames of the links
+    forces    : [keys of a scene's force]; couplings: [keys of a scene's coupling]
+    srdf      : path of an SRDF file with poses
+    gravity, name, description : of the scene, None: as the file says
+    place     : function: path inside the additions -> text that an error starts with
+    """
+
+    base: str | None = None
+    pose: str | None = None
+    start: dict = field(default_factory=dict)
+    lock: dict = field(default_factory=dict)
+    only: list = field(default_factory=list)
+    joints: list = field(default_factory=list)
+    forces: list = field(default_factory=list)
+    couplings: list = field(default_factory=list)
+    srdf: object = None
+    gravity: list | None = None
+    name: str | None = None
+    description: str | None = None
+    place: object = None
+
+    def error(self, path, message):
+        """SceneError at one of the additions."""
+        head = self.place(path) if self.place else ""
+        return SceneError(f"{head}{message}", path)
+
+    def unknown(self, path, what, name, known):
+        """SceneError for a name that the robot does not have."""
+        hint = suggestion(name, sorted(known)) if known else "the robot has none"
+        return self.error(path, f"{what} {str(name)!r:.60} is not in the robot; {hint}")
+
+    def coordinates(self, robot):
+        """{joint: coordinate at the start}; refuses unknown joints, and those without a coordinate."""
+        types = {joint.name: joint.type for joint in robot.joints}
+        values = dict.fromkeys(types, 0.0)
+        if self.pose is not None:
+            if self.pose not in robot.poses:
+                raise self.unknown(("pose",), "pose", self.pose, robot.poses)
+            values |= {
+                name: value for name, value in robot.poses[self.pose].items() if name in types
+            }
+        values |= robot.locked
+        for key in ("start", "lock"):
+            for name, value in getattr(self, key).items():
+                if name not in types:
+                    raise self.unknown((key, name), f"{key}: joint", name, types)
+                if value and types[name] not in ONE_COORDINATE:
+                    raise self.error(
+                        (key, name),
+                        f'{key}: joint "{name}" is {types[name]}: only joints with one coordinate '
+                        f"({', '.join(ONE_COORDINATE)}) take a value",
+                    )
+                values[name] = float(value)
+        return values

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files that package:// and model:// addresses name. Only local folders are searched."""
+
+import os
+from pathlib import Path
+
+from liegroup_core.errors import SceneError
+
+# Variables with folders that contain models, in the order of search.
+MODEL_PATHS = ("GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "GAZEBO_MODEL_PATH", "SDF_PATH")
+
+
+def resolve(name_or_path):
+    """Path of a file from a path, a package://, model:// or file:// address.
+
+    Raises SceneError if a package or model is not found.
+    """
+    text = os.fspath(name_or_path)
+    for scheme, find in (("package://", _package), ("model://", _model)):
+        if text.startswith(scheme):
+            name, _, rest = text.removeprefix(scheme).partition("/")
+            found = find(name, rest)
+            if found is None:
+                raise SceneError(f"{text}: {_missing(scheme, name)}")
+            return found
+    return Path(text.removeprefix("file://"))
+
+
+def find_resource(address, file):
+    """Path of a mesh or another file that a robot's file names, or None if it is not there."""
+    if "://" in address and not address.startswith(("package://", "model://", "file://")):
+        return None
+    try:
+        path = resolve(address)
+    except SceneError:
+        # The package that holds the file itself needs no search path.
+        path = _above(address.partition("://")[2], file)
+        if path is None:
+            return None
+    path = path if path.is_absolute() else Path(file).resolve().parent / path
+    return path if path.is_file() else None
+
+
+def beside(source, name):
+    """Path of a file that another one names; relative to its folder."""
+    path = resolve(name)
+    return path if path.is_absolute() else Path(source).parent / path
+
+
+def _above(rest, file):
+    """File of a package:// address whose package is a folder above the robot's file."""
+    package, _, inner = rest.partition("/")
+    for folder in Path(file).resolve().parents:
+        if folder.name == package and (folder / inner).is_file():
+            return folder / inner
+        if (folder / package / inner).is_file():
+            return folder / package / inner
+    return None
+
+
+def _folders(variables):
+    return [
+        Path(folder)
+        for variable in variables
+        for folder in os.environ.get(variable, "").split(os.pathsep)
+        if folder
+    ]
+
+
+def _package(name, rest):
+    for prefix in _folders(("AMENT_PREFIX_PATH",)):
+        if (prefix / "share" / name).is_dir():
+            return prefix / "share" / name / rest
+    for folder in _folders(("ROS_PACKAGE_PATH",)):
+        for path in (folder, folder / name):
+            if path.name == name and path.is_dir():
+                return path / rest
+    return None
+
+
+def _model(name, rest):
+    for folder in _folders(MODEL_PATHS):
+        if (folder / name).is_dir():
+            path = folder / name / rest
+            return path if rest else path / "model.sdf"
+    return None
+
+
+def _missing(scheme, name):
+    variables = "AMENT_PREFIX_PATH" if scheme == "package://" else " or ".join(MODEL_PATHS[:1])
+    kind = "package" if scheme == "package://" else "model"
+    return f"the {kind} {name!r:.60} is not found: source its workspace, or set {variables}"

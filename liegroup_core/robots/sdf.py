@@ -1,0 +1,327 @@
+# SPDX-License-Identifier: Apache-2.0
+"""SDF: the models and worlds of Gazebo. Joints connect any two links, so loops need nothing else.
+
+Source: http://sdformat.org/spec. Models float unless a joint or <static> holds them. A link without
+<inertial> has the format's defaults: 1 kg, and 1 kg m^2 about every axis.
+"""
+
+import math
+
+import numpy as np
+
+from liegroup_core.fields.frames import rotation_z_to
+from liegroup_core.lie.groups import SE3
+
+from .description import WORLD, Coupling, Robot, RobotJoint
+from .resources import find_resource, resolve
+from .sdf_frames import Model, read_pose, text_of
+from .sdf_links import read_link, value_of
+from .xml import Reader, read_xml
+
+TYPES = {
+    "revolute": "revolute",
+    "continuous": "revolute",
+    "prismatic": "prismatic",
+    "fixed": "fixed",
+    "ball": "spherical",
+    "screw": "screw",
+    "universal": "universal",
+    "revolute2": "universal",
+}
+DEEPEST = 20  # nested models and includes
+PARTS = ("link", "joint", "frame", "model", "pose", "static", "include")
+
+
+class _Loader:
+    def __init__(self, path, version):
+        self.reader, self.path, self.version = Reader(path), path, version
+        self.robot = Robot("model", self.reader.file, "SDF", free=True)
+
+
+def robot_of_sdf(root, path):
+    """Robot of the root element of an SDF file. Raises SceneError."""
+    reader = Reader(path)
+    version = _version(root)
+    loader = _Loader(path, version)
+    robot = loader.robot
+    world = root.find("world")
+    top = root if world is None else world
+    if world is not None:
+        robot.name = world.get("name") or "world"
+        gravity = world.find("gravity")
+        if gravity is not None:
+            robot.gravity = tuple(reader.numbers(gravity, gravity.text, 3, "<gravity>"))
+    _include(loader, top, 0)
+    models = top.findall("model")
+    if not models:
+        raise reader.error(root, "has no <model>: give an SDF file with a model")
+    if world is None:
+        robot.name = models[0].get("name") or "model"
+    for element in top:
+        if world is not None and element.tag not in ("model", "include", "gravity"):
+            robot.leave_out(f"{element.tag} of the world", element.get("name") or "unnamed")
+    for element in models:
+        name = reader.name(element)
+        model = Model(reader, element, name if len(models) > 1 else "")
+        _nest(loader, model, 1)
+        pose = read_pose(reader, element)[0]
+        if element.get("placement_frame"):
+            pose = pose @ SE3.inverse(model.pose(element.get("placement_frame"), element))
+        _model(loader, model, pose)
+    robot.check_couplings()
+    return robot
+
+
+def _version(root):
+    """(major, minor) of the format."""
+    try:
+        return tuple(int(part) for part in (root.get("version") or "1.7").split(".")[:2])
+    except ValueError:
+        return 1, 7
+
+
+def _include(loader, element, depth):
+    """Replace <include> elements by the models that they name."""
+    reader = loader.reader
+    if depth > DEEPEST:
+        raise reader.error(element, f"models include each other more than {DEEPEST} levels deep")
+    for include in element.findall("include"):
+        uri = text_of(include, "uri")
+        if uri is None:
+            raise reader.error(include, "<include> has no <uri>: give one")
+        path = find_resource(
+            uri if uri.endswith(".sdf") else f"{uri.rstrip('/')}/model.sdf", loader.path
+        )
+        if path is None:
+            path = resolve(uri)
+        if not path.is_file():
+            raise reader.error(include, f"the included model {uri!r:.80} is not found")
+        model = read_xml(path).find("model")
+        if model is None:
+            raise reader.error(include, f"{path} has no <model>")
+        for key in ("pose", "name", "static"):
+            given = include.find(key)
+            if given is not None and key == "name":
+                model.set("name", given.text.strip())
+            elif given is not None:
+                for old in model.findall(key):
+                    model.remove(old)
+                model.append(given)
+        _include(loader, model, depth + 1)
+        element.replace(include, model)
+    for model in element.findall("model"):
+        _include(loader, model, depth + 1)
+
+
+def _nest(loader, model, depth):
+    """Models in a model."""
+    if depth > DEEPEST:
+        raise loader.reader.error(model.element, f"models are nested deeper than {DEEPEST} levels")
+    for element in model.element.findall("model"):
+        name = loader.reader.name(element)
+        model.nested[name] = Model(loader.reader, element, model.full(name), model)
+        _nest(loader, model.nested[name], depth + 1)
+
+
+def _model(loader, model, pose):
+    """Links and joints of a model whose frame has this pose in the world."""
+    reader, robot = loader.reader, loader.robot
+    own = [part for part in model.element if part.tag == "link"]
+    for element in own:
+        link = read_link(reader, robot, model, element)
+        link.pose = pose @ model.pose(element.get("name"), element)
+        robot.links[link.name] = link
+    if own:
+        robot.roots.append(model.full(own[0].get("name")))
+    for name, inner in model.nested.items():
+        _model(loader, inner, pose @ model.pose(name, inner.element))
+    if text_of(model.element, "static") in ("true", "1"):
+        for element in own:
+            name = model.full(element.get("name"))
+            robot.joints.append(
+                RobotJoint(
+                    f"{name}_static", "fixed", WORLD, name, robot.links[name].pose, np.eye(4)
+                )
+            )
+    gears = []
+    for element in model.element.iterfind("joint"):
+        if element.get("type") == "gearbox":
+            gears.append(element)
+        else:
+            _joint(loader, model, element, pose)
+    for element in gears:
+        _gearbox(loader, model, element)
+    for part in model.element:
+        if part.tag not in PARTS and part.tag not in ("self_collide", "allow_auto_disable"):
+            robot.leave_out(part.tag, part.get("name") or model.name or robot.name)
+
+
+def _joint(loader, model, element, model_pose):
+    reader, robot = loader.reader, loader.robot
+    name, kind = model.full(reader.name(element)), element.get("type")
+    if kind not in TYPES:
+        raise reader.error(
+            element,
+            f'joint "{name}" has the type {kind!r:.40}; choose one of: {", ".join(TYPES)}, gearbox',
+        )
+    ends = []
+    for end in ("parent", "child"):
+        given = text_of(element, end)
+        if given is None:
+            raise reader.error(element, f'joint "{name}" has no <{end}>: give one')
+        ends.append(model.link_of(given, element))
+    if ends[0] == ends[1]:
+        raise reader.error(element, f'joint "{name}" has "{ends[0]}" as parent and as child')
+    X = model_pose @ model.pose(element.get("name"), element)
+    axes = [_axis(loader, model, element, key) for key in ("axis", "axis2")]
+    turn = np.eye(4)
+    if TYPES[kind] == "universal":
+        if abs(axes[0] @ axes[1]) > 1e-9:
+            raise reader.error(
+                element,
+                f'joint "{name}" has axes that are not perpendicular: put a link between two '
+                "revolute joints",
+            )
+        turn[:3, :3] = np.column_stack([axes[0], axes[1], np.cross(axes[0], axes[1])])
+    elif kind not in ("fixed", "ball"):
+        turn[:3, :3] = rotation_z_to(axes[0])
+    frames = [
+        (np.eye(4) if end == WORLD else SE3.inverse(robot.links[end].pose)) @ X @ turn
+        for end in ends
+    ]
+    joint = RobotJoint(name, TYPES[kind], *ends, *frames, element.sourceline)
+    if kind == "screw":
+        joint.pitch = _pitch(reader, element, name)
+    _law(reader, robot, element, joint, kind)
+    robot.joints.append(joint)
+
+
+def _axis(loader, model, element, key):
+    """Unit vector (3,) of an axis in the frame of its joint."""
+    reader, axis = loader.reader, element.find(key)
+    default = np.array([0.0, 0.0, 1.0]) if key == "axis" else np.array([0.0, 1.0, 0.0])
+    xyz = None if axis is None else axis.find("xyz")
+    if xyz is None:
+        return default
+    vector = reader.numbers(xyz, xyz.text, 3, f"<xyz> of <{key}>")
+    vector = reader.direction(xyz, vector, f"<xyz> of <{key}>")
+    base = xyz.get("expressed_in")
+    if loader.version < (1, 7) and base is None:
+        # Up to 1.4 axes were in the frame of the model, from 1.5 on if the file says so.
+        flag = text_of(axis, "use_parent_model_frame")
+        if flag in ("true", "1") or (flag is None and loader.version < (1, 5)):
+            base = "__model__"
+    if not base:
+        return vector
+    R = model.pose(element.get("name"), element)[:3, :3].T @ model.pose(base, element)[:3, :3]
+    return vector if np.array_equal(R, np.eye(3)) else R @ vector
+
+
+def _pitch(reader, element, name):
+    """Displacement in m per radian of a screw."""
+    pitch, old = element.find("screw_thread_pitch"), element.find("thread_pitch")
+    if pitch is not None:  # m per turn, right-handed
+        return reader.number(pitch, pitch.text, "<screw_thread_pitch>") / (2.0 * math.pi)
+    if old is not None:  # rad per m, left-handed
+        value = reader.number(old, old.text, "<thread_pitch>")
+        if value:
+            return -1.0 / value
+    raise reader.error(
+        element, f'joint "{name}" has no <screw_thread_pitch>: give one, in m per turn'
+    )
+
+
+def _law(reader, robot, element, joint, kind):
+    """Damping, springs and limits of a joint."""
+    if kind in ("fixed", "ball"):
+        return
+    for key in ("axis", "axis2"):
+        axis = element.find(key)
+        if axis is None:
+            continue
+        dynamics, limit = axis.find("dynamics"), axis.find("limit")
+        if axis.find("mimic") is not None and key == "axis":
+            _mimic(reader, robot, axis.find("mimic"), joint)
+        damping, stiffness, friction = (
+            0.0 if dynamics is None else value_of(reader, dynamics, part, 0.0)
+            for part in ("damping", "spring_stiffness", "friction")
+        )
+        if min(damping, stiffness, friction) < 0.0:
+            raise reader.error(
+                dynamics, f'damping, friction and stiffness of "{joint.name}" must not be negative'
+            )
+        if joint.type == "universal":
+            if damping or stiffness:
+                robot.leave_out(
+                    "springs and dampers of universal joints", joint.name, changes_motion=True
+                )
+            continue
+        if key == "axis2":
+            continue
+        joint.damping, joint.stiffness = damping, stiffness
+        if stiffness:
+            joint.rest = value_of(reader, dynamics, "spring_reference", 0.0)
+        if friction:
+            joint.data["friction"] = friction
+        if limit is not None:
+            for part in ("lower", "upper", "velocity", "effort"):
+                value = text_of(limit, part)
+                number = math.inf if value is None else _limit(reader, limit, value, part)
+                # The format writes 1e16 and inf for no limit, and -1 for no effort or velocity.
+                if abs(number) < 1e15 and (part in ("lower", "upper") or number >= 0.0):
+                    joint.data[part] = number
+
+
+def _limit(reader, element, text, part):
+    """Number that may be infinite."""
+    if text.lower().strip("+-") in ("inf", "infinity"):
+        return math.inf
+    return reader.number(element, text, f"<{part}>")
+
+
+def _mimic(reader, robot, mimic, joint):
+    """Coupling of <mimic>: coordinate = multiplier (other - reference) + offset."""
+    ratio, offset, reference = (
+        value_of(reader, mimic, key, default)
+        for key, default in (("multiplier", 1.0), ("offset", 0.0), ("reference", 0.0))
+    )
+    robot.couplings.append(
+        Coupling(
+            f"{joint.name}_mimic",
+            joint.name,
+            reader.name(mimic, "joint"),
+            ratio,
+            offset - ratio * reference,
+            mimic.sourceline,
+        )
+    )
+
+
+def _gearbox(loader, model, element):
+    """Coupling of a gearbox: both links turn about the reference body, child = -ratio * parent."""
+    reader, robot = loader.reader, loader.robot
+    name = model.full(reader.name(element))
+    parts = {}
+    for key in ("parent", "child", "gearbox_reference_body"):
+        given = text_of(element, key)
+        if given is None:
+            raise reader.error(element, f'gearbox "{name}" has no <{key}>: give one')
+        parts[key] = model.link_of(given, element)
+    ratio = value_of(reader, element, "gearbox_ratio", 1.0)
+    found = []
+    for key in ("parent", "child"):
+        ends = {parts["gearbox_reference_body"], parts[key]}
+        joint = next(
+            (j for j in robot.joints if {j.parent, j.child} == ends and j.type == "revolute"), None
+        )
+        if joint is None:
+            raise reader.error(
+                element,
+                f'gearbox "{name}": no revolute joint connects "{parts[key]}" to the reference body '
+                f'"{parts["gearbox_reference_body"]}"',
+            )
+        found.append((joint, 1.0 if joint.child == parts[key] else -1.0))
+    (first, sign), (second, other) = found[1], found[0]
+    robot.couplings.append(
+        Coupling(name, first.name, second.name, -ratio * sign * other, 0.0, element.sourceline)
+    )

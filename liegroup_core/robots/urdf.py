@@ -1,0 +1,269 @@
+# SPDX-License-Identifier: Apache-2.0
+"""URDF: the robot descriptions of ROS.
+
+Source: the XML specification of URDF, http://wiki.ros.org/urdf/XML. Angles are in rad, the frame of
+a joint is the frame of its child link.
+"""
+
+import numpy as np
+
+from liegroup_core.fields.frames import rotation_z_to
+
+from .description import WORLD, Coupling, Link, Robot, RobotJoint, Visual, place
+from .xml import Reader
+
+# Types of URDF joints: type in a scene.
+JOINTS = {
+    "fixed": "fixed",
+    "revolute": "revolute",
+    "continuous": "revolute",
+    "prismatic": "prismatic",
+    "planar": "planar",
+    "floating": "floating",
+}
+LIMITS = ("lower", "upper", "velocity", "effort")
+
+
+def robot_of_urdf(root, file, text):
+    """Robot of the root element of a URDF file. Raises SceneError."""
+    reader = Reader(file)
+    robot = Robot(root.get("name") or "robot", reader.file, "URDF", text=text)
+    joints = []
+    for element in root:
+        if element.tag == "link":
+            link = _link(reader, robot, element)
+            if link.name in robot.links:
+                raise reader.error(
+                    element,
+                    f'link "{link.name}" is defined twice, first on line '
+                    f"{robot.links[link.name].line}: keep one",
+                )
+            robot.links[link.name] = link
+        elif element.tag == "joint":
+            joints.append(element)
+        elif element.tag != "material" and "}" not in element.tag:
+            name = element.get("name") or element.get("reference") or "unnamed"
+            robot.leave_out(element.tag, name)
+    if not robot.links:
+        raise reader.error(root, "has no <link>: give the description of a robot")
+    lines = {}
+    for element in joints:
+        joint = _joint(reader, robot, element)
+        if joint.name in lines:
+            raise reader.error(
+                element,
+                f'joint "{joint.name}" is defined twice, first on line {lines[joint.name]}: '
+                "keep one",
+            )
+        lines[joint.name] = joint.line
+        robot.joints.append(joint)
+    _couplings(reader, robot, joints)
+    robot.check_couplings()
+    _place_links(robot)
+    return robot
+
+
+def _link(reader, robot, element):
+    link = Link(reader.name(element), element.sourceline)
+    if link.name == WORLD and element.find("inertial") is not None:
+        robot.leave_out("inertia of the world", WORLD)
+    inertial = element.find("inertial")
+    if inertial is not None and link.name != WORLD:
+        mass, inertia = inertial.find("mass"), inertial.find("inertia")
+        for part, what in ((mass, "mass"), (inertia, "inertia")):
+            if part is None:
+                raise reader.error(inertial, f'<inertial> of link "{link.name}" has no <{what}>')
+        link.mass = reader.attribute(mass, "value")
+        if link.mass < 0.0:
+            raise reader.error(
+                mass, f'mass of link "{link.name}" must not be negative, got {link.mass:g}'
+            )
+        xx, yy, zz = (reader.attribute(inertia, key) for key in ("ixx", "iyy", "izz"))
+        xy, xz, yz = (reader.attribute(inertia, key, 0.0) for key in ("ixy", "ixz", "iyz"))
+        origin = _origin(reader, inertial)
+        R = origin[:3, :3]
+        link.inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        if not np.array_equal(R, np.eye(3)):
+            link.inertia = R @ link.inertia @ R.T
+        link.com = origin[:3, 3]
+    for visual in element.iterfind("visual"):
+        link.visuals += _visuals(reader, visual)
+    for _ in element.iterfind("collision"):
+        robot.leave_out("collision", link.name, changes_motion=True)
+    for child in element:
+        if child.tag not in ("inertial", "visual", "collision", "material"):
+            robot.leave_out(f"{child.tag} of links", link.name)
+    return link
+
+
+def _origin(reader, element):
+    """(4, 4) of the <origin> of an element."""
+    origin = element.find("origin")
+    if origin is None:
+        return np.eye(4)
+    xyz = reader.vector(origin, "xyz", (0.0, 0.0, 0.0))
+    rpy = reader.vector(origin, "rpy", (0.0, 0.0, 0.0))
+    return reader.pose_of(np.concatenate([xyz, rpy]))
+
+
+def _visuals(reader, visual):
+    """Visuals of a <visual>: one or none."""
+    geometry = visual.find("geometry")
+    if geometry is None or not len(geometry):
+        return []
+    pose, solid = _origin(reader, visual), geometry[0]
+    if solid.tag == "box":
+        size = reader.numbers(solid, solid.get("size"), 3, "size of <box>")
+        return [Visual("box", tuple(size), pose)]
+    if solid.tag in ("cylinder", "capsule"):
+        size = tuple(reader.attribute(solid, key) for key in ("radius", "length"))
+        return [Visual("cylinder", size, pose)]
+    if solid.tag == "sphere":
+        return [Visual("sphere", (reader.attribute(solid, "radius"),), pose)]
+    if solid.tag == "mesh":
+        scale = reader.vector(solid, "scale", (1.0, 1.0, 1.0))
+        return [Visual("mesh", tuple(scale), pose, reader.name(solid, "filename"))]
+    return []
+
+
+def _joint(reader, robot, element):
+    name = reader.name(element)
+    kind = element.get("type")
+    if kind not in JOINTS:
+        raise reader.error(
+            element, f'joint "{name}" has the type {kind!r:.40}; choose one of: {", ".join(JOINTS)}'
+        )
+    ends = []
+    for end in ("parent", "child"):
+        part = element.find(end)
+        if part is None:
+            raise reader.error(element, f'joint "{name}" has no <{end} link="...">: give one')
+        link = reader.name(part, "link")
+        if link not in robot.links:
+            raise reader.unknown(part, f'{end} of joint "{name}": link', link, robot.links)
+        ends.append(link)
+    if ends[0] == ends[1]:
+        raise reader.error(element, f'joint "{name}" has "{ends[0]}" as parent and as child')
+    turn = np.eye(4)
+    if kind not in ("fixed", "floating"):
+        axis = element.find("axis")
+        vector = (
+            np.array([1.0, 0.0, 0.0])
+            if axis is None
+            else reader.vector(axis, "xyz", (1.0, 0.0, 0.0))
+        )
+        turn = place(
+            rotation=rotation_z_to(
+                reader.direction(element if axis is None else axis, vector, f'axis of "{name}"')
+            )
+        )
+    joint = RobotJoint(
+        name, JOINTS[kind], *ends, _origin(reader, element) @ turn, turn, element.sourceline
+    )
+    _law(reader, robot, element, joint, kind)
+    return joint
+
+
+def _law(reader, robot, element, joint, kind):
+    """Damping, friction and limits of a joint."""
+    dynamics, limit = element.find("dynamics"), element.find("limit")
+    if joint.type in ("fixed", "floating"):
+        return
+    if dynamics is not None:
+        joint.damping = reader.attribute(dynamics, "damping", 0.0)
+        friction = reader.attribute(dynamics, "friction", 0.0)
+        for value, what in ((joint.damping, "damping"), (friction, "friction")):
+            if value < 0.0:
+                raise reader.error(
+                    dynamics, f'{what} of joint "{joint.name}" must not be negative, got {value:g}'
+                )
+        if friction:
+            joint.data["friction"] = friction
+    if limit is not None:
+        for key in LIMITS:
+            if limit.get(key) is not None:
+                joint.data[key] = reader.attribute(limit, key)
+    if kind == "continuous":  # its limits of position have no meaning
+        joint.data.pop("lower", None)
+        joint.data.pop("upper", None)
+    for tag in ("safety_controller", "calibration"):
+        if element.find(tag) is not None:
+            robot.leave_out(tag, joint.name)
+
+
+def _couplings(reader, robot, elements):
+    for element in elements:
+        mimic = element.find("mimic")
+        if mimic is None:
+            continue
+        name, other = element.get("name"), reader.name(mimic, "joint")
+        robot.couplings.append(
+            Coupling(
+                f"{name}_mimic",
+                name,
+                other,
+                reader.attribute(mimic, "multiplier", 1.0),
+                reader.attribute(mimic, "offset", 0.0),
+                mimic.sourceline,
+            )
+        )
+
+
+def _place_links(robot):
+    """Poses of all links at zero joint coordinates; refuses what is no tree."""
+    holder, below = {}, {}
+    for joint in robot.joints:
+        if joint.child in holder:
+            raise robot.error(
+                joint.line,
+                f'joint "{joint.name}": link "{joint.child}" already is the child of joint '
+                f'"{holder[joint.child].name}" (line {holder[joint.child].line}); URDF has no '
+                "loops: close them by a joint in a scene file",
+            )
+        if joint.child == WORLD:
+            raise robot.error(
+                joint.line, f'joint "{joint.name}" has the link "world" as child: exchange the ends'
+            )
+        holder[joint.child] = joint
+        below.setdefault(joint.parent, []).append(joint)
+    robot.roots = [name for name in robot.links if name not in holder]
+    if not robot.roots:
+        first = robot.joints[0]
+        raise robot.error(first.line, "its joints form a circle: no link is without a parent")
+    if len(robot.roots) > 1:
+        second = robot.links[robot.roots[1]]
+        raise robot.error(
+            second.line,
+            f'links "{robot.roots[0]}" and "{second.name}" have no parent: URDF has one root '
+            "link, connect them by a joint",
+        )
+    pending, placed = list(robot.roots), 0
+    while pending:
+        name = pending.pop()
+        placed += 1
+        for joint in below.get(name, ()):
+            # T of the child: the frames coincide at coordinate 0.
+            robot.links[joint.child].pose = (
+                robot.links[name].pose @ joint.parent_frame @ _transposed(joint.child_frame)
+            )
+            pending.append(joint.child)
+    if placed < len(robot.links):
+        name = next(j for j in robot.joints if not _reaches(j.child, holder, robot.roots[0])).name
+        raise robot.error(
+            next(j.line for j in robot.joints if j.name == name),
+            f'joint "{name}" is in a circle of joints without the root link "{robot.roots[0]}"',
+        )
+
+
+def _reaches(name, holder, root):
+    """True if the parents of a link lead to the root."""
+    for _ in range(len(holder) + 1):
+        if name == root:
+            return True
+        name = holder[name].parent
+    return False
+
+
+def _transposed(pose):
+    """Inverse of a pure rotation."""
+    return pose.T

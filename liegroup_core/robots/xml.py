@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""XML of robot files: read without entities and without network, values with the line of an error."""
+
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+from lxml import etree
+
+from liegroup_core.fields.values import LARGEST_NUMBER, suggestion
+
+from .description import place, refusal, rotation_of_rpy
+
+LARGEST_FILE = 64 * 2**20  # bytes; descriptions of large robots have 1 MB
+
+
+class Reader:
+    """Values of the elements of one file; every refusal has the file and the line."""
+
+    def __init__(self, file):
+        self.file = str(file)
+
+    def error(self, element, message):
+        """SceneError at an element."""
+        return refusal(self.file, element.sourceline if element is not None else 0, message)
+
+    def name(self, element, key="name"):
+        """Required attribute that names something."""
+        value = element.get(key)
+        if not value or not value.strip():
+            raise self.error(element, f"<{element.tag}> has no {key}: give one")
+        return value
+
+    def number(self, element, text, what):
+        """Finite number of a text."""
+        try:
+            value = float(text)
+        except (TypeError, ValueError):
+            raise self.error(element, f"{what} must be a number, got {_short(text)}") from None
+        if not math.isfinite(value) or abs(value) > LARGEST_NUMBER:
+            raise self.error(element, f"{what} must be a finite number, got {_short(text)}")
+        return value
+
+    def numbers(self, element, text, count, what):
+        """(count,) finite numbers, separated by blanks."""
+        parts = (text or "").split()
+        if len(parts) != count:
+            raise self.error(element, f"{what} must have {count} numbers, got {_short(text)}")
+        return np.array([self.number(element, part, what) for part in parts])
+
+    def attribute(self, element, key, default=None):
+        """Number of an attribute; required without a default."""
+        text = element.get(key)
+        if text is None:
+            if default is None:
+                raise self.error(element, f"<{element.tag}> has no {key}: give one")
+            return default
+        return self.number(element, text, f"{key} of <{element.tag}>")
+
+    def vector(self, element, key, default):
+        """(3,) of an attribute."""
+        text = element.get(key)
+        if text is None:
+            return np.array(default, dtype=float)
+        return self.numbers(element, text, 3, f"{key} of <{element.tag}>")
+
+    def direction(self, element, vector, what):
+        """Unit vector (3,)."""
+        length = float(np.linalg.norm(vector))
+        if not length > 1e-12:
+            raise self.error(element, f"{what} must not be zero: give a direction")
+        # A unit vector keeps its digits.
+        return vector if abs(length - 1.0) < 1e-15 else vector / length
+
+    def pose_of(self, numbers):
+        """(4, 4) of x y z roll pitch yaw."""
+        return place(numbers[:3], rotation_of_rpy(*numbers[3:]) if numbers[3:].any() else None)
+
+    def unknown(self, element, what, name, known):
+        """SceneError for a name that does not exist."""
+        hint = suggestion(name, sorted(known)) if known else "there are none"
+        return self.error(element, f"{what} {name!r:.60} does not exist; {hint}")
+
+
+def read_xml(path, text=None):
+    """Root element of an XML file, or of a text that stands for it. Raises SceneError.
+
+    No entity is expanded, no other file or address is opened. The parser refuses elements that are
+    nested deeper than 256.
+    """
+    content = Path(path).read_bytes() if text is None else text.encode()
+    if len(content) > LARGEST_FILE:
+        raise refusal(path, 0, f"is larger than {LARGEST_FILE >> 20} MiB: give a robot's file")
+    parser = etree.XMLParser(
+        resolve_entities=False,
+        no_network=True,
+        load_dtd=False,
+        huge_tree=False,
+        remove_comments=True,
+        remove_pis=True,
+    )
+    try:
+        root = etree.fromstring(content, parser, base_url=None)
+    except etree.XMLSyntaxError as error:
+        line = error.position[0] if error.position else 0
+        raise refusal(path, line, f"is not XML: {_first_line(error)}; correct it") from None
+    except ValueError as error:
+        raise refusal(path, 0, f"is not XML: {_first_line(error)}; correct it") from None
+    dtd = root.getroottree().docinfo.internalDTD
+    if dtd is not None and any(True for _ in dtd.iterentities()):
+        raise refusal(path, 1, "defines XML entities: write their texts out")
+    for element in root.iter():
+        if not isinstance(element.tag, str):
+            raise refusal(path, element.sourceline, "contains an XML entity: write its text out")
+    return root
+
+
+def root_tag(path):
+    """Tag of the root element of a file without reading the rest, or "" if it is no XML."""
+    if os.path.getsize(path) > LARGEST_FILE:
+        return ""
+    with open(path, "rb") as file:
+        head = file.read(4096)
+    if not head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
+        return ""
+    parser = etree.XMLPullParser(
+        events=("start",), resolve_entities=False, no_network=True, load_dtd=False
+    )
+    try:
+        parser.feed(head)
+        for _, element in parser.read_events():
+            return element.tag.split("}", 1)[-1] if isinstance(element.tag, str) else ""
+    except etree.XMLSyntaxError:
+        return ""
+    return ""
+
+
+def _first_line(error):
+    """First line of an error's text, without the position that the line number repeats."""
+    text = str(error).splitlines()[0] if str(error) else type(error).__name__
+    return text.split(", line ")[0].strip()
+
+
+def _short(text):
+    """Text for a message."""
+    return "nothing" if text is None else repr(" ".join(str(text).split()))[:42]

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Robots as scenes: a robot's file alone, or a YAML file that names one and adds to it.
+
+robot: arm.urdf
+start: {shoulder: 0.4}
+forces:
+  - {name: spring, type: torsional_spring_damper, joint: elbow, stiffness: 5}
+"""
+
+from typing import Any, Literal
+
+from pydantic import Field
+
+from liegroup_core.errors import SceneError
+from liegroup_core.fields.values import Described, Name, Number, Text, Vector3
+from liegroup_core.robots.mapping import scene_parts
+from liegroup_core.robots.options import BASES, Options
+from liegroup_core.robots.read import read_robot
+from liegroup_core.robots.resources import beside
+from liegroup_core.robots.text import scene_text
+
+from .yaml_text import Lines, read_yaml
+
+
+class RobotFile(Described):
+    """YAML file beside a robot's file: what is added to it."""
+
+    robot: Text = Field(
+        description="path of a URDF, xacro, SDF or MJCF file, relative to this file"
+    )
+    name: Name | None = Field(None, description="name of the scene; default: that of the robot")
+    description: Text | None = Field(None, description="free text")
+    gravity: Vector3 | None = Field(
+        None,
+        description="gravity in m/s^2, world axes; default: that of the file, or 9.81 along -z",
+    )
+    base: Literal[BASES] | None = Field(
+        None,
+        description="fixed: the root link is fixed to the world; floating: it moves freely; default: "
+        "fixed for URDF, as the file says for SDF and MJCF",
+    )
+    pose: Text | None = Field(
+        None, description="name of a pose at the start: a keyframe of MJCF, a group state of SRDF"
+    )
+    srdf: Text | None = Field(
+        None, description="path of an SRDF file with group states, relative to this file"
+    )
+    start: dict[str, Number] | None = Field(
+        None, description="joint coordinates at the start, rad or m"
+    )
+    lock: dict[str, Number] | None = Field(
+        None, description="joints that do not move, and their coordinates, rad or m"
+    )
+    only: tuple[Text, ...] = Field(
+        (), description="links to keep, with the chains that lead to them; default: all"
+    )
+    joints: tuple[dict[str, Any], ...] = Field(
+        (), description="further joints, with names of links; they close loops"
+    )
+    forces: tuple[dict[str, Any], ...] = Field(
+        (), description="forces, with names of links and joints of the robot"
+    )
+
+
+class RobotNames:
+    """Names of a robot's file for the names of its scene.
+
+    links, joints : {name in the scene: name in the file}
+    frames        : {link of the file: (name of its body or world, (4, 4) pose in the body's frame)}
+    still         : {joint of the file with one coordinate that does not move: rad or m}
+    visuals       : {link of the file: [robots.description.Visual]}
+    text          : URDF text, "" for other formats
+    file          : path of the robot's file
+    """
+
+    def __init__(self, robot, parts):
+        self.links = {scene: file for (key, scene), file in parts.names.items() if key == "bodies"}
+        self.joints = {scene: file for (key, scene), file in parts.names.items() if key == "joints"}
+        self.frames, self.still = parts.frames, parts.still
+        self.visuals = {name: link.visuals for name, link in robot.links.items()}
+        self.text, self.file = robot.text, robot.file
+
+
+class _Origins:
+    """Places of a scene in the files that it comes from: _Origins(...)(place) is "file:line".
+
+    file  : the robot's file
+    lines : {(list, index): line of the file, or path inside the additions}
+    added : function: path inside the additions -> "file:line"; None without a file of additions
+    """
+
+    def __init__(self, file, lines, added):
+        self._file, self._lines, self._added = file, lines, added
+
+    def __call__(self, place):
+        line = self._lines.get(tuple(place[:2]), 0)
+        if isinstance(line, tuple):
+            return self._added(line + tuple(place[2:])) if self._added else self._file
+        return f"{self._file}:{line}" if line else self._file
+
+
+def robot_text(path, options=None, added_line=None):
+    """(text of the scene, its values, function: place -> "file:line", RobotNames).
+
+    added_line : function: path inside the additions -> "file:line"
+    """
+    robot = read_robot(path, None if options is None else options.srdf)
+    parts = scene_parts(robot, options or Options())
+    text = scene_text(parts)
+
+    where = _Origins(robot.file, parts.lines, added_line)
+    return text, read_yaml(text, str(path)).value, where, RobotNames(robot, parts)
+
+
+def robot_beside(root, source):
+    """As `robot_text`, of a YAML file with the key robot; root: Entry of its text."""
+    at = Lines(source, root)
+    try:
+        given = RobotFile(**root.value)
+    except SceneError as error:
+        raise SceneError(f"{at(error.place or ())}: {error}", error.place) from None
+    options = Options(
+        base=given.base,
+        pose=given.pose,
+        start=given.start or {},
+        lock=given.lock or {},
+        only=list(given.only),
+        joints=list(given.joints),
+        forces=list(given.forces),
+        gravity=given.gravity,
+        name=given.name,
+        description=given.description,
+        srdf=given.srdf and beside(source, given.srdf),
+        place=lambda path: f"{at(path)}: ",
+    )
+    return robot_text(beside(source, given.robot), options, at)

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`liegroup_sim import`: a robot's file as a scene file to edit. No ROS."""
+
+import sys
+from pathlib import Path
+
+from liegroup_core.errors import LieGroupSimError
+from liegroup_core.robots.options import BASES, Options
+from liegroup_core.robots.read import is_robot_file
+from liegroup_core.scene.load import find_scene, load_scene, scene_from_robot
+
+# Types of joints that need no more than the frames of two links.
+CLOSING = ("spherical", "revolute", "prismatic", "cylindrical", "planar", "fixed", "universal")
+
+
+class RobotError(LieGroupSimError):
+    """The import is not possible; one line of text, exit code 2."""
+
+
+def add_arguments(parser):
+    """Arguments of the subcommand."""
+    parser.description = (
+        "Write the scene file of a robot: bodies, joints and forces with comments that say which "
+        "line of the robot's file they come from, and notes of what was merged and left out. Every "
+        "command also takes the robot's file itself."
+    )
+    parser.add_argument(
+        "robot",
+        metavar="FILE",
+        help="URDF, xacro, SDF or MJCF file, or a scene file with the key robot; paths may begin "
+        "with package:// or model://",
+    )
+    parser.add_argument(
+        "--out", metavar="FILE", help="scene file; it must not exist (default: standard output)"
+    )
+    parser.add_argument(
+        "--base",
+        choices=BASES,
+        help="fixed: the root link is fixed to the world (default for URDF); floating: it moves "
+        "freely (default for SDF and MJCF, unless a joint holds it)",
+    )
+    for name, text in (
+        ("start", "joint coordinates at the start, rad or m"),
+        ("lock", "joints that do not move, at these coordinates"),
+    ):
+        parser.add_argument(
+            f"--{name}", nargs="+", action="extend", default=[], metavar="JOINT=VALUE", help=text
+        )
+    parser.add_argument(
+        "--pose",
+        metavar="NAME",
+        help="pose at the start: a keyframe (MJCF) or a group state (SRDF)",
+    )
+    parser.add_argument("--srdf", metavar="FILE", help="SRDF file with group states for --pose")
+    parser.add_argument(
+        "--only",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="LINK",
+        help="keep these links and the chains that lead to them; cut the others",
+    )
+    parser.add_argument(
+        "--close",
+        nargs=3,
+        action="append",
+        default=[],
+        metavar=("LINK", "LINK", "TYPE"),
+        help="close a loop: a joint of this type whose frames are the frames of the two links, z "
+        f"axis as axis ({', '.join(CLOSING)})",
+    )
+    parser.add_argument("--name", metavar="NAME", help="name of the scene")
+
+
+def run(args):
+    """Run the subcommand; returns the exit code. Raises SceneError."""
+    if args.out is not None and Path(args.out).exists():
+        raise RobotError(f"{args.out} exists: choose another name for --out")
+    options = Options(
+        base=args.base,
+        pose=args.pose,
+        srdf=args.srdf,
+        start=_values(args.start, "start"),
+        lock=_values(args.lock, "lock"),
+        only=args.only,
+        joints=[_closing(*entry) for entry in args.close],
+        name=args.name,
+    )
+    path = find_scene(args.robot)
+    if is_robot_file(path):
+        scene = scene_from_robot(path, options)
+    elif options == Options():
+        scene = load_scene(path)
+    else:
+        raise RobotError(
+            f"{path} is a scene file: write base, start, lock, only, pose, joints and name into it "
+            "instead of options"
+        )
+    if args.out is None:
+        print(scene.text, end="")
+        return 0
+    try:
+        Path(args.out).write_text(scene.text, encoding="utf-8")
+    except OSError as error:
+        raise RobotError(f"{args.out} cannot be written: {error.strerror}") from None
+    print(f"{args.out}: {len(scene.bodies)} bodies, {len(scene.joints)} joints", file=sys.stderr)
+    for note in scene.notes:
+        print(f"  {note}", file=sys.stderr)
+    return 0
+
+
+def _values(entries, option):
+    """{joint: number} of JOINT=VALUE texts."""
+    found = {}
+    for entry in entries:
+        name, separator, text = entry.rpartition("=")
+        try:
+            found[name] = float(text)
+        except ValueError:
+            separator = ""
+        if not separator or not abs(found.get(name, 0.0)) < 1e100:
+            raise RobotError(f"--{option} {entry}: give JOINT=VALUE, in rad or m")
+    return found
+
+
+def _closing(first, second, kind):
+    """Keys of the joint of --close."""
+    if kind not in CLOSING:
+        raise RobotError(f"--close: type {kind!r:.40}; choose one of: {', '.join(CLOSING)}")
+    return {
+        "name": f"close_{first}_{second}",
+        "type": kind,
+        "parent": first,
+        "child": second,
+        "parent_frame": {},
+        "child_frame": {},
+    }

@@ -1,0 +1,229 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Wrong robot files: one line with file and line, whatever is wrong, in bounded time."""
+
+import re
+import time
+
+import numpy as np
+import pytest
+from robot_texts import ARM_MJCF, ARM_SDF, ARM_URDF, five_bar_urdf
+
+from liegroup_core import SceneError, load_scene
+from liegroup_core.layout import make_layout
+
+WORDS = [
+    "0",
+    "-1",
+    "1e308",
+    "nan",
+    "inf",
+    "",
+    "1 2",
+    "text",
+    "upper",
+    "slide",
+    "world",
+    "<",
+    "&a;",
+    "\u00e9",
+]
+DAMPING = '<dynamics damping="4"/>'
+SECONDS = 20.0  # far above the time of a correct file, also on a loaded machine
+
+
+def refusal(path):
+    """Text of the one line that a file is refused with."""
+    with pytest.raises(SceneError) as caught:
+        make_layout(load_scene(path))
+    text = str(caught.value)
+    assert "\n" not in text and text.startswith(str(path)) and len(text) < 1000, text
+    return text
+
+
+def urdf(tmp_path, old, new):
+    """Path of the arm's URDF with one change."""
+    assert ARM_URDF.count(old) >= 1
+    path = tmp_path / "arm.urdf"
+    path.write_text(ARM_URDF.replace(old, new, 1))
+    return path
+
+
+@pytest.mark.parametrize(
+    "old, new, place, expected",
+    [
+        ('<mass value="2.5"/>', '<mass value="-2.5"/>', '<mass value="2.5"/>', 'must not be negative'),
+        ('<mass value="2.5"/>', '<mass value="heavy"/>', '<mass value="2.5"/>', "must be a number, got 'heavy'"),
+        ('<mass value="2.5"/>', "", '<inertial>', 'has no <mass>'),
+        ('ixx="0.02"', 'ixx="-0.02"', '<link name="upper">', 'negative moment of inertia'),
+        ('<child link="upper"/>', '<child link="uper"/>', '<child link="upper"/>', 'did you mean "upper"'),
+        ('type="revolute"', 'type="hinge"', 'type="revolute"', "has the type 'hinge'"),
+        ('<link name="tool">', '<link name="slide">', '<link name="tool">', 'defined twice, first on line 12'),
+        ('<axis xyz="0 1 0"/>', '<axis xyz="0 0 0"/>', '<axis xyz="0 1 0"/>', 'must not be zero'),
+        ('<axis xyz="0 1 0"/>', '<axis xyz="0 1"/>', '<axis xyz="0 1 0"/>', 'must have 3 numbers'),
+        ('<parent link="base"/>', '<parent link="tip"/>', '<joint name="shoulder"', 'circle'),
+        (DAMPING, '<mimic joint="none"/>', DAMPING, "joint 'none' does not exist"),
+        (DAMPING, '<mimic joint="extend"/>', DAMPING, "in a circle: extend -> extend"),
+        ('<link name="base">', '<link name="base>', '<link name="base">', "is not XML"),
+        ('<link name="base">', "<link>", '<link name="base">', '<link> has no name'),
+    ],
+)  # fmt: skip
+def test_a_wrong_urdf_file_has_one_line(old, new, place, expected, tmp_path):
+    text = refusal(urdf(tmp_path, old, new))
+    assert expected in text, text
+    line = ARM_URDF.count("\n", 0, ARM_URDF.index(place)) + 1
+    assert text.startswith(f"{tmp_path}/arm.urdf:{line}: "), text
+
+
+def test_a_moving_link_needs_mass(tmp_path):
+    path = urdf(tmp_path, 'name="base"', 'name="base"')
+    path.write_text(
+        '<robot name="r"><link name="a"/><link name="b"/>\n<joint name="j" type="floating">'
+        '<parent link="a"/><child link="b"/></joint></robot>'
+    )
+    assert 'link "b" moves freely and has no mass' in refusal(path)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '<!DOCTYPE r [<!ENTITY a "lol">]><robot name="x">&a;</robot>',
+        "<!DOCTYPE r [<!ENTITY a 'l'><!ENTITY b '&a;&a;&a;&a;&a;&a;&a;&a;'>]><robot name='&b;'/>",
+        '<!DOCTYPE r SYSTEM "http://example.invalid/a.dtd"><robot name="x"/>',
+        '<!DOCTYPE r [<!ENTITY a SYSTEM "file:///etc/passwd">]><robot><link name="&a;"/></robot>',
+        "<robot>" + "<link>" * 5000 + "</link>" * 5000 + "</robot>",
+        "<robot name='x'>" + "<a b='" + "x" * 10**6 + "'/></robot>",
+        "<html><body/></html>",
+        "<robot/>",
+        "<sdf/>",
+        "<sdf version='1.9'><model name='a'/></sdf>",
+        "<mujoco/>",
+    ],
+)
+def test_hostile_and_empty_files_are_refused(text, tmp_path):
+    path = tmp_path / "robot.xml"
+    path.write_text(text)
+    start = time.perf_counter()
+    assert "passwd" not in refusal(path) and "root:" not in refusal(path)
+    assert time.perf_counter() - start < SECONDS
+
+
+SDF_ERRORS = [
+    ('relative_to="mount"', 'relative_to="moun"', 'did you mean "mount"'),
+    ('<frame name="mount"><pose>', '<frame name="mount"><pose relative_to="tool">', "circle"),
+    ("<child>upper</child>", "<child>base</child>", "'base' does not exist"),
+    ('type="prismatic"', 'type="slider"', "has the type 'slider'"),
+    ("<mass>2.5</mass>", "<mass>x</mass>", "must be a number"),
+    ("<ixx>0.02</ixx>", "<ixx>-1</ixx>", "negative moment of inertia"),
+    ("<parent>upper</parent>", "", "has no <parent>"),
+    ("0.1 0.2 0.3 0.2 0.1 -0.3", "0.1 0.2", "must have 6 numbers"),
+]
+
+
+@pytest.mark.parametrize("old, new, expected", SDF_ERRORS)
+def test_a_wrong_sdf_file_has_one_line(old, new, expected, tmp_path):
+    path = tmp_path / "arm.sdf"
+    path.write_text(ARM_SDF.replace(old, new, 1))
+    text = refusal(path)
+    assert expected in text and re.match(r".*?arm\.sdf:\d+: ", text), text
+
+
+def test_the_message_of_mujocos_compiler_is_passed_on(tmp_path):
+    path = tmp_path / "arm.xml"
+    path.write_text(ARM_MJCF.format(upper="1 1 1 0 0 0").replace("hinge", "wheel"))
+    assert "invalid keyword: 'wheel'" in refusal(path)
+
+
+XACRO = """<robot name="two" xmlns:xacro="http://www.ros.org/wiki/xacro">
+<xacro:property name="length" value="0.5"/>
+<xacro:macro name="rod" params="name"><link name="${name}"><inertial>
+<origin xyz="${length / 2} 0 0"/><mass value="1"/>
+<inertia ixx="0.001" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial></link></xacro:macro>
+<link name="base"/><xacro:rod name="arm"/>
+<joint name="hinge" type="continuous"><parent link="base"/><child link="arm"/>
+<axis xyz="0 1 0"/></joint></robot>"""
+
+
+def test_xacro_files(tmp_path):
+    path = tmp_path / "two.urdf.xacro"
+    path.write_text(XACRO)
+    scene = load_scene(path)
+    assert scene.bodies[0].com == (0.25, 0.0, 0.0) and "two.urdf.xacro" in scene.description
+    path.write_text(XACRO.replace("length / 2", "lenght / 2"))
+    assert "lenght" in refusal(path)
+    # A macro that calls itself for ever.
+    path.write_text(XACRO.replace('<link name="${name}">', '<xacro:rod name="b"/><link name="x">'))
+    start = time.perf_counter()
+    assert "xacro" in refusal(path) and time.perf_counter() - start < SECONDS
+
+
+def mutated(text, rng):
+    """Text with one to three random changes: characters, values, lines, and what is between tags."""
+    for _ in range(rng.integers(1, 4)):
+        kind = rng.integers(6)
+        if kind == 0:
+            at = rng.integers(len(text))
+            text = text[:at] + text[at + rng.integers(1, 40) :]
+        elif kind == 1:
+            at = rng.integers(len(text))
+            text = text[:at] + WORDS[rng.integers(len(WORDS))] + text[at:]
+        elif kind == 2:
+            values = list(re.finditer(r'"[^"]*"', text))
+            if values:
+                found = values[rng.integers(len(values))]
+                word = WORDS[rng.integers(len(WORDS))]
+                text = f'{text[: found.start()]}"{word}"{text[found.end() :]}'
+        elif kind == 3:
+            lines = text.splitlines(keepends=True)
+            del lines[rng.integers(len(lines))]
+            text = "".join(lines)
+        elif kind == 4:
+            lines = text.splitlines(keepends=True)
+            at = rng.integers(len(lines))
+            text = "".join([*lines[:at], lines[at] * 2, *lines[at + 1 :]])
+        else:
+            values = list(re.finditer(r">[^<>]+<", text))
+            if values:
+                found = values[rng.integers(len(values))]
+                word = WORDS[rng.integers(len(WORDS))]
+                text = f"{text[: found.start()]}>{word}<{text[found.end() :]}"
+        if not text:
+            return "<"
+    return text
+
+
+TEXTS = {
+    "urdf": (ARM_URDF, 300),
+    "sdf": (ARM_SDF, 300),
+    "xml": (ARM_MJCF.format(upper="0.02 0.03 0.025 0.001 -0.002 0.0015"), 200),
+}
+
+
+@pytest.mark.parametrize("kind", ["urdf", "sdf", pytest.param("xml", marks=pytest.mark.slow)])
+def test_damaged_files_load_or_have_one_line(kind, tmp_path):
+    text, count = TEXTS[kind]
+    rng, refused = np.random.default_rng(5), 0
+    path = tmp_path / f"arm.{kind}"
+    for _ in range(count):
+        path.write_text(mutated(text, rng))
+        start = time.perf_counter()
+        try:
+            make_layout(load_scene(path))
+        except SceneError as error:
+            refused += 1
+            line = str(error)
+            assert "\n" not in line and line.startswith(str(path)) and len(line) < 2000, line
+        assert time.perf_counter() - start < SECONDS
+    assert refused > count // 2
+
+
+def test_a_robot_beside_yaml_that_is_not_there(tmp_path):
+    path = tmp_path / "robot.yaml"
+    path.write_text("robot: missing.urdf\n")
+    with pytest.raises(SceneError, match="missing.urdf: is not a file"):
+        load_scene(path)
+    with pytest.raises(SceneError, match="the package 'nowhere' is not found"):
+        load_scene("package://nowhere/a.urdf")
+    (tmp_path / "five_bar.urdf").write_text(five_bar_urdf())
+    path.write_text("robot: five_bar.urdf\njoints:\n  - {name: a, type: spherical, parent: left}\n")
+    with pytest.raises(SceneError, match="child 'None' is not in the robot"):
+        load_scene(path)

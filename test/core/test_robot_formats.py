@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What each format of robots has of its own: nested models, frames, loops, gears, addresses."""
+
+import numpy as np
+import pytest
+from robot_texts import ARM_SDF, ARM_URDF, bar
+
+from liegroup_core import Simulation, load_scene
+from liegroup_core.robots.options import Options
+from liegroup_core.robots.read import read_robot
+from liegroup_core.scene.load import scene_from_robot
+
+INERTIAL = "<inertial><mass>2</mass><inertia><ixx>0.1</ixx><iyy>0.2</iyy><izz>0.25</izz></inertia></inertial>"
+
+
+def freedoms(simulation):
+    """Degrees of freedom at the start."""
+    return 6 * len(simulation.scene.bodies) - simulation.layout.model.row_residual.size
+
+
+def sdf(folder, text, version="1.9"):
+    """Path of an SDF file."""
+    path = folder / "model.sdf"
+    path.write_text(f'<sdf version="{version}">{text}</sdf>')
+    return path
+
+
+def test_frames_of_nested_models(tmp_path):
+    """Pose by pose: the model is at z = 1, the nested one at x = 2 turned by 90 degrees about z."""
+    text = f"""<world name="w"><gravity>0 0 -3.7</gravity><light name="sun"/>
+      <model name="outer"><pose>0 0 1 0 0 0</pose>
+        <link name="base">{INERTIAL}</link>
+        <frame name="mount" attached_to="inner::tip"><pose>0 0.5 0 0 0 0</pose></frame>
+        <model name="inner"><pose degrees="true">2 0 0 0 0 90</pose>
+          <link name="tip"><pose rotation_format="quat_xyzw">1 0 0  0 0 0 1</pose>{INERTIAL}</link>
+        </model>
+        <link name="flag"><pose relative_to="mount"/>{INERTIAL}</link>
+        <joint name="j" type="revolute"><parent>base</parent><child>mount</child>
+          <axis><xyz expressed_in="__model__">0 1 0</xyz></axis></joint>
+        <joint name="f" type="fixed"><parent>inner::tip</parent><child>flag</child></joint>
+      </model></world>"""
+    scene = load_scene(sdf(tmp_path, text))
+    assert scene.gravity == (0.0, 0.0, -3.7)
+    poses = {body.name: body.pose for body in scene.bodies}
+    assert set(poses) == {"base", "inner__tip"}
+    assert poses["inner__tip"][:3, 3] == pytest.approx((2, 1, 1), abs=1e-15)
+    flag = poses["inner__tip"] @ (0, 0.5, 0, 1)  # y of the nested model is -x of the outer one
+    assert flag[:3] == pytest.approx((1.5, 1, 1), abs=1e-15)
+    joint = next(joint for joint in scene.joints if joint.name == "j")
+    at = poses["inner__tip"] @ joint.child_frame.pose
+    assert at[:3, 3] == pytest.approx((1.5, 1, 1), abs=1e-15)
+    assert at[:3, 2] == pytest.approx((0, 1, 0), abs=1e-15)
+    assert "merged into inner__tip: flag" in scene.notes
+    assert any("light of the world (sun)" in note for note in scene.notes)
+
+
+@pytest.mark.parametrize(
+    "version, flag, axis",
+    [
+        ("1.4", "", (0, 1, 0)),
+        ("1.6", "", (-1, 0, 0)),
+        ("1.6", "1", (0, 1, 0)),
+        ("1.7", "", (-1, 0, 0)),
+    ],
+)
+def test_axes_of_older_files(version, flag, axis, tmp_path):
+    """The joint is turned by 90 degrees about z: its y axis is -x of the model."""
+    flag = f"<use_parent_model_frame>{flag}</use_parent_model_frame>" if flag else ""
+    text = f"""<model name="m"><link name="a"><pose>0 0 0 0 0 1.5707963267948966</pose>{INERTIAL}</link>
+      <joint name="j" type="revolute"><parent>world</parent><child>a</child>
+      <axis><xyz>0 1 0</xyz>{flag}</axis></joint></model>"""
+    scene = load_scene(sdf(tmp_path, text, version))
+    assert scene.joints[0].parent_frame.pose[:3, 2] == pytest.approx(axis, abs=1e-15)
+
+
+def test_screws_gears_and_static_models(tmp_path):
+    text = f"""<model name="m"><link name="case">{INERTIAL}</link><link name="nut">{INERTIAL}</link>
+      <link name="in">{INERTIAL}</link><link name="out">{INERTIAL}</link>
+      <joint name="hold" type="fixed"><parent>world</parent><child>case</child></joint>
+      <joint name="thread" type="screw"><parent>case</parent><child>nut</child>
+        <axis><xyz>0 0 1</xyz></axis><screw_thread_pitch>0.005</screw_thread_pitch></joint>
+      <joint name="shaft" type="revolute"><parent>case</parent><child>in</child></joint>
+      <joint name="wheel" type="continuous"><parent>out</parent><child>case</child></joint>
+      <joint name="gear" type="gearbox"><parent>in</parent><child>out</child>
+        <gearbox_reference_body>case</gearbox_reference_body><gearbox_ratio>4</gearbox_ratio></joint>
+      </model>"""
+    path = sdf(tmp_path, text)
+    scene = load_scene(path)
+    screw = next(joint for joint in scene.joints if joint.type == "screw")
+    assert screw.pitch == pytest.approx(0.005 / (2 * np.pi), rel=1e-15)
+    # The reference body is the child of the second joint: its coordinate has the other sign.
+    (gear,) = read_robot(path).couplings
+    assert (gear.first, gear.second, gear.ratio) == ("wheel", "shaft", 4.0)
+    assert any("wheel moves freely, its coupling 4 * shaft + 0" in note for note in scene.notes)
+    # The child of a joint of a scene moves: the ends are exchanged, the coordinate stays.
+    locked = scene_from_robot(path, Options(start={"wheel": 0.3}))
+    wheel = next(joint for joint in locked.joints if joint.name == "wheel")
+    assert (wheel.parent, wheel.child) == ("world", "out")
+    found = Simulation(locked, "rkmk4", 1e-3).sample().joint_coordinates
+    assert found["wheel"][0] == pytest.approx(0.3, abs=1e-14)
+    # A locked shaft holds the wheel that its gear drives.
+    held = scene_from_robot(path, Options(lock={"shaft": 0.1}))
+    assert [joint.name for joint in held.joints] == ["thread"]
+    assert "locked: joint wheel at 0.4, because a locked joint drives it" in held.notes
+    static = f'<model name="rock"><static>true</static><link name="r">{INERTIAL}</link></model>'
+    both = f'<world name="w">{text}{static}</world>'
+    assert "fixed to the world: m::case, rock::r" in load_scene(sdf(tmp_path, both)).notes
+
+
+def test_included_models_are_local_files(tmp_path, monkeypatch):
+    (tmp_path / "arm").mkdir()
+    (tmp_path / "arm" / "model.sdf").write_text(ARM_SDF)
+    world = "<world name='w'><include><uri>model://arm</uri><name>second</name></include></world>"
+    path = sdf(tmp_path, world)
+    monkeypatch.setenv("GZ_SIM_RESOURCE_PATH", str(tmp_path))
+    scene = load_scene(path)
+    assert [body.name for body in scene.bodies] == ["upper", "slide"]
+    assert [body.name for body in load_scene("model://arm").bodies] == ["upper", "slide"]
+
+
+def test_package_addresses(tmp_path, monkeypatch):
+    share = tmp_path / "share" / "my_robot"
+    share.mkdir(parents=True)
+    (share / "arm.urdf").write_text(ARM_URDF)
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    assert load_scene("package://my_robot/arm.urdf").bodies[0].name == "upper"
+
+
+FOUR_BAR = """<mujoco><option gravity="0 -9.81 0"/><worldbody>
+  <body name="crank"><joint name="a" axis="0 0 1"/>
+    <geom type="capsule" fromto="0 0 0 0 1 0" size="0.02" mass="1"/>
+    <body name="coupler" pos="0 1 0"><joint name="b" axis="0 0 1"/>
+      <geom type="capsule" fromto="0 0 0 1 0 0" size="0.02" mass="1"/></body></body>
+  <body name="rocker" pos="1 0 0"><joint name="c" axis="0 0 1"/>
+    <geom type="capsule" fromto="0 0 0 0 1 0" size="0.02" mass="1"/></body>
+  <body name="weight" pos="0 1.2 0"><freejoint/><geom type="sphere" size="0.1" mass="0.5"/></body>
+  </worldbody>
+  <equality>
+    <connect name="pin" body1="rocker" body2="coupler" anchor="0 1 0"/>
+    <weld name="glue" body1="crank" body2="weight"/>
+    {more}
+  </equality></mujoco>"""
+
+
+def test_loops_and_welds_of_mjcf(tmp_path):
+    path = tmp_path / "four_bar.xml"
+    path.write_text(FOUR_BAR.format(more=""))
+    simulation = Simulation(load_scene(path), "rkmk4", 1e-3)
+    assert freedoms(simulation) == 1
+    start = simulation.energy()
+    simulation.advance(300)
+    assert simulation.energy() == pytest.approx(start, rel=1e-9)
+    poses = simulation.sample().poses
+    weight = np.linalg.inv(poses["crank"]) @ poses["weight"]
+    assert weight[:3, 3] == pytest.approx((0, 1.2, 0), abs=1e-9)
+    assert poses["coupler"] @ (1, 0, 0, 1) == pytest.approx(
+        poses["rocker"] @ (0, 1, 0, 1), abs=1e-9
+    )
+    # A joint equality without a second joint holds the first one.
+    path.write_text(FOUR_BAR.format(more='<joint joint1="a" polycoef="0 0 0 0 0"/>'))
+    assert "locked: joint a at 0" in load_scene(path).notes
+
+
+SRDF = """<robot name="arm"><group name="all"/><group_state name="ready" group="all">
+  <joint name="shoulder" value="0.4"/><joint name="extend" value="-0.2"/></group_state></robot>"""
+
+
+def test_group_states_of_srdf(tmp_path):
+    (tmp_path / "arm.urdf").write_text(ARM_URDF)
+    (tmp_path / "arm.srdf").write_text(SRDF)
+    path = tmp_path / "ready.yaml"
+    path.write_text("robot: arm.urdf\nsrdf: arm.srdf\npose: ready\nname: ready_arm\n")
+    scene = load_scene(path)
+    found = Simulation(scene, "rkmk4", 1e-3).sample().joint_coordinates
+    assert found["shoulder"][0] == pytest.approx(0.4, abs=1e-14)
+    assert found["extend"][0] == pytest.approx(-0.2, abs=1e-14) and scene.name == "ready_arm"
+
+
+def test_names_that_are_no_names_of_a_scene(tmp_path):
+    path = tmp_path / "odd.urdf"
+    path.write_text(
+        f'<robot name="my robot"><link name="base"/>{bar("left-arm", 1.0)}{bar("left_arm", 1.0)}'
+        f"{bar('true', 1.0)}"
+        + "".join(
+            f'<joint name="{name}" type="continuous"><parent link="base"/><child link="{child}"/></joint>'
+            for name, child in (("1", "left-arm"), ("j", "left_arm"), ("null", "true"))
+        )
+        + "</robot>"
+    )
+    scene = load_scene(path)
+    assert scene.name == "my_robot"
+    assert [body.name for body in scene.bodies] == ["left_arm_2", "left_arm", "true"]
+    assert [joint.name for joint in scene.joints] == ["n1", "j", "null"]
+    assert scene.robot.links["left_arm_2"] == "left-arm" and scene.robot.joints["n1"] == "1"
+    assert "renamed bodies: left-arm is left_arm_2" in scene.notes

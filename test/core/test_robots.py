@@ -1,0 +1,314 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Robot files as scenes: the same mechanism in URDF, SDF and MJCF, and random URDF trees."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+from engine import engine_accelerations
+from robot_texts import (
+    ARM_MJCF,
+    ARM_SDF,
+    ARM_URDF,
+    five_bar_urdf,
+    random_urdf,
+    rotation,
+    scissor_lift,
+    stewart_sdf,
+)
+
+from liegroup_core import Scene, SceneError, Simulation, load_scene
+from liegroup_core.robots.options import Options
+from liegroup_core.scene import scene_from_text
+from liegroup_core.scene.load import scene_from_robot
+
+
+def peers():
+    """The comparisons of benchmarks/robots.py."""
+    path = Path(__file__).parents[2] / "benchmarks" / "robots.py"
+    spec = importlib.util.spec_from_file_location("robots_benchmark", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def arm_in(folder, kind):
+    """Path of the arm in a format."""
+    if kind == "mjcf":
+        R = rotation(0.3, -0.2, 0.5)
+        own = np.array([[0.02, 0.001, -0.002], [0.001, 0.03, 0.0015], [-0.002, 0.0015, 0.025]])
+        tensor = (R @ own @ R.T)[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        text = ARM_MJCF.format(upper=" ".join(map(repr, tensor.tolist())))
+    else:
+        text = {"urdf": ARM_URDF, "sdf": ARM_SDF}[kind]
+    path = folder / f"arm.{'xml' if kind == 'mjcf' else kind}"
+    path.write_text(text)
+    return path
+
+
+def by_hand():
+    """The arm as a scene file, unmerged: fixed joints and frames as in the URDF text."""
+
+    def frame(position, rpy, turn=None):
+        R = rotation(*rpy)
+        R = R if turn is None else R @ turn
+        angle = np.arccos(np.clip((np.trace(R) - 1) / 2, -1, 1))
+        axis = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+        vector = axis / (2 * np.sin(angle)) * angle if angle > 1e-9 else np.zeros(3)
+        return {"position": list(position), "rotation_vector": vector.tolist()}
+
+    def body(name, mass, com, rpy, inertia):
+        R = rotation(*rpy)
+        tensor = R @ np.array(inertia) @ R.T
+        moments = tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].tolist()
+        return {"name": name, "mass": mass, "com": list(com), "inertia": moments}
+
+    z = np.array([0.3, -0.5, 1.0]) / np.linalg.norm([0.3, -0.5, 1.0])
+    x = np.cross([0.0, 1.0, 0.0], z)
+    x /= np.linalg.norm(x)
+    tilt = np.column_stack([x, np.cross(z, x), z])
+    along_y = np.column_stack([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
+    own = [[0.02, 0.001, -0.002], [0.001, 0.03, 0.0015], [-0.002, 0.0015, 0.025]]
+    return Scene(
+        name="arm",
+        gravity=(0, 0, -9.81),
+        assemble=True,
+        bodies=[
+            body("upper", 2.5, (0.1, 0.02, -0.03), (0.3, -0.2, 0.5), own),
+            body("slide", 1.2, (0, 0.05, 0.01), (0, 0, 0.4), np.diag([0.004, 0.005, 0.006])),
+            body("tool", 0.4, (0, 0, 0.1), (0, 0, 0), np.diag([0.001, 0.001, 0.0005])),
+        ],
+        joints=[
+            {
+                "name": "shoulder",
+                "type": "revolute",
+                "parent": "world",
+                "child": "upper",
+                "parent_frame": frame((0.1, 0.2, 0.3), (0.2, 0.1, -0.3), tilt),
+                "child_frame": frame((0, 0, 0), (0, 0, 0), tilt),
+            },
+            {
+                "name": "extend",
+                "type": "prismatic",
+                "parent": "upper",
+                "child": "slide",
+                "parent_frame": frame((0.3, 0, 0.05), (0.5, 0, 0), along_y),
+                "child_frame": frame((0, 0, 0), (0, 0, 0), along_y),
+            },
+            {
+                "name": "flange",
+                "type": "fixed",
+                "parent": "slide",
+                "child": "tool",
+                "parent_frame": frame((0, 0.1, 0), (0, 0.7, 0)),
+                "child_frame": {},
+            },
+        ],
+    )
+
+
+@pytest.mark.parametrize("kind", ["urdf", "sdf", "mjcf"])
+def test_an_arm_has_the_accelerations_of_the_scene_written_by_hand(kind, tmp_path):
+    scene, hand = load_scene(arm_in(tmp_path, kind)), by_hand()
+    assert [body.name for body in scene.bodies] == ["upper", "slide"]
+    found, expected = engine_accelerations(scene), engine_accelerations(hand)
+    # The merged body has another centre of mass: angular accelerations are the same.
+    assert np.allclose(found[0], expected[0], rtol=1e-12, atol=1e-12)
+    assert np.allclose(found[1, :3], expected[1, :3], rtol=1e-12, atol=1e-12)
+    # Without velocity the acceleration of a point is that of the centre plus alpha x r.
+    offset = np.array(hand.bodies[1].com) - np.array(scene.bodies[1].com)
+    moved = found[1, 3:] + np.cross(found[1, :3], offset)
+    assert np.allclose(moved, expected[1, 3:], rtol=1e-12, atol=1e-12)
+    assert {(force.joint, force.damping) for force in scene.forces} == {
+        ("shoulder", 0.7),
+        ("extend", 4.0),
+    }
+
+
+def test_notes_name_what_was_merged_and_left_out(tmp_path):
+    scene = load_scene(arm_in(tmp_path, "urdf"))
+    text = "\n".join(scene.notes)
+    assert "merged into slide: tool, tip" in text
+    assert "fixed to the world: base" in text
+    assert "held in place: tip at the end of joint tip_joint" in text
+    assert "changes the motion: no contact, 1 collision shapes of base" in text
+    assert "changes the motion: joint limits are not enforced: shoulder, extend" in text
+    assert "changes the motion: joint friction is not simulated: shoulder" in text
+    assert "left out: 1 transmission (drive)" in text
+    assert scene.joints[0].data == {
+        "friction": 0.1,
+        "lower": -1.0,
+        "upper": 2.0,
+        "effort": 10.0,
+        "velocity": 3.0,
+    }
+
+
+def test_the_text_of_a_robot_reads_back_bit_identical(tmp_path):
+    scene = load_scene(arm_in(tmp_path, "urdf"))
+    again = scene_from_text(scene.text)
+    assert again.model_dump() == scene.model_dump() and "# line 4" in scene.text
+    (tmp_path / "arm.urdf").unlink()
+    simulation, copy = (Simulation(each, "rkmk4", 1e-3) for each in (scene, again))
+    simulation.advance(50)
+    copy.advance(50)
+    assert np.array_equal(simulation.state()[0], copy.state()[0])
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_random_urdf_trees_have_mujocos_accelerations(seed, tmp_path):
+    path = tmp_path / "random.urdf"
+    path.write_text(random_urdf(np.random.default_rng(seed), 8))
+    scene = load_scene(path)
+    assert peers().against_mujoco(path, scene, 10) < 1e-12
+
+
+MJCF_WITH_ALL_JOINTS = """<mujoco>
+  <worldbody>
+    <body name="cart"><joint name="x" type="slide" axis="1 0 0" damping="0.3"/>
+      <joint name="y" type="slide" axis="0 1 0" stiffness="3" springref="0.2"/>
+      <joint name="turn" type="hinge" axis="0 0 1" pos="0.1 0 0"/>
+      <geom type="box" size="0.2 0.1 0.05" mass="3"/>
+      <body name="arm" pos="0.2 0 0.1"><joint name="ball" type="ball" pos="0 0 0.1"/>
+        <geom type="capsule" fromto="0 0 0 0.4 0 0" size="0.05" mass="1"/>
+        <body name="hand" pos="0.4 0 0" euler="0 30 20">
+          <joint name="wrist" type="hinge" axis="0 1 1" ref="20" stiffness="2" armature="0.1"/>
+          <joint name="twist" type="hinge" axis="1 0 0" frictionloss="0.2"/>
+          <geom type="box" size="0.1 0.02 0.05" mass="0.5"/></body></body></body>
+    <body name="ball_free" pos="1 0 1"><freejoint name="free"/>
+      <geom type="sphere" size="0.1" mass="0.2"/></body>
+  </worldbody>
+  <keyframe><key name="home" qpos="0.1 0.2 0.3  1 0 0 0  0.4 0.5  1 0 1 1 0 0 0"/></keyframe>
+</mujoco>"""
+
+
+def test_joints_of_mjcf_have_mujocos_accelerations(tmp_path):
+    path = tmp_path / "all.xml"
+    path.write_text(MJCF_WITH_ALL_JOINTS)
+    scene = load_scene(path)
+    assert peers().against_mujoco(path, scene, 20) < 1e-12
+    text = "\n".join(scene.notes)
+    assert "armature (rotor inertia) is not simulated: wrist" in text
+    assert "joint friction is not simulated: twist" in text
+    assert "without mass: cart_x between joints" in text
+
+
+def coordinates(scene):
+    """{joint: position} at the start."""
+    found = Simulation(scene, "rkmk4", 1e-3).sample().joint_coordinates
+    return {name: position for name, (position, _) in found.items()}
+
+
+def test_start_values_poses_and_locked_joints(tmp_path):
+    path = tmp_path / "all.xml"
+    path.write_text(MJCF_WITH_ALL_JOINTS)
+    home = coordinates(scene_from_robot(path, Options(pose="home", start={"turn": 0.7})))
+    # Coordinates count from the pose of the file, where the wrist is at 20 degrees.
+    expected = {"x": 0.1, "y": 0.2, "turn": 0.7, "wrist": 0.4 - np.radians(20), "twist": 0.5}
+    assert {name: home[name] for name in expected} == pytest.approx(expected, abs=1e-14)
+    urdf = arm_in(tmp_path, "urdf")
+    start = coordinates(scene_from_robot(urdf, Options(start={"shoulder": 0.3, "extend": -0.1})))
+    assert start == pytest.approx({"shoulder": 0.3, "extend": -0.1}, abs=1e-14)
+    locked = scene_from_robot(urdf, Options(lock={"extend": 0.1}))
+    assert [joint.name for joint in locked.joints] == ["shoulder"]
+    assert "locked: joint extend at 0.1" in locked.notes
+
+
+def test_bases_and_chains(tmp_path):
+    urdf = arm_in(tmp_path, "urdf")
+    floating = scene_from_robot(urdf, Options(base="floating", lock={"shoulder": 0, "extend": 0}))
+    assert [body.name for body in floating.bodies] == ["upper"] and not floating.joints
+    assert floating.bodies[0].mass == pytest.approx(4.1, rel=1e-15)
+    only = scene_from_robot(urdf, Options(only=["upper"]))
+    assert [body.name for body in only.bodies] == ["upper"]
+    assert any(
+        note.startswith("changes the motion: cut slide, tool, tip, 1.6 kg") for note in only.notes
+    )
+
+
+def test_a_yaml_file_closes_a_loop_and_adds_a_spring(tmp_path):
+    (tmp_path / "five_bar.urdf").write_text(five_bar_urdf())
+    path = tmp_path / "closed.yaml"
+    path.write_text(
+        "robot: five_bar.urdf\n"
+        "gravity: [0, -9.81, 0]\n"
+        "start: {left_crank: 0.05}\n"
+        "joints:\n"
+        "  - {name: tip, type: revolute, parent: left_end, child: right_end, parent_frame: {},"
+        " child_frame: {}}\n"
+        "forces:\n"
+        "  - {name: spring, type: torsional_spring_damper, joint: left_crank, stiffness: 5}\n"
+        "  - {name: pull, type: applied_wrench, body: left_end, force: [0, 2, 0]}\n"
+    )
+    scene = load_scene(path)
+    simulation = Simulation(scene, "rkmk4", 1e-3)
+    ends = simulation.sample().poses
+    tips = [ends[f"{side}_bar"] @ (1.2, 0, 0, 1) for side in ("left", "right")]
+    assert np.allclose(*tips, atol=1e-12)
+    start = simulation.energy()
+    assert simulation.layout.model.row_residual.size == 6 * 4 - 2  # two degrees of freedom
+    pull = next(force for force in scene.forces if force.name == "pull")
+    assert pull.body == "left_bar" and pull.point == pytest.approx((1.2, 0, 0))
+    simulation.advance(200)
+    assert np.isfinite(start) and simulation.sample().constraint_residual < 1e-6
+
+
+def test_errors_beside_a_robot_have_the_line_of_their_file(tmp_path):
+    (tmp_path / "five_bar.urdf").write_text(five_bar_urdf())
+    path = tmp_path / "closed.yaml"
+    for line, text, expected in (
+        (2, "start: {left_cranc: 1}", 'did you mean "left_crank"'),
+        (
+            3,
+            "joints:\n  - {name: tip, type: revolute, parent: left_ends, child: right_end}",
+            "left_end",
+        ),
+        (3, "forces:\n  - {name: a, type: drag, body: left, linear: -1}", "must not be negative"),
+        (2, "bodies: []", "unknown key 'bodies'"),
+        (2, "only: [nothing]", "'nothing' is not in the robot"),
+    ):
+        path.write_text(f"robot: five_bar.urdf\n{text}\n")
+        with pytest.raises(SceneError) as caught:
+            load_scene(path)
+        message = str(caught.value)
+        assert message.startswith(f"{path}:{line}: ") and expected in message, message
+
+
+def freedoms(simulation):
+    """Degrees of freedom at the start."""
+    return 6 * len(simulation.scene.bodies) - simulation.layout.model.row_residual.size
+
+
+def test_a_stewart_platform_from_sdf(tmp_path):
+    path = tmp_path / "stewart.sdf"
+    path.write_text(stewart_sdf())
+    scene = load_scene(path)
+    simulation = Simulation(scene, "rkmk4", 1e-3)
+    assert len(scene.bodies) == 13 and len(scene.forces) == 6 and freedoms(simulation) == 6
+    start = simulation.energy()
+    simulation.advance(200)
+    assert simulation.energy() < start  # its dampers dissipate
+    assert simulation.sample().constraint_residual < 1e-7
+    # The legs meet the corners of the plate.
+    sample = simulation.sample()
+    plate = sample.poses["plate"]
+    for k, joint in enumerate(each for each in scene.joints if each.name.startswith("head")):
+        corner = plate @ joint.parent_frame.pose[:, 3]
+        tip = sample.poses[f"upper{k}"] @ joint.child_frame.pose[:, 3]
+        assert np.allclose(corner, tip, atol=1e-7)
+
+
+def test_a_scissor_lift_from_urdf_and_closing_joints(tmp_path):
+    text, closing = scissor_lift(3)
+    (tmp_path / "lift.urdf").write_text(text)
+    (tmp_path / "lift.yaml").write_text(closing)
+    simulation = Simulation(load_scene(tmp_path / "lift.yaml"), "rkmk4", 1e-3)
+    assert freedoms(simulation) == 1 and simulation.layout.normal is not None
+    start = simulation.energy()
+    simulation.advance(100)
+    assert simulation.energy() == pytest.approx(start, rel=1e-9)
+    poses = simulation.sample().poses
+    # All stages have the same angle.
+    angles = [np.arctan2(poses[f"left{k}"][1, 0], poses[f"left{k}"][0, 0]) for k in range(3)]
+    assert angles == pytest.approx([angles[0]] * 3, abs=1e-8) and angles[0] < 0.5

@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A robot's URDF file in a running node: what RViz and robot_state_publisher take from it."""
+
+import numpy as np
+import pytest
+from node_process import COMPILING, NodeProcess
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from robot_texts import ARM_SDF, ARM_URDF, five_bar_urdf, scissor_lift, stewart_sdf
+from rosbags.typesys import Stores, get_typestore
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+from liegroup_core import Simulation, load_scene
+from liegroup_core.robots.read import read_robot
+from liegroup_sim_ros.messages.description import robot_description
+from liegroup_sim_ros.messages.markers import CUBE, MESH, Markers
+from liegroup_sim_ros.messages.samples import transforms
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def moved(states):
+    """True if a joint has moved, in any of the messages."""
+    return any(np.abs(state.velocity).max() > 1e-3 for state in states)
+
+
+def test_a_node_serves_a_urdf_file_to_rviz(client, tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text(ARM_URDF)
+    parameters = {"scene": path, "joint_state_rate": 100.0, "record": tmp_path / "a.mcap"}
+    with NodeProcess(parameters, remap=["__node:=arm"]):
+        states = client.listen("/arm/joint_states", JointState)
+        client.until(lambda: moved(states), COMPILING, "motion")
+        # A late subscriber still gets the description.
+        texts = client.listen("/arm/robot_description", String, LATCHED)
+        client.until(lambda: texts, 10.0, "the description")
+    assert texts[0].data == ARM_URDF
+    assert states[-1].name == ["shoulder", "extend", "tip_joint"]
+    assert states[-1].position[2] == states[-1].velocity[2] == 0.0
+
+
+def test_tf_has_the_frames_of_all_links(tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text(ARM_URDF)
+    simulation = Simulation(load_scene(path), "rkmk4", 1e-3)
+    simulation.advance(100)
+    sample = simulation.sample()
+    ((_, message_type, encode),) = transforms(simulation.layout, "world", "a/")
+    store = get_typestore(Stores.ROS2_JAZZY)
+    message = store.deserialize_cdr(encode(5_000_000_000, sample), message_type)
+    found = {}
+    for each in message.transforms:
+        t = each.transform.translation
+        found[each.child_frame_id] = np.array([t.x, t.y, t.z])
+        assert each.header.frame_id == "world" and each.header.stamp.sec == 5
+    assert set(found) == {"a/base", "a/upper", "a/slide", "a/tool", "a/tip"}
+    slide = sample.poses["slide"]
+    assert found["a/tool"] == pytest.approx((slide @ (0, 0.1, 0, 1))[:3], abs=1e-14)
+    assert found["a/upper"] == pytest.approx(sample.positions["upper"], abs=1e-14)
+    assert not found["a/base"].any()
+
+
+@pytest.mark.parametrize("kind", ["sdf", "yaml"])
+def test_other_scenes_get_a_urdf_of_their_bodies(kind, tmp_path):
+    path = tmp_path / "arm.sdf"
+    path.write_text(ARM_SDF.replace("</link>", VISUAL + "</link>", 1))
+    scene = load_scene(path if kind == "sdf" else "four_bar")
+    written = tmp_path / "generated.urdf"
+    written.write_text(robot_description(scene))
+    again = read_robot(written)  # a URDF with one root, every link once
+    assert again.roots == ["world"]
+    assert {joint.type for joint in again.joints} == {"floating"}
+    links = {"upper", "slide", "tool"} if kind == "sdf" else {body.name for body in scene.bodies}
+    shapes = {name: link.visuals for name, link in again.links.items()}
+    assert set(shapes) == links | {"world"}
+    if kind == "sdf":
+        (box,) = shapes["upper"]
+        assert box.kind == "box" and box.size == pytest.approx((0.2, 0.1, 0.3))
+        assert box.pose[:3, 3] == pytest.approx((0.1, 0, 0))
+    else:
+        assert all(len(shapes[name]) == 1 for name in links)
+
+
+VISUAL = """<visual name="v"><pose>0.1 0 0 0 0.5 0</pose>
+<geometry><box><size>0.2 0.1 0.3</size></box></geometry></visual>"""
+
+
+TETRAHEDRON = """solid t
+facet normal 0 0 1
+outer loop
+vertex 0 0 0
+vertex 1 0 0
+vertex 0 1 0
+endloop
+endfacet
+endsolid t
+"""
+
+
+def test_markers_have_the_visuals_and_meshes_of_the_file(tmp_path):
+    """A mesh that is there, one that is missing, and a body without visuals."""
+    (tmp_path / "tool.stl").write_text(TETRAHEDRON)
+    mesh = '<visual><origin xyz="0 0 0.2"/><geometry><mesh filename="{}" scale="2 1 1"/></geometry></visual>'
+    text = ARM_URDF.replace('<link name="tool">', '<link name="tool">' + mesh.format("tool.stl"))
+    text = text.replace('<link name="tip"/>', f'<link name="tip">{mesh.format("none.stl")}</link>')
+    path = tmp_path / "arm.urdf"
+    path.write_text(text)
+    simulation = Simulation(load_scene(path), "rkmk4", 1e-3)
+    simulation.advance(30)
+    sample = simulation.sample()
+    encoder = Markers(simulation.layout, "world", 1.0, {})
+    store = get_typestore(Stores.ROS2_JAZZY)
+    message = store.deserialize_cdr(encoder.encode(0, sample), "visualization_msgs/msg/MarkerArray")
+    bodies = [marker for marker in message.markers if marker.ns == "bodies"]
+    assert [marker.type for marker in bodies] == [CUBE, MESH]
+    box, tool = bodies
+    assert (box.scale.x, box.scale.y, box.scale.z) == (0.2, 0.05, 0.04)
+    at = sample.poses["upper"] @ (0.1, 0, 0, 1)
+    assert (box.pose.position.x, box.pose.position.z) == pytest.approx((at[0], at[2]), abs=1e-14)
+    assert (
+        tool.mesh_resource == (tmp_path / "tool.stl").as_uri() and tool.mesh_use_embedded_materials
+    )
+    assert tool.scale.x == 2.0 and box.mesh_resource == ""
+    link, place = simulation.scene.robot.frames["tool"]
+    at = sample.poses[link] @ place @ (0, 0, 0.2, 1)
+    assert tool.pose.position.z == pytest.approx(at[2], abs=1e-14)
+
+
+def five_bar(folder):
+    (folder / "five_bar.urdf").write_text(five_bar_urdf())
+    path = folder / "five_bar.yaml"
+    path.write_text(
+        "robot: five_bar.urdf\ngravity: [0, -9.81, 0]\njoints:\n  - {name: tip, type: revolute, parent: left_end,"
+        " child: right_end, parent_frame: {}, child_frame: {}}\n"
+    )
+    return path
+
+
+def lift(folder):
+    text, closing = scissor_lift(2)
+    (folder / "lift.urdf").write_text(text)
+    path = folder / "lift.yaml"
+    path.write_text(closing)
+    return path
+
+
+def platform(folder):
+    path = folder / "stewart.sdf"
+    path.write_text(stewart_sdf())
+    return path
+
+
+@pytest.mark.parametrize(
+    "make, joints",
+    [
+        (five_bar, ["left_crank", "right_crank", "left_elbow", "right_elbow", "tip"]),
+        (lift, ["slide", "lift0", "cross0", "lift1", "cross1", "pin0", "pin1"]),
+        (platform, [f"leg{k}" for k in range(6)]),
+    ],
+)
+def test_the_node_runs_closed_loops(make, joints, client, tmp_path):
+    path = make(tmp_path)
+    name = make.__name__
+    parameters = {"scene": path, "joint_state_rate": 50.0}
+    with NodeProcess(parameters, remap=[f"__node:={name}"]):
+        states = client.listen(f"/{name}/joint_states", JointState)
+        texts = client.listen(f"/{name}/robot_description", String, LATCHED)
+        client.until(lambda: texts and moved(states), COMPILING, "the description and motion")
+    assert states[-1].name == joints
+    # The joints of the description are those of the joint states, or its frames come from /tf.
+    described = tmp_path / "described.urdf"
+    described.write_text(texts[0].data)
+    robot = read_robot(described)
+    if name == "platform":
+        assert set(robot.links) == {"world", "plate"} | {
+            f"{p}{k}" for p in ("lower", "upper") for k in range(6)
+        }
+    else:
+        own = {joint.name for joint in robot.joints if joint.type != "fixed"}
+        assert own <= set(joints) and set(joints) - own <= {"tip", "pin0", "pin1"}

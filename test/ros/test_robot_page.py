@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files and commands of the page "Bring your robot" run as printed; exit codes of the import."""
+
+import re
+import shlex
+import signal
+from pathlib import Path
+
+import pytest
+from node_process import COMPILING, NodeProcess
+from robot_texts import ARM_URDF, five_bar_urdf
+from sensor_msgs.msg import JointState
+
+from liegroup_core import Simulation, load_scene
+from liegroup_sim_ros.commands.main import main
+from liegroup_sim_ros.playback.resimulate import resimulate
+from liegroup_sim_ros.recording import read_recording
+
+PAGE = (Path(__file__).resolve().parents[2] / "docs" / "how-to" / "robot.md").read_text()
+[ROBOT] = re.findall(r"```xml\n(.*?)```", PAGE, re.DOTALL)
+[CLOSED] = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
+BLOCKS = re.findall(r"```sh\n(.*?)\n```", PAGE, re.DOTALL)
+LINES = [shlex.split(line) for block in BLOCKS for line in block.splitlines()]
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    (tmp_path / "arm.urdf").write_text(ROBOT)
+    (tmp_path / "closed.yaml").write_text(CLOSED)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_all_commands_of_the_page(folder, capsys):
+    done = []
+    for program, *arguments in LINES:
+        if program == "liegroup_sim":
+            assert main(arguments) == 0, arguments
+            done.append(arguments[0])
+    assert done == ["describe", "run", "analyze", "import", "run", "describe", "run"]
+    printed = " ".join(capsys.readouterr().out.split())
+    for note in re.findall(r"^    (\w+ [\w ]+?)   +(.*)$", PAGE, re.MULTILINE):
+        assert " ".join(note) in printed
+    assert "arm: 2 degrees of freedom" in printed and "arm: 1 degrees of freedom" in printed
+
+
+def test_a_recording_is_repeated_without_the_robots_file(folder):
+    assert main(["run", "closed.yaml", "--duration", "0.5", "--out", "run.mcap"]) == 0
+    for path in ("arm.urdf", "closed.yaml"):
+        (folder / path).unlink()
+    figures = resimulate(read_recording("run.mcap"))
+    assert figures["identical"] == figures["samples"] > 10
+
+
+def test_the_node_takes_the_robots_file(folder, client):
+    assert [
+        "sim_node",
+        "--ros-args",
+        "-p",
+        "scene:=arm.urdf",
+        "-p",
+        "joint_state_rate:=50.0",
+    ] in LINES
+    with NodeProcess({"scene": folder / "arm.urdf", "joint_state_rate": 50.0}) as process:
+        states = client.listen("/sim_node/joint_states", JointState)
+        client.until(lambda: states, COMPILING, "joint states")
+        assert states[-1].name == ["shoulder", "elbow"]
+        process.send(signal.SIGINT)
+        assert process.wait()[0] == 0
+
+
+def test_import_writes_what_load_scene_takes(folder, capsys):
+    robot = folder / "five_bar.urdf"
+    robot.write_text(five_bar_urdf())
+    close = ["--close", "left_end", "right_end", "revolute"]
+    assert (
+        main(["import", str(robot), "--start", "left_crank=0.05", *close, "--out", "a.yaml"]) == 0
+    )
+    errors = capsys.readouterr().err
+    assert "a.yaml: 4 bodies, 5 joints" in errors and "merged into left_bar: left_end" in errors
+    scene = load_scene("a.yaml")
+    tips = [
+        Simulation(scene, "rkmk4", 1e-3).sample().poses[f"{side}_bar"] @ (1.2, 0, 0, 1)
+        for side in ("left", "right")
+    ]
+    assert tips[0] == pytest.approx(tips[1], abs=1e-12)
+    assert main(["import", "closed.yaml", "--out", "all.yaml"]) == 0
+    assert load_scene("all.yaml").model_dump() == load_scene("closed.yaml").model_dump()
+    assert main(["import", "closed.yaml", "--start", "elbow=1"]) == 2
+    assert "closed.yaml is a scene file" in capsys.readouterr().err
+    assert main(["import", str(robot), "--lock", "left_crank=0", "right_crank=0"]) == 0
+    assert "name: left_bar" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "arguments, expected",
+    [
+        (["--out", "arm.urdf"], "arm.urdf exists"),
+        (["--start", "elbow"], "--start elbow: give JOINT=VALUE"),
+        (["--start", "elbov=1"], 'did you mean "elbow"'),
+        (["--lock", "flange=1"], "is fixed: only joints with one coordinate"),
+        (["--pose", "home"], "pose 'home' is not in the robot"),
+        (["--only", "nothing"], "'nothing' is not in the robot"),
+        (["--close", "tool", "base", "glue"], "type 'glue'"),
+        (["--close", "tool", "lower", "fixed"], "move as one body"),
+    ],
+)
+def test_wrong_arguments_have_one_line(arguments, expected, folder, capsys):
+    assert main(["import", "arm.urdf", *arguments]) == 2
+    errors = capsys.readouterr().err
+    assert errors.count("\n") == 1 and expected in errors, errors
+
+
+@pytest.mark.parametrize("command", ["describe", "run", "trade", "sweep", "import"])
+def test_a_wrong_robot_file_ends_every_command_with_2(command, folder, capsys):
+    Path("bad.urdf").write_text(ARM_URDF.replace('"upper"/>', '"uper"/>', 1))
+    more = {
+        "run": ["--duration", "1", "--out", "a.npz"],
+        "sweep": ["--vary", "mass=1:2", "--duration", "1", "--out", "a.parquet"],
+    }.get(command, [])
+    assert main([command, "bad.urdf", *more]) == 2
+    errors = capsys.readouterr().err
+    assert errors.startswith("liegroup_sim: bad.urdf:28: ") and errors.count("\n") == 1, errors
