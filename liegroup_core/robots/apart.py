@@ -12,6 +12,7 @@ import os
 import resource
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 from .description import refusal
@@ -25,7 +26,7 @@ PACKAGES = {"xacro": "xacro", "mjcf": "mujoco"}
 
 def run_apart(tool, path):
     """Text that a tool prints for a file. Raises SceneError with the tool's own message."""
-    command = [sys.executable, "-P", "-m", __name__, tool, str(path)]
+    command = [sys.executable, "-P", "-m", __name__, tool, str(Path(path).resolve())]
     folders = [str(Path(__file__).resolve().parents[2]), os.environ.get("PYTHONPATH", "")]
     try:
         done = subprocess.run(
