@@ -29,13 +29,16 @@ def run_apart(tool, path):
     command = [sys.executable, "-P", "-m", __name__, tool, str(Path(path).resolve())]
     folders = [str(Path(__file__).resolve().parents[2]), os.environ.get("PYTHONPATH", "")]
     try:
-        done = subprocess.run(
-            command,
-            env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, folders))},
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            timeout=SECONDS,
-        )
+        # MuJoCo writes a log into the working folder.
+        with tempfile.TemporaryDirectory() as folder:
+            done = subprocess.run(
+                command,
+                cwd=folder,
+                env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, folders))},
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                timeout=SECONDS,
+            )
     except subprocess.TimeoutExpired:
         raise refusal(
             path, 0, f"{tool} did not end within {SECONDS} s: make the file smaller"

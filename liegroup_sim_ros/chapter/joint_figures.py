@@ -4,6 +4,7 @@
 The table compares them with those of an independent implementation. Needs matplotlib.
 """
 
+import numpy as np
 from rich.table import Table
 
 from liegroup_sim_ros.numbers import GROUPS as GROUP_NAMES
@@ -92,13 +93,13 @@ def _draw(path, runs, panels):
                     run.gap[1:, joint],
                 )  # without the start, where the error is zero
                 axis.semilogy(
-                    times[gap > LOWEST],
-                    gap[gap > LOWEST],
+                    times,
+                    np.where(gap > LOWEST, gap, np.nan),
                     color=colour,
                     linewidth=1.0,
                     label=f"h = {step:g} s",
-                    marker="." if len(gap) < 50 else "",
-                    markersize=4,
+                    marker=".",
+                    markersize=4 if len(gap) < 50 else 1,
                 )
             axis.set_title(f"{title}, {GROUP_NAMES[group].replace('R^3', 'R³')}", fontsize=10)
             axis.grid(True, which="major", color="#dddddd", linewidth=0.6)

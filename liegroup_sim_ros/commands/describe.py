@@ -131,7 +131,10 @@ def sections(facts):
             [(force["name"], force["type"], " - ".join(force["on"])) for force in facts["forces"]],
         ),
         ("Degrees of freedom", _freedom_rows(facts)),
-        ("Formulation of Munthe-Kaas methods", _formulation_rows(facts["formulation"])),
+        (
+            "Formulation of Munthe-Kaas methods",
+            _formulation_rows(facts["formulation"] | {"bodies": len(facts["bodies"])}),
+        ),
         ("Solve on SE(3)^n", _solve_rows(facts["solve"], facts["plane"])),
         ("Applicable methods", [("", ", ".join(facts["methods"]), "")]),
         ("Conserved quantities", _conserved_rows(facts)),
@@ -161,6 +164,11 @@ def _formulation_rows(facts):
     cut = [
         f"{entry['joint']} ({' '.join(entry['rows'])})" for entry in facts["cut"] if entry["rows"]
     ]
+    dropped = [
+        f"{entry['joint']} ({' '.join(entry['dropped'])})"
+        for entry in facts["cut"]
+        if entry["dropped"]
+    ]
     welded = [" + ".join(link["bodies"]) for link in facts["tree"] if len(link["bodies"]) > 1]
     floating = [" + ".join(link["bodies"]) for link in facts["tree"] if link["joint"] is None]
     relative, absolute = (facts["predicted_ns"][group] for group in ("relative", "se3"))
@@ -169,10 +177,17 @@ def _formulation_rows(facts):
         (
             "relative coordinates",
             str(facts["coordinates"]),
-            "joint positions of a spanning tree; its joints are satisfied exactly",
+            f"joint positions of a spanning tree, for {6 * facts['bodies']} of poses"
+            + ("; its joints are satisfied exactly" if facts["group"] == "relative" else ""),
         ),
-        ("cut joints", ", ".join(cut) or "none", "and their rows that are solved for"),
+        (
+            "cut joints",
+            ", ".join(cut) or "none",
+            "and their rows that are solved for" if cut else "",
+        ),
     ]
+    if dropped:
+        rows.append(("redundant rows", ", ".join(dropped), "of the cut joints: eliminated"))
     if welded:
         rows.append(("merged bodies", ", ".join(welded), "welded by fixed joints"))
     if floating:
@@ -181,7 +196,7 @@ def _formulation_rows(facts):
         (
             "predicted cost",
             f"{relative / 1e3:.2g} us a stage",
-            f"on SE(3)^n {absolute / 1e3:.2g} us, on a core of 3 GHz",
+            f"without the forces; on SE(3)^n {absolute / 1e3:.2g} us. rkmk4 has 4 stages, rkmk8 12",
         )
     )
     return rows
@@ -205,7 +220,7 @@ def _solve_rows(solve, plane):
     where = (
         ("in space", "six coordinates per body")
         if plane is None
-        else (f"across {plane}", "all bodies move in a plane: at most three coordinates per body")
+        else (f"across {plane}", "all bodies move in a plane, which SE(3)^n makes no use of")
     )
     return [
         ("motion", *where),

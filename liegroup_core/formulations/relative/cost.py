@@ -2,7 +2,8 @@
 """Predicted cost of a stage of a Munthe-Kaas method, in relative coordinates and on SE(3)^n.
 
 The coefficients are those of a fit to rkmk4 on 75 mechanisms, in ns of a core of 3 GHz. Eight
-predictions of ten are within 22 % of the measured cost; only their ratio is used.
+predictions of ten are within 22 % of the measured cost (benchmarks/predicted_cost.py). Forces are
+left out.
 """
 
 import numpy as np

@@ -48,7 +48,7 @@ def _store(work, f, U, inverse, u):
 
 @kernel
 def _eliminate(work, m, torque, force, f, U, D, u):
-    """Store a freedom and return inertia and bias force without it; see above.
+    """Store a freedom and return inertia and bias force without it; see trees.py.
 
     A freedom without inertia does not accelerate.
     """
