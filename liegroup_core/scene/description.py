@@ -191,6 +191,11 @@ class Scene(Described):
         return self._source if self._source is not None else self.name
 
     @property
+    def differences(self):
+        """Notes of what makes the motion differ from that of the robot that the scene comes from."""
+        return [note for note in self.notes if note.startswith("changes the motion")]
+
+    @property
     def robot(self):
         """RobotNames of a scene that was read from a robot's file; None for others."""
         return self._robot

@@ -175,6 +175,8 @@ def run(args):
         raise RunError(f"--every must be at least 1, got {every}")
     scene = load_scene(args.scene)
     console = Console(stderr=True)
+    for note in scene.differences:
+        console.print(f"{scene.name}: {note}", markup=False, highlight=False)
     try:
         with console.status("starting (the first start on a machine compiles for about 20 s)"):
             simulation = Simulation(scene, **settings, estimate=args.estimate)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run of one scene: simulation thread, topics and recording. ~/reload replaces it."""
 
+import logging
 import threading
 from concurrent.futures import Future, wait
 
@@ -13,6 +14,8 @@ from .parameters import AUTO, ParameterError, fitting_steps, set_step
 from .qos import QosOverrides
 from .simulation_thread import SimulationServer
 from .wrench_topics import WrenchTopics
+
+log = logging.getLogger("liegroup_core")
 
 # Steps between two possible starts of a part, with an accuracy: then the two runs of its estimate
 # (liegroup_core.running_error) are at the same time, and wrenches that act can be repeated for both.
@@ -211,6 +214,8 @@ def make_simulation(values, signals):
 
 def _make(values):
     scene = load_scene(values.scene)
+    for note in scene.differences:
+        log.warning("%s: %s", scene.name, note)
     common = {
         "group": values.group,
         "stabilisation": None if values.stabilisation == AUTO else values.stabilisation,

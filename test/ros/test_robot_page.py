@@ -38,7 +38,9 @@ def test_all_commands_of_the_page(folder, capsys):
             assert main(arguments) == 0, arguments
             done.append(arguments[0])
     assert done == ["describe", "run", "analyze", "import", "run", "describe", "run"]
-    printed = " ".join(capsys.readouterr().out.split())
+    read = capsys.readouterr()
+    printed = " ".join(read.out.split())
+    assert "arm: changes the motion: joint limits are not enforced: shoulder" in read.err
     for note in re.findall(r"^    (\w+ [\w ]+?)   +(.*)$", PAGE, re.MULTILINE):
         assert " ".join(note) in printed
     assert "arm: 2 degrees of freedom" in printed and "arm: 1 degrees of freedom" in printed
