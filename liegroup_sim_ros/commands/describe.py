@@ -135,7 +135,8 @@ def sections(facts):
             "Formulation of Munthe-Kaas methods",
             _formulation_rows(facts["formulation"] | {"bodies": len(facts["bodies"])}),
         ),
-        ("Solve on SE(3)^n", _solve_rows(facts["solve"], facts["plane"])),
+        ("Spanning tree", _tree_rows(facts["formulation"])),
+        ("Solve on SE(3)^n", _solve_rows(facts)),
         ("Applicable methods", [("", ", ".join(facts["methods"]), "")]),
         ("Conserved quantities", _conserved_rows(facts)),
         (
@@ -202,6 +203,21 @@ def _formulation_rows(facts):
     return rows
 
 
+def _tree_rows(facts):
+    if facts["group"] != "relative":
+        return []
+    return [
+        (
+            " + ".join(link["bodies"]),
+            link["group"],
+            f"joint {link['joint']} to {' + '.join(link['parent'])}"
+            if link["joint"]
+            else "floating",
+        )
+        for link in facts["tree"]
+    ]
+
+
 def _freedom_rows(facts):
     dropped = ", ".join(f"{joint} {row}" for joint, row in facts["dropped_rows"])
     return [
@@ -216,7 +232,10 @@ def _freedom_rows(facts):
     ]
 
 
-def _solve_rows(solve, plane):
+def _solve_rows(facts):
+    if facts["formulation"]["group"] == "relative":
+        return []
+    solve, plane = facts["solve"], facts["plane"]
     where = (
         ("in space", "six coordinates per body")
         if plane is None
