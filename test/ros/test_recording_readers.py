@@ -150,7 +150,9 @@ def test_joint_states_of_no_joint_one_and_two_are_decoded(reader, tmp_path):
     with Recorder(path) as recorder:
         for count in range(3):
             names = [f"joint_{k}" for k in range(count)]
-            layout = SimpleNamespace(coordinates=SimpleNamespace(names=names))
+            layout = SimpleNamespace(
+                coordinates=SimpleNamespace(names=names), scene=SimpleNamespace(robot=None)
+            )
             ((_, kind, encode),) = samples.joint_states(layout, "world")
             state = SimpleNamespace(joint_coordinates={name: (1.0, 2.0) for name in names})
             channel = recorder.add_channel(f"/joints_{count}", kind)
