@@ -6,8 +6,12 @@ scene, 1 if a defect ended the simulation thread. The node itself is in node.py.
 second and happens after the signal handlers are installed.
 """
 
+import os
 import signal
 import sys
+
+# Before NumPy is loaded, as in commands/main.py: threads make small solves slower.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 USAGE = (
     "usage: sim_node --ros-args -p scene:=SCENE [-p NAME:=VALUE ...] [-r "
