@@ -5,6 +5,7 @@ Everything runs in one ROS domain that no other test run on this machine has.
 """
 
 import fcntl
+import math
 import os
 import signal
 import subprocess
@@ -154,15 +155,26 @@ class Client:
         while time.monotonic() < end:
             self._executor.spin_once(timeout_sec=0.02)
 
-    def call(self, name, service=Trigger, request=None):
-        """Response of a service."""
+    def call(self, name, service=Trigger, request=None, again=math.inf):
+        """Response of a service.
+
+        again : s after which the request is sent again. A process that was killed is still discovered
+                for a while, and its service never answers
+        """
         if name not in self._clients:
             self._clients[name] = self.node.create_client(service, name)
         client = self._clients[name]
         self.until(client.service_is_ready, COMPILING, f"service {name}")
-        future = client.call_async(request or service.Request())
-        self.until(future.done, what=f"answer of {name}")
-        return future.result()
+        futures, sent = [], -math.inf
+
+        def answered():
+            nonlocal sent
+            if not futures or time.monotonic() > sent + again:
+                futures.append(client.call_async(request or service.Request()))
+                sent = time.monotonic()
+            return next((future for future in futures if future.done()), None)
+
+        return self.until(answered, what=f"answer of {name}").result()
 
     def set(self, node, **values):
         """Result of setting one parameter, or more."""

@@ -61,7 +61,7 @@ class Replay:
 
     def heard(self):
         """Both ends know of each other."""
-        self.call("pause")
+        self.client.call("/replay/pause", again=3.0)
         self.client.until(
             lambda: self.client.node.count_publishers("/sim_node/left/pose"), what="discovery"
         )
