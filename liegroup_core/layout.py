@@ -60,9 +60,9 @@ class Layout:
         return relative_model(self.centred, self.model, in_space=True)
 
     def drifts(self, group):
-        """Whether joints open by the errors of the steps of a Munthe-Kaas method on a group.
+        """Whether joints drift with a Munthe-Kaas method on a group.
 
-        In relative coordinates only cut joints do, on SE(3)^n all but one lower pair per body to
+        Cut joints do in relative coordinates, on SE(3)^n all but one lower pair per body to
         ground, on (SO(3) x R^3)^n all.
         """
         if group == RELATIVE:

@@ -4,10 +4,17 @@
 import math
 
 from liegroup_core.compiling import kernel
+from liegroup_core.forces.kinds import too_fast
 from liegroup_core.lie.se3 import se3_compose, se3_exp
 from liegroup_core.lie.so3 import so3_exp
 from liegroup_core.lie.vec3 import add3, dot3, load3, load9, matmul3, matvec3, store3
-from liegroup_core.status import LARGEST_ROTATION, NOT_FINITE, OK, ROTATION_TOO_LARGE
+from liegroup_core.status import (
+    LARGEST_ROTATION,
+    NOT_FINITE,
+    OK,
+    ROTATION_TOO_LARGE,
+    TURNS_NOT_COUNTED,
+)
 
 from .methods import SE3
 
@@ -87,3 +94,15 @@ def is_finite(pose, twist):
             row += abs(twist[i, c])
         total += row
     return total < math.inf
+
+
+@kernel
+def end_status(forces, h, pose, twist):
+    """Status of the end of a step of size h: OK, NOT_FINITE, or TURNS_NOT_COUNTED + (spring << 8).
+
+    forces : Forces; the angle of a torsional spring cannot be unwrapped if it turns too fast
+    """
+    if not is_finite(pose, twist):
+        return NOT_FINITE
+    fast = too_fast(forces, h, pose, twist)
+    return OK if fast < 0 else TURNS_NOT_COUNTED + (fast << 8)

@@ -6,6 +6,7 @@ those of a universal joint are x of the parent's frame and y of the child's. At 
 frames of a joint coincide.
 """
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -53,7 +54,6 @@ class Link:
     inertia: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
     pose: np.ndarray = field(default_factory=lambda: np.eye(4))
     visuals: list = field(default_factory=list)
-    twist: np.ndarray = field(default_factory=lambda: np.zeros(6))
 
     @property
     def moves_nothing(self):
@@ -202,3 +202,12 @@ def listed(names, most=8):
     """Names for a note."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + more
+
+
+def rpy_of_rotation(R):
+    """Roll, pitch and yaw in rad of a rotation (3, 3); where they are not unique, yaw is 0."""
+    level = math.hypot(R[0, 0], R[1, 0])
+    pitch = math.atan2(-R[2, 0], level)
+    if level < 1e-9:
+        return math.atan2(-R[1, 2], R[1, 1]), pitch, 0.0
+    return math.atan2(R[2, 1], R[2, 2]), pitch, math.atan2(R[1, 0], R[0, 0])

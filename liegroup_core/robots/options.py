@@ -21,7 +21,7 @@ class Options:
     lock      : {joint: coordinate} of joints that do not move
     only      : links whose chains to the root are kept; empty: all
     joints    : [keys of a scene's joint], between links; its frames are in the frames of the links
-    forces    : [keys of a scene's force]; couplings: [keys of a scene's coupling]
+    forces    : [keys of a scene's force]
     srdf      : path of an SRDF file with poses
     gravity, name, description : of the scene, None: as the file says
     place     : function: path inside the additions -> text that an error starts with
@@ -34,7 +34,6 @@ class Options:
     only: list = field(default_factory=list)
     joints: list = field(default_factory=list)
     forces: list = field(default_factory=list)
-    couplings: list = field(default_factory=list)
     srdf: object = None
     gravity: list | None = None
     name: str | None = None

@@ -25,8 +25,8 @@ def scene_text(parts):
     if parts.notes:
         lines.append("notes:")
         lines += [f"  - {json.dumps(note, ensure_ascii=False)}" for note in parts.notes]
-    for key in ("bodies", "joints", "couplings", "forces"):
-        entries = getattr(parts, key, ())
+    for key in ("bodies", "joints", "forces"):
+        entries = getattr(parts, key)
         if entries:
             lines.append(f"{key}:")
             lines += chain.from_iterable(

@@ -133,7 +133,7 @@ def sections(facts):
         ("Degrees of freedom", _freedom_rows(facts)),
         (
             "Formulation of Munthe-Kaas methods",
-            _formulation_rows(facts["formulation"] | {"bodies": len(facts["bodies"])}),
+            _formulation_rows(facts["formulation"], len(facts["bodies"])),
         ),
         ("Spanning tree", _tree_rows(facts["formulation"])),
         ("Solve on SE(3)^n", _solve_rows(facts)),
@@ -161,7 +161,7 @@ def _note(text):
     return (kind, rest, "") if separator and len(kind) < 24 else ("", text, "")
 
 
-def _formulation_rows(facts):
+def _formulation_rows(facts, bodies):
     cut = [
         f"{entry['joint']} ({' '.join(entry['rows'])})" for entry in facts["cut"] if entry["rows"]
     ]
@@ -178,7 +178,7 @@ def _formulation_rows(facts):
         (
             "relative coordinates",
             str(facts["coordinates"]),
-            f"joint positions of a spanning tree, for {6 * facts['bodies']} of poses"
+            f"joint positions of a spanning tree, for {6 * bodies} of poses"
             + ("; its joints are satisfied exactly" if facts["group"] == "relative" else ""),
         ),
         (

@@ -5,13 +5,12 @@ A robot from a URDF file keeps its text. Other scenes get a URDF of their bodies
 world by a floating joint: RViz takes the poses from /tf. Imports no ROS.
 """
 
-import math
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from liegroup_core.robots.description import Visual
+from liegroup_core.robots.description import Visual, rpy_of_rotation
 from liegroup_core.robots.resources import find_resource
 
 from .cdr import Template
@@ -58,19 +57,10 @@ def _solid(body):
     return Visual(KINDS[kind], size, pose)
 
 
-def _roll_pitch_yaw(R):
-    """Angles in rad of R = Rz(yaw) Ry(pitch) Rx(roll); where they are not unique, yaw is 0."""
-    level = math.hypot(R[0, 0], R[1, 0])
-    pitch = math.atan2(-R[2, 0], level)
-    if level < 1e-9:
-        return math.atan2(-R[1, 2], R[1, 1]), pitch, 0.0
-    return math.atan2(R[2, 1], R[2, 2]), pitch, math.atan2(R[1, 0], R[0, 0])
-
-
 def _visual(visual, file):
     """<visual> element; a mesh that is no file of this machine keeps its address."""
     xyz = _row(visual.pose[:3, 3])
-    rpy = _row(_roll_pitch_yaw(visual.pose[:3, :3]))
+    rpy = _row(rpy_of_rotation(visual.pose[:3, :3]))
     if visual.kind == "box":
         shape = f'<box size="{_row(np.maximum(visual.size, 1e-6))}"/>'
     elif visual.kind == "cylinder":

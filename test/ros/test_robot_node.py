@@ -12,8 +12,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from liegroup_core import Simulation, load_scene
+from liegroup_core.robots.description import rpy_of_rotation
 from liegroup_core.robots.read import read_robot
-from liegroup_sim_ros.messages.description import _roll_pitch_yaw, robot_description
+from liegroup_sim_ros.messages.description import robot_description
 from liegroup_sim_ros.messages.markers import CUBE, MESH, Markers
 from liegroup_sim_ros.messages.samples import transforms
 
@@ -194,5 +195,5 @@ def test_the_node_runs_closed_loops(make, joints, client, tmp_path):
 def test_roll_pitch_yaw_give_the_rotation_again(angles):
     """Also where they are not unique. Tolerance: the round-off of a level below 1e-9."""
     R = Rotation.from_euler("xyz", angles).as_matrix()
-    again = Rotation.from_euler("xyz", _roll_pitch_yaw(R)).as_matrix()
+    again = Rotation.from_euler("xyz", rpy_of_rotation(R)).as_matrix()
     assert np.abs(again - R).max() < 1e-9

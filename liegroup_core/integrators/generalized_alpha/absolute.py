@@ -7,7 +7,7 @@ in m/s^2 and rad/s^2. g are the position residuals of the independent rows of al
 """
 
 from liegroup_core.compiling import borrowed, kernel, subroutine
-from liegroup_core.forces.kinds import count_turns, too_fast
+from liegroup_core.forces.kinds import count_turns
 from liegroup_core.formulations.absolute.constraints import (
     assemble,
     position_residuals,
@@ -15,7 +15,7 @@ from liegroup_core.formulations.absolute.constraints import (
 )
 from liegroup_core.formulations.absolute.newton_euler import accelerations, wrenches
 from liegroup_core.integrators.methods import SE3
-from liegroup_core.integrators.motion import displace, group_velocity, is_finite, rotation_status
+from liegroup_core.integrators.motion import displace, end_status, group_velocity, rotation_status
 from liegroup_core.lie.so3 import so3_nearest
 from liegroup_core.lie.vec3 import (
     add3,
@@ -30,7 +30,7 @@ from liegroup_core.lie.vec3 import (
     sub3,
     tmatvec3,
 )
-from liegroup_core.status import NOT_FINITE, OK, TURNS_NOT_COUNTED
+from liegroup_core.status import OK
 
 from .arrays import set_end, set_size, sigma
 
@@ -141,11 +141,9 @@ def residual(model, work, memory, numbers, group, h, pose, external):
 @kernel
 def finish(model, work, memory, h):
     """Check and normalise the end of the step, and unwrap angles. Returns a status."""
-    if not is_finite(work.stage_pose, work.stage_twist):
-        return NOT_FINITE
-    fast = too_fast(model.forces, h, work.stage_pose, work.stage_twist)
-    if fast >= 0:
-        return TURNS_NOT_COUNTED + (fast << 8)
+    status = end_status(model.forces, h, work.stage_pose, work.stage_twist)
+    if status != OK:
+        return status
     for i in range(len(model.bodies)):
         store9(so3_nearest(load9(work.stage_pose, i, 0)), work.stage_pose, i, 0)
     count_turns(model.forces, work.stage_pose, work.angle)

@@ -24,8 +24,8 @@ from liegroup_core.formulations.relative.kinds import (
 from liegroup_core.integrators import link_state
 from liegroup_core.integrators.link_state import enter as enter
 from liegroup_core.integrators.link_state import leave as leave
-from liegroup_core.integrators.motion import is_finite, rotation_status
-from liegroup_core.status import NOT_FINITE, OK, TURNS_NOT_COUNTED
+from liegroup_core.integrators.motion import end_status, rotation_status
+from liegroup_core.status import OK
 
 from .arrays import set_end, set_size, sigma
 
@@ -105,11 +105,9 @@ def finish(model, work, memory, h):
     for b in range(len(model.bodies)):
         normalise(model, b, work.stage_pose)
     link_state.place(model, work, work.stage_pose, work.stage_twist)
-    if not is_finite(work.stage_pose, work.stage_twist):
-        return NOT_FINITE
-    fast = forces.too_fast(model.space.forces, h, work.stage_pose, work.stage_twist)
-    if fast >= 0:
-        return TURNS_NOT_COUNTED + (fast << 8)
+    status = end_status(model.space.forces, h, work.stage_pose, work.stage_twist)
+    if status != OK:
+        return status
     forces.count_turns(model.space.forces, work.stage_pose, work.angle)
     set_size(model.space, memory, work.stage_pose)
     return OK

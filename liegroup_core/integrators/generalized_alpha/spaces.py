@@ -21,22 +21,13 @@ Model, relative.py those for a RelativeModel or a PlaneModel:
                             angles
 """
 
-from liegroup_core.compiling import Choice
-from liegroup_core.formulations.relative.arrays import PlaneModel, RelativeModel
-from liegroup_core.model.arrays import Model
+from liegroup_core.formulations.relative.kinds import by_formulation
 
 from . import absolute, relative
 
 
 def _of(name):
-    return Choice(
-        name,
-        {
-            Model: getattr(absolute, name),
-            RelativeModel: getattr(relative, name),
-            PlaneModel: getattr(relative, name),
-        },
-    )
+    return by_formulation(name, absolute, relative)
 
 
 enter, leave, begin, initialise = map(_of, ("enter", "leave", "begin", "initialise"))

@@ -31,12 +31,12 @@ Bou-Rabee and Marsden, Found. Comput. Math. 9 (2009) 197-219 for the rotation.
 import numpy as np
 
 from liegroup_core.compiling import SameTypes, borrowed, stepper
-from liegroup_core.forces.kinds import count_turns, too_fast
+from liegroup_core.forces.kinds import count_turns
 from liegroup_core.integrators.methods import refuse_stabilisation
-from liegroup_core.integrators.motion import copy_state, is_finite
+from liegroup_core.integrators.motion import copy_state, end_status
 from liegroup_core.lie.vec3 import dot3, load3
 from liegroup_core.model.arrays import make_work
-from liegroup_core.status import NOT_FINITE, OK, TURNS_NOT_COUNTED
+from liegroup_core.status import OK
 
 from .half_steps import HISTORY, Memory, first_half, second_half
 from .solve import loads
@@ -101,11 +101,9 @@ def advance(model, work, memory, parts, h, steps, pose, twist, external):
                 x = load3(memory.turn, i, 0)
                 work.report[1] = max(work.report[1], dot3(x, x))
             copy_state(work.stage_pose, work.stage_twist, work.start_pose, work.start_twist)
-        if not is_finite(work.stage_pose, work.stage_twist):
-            return done, NOT_FINITE
-        fast = too_fast(model.forces, h, work.stage_pose, work.stage_twist)
-        if fast >= 0:
-            return done, TURNS_NOT_COUNTED + (fast << 8)
+        status = end_status(model.forces, h, work.stage_pose, work.stage_twist)
+        if status != OK:
+            return done, status
         count_turns(model.forces, work.stage_pose, work.angle)
         copy_state(work.stage_pose, work.stage_twist, pose, twist)
         work.report[0] = max(work.report[0], work.report[1])

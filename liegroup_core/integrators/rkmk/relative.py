@@ -18,18 +18,12 @@ from liegroup_core.integrators.link_state import enter as enter
 from liegroup_core.integrators.link_state import leave as leave
 from liegroup_core.integrators.link_state import place
 from liegroup_core.integrators.methods import EXACT
-from liegroup_core.integrators.motion import is_finite
+from liegroup_core.integrators.motion import end_status
 from liegroup_core.lie.coefficients import dexpinv_coefficients, truncated_dexpinv_coefficients
 from liegroup_core.lie.se3 import se3_dexpinv_of
 from liegroup_core.lie.so3 import so3_dexpinv_of
 from liegroup_core.lie.vec3 import dot3, load3
-from liegroup_core.status import (
-    LARGEST_ROTATION,
-    NOT_FINITE,
-    OK,
-    ROTATION_TOO_LARGE,
-    TURNS_NOT_COUNTED,
-)
+from liegroup_core.status import LARGEST_ROTATION, NOT_FINITE, OK, ROTATION_TOO_LARGE
 
 from .relative_errors import error_square as error_square
 
@@ -140,12 +134,7 @@ def _store_curved(link, scheme, rates, row, slopes, at):
 @kernel
 def check_end(model, work, h):
     """Check the end of a step of size h; see spaces.py."""
-    if not is_finite(work.stage_pose, work.stage_twist):
-        return NOT_FINITE
-    fast = kinds.too_fast(model.space.forces, h, work.stage_pose, work.stage_twist)
-    if fast >= 0:
-        return TURNS_NOT_COUNTED + (fast << 8)
-    return OK
+    return end_status(model.space.forces, h, work.stage_pose, work.stage_twist)
 
 
 @kernel

@@ -28,22 +28,13 @@ for a RelativeModel or a PlaneModel:
                             unwrap the angles of torsional springs at the end of the step
 """
 
-from liegroup_core.compiling import Choice
-from liegroup_core.formulations.relative.arrays import PlaneModel, RelativeModel
-from liegroup_core.model.arrays import Model
+from liegroup_core.formulations.relative.kinds import by_formulation
 
 from . import relative, spatial
 
 
 def _of(name):
-    return Choice(
-        name,
-        {
-            Model: getattr(spatial, name),
-            RelativeModel: getattr(relative, name),
-            PlaneModel: getattr(relative, name),
-        },
-    )
+    return by_formulation(name, spatial, relative)
 
 
 enter, leave, begin, move = map(_of, ("enter", "leave", "begin", "move"))

@@ -16,9 +16,9 @@ from liegroup_core.integrators.methods import EXACT, SE3
 from liegroup_core.integrators.motion import (
     copy_state,
     displace,
+    end_status,
     error_norm_square,
     group_velocity,
-    is_finite,
 )
 from liegroup_core.lie.coefficients import dexpinv_coefficients, truncated_dexpinv_coefficients
 from liegroup_core.lie.se3 import se3_dexpinv_of
@@ -37,13 +37,7 @@ from liegroup_core.lie.vec3 import (
     store9,
     tmatvec3,
 )
-from liegroup_core.status import (
-    LARGEST_ROTATION,
-    NOT_FINITE,
-    OK,
-    ROTATION_TOO_LARGE,
-    TURNS_NOT_COUNTED,
-)
+from liegroup_core.status import LARGEST_ROTATION, NOT_FINITE, OK, ROTATION_TOO_LARGE
 
 
 @kernel
@@ -169,12 +163,7 @@ def store_slopes(model, work, scheme, group, stage):
 @kernel
 def check_end(model, work, h):
     """Check the end of a step of size h; see spaces.py."""
-    if not is_finite(work.stage_pose, work.stage_twist):
-        return NOT_FINITE
-    fast = kinds.too_fast(model.forces, h, work.stage_pose, work.stage_twist)
-    if fast >= 0:
-        return TURNS_NOT_COUNTED + (fast << 8)
-    return OK
+    return end_status(model.forces, h, work.stage_pose, work.stage_twist)
 
 
 @kernel
