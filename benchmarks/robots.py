@@ -7,7 +7,8 @@ Loads every URDF and SDF of example-robot-data and every MJCF of mujoco and dm_c
 path contains one of the words. Prints a table: bodies, degrees of freedom, joints that close loops,
 merged links, kinds of things left out, time to load, and the largest relative difference of the
 accelerations of all bodies at random states. Trees from URDF are compared with Pinocchio, MJCF with
-MuJoCo (without contact, limits, friction, armature and couplings, which are left out on import).
+MuJoCo (without contact, limits, friction and armature, which are left out on import). Couplings are
+added to their accelerations as exact rows.
 """
 
 import argparse
@@ -20,6 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from liegroup_core import SceneError, SimulationError, load_scene
+from liegroup_core.describe import describe
 from liegroup_core.engine import Engine
 from liegroup_core.integrators.rkmk import spaces
 from liegroup_core.layout import make_layout
@@ -120,7 +122,10 @@ def against_pinocchio(path, scene, states):
     for _ in range(states):
         q = pin.integrate(model, pin.neutral(model), rng.uniform(-1.5, 1.5, model.nv))
         v = rng.uniform(-1.0, 1.0, model.nv)
+        rows = _coupled_pinocchio(scene, model, q, v)
         a = pin.aba(model, data, q, v, -tau_of * v)
+        M = pin.crba(model, data, q)
+        a = coupled(a, rows, np.linalg.solve(np.triu(M) + np.triu(M, 1).T, rows.T))
         pin.forwardKinematics(model, data, q, v, a)
         pin.updateFramePlacements(model, data)
         pose, twist, theirs = [], [], []
@@ -134,6 +139,58 @@ def against_pinocchio(path, scene, states):
         ours = solve(np.array(pose), np.array(twist))
         worst = max(worst, difference(ours, np.array(theirs), scene.bodies))
     return worst
+
+
+def coupled(free, rows, mobility):
+    """Accelerations (nv,) with the rows (k, nv) of couplings, from those without them.
+
+    mobility : (nv, k), M^-1 rows^T
+    """
+    return free - mobility @ np.linalg.lstsq(rows @ mobility, rows @ free, rcond=None)[0]
+
+
+def _coupled_pinocchio(scene, model, q, v):
+    """Make a state of Pinocchio satisfy the couplings; returns their rows (k, nv)."""
+    rows = np.zeros((len(scene.couplings), model.nv))
+    offsets = [entry["offset"] for entry in describe(make_layout(scene))["couplings"]]
+    for row, coupling, offset in zip(rows, scene.couplings, offsets):
+        first, other = (
+            model.joints[model.getJointId(scene.robot.joints[name])]
+            for name in (coupling.joint, coupling.other)
+        )
+        at = q[other.idx_q : other.idx_q + other.nq]
+        value = coupling.ratio * (at[0] if other.nq == 1 else np.arctan2(at[1], at[0])) + offset
+        q[first.idx_q : first.idx_q + first.nq] = (
+            [value] if first.nq == 1 else [np.cos(value), np.sin(value)]
+        )
+        v[first.idx_v] = coupling.ratio * v[other.idx_v]
+        row[first.idx_v], row[other.idx_v] = 1.0, -coupling.ratio
+    return rows
+
+
+def _coupled_mujoco(scene, model, data):
+    """Make a state of MuJoCo satisfy the couplings; returns their rows (k, nv)."""
+    rows = np.zeros((len(scene.couplings), model.nv))
+    offsets = [entry["offset"] for entry in describe(make_layout(scene))["couplings"]]
+    for row, coupling, offset in zip(rows, scene.couplings, offsets):
+        first, other = (
+            _number(model, scene.robot.joints[name]) for name in (coupling.joint, coupling.other)
+        )
+        at, to = model.jnt_qposadr[other], model.jnt_qposadr[first]
+        value = coupling.ratio * (data.qpos[at] - model.qpos0[at]) + offset
+        data.qpos[to] = model.qpos0[to] + value
+        at, to = model.jnt_dofadr[other], model.jnt_dofadr[first]
+        data.qvel[to] = coupling.ratio * data.qvel[at]
+        row[to], row[at] = 1.0, -coupling.ratio
+    return rows
+
+
+def _number(model, label):
+    """Number of a joint in MuJoCo."""
+    try:
+        return model.joint(label).id
+    except KeyError:
+        return int(label.split("_")[1]) - 1
 
 
 def against_mujoco(path, scene, states):
@@ -151,7 +208,12 @@ def against_mujoco(path, scene, states):
         data.qpos[:] = model.qpos0
         mujoco.mj_integratePos(model, data.qpos, rng.uniform(-1.0, 1.0, model.nv), 1.0)
         data.qvel[:] = rng.uniform(-1.0, 1.0, model.nv)
+        coupling_rows = _coupled_mujoco(scene, model, data)
         mujoco.mj_forward(model, data)
+        mobility = np.zeros_like(coupling_rows)
+        if len(mobility):
+            mujoco.mj_solveM(model, data, mobility, coupling_rows)
+        data.qacc[:] = coupled(data.qacc, coupling_rows, mobility.T)
         poses, twists, theirs = _state(mujoco, model, data, scene, real)
         rows = [i for i, body in enumerate(scene.bodies) if body.name in theirs]
         found = np.array([theirs[scene.bodies[i].name] for i in rows])
@@ -255,11 +317,7 @@ def _parents_first(scene, held):
 
 def _between(model, data, scene, joint, poses, twists):
     """Pose and twist of a massless link, from those of its parent and its joint."""
-    label = scene.robot.joints[joint.name]
-    try:
-        number = model.joint(label).id
-    except KeyError:
-        number = int(label.split("_")[1]) - 1
+    number = _number(model, scene.robot.joints[joint.name])
     at, dof = model.jnt_qposadr[number], model.jnt_dofadr[number]
     S = np.eye(6)[2 if joint.type == "revolute" else 5]
     F_a, F_b = joint.parent_frame.pose, joint.child_frame.pose
@@ -280,7 +338,8 @@ def row_of(path, states, motion=False):
         return row | {"refused": str(error).replace(str(path), path.name)}
     row |= {
         "bodies": len(scene.bodies),
-        "freedoms": 6 * len(scene.bodies) - len(layout.model.row_residual),
+        "freedoms": describe(layout)["degrees_of_freedom"],
+        "couplings": len(scene.couplings),
         "loops": len(scene.joints) - sum(_held(scene, body) for body in scene.bodies),
         "merged": sum(note.startswith(("merged", "fixed to")) for note in scene.notes),
         "left_out": [
@@ -292,7 +351,7 @@ def row_of(path, states, motion=False):
     if states and against and not closed:
         found = against(path, scene, states)
         row["difference"] = found if isinstance(found, str) else float(found)
-        if motion and path.suffix == ".xml":
+        if motion and path.suffix == ".xml" and not scene.couplings:
             try:
                 row["motion_m"], row["moved_m"] = motion_against_mujoco(path, scene)
             except SimulationError as error:

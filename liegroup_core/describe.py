@@ -11,6 +11,7 @@ from liegroup_core.formulations.relative.cost import absolute_cost, relative_cos
 from liegroup_core.joints.elements import PAIR, WORLD
 from liegroup_core.model.sparsity import operations
 from liegroup_core.model.symmetry import body_groups, conserved_momentum
+from liegroup_core.scene.consistency import resolve_couplings
 
 from .integrators.families import check_options, choose_group, fitting_methods
 
@@ -47,8 +48,9 @@ def describe(layout):
                             methods on SE(3)^n or (SO(3) x R^3)^n
         methods             names of the integration methods that can integrate the scene
         groups              [[body]]: bodies that joints or forces connect, not counting the world
+        couplings           [{name, joint, other, ratio, offset}]; offset in rad or m
         kept_momentum       [{bodies, components}] of the conserved momentum, as text; None if a
-                            joint is not a lower pair: then they are not determined
+                            joint is not a lower pair, or with couplings: not determined then
     Raises SceneError.
     """
     scene, model = layout.scene, layout.model
@@ -77,11 +79,18 @@ def describe(layout):
             }
             for joint in scene.joints
         ],
+        "couplings": [
+            {"name": entry.name, "joint": entry.joint, "other": entry.other}
+            | {"ratio": found.ratio, "offset": found.offset}
+            for entry, found in zip(scene.couplings, resolve_couplings(scene))
+        ],
         "forces": [
             {"name": force.name, "type": force.type, "on": _acts_on(force)}
             for force in scene.forces
         ],
-        "degrees_of_freedom": 6 * len(model.bodies) - len(model.row_residual),
+        "degrees_of_freedom": 6 * len(model.bodies)
+        - len(model.row_residual)
+        - len(layout.relative.couplings),
         "rows": int(model.elements["rows"].sum()),
         "solved_rows": len(model.row_residual),
         "dropped_rows": [list(entry) for entry in dropped],
@@ -94,7 +103,7 @@ def describe(layout):
             {"bodies": list(kept.bodies), "components": list(kept.labels)}
             for kept in conserved_momentum(scene)
         ]
-        if only_pairs
+        if only_pairs and not scene.couplings
         else None,
     }
 

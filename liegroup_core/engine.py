@@ -167,7 +167,7 @@ class Engine:
         """Continue from a state at a step count.
 
         pose, twist : (n, 12), (n, 6) of frames at the centres of mass, as `state()` returns them
-        angles : (k,) rad, `Sample.angles` of the state: unwrapped angles of torsional springs. None:
+        angles : (k,) rad, `Sample.angles` of the state: unwrapped angles. None:
                  all are in (-pi, pi], as at the start of a scene
         memory : bytes from `memory()` at this state: the run continues bit-identically. None: a
                  method with memory restarts
@@ -192,7 +192,7 @@ class Engine:
             )
         k = len(self._work.angle)
         if angles is not None and (np.shape(angles) != (k,) or not np.isfinite(angles).all()):
-            raise ValueError(f"expected {k} finite angles of torsional springs, got {angles!r}")
+            raise ValueError(f"expected {k} finite angles, as `Sample.angles`, got {angles!r}")
         self._work.angle[:] = self.layout.angles(pose, angles)
         self._pose, self._twist, self.steps = pose, twist, int(steps)
         self._schedule = WrenchSchedule(n, self.step)
@@ -453,8 +453,11 @@ class Engine:
         return self._integrator.advance(h, steps, self._pose, self._twist, self._external)
 
     def _joint_name(self, element):
-        """Name of the scene joint to which an element of the model belongs."""
-        return self.scene.joints[self.layout.owners[element]].name
+        """Name of the scene joint to which an element of the model belongs, or of a coupling."""
+        owners = self.layout.owners
+        if element >= len(owners):
+            return self.scene.couplings[element - len(owners)].name
+        return self.scene.joints[owners[element]].name
 
     def _explain(self, status):
         joint = force = body = hint = ""
@@ -472,7 +475,7 @@ class Engine:
         if status & 0xFF == DEPENDENT_ROWS:
             joint = self._joint_name(status >> 8)
         if status & 0xFF == TURNS_NOT_COUNTED:
-            force = [f.name for f in self.scene.forces if f.counts_turns][status >> 8]
+            force = self.scene.unwrapped[status >> 8][1]
         return (
             f"stopped at t = {self.time:.9g} s (step {self.steps}, h = {self.step:g} s): "
             + MESSAGES[status & 0xFF].format(

@@ -8,11 +8,15 @@ import numpy as np
 
 from .errors import SceneError
 from .forces import kinds
-from .forces.torsional_spring_damper import UNKNOWN_TURN
 from .formulations.relative.arrays import PlaneModel
-from .formulations.relative.build import refuse_freedoms_without_inertia, relative_model
+from .formulations.relative.build import (
+    refuse_cut_couplings,
+    refuse_freedoms_without_inertia,
+    relative_model,
+)
 from .formulations.relative.spanning_tree import WORLD_NAME
 from .integrators.methods import RELATIVE
+from .joints.coupling import UNKNOWN_TURN
 from .joints.pairs import LOWER_PAIRS
 from .model.arrays import Model
 from .model.build import build_model
@@ -62,11 +66,11 @@ class Layout:
     def drifts(self, group):
         """Whether joints drift with a Munthe-Kaas method on a group.
 
-        Cut joints do in relative coordinates, on SE(3)^n all but one lower pair per body to
+        Cut joints do in relative coordinates, but no couplings, on SE(3)^n all but one lower pair per body to
         ground, on (SO(3) x R^3)^n all.
         """
         if group == RELATIVE:
-            return len(self.relative.joints) > 0
+            return len(self.relative.joints) > len(self.relative.couplings)
         joints = self.scene.joints
         held = [body for joint in joints for body in (joint.parent, joint.child)]
         return group == "so3xr3" or any(
@@ -80,6 +84,11 @@ class Layout:
     def lack_of_inertia(self):
         """Text that names a body without inertia about an axis, or ""; see scene/massless.py."""
         return lack_of_inertia(self.centred)
+
+    @property
+    def needs_relative(self):
+        """Text why only relative coordinates can hold the scene, or ""."""
+        return self.lack_of_inertia or ("it has couplings" if self.scene.couplings else "")
 
     def with_model(self, model):
         """The layout with other options of its model; what does not depend on them is kept."""
@@ -133,7 +142,7 @@ class Layout:
         return Sample(self, time, time_ns, steps, pose, twist, near)
 
     def angles(self, pose, near=None):
-        """Angles (k,) of the torsional springs at a pose (n, 12), rad; near: see `sample`."""
+        """Unwrapped angles (k,), see `Scene.unwrapped`, at a pose (n, 12), rad; near: see `sample`."""
         forces = self.model.forces
         angles = np.full(kinds.count_of_angles(forces), UNKNOWN_TURN)
         if near is not None:
@@ -148,6 +157,8 @@ def make_layout(scene):
         try:
             described, centred = ready(scene)
             layout = Layout(described, centred, Offsets(described), *build_model(centred))
+            if layout.scene.couplings:
+                refuse_cut_couplings(centred)
             if layout.lack_of_inertia:
                 refuse_freedoms_without_inertia(centred)
             return layout

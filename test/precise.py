@@ -9,7 +9,8 @@ The dense saddle-point system of the Newton-Euler equations
 is assembled and solved in decimal numbers. Its parts share nothing with the kernels of the engine:
 
     J, right-hand side   first and second derivatives of the constraint functions g of naive.py, by
-                         truncated Taylor series (jets.py); index 0: at Vdot = 0
+                         truncated Taylor series (jets.py); index 0: at Vdot = 0. A coupling has
+                         the difference of two coordinates
     forces               virtual work, f dq/dX for a law f(q, qdot) of a coordinate q of two bodies,
                          whose derivatives are Jets as well
 
@@ -135,6 +136,15 @@ def _frame(body, frame, end, read):
     return pose
 
 
+def _joint_coordinate(joint_frames, turns):
+    """Angle about z or shift along z of a joint as a Jet."""
+    parent, child = joint_frames
+    if not turns:
+        return parent[:3, 2] @ (child[:3, 3] - parent[:3, 3])
+    (x, y, _), (u, v, _) = parent[:3, :3].T, child[:3, :3].T
+    return np.arctan2(y @ u - x @ v, x @ u + y @ v)
+
+
 def _coordinate(force, joint_frames, bodies, read):
     """Coordinate of a force between two bodies as a Jet: length, angle about z, or shift along z."""
     if force.type == "spring_damper":
@@ -145,11 +155,9 @@ def _coordinate(force, joint_frames, bodies, read):
             )
         )
         return np.sqrt((child - parent) @ (child - parent))
-    parent, child = joint_frames
-    if force.type in ("linear_motor", "linear_spring_damper"):
-        return parent[:3, 2] @ (child[:3, 3] - parent[:3, 3])
-    (x, y, _), (u, v, _) = parent[:3, :3].T, child[:3, :3].T
-    return np.arctan2(y @ u - x @ v, x @ u + y @ v)
+    return _joint_coordinate(
+        joint_frames, force.type not in ("linear_motor", "linear_spring_damper")
+    )
 
 
 def _law(force, q, read):
@@ -211,6 +219,21 @@ def _system(scene, wrenches, read):
                     row[index[name]] = g.slopes[6 * end : 6 * end + 6]
             rows.append(row)
             right.append(-g.curvature)
+
+    joints = {joint.name: joint for joint in scene.joints}
+    for coupling in scene.couplings:
+        row, curvature = decimals(np.zeros(n)), Decimal(0)
+        for name, factor in (
+            (coupling.joint, Decimal(1)),
+            (coupling.other, -read.number(coupling.ratio)),
+        ):
+            q = _joint_coordinate(frames[name], joints[name].type != "prismatic")
+            for end, body in enumerate((joints[name].parent, joints[name].child)):
+                if body != "world":
+                    row[index[body]] += factor * q.slopes[6 * end : 6 * end + 6]
+            curvature += factor * q.curvature
+        rows.append(row)
+        right.append(-curvature)
 
     masses, Q = [], decimals(np.zeros(n))
     for name in names:

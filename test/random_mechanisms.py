@@ -9,13 +9,16 @@ import functools
 import itertools
 
 import mechanisms
+import naive
 import numpy as np
 from other_frames import described_elsewhere
 
 from liegroup_core.errors import SceneError
 from liegroup_core.joints.kinds import TYPES
+from liegroup_core.joints.linkage import Linkage
 from liegroup_core.layout import make_layout
 from liegroup_core.lie.groups import SO3
+from liegroup_core.scene.consistency import resolve_couplings, resolve_elements, resolve_frames
 from liegroup_core.scene.description import (
     ConstantWrench,
     Drag,
@@ -212,6 +215,47 @@ def forced(rng, scene):
     return scene.remade(forces=forces)
 
 
+def coupled(rng, scene, most):
+    """The scene with up to `most` couplings, in the ratios of the velocities that its joints have."""
+    rates = {
+        name: rate
+        for name, (_, rate) in make_layout(scene).sample(*_start(scene)).joint_coordinates.items()
+        if abs(rate) > 0.05
+    }
+    couplings = []
+    for _ in range(most):
+        if len(rates) < 2:
+            break
+        joint, other = rng.choice(list(rates), 2, replace=False).tolist()
+        couplings.append(
+            {
+                "name": f"c{len(couplings)}",
+                "joint": joint,
+                "other": other,
+                "ratio": rates.pop(joint) / rates[other],
+            }
+        )
+    if not couplings:
+        raise ValueError("no two joints move")
+    scene = scene.remade(couplings=couplings)
+    joints = resolve_frames(scene), resolve_elements(scene), range(len(scene.joints))
+    ranks = [
+        np.linalg.matrix_rank(linkage.velocity_rows(linkage.start), tol=1e-6)
+        for linkage in (
+            Linkage(scene, *joints),
+            Linkage(scene, *joints, couplings=resolve_couplings(scene)),
+        )
+    ]
+    if ranks[1] - ranks[0] < len(couplings):
+        raise ValueError("a coupling is satisfied already, or holds a loop that moves with it")
+    return scene
+
+
+def _start(scene):
+    pose = naive.flat(np.array([body.pose for body in scene.bodies]))
+    return pose, [body.twist for body in scene.bodies]
+
+
 def pushes(rng, scene):
     """External wrenches [(body, (6,) torque and force, axes)] on up to two bodies."""
     found = []
@@ -275,6 +319,12 @@ def _large(rng):
     return _tree(rng, 20, 40) if rng.random() < 0.5 else _loops(rng, 20, 40, 6)
 
 
+def _coupled(rng):
+    if rng.random() < 0.6:
+        return coupled(rng, _tree(rng, 2), int(rng.integers(1, 4)))
+    return coupled(rng, _loops(rng, 3) if rng.random() < 0.5 else _flat(rng), 1)
+
+
 CLASSES = {
     "tree": _tree,
     "loops": _loops,
@@ -283,6 +333,7 @@ CLASSES = {
     "mass ratios": _ratios,
     "slender": _slender,
     "large": _large,
+    "couplings": _coupled,
 }
 
 

@@ -29,6 +29,7 @@ from . import (
     motor,
     spring_damper,
     torsional_spring_damper,
+    turn,
 )
 from .applied_wrench import ConstantWrench
 from .drag import Drag
@@ -71,14 +72,18 @@ class Forces(Struct):
     linear_motor: np.ndarray
     drag: np.ndarray
     applied_wrench: np.ndarray
+    counted: (
+        np.ndarray
+    )  # torsional springs without stiffness: their angle is unwrapped for a coupling
 
 
-def make_forces(described, index, ends):
+def make_forces(described, index, ends, counted=()):
     """Rows of the forces of a scene.
 
     described : the scene's forces
     index     : {body name: body index, "world": WORLD}
     ends      : {joint name: (parent's index, child's index, parent frame, child frame)}
+    counted   : names of joints whose angle is unwrapped for a coupling
     """
     return Forces(
         **{
@@ -87,18 +92,22 @@ def make_forces(described, index, ends):
                 dtype=module.ROW,
             )
             for kind, module in KINDS.items()
-        }
+        },
+        counted=np.array(
+            [(*turn.fields(*ends[joint]), 0.0, 0.0, 0.0) for joint in counted],
+            dtype=torsional_spring_damper.ROW,
+        ),
     )
 
 
+def has_forces(forces):
+    """True if any force but gravity acts."""
+    return any(len(getattr(forces, kind)) for kind in KINDS)
+
+
 def count_of_angles(forces):
-    """Number of unwrapped joint angles."""
-    return len(forces.torsional_spring_damper)
-
-
-def joints_of_angles(described):
-    """Name of the joint of each unwrapped angle; described: forces of the scene."""
-    return [force.joint for force in described if force.counts_turns]
+    """Number of unwrapped joint angles: those of torsional springs, then of couplings."""
+    return len(forces.torsional_spring_damper) + len(forces.counted)
 
 
 @kernel
@@ -146,14 +155,20 @@ def power(forces, acting, pose, twist):
 
 @kernel
 def too_fast(forces, h, pose, twist):
-    """Index of a torsional spring whose joint rotates by half a turn or more in a step h, or -1.
+    """Index of an unwrapped angle whose joint rotates by half a turn or more in a step h, or -1.
 
-    Its angle cannot be unwrapped. pose, twist : at the end of the step
+    pose, twist : at the end of the step
     """
-    return torsional_spring_damper.too_fast(forces.torsional_spring_damper, h, pose, twist)
+    found = turn.too_fast(forces.torsional_spring_damper, h, pose, twist)
+    if found < 0 and len(forces.counted) > 0:
+        found = turn.too_fast(forces.counted, h, pose, twist)
+        if found >= 0:
+            found += len(forces.torsional_spring_damper)
+    return found
 
 
 @kernel
 def count_turns(forces, pose, angle):
     """Unwrap the angles (k,) at the end of a step, less than half a turn after the last ones."""
-    torsional_spring_damper.count_turns(forces.torsional_spring_damper, pose, angle)
+    turn.count_turns(forces.torsional_spring_damper, pose, angle, 0)
+    turn.count_turns(forces.counted, pose, angle, len(forces.torsional_spring_damper))

@@ -6,7 +6,6 @@ The angle theta is unwrapped (turn.py). Its value after the last step is part of
 number `angle` per row.
 """
 
-import math
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -27,10 +26,6 @@ ROW = np.dtype(
     ],
     align=True,
 )
-
-# Initial angles are those nearest to this value, in (-pi, pi]: half a turn is pi, not -pi, whatever
-# its round-off.
-UNKNOWN_TURN = 1e-9
 
 
 class TorsionalSpringDamper(TurnForce):
@@ -87,20 +82,3 @@ def power(rows, pose, twist):
         rate = turn.rate(row, pose, twist, turn.axis(row, pose))
         total -= row["damping"] * rate * rate
     return total
-
-
-@kernel
-def count_turns(rows, pose, angle):
-    """Unwrap the angles (k,) at a pose less than half a turn after the last one."""
-    for e in range(len(rows)):
-        angle[e] = turn.angle(rows[e], pose, angle[e])
-
-
-@kernel
-def too_fast(rows, h, pose, twist):
-    """First row whose joint rotates by half a turn or more in a time h, or -1."""
-    for e in range(len(rows)):
-        row = rows[e]
-        if abs(h * turn.rate(row, pose, twist, turn.axis(row, pose))) >= math.pi:
-            return e
-    return -1

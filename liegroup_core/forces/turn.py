@@ -102,3 +102,23 @@ def apply(row, pose, n, torque, wrench_out):
     """Add torque * n to the child's wrench and subtract it from the parent's."""
     apply_torque(pose, row["child"], scale3(torque, n), wrench_out)
     apply_torque(pose, row["parent"], scale3(-torque, n), wrench_out)
+
+
+@kernel
+def count_turns(rows, pose, angles, first):
+    """Unwrap the angles of rows, from entry `first` of `angles` on, at a pose.
+
+    The pose is less than half a turn after the last one.
+    """
+    for e in range(len(rows)):
+        angles[first + e] = angle(rows[e], pose, angles[first + e])
+
+
+@kernel
+def too_fast(rows, h, pose, twist):
+    """First row whose joint rotates by half a turn or more in a time h, or -1."""
+    for e in range(len(rows)):
+        row = rows[e]
+        if abs(h * rate(row, pose, twist, axis(row, pose))) >= math.pi:
+            return e
+    return -1

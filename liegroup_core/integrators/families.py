@@ -72,7 +72,7 @@ def choose_group(method, group, options, layout):
         return group
     if family in NOT_ON_SE3:
         return "so3xr3"
-    if layout.lack_of_inertia:
+    if layout.needs_relative:
         return RELATIVE
     if options["space"] == "space":
         return "se3"
@@ -83,8 +83,8 @@ def choose_group(method, group, options, layout):
 def misfit(method, layout):
     """Reason why a method cannot integrate a scene (layout.Layout) in any group, or ""."""
     family = METHODS[method].family
-    if family not in ON_JOINTS and layout.lack_of_inertia:
-        return layout.lack_of_inertia
+    if family not in ON_JOINTS and layout.needs_relative:
+        return layout.needs_relative
     return rotation_misfit(layout) if family == "rotation" else ""
 
 
@@ -99,11 +99,11 @@ def make_integrator(method, layout, group, step, options):
     Raises ValueError, one line, if the method does not fit the scene or its stabilisation.
     """
     entry = METHODS[method]
-    if layout.lack_of_inertia and group != RELATIVE:
+    if layout.needs_relative and group != RELATIVE:
         raise ValueError(
-            f"method {method} in group {group!r} needs inertia about all axes, but "
-            f"{layout.lack_of_inertia}: use a Munthe-Kaas method, rkmk..., or generalized_alpha "
-            "with group 'relative', or give it inertia"
+            f"method {method} in group {group!r} cannot integrate this scene: "
+            f"{layout.needs_relative}. Use group 'relative' with a Munthe-Kaas method, rkmk..., or "
+            "with generalized_alpha"
         )
     reason = misfit(method, layout)
     if reason:

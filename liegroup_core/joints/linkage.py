@@ -13,6 +13,7 @@ import scipy
 
 from liegroup_core.lie.groups import SE3
 
+from .coupling import coordinate, gap, rate_row, turns
 from .kinds import forbidden_rows, position_residual
 
 # Singular values of unit rows: that of an independent row is rarely below 1e-3. In a singular
@@ -51,13 +52,15 @@ class Linkage:
     parts  : tuple of joints.elements.Element of every joint of the scene
     joints : indices of the selected joints
     held   : names of bodies that do not move
+    couplings : of consistency.ResolvedCoupling; if any are given, all joints are selected
     Linkages with equal numbers are equal and hash alike, so that results can be cached.
     """
 
-    def __init__(self, scene, frames, parts, joints, held=()):
+    def __init__(self, scene, frames, parts, joints, held=(), couplings=()):
         self.joints = [scene.joints[j] for j in joints]
         self.frames = [frames[j] for j in joints]
         self.parts = [parts[j] for j in joints]
+        self.couplings = couplings
         self.counts = [sum(len(part.names) for part in elements) for elements in self.parts]
         names = {name for joint in self.joints for name in (joint.parent, joint.child)}
         self.start = {body.name: body.pose for body in scene.bodies} | {"world": np.eye(4)}
@@ -75,6 +78,7 @@ class Linkage:
         return (
             tuple((joint.type, joint.parent, joint.child) for joint in self.joints),
             tuple(self.bodies),
+            tuple(self.couplings),
             np.array(self.frames).tobytes(),
             tuple(
                 (part.kind, part.forbidden.tobytes(), part.parameter)
@@ -101,14 +105,27 @@ class Linkage:
             inverse(self.frames[j][1])
         )
 
-    def velocity_rows(self, poses, rows=None):
+    def velocity_rows(self, poses):
+        """Rows (rows, 6 bodies) of all joints, then of all couplings, for twists of the bodies."""
+        own = [self.joint_rows(j, poses) for j in range(len(self.joints))]
+        return np.concatenate([self.relative_rows(poses, own), self._coupling_rows(poses)])
+
+    def _coupling_rows(self, poses):
+        """Rows (couplings, 6 bodies)."""
+        coupled = sorted({j for entry in self.couplings for j in entry[:2]})
+        rates = [np.zeros((0, 6))] * len(self.joints)
+        for j in coupled:
+            rates[j] = rate_row(self.joints[j], self.frames[j][1])[None]
+        rates = dict(zip(coupled, self.relative_rows(poses, rates)))
+        rows = [rates[entry.joint] - entry.ratio * rates[entry.other] for entry in self.couplings]
+        return np.array(rows).reshape(len(self.couplings), 6 * len(self.bodies))
+
+    def relative_rows(self, poses, rows):
         """Rows (rows, 6 bodies) for twists (omega, v) of the bodies.
 
         rows : (k, 6) for the twist of the child relative to the parent, in the child's body frame,
-               of every joint; default: the joints' own rows
+               of every joint
         """
-        if rows is None:
-            rows = [self.joint_rows(j, poses) for j in range(len(self.joints))]
         matrix = np.zeros((sum(len(part) for part in rows), 6 * len(self.bodies)))
         first = 0
         for joint, part in zip(self.joints, rows):
@@ -144,17 +161,28 @@ class Linkage:
                     )
                     for j, part in enumerate(self.parts)
                 ),
+                [
+                    1.0 if turns(self.joints[entry.joint]) else self.length
+                    for entry in self.couplings
+                ],
             ]
         )
 
     def _gaps(self, poses):
-        """Position residuals of all joints, rad and in units of the characteristic length."""
-        return (
-            np.concatenate(
-                [np.zeros(0), *(self.joint_residual(j, poses) for j in range(len(self.joints)))]
-            )
-            / self._units
-        )
+        """Residuals of all joints and couplings, rad and in units of the characteristic length."""
+        joints = (self.joint_residual(j, poses) for j in range(len(self.joints)))
+        couplings = [self.coupling_gap(entry, poses) for entry in self.couplings]
+        return np.concatenate([np.zeros(0), *joints, couplings]) / self._units
+
+    def coupling_gap(self, entry, poses):
+        """Residual of a coupling, rad or m; the angle of its other joint counts from the start."""
+        joint, other = self.joints[entry.joint], self.joints[entry.other]
+        second = coordinate(other, self.relative(entry.other, poses))
+        if turns(other):
+            before = coordinate(other, self.relative(entry.other, self.start))
+            second = before + gap(second, before, 1.0, 0.0, True)
+        first = coordinate(joint, self.relative(entry.joint, poses))
+        return gap(first, second, entry.ratio, entry.offset, turns(joint))
 
     def joint_residual(self, j, poses):
         """Position residual (k,) of joint j; where it is zero, its rows are its derivative."""
@@ -228,7 +256,8 @@ class Linkage:
     def _differences(self, poses):
         """Jacobian of the residual for twists (omega, v) of the bodies, by central differences."""
         step = 1e-6
-        matrix = np.zeros((sum(self.counts), 6 * len(self.bodies)))
+        matrix = np.zeros((sum(self.counts) + len(self.couplings), 6 * len(self.bodies)))
+        matrix[sum(self.counts) :] = self._coupling_rows(poses)
         first = 0
         for j, (joint, count) in enumerate(zip(self.joints, self.counts)):
             for name in {joint.parent, joint.child} & self.place.keys():

@@ -194,7 +194,9 @@ def _forces(scene, index, frames):
         joint.name: (index[joint.parent], index[joint.child], *pair)
         for joint, pair in zip(scene.joints, frames)
     }
-    return make_forces(scene.forces, index, ends)
+    springs = sum(force.counts_turns for force in scene.forces)
+    counted = [joint for joint, _ in scene.unwrapped[springs:]]
+    return make_forces(scene.forces, index, ends, counted)
 
 
 def refinements(bodies, inertias, ends, elements):

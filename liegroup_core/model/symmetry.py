@@ -23,7 +23,7 @@ generic poses of the mechanism. The conserved screws are the null space of these
                               or below o
 Generic poses of closed loops ignore the closing joint; this never adds a component. Components
 that only particular motions conserve (a plane pendulum) are not found, nor are those of a scene
-with a joint that is not a lower pair.
+with a joint that is not a lower pair, or with a coupling.
 """
 
 from dataclasses import dataclass
@@ -83,7 +83,7 @@ def conserved_momentum(scene):
     model, *_ = build_model(scene)
     frames = resolve_frames(scene)
     forbidden = _forbidden(scene)
-    if forbidden is None:
+    if forbidden is None or scene.couplings:
         return ()
     rng = np.random.default_rng(6)
     size = _size(scene, frames)
@@ -249,11 +249,16 @@ def _generic_pose(scene, frames, forbidden, size, rng):
 
 
 def body_groups(scene):
-    """Index lists of bodies that joints or forces connect, not counting the world."""
+    """Index lists of bodies that joints, couplings or forces connect, not counting the world."""
     label = {body.name: i for i, body in enumerate(scene.bodies)}
     # Forces at a joint connect the same bodies as the joint; forces on one body connect none.
-    for link in (*scene.joints, *scene.forces):
-        child, parent = getattr(link, "child", WORLD), getattr(link, "parent", WORLD)
+    pairs = [
+        (getattr(link, "child", WORLD), getattr(link, "parent", WORLD))
+        for link in (*scene.joints, *scene.forces)
+    ]
+    child_of = {joint.name: joint.child for joint in scene.joints}
+    pairs += [(child_of[entry.joint], child_of[entry.other]) for entry in scene.couplings]
+    for child, parent in pairs:
         if WORLD not in (parent, child):
             old, new = label[child], label[parent]
             label = {name: new if value == old else value for name, value in label.items()}

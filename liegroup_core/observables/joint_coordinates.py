@@ -5,15 +5,16 @@ With the joint frames A on the parent and B on the child, z_A and z_B their axes
     revolute   theta = atan2(R10 - R01, R00 + R11) of R = R_A^T R_B,   z_B . (omega_b - omega_a)
     prismatic  z_A . (p_B - p_A),                                      z_B . (v_b - v_a) at p_B
 Their error is of the order of the joint's residual. An angle is unwrapped if the joint has a
-torsional spring; other angles are between -pi and pi.
+torsional spring or is coupled; other angles are between -pi and pi.
 """
 
 import math
 
 import numpy as np
 
-from liegroup_core.forces.kinds import joints_of_angles
+from liegroup_core.joints.coupling import within_a_turn
 from liegroup_core.joints.kinds import TYPES
+from liegroup_core.scene.consistency import resolve_couplings
 
 
 class JointCoordinates:
@@ -38,14 +39,20 @@ class JointCoordinates:
         self._child = [place[joint.child] for joint, _ in found]
         self._parent_frame = np.array([pair[0] for _, pair in found]).reshape(-1, 4, 4)
         self._child_frame = np.array([pair[1] for _, pair in found]).reshape(-1, 4, 4)
-        counted = joints_of_angles(scene.forces)
+        counted = [joint for joint, _ in scene.unwrapped]
+        # Angles that follow from a coupling: (joint, other, ratio, offset).
+        self._coupled = [
+            (entry.joint, entry.other, *numbers[2:])
+            for entry, numbers in zip(scene.couplings, resolve_couplings(scene))
+            if self.units.get(entry.joint) == "rad" and entry.other in self.units
+        ]
         self._counted = [counted.index(name) if name in counted else None for name in self.names]
 
     def at(self, pose, twist, angles):
         """{joint: (position, velocity)}: rad and rad/s, or m and m/s.
 
         pose, twist : (n, 12), (n, 6) of the frames at the centres of mass
-        angles      : (k,) rad, of the torsional springs
+        angles      : (k,) rad, `Sample.angles`
         """
         if not self.names:
             return {}
@@ -77,4 +84,7 @@ class JointCoordinates:
                     counted = angles[self._counted[j]]
                     angle += 2.0 * math.pi * round((counted - angle) / (2.0 * math.pi))
                 found[name] = angle, float(turn_rate[j])
+        for name, other, ratio, offset in self._coupled:
+            angle, rate = found[name]
+            found[name] = within_a_turn(angle, ratio * found[other][0] + offset), rate
         return found

@@ -94,15 +94,15 @@ class Sample:
 
     @cached_property
     def angles(self) -> NDArray[np.float64]:
-        """(k,) unwrapped angle of each torsional spring in the order of the scene, rad."""
+        """(k,) rad, unwrapped angles of all torsional springs, then of couplings; see Scene."""
         return self._layout.angles(self._state[0], self._near)
 
     @cached_property
     def joint_coordinates(self) -> dict[str, tuple[float, float]]:
         """{joint: (position, velocity)}: revolute joints in rad, rad/s, prismatic in m, m/s.
 
-        The angle is unwrapped if the joint has a torsional spring; other angles are between -pi
-        and pi.
+        The angle is unwrapped if the joint has a torsional spring or is coupled; other angles are
+        between -pi and pi.
         """
         return self._layout.coordinates.at(*self._state, self.angles)
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from liegroup_core.fields.values import NEGATIVE_ROUND_OFF, TRIANGLE_TOLERANCE
+from liegroup_core.joints.coupling import UNKNOWN_TURN, within_a_turn
 from liegroup_core.lie.groups import SO3
 
 from .additions import added_forces, added_joints
@@ -42,6 +43,7 @@ class SceneParts:
     assemble: bool
     bodies: list = field(default_factory=list)
     joints: list = field(default_factory=list)
+    couplings: list = field(default_factory=list)
     forces: list = field(default_factory=list)
     notes: list = field(default_factory=list)
     comments: dict = field(default_factory=dict)
@@ -69,7 +71,8 @@ def scene_parts(robot, options):
         bool(closing),
     )
     used = _bodies(robot, grouping, parts, notes)
-    _joints(robot, grouping, parts, used, extra, notes)
+    taken = _joints(robot, grouping, parts, used, extra)
+    _couplings(robot, grouping, parts, values, taken)
     for i, entry in enumerate(added_forces(options, grouping, parts)):
         parts.lines["forces", len(parts.forces)] = ("forces", i)
         parts.forces.append(entry)
@@ -171,8 +174,8 @@ def _check_inertia(robot, group, line, inertia, body, notes):
         )
 
 
-def _joints(robot, grouping, parts, body_of, extra, notes):
-    """Append the joints, and the forces of their springs and dampers."""
+def _joints(robot, grouping, parts, body_of, extra):
+    """Append the joints, and the forces of their springs and dampers; returns all their names."""
     moving = [*grouping.moving, *extra]
     names = unique_names([joint.name for joint in moving], set())
     taken = set(names)
@@ -200,6 +203,33 @@ def _joints(robot, grouping, parts, body_of, extra, notes):
             else f"added between {joint.parent} and {joint.child}"
         )
         _law(robot, parts, joint, name, taken)
+    return taken
+
+
+def _couplings(robot, grouping, parts, values, taken):
+    """Append the couplings of joints that move; taken: names of joints and forces."""
+    moving = {joint.name for joint in grouping.moving}
+    turns = {joint.name: joint.type != "prismatic" for joint in robot.joints}
+    in_scene = {file: name for (kind, name), file in parts.names.items() if kind == "joints"}
+    for coupling in robot.couplings:
+        if not {coupling.first, coupling.second} <= moving:
+            continue
+        (name,) = unique_names([coupling.name], taken)
+        taken.add(name)
+        number, second = len(parts.couplings), values[coupling.second]
+        # A scene counts the turns of the other joint from its start.
+        turned = second - within_a_turn(second, UNKNOWN_TURN) if turns[coupling.second] else 0.0
+        parts.couplings.append(
+            {
+                "name": name,
+                "joint": in_scene[coupling.first],
+                "other": in_scene[coupling.second],
+                "ratio": coupling.ratio,
+                "offset": coupling.offset + coupling.ratio * turned,
+            }
+        )
+        parts.lines["couplings", number] = coupling.line
+        parts.comments["couplings", number] = _from_line(robot, coupling.line)
 
 
 def exchanged(kind, F_a, F_b):
@@ -257,10 +287,10 @@ def _left_out(robot, grouping):
         if names:
             notes.append(f"changes the motion: {text}: {listed(names)}")
     for coupling in robot.couplings:
-        if coupling.first in moving and coupling.second in moving:
+        if coupling.first in moving and coupling.second not in moving:
             notes.append(
-                f"changes the motion: {coupling.first} moves freely, its coupling "
-                f"{coupling.ratio:.6g} * {coupling.second} + {coupling.offset:.6g} is not simulated"
+                f"changes the motion: {coupling.first} moves freely: {coupling.second}, to which it "
+                "is coupled, is cut"
             )
     for what, names in robot.changes.items():
         notes.append(f"changes the motion: {what}, left out: {listed(names)}")

@@ -72,4 +72,26 @@ class Options:
                         f"({', '.join(ONE_COORDINATE)}) take a value",
                     )
                 values[name] = float(value)
+        given = {*self.start, *self.lock, *robot.locked}
+        if self.pose is not None:
+            given |= robot.poses[self.pose].keys() & types.keys()
+        _follow(robot.couplings, values, given, types)
         return values
+
+
+def _follow(couplings, values, given, types):
+    """Set the coordinates that couplings determine from the given ones, else from `second`."""
+    left = [entry for entry in couplings if {entry.first, entry.second} <= types.keys()]
+    known = set(given)
+    while left:
+        # From what is given, in any direction; else a joint that follows no other stays at its value.
+        entry = next((e for e in left if {e.first, e.second} & known), None)
+        if entry is None:
+            firsts = {e.first for e in left}
+            entry = next((e for e in left if e.second not in firsts), left[0])
+        left.remove(entry)
+        if entry.first not in known or entry.second in known and entry.first not in given:
+            values[entry.first] = entry.ratio * values[entry.second] + entry.offset
+        elif entry.second not in known and entry.ratio:
+            values[entry.second] = (values[entry.first] - entry.offset) / entry.ratio
+        known |= {entry.first, entry.second}

@@ -6,7 +6,7 @@ scene in which every pose, velocity and joint frame is explicit:
 
 1. A body without a pose is placed by a joint to a body that has one: both joint frames coincide.
 2. A joint frame that is not given is placed where the other frame of the joint is at these poses.
-   A length that is not given is the distance at these poses.
+   A length that is not given is the distance at these poses, an offset of a coupling that of these.
 3. Poses: the nearest ones that satisfy all joints (Newton's method on the group). Bodies marked
    `fixed` keep the given pose.
 4. Velocities: with V0 the given ones, the change of least kinetic energy,
@@ -22,12 +22,12 @@ import scipy
 
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.frames import ROTATIONS, Frame
-from liegroup_core.joints.kinds import TYPES
+from liegroup_core.joints.coupling import rate_row
 from liegroup_core.joints.linkage import RANK_TOLERANCE, Linkage
 from liegroup_core.lie.groups import SE3, SO3
 
 from .centres import Offsets, at_centres_of_mass
-from .consistency import check_consistency, resolve_elements, resolve_frames
+from .consistency import check_consistency, resolve_couplings, resolve_elements, resolve_frames
 from .description import WORLD
 from .massless import invertible_inertia, lack_of_inertia
 
@@ -48,13 +48,14 @@ def assembled(scene, kept=()):
     scene = _with_joints_written_out(_with_bodies_placed(scene))
     centred = at_centres_of_mass(scene)
     frames, parts = resolve_frames(centred), resolve_elements(centred)
-    joints = range(len(centred.joints))
+    joints, couplings = range(len(centred.joints)), resolve_couplings(centred)
 
-    linkage = Linkage(centred, frames, parts, joints, {b.name for b in fixed if b.has_pose})
+    held = {b.name for b in fixed if b.has_pose}
+    linkage = Linkage(centred, frames, parts, joints, held, couplings)
     poses = linkage.nearest(linkage.start)
     if not linkage.is_closed(poses):
         raise _open(linkage, poses)
-    linkage = Linkage(centred, frames, parts, joints)
+    linkage = Linkage(centred, frames, parts, joints, (), couplings)
     twists = _velocities(
         centred,
         linkage,
@@ -126,8 +127,14 @@ def _with_joints_written_out(scene):
             ends = [poses[name] @ F for name, F in zip((joint.parent, joint.child), pair)]
             found["length"] = float(np.linalg.norm((ends[1] - ends[0])[:3, 3]))
         joints.append(joint.remade(("rate",), **found))
+    written = {"joints": joints}
+    if scene.couplings:
+        written["couplings"] = [
+            entry.remade(offset=found.offset)
+            for entry, found in zip(scene.couplings, resolve_couplings(scene))
+        ]
     return scene.remade(
-        ("assemble",), joints=joints, bodies=[body.remade(("initial",)) for body in scene.bodies]
+        ("assemble",), **written, bodies=[body.remade(("initial",)) for body in scene.bodies]
     )
 
 
@@ -149,18 +156,23 @@ def _velocities(scene, linkage, poses, rates, fixed, kept):
     rate_rows = [np.zeros((0, 6))] * len(scene.joints)
     for j in rates:
         joint, (_, F_b) = scene.joints[j], linkage.frames[j]
-        rate_rows[j] = SE3.Ad(SE3.inverse(F_b))[TYPES[joint.type].rate][None]
+        rate_rows[j] = rate_row(joint, F_b)[None]
     kept = [(name, row) for name, row in kept if name in linkage.place]
     keeping = np.zeros((len(kept), 6 * len(linkage.bodies)))
     for row, (name, part) in zip(keeping, kept):
         row[linkage.place[name] : linkage.place[name] + 6] = part
     closing = linkage.velocity_rows(poses)
-    J = np.vstack([closing, linkage.velocity_rows(poses, rate_rows), keeping])
+    J = np.vstack([closing, linkage.relative_rows(poses, rate_rows), keeping])
     holders = [
         next(j for j, joint in enumerate(scene.joints) if name in (joint.parent, joint.child))
         for name, _ in kept
     ]
-    owner = [*np.repeat(range(len(scene.joints)), linkage.counts), *rates, *holders]
+    owner = [
+        *np.repeat(range(len(scene.joints)), linkage.counts),
+        *(coupling.joint for coupling in linkage.couplings),
+        *rates,
+        *holders,
+    ]
     wanted = np.concatenate(
         [np.zeros(len(closing)), list(rates.values()), [part @ given[name] for name, part in kept]]
     )
@@ -248,7 +260,16 @@ def _keys(pose):
 def _open(linkage, poses):
     """SceneError for the joint with the largest position residual."""
     gaps = [linkage.gap(j, poses) for j in range(len(linkage.joints))]
-    j = int(np.argmax([max(gap / linkage.length, tilt) for gap, tilt in gaps]))
+    sizes = [max(gap / linkage.length, tilt) for gap, tilt in gaps]
+    for i, entry in enumerate(linkage.couplings):
+        off = abs(linkage.coupling_gap(entry, poses))
+        if off > max(sizes):
+            return SceneError(
+                f"couplings[{i}]: cannot be assembled, it remains violated by {off:.3g}; correct "
+                "ratio or offset, or start from other poses",
+                ("couplings", i),
+            )
+    j = int(np.argmax(sizes))
     gap, tilt = gaps[j]
     return SceneError(
         f'joints[{j}] "{linkage.joints[j].name}": cannot be assembled, the remaining '

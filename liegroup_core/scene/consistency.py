@@ -11,9 +11,12 @@ with the forbidden rows A of the joint. The chapter's index-1 equations preserve
 hold initially. Plain NumPy, once per scene.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from liegroup_core.errors import SceneError
+from liegroup_core.joints.coupling import coordinate, gap, rate_row, turns
 from liegroup_core.joints.kinds import forbidden_rows, position_residual
 from liegroup_core.lie.groups import SE3
 
@@ -64,6 +67,46 @@ def resolve_elements(scene):
     ]
 
 
+class ResolvedCoupling(NamedTuple):
+    """Coupling with its numbers: indices of both joints, ratio, offset; see joints/coupling.py."""
+
+    joint: int
+    other: int
+    ratio: float
+    offset: float
+
+
+def resolve_couplings(scene):
+    """Couplings of a scene: list of ResolvedCoupling.
+
+    An offset that the scene omits is that of the initial poses.
+    """
+    if not scene.couplings:
+        return []
+    index = {joint.name: j for j, joint in enumerate(scene.joints)}
+    found = []
+    for coupling, values in zip(scene.couplings, _coupled_coordinates(scene)):
+        offset = coupling.offset
+        if offset is None:
+            offset = values[0] - coupling.ratio * values[1]
+        joints = index[coupling.joint], index[coupling.other]
+        found.append(ResolvedCoupling(*joints, coupling.ratio, offset))
+    return found
+
+
+def _coupled_coordinates(scene):
+    """[(coordinate of joint, of other)] of all couplings at the initial poses."""
+    start, frames = _start(scene), resolve_frames(scene)
+    of_joint = {joint.name: (joint, F) for joint, F in zip(scene.joints, frames)}
+    return [
+        tuple(
+            coordinate(joint, _relative(start, joint, *F))
+            for joint, F in (of_joint[coupling.joint], of_joint[coupling.other])
+        )
+        for coupling in scene.couplings
+    ]
+
+
 def _relative(start, joint, F_a, F_b):
     """C_rel of a joint at the initial poses."""
     return SE3.inverse(start[joint.parent][0] @ F_a) @ start[joint.child][0] @ F_b
@@ -83,10 +126,37 @@ def check_consistency(scene):
         )
         if text:
             problems.append((i, f'joints[{i}] "{joint.name}": {text}'))
+    if not problems:
+        _check_couplings(scene, start)
     if problems:
         i, text = problems[0]
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         raise SceneError(text + more, place=("joints", i))
+
+
+def _check_couplings(scene, start):
+    """Raise SceneError for the first coupling that the initial poses or twists violate."""
+    frames = resolve_frames(scene) if scene.couplings else []
+    for i, (found, values) in enumerate(zip(resolve_couplings(scene), _coupled_coordinates(scene))):
+        ends = [scene.joints[j] for j in (found.joint, found.other)]
+        rates = []
+        for joint, (F_a, F_b) in zip(ends, (frames[found.joint], frames[found.other])):
+            C_rel = _relative(start, joint, F_a, F_b)
+            from_parent = SE3.Ad(F_b @ SE3.inverse(C_rel) @ SE3.inverse(F_a))
+            V_rel = start[joint.child][1] - from_parent @ start[joint.parent][1]
+            rates.append(rate_row(joint, F_b) @ V_rel)
+        first, second = values
+        off = gap(first, second, found.ratio, found.offset, turns(ends[0]))
+        slip = rates[0] - found.ratio * rates[1]
+        size = 1.0 + abs(first) + abs(found.ratio * second) + abs(found.offset)
+        if abs(off) > TOLERANCE * size or abs(slip) > TOLERANCE * (size + np.abs(rates).max()):
+            unit = "rad" if turns(ends[0]) else "m"
+            raise SceneError(
+                f'couplings[{i}] "{scene.couplings[i].name}": is violated at the start by {off:.3g} '
+                f"{unit} and {slip:.3g} {unit}/s: {ends[0].name} is at {first:.9g}, {ends[1].name} at "
+                f"{second:.9g}; correct ratio or offset, omit offset, or use assemble: true",
+                place=("couplings", i),
+            )
 
 
 def _parts(rows, values):

@@ -37,12 +37,13 @@ from liegroup_core.forces import kinds as force_kinds
 from liegroup_core.forces.kinds import *  # noqa: F403 (the classes of all forces)
 from liegroup_core.forces.kinds import FORCES
 from liegroup_core.joints import kinds as joint_kinds
+from liegroup_core.joints.coupling import COUPLED, Coupling
 from liegroup_core.joints.kinds import *  # noqa: F403 (the classes of all joints)
 from liegroup_core.joints.kinds import JOINTS, TYPES
 
 from .shapes import SHAPES
 
-__all__ = ["WORLD", "Body", "Frame", "Scene"]
+__all__ = ["WORLD", "Body", "Coupling", "Frame", "Scene"]
 __all__ += force_kinds.__all__
 __all__ += joint_kinds.__all__
 
@@ -173,6 +174,9 @@ class Scene(Described):
         description="list of bodies, at least one"
     )
     joints: _entries(JOINTS) = Field((), description="list of joints")
+    couplings: Annotated[
+        tuple[Coupling, ...], BeforeValidator(lambda value: [] if value is None else listed(value))
+    ] = Field((), description="list of couplings of joints: gears, belts, racks")
     forces: _entries(FORCES) = Field((), description="list of forces")
 
     _text: str | None = PrivateAttr(None)
@@ -196,6 +200,17 @@ class Scene(Described):
         return [note for note in self.notes if note.startswith("changes the motion")]
 
     @property
+    def unwrapped(self):
+        """[(joint, force or coupling)]: names, for each angle that is unwrapped: forces/turn.py."""
+        types = {joint.name: joint.type for joint in self.joints}
+        springs = [(force.joint, force.name) for force in self.forces if force.counts_turns]
+        return springs + [
+            (coupling.other, coupling.name)
+            for coupling in self.couplings
+            if TYPES[types[coupling.other]].turns
+        ]
+
+    @property
     def robot(self):
         """RobotNames of a scene that was read from a robot's file; None for others."""
         return self._robot
@@ -217,7 +232,8 @@ class Scene(Described):
             for key in ("joints", "forces")
             for i, link in enumerate(getattr(self, key))
         ]
-        _refuse_twins([(key, i, link.name) for key, i, link in links])
+        couplings = [("couplings", i, entry.name) for i, entry in enumerate(self.couplings)]
+        _refuse_twins([*((key, i, link.name) for key, i, link in links), *couplings])
         for i, joint in enumerate(self.joints):
             if joint.rate is not None and TYPES[joint.type].rate is None:
                 raise SceneError(
@@ -234,6 +250,8 @@ class Scene(Described):
                 _refuse_unknown("body", link, bodies, key, i)
             else:
                 _refuse_ends(link, bodies, key, i)
+        for i, coupling in enumerate(self.couplings):
+            _refuse_coupling(coupling, kinds, i)
         for key, name in (("bodies", "initial"), ("joints", "rate")):
             for i, entry in enumerate(getattr(self, key)):
                 if not self.assemble and name in entry.model_fields_set:
@@ -297,6 +315,27 @@ def _refuse_joint(force, kinds, i):
             f'{where}joint "{force.joint}" is {kinds[force.joint]}, but {force.type} '
             f"requires a joint that is {' or '.join(fitting)}",
             place=place,
+        )
+
+
+def _refuse_coupling(coupling, kinds, i):
+    """Refuse a coupling of joints that do not exist, or that have not one coordinate."""
+    where = f'couplings[{i}] "{coupling.name}": '
+    for end in ("joint", "other"):
+        name, place = getattr(coupling, end), ("couplings", i, end)
+        if name not in kinds:
+            hint = suggestion(name, list(kinds)) if kinds else "the scene has no joints"
+            raise SceneError(f"{where}{end} {name!r:.40} is not a joint; {hint}", place=place)
+        if kinds[name] not in COUPLED:
+            raise SceneError(
+                f'{where}joint "{name}" is {kinds[name]}, but a coupling requires joints that are '
+                f"{', '.join(COUPLED[:-1])} or {COUPLED[-1]}",
+                place=place,
+            )
+    if coupling.joint == coupling.other:
+        raise SceneError(
+            f'{where}joint and other are both "{coupling.joint}": they must differ',
+            place=("couplings", i, "other"),
         )
 
 

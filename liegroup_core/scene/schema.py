@@ -28,7 +28,7 @@ def scene_schema():
             if needed:
                 part["anyOf"] = [{"required": [key]} for key in needed]
     parts["Body"]["anyOf"] = [{"required": ["shape"]}, {"required": ["mass", "inertia"]}]
-    for key in ("joints", "forces"):  # a key without a value is an empty list
+    for key in ("joints", "couplings", "forces"):  # a key without a value is an empty list
         schema["properties"][key]["type"] = ["array", "null"]
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "Scene"} | schema
 

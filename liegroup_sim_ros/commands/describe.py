@@ -41,8 +41,7 @@ def run(args):
     scene = load_scene(args.scene)
     layout = make_layout(scene)
     facts = describe(layout)
-    # Without inertia about an axis there are relative coordinates only.
-    groups = ("auto",) if layout.lack_of_inertia else ("auto", "se3")
+    groups = ("auto",) if layout.needs_relative else ("auto", "se3")
     with Console(stderr=True).status("measuring (the first start on a machine compiles)"):
         facts["cost"] = {
             f"{method}{', ' + group if group != 'auto' else ''}": step_cost(scene, method, group)
@@ -124,6 +123,17 @@ def sections(facts):
                     + (f", eliminated: {' '.join(joint['dropped'])}" if joint["dropped"] else ""),
                 )
                 for joint in facts["joints"]
+            ],
+        ),
+        (
+            "Couplings",
+            [
+                (
+                    entry["name"],
+                    entry["joint"],
+                    f"= {entry['ratio']:.6g} {entry['other']} + {entry['offset']:.6g}",
+                )
+                for entry in facts["couplings"]
             ],
         ),
         (
@@ -228,6 +238,11 @@ def _freedom_rows(facts):
             str(len(facts["dropped_rows"])),
             f"redundant: {dropped}" if dropped else "none redundant",
         ),
+        *(
+            [("couplings", str(len(facts["couplings"])), "one equation each")]
+            if facts["couplings"]
+            else []
+        ),
         ("degrees of freedom", str(facts["degrees_of_freedom"]), "remaining"),
     ]
 
@@ -278,7 +293,13 @@ def _conserved_rows(facts):
         )
     ]
     if facts["kept_momentum"] is None:
-        return rows + [("momentum", "not searched", "a joint is not a lower pair")]
+        return rows + [
+            (
+                "momentum",
+                "not searched",
+                "couplings" if facts["couplings"] else "a joint is not a lower pair",
+            )
+        ]
     rows += [
         ("momentum", component, _listed(conserved["bodies"]))
         for conserved in facts["kept_momentum"]

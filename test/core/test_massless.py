@@ -336,8 +336,8 @@ def test_methods_that_need_inertia_refuse_in_one_line(settings):
     with pytest.raises(ValueError) as caught:
         Simulation(pendulum(), **settings)
     assert str(caught.value).endswith(
-        'needs inertia about all axes, but bodies[0] "bob" has no inertia about any axis: use a '
-        "Munthe-Kaas method, rkmk..., or generalized_alpha with group 'relative', or give it inertia"
+        'cannot integrate this scene: bodies[0] "bob" has no inertia about any axis. Use group '
+        "'relative' with a Munthe-Kaas method, rkmk..., or with generalized_alpha"
     )
     assert str(caught.value).startswith(f"method {settings['method']} in group ")
 

@@ -91,7 +91,8 @@ def test_screws_gears_and_static_models(tmp_path):
     # The reference body is the child of the second joint: its coordinate has the other sign.
     (gear,) = read_robot(path).couplings
     assert (gear.first, gear.second, gear.ratio) == ("wheel", "shaft", 4.0)
-    assert any("wheel moves freely, its coupling 4 * shaft + 0" in note for note in scene.notes)
+    (coupling,) = scene.couplings
+    assert (coupling.joint, coupling.other, coupling.ratio) == ("wheel", "shaft", 4.0)
     # The child of a joint of a scene moves: the ends are exchanged, the coordinate stays.
     locked = scene_from_robot(path, Options(start={"wheel": 0.3}))
     wheel = next(joint for joint in locked.joints if joint.name == "wheel")

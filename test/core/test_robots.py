@@ -312,3 +312,78 @@ def test_a_scissor_lift_from_urdf_and_closing_joints(tmp_path):
     # All stages have the same angle.
     angles = [np.arctan2(poses[f"left{k}"][1, 0], poses[f"left{k}"][0, 0]) for k in range(3)]
     assert angles == pytest.approx([angles[0]] * 3, abs=1e-8) and angles[0] < 0.5
+
+
+MIMIC_URDF = """<robot name="hand">
+  <link name="base"/>{links}
+  <joint name="drive" type="continuous"><parent link="base"/><child link="a"/><axis xyz="0 1 0"/></joint>
+  <joint name="near" type="continuous"><parent link="a"/><child link="b"/><origin xyz="0.1 0 0"/>
+    <axis xyz="0 0.6 0.8"/><mimic joint="drive" multiplier="-1.3" offset="0.2"/></joint>
+  <joint name="far" type="prismatic"><parent link="b"/><child link="c"/><origin rpy="0.2 0.3 0"/>
+    <axis xyz="1 0 0"/><limit effort="1" velocity="1" lower="-1" upper="1"/>
+    <mimic joint="near" multiplier="0.05"/></joint>
+</robot>"""
+EQUALITY_MJCF = """<mujoco><worldbody>
+  <body name="a"><joint name="turn" type="hinge" axis="0 1 0" ref="10"/>
+    <geom type="box" size="0.2 0.1 0.05" pos="0.2 0 0" mass="1"/>
+    <body name="b" pos="0.4 0 0" euler="20 0 0"><joint name="slip" type="slide" axis="1 0 1"/>
+      <geom type="box" size="0.1 0.02 0.05" mass="0.5"/></body></body>
+  <body name="c" pos="1 0 0"><joint name="wheel" type="hinge" axis="1 2 0"/>
+    <geom type="box" size="0.1 0.3 0.05" mass="0.7"/></body></worldbody>
+  <equality><joint joint1="slip" joint2="turn" polycoef="0.1 -0.3 0 0 0"/>
+    <joint joint1="wheel" joint2="slip" polycoef="0 4 0 0 0"/></equality></mujoco>"""
+
+
+def mimic_urdf(folder):
+    """Path of a robot with a chain of mimic joints."""
+    inertial = (
+        '<inertial><origin xyz="0.05 0.01 0.02"/><mass value="{}"/><inertia ixx="0.02" iyy="0.03" '
+        'izz="0.025" ixy="0.001" ixz="0.002" iyz="0.0005"/></inertial>'
+    )
+    links = "".join(
+        f'<link name="{name}">{inertial.format(mass)}</link>'
+        for name, mass in (("a", 1.5), ("b", 0.7), ("c", 0.4))
+    )
+    path = folder / "hand.urdf"
+    path.write_text(MIMIC_URDF.format(links=links))
+    return path
+
+
+def test_mimic_joints_are_couplings(tmp_path):
+    """A chain of them, from start values of either end, beyond a turn, and locked."""
+    path = mimic_urdf(tmp_path)
+    scene = load_scene(path)
+    assert [(c.joint, c.other, c.ratio, c.offset) for c in scene.couplings] == [
+        ("near", "drive", -1.3, 0.2),
+        ("far", "near", 0.05, 0.0),
+    ]
+    assert coordinates(scene) == pytest.approx({"drive": 0, "near": 0.2, "far": 0.01}, abs=1e-14)
+    assert not any("mimic" in note or "coupl" in note for note in scene.notes)
+    given = coordinates(scene_from_robot(path, Options(start={"far": 0.02})))
+    assert given == pytest.approx({"drive": -0.2 / 1.3, "near": 0.4, "far": 0.02}, abs=1e-14)
+    # 4 rad of a pose are -2.28 rad: the turn is in the offset of the scene.
+    turned = scene_from_robot(path, Options(start={"drive": 4.0}))
+    simulation = Simulation(turned, "rkmk4", 1e-3)
+    simulation.advance(10)
+    far = simulation.sample().joint_coordinates["far"][0]
+    near = simulation.sample().joint_coordinates["near"][0]
+    wound = 2 * np.pi * round((-5.0 - near) / (2 * np.pi))
+    assert far == pytest.approx(0.05 * (near + wound), abs=1e-13)
+    locked = scene_from_robot(path, Options(lock={"near": 0.5}, base="floating"))
+    assert not locked.joints and not locked.couplings
+
+
+def test_coupled_joints_have_mujocos_accelerations(tmp_path):
+    """MuJoCo without its soft equality, with exact rows of the couplings."""
+    path = tmp_path / "geared.xml"
+    path.write_text(EQUALITY_MJCF)
+    scene = load_scene(path)
+    assert len(scene.couplings) == 2
+    assert peers().against_mujoco(path, scene, 20) < 1e-12
+
+
+def test_an_imported_coupling_is_written_with_its_line(tmp_path):
+    path = mimic_urdf(tmp_path)
+    assert "couplings:\n  - name: near_mimic  # line" in load_scene(path).text
+    again = scene_from_text(load_scene(path).text)
+    assert again.couplings == load_scene(path).couplings

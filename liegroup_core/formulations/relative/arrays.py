@@ -67,6 +67,21 @@ PART = np.dtype(
 )
 
 
+COUPLED = np.dtype(
+    [  # coupling of the coordinates of two links, each a hinge, slide or screw: couplings.py
+        ("row", "i8"),
+        ("residual", "i8"),  # of this row, and of its residual
+        ("links", "i8", (2,)),
+        ("factors", "f8", (2,)),  # of their coordinates in the residual
+        ("offset", "f8"),
+        ("angle", "i8"),
+        ("sign", "f8"),  # unwrapped angle of the second joint, -1: none; link / joint coordinate
+        ("turned", "i8"),  # 1: the residual counts modulo 2 pi
+    ],
+    align=True,
+)
+
+
 class RelativeModel(Struct):
     """Constants of a mechanism in relative coordinates; parents precede their children."""
 
@@ -92,6 +107,8 @@ class RelativeModel(Struct):
     path_places: np.ndarray  # (c + 1,) where the joint's responses start in Work.response
     shared: np.ndarray  # (k, 3) joints i, j < i that share freedoms, end in shared_freedoms
     shared_freedoms: np.ndarray  # (l, 3) a freedom, its place in the responses of both joints
+    couplings: np.ndarray  # of COUPLED
+    coupling: np.ndarray  # (c,) which coupling a cut joint is, or -1
     first_column: np.ndarray  # (m,) first nonzero column of each row of the factor of W
     refinements: int  # steps of iterative refinement that each solve takes
     projects: bool

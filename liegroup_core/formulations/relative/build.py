@@ -3,12 +3,13 @@
 
 import numpy as np
 
+from liegroup_core.forces.kinds import has_forces
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.model.build import are_unlike
 from liegroup_core.scene.consistency import resolve_elements, resolve_frames
 
 from .arrays import PART, PLANE_LINK, PlaneModel, RelativeModel
-from .cuts import cut_elements, cut_rows, loop_arrays
+from .cuts import coupled_links, cut_elements, cut_rows, loop_arrays
 from .inertia import check_inertia
 from .links import eliminated, find_links, link_poses, link_records
 from .plane import find_plane, plane_axes
@@ -29,9 +30,11 @@ def relative_model(scene, model, in_space=False):
     links, places = find_links(scene, frames, tree, normal)
     index = {body.name: i for i, body in enumerate(scene.bodies)}
     records = link_records(scene, links, index)
-    cut, rows = cut_rows(scene, frames, parts, tree, links, places)
-    elements = cut_elements(scene, frames, cut, places)
-    arrays = loop_arrays(links, records, cut, rows, elements)
+    coupled = coupled_links(scene, links)
+    cut, rows = cut_rows(scene, frames, parts, tree, links, places, coupled)
+    elements = cut_elements(scene, frames, cut, places, coupled)
+    springs = sum(force.counts_turns for force in scene.forces)
+    arrays = loop_arrays(links, records, cut, rows, elements, coupled, springs)
     part_records = np.array(
         [
             (
@@ -56,7 +59,7 @@ def relative_model(scene, model, in_space=False):
             ],
             dtype=np.int64,
         ).reshape(-1, 2),
-        has_forces=any(map(len, model.forces.values())),
+        has_forces=has_forces(model.forces),
         elements=elements,
         refinements=_refinements(model, len(arrays["joints"]) > 0),
         projects=bool(model.projects and len(arrays["joints"])),
@@ -135,3 +138,13 @@ def refuse_freedoms_without_inertia(scene):
     links, places = find_links(scene, resolve_frames(scene), spanning_tree(scene), None)
     poses = {body.name: body.pose for body in scene.bodies} | {WORLD_NAME: np.eye(4)}
     check_inertia(scene, links, places, link_poses(links, range(len(links)), poses))
+
+
+def refuse_cut_couplings(scene):
+    """Raise SceneError if a coupled joint is no joint of the spanning tree.
+
+    scene : Scene with body frames at the centres of mass
+    """
+    frames = resolve_frames(scene)
+    links, _ = find_links(scene, frames, tree_of(scene), None)
+    coupled_links(scene, links)

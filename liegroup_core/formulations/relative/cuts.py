@@ -5,19 +5,47 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from liegroup_core.joints.elements import ELEMENT, PAIR, WORLD
+from liegroup_core.errors import SceneError
+from liegroup_core.joints.elements import ELEMENT, PAIR, WORLD, Element
 from liegroup_core.joints.linkage import RANK_TOLERANCE, Linkage
 from liegroup_core.lie.groups import SE3
 from liegroup_core.model.arrays import JOINT
 from liegroup_core.model.redundancy import generic_poses, independent_rows, loop_joints
+from liegroup_core.scene.consistency import resolve_couplings
 
-from .arrays import FREEDOMS
+from .arrays import COUPLED, FREEDOMS, SLIDE
 from .links import FIRST_AXIS, SECOND_AXIS, eliminated, link_poses
 from .spanning_tree import WORLD_NAME
 
+# A coupling as a part of a cut joint: one row, which couplings.py writes.
+COUPLING_PART = Element(PAIR, ("coupling",), np.zeros((1, 6)))
 
-def cut_rows(scene, frames, parts, tree, links, places):
-    """([(joint, element of the scene, part)], [kept rows]) of the cut joints."""
+
+def coupled_links(scene, links):
+    """[(ResolvedCoupling, indices of the links of both joints)] of the couplings.
+
+    Raises SceneError for a joint that is no joint of the spanning tree.
+    """
+    of_joint = {link.joint: i for i, link in enumerate(links) if link.joint is not None}
+    found = []
+    for i, coupling in enumerate(resolve_couplings(scene)):
+        for end, j in (("joint", coupling.joint), ("other", coupling.other)):
+            if j not in of_joint:
+                raise SceneError(
+                    f'couplings[{i}] "{scene.couplings[i].name}": joint "{scene.joints[j].name}" '
+                    "closes a loop of coupled joints, or its bodies are welded; couple other joints "
+                    "of this loop",
+                    ("couplings", i, end),
+                )
+        found.append((coupling, (of_joint[coupling.joint], of_joint[coupling.other])))
+    return found
+
+
+def cut_rows(scene, frames, parts, tree, links, places, coupled):
+    """([(joint, element of the scene, part)], [kept rows]) of the cut joints, then of couplings.
+
+    coupled : of `coupled_links`; their entries have joint None
+    """
     cut = []
     element = 0
     for j, elements in enumerate(parts):
@@ -25,15 +53,22 @@ def cut_rows(scene, frames, parts, tree, links, places):
             if j in tree.cut:
                 cut.append((j, element, part))
             element += 1
+    joints = len(cut)
+    cut += [(None, element + i, COUPLING_PART) for i in range(len(coupled))]
     if not cut:
         return cut, []
     keep = [np.ones(len(part.names), dtype=bool) for _, _, part in cut]
     loops = loop_joints([(joint.parent, joint.child) for joint in scene.joints])
     # A distance joint is cut also where it closes no loop: then its row is independent.
-    closing = [k for k, (j, _, _) in enumerate(cut) if j in set(loops)]
+    closing = [k for k, (j, _, _) in enumerate(cut[:joints]) if j in set(loops)]
+    length, matrices = 1.0, [np.zeros((0, sum(FREEDOMS[link.group] for link in links)))]
     if closing:
-        joints = sorted({cut[k][0] for k in closing})
-        matrices = _tree_jacobians(scene, frames, parts, loops, joints, links, places)
+        ends = sorted({cut[k][0] for k in closing})
+        length, matrices = _tree_jacobians(scene, frames, parts, loops, ends, links, places)
+    closing += range(joints, len(cut))
+    if closing:
+        rows = _coupling_rows(links, coupled, length)
+        matrices = [np.concatenate([matrix, rows]) for matrix in matrices]
         chosen, _ = independent_rows(matrices, np.zeros(len(matrices[0]), dtype=bool))
         at = 0
         for k in closing:
@@ -43,11 +78,11 @@ def cut_rows(scene, frames, parts, tree, links, places):
 
 
 def _tree_jacobians(scene, frames, parts, loops, joints, links, places):
-    """Rows of the cut joints of loops for the freedoms of the tree, at generic poses.
+    """Length, and rows of the cut joints of loops for the freedoms of the tree at generic poses.
 
     loops, joints : indices of the joints in loops, and of the cut ones among them
     """
-    first = np.concatenate([[0], np.cumsum([FREEDOMS[link.group] for link in links])])
+    first = _first_freedoms(links)
     ends = {
         j: [
             _path(links, places[name][0])
@@ -87,14 +122,37 @@ def _tree_jacobians(scene, frames, parts, loops, joints, links, places):
         # Rows that the tree satisfies already, such as those out of the plane of planar loops.
         matrix[np.linalg.norm(matrix, axis=1) < RANK_TOLERANCE] = 0.0
         matrices.append(matrix)
-    return matrices
+    return length, matrices
 
 
-def cut_elements(scene, frames, cut, places):
-    """ELEMENT records of the cut joints, between links and in link frames."""
+def _first_freedoms(links):
+    """(links + 1,) first freedom of each link."""
+    return np.concatenate([[0], np.cumsum([FREEDOMS[link.group] for link in links])])
+
+
+def _coupling_rows(links, coupled, length):
+    """Unit rows of the couplings for the freedoms of the tree, (omega length, v)."""
+    first = _first_freedoms(links)
+    rows = np.zeros((len(coupled), first[-1]))
+    for row, (coupling, ends) in zip(rows, coupled):
+        for i, factor in zip(ends, (1.0, -coupling.ratio)):
+            unit = 1.0 if links[i].group == SLIDE else length
+            row[first[i]] = links[i].sign * factor / unit
+        row /= np.linalg.norm(row)
+    return rows
+
+
+def cut_elements(scene, frames, cut, places, coupled):
+    """ELEMENT records of the cut joints, between links and in link frames; then of couplings."""
     records = np.zeros(len(cut), dtype=ELEMENT)
     first = 0
     for record, (j, element, part) in zip(records, cut):
+        if j is None:
+            child, parent = coupled[element - (cut[-1][1] + 1 - len(coupled))][1]
+            for name, value in zip(ELEMENT.names, part.record(parent, child, first)):
+                record[name] = value
+            first += 1
+            continue
         joint, (F_a, F_b) = scene.joints[j], frames[j]
         (a, pose_a), (b, pose_b) = places[joint.parent], places[joint.child]
         F_a, F_b = pose_a @ F_a, pose_b @ F_b
@@ -119,8 +177,11 @@ def _path(links, b):
     return path
 
 
-def loop_arrays(links, records, cut, rows, elements):
-    """Arrays of the cut joints, ordered so that the envelope of W is narrow."""
+def loop_arrays(links, records, cut, rows, elements, coupled, counted):
+    """Arrays of the cut joints and couplings, ordered so that the envelope of W is narrow.
+
+    counted : index of the first unwrapped angle that belongs to a coupling
+    """
     solved = [k for k in range(len(cut)) if len(rows[k])]
     paths = [
         sorted(
@@ -187,8 +248,12 @@ def loop_arrays(links, records, cut, rows, elements):
         ],
         dtype=np.int64,
     )
+    number = {len(cut) - len(coupled) + i: i for i in range(len(coupled))}
+    coupling = np.array([number.get(k, -1) for k in solved], dtype=np.int64)
     return {
         "joints": joints,
+        "coupling": _numbered(coupling),
+        "couplings": _couplings(links, records, joints, coupling, residuals, coupled, counted),
         "owners": np.array([cut[k][1] for k in solved], dtype=np.int64),
         "row_turns": np.array(turns, dtype=np.int64),
         "row_residual": np.array(residuals, dtype=np.int64),
@@ -202,6 +267,39 @@ def loop_arrays(links, records, cut, rows, elements):
         "shared_freedoms": np.array(entries, dtype=np.int64).reshape(-1, 3),
         "first_column": column,
     }
+
+
+def _numbered(coupling):
+    """Position of each coupling among those that are solved for; -1 stays."""
+    numbers = np.full(len(coupling), -1, dtype=np.int64)
+    numbers[coupling >= 0] = np.arange((coupling >= 0).sum())
+    return numbers
+
+
+def _couplings(links, records, joints, coupling, residuals, coupled, counted):
+    """(k,) of COUPLED, in the order of the joints; coupling: which of `coupled` a joint is, or -1."""
+    is_angle = [[links[i].group != SLIDE for i in ends] for _, ends in coupled]
+    angles = counted + np.cumsum([0, *(second for _, second in is_angle)])
+    rows = []
+    for joint, c in zip(joints, coupling):
+        if c < 0:
+            continue
+        entry, ends = coupled[c]
+        signs = [links[i].sign for i in ends]
+        turned, counts = is_angle[c]
+        rows.append(
+            (
+                joint["first"],
+                residuals[joint["first"]],
+                ends,
+                (signs[0], -entry.ratio * signs[1]),
+                entry.offset,
+                angles[c] if counts else -1,
+                signs[1],
+                turned,
+            )
+        )
+    return np.array(rows, dtype=COUPLED)
 
 
 def _narrow(paths):

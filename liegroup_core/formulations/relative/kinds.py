@@ -5,9 +5,10 @@ from liegroup_core.compiling import Choice
 from liegroup_core.model.arrays import Model
 
 from . import coordinates as space_coordinates
-from . import inverse_dynamics as space_inverse_dynamics
 from . import (
+    couplings,
     plane_coordinates,
+    plane_couplings,
     plane_inverse_dynamics,
     plane_residuals,
     plane_rows,
@@ -16,6 +17,7 @@ from . import (
     rows,
     trees,
 )
+from . import inverse_dynamics as space_inverse_dynamics
 from .arrays import PlaneModel, RelativeModel
 
 
@@ -49,3 +51,4 @@ add_multipliers, gather_residual, set_free_residual, set_residual = (
     for name in ("add_multipliers", "gather_residual", "set_free_residual", "set_residual")
 )
 inverse_dynamics = _of("inverse_dynamics", space_inverse_dynamics, plane_inverse_dynamics)
+link_coordinate = _of("link_coordinate", couplings, plane_couplings)

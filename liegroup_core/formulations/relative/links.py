@@ -51,12 +51,16 @@ def eliminated(group):
 
 
 class Link:
-    """Link under construction: `placement` T in its parent, and poses of its bodies in it."""
+    """Link under construction: `placement` T in its parent, and poses of its bodies in it.
+
+    sign : of its coordinate, if it has one, when that of the joint increases
+    """
 
     def __init__(self, joint, group, parent, placement, coordinates=OWN, pitch=0.0):
         self.joint, self.group, self.parent, self.placement = joint, group, parent, placement
         self.coordinates, self.pitch, self.bodies = coordinates, pitch, {}
         self.components = COMPONENTS[group]
+        self.sign = 1.0
 
     def directions(self):
         """S (6, freedoms)."""
@@ -89,6 +93,7 @@ def find_links(scene, frames, tree, normal):
             reverse = joint.child not in bodies
             inner, outer = (joint.child, joint.parent) if reverse else (joint.parent, joint.child)
             F_in, F_out = (F_b, F_a) if reverse else (F_a, F_b)
+            to_plane = np.eye(4)
             if normal is not None:
                 to_plane = frame_in_plane(joint.type, (poses[outer] @ F_out)[:3, :3], normal)
                 F_in, F_out = F_in @ to_plane, F_out @ to_plane
@@ -105,6 +110,8 @@ def find_links(scene, frames, tree, normal):
                 links.append(Link(j, kind, parent, placement, pitch=pitch))
                 if normal is not None and kind == SLIDE:
                     links[-1].components = (3,)
+                along = to_plane[2, links[-1].components[0] % 3]
+                links[-1].sign = -along if reverse else along
                 frame = welds[outer] @ F_out
         to_link = SE3.inverse(frame)
         links[-1].bodies = {name: to_link @ welds[name] for name in bodies}

@@ -14,20 +14,11 @@ Newton's method, and velocities likewise: the tree stays exactly closed.
 """
 
 from liegroup_core.compiling import kernel, subroutine
-from liegroup_core.formulations.absolute.constraints import position_residuals
 from liegroup_core.formulations.absolute.projection import MAX_ITERATIONS, is_satisfied
 from liegroup_core.status import DEPENDENT_ROWS, NOT_PROJECTED, OK
 
-from .kinds import (
-    displace,
-    gather,
-    lift_links,
-    move_links,
-    place_links,
-    respond,
-    set_rows,
-    spread_response,
-)
+from .coupled_rows import set_all_rows, set_gap
+from .kinds import displace, gather, lift_links, move_links, place_links, respond, spread_response
 from .matrix import REGULARISATION, factor, has_small_pivot, set_shared, solve
 
 SINGULAR, POOR = -2, -3
@@ -37,7 +28,7 @@ SINGULAR, POOR = -2, -3
 def _add_baumgarte(model, work):
     """Add Baumgarte's terms to the bias."""
     rate = model.baumgarte_rate
-    position_residuals(model, work.world, work.gap)
+    set_gap(model, work)
     for r in range(len(work.bias)):
         g = work.gap[model.row_residual[r]]
         work.bias[r] -= rate * (2.0 * work.slip[r] + rate * g)
@@ -72,7 +63,7 @@ def set_loops(model, work):
     returns -1; POOR near a singular pose; SINGULAR where W had to be shifted; or the joint with
     dependent rows if that fails too
     """
-    set_rows(model, work)
+    set_all_rows(model, work)
     if model.baumgarte_rate > 0.0:
         lift_links(model, work)
         _add_baumgarte(model, work)
@@ -109,8 +100,8 @@ def project(model, work):
         place_links(model, work)
         lift_links(model, work)
         gather(model, work)
-        set_rows(model, work)
-        position_residuals(model, work.world, work.gap)
+        set_all_rows(model, work)
+        set_gap(model, work)
         satisfied = is_satisfied(model, work, work.world)
         _set_responses(model, work)
         dependent = factor(model, work, 0.0)

@@ -6,6 +6,8 @@ from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.vec3 import load3
 
 from .arrays import HINGE, SLIDE
+from .couplings import coupled_rate
+from .plane_couplings import add_coupling
 
 
 @kernel
@@ -19,6 +21,9 @@ def add_multipliers(model, work):
                 work.force[b, c] += work.multipliers[r] * work.child_jacobian[r, 2 + c]
                 if a != WORLD:
                     work.force[a, c] += work.multipliers[r] * work.parent_jacobian[r, 2 + c]
+    for c in range(len(model.couplings)):
+        multiplier = work.multipliers[model.couplings[c]["row"]]
+        add_coupling(model, work, c, multiplier, work.force, 1)
 
 
 @kernel
@@ -90,4 +95,6 @@ def set_residual(model, work):
                 value += work.response[at] * (work.freedoms[f, 6] * work.freedoms[f, 7])
                 at += rows
             work.right[row] = value - work.bias[row]
+    for c in range(len(model.couplings)):
+        work.right[model.couplings[c]["row"]] += coupled_rate(model, work.total, c)
     return 0

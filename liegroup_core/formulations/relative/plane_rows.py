@@ -10,6 +10,7 @@ from liegroup_core.lie.vec3 import load3
 
 from .arrays import HINGE, SLIDE
 from .matrix import set_block
+from .plane_couplings import add_coupling
 
 
 @kernel
@@ -86,6 +87,8 @@ def respond(model, work, j):
                 carried[a, c] += work.parent_jacobian[r, 2 + c]
                 if both:
                     carried[a, 3 + c] += work.parent_jacobian[r + 1, 2 + c]
+        if model.coupling[j] >= 0:
+            add_coupling(model, work, model.coupling[j], 1.0, carried, 1)
         right, other_right = 0.0, 0.0
         square, product, other_square = 0.0, 0.0, 0.0
         for k in range(begin, end):

@@ -5,6 +5,7 @@ from liegroup_core.compiling import kernel, subroutine
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.vec3 import add3, cross3, dot3, load3, load9, tmatvec3
 
+from .couplings import add_coupling, coupled_rate
 from .trees import momentum, pass_on, spread, spread_response
 
 
@@ -74,6 +75,9 @@ def add_multipliers(model, work):
                 work.force[b, c] += work.multipliers[r] * work.child_jacobian[r, c]
                 if a != WORLD:
                     work.force[a, c] += work.multipliers[r] * work.parent_jacobian[r, c]
+    for c in range(len(model.couplings)):
+        multiplier = work.multipliers[model.couplings[c]["row"]]
+        add_coupling(model, work, c, multiplier, work.force, 1)
 
 
 @kernel
@@ -100,6 +104,8 @@ def set_free_residual(model, work):
     """Residual of the rows without cut joints, to work.right."""
     spread(model, work)
     _set_right(model, work)
+    for c in range(len(model.couplings)):
+        work.right[model.couplings[c]["row"]] = coupled_rate(model, work.acceleration, c)
     return 0
 
 
@@ -111,4 +117,7 @@ def set_residual(model, work):
         for c in range(6):
             work.moved[b, c] += work.total_moved[b, c]
     _set_right(model, work)
+    for c in range(len(model.couplings)):
+        rate = coupled_rate(model, work.acceleration, c) + coupled_rate(model, work.total, c)
+        work.right[model.couplings[c]["row"]] = rate
     return 0

@@ -20,6 +20,7 @@ from liegroup_core.lie.vec3 import (
 )
 
 from .arrays import LARGEST_ROWS
+from .couplings import add_coupling
 from .matrix import set_block
 from .residuals import eliminate
 from .trees import pass_on
@@ -82,6 +83,8 @@ def respond(model, work, j):
             carried[LARGEST_ROWS * b + r, c] = work.child_jacobian[first + r, c]
             if a != WORLD:
                 carried[LARGEST_ROWS * a + r, c] += work.parent_jacobian[first + r, c]
+    if model.coupling[j] >= 0:
+        add_coupling(model, work, model.coupling[j], 1.0, carried, LARGEST_ROWS)
     for p in range(model.paths[j, 0], model.paths[j, 1]):
         i = model.path_links[p]
         link = model.bodies[i]

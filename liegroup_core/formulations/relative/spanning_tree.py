@@ -2,8 +2,9 @@
 """Spanning tree of a mechanism: which bodies are one link, which joints are cut.
 
 Bodies that fixed joints weld are one link. The tree takes the joints with the most rows: the fewest
-rows are left for the cut joints. Among equals it takes those next to the world: short paths make
-cheap loops. Distance joints are always cut, because their motions are no group.
+rows are left for the cut joints; coupled joints before all others, because couplings are rows
+between joints of the tree. Among equals it takes those next to the world: short paths make cheap
+loops. Distance joints are always cut, because their motions are no group.
 """
 
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ ROWS = {
     "planar": 3,
     "spherical": 3,
 }
+COUPLED_FIRST = 6  # in place of the rows of a coupled joint
 
 
 @dataclass(frozen=True)
@@ -93,12 +95,15 @@ def _welded(scene):
 def _grow(scene, of_group, depth, links, used, root):
     """Add all groups that joints connect to a root, by Prim's method."""
     frontier = list(of_group.get(root, ()))
+    coupled = {name for entry in scene.couplings for name in (entry.joint, entry.other)}
     while frontier:
         best, key = None, None
         for j, a, b in frontier:
             if (a in depth) == (b in depth):
                 continue
-            found = (-ROWS[scene.joints[j].type], depth[a if a in depth else b], j)
+            joint = scene.joints[j]
+            rows = COUPLED_FIRST if joint.name in coupled else ROWS[joint.type]
+            found = (-rows, depth[a if a in depth else b], j)
             if key is None or found < key:
                 best, key = (j, a, b), found
         if best is None:

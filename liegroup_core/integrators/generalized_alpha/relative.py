@@ -10,7 +10,7 @@ joints, lambda their multipliers.
 
 from liegroup_core.compiling import borrowed, kernel, subroutine
 from liegroup_core.forces import kinds as forces
-from liegroup_core.formulations.absolute.constraints import position_residuals
+from liegroup_core.formulations.relative.coupled_rows import set_gap
 from liegroup_core.formulations.relative.dynamics import accelerations, apply_forces
 from liegroup_core.formulations.relative.kinds import (
     displace,
@@ -92,7 +92,7 @@ def residual(model, work, memory, numbers, group, h, pose, external):
     if len(model.joints) > 0:
         set_rows(model, work)
         lift_links(model, work)
-        position_residuals(model, work.world, work.gap)
+        set_gap(model, work)
     inverse_dynamics(model, work, memory.x, memory.residual)
     for row in range(len(model.row_residual)):
         memory.residual[f + row] = work.gap[model.row_residual[row]] / sigma(numbers, h)

@@ -95,7 +95,7 @@ def _groups(family, layout, groups):
     """Groups of a family for a scene; groups : those to use, None for all."""
     if family in NOT_ON_SE3:
         return ("so3xr3",)
-    if layout.lack_of_inertia:
+    if layout.needs_relative:
         return (RELATIVE,)
     if groups is None:
         groups = CONFIGURATION_GROUPS

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rows of couplings beside those of cut joints: residuals and velocities.
+
+A coupling is one of the cut joints, with an element and rows of zeros; what is not zero is added
+here. couplings.py has forces and accelerations.
+"""
+
+import math
+
+from liegroup_core.compiling import kernel
+from liegroup_core.formulations.absolute.constraints import position_residuals
+from liegroup_core.formulations.absolute.projection import ROUND_OFF
+
+from .kinds import link_coordinate, set_rows
+
+
+@kernel
+def set_all_rows(model, work):
+    """Rows of all cut joints and couplings: see rows.set_rows."""
+    set_rows(model, work)
+    n = len(model.parts)
+    for c in range(len(model.couplings)):
+        coupling = model.couplings[c]
+        slip = 0.0
+        for k in range(2):
+            slip += coupling["factors"][k] * work.stage_twist[n + coupling["links"][k], 0]
+        work.slip[coupling["row"]] = slip
+        work.bias[coupling["row"]] = 0.0
+
+
+@kernel
+def _near(value, near):
+    """The angle that differs from `value` by whole turns and is nearest to `near`."""
+    return value + 2.0 * math.pi * math.floor((near - value) / (2.0 * math.pi) + 0.5)
+
+
+@kernel
+def set_gap(model, work):
+    """Position residuals of all cut joints and couplings at the stage, to work.gap.
+
+    A residual of a coupling below the round-off of its terms is 0.
+    """
+    position_residuals(model, work.world, work.gap)
+    for c in range(len(model.couplings)):
+        coupling = model.couplings[c]
+        sign = coupling["sign"]
+        first = coupling["factors"][0] * link_coordinate(
+            model, coupling["links"][0], work.stage_pose
+        )
+        second = link_coordinate(model, coupling["links"][1], work.stage_pose)
+        if coupling["angle"] >= 0:
+            second = _near(second, sign * work.angle[coupling["angle"]])
+        second *= coupling["factors"][1]
+        gap = first + second - coupling["offset"]
+        size = 1.0 + abs(first) + abs(second) + abs(coupling["offset"])
+        if coupling["turned"] == 1:
+            gap = _near(gap, 0.0)
+        work.gap[coupling["residual"]] = 0.0 if abs(gap) <= ROUND_OFF * size else gap

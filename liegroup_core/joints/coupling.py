@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Couplings: linear relations of two joint coordinates, as of gears, belts, racks and mimic joints.
+
+    q_joint = ratio q_other + offset
+
+q is the angle of a revolute or screw joint about z, or the displacement of a prismatic joint along z.
+A coupling transmits a torque or force lambda to `joint` and -ratio lambda to `other`: it does no
+work. Its row is in the rates of the spanning tree, see formulations/relative/couplings.py; the
+groups of rigid bodies have no such row.
+
+Angles of poses are known modulo 2 pi. The angle of `other` is unwrapped like that of a torsional
+spring (forces/turn.py); the turns of `joint` follow from the relation.
+"""
+
+import math
+
+from pydantic import Field
+
+from liegroup_core.fields.values import Described, Name, Number, Text
+from liegroup_core.lie.groups import SE3
+
+from .kinds import TYPES
+
+# Types of joints with one coordinate.
+COUPLED = ("revolute", "prismatic", "screw")
+# Initial angles are those nearest to this value, in (-pi, pi]: half a turn is pi, not -pi, whatever
+# its round-off.
+UNKNOWN_TURN = 1e-9
+
+
+class Coupling(Described):
+    """Relation of the coordinates of two joints."""
+
+    name: Name = Field(description="name, unique among joints, couplings and forces")
+    joint: Text = Field(description="name of a revolute, prismatic or screw joint")
+    other: Text = Field(description="name of another such joint; they need not be neighbours")
+    ratio: Number = Field(
+        description="the coordinate of joint is ratio times that of other, plus offset: -0.5 for a "
+        "gear pair where joint has twice the teeth; in m/rad for a rack"
+    )
+    offset: Number | None = Field(
+        None, description="offset in rad or m; default: that of the initial poses"
+    )
+
+
+def turns(joint):
+    """True if the coordinate of a joint of the scene is an angle."""
+    return TYPES[joint.type].turns
+
+
+def within_a_turn(angle, near=0.0):
+    """The angle that differs by whole turns and is nearest to `near`, rad."""
+    return angle - 2.0 * math.pi * math.floor((angle - near) / (2.0 * math.pi) + 0.5)
+
+
+def coordinate(joint, C_rel):
+    """Coordinate of a joint, rad in (-pi, pi] or m; C_rel: see consistency.py."""
+    if turns(joint):
+        angle = math.atan2(C_rel[1, 0] - C_rel[0, 1], C_rel[0, 0] + C_rel[1, 1])
+        return within_a_turn(angle, UNKNOWN_TURN)
+    return float(C_rel[2, 3])
+
+
+def gap(first, second, ratio, offset, turned):
+    """first - ratio second - offset; turned: modulo 2 pi, the nearest to 0."""
+    value = first - ratio * second - offset
+    return within_a_turn(value) if turned else value
+
+
+def rate_row(joint, F_b):
+    """Row (6,) that gives the rate of a joint from its relative twist, in the child's body frame."""
+    return SE3.Ad(SE3.inverse(F_b))[TYPES[joint.type].rate]

@@ -1,0 +1,367 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Couplings of joints: gears, racks, screws; turns, assembly, redundancy, errors.
+
+Accelerations of random coupled mechanisms: test_relative_accelerations.py, class "couplings".
+"""
+
+import math
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from liegroup_core import SceneError, Simulation, SimulationError
+from liegroup_core.describe import describe
+from liegroup_core.layout import make_layout
+from liegroup_core.scene import scene_from_text
+from liegroup_core.status import TURNS_NOT_COUNTED
+
+EPS = 2.0**-52
+SUPPORTED = ("rkmk1", "rkmk2", "rkmk3", "rkmk4", "rkmk8", "rkmk54", "generalized_alpha")
+
+WHEELS = """
+name: wheels
+gravity: [0, 0, 0]
+bodies:
+  - {name: a, mass: 1, inertia: [0.2, 0.2, 0.3], angular_velocity: [0, 0, 2]}
+  - {name: b, mass: 2, inertia: [0.4, 0.4, 0.5], position: [1, 0, 0], angular_velocity: [0, 0, -1.4]}
+joints:
+  - {name: ja, type: revolute, parent: world, child: a, child_frame: {}}
+  - {name: jb, type: revolute, parent: world, child: b, child_frame: {}}
+couplings:
+  - {name: mesh, joint: jb, other: ja, ratio: -0.7}
+forces:
+  - {name: m, type: motor, joint: ja, torque: 0.25}
+"""
+# A pinion that drives a rack by -0.1 m/rad; the rail is along an axis in space, or in the plane.
+RACK = """
+name: rack
+gravity: [0, -9.81, 0]
+bodies:
+  - {{name: pinion, mass: 1, inertia: [0.2, 0.2, 0.3], angular_velocity: [0, 0, 2]}}
+  - {{name: rack, mass: 2, inertia: [0.4, 0.4, 0.5], position: [0, -0.5, 0], linear_velocity: {speed}}}
+joints:
+  - {{name: axle, type: revolute, parent: world, child: pinion, child_frame: {{}}}}
+  - {{name: rail, type: prismatic, parent: world, child: rack, child_frame: {{axis: {axis}}}}}
+couplings:
+  - {{name: mesh, joint: {joint}, other: {other}, ratio: {ratio}, offset: 0}}
+forces:
+  - {{name: m, type: motor, joint: axle, torque: 1}}
+"""
+FIVE_BAR = """
+name: five_bar
+gravity: [0, -9.81, 0]
+assemble: true
+bodies:
+  - {name: c1, mass: 1, inertia: [0.02, 0.02, 0.03], com: [0.25, 0, 0], rotation_vector: [0, 0, 2]}
+  - {name: c2, mass: 1, inertia: [0.02, 0.02, 0.03], com: [0.25, 0, 0], position: [1, 0, 0],
+     rotation_vector: [0, 0, 1]}
+  - {name: l1, mass: 1, inertia: [0.02, 0.02, 0.03], com: [0.5, 0, 0], position: [-0.2, 0.45, 0],
+     rotation_vector: [0, 0, 0.6]}
+  - {name: l2, mass: 1, inertia: [0.02, 0.02, 0.03], com: [0.5, 0, 0], position: [1.2, 0.45, 0],
+     rotation_vector: [0, 0, 2.3]}
+joints:
+  - {name: a, type: revolute, parent: world, child: c1, parent_frame: {}, child_frame: {}, rate: 3}
+  - {name: b, type: revolute, parent: world, child: c2, parent_frame: {position: [1, 0, 0]}, child_frame: {}}
+  - {name: c, type: revolute, parent: c1, child: l1, parent_frame: {position: [0.5, 0, 0]}, child_frame: {}}
+  - {name: d, type: revolute, parent: c2, child: l2, parent_frame: {position: [0.5, 0, 0]}, child_frame: {}}
+  - {name: e, type: revolute, parent: l1, child: l2, parent_frame: {position: [1, 0, 0]},
+     child_frame: {position: [1, 0, 0]}}
+couplings:
+  - {name: mesh, joint: b, other: a, ratio: 0.5, offset: 0.2}
+"""
+
+
+def two_pendulums(ratio, bolt=False):
+    """Pendulums on axes that are not parallel, coupled; bolt: the second moves along its axis too."""
+    kind = "type: screw, pitch: 0.3" if bolt else "type: revolute"
+    return scene_from_text(f"""
+name: pendulums
+gravity: [0, 0, -9.81]
+bodies:
+  - {{name: a, mass: 1.5, inertia: [0.2, 0.3, 0.25], com: [0.4, 0, 0]}}
+  - {{name: b, mass: 0.8, inertia: [0.1, 0.12, 0.15], com: [0.3, 0, 0], position: [0, 2, 0],
+     rotation_vector: [0.4, 0, 0]}}
+joints:
+  - {{name: ja, type: revolute, parent: world, child: a, child_frame: {{axis: [0, 1, 0]}}}}
+  - {{name: jb, {kind}, parent: world, child: b, child_frame: {{axis: [0, 1, 0]}}}}
+couplings:
+  - {{name: mesh, joint: jb, other: ja, ratio: {ratio}}}
+""")
+
+
+def pendulum_motion(ratio, time, bolt=False):
+    """(angle, rate) of the first pendulum: one equation for its angle, from energies.
+
+    The second axis is turned by 0.4 rad about x: the rotation angle psi = ratio phi gives its centre
+    the height -0.3 cos(0.4) sin(psi), and with a bolt + 0.3 sin(0.4) psi along the axis.
+    """
+    inertia = 0.3 + 1.5 * 0.4**2
+    second = 0.12 + 0.8 * 0.3**2 + (0.8 * 0.3**2 if bolt else 0.0)
+    full = inertia + ratio**2 * second
+
+    def rates(_, x):
+        psi = ratio * x[0]
+        torque = 1.5 * 9.81 * 0.4 * math.cos(x[0])
+        lift = 0.3 * math.cos(0.4) * math.cos(psi) - (0.3 * math.sin(0.4) if bolt else 0.0)
+        return [x[1], (torque + ratio * 0.8 * 9.81 * lift) / full]
+
+    return solve_ivp(rates, (0.0, time), [0.0, 0.0], "DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+
+
+def relation(simulation):
+    """Violations of all couplings, by the joint coordinates of a sample."""
+    q = simulation.sample().joint_coordinates
+    return [
+        q[found["joint"]][0] - found["ratio"] * q[found["other"]][0] - found["offset"]
+        for found in describe(simulation.layout)["couplings"]
+    ]
+
+
+@pytest.mark.parametrize("method", SUPPORTED)
+def test_gears_turn_as_their_inertias_say(method):
+    """Constant acceleration: order 1 is exact for the rate, order 2 for the angle."""
+    simulation = Simulation(scene_from_text(WHEELS), method, 0.01)
+    simulation.advance(500)
+    acceleration = 0.25 / (0.3 + 0.7**2 * 0.5)
+    angle, rate = simulation.sample().joint_coordinates["ja"]
+    # Five hundred sums of numbers up to 16, with the round-off of each.
+    assert rate == pytest.approx(2 + 5 * acceleration, abs=500 * 16 * EPS)
+    if method != "rkmk1":
+        assert angle == pytest.approx(2 * 5 + 12.5 * acceleration, abs=500 * 16 * EPS)
+    assert simulation.sample().joint_coordinates["jb"][1] == pytest.approx(
+        -0.7 * rate, abs=500 * 16 * EPS
+    )
+    assert np.abs(relation(simulation)).max() < 500 * 16 * EPS
+
+
+@pytest.mark.parametrize("axis", [[1, 0, 0], [-1, 0, 0], [0.6, 0, 0.8]])
+@pytest.mark.parametrize("first", ["rail", "axle"])
+def test_a_pinion_drives_its_rack(axis, first):
+    """In the plane and in space, along either direction, written either way round."""
+    way = -0.1
+    pair = ("rail", "axle", way) if first == "rail" else ("axle", "rail", 1 / way)
+    speed = [2 * way * part for part in axis]
+    text = RACK.format(axis=axis, speed=speed, joint=pair[0], other=pair[1], ratio=pair[2])
+    simulation = Simulation(scene_from_text(text), "rkmk4", 0.01)
+    assert (simulation.layout.normal is None) == (axis[2] != 0)
+    simulation.advance(1000)
+    acceleration = 1 / (0.3 + way**2 * 2)
+    q = simulation.sample().joint_coordinates
+    angle = 2 * 10 + 50 * acceleration
+    # 28 turns: the angle of the joint follows from the relation.
+    assert q["axle"][0] == pytest.approx(angle, abs=1000 * 200 * EPS)
+    assert q["rail"][0] == pytest.approx(way * angle, abs=1000 * 200 * EPS)
+
+
+@pytest.mark.parametrize("bolt", [False, True])
+@pytest.mark.parametrize(
+    "method, order", [("rkmk2", 2), ("rkmk3", 3), ("rkmk4", 4), ("generalized_alpha", 2)]
+)
+def test_coupled_pendulums_move_at_the_order_of_the_method(method, order, bolt):
+    """In space, against one equation of motion that knows no joint."""
+    exact = pendulum_motion(-1.7, 1.0, bolt)
+    errors, steps = [], np.array([0.02, 0.01, 0.005])
+    for step in steps:
+        simulation = Simulation(two_pendulums(-1.7, bolt), method, step)
+        simulation.advance(round(1.0 / step))
+        errors.append(np.abs(np.subtract(simulation.sample().joint_coordinates["ja"], exact)).max())
+    slope = np.polyfit(np.log(steps), np.log(errors), 1)[0]
+    assert order - 0.2 < slope < order + 0.6
+    assert errors[-1] < 1e-2
+
+
+def test_a_coupling_does_not_drift():
+    """Rows that are linear in the coordinates are kept by every method.
+
+    1e5 steps of 1 ms: each rounds rates of up to 10 rad/s. That is a random walk of the velocity of
+    the relation, which adds up in 100 s.
+    """
+    simulation = Simulation(two_pendulums(0.37), "rkmk4", 1e-3)
+    assert simulation.stabilisation == "none" and not simulation.layout.drifts("relative")
+    simulation.advance(100_000)
+    assert np.abs(relation(simulation)).max() < 1e5**0.5 * 10 * EPS * 100
+
+
+def test_turns_are_counted_at_any_ratio():
+    """After 100 turns, and from a state that was set with its angles: the same bits."""
+    text = WHEELS.replace("ratio: -0.7", "ratio: -0.7123").replace("-1.4]", "-1.4246]")
+    scene = scene_from_text(text.replace("torque: 0.25", "torque: 3"))
+    simulation = Simulation(scene, "rkmk4", 0.01, stabilisation="projection")
+    simulation.advance(1000)
+    sample = simulation.sample()
+    assert sample.angles[0] > 2 * math.pi * 40
+    assert np.abs(relation(simulation)).max() < 1000 * 600 * EPS
+    pose, twist = simulation.state()
+    again = Simulation(scene, "rkmk4", 0.01, stabilisation="projection")
+    again.set_state(pose, twist, simulation.steps, sample.angles, simulation.memory())
+    for run in (simulation, again):
+        run.advance(100)
+    assert again.state()[0].tobytes() == simulation.state()[0].tobytes()
+    assert again.sample().angles.tobytes() == simulation.sample().angles.tobytes()
+
+
+def test_turns_that_cannot_be_counted_are_reported():
+    scene = scene_from_text(WHEELS.replace("0, 2]", "0, 400]").replace("-1.4]", "-280]"))
+    simulation = Simulation(scene, "rkmk4", 0.01)
+    with pytest.raises(SimulationError, match="the joint of mesh rotates by pi") as failure:
+        simulation.advance(10)
+    assert failure.value.status & 0xFF == TURNS_NOT_COUNTED
+
+
+@pytest.mark.parametrize("method", ["rkmk8", "generalized_alpha"])
+def test_a_geared_five_bar_keeps_energy_and_closes(method):
+    """A coupling in a loop: one freedom is left. The loop drifts, or is projected; energy is kept.
+
+    Error of the energy: that of the method, measured at half the step to be 4 and 100 times less.
+    """
+    simulation = Simulation(
+        scene_from_text(FIVE_BAR),
+        method,
+        1e-3,
+        **({"stabilisation": "projection"} if method == "rkmk8" else {}),
+    )
+    assert describe(simulation.layout)["degrees_of_freedom"] == 1
+    before = simulation.sample().energy
+    simulation.advance(500)
+    sample = simulation.sample()
+    assert abs(sample.energy - before) < (1e-9 if method == "rkmk8" else 1e-2)
+    assert sample.constraint_residual < 1e-14
+    assert np.abs(relation(simulation)).max() < 1e-13
+
+
+def test_assembly_satisfies_couplings():
+    """The given rate drives both cranks, and the guess is moved to the offset."""
+    scene = scene_from_text(FIVE_BAR)
+    q = make_layout(scene).sample(*_start(scene)).joint_coordinates
+    assert q["b"][0] - 0.5 * q["a"][0] == pytest.approx(0.2, abs=1e-14)
+    assert (q["a"][1], q["b"][1]) == pytest.approx((3.0, 1.5), abs=1e-13)
+
+
+def _start(scene):
+    simulation = Simulation(scene, "rkmk4", 1e-3)
+    return simulation.at_bodies()
+
+
+def test_redundant_couplings_are_eliminated():
+    """Three wheels in a ring: the third ratio follows from the others."""
+    text = WHEELS.replace(
+        "joints:",
+        "  - {name: c, mass: 2, inertia: [0.4, 0.4, 0.5], position: [2, 0, 0], "
+        "angular_velocity: [0, 0, 0.7]}\njoints:",
+    )
+    text = text.replace(
+        "couplings:",
+        "  - {name: jc, type: revolute, parent: world, child: c, child_frame: {}}\ncouplings:",
+    ).replace(
+        "forces:",
+        "  - {name: second, joint: jc, other: jb, ratio: -0.5}\n"
+        "  - {name: third, joint: jc, other: ja, ratio: 0.35}\nforces:",
+    )
+    simulation = Simulation(scene_from_text(text), "rkmk4", 0.01)
+    assert len(simulation.layout.relative.couplings) == 2
+    assert describe(simulation.layout)["degrees_of_freedom"] == 1
+    simulation.advance(100)
+    acceleration = 0.25 / (0.3 + 0.7**2 * 0.5 + 0.35**2 * 0.5)
+    assert simulation.sample().joint_coordinates["ja"][1] == pytest.approx(
+        2 + acceleration, abs=100 * 16 * EPS
+    )
+    assert np.abs(relation(simulation)).max() < 100 * 16 * EPS
+
+
+def test_coupled_joints_are_in_the_tree():
+    """Whatever is the better cut otherwise: here the coupled joint is the last one of the loop."""
+    text = FIVE_BAR.replace(
+        "joint: b, other: a, ratio: 0.5, offset: 0.2", "joint: e, other: a, ratio: 0.5"
+    )
+    layout = make_layout(scene_from_text(text))
+    tree = [entry["joint"] for entry in describe(layout)["formulation"]["tree"]]
+    assert {"a", "e"} <= set(tree)
+
+
+def test_momentum_is_not_said_to_be_kept():
+    """One wheel drives the other through the world: no momentum is conserved."""
+    facts = describe(make_layout(scene_from_text(WHEELS)))
+    assert facts["kept_momentum"] is None
+    assert facts["groups"] == [["a", "b"]]
+
+
+@pytest.mark.parametrize(
+    "old, new, message",
+    [
+        (
+            "joint: jb, o",
+            "joint: jd, o",
+            r'wheels:11: couplings\[0\] "mesh": joint \'jd\' is not a joint',
+        ),
+        ("other: ja, r", "other: jb, r", 'joint and other are both "jb"'),
+        ("name: mesh", "name: ja", "already used by joints"),
+        ("ratio: -0.7", "ratio: -0.8", "violated at the start by .* rad/s"),
+        ("ratio: -0.7", "ratio: -0.7, offset: 0.3", "violated at the start by -0.3 rad"),
+        ("ratio: -0.7", "ratio: .nan", "ratio must be"),
+        ("jb, type: revolute", "jb, type: cylindrical", 'joint "jb" is cylindrical'),
+    ],
+)
+def test_wrong_couplings_are_refused(old, new, message):
+    assert old in WHEELS
+    with pytest.raises(SceneError, match=message):
+        make_layout(scene_from_text(WHEELS.replace(old, new), "wheels"))
+
+
+def test_all_joints_of_a_loop_cannot_be_coupled():
+    """A square of four hinges, at rest."""
+    bodies = ["left", "top", "right"]
+    joints = [
+        ("world", "left", 0, 0),
+        ("left", "top", 0, 1),
+        ("top", "right", 1, 1),
+        ("world", "right", 1, 0),
+    ]
+    text = "name: square\ngravity: [0, 0, 0]\nbodies:\n"
+    for name in bodies:
+        text += f"  - {{name: {name}, mass: 1, inertia: [0.1, 0.1, 0.1]}}\n"
+    text += "joints:\n"
+    for k, (parent, child, x, y) in enumerate(joints):
+        frame = f"{{position: [{x}, {y}, 0]}}"
+        text += f"  - {{name: j{k}, type: revolute, parent: {parent}, child: {child}, child_frame: {frame}}}\n"
+    text += "couplings:\n"
+    text += "".join(f"  - {{name: g{k}, joint: j{k}, other: j0, ratio: 0.1}}\n" for k in (1, 2, 3))
+    with pytest.raises(SceneError, match="closes a loop of coupled joints"):
+        make_layout(scene_from_text(text))
+
+
+def test_groups_of_rigid_bodies_have_no_couplings():
+    scene = scene_from_text(WHEELS)
+    assert Simulation(scene, "rkmk4", 0.01).group == "relative"
+    with pytest.raises(
+        ValueError, match="group 'se3' cannot integrate this scene: it has couplings"
+    ):
+        Simulation(scene, "rkmk4", 0.01, group="se3")
+
+
+def test_plain_python_gives_the_same_numbers():
+    """Without fast-math both round alike; only the last bit of libm functions may differ."""
+    code = (
+        "import sys; sys.path.insert(0, sys.argv[1]); import test_couplings as t\n"
+        "from liegroup_core import Simulation\n"
+        "for scene in (t.two_pendulums(0.37), t.scene_from_text(t.FIVE_BAR)):\n"
+        "    s = Simulation(scene, 'rkmk4', 5e-3, stabilisation='projection')\n"
+        "    s.advance(4)\n"
+        "    print(s.state()[0].tobytes().hex())"
+    )
+    lines = [
+        subprocess.run(
+            [sys.executable, "-c", code, os.path.dirname(__file__)],
+            capture_output=True,
+            text=True,
+            check=True,
+            env={**os.environ, "NUMBA_DISABLE_JIT": disable},
+        ).stdout.split()
+        for disable in ("1", "0")
+    ]
+    for plain, fast in zip(*lines, strict=True):
+        plain, fast = (np.frombuffer(bytes.fromhex(line)) for line in (plain, fast))
+        assert np.abs(plain - fast).max() <= 1e-13
