@@ -16,8 +16,8 @@ from .formulations.relative.build import (
 )
 from .formulations.relative.spanning_tree import WORLD_NAME
 from .integrators.methods import RELATIVE
-from .joints.coupling import UNKNOWN_TURN
 from .joints.pairs import LOWER_PAIRS
+from .lie.groups import UNKNOWN_TURN
 from .model.arrays import Model
 from .model.build import build_model
 from .observables.joint_coordinates import JointCoordinates

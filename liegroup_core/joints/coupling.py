@@ -17,15 +17,12 @@ import math
 from pydantic import Field
 
 from liegroup_core.fields.values import Described, Name, Number, Text
-from liegroup_core.lie.groups import SE3
+from liegroup_core.lie.groups import SE3, UNKNOWN_TURN, within_a_turn
 
 from .kinds import TYPES
 
 # Types of joints with one coordinate.
 COUPLED = ("revolute", "prismatic", "screw")
-# Initial angles are those nearest to this value, in (-pi, pi]: half a turn is pi, not -pi, whatever
-# its round-off.
-UNKNOWN_TURN = 1e-9
 
 
 class Coupling(Described):
@@ -46,11 +43,6 @@ class Coupling(Described):
 def turns(joint):
     """True if the coordinate of a joint of the scene is an angle."""
     return TYPES[joint.type].turns
-
-
-def within_a_turn(angle, near=0.0):
-    """The angle that differs by whole turns and is nearest to `near`, rad."""
-    return angle - 2.0 * math.pi * math.floor((angle - near) / (2.0 * math.pi) + 0.5)
 
 
 def coordinate(joint, C_rel):

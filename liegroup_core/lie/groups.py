@@ -12,6 +12,8 @@ test/contract/test_lie_groups.py. A call takes microseconds per element: loops o
 a kernel that calls the kernels.
 """
 
+import math
+
 import numpy as np
 
 from .se3 import se3_Ad, se3_ad, se3_dexp, se3_dexpinv, se3_exp, se3_inverse, se3_log
@@ -21,6 +23,9 @@ from .vec3 import cross3, transpose3
 # Largest accepted entry of R^T R - I. A rotation in single precision has a few times 6e-8 and is
 # accepted; a scaled one is not.
 ROTATION_TOLERANCE = 1e-6
+# Initial angles are those nearest to this value, in (-pi, pi]: half a turn is pi, not -pi, whatever
+# its round-off.
+UNKNOWN_TURN = 1e-9
 
 UNIT3 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 ZERO3 = (0.0, 0.0, 0.0)
@@ -90,6 +95,11 @@ def _matrix6(kernel, a, b):
 def _matrix4(R, r):
     """Matrix of a pose (R, r), as a flat tuple."""
     return (*R[:3], r[0], *R[3:6], r[1], *R[6:], r[2], 0.0, 0.0, 0.0, 1.0)
+
+
+def within_a_turn(angle, near=0.0):
+    """The angle that differs by whole turns and is nearest to `near`, rad."""
+    return angle - 2.0 * math.pi * math.floor((angle - near) / (2.0 * math.pi) + 0.5)
 
 
 class SO3:

@@ -12,8 +12,8 @@ import math
 
 import numpy as np
 
-from liegroup_core.joints.coupling import within_a_turn
 from liegroup_core.joints.kinds import TYPES
+from liegroup_core.lie.groups import within_a_turn
 from liegroup_core.scene.consistency import resolve_couplings
 
 

@@ -11,8 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from liegroup_core.fields.values import NEGATIVE_ROUND_OFF, TRIANGLE_TOLERANCE
-from liegroup_core.joints.coupling import UNKNOWN_TURN, within_a_turn
-from liegroup_core.lie.groups import SO3
+from liegroup_core.lie.groups import SO3, UNKNOWN_TURN, within_a_turn
 
 from .additions import added_forces, added_joints
 from .chains import base_of, grouped, kept_joints, locked_joints
