@@ -96,15 +96,23 @@ def _equality(model, i):
         "active": bool(model.eq_active0[i]),
     }
     if kind in ("connect", "weld") and model.eq_objtype[i] == mujoco.mjtObj.mjOBJ_SITE:
-        found["sites"] = [
-            {
-                "body": int(model.site_bodyid[site]),
-                "pos": model.site_pos[site].tolist(),
-                "quat": model.site_quat[site].tolist(),
-            }
-            for site in (first, second)
-        ]
+        found["sites"] = [_site(model, site) for site in (first, second)]
+    if kind == "tendon" and second < 0:
+        start, count = model.tendon_adr[first], model.tendon_num[first]
+        if model.wrap_type[start : start + count].tolist() == [mujoco.mjtWrap.mjWRAP_SITE] * 2:
+            found["tendon"] = int(first)
+            found["sites"] = [_site(model, site) for site in model.wrap_objid[start : start + 2]]
+            # The polynomial counts from the length in the pose of the file.
+            found["length"] = float(model.tendon_length0[first] + model.eq_data[i][0])
     return found
+
+
+def _site(model, i):
+    return {
+        "body": int(model.site_bodyid[i]),
+        "pos": model.site_pos[i].tolist(),
+        "quat": model.site_quat[i].tolist(),
+    }
 
 
 def _geom(model, i):
