@@ -221,12 +221,14 @@ def _shapes(robot, model, names):
 
 
 def _poses(robot, model):
-    """Keyframes as joint coordinates; coordinates of free and ball joints have no place in them."""
+    """Keyframes as joint coordinates and velocities; free and ball joints have no place in them."""
+    single = [joint for joint in model["joints"] if joint["type"] in ("slide", "hinge")]
     for key in model["keys"]:
         robot.poses[key["name"]] = {
-            joint["label"]: key["qpos"][joint["qpos"]] - joint["zero"]
-            for joint in model["joints"]
-            if joint["type"] in ("slide", "hinge")
+            joint["label"]: key["qpos"][joint["qpos"]] - joint["zero"] for joint in single
+        }
+        robot.velocities[key["name"]] = {
+            joint["label"]: key["qvel"][joint["dof"]] for joint in single
         }
 
 

@@ -37,7 +37,11 @@ def arrays_of(path):
         "flexes": [f"flex_{i}" for i in range(model.nflex)],
         "plugins": [f"plugin_{i}" for i in range(model.nplugin)],
         "keys": [
-            {"name": model.key(i).name or f"key_{i}", "qpos": model.key_qpos[i].tolist()}
+            {
+                "name": model.key(i).name or f"key_{i}",
+                "qpos": model.key_qpos[i].tolist(),
+                "qvel": model.key_qvel[i].tolist(),
+            }
             for i in range(model.nkey)
         ],
         "qpos0": model.qpos0.tolist(),
@@ -73,6 +77,7 @@ def _joint(model, i):
         "pos": model.jnt_pos[i].tolist(),
         "axis": model.jnt_axis[i].tolist(),
         "qpos": int(at),
+        "dof": int(dof),
         "zero": float(model.qpos0[at]),
         "spring": float(model.qpos_spring[at]),
         "stiffness": float(model.jnt_stiffness[i]),

@@ -18,6 +18,7 @@ class Options:
     base      : fixed or floating root links; None: as the format says
     pose      : name of a pose of the file (keyframe, group state)
     start     : {joint: coordinate}, rad or m, in place of 0 or of the pose
+    start_velocity : {joint: velocity}, rad/s or m/s, in place of 0 or of that of the pose
     lock      : {joint: coordinate} of joints that do not move
     only      : links whose chains to the root are kept; empty: all
     joints    : [keys of a scene's joint], between links; its frames are in the frames of the links
@@ -30,6 +31,7 @@ class Options:
     base: str | None = None
     pose: str | None = None
     start: dict = field(default_factory=dict)
+    start_velocity: dict = field(default_factory=dict)
     lock: dict = field(default_factory=dict)
     only: list = field(default_factory=list)
     joints: list = field(default_factory=list)
@@ -60,16 +62,39 @@ class Options:
             values |= {
                 name: value for name, value in robot.poses[self.pose].items() if name in types
             }
-        values |= robot.locked
-        for key in ("start", "lock"):
-            for name, value in getattr(self, key).items():
-                if name not in types:
-                    raise self.unknown((key, name), f"{key}: joint", name, types)
-                if value and types[name] not in ONE_COORDINATE:
-                    raise self.error(
-                        (key, name),
-                        f'{key}: joint "{name}" is {types[name]}: only joints with one coordinate '
-                        f"({', '.join(ONE_COORDINATE)}) take a value",
-                    )
-                values[name] = float(value)
+        return values | robot.locked | self._given("start", types) | self._given("lock", types)
+
+    def velocities(self, robot):
+        """{joint: velocity at the start}; refuses unknown joints, and those without a coordinate."""
+        types = {joint.name: joint.type for joint in robot.joints}
+        values = dict.fromkeys(types, 0.0)
+        values |= {
+            name: value
+            for name, value in robot.velocities.get(self.pose, {}).items()
+            if name in types
+        }
+        return values | self._given("start_velocity", types)
+
+    def _given(self, key, types):
+        """{joint: number} of one of the additions."""
+        values = {}
+        for name, value in getattr(self, key).items():
+            if name not in types:
+                raise self.unknown((key, name), f"{key}: joint", name, types)
+            if value and types[name] not in ONE_COORDINATE:
+                raise self.error(
+                    (key, name),
+                    f'{key}: joint "{name}" is {types[name]}: only joints with one coordinate '
+                    f"({', '.join(ONE_COORDINATE)}) take a value",
+                )
+            values[name] = float(value)
         return values
+
+    def check_velocities(self, moving):
+        """Refuse a velocity of a joint that is not among the moving ones."""
+        for name, value in self.start_velocity.items():
+            if value and name not in moving:
+                raise self.error(
+                    ("start_velocity", name),
+                    f'start_velocity: joint "{name}" does not move: unlock it, or omit its velocity',
+                )

@@ -48,6 +48,10 @@ class RobotFile(Described):
     start: dict[str, Number] | None = Field(
         None, description="joint coordinates at the start, rad or m"
     )
+    start_velocity: dict[str, Number] | None = Field(
+        None,
+        description="joint velocities at the start, rad/s or m/s; default: 0, or those of the keyframe",
+    )
     lock: dict[str, Number] | None = Field(
         None, description="joints that do not move, and their coordinates, rad or m"
     )
@@ -123,6 +127,7 @@ def robot_beside(root, source):
         base=given.base,
         pose=given.pose,
         start=given.start or {},
+        start_velocity=given.start_velocity or {},
         lock=given.lock or {},
         only=list(given.only),
         joints=list(given.joints),

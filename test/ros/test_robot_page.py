@@ -100,6 +100,7 @@ def test_import_writes_what_load_scene_takes(folder, capsys):
         (["--out", "arm.urdf"], "arm.urdf exists"),
         (["--start", "elbow"], "--start elbow: give JOINT=VALUE"),
         (["--start", "elbov=1"], 'did you mean "elbow"'),
+        (["--start-velocity", "elbow=1", "--lock", "elbow=0"], '"elbow" does not move'),
         (["--lock", "flange=1"], "is fixed: only joints with one coordinate"),
         (["--pose", "home"], "pose 'home' is not in the robot"),
         (["--only", "nothing"], "'nothing' is not in the robot"),
