@@ -9,7 +9,7 @@ from liegroup_core.joints.elements import ELEMENT, PAIR, WORLD
 from liegroup_core.joints.linkage import RANK_TOLERANCE, Linkage
 from liegroup_core.lie.groups import SE3
 from liegroup_core.model.arrays import JOINT
-from liegroup_core.model.redundancy import generic_poses, independent_rows, loop_joints
+from liegroup_core.model.redundancy import generic_poses, independent_rows, loop_groups
 
 from .arrays import FREEDOMS
 from .links import FIRST_AXIS, SECOND_AXIS, eliminated, link_poses
@@ -28,10 +28,9 @@ def cut_rows(scene, frames, parts, tree, links, places):
     if not cut:
         return cut, []
     keep = [np.ones(len(part.names), dtype=bool) for _, _, part in cut]
-    loops = loop_joints([(joint.parent, joint.child) for joint in scene.joints])
     # A distance joint is cut also where it closes no loop: then its row is independent.
-    closing = [k for k, (j, _, _) in enumerate(cut) if j in set(loops)]
-    if closing:
+    for loops in loop_groups([(joint.parent, joint.child) for joint in scene.joints]):
+        closing = [k for k, (j, _, _) in enumerate(cut) if j in loops]
         joints = sorted({cut[k][0] for k in closing})
         matrices = _tree_jacobians(scene, frames, parts, loops, joints, links, places)
         chosen, _ = independent_rows(matrices, np.zeros(len(matrices[0]), dtype=bool))
@@ -58,10 +57,10 @@ def _tree_jacobians(scene, frames, parts, loops, joints, links, places):
     # On their common path to the world both ends of a joint move alike.
     needed = sorted(set().union(*(set(a) ^ set(b) for a, b in ends.values())))
     # The loops move with welded bodies, and with the joints that hold them beside a floating part.
-    used = {links[i].joint for i in needed} - {None}
-    used |= {j for j, joint in enumerate(scene.joints) if joint.type == "fixed"}
+    used = ({links[i].joint for i in needed} - {None}).union(loops)
+    used |= _welded(scene, used)
     # In the order of model/redundancy.py: the same linkage is analysed once.
-    used = sorted(used.union(loops), key=lambda j: (scene.joints[j].parent != WORLD_NAME, j))
+    used = sorted(used, key=lambda j: (scene.joints[j].parent != WORLD_NAME, j))
     linkage = Linkage(scene, frames, parts, used)
     length = linkage.length
     # Rotations and translations in comparable units.
@@ -88,6 +87,22 @@ def _tree_jacobians(scene, frames, parts, loops, joints, links, places):
         matrix[np.linalg.norm(matrix, axis=1) < RANK_TOLERANCE] = 0.0
         matrices.append(matrix)
     return matrices
+
+
+def _welded(scene, joints):
+    """Fixed joints that hold bodies to those of other joints, directly or by each other."""
+    bodies = {end for j in joints for end in (scene.joints[j].parent, scene.joints[j].child)}
+    bodies.discard(WORLD_NAME)
+    found, grown = set(), True
+    while grown:
+        grown = False
+        for j, joint in enumerate(scene.joints):
+            ends = {joint.parent, joint.child} - {WORLD_NAME}
+            if joint.type == "fixed" and j not in found and ends & bodies:
+                found.add(j)
+                bodies |= ends
+                grown = True
+    return found
 
 
 def cut_elements(scene, frames, cut, places):
