@@ -16,6 +16,17 @@ from liegroup_core.fields.values import suggestion
 from liegroup_core.lie.groups import SE3
 
 WORLD = "world"
+# Coordinates of joints; those of a closing joint follow from the others.
+COORDINATES = {
+    "fixed": 0,
+    "revolute": 1,
+    "prismatic": 1,
+    "screw": 1,
+    "universal": 2,
+    "cylindrical": 2,
+    "spherical": 3,
+    "planar": 3,
+}
 # Types of joints that have one coordinate.
 ONE_COORDINATE = ("revolute", "prismatic", "screw")
 
@@ -140,6 +151,13 @@ class Robot:
     velocities: dict = field(default_factory=dict)
     locked: dict = field(default_factory=dict)
     text: str = ""
+
+    @property
+    def size(self):
+        """(number of links, sum of the coordinates of all joints that close no loop)."""
+        joints = (joint for joint in self.joints if not joint.closes)
+        links = sum(name != WORLD for name in self.links)
+        return links, sum(COORDINATES.get(joint.type, 0) for joint in joints)
 
     def error(self, line, message):
         """SceneError at a line of the file."""

@@ -19,6 +19,8 @@ from robot_texts import (
 )
 
 from liegroup_core import Scene, SceneError, Simulation, load_scene
+from liegroup_core.describe import describe
+from liegroup_core.layout import make_layout
 from liegroup_core.robots.options import Options
 from liegroup_core.scene import scene_from_text
 from liegroup_core.scene.load import scene_from_robot
@@ -254,6 +256,24 @@ def test_a_keyframe_has_mujocos_velocities(tmp_path):
             number = model.body(name).id
             mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, number, expected, 1)
             assert body.twist == pytest.approx(expected, abs=1e-14)
+
+
+@pytest.mark.parametrize(
+    "options, bodies, coordinates",
+    [(Options(), 2, 2), (Options(lock={"extend": 0.1}), 1, 1), (Options(only=["upper"]), 1, 1)],
+)
+def test_describe_says_what_an_import_saved(options, bodies, coordinates, tmp_path):
+    """The arm has 5 links and joints of 1 + 1 + 0 + 1 coordinates; the last one holds no mass."""
+    urdf = arm_in(tmp_path, "urdf")
+    facts = describe(make_layout(scene_from_robot(urdf, options)))
+    saved, chosen = facts["import"], facts["formulation"]["group"]
+    assert (saved["links"], saved["bodies"]) == (5, bodies)
+    assert (saved["file_coordinates"], saved["coordinates"]) == (3, coordinates)
+    assert saved["predicted_ns"] == facts["formulation"]["predicted_ns"][chosen]
+    whole = describe(make_layout(load_scene(urdf)))["import"]["predicted_ns"]
+    smaller = bool(options.lock or options.only)
+    assert saved["whole_predicted_ns"] == (whole if smaller else None)
+    assert not smaller or saved["predicted_ns"] < whole
 
 
 CLOSED_FIVE_BAR = """robot: five_bar.urdf

@@ -41,7 +41,7 @@ def test_all_commands_of_the_page(folder, capsys):
     read = capsys.readouterr()
     printed = " ".join(read.out.split())
     assert "arm: changes the motion: joint limits are not enforced: shoulder" in read.err
-    for note in re.findall(r"^    (\w+ [\w ]+?)   +(.*)$", PAGE, re.MULTILINE):
+    for note in re.findall(r"^    (\w+ [\w ]*?\w)   +(.*)$", PAGE, re.MULTILINE):
         assert " ".join(note) in printed
     assert "arm: 2 degrees of freedom" in printed and "arm: 1 degrees of freedom" in printed
 
