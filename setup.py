@@ -56,11 +56,14 @@ setup(
         "pandas": ["pandas"],
         # xacro files, and MJCF files through MuJoCo's compiler; plain URDF and SDF need neither.
         "robots": ["mujoco", "xacro"],
+        # Visuals of a robot in the HTML report.
+        "meshes": ["fast-simplification", "pycollada", "trimesh"],
         "remote": ["aiohttp", "fsspec"],
         "test": [
             "aiohttp",
             "dask",
             "distributed",
+            "fast-simplification",
             "fsspec",
             "hypothesis",
             "jsonschema",
@@ -74,6 +77,7 @@ setup(
             "pytest-xdist",
             "rosbags",
             "small-mcap",
+            "trimesh",
             "xacro",
         ],
         "lint": ["mypy", "ruff"],

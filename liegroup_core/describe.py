@@ -4,14 +4,20 @@
 JSON types, computed without taking a step; independent of the machine.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
+from liegroup_core.errors import SceneError
 from liegroup_core.formulations.relative.build import tree_of
 from liegroup_core.formulations.relative.cost import absolute_cost, relative_cost
 from liegroup_core.joints.elements import PAIR, WORLD
+from liegroup_core.layout import make_layout
 from liegroup_core.model.sparsity import operations
 from liegroup_core.model.symmetry import body_groups, conserved_momentum
+from liegroup_core.robots.description import COORDINATES
 from liegroup_core.scene.consistency import resolve_couplings
+from liegroup_core.scene.load import scene_from_robot
 
 from .integrators.families import check_options, choose_group, fitting_methods
 
@@ -33,6 +39,7 @@ def describe(layout):
     returns dict of
         scene, description, gravity  of the scene; gravity in m/s^2
         notes               remarks of the scene, such as what an import merged and left out
+        import              what the import of a robot saved, see `imported`; None for other scenes
         bodies              [{name, mass}], kg
         joints              [{name, type, parent, child, rows, dropped}]: names of all rows, wx..vz,
                             and of the redundant ones, which are eliminated
@@ -64,6 +71,7 @@ def describe(layout):
         "description": scene.description,
         "gravity": list(scene.gravity),
         "notes": list(scene.notes),
+        "import": imported(layout),
         "bodies": [
             {"name": body.name, "mass": float(mass)}
             for body, mass in zip(scene.bodies, model.bodies["mass"])
@@ -148,6 +156,47 @@ def formulation(layout):
         "cut": list(cut.values()),
         "predicted_ns": {group: round(cost) for group, cost in predicted.items()},
     }
+
+
+def imported(layout):
+    """Return what the import of a robot's file saved: a dict, or None for other scenes.
+
+    links, bodies       number of links of the file, and of bodies of the scene: links that fixed
+                        and locked joints hold together are one body, those of the world are none
+    file_coordinates, coordinates  of all joints of the file, and of those of the spanning tree
+    predicted_ns        predicted cost of a stage, as in `formulation`
+    whole_predicted_ns  the same with all links and joints: without `lock` and `only`; None if there
+                        are none, or if the whole robot is no scene
+    """
+    robot = layout.scene.robot
+    if robot is None:
+        return None
+    whole = None
+    if robot.options.lock or robot.options.only:
+        try:
+            options = replace(robot.options, lock={}, only=[])
+            whole = _predicted(make_layout(scene_from_robot(robot.file, options)))
+        except SceneError:
+            pass
+    links, coordinates = robot.size
+    return {
+        "links": links,
+        "bodies": len(layout.scene.bodies),
+        "file_coordinates": coordinates,
+        "coordinates": sum(
+            COORDINATES[layout.scene.joints[j].type]
+            for _, _, j in tree_of(layout.centred).links
+            if j is not None
+        ),
+        "predicted_ns": _predicted(layout),
+        "whole_predicted_ns": whole,
+    }
+
+
+def _predicted(layout):
+    """Predicted cost of a stage in the group that is chosen, ns."""
+    facts = formulation(layout)
+    return facts["predicted_ns"][facts["group"]]
 
 
 def solve_structure(model):

@@ -101,9 +101,12 @@ class Linkage:
 
     def joint_rows(self, j, poses):
         """Rows (k, 6) of joint j for the relative twist in the child's body frame."""
-        return forbidden_rows(self.parts[j], self.relative(j, poses)) @ SE3.Ad(
-            inverse(self.frames[j][1])
-        )
+        return forbidden_rows(self.parts[j], self.relative(j, poses)) @ self._to_joint[j]
+
+    @cached_property
+    def _to_joint(self):
+        """(6, 6) of each joint: twists of the child's body frame to those of its joint frame."""
+        return [SE3.Ad(inverse(child)) for _, child in self.frames]
 
     def velocity_rows(self, poses):
         """Rows (rows, 6 bodies) of all joints, then of all couplings, for twists of the bodies."""

@@ -58,6 +58,48 @@ def loop_joints(ends):
     return sorted(set().union(*touching.values())) if touching else []
 
 
+def loop_groups(ends):
+    """Lists of the joints whose closed loops share joints, sorted.
+
+    ends : as above. A joint that is in no loop is in no list. Reaction forces of redundant rows are
+    in equilibrium by themselves on the bodies of a list, and the list moves independently of all
+    others: each is analysed alone.
+    """
+    beside = {}
+    for j, (a, b) in enumerate(ends):
+        beside.setdefault(a, []).append((j, b))
+        beside.setdefault(b, []).append((j, a))
+    depth, holder, used = {}, {}, set()
+    for root in beside:
+        if root in depth:
+            continue
+        depth[root], pending = 0, [root]
+        for body in pending:
+            for j, other in beside[body]:
+                if other not in depth:
+                    depth[other], holder[other] = depth[body] + 1, (j, body)
+                    used.add(j)
+                    pending.append(other)
+    leader = list(range(len(ends)))
+
+    def find(j):
+        while leader[j] != j:
+            leader[j] = leader[leader[j]]
+            j = leader[j]
+        return j
+
+    for closing in sorted(set(range(len(ends))) - used):
+        a, b = ends[closing]
+        while a != b:
+            a, b = (a, b) if depth[a] >= depth[b] else (b, a)
+            j, a = holder[a]
+            leader[find(j)] = find(closing)
+    groups = {}
+    for j in range(len(ends)):
+        groups.setdefault(find(j), []).append(j)
+    return sorted(group for group in groups.values() if len(group) > 1)
+
+
 def kept_rows(scene, frames, parts):
     """Mask (k,) of the rows to keep, of every joint.
 
@@ -66,15 +108,17 @@ def kept_rows(scene, frames, parts):
     Raises SceneError for a linkage in a pose that it cannot leave.
     """
     keep = [np.ones(sum(len(part.names) for part in elements), dtype=bool) for elements in parts]
-    loops = loop_joints([(joint.parent, joint.child) for joint in scene.joints])
-    # Joints to ground first: SE(3) satisfies them exactly, so rows of others are eliminated.
-    loops.sort(key=lambda j: scene.joints[j].parent != "world")
-    if not loops:
-        return keep
-    chosen, moves = _chosen(Linkage(scene, frames, parts, loops))
-    if chosen.all():
-        return keep
-    if not moves:
+    for loops in loop_groups([(joint.parent, joint.child) for joint in scene.joints]):
+        # Joints to ground first: SE(3) satisfies them exactly, so rows of others are eliminated.
+        loops.sort(key=lambda j: scene.joints[j].parent != "world")
+        _eliminate(scene, Linkage(scene, frames, parts, loops), loops, keep)
+    return keep
+
+
+def _eliminate(scene, linkage, loops, keep):
+    """Remove the redundant rows of a linkage of the joints `loops` from the masks of all joints."""
+    chosen, moves = _chosen(linkage)
+    if not chosen.all() and not moves:
         numbers = np.repeat(loops, [len(keep[j]) for j in loops])
         joint = int(numbers[np.argmin(chosen)])
         raise SceneError(
@@ -87,7 +131,6 @@ def kept_rows(scene, frames, parts):
     for j in loops:
         keep[j][:] = chosen[at : at + len(keep[j])]
         at += len(keep[j])
-    return keep
 
 
 @lru_cache(maxsize=REMEMBERED)
@@ -170,7 +213,7 @@ def _independent(rows):
 def generic_poses(linkage):
     """Initial poses, and poses that the linkage can move to, each farther than the one before."""
     rng = np.random.default_rng(1)
-    places, last = [linkage.start], None
+    places, last, halvings = [linkage.start], None, 0
     matrix = linkage.jacobian(linkage.start)
     count = int(np.clip(POSES_WORK / len(matrix) ** 3, LEAST_POSES, MOST_POSES))
     for _ in range(count):
@@ -182,11 +225,12 @@ def generic_poses(linkage):
             move *= 0.5 * np.linalg.norm(last) / np.linalg.norm(move)
             move += free.T @ (free @ last)
         move *= TURN * linkage.length / np.abs(move).max()
-        for halving in range(6):
+        # Start from at most twice the last step that closed: an attempt that fails is the most expensive.
+        for halving in range(max(0, halvings - 1), 6):
             closed = linkage.closed(linkage.moved(places[-1], move / 2**halving))
             if closed is not None:
                 places.append(closed)
-                matrix, last = linkage.jacobian(closed), move
+                matrix, last, halvings = linkage.jacobian(closed), move, halving
                 break
     return places
 

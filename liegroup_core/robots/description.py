@@ -16,6 +16,17 @@ from liegroup_core.fields.values import suggestion
 from liegroup_core.lie.groups import SE3
 
 WORLD = "world"
+# Coordinates of joints; those of a closing joint follow from the others.
+COORDINATES = {
+    "fixed": 0,
+    "revolute": 1,
+    "prismatic": 1,
+    "screw": 1,
+    "universal": 2,
+    "cylindrical": 2,
+    "spherical": 3,
+    "planar": 3,
+}
 # Types of joints that have one coordinate.
 ONE_COORDINATE = ("revolute", "prismatic", "screw")
 
@@ -87,14 +98,15 @@ class RobotJoint:
     rest: float = 0.0
     data: dict = field(default_factory=dict)
 
+    @property
+    def direction(self):
+        """(6,) twist of the child's frame in the parent's, its axes, at a velocity of 1; 0 without one."""
+        turns, slides = self.type in ("revolute", "screw"), self.type == "prismatic"
+        return np.array([0.0, 0.0, turns, 0.0, 0.0, self.pitch * turns + slides])
+
     def motion(self, value):
         """(4, 4) pose of the child's frame in the parent's at a coordinate, rad or m."""
-        twist = np.zeros(6)
-        if self.type in ("revolute", "screw"):
-            twist[2], twist[5] = value, self.pitch * value
-        elif self.type == "prismatic":
-            twist[5] = value
-        return SE3.exp(twist)
+        return SE3.exp(value * self.direction)
 
 
 @dataclass
@@ -119,7 +131,7 @@ class Robot:
     gravity  : (3,) m/s^2, or None if the file has none
     left_out : {what: [names]} of what has no place in a scene and does not change the motion
     changes  : {what: [names]} of what is left out and changes the motion
-    poses    : {name of a pose: {joint: coordinate}}
+    poses    : {name of a pose: {joint: coordinate}}; velocities: {its name: {joint: velocity}}
     locked   : {joint: coordinate} of joints that do not move
     text     : URDF text of the robot, "" for other kinds
     """
@@ -136,8 +148,16 @@ class Robot:
     left_out: dict = field(default_factory=dict)
     changes: dict = field(default_factory=dict)
     poses: dict = field(default_factory=dict)
+    velocities: dict = field(default_factory=dict)
     locked: dict = field(default_factory=dict)
     text: str = ""
+
+    @property
+    def size(self):
+        """(number of links, sum of the coordinates of all joints that close no loop)."""
+        joints = (joint for joint in self.joints if not joint.closes)
+        links = sum(name != WORLD for name in self.links)
+        return links, sum(COORDINATES.get(joint.type, 0) for joint in joints)
 
     def error(self, line, message):
         """SceneError at a line of the file."""

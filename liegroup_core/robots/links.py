@@ -17,11 +17,13 @@ class Group:
     links  : names, the first is the one whose frame is the frame of the group
     places : {link: (4, 4) pose in the frame of the group}
     pose   : (4, 4) in the world at the start
+    twist  : (6,) at the start, angular first, axes of the group, rad/s and m/s
     """
 
     links: list
     places: dict = field(default_factory=dict)
     pose: np.ndarray = field(default_factory=lambda: np.eye(4))
+    twist: np.ndarray = field(default_factory=lambda: np.zeros(6))
 
 
 class Grouping:
@@ -123,8 +125,11 @@ class Grouping:
         """True for a group without mass and inertia."""
         return all(name != WORLD and self.robot.links[name].moves_nothing for name in group.links)
 
-    def place(self, values):
-        """Set the poses of all groups at joint coordinates; returns the joints that close loops."""
+    def place(self, values, velocities):
+        """Set poses and twists of all groups at joint coordinates and velocities.
+
+        Returns the joints that close loops.
+        """
         placed = {id(self.world)}
         of_group = {}
         for joint in self.moving:
@@ -149,7 +154,13 @@ class Grouping:
                         continue
                     F_a, F_b = self.frames(joint)
                     between = F_a @ joint.motion(values[joint.name]) @ SE3.inverse(F_b)
-                    other.pose = group.pose @ (between if a is group else SE3.inverse(between))
+                    own = SE3.Ad(F_b) @ joint.direction * velocities[joint.name]
+                    if a is group:
+                        other.pose = a.pose @ between
+                        other.twist = SE3.Ad(SE3.inverse(between)) @ a.twist + own
+                    else:
+                        other.pose = b.pose @ SE3.inverse(between)
+                        other.twist = SE3.Ad(between) @ (b.twist - own)
                     placed.add(id(other))
                     used.add(joint.name)
                     pending.append(other)

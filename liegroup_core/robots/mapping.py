@@ -60,7 +60,8 @@ def scene_parts(robot, options):
     base = base_of(robot, options, joints, notes)
     lock = locked_joints(robot, options, values, notes)
     grouping = grouped(robot, options, base, joints, lock, values, notes)
-    closing = grouping.place(values)
+    closing = grouping.place(values, options.velocities(robot))
+    options.check_velocities({joint.name for joint in grouping.moving})
     extra = added_joints(options, grouping)
     closing += extra
     parts = SceneParts(
@@ -70,7 +71,9 @@ def scene_parts(robot, options):
         bool(closing),
     )
     used = _bodies(robot, grouping, parts, notes)
-    taken = _joints(robot, grouping, parts, used, extra)
+    # The nearest velocities that satisfy all loops keep those that the user gives.
+    rates = options.start_velocity if closing else {}
+    taken = _joints(robot, grouping, parts, used, (extra, rates))
     _couplings(robot, grouping, parts, values, taken)
     for i, entry in enumerate(added_forces(options, grouping, parts)):
         parts.lines["forces", len(parts.forces)] = ("forces", i)
@@ -137,6 +140,9 @@ def _bodies(robot, grouping, parts, notes):
         if com.any():
             body["com"] = com
         body |= _placed(group.pose)
+        for key, value in zip(("angular_velocity", "linear_velocity"), np.split(group.twist, 2)):
+            if value.any():
+                body[key] = value
         parts.bodies.append(body)
         parts.lines["bodies", number] = line
         parts.names["bodies", name] = group.links[0]
@@ -173,8 +179,12 @@ def _check_inertia(robot, group, line, inertia, body, notes):
         )
 
 
-def _joints(robot, grouping, parts, body_of, extra):
-    """Append the joints, and the forces of their springs and dampers; returns all their names."""
+def _joints(robot, grouping, parts, body_of, added):
+    """Append the joints, and the forces of their springs and dampers; returns all their names.
+
+    added : joints of the user, and {joint: velocity} that the start keeps
+    """
+    extra, rates = added
     moving = [*grouping.moving, *extra]
     names = unique_names([joint.name for joint in moving], set())
     taken = set(names)
@@ -190,6 +200,8 @@ def _joints(robot, grouping, parts, body_of, extra):
         if joint.length is not None:
             entry["length"] = joint.length
         entry["parent_frame"], entry["child_frame"] = _placed(F_a), _placed(F_b)
+        if joint.name in rates and number < len(grouping.moving):
+            entry["rate"] = float(rates[joint.name])
         if joint.data:
             entry["data"] = dict(joint.data)
         parts.joints.append(entry)

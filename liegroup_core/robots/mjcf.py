@@ -18,6 +18,8 @@ from .description import WORLD, Coupling, Link, Robot, RobotJoint, Visual, place
 from .xml import Reader
 
 TYPES = {"ball": "spherical", "slide": "prismatic", "hinge": "revolute"}
+# A tendon of fixed length between two sites is a rod without mass.
+CLOSING = {"connect": "spherical", "weld": "fixed", "tendon": "distance"}
 VISUALS = {"box", "sphere", "cylinder", "capsule"}
 
 
@@ -154,7 +156,7 @@ def _equalities(robot, model, names, lines):
         line = lines.get((kind, name), 0)
         if not equality["active"]:
             robot.leave_out("equality constraints that are not active", name)
-        elif kind in ("connect", "weld"):
+        elif kind in ("connect", "weld") or equality.get("length", 0.0) > 0.0:
             robot.joints.append(_closing(robot, equality, names, line))
         elif kind == "joint" and not any(data[2:5]) and equality["second"] >= 0:
             robot.couplings.append(
@@ -174,7 +176,7 @@ def _equalities(robot, model, names, lines):
 
 
 def _closing(robot, equality, names, line):
-    """RobotJoint of a connect or weld between two bodies, or two sites."""
+    """RobotJoint of a connect or weld between two bodies, or two sites, or of a straight tendon."""
     data = equality["data"]
     if "sites" in equality:
         ends = [0 if site["body"] == 0 else site["body"] for site in equality["sites"]]
@@ -189,8 +191,17 @@ def _closing(robot, equality, names, line):
     F_a, F_b = frames
     if child == WORLD:
         parent, child, F_a, F_b = child, parent, F_b, F_a
-    kind = "spherical" if equality["type"] == "connect" else "fixed"
-    return RobotJoint(equality["name"], kind, parent, child, F_a, F_b, line, closes=True)
+    return RobotJoint(
+        equality["name"],
+        CLOSING[equality["type"]],
+        parent,
+        child,
+        F_a,
+        F_b,
+        line,
+        closes=True,
+        length=equality.get("length"),
+    )
 
 
 def _shapes(robot, model, names):
@@ -210,12 +221,14 @@ def _shapes(robot, model, names):
 
 
 def _poses(robot, model):
-    """Keyframes as joint coordinates; coordinates of free and ball joints have no place in them."""
+    """Keyframes as joint coordinates and velocities; free and ball joints have no place in them."""
+    single = [joint for joint in model["joints"] if joint["type"] in ("slide", "hinge")]
     for key in model["keys"]:
         robot.poses[key["name"]] = {
-            joint["label"]: key["qpos"][joint["qpos"]] - joint["zero"]
-            for joint in model["joints"]
-            if joint["type"] in ("slide", "hinge")
+            joint["label"]: key["qpos"][joint["qpos"]] - joint["zero"] for joint in single
+        }
+        robot.velocities[key["name"]] = {
+            joint["label"]: key["qvel"][joint["dof"]] for joint in single
         }
 
 
@@ -223,7 +236,11 @@ def _others(robot, model):
     """What has no place in a scene."""
     if model["fluid"]:
         robot.leave_out("forces of a fluid", "option density or viscosity", changes_motion=True)
-    for tendon in model["tendons"]:
+    # The length of a tendon that is a joint is constant: its springs and limits do no work.
+    rods = {each["tendon"] for each in model["equalities"] if each["active"] and each.get("length")}
+    for i, tendon in enumerate(model["tendons"]):
+        if i in rods:
+            continue
         if tendon["force"]:
             robot.leave_out("tendons with forces or limits", tendon["name"], changes_motion=True)
         else:

@@ -37,7 +37,11 @@ def arrays_of(path):
         "flexes": [f"flex_{i}" for i in range(model.nflex)],
         "plugins": [f"plugin_{i}" for i in range(model.nplugin)],
         "keys": [
-            {"name": model.key(i).name or f"key_{i}", "qpos": model.key_qpos[i].tolist()}
+            {
+                "name": model.key(i).name or f"key_{i}",
+                "qpos": model.key_qpos[i].tolist(),
+                "qvel": model.key_qvel[i].tolist(),
+            }
             for i in range(model.nkey)
         ],
         "qpos0": model.qpos0.tolist(),
@@ -73,6 +77,7 @@ def _joint(model, i):
         "pos": model.jnt_pos[i].tolist(),
         "axis": model.jnt_axis[i].tolist(),
         "qpos": int(at),
+        "dof": int(dof),
         "zero": float(model.qpos0[at]),
         "spring": float(model.qpos_spring[at]),
         "stiffness": float(model.jnt_stiffness[i]),
@@ -96,15 +101,23 @@ def _equality(model, i):
         "active": bool(model.eq_active0[i]),
     }
     if kind in ("connect", "weld") and model.eq_objtype[i] == mujoco.mjtObj.mjOBJ_SITE:
-        found["sites"] = [
-            {
-                "body": int(model.site_bodyid[site]),
-                "pos": model.site_pos[site].tolist(),
-                "quat": model.site_quat[site].tolist(),
-            }
-            for site in (first, second)
-        ]
+        found["sites"] = [_site(model, site) for site in (first, second)]
+    if kind == "tendon" and second < 0:
+        start, count = model.tendon_adr[first], model.tendon_num[first]
+        if model.wrap_type[start : start + count].tolist() == [mujoco.mjtWrap.mjWRAP_SITE] * 2:
+            found["tendon"] = int(first)
+            found["sites"] = [_site(model, site) for site in model.wrap_objid[start : start + 2]]
+            # The polynomial counts from the length in the pose of the file.
+            found["length"] = float(model.tendon_length0[first] + model.eq_data[i][0])
     return found
+
+
+def _site(model, i):
+    return {
+        "body": int(model.site_bodyid[i]),
+        "pos": model.site_pos[i].tolist(),
+        "quat": model.site_quat[i].tolist(),
+    }
 
 
 def _geom(model, i):

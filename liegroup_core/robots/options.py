@@ -18,6 +18,7 @@ class Options:
     base      : fixed or floating root links; None: as the format says
     pose      : name of a pose of the file (keyframe, group state)
     start     : {joint: coordinate}, rad or m, in place of 0 or of the pose
+    start_velocity : {joint: velocity}, rad/s or m/s, in place of 0 or of that of the pose
     lock      : {joint: coordinate} of joints that do not move
     only      : links whose chains to the root are kept; empty: all
     joints    : [keys of a scene's joint], between links; its frames are in the frames of the links
@@ -30,6 +31,7 @@ class Options:
     base: str | None = None
     pose: str | None = None
     start: dict = field(default_factory=dict)
+    start_velocity: dict = field(default_factory=dict)
     lock: dict = field(default_factory=dict)
     only: list = field(default_factory=list)
     joints: list = field(default_factory=list)
@@ -60,38 +62,68 @@ class Options:
             values |= {
                 name: value for name, value in robot.poses[self.pose].items() if name in types
             }
-        values |= robot.locked
-        for key in ("start", "lock"):
-            for name, value in getattr(self, key).items():
-                if name not in types:
-                    raise self.unknown((key, name), f"{key}: joint", name, types)
-                if value and types[name] not in ONE_COORDINATE:
-                    raise self.error(
-                        (key, name),
-                        f'{key}: joint "{name}" is {types[name]}: only joints with one coordinate '
-                        f"({', '.join(ONE_COORDINATE)}) take a value",
-                    )
-                values[name] = float(value)
-        given = {*self.start, *self.lock, *robot.locked}
-        if self.pose is not None:
-            given |= robot.poses[self.pose].keys() & types.keys()
-        _follow(robot.couplings, values, given, types)
+        given = robot.locked | self._given("start", types) | self._given("lock", types)
+        known = given.keys() | robot.poses.get(self.pose, {}).keys()
+        return _followed(robot.couplings, values | given, known)
+
+    def velocities(self, robot):
+        """{joint: velocity at the start}; refuses unknown joints, and those without a coordinate."""
+        types = {joint.name: joint.type for joint in robot.joints}
+        values = dict.fromkeys(types, 0.0)
+        values |= {
+            name: value
+            for name, value in robot.velocities.get(self.pose, {}).items()
+            if name in types
+        }
+        given = self._given("start_velocity", types)
+        known = given.keys() | robot.velocities.get(self.pose, {}).keys()
+        return _followed(robot.couplings, values | given, known, rates=True)
+
+    def _given(self, key, types):
+        """{joint: number} of one of the additions."""
+        values = {}
+        for name, value in getattr(self, key).items():
+            if name not in types:
+                raise self.unknown((key, name), f"{key}: joint", name, types)
+            if value and types[name] not in ONE_COORDINATE:
+                raise self.error(
+                    (key, name),
+                    f'{key}: joint "{name}" is {types[name]}: only joints with one coordinate '
+                    f"({', '.join(ONE_COORDINATE)}) take a value",
+                )
+            values[name] = float(value)
         return values
 
+    def check_velocities(self, moving):
+        """Refuse a velocity of a joint that is not among the moving ones."""
+        for name, value in self.start_velocity.items():
+            if value and name not in moving:
+                raise self.error(
+                    ("start_velocity", name),
+                    f'start_velocity: joint "{name}" does not move: unlock it, or omit its velocity',
+                )
 
-def _follow(couplings, values, given, types):
-    """Set the coordinates that couplings determine from the given ones, else from `second`."""
-    left = [entry for entry in couplings if {entry.first, entry.second} <= types.keys()]
+
+def _followed(couplings, values, given, rates=False):
+    """Values of joints, with those that couplings determine from the given ones or from `second`.
+
+    values : {joint: coordinate, or velocity if `rates`}; given : names of joints that keep theirs
+    """
+    left = [entry for entry in couplings if {entry.first, entry.second} <= values.keys()]
+    left = [entry for entry in left if rates or entry.offset is not None]
     known = set(given)
     while left:
-        # From what is given, in any direction; else a joint that follows no other stays at its value.
-        entry = next((e for e in left if {e.first, e.second} & known), None)
-        if entry is None:
-            firsts = {e.first for e in left}
-            entry = next((e for e in left if e.second not in firsts), left[0])
+        # From what is known, in any direction; else from a joint that follows no other.
+        firsts = {entry.first for entry in left}
+        entry = next(
+            (e for e in left if {e.first, e.second} & known),
+            next((e for e in left if e.second not in firsts), left[0]),
+        )
         left.remove(entry)
-        if entry.first not in known or entry.second in known and entry.first not in given:
-            values[entry.first] = entry.ratio * values[entry.second] + entry.offset
+        offset = 0.0 if rates else entry.offset
+        if entry.first not in known:
+            values[entry.first] = entry.ratio * values[entry.second] + offset
         elif entry.second not in known and entry.ratio:
-            values[entry.second] = (values[entry.first] - entry.offset) / entry.ratio
+            values[entry.second] = (values[entry.first] - offset) / entry.ratio
         known |= {entry.first, entry.second}
+    return values

@@ -48,6 +48,10 @@ class RobotFile(Described):
     start: dict[str, Number] | None = Field(
         None, description="joint coordinates at the start, rad or m"
     )
+    start_velocity: dict[str, Number] | None = Field(
+        None,
+        description="joint velocities at the start, rad/s or m/s; default: 0, or those of the keyframe",
+    )
     lock: dict[str, Number] | None = Field(
         None, description="joints that do not move, and their coordinates, rad or m"
     )
@@ -71,14 +75,17 @@ class RobotNames:
     visuals       : {link of the file: [robots.description.Visual]}
     text          : URDF text, "" for other formats
     file          : path of the robot's file
+    size          : (links, joint coordinates) of the file
+    options       : robots.options.Options
     """
 
-    def __init__(self, robot, parts):
+    def __init__(self, robot, parts, size, options):
         self.links = {scene: file for (key, scene), file in parts.names.items() if key == "bodies"}
         self.joints = {scene: file for (key, scene), file in parts.names.items() if key == "joints"}
         self.frames, self.still = parts.frames, parts.still
         self.visuals = {name: link.visuals for name, link in robot.links.items()}
         self.text, self.file = robot.text, robot.file
+        self.size, self.options = size, options
 
 
 class _Origins:
@@ -104,12 +111,14 @@ def robot_text(path, options=None, added_line=None):
 
     added_line : function: path inside the additions -> "file:line"
     """
-    robot = read_robot(path, None if options is None else options.srdf)
-    parts = scene_parts(robot, options or Options())
+    options = options or Options()
+    robot = read_robot(path, options.srdf)
+    size = robot.size
+    parts = scene_parts(robot, options)
     text = scene_text(parts)
 
     where = _Origins(robot.file, parts.lines, added_line)
-    return text, read_yaml(text, str(path)).value, where, RobotNames(robot, parts)
+    return text, read_yaml(text, str(path)).value, where, RobotNames(robot, parts, size, options)
 
 
 def robot_beside(root, source):
@@ -123,6 +132,7 @@ def robot_beside(root, source):
         base=given.base,
         pose=given.pose,
         start=given.start or {},
+        start_velocity=given.start_velocity or {},
         lock=given.lock or {},
         only=list(given.only),
         joints=list(given.joints),

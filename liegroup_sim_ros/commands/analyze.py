@@ -8,6 +8,7 @@ import sys
 
 from rich.console import Console
 
+from liegroup_core import load_scene
 from liegroup_core.errors import LieGroupSimError
 from liegroup_sim_ros.analysis.analyse import REFERENCE_SECONDS, analyse
 from liegroup_sim_ros.analysis.bounds import find_exceeded
@@ -18,6 +19,7 @@ from liegroup_sim_ros.recording.read import read_recording
 from liegroup_sim_ros.report.files import check_files, write_file, write_text
 from liegroup_sim_ros.report.many import analyse_many
 from liegroup_sim_ros.report.page import make_page, page_part
+from liegroup_sim_ros.report.shapes import robot_shapes
 from liegroup_sim_ros.report.terminal import print_comparison, print_overview, print_table
 
 EXIT_EXCEEDED = 1
@@ -48,6 +50,12 @@ def add_arguments(parser):
         "--compare", metavar="LOG", help="also report the distance to this recording"
     )
     parser.add_argument("--html", metavar="PAGE", help="write a self-contained HTML report")
+    parser.add_argument(
+        "--robot",
+        metavar="FILE",
+        help="draw the visuals of this file in the report of --html: the robot's file of the "
+        "recording, or the scene file that names it (meshes need trimesh)",
+    )
     parser.add_argument(
         "--png",
         metavar="FILE",
@@ -95,6 +103,28 @@ def _bound(text):
     return value
 
 
+def _shapes(file, scene):
+    """Triangles of the bodies of a recording by the robot's file, None without; prints remarks."""
+    if file is None:
+        return None
+    robot = load_scene(file)
+    if robot.robot is None:
+        raise AnalysisError(
+            f"--robot {file}: is the file of no robot: give a URDF, SDF or MJCF file"
+        )
+    names = [{body.name for body in each.bodies} for each in (scene, robot)]
+    if names[0] != names[1]:
+        differing = min(names[0] ^ names[1])
+        raise AnalysisError(
+            f"--robot {file}: has other bodies than the recording, such as {differing}: give the file "
+            "that was simulated"
+        )
+    shapes, remarks = robot_shapes(robot.robot)
+    for remark in remarks:
+        print(f"liegroup_sim: --robot {file}: {remark}", file=sys.stderr)
+    return shapes
+
+
 def run(args):
     """Run the subcommand; returns the exit code. Raises RecordingError, SceneError and others."""
     try:
@@ -104,7 +134,7 @@ def run(args):
     if args.no_reference and args.max_error is not None:
         raise AnalysisError("--max-error requires the reference: remove --no-reference")
     many = len(logs) > 1 or args.scheduler
-    for option in ("compare", "png"):
+    for option in ("compare", "png", "robot"):
         if many and getattr(args, option):
             raise AnalysisError(f"--{option} requires exactly one recording and no --scheduler")
     check_files(args.json, args.html, picture=args.png)
@@ -125,7 +155,7 @@ def run(args):
 
             write_file(args.png, lambda path: write_picture(analysis, path, comparison))
         if args.html:
-            parts = [page_part(analysis)]
+            parts = [page_part(analysis, shapes=_shapes(args.robot, analysis.scene))]
     exceeded = find_exceeded(found, args.max_error, args.max_drift)
     if args.html:
         bounds = [

@@ -112,6 +112,7 @@ def sections(facts):
     """Tables of a description: [(title, [(quantity, value, remark)])]."""
     return [
         ("Notes", [_note(text) for text in facts["notes"]]),
+        ("Import", _import_rows(facts["import"])),
         ("Bodies", [(body["name"], f"{body['mass']:.6g} kg", "") for body in facts["bodies"]]),
         (
             "Joints",
@@ -163,6 +164,30 @@ def sections(facts):
             ],
         ),
     ]
+
+
+def _import_rows(facts):
+    """What the import of a robot saved."""
+    if facts is None:
+        return []
+    rows = [
+        ("links", f"{facts['links']} -> {facts['bodies']} bodies", "fixed and locked joints merge"),
+        (
+            "joint coordinates",
+            f"{facts['file_coordinates']} -> {facts['coordinates']}",
+            "without joints that are locked, cut, or held in place",
+        ),
+    ]
+    if facts["whole_predicted_ns"] is not None:
+        before, after = (facts[key] / 1e3 for key in ("whole_predicted_ns", "predicted_ns"))
+        rows.append(
+            (
+                "predicted cost",
+                f"{before:.2g} -> {after:.2g} us a stage",
+                "by what is locked and cut; without the forces",
+            )
+        )
+    return rows
 
 
 def _note(text):

@@ -41,6 +41,7 @@ def add_arguments(parser):
     )
     for name, text in (
         ("start", "joint coordinates at the start, rad or m"),
+        ("start-velocity", "joint velocities at the start, rad/s or m/s"),
         ("lock", "joints that do not move, at these coordinates"),
     ):
         parser.add_argument(
@@ -81,6 +82,7 @@ def run(args):
         pose=args.pose,
         srdf=args.srdf,
         start=_values(args.start, "start"),
+        start_velocity=_values(args.start_velocity, "start-velocity"),
         lock=_values(args.lock, "lock"),
         only=args.only,
         joints=[_closing(*entry) for entry in args.close],
@@ -93,8 +95,8 @@ def run(args):
         scene = load_scene(path)
     else:
         raise RobotError(
-            f"{path} is a scene file: write base, start, lock, only, pose, joints and name into it "
-            "instead of options"
+            f"{path} is a scene file: write base, start, start_velocity, lock, only, pose, joints and "
+            "name into it instead of options"
         )
     if args.out is None:
         print(scene.text, end="")
@@ -119,7 +121,7 @@ def _values(entries, option):
         except ValueError:
             separator = ""
         if not separator or not abs(found.get(name, 0.0)) < 1e100:
-            raise RobotError(f"--{option} {entry}: give JOINT=VALUE, in rad or m")
+            raise RobotError(f"--{option} {entry}: give JOINT=VALUE, in rad or m, rad/s or m/s")
     return found
 
 

@@ -77,6 +77,13 @@ function makeSolid(kind) {
   return [points, faces];
 }
 
+// Points in the body frame, and triangles, of the visuals of a robot's file.
+function triangles(shape) {
+  const rows = list => Array.from({length: list.length / 3},
+                                  (_, k) => [...list.subarray(3 * k, 3 * k + 3)]);
+  return [rows(numbers(shape.points, Float32Array)), rows(numbers(shape.faces, Int32Array))];
+}
+
 function numbers(text, Kind) {
   return new Kind(Uint8Array.from(atob(text), letter => letter.charCodeAt(0)).buffer);
 }
@@ -105,9 +112,11 @@ class Motion {
     this.points = [];
     this.faces = [];
     this.bodies.forEach((body, i) => {
-      const [points, faces] = makeSolid(body.solid), first = this.points.length;
+      const [points, faces] = body.shape ? triangles(body.shape) : makeSolid(body.solid);
+      const first = this.points.length;
       for (const point of points)
-        this.points.push([i, placed(body.turn, body.at, point.map((x, k) => x * body.size[k]))]);
+        this.points.push([i, body.shape ? point : placed(
+          body.turn, body.at, point.map((x, k) => x * body.size[k]))]);
       for (const face of faces) this.faces.push([i, ...face.map(k => k + first)]);
     });
   }

@@ -27,13 +27,16 @@ NUMBER = re.compile(
 )
 
 
-def page_part(analysis, plots=True):
-    """Content of the page for one Analysis: JSON types, except NaN and infinity."""
+def page_part(analysis, plots=True, shapes=None):
+    """Content of the page for one Analysis: JSON types, except NaN and infinity.
+
+    shapes : {body: triangles} for the 3D view, see shapes.robot_shapes
+    """
     recording = analysis.recording
     return {
         "figures": analysis.figures,
         "plots": make_plots(analysis) if plots else [],
-        "view": make_view(analysis) if plots and analysis.motion.stretches else None,
+        "view": make_view(analysis, shapes) if plots and analysis.motion.stretches else None,
         "description": analysis.scene.description.strip(),
         "events": "\n".join(
             f"{event.stamp_ns * 1e-9:12.6f} s  {event.name}: {event.text}"

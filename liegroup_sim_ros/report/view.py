@@ -19,9 +19,10 @@ MOST_PUSHES = 1000
 COLOURS = ("--blue", "--orange", "--green", "--violet", "--teal", "--pink", "--olive")
 
 
-def make_view(analysis):
+def make_view(analysis, shapes=None):
     """Data of the 3D view of an Analysis for page.js, JSON types; m, s, world axes.
 
+    shapes        : {body: triangles}, see shapes.robot_shapes; other bodies are solids of their inertia
     times, places : base64 of (k,) float64, and of (k, n, 7) float32: position and x y z w of the
                     body frames
     breaks        : last frames before a reset
@@ -43,6 +44,9 @@ def make_view(analysis):
         }
         for i, (body, (kind, size, local)) in enumerate(zip(scene.bodies, solids))
     ]
+    for scene_body, body in zip(scene.bodies, bodies):
+        if shape := (shapes or {}).get(scene_body.name):
+            body |= {"shape": shape, "at": shape["at"], "size": shape["size"]}
     joints = [
         {
             "name": label(joint.name),

@@ -8,8 +8,10 @@ import pytest
 from liegroup_core import Scene, Simulation
 from liegroup_core.forces.external import no_wrenches
 from liegroup_core.formulations.absolute.newton_euler import accelerations
+from liegroup_core.joints.linkage import Linkage
 from liegroup_core.lie.groups import SO3
-from liegroup_core.model.redundancy import loop_joints
+from liegroup_core.model.redundancy import loop_groups, loop_joints
+from liegroup_core.scene.consistency import resolve_elements, resolve_frames
 from liegroup_core.scene.description import Body, Frame, Joint
 
 
@@ -67,6 +69,52 @@ def test_a_tree_has_no_loop_joints():
     assert loop_joints([("world", "a"), ("a", "b"), ("a", "c")]) == []
     assert loop_joints([("world", "a"), ("a", "b"), ("b", "world"), ("b", "c")]) == [0, 1, 2]
     assert loop_joints([("x", "a"), ("a", "b"), ("b", "c"), ("c", "a")]) == [1, 2, 3]
+
+
+def test_loops_without_a_common_joint_are_analysed_alone():
+    first = [("world", "a"), ("a", "b"), ("b", "world")]
+    assert loop_groups(first) == [[0, 1, 2]]
+    # A bridge to two more loops, which have the joint between d and e in common.
+    second = [("c", "b"), ("c", "d"), ("d", "e"), ("e", "c"), ("e", "f"), ("f", "d")]
+    assert loop_groups([*first, *second]) == [[0, 1, 2], [4, 5, 6, 7, 8]]
+    # Two joints between the same bodies; two loops that touch in one body only.
+    assert loop_groups([("a", "b"), ("b", "a"), ("b", "c"), ("c", "b")]) == [[0, 1], [2, 3]]
+    assert loop_groups([("world", "a"), ("a", "b"), ("x", "y")]) == []
+
+
+def test_a_four_bar_on_a_bar_of_another_one_loses_its_own_three_rows():
+    """Each planar four-bar of hinges has 20 rows of rank 17, wherever its frame is mounted."""
+    base = parallelogram(1.0, 2.0)
+    shift = next(body.position for body in base.bodies if body.name == "coupler")
+    upper = parallelogram(0.7, 0.0)
+    speed = base.bodies[1].linear_velocity
+    bodies = [
+        body.remade(
+            name=f"upper_{body.name}",
+            position=np.add(body.position, shift),
+            # A parallelogram moves its coupler without rotation.
+            linear_velocity=body.rotation.T @ speed,
+        )
+        for body in upper.bodies
+    ]
+    joints = [
+        joint.remade(
+            name=f"upper_{joint.name}",
+            parent="coupler" if joint.parent == "world" else f"upper_{joint.parent}",
+            child=f"upper_{joint.child}",
+        )
+        for joint in upper.joints
+    ]
+    scene = base.remade(bodies=[*base.bodies, *bodies], joints=[*base.joints, *joints])
+    layout = Simulation(scene, method="rkmk4").layout
+    dropped = [name.startswith("upper_") for name, _ in layout.dropped_rows]
+    assert dropped.count(True) == dropped.count(False) == 3
+    linkage = Linkage(scene, resolve_frames(scene), resolve_elements(scene), range(8))
+    jacobian = linkage.jacobian(linkage.start)
+    kept = jacobian[layout.model.row_residual]
+    # Singular values of unit rows: 34 of 40 rows are independent.
+    assert np.linalg.svd(kept, compute_uv=False)[-1] > 1e-3
+    assert np.linalg.matrix_rank(jacobian, tol=1e-12) == len(kept) == 34
 
 
 def test_the_planar_four_bar_eliminates_its_out_of_plane_row():

@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 from robot_texts import ARM_SDF, ARM_URDF, bar
+from scipy.integrate import solve_ivp
 
 from liegroup_core import Simulation, load_scene
 from liegroup_core.robots.options import Options
@@ -164,6 +165,63 @@ def test_loops_and_welds_of_mjcf(tmp_path):
 
 SRDF = """<robot name="arm"><group name="all"/><group_state name="ready" group="all">
   <joint name="shoulder" value="0.4"/><joint name="extend" value="-0.2"/></group_state></robot>"""
+
+
+TRAMMEL = """<mujoco><option gravity="0 0 -9.81"/><worldbody><site name="foot" pos="2 0 0"/>
+  <body name="across"><joint name="x" type="slide" axis="1 0 0"/>
+    <geom type="box" size="0.1 0.1 0.1" mass="1.5"/><site name="a" pos="0.1 0 0.1"/></body>
+  <body name="up" pos="0 0 1"><joint name="z" type="slide" axis="0 0 1"/>
+    <geom type="box" size="0.1 0.1 0.1" mass="1.5"/><site name="b" pos="0.1 0 0.1"/></body>
+  </worldbody>
+  <tendon>
+    <spatial name="rope" stiffness="7"><site site="a"/><site site="b"/></spatial>
+    <spatial name="bent"><site site="a"/><site site="b"/><site site="foot"/></spatial>
+  </tendon>
+  <equality><tendon name="rod" tendon1="{tendon}" polycoef="{longer} 0 0 0 0"/></equality>
+  <keyframe><key name="tilted" qpos="0.6 -0.2"/></keyframe></mujoco>"""
+
+
+@pytest.mark.parametrize("longer", [0.0, 0.25])
+def test_a_tendon_of_fixed_length_is_a_rod(longer, tmp_path):
+    """Slides across and upwards with a rod of length L between them: a trammel.
+
+    x = L cos(q), z = L sin(q). With equal masses the kinetic energy is m L^2 q'^2 / 2, so that
+    q'' = -g / L cos(q), the equation of a pendulum.
+    """
+    path = tmp_path / "trammel.xml"
+    path.write_text(TRAMMEL.format(tendon="rope", longer=longer))
+    scene = scene_from_robot(path, Options(pose="tilted"))
+    (rod,) = [joint for joint in scene.joints if joint.type == "distance"]
+    assert rod.name == "rod" and rod.length == 1.0 + longer
+    assert not any("rope" in note for note in scene.notes)
+    assert "left out: 1 tendons (bent)" in scene.notes
+    simulation = Simulation(scene, "rkmk8", 2e-3, stabilisation="projection")
+
+    def angle():
+        across, up = (simulation.sample().positions[name] for name in ("across", "up"))
+        return np.arctan2(up[2], across[0]), np.hypot(up[2], across[0])
+
+    start, length = angle()
+    assert length == pytest.approx(rod.length, rel=1e-12)
+    simulation.advance(250)
+    exact = solve_ivp(
+        lambda t, y: (y[1], -9.81 / rod.length * np.cos(y[0])),
+        (0.0, 0.5),
+        (start, 0.0),
+        method="DOP853",
+        rtol=1e-12,
+        atol=1e-13,
+    )
+    # The reference keeps 1e-11. A step is 0.006 of the unit of time sqrt(L / g): 0.006^8 is 2e-18.
+    assert angle()[0] == pytest.approx(exact.y[0, -1], abs=1e-10)
+
+
+def test_a_bent_tendon_of_fixed_length_is_left_out(tmp_path):
+    path = tmp_path / "bent.xml"
+    path.write_text(TRAMMEL.format(tendon="bent", longer=0.0))
+    scene = load_scene(path)
+    assert [joint.type for joint in scene.joints] == ["prismatic", "prismatic"]
+    assert "changes the motion: equality constraints of tendons, left out: rod" in scene.notes
 
 
 def test_group_states_of_srdf(tmp_path):

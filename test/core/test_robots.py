@@ -19,6 +19,8 @@ from robot_texts import (
 )
 
 from liegroup_core import Scene, SceneError, Simulation, load_scene
+from liegroup_core.describe import describe
+from liegroup_core.layout import make_layout
 from liegroup_core.robots.options import Options
 from liegroup_core.scene import scene_from_text
 from liegroup_core.scene.load import scene_from_robot
@@ -213,6 +215,104 @@ def test_start_values_poses_and_locked_joints(tmp_path):
     locked = scene_from_robot(urdf, Options(lock={"extend": 0.1}))
     assert [joint.name for joint in locked.joints] == ["shoulder"]
     assert "locked: joint extend at 0.1" in locked.notes
+
+
+def rates(scene):
+    """{joint: velocity} at the start."""
+    found = Simulation(scene, "rkmk4", 1e-3).sample().joint_coordinates
+    return {name: velocity for name, (_, velocity) in found.items()}
+
+
+def test_start_velocities_of_trees(tmp_path):
+    """Velocities of the joints that are not named are 0; locked joints have none."""
+    urdf = arm_in(tmp_path, "urdf")
+    options = Options(start={"shoulder": 0.3}, start_velocity={"extend": -0.4})
+    scene = scene_from_robot(urdf, options)
+    assert rates(scene) == pytest.approx({"shoulder": 0.0, "extend": -0.4}, abs=1e-14)
+    assert scene_from_text(scene.text).model_dump() == scene.model_dump()
+    with pytest.raises(SceneError, match='joint "extend" does not move: unlock it'):
+        scene_from_robot(urdf, Options(lock={"extend": 0.1}, start_velocity={"extend": 1.0}))
+    with pytest.raises(SceneError, match="start_velocity: joint 'elbow' is not in the robot"):
+        scene_from_robot(urdf, Options(start_velocity={"elbow": 1.0}))
+
+
+def test_a_keyframe_has_mujocos_velocities(tmp_path):
+    mujoco = pytest.importorskip("mujoco")
+    speeds = "0.5 -0.4 0.9  0 0 0  1.1 -0.7  0 0 0 0 0 0"  # of ball and free joints: none
+    text = MJCF_WITH_ALL_JOINTS.replace(
+        'qpos="0.1 0.2 0.3  1', f'qvel="{speeds}" qpos="0.1 0.2 0.3  1'
+    )
+    path = tmp_path / "all.xml"
+    path.write_text(text)
+    scene = scene_from_robot(path, Options(pose="home"))
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    for body in scene.bodies:
+        name = scene.robot.links[body.name]
+        if name in ("cart", "arm", "hand", "ball_free"):
+            expected = np.zeros(6)
+            number = model.body(name).id
+            mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, number, expected, 1)
+            assert body.twist == pytest.approx(expected, abs=1e-14)
+
+
+@pytest.mark.parametrize(
+    "options, bodies, coordinates",
+    [(Options(), 2, 2), (Options(lock={"extend": 0.1}), 1, 1), (Options(only=["upper"]), 1, 1)],
+)
+def test_describe_says_what_an_import_saved(options, bodies, coordinates, tmp_path):
+    """The arm has 5 links and joints of 1 + 1 + 0 + 1 coordinates; the last one holds no mass."""
+    urdf = arm_in(tmp_path, "urdf")
+    facts = describe(make_layout(scene_from_robot(urdf, options)))
+    saved, chosen = facts["import"], facts["formulation"]["group"]
+    assert (saved["links"], saved["bodies"]) == (5, bodies)
+    assert (saved["file_coordinates"], saved["coordinates"]) == (3, coordinates)
+    assert saved["predicted_ns"] == facts["formulation"]["predicted_ns"][chosen]
+    whole = describe(make_layout(load_scene(urdf)))["import"]["predicted_ns"]
+    smaller = bool(options.lock or options.only)
+    assert saved["whole_predicted_ns"] == (whole if smaller else None)
+    assert not smaller or saved["predicted_ns"] < whole
+
+
+CLOSED_FIVE_BAR = """robot: five_bar.urdf
+start_velocity: {velocities}
+joints:
+  - {{name: tip, type: revolute, parent: left_end, child: right_end, parent_frame: {{}},
+     child_frame: {{}}}}
+"""
+
+
+def test_start_velocities_of_a_loop(tmp_path):
+    """A five-bar has two degrees of freedom: two velocities determine the others."""
+    (tmp_path / "five_bar.urdf").write_text(five_bar_urdf())
+    path = tmp_path / "closed.yaml"
+    given = {"left_crank": 2.0, "right_crank": -1.0}
+    path.write_text(CLOSED_FIVE_BAR.format(velocities=str(given).replace("'", "")))
+    scene = load_scene(path)
+    found = rates(scene)
+    assert {name: found[name] for name in given} == pytest.approx(given, abs=1e-12)
+    # The tip is at distances of 1.2 m from both elbows: d . (v_tip - v_elbow) = 0.
+    poses = {body.name: body.pose for body in scene.bodies}
+    tip = (poses["left_bar"] @ (1.2, 0, 0, 1))[:3]
+    elbows = [(poses[name] @ (1, 0, 0, 1))[:3] for name in ("left", "right")]
+    feet = (np.zeros(3), np.array([1.0, 0.0, 0.0]))
+    speeds = [
+        np.cross((0, 0, rate), elbow - foot)
+        for rate, elbow, foot in zip(given.values(), elbows, feet)
+    ]
+    arms = np.array([tip - elbow for elbow in elbows])[:, :2]
+    velocity = np.linalg.solve(arms, [arm @ speed[:2] for arm, speed in zip(arms, speeds)])
+    for name in ("left_bar", "right_bar"):
+        w, v = np.split(next(body.twist for body in scene.bodies if body.name == name), 2)
+        assert poses[name][:2, :3] @ (v + np.cross(w, (1.2, 0, 0))) == pytest.approx(
+            velocity, abs=1e-12
+        )
+    given |= {"left_elbow": 0.0}
+    path.write_text(CLOSED_FIVE_BAR.format(velocities=str(given).replace("'", "")))
+    with pytest.raises(SceneError, match="contradict each other"):
+        load_scene(path)
 
 
 def test_bases_and_chains(tmp_path):

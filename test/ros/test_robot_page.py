@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files and commands of the page "Bring your robot" run as printed; exit codes of the import."""
 
+import base64
 import re
 import shlex
 import signal
+import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from node_process import COMPILING, NodeProcess
 from robot_texts import ARM_URDF, five_bar_urdf
@@ -15,6 +18,7 @@ from liegroup_core import Simulation, load_scene
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.playback.resimulate import resimulate
 from liegroup_sim_ros.recording import read_recording
+from liegroup_sim_ros.report.shapes import MOST_TRIANGLES, robot_shapes
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "how-to" / "robot.md").read_text()
 [ROBOT] = re.findall(r"```xml\n(.*?)```", PAGE, re.DOTALL)
@@ -41,7 +45,7 @@ def test_all_commands_of_the_page(folder, capsys):
     read = capsys.readouterr()
     printed = " ".join(read.out.split())
     assert "arm: changes the motion: joint limits are not enforced: shoulder" in read.err
-    for note in re.findall(r"^    (\w+ [\w ]+?)   +(.*)$", PAGE, re.MULTILINE):
+    for note in re.findall(r"^    (\w+ [\w ]*?\w)   +(.*)$", PAGE, re.MULTILINE):
         assert " ".join(note) in printed
     assert "arm: 2 degrees of freedom" in printed and "arm: 1 degrees of freedom" in printed
 
@@ -100,6 +104,7 @@ def test_import_writes_what_load_scene_takes(folder, capsys):
         (["--out", "arm.urdf"], "arm.urdf exists"),
         (["--start", "elbow"], "--start elbow: give JOINT=VALUE"),
         (["--start", "elbov=1"], 'did you mean "elbow"'),
+        (["--start-velocity", "elbow=1", "--lock", "elbow=0"], '"elbow" does not move'),
         (["--lock", "flange=1"], "is fixed: only joints with one coordinate"),
         (["--pose", "home"], "pose 'home' is not in the robot"),
         (["--only", "nothing"], "'nothing' is not in the robot"),
@@ -123,3 +128,58 @@ def test_a_wrong_robot_file_ends_every_command_with_2(command, folder, capsys):
     assert main([command, "bad.urdf", *more]) == 2
     errors = capsys.readouterr().err
     assert errors.startswith("liegroup_sim: bad.urdf:28: ") and errors.count("\n") == 1, errors
+
+
+BALL_URDF = """<robot name="ball"><link name="base"/>
+  <link name="ball">
+    <inertial><origin xyz="0.5 0 0"/><mass value="1"/>
+      <inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial>
+    <visual><origin xyz="0.5 0.1 0" rpy="0 0 1.5707963267948966"/>
+      <geometry><mesh filename="meshes/ball.stl" scale="0.2 0.1 0.1"/></geometry></visual>
+    <visual><geometry><mesh filename="package://nowhere/rod.stl"/></geometry></visual>
+  </link>
+  <joint name="pin" type="continuous"><parent link="base"/><child link="ball"/>
+    <axis xyz="0 1 0"/></joint></robot>"""
+
+
+def test_the_page_draws_meshes_within_its_bound(tmp_path, capsys, monkeypatch):
+    """A sphere of 81 920 triangles, scaled to an ellipsoid, is decimated; its shape stays."""
+    trimesh = pytest.importorskip("trimesh")
+    pytest.importorskip("fast_simplification")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "meshes").mkdir()
+    trimesh.creation.icosphere(subdivisions=6).export("meshes/ball.stl")
+    Path("ball.urdf").write_text(BALL_URDF)
+    shapes, remarks = robot_shapes(load_scene("ball.urdf").robot)
+    assert remarks == ["1 meshes are not on this machine, the first is package://nowhere/rod.stl"]
+    points, faces = (
+        np.frombuffer(base64.b64decode(shapes["ball"][key]), kind).reshape(-1, 3)
+        for key, kind in (("points", "<f4"), ("faces", "<i4"))
+    )
+    assert 15_000 < len(faces) <= MOST_TRIANGLES and faces.max() < len(points)
+    # Half axes 0.1, 0.2 and 0.1 m, as x of the mesh is y of the link. An edge of 20 000 triangles is
+    # 0.03 of the radius long: its middle is 1e-4 of it inside, and decimation moves points as far.
+    inside = np.linalg.norm((points - (0.5, 0.1, 0.0)) / (0.1, 0.2, 0.1), axis=1)
+    assert np.abs(inside - 1.0).max() < 2e-3
+    assert shapes["ball"]["at"] == pytest.approx((0.5, 0.1, 0.0), abs=1e-4)
+    assert main(["run", "ball.urdf", "--duration", "0.5", "--out", "run.mcap"]) == 0
+    report = ["analyze", "run.mcap", "--no-reference", "--html", "run.html", "--robot"]
+    assert main([*report, "ball.urdf"]) == 0
+    assert shapes["ball"]["points"] in Path("run.html").read_text()
+    assert "1 meshes are not on this machine" in capsys.readouterr().err
+    Path("arm.urdf").write_text(ROBOT)
+    assert main([*report, "arm.urdf"]) == 2
+    assert "has other bodies than the recording" in capsys.readouterr().err
+    monkeypatch.setitem(sys.modules, "trimesh", None)
+    assert main([*report, "ball.urdf"]) == 0
+    assert "drawn as boxes, trimesh is not installed" in capsys.readouterr().err
+    assert shapes["ball"]["points"] not in Path("run.html").read_text()
+
+
+def test_a_damaged_mesh_leaves_a_box(tmp_path):
+    pytest.importorskip("trimesh")
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "ball.stl").write_bytes(b"solid \xff\x00" * 9)
+    (tmp_path / "ball.urdf").write_text(BALL_URDF)
+    shapes, remarks = robot_shapes(load_scene(tmp_path / "ball.urdf").robot)
+    assert not shapes and any("cannot be read, the first is meshes/ball.stl" in r for r in remarks)

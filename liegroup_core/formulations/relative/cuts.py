@@ -10,7 +10,7 @@ from liegroup_core.joints.elements import ELEMENT, PAIR, WORLD, Element
 from liegroup_core.joints.linkage import RANK_TOLERANCE, Linkage
 from liegroup_core.lie.groups import SE3
 from liegroup_core.model.arrays import JOINT
-from liegroup_core.model.redundancy import generic_poses, independent_rows, loop_joints
+from liegroup_core.model.redundancy import generic_poses, independent_rows, loop_groups
 from liegroup_core.scene.consistency import resolve_couplings
 
 from .arrays import COUPLED, FREEDOMS, SLIDE
@@ -58,16 +58,15 @@ def cut_rows(scene, frames, parts, tree, links, places, coupled):
     if not cut:
         return cut, []
     keep = [np.ones(len(part.names), dtype=bool) for _, _, part in cut]
-    loops = loop_joints([(joint.parent, joint.child) for joint in scene.joints])
     # A distance joint is cut also where it closes no loop: then its row is independent.
-    closing = [k for k, (j, _, _) in enumerate(cut[:joints]) if j in set(loops)]
-    length, matrices = 1.0, [np.zeros((0, sum(FREEDOMS[link.group] for link in links)))]
-    if closing:
-        ends = sorted({cut[k][0] for k in closing})
-        length, matrices = _tree_jacobians(scene, frames, parts, loops, ends, links, places)
-    closing += range(joints, len(cut))
-    if closing:
-        rows = _coupling_rows(links, coupled, length)
+    for loops, entries in _components(scene, coupled):
+        closing = [k for k, (j, _, _) in enumerate(cut[:joints]) if j in loops]
+        length, matrices = 1.0, [np.zeros((0, _first_freedoms(links)[-1]))]
+        if closing:
+            ends = sorted({cut[k][0] for k in closing})
+            length, matrices = _tree_jacobians(scene, frames, parts, loops, ends, links, places)
+        closing += [joints + c for c in entries]
+        rows = _coupling_rows(links, [coupled[c] for c in entries], length)
         matrices = [np.concatenate([matrix, rows]) for matrix in matrices]
         chosen, _ = independent_rows(matrices, np.zeros(len(matrices[0]), dtype=bool))
         at = 0
@@ -93,10 +92,10 @@ def _tree_jacobians(scene, frames, parts, loops, joints, links, places):
     # On their common path to the world both ends of a joint move alike.
     needed = sorted(set().union(*(set(a) ^ set(b) for a, b in ends.values())))
     # The loops move with welded bodies, and with the joints that hold them beside a floating part.
-    used = {links[i].joint for i in needed} - {None}
-    used |= {j for j, joint in enumerate(scene.joints) if joint.type == "fixed"}
+    used = ({links[i].joint for i in needed} - {None}).union(loops)
+    used |= _welded(scene, used)
     # In the order of model/redundancy.py: the same linkage is analysed once.
-    used = sorted(used.union(loops), key=lambda j: (scene.joints[j].parent != WORLD_NAME, j))
+    used = sorted(used, key=lambda j: (scene.joints[j].parent != WORLD_NAME, j))
     linkage = Linkage(scene, frames, parts, used)
     length = linkage.length
     # Rotations and translations in comparable units.
@@ -125,6 +124,26 @@ def _tree_jacobians(scene, frames, parts, loops, joints, links, places):
     return length, matrices
 
 
+def _components(scene, coupled):
+    """[(joints of loops, numbers of couplings)]: what can depend on each other."""
+    found = [
+        (set(loops), loops, [])
+        for loops in loop_groups([(j.parent, j.child) for j in scene.joints])
+    ]
+    for c, (coupling, _) in enumerate(coupled):
+        own = {coupling.joint, coupling.other}
+        touching = [part for part in found if part[0] & own]
+        found = [part for part in found if not part[0] & own]
+        found.append(
+            (
+                own.union(*(part[0] for part in touching)),
+                sorted(j for part in touching for j in part[1]),
+                [n for part in touching for n in part[2]] + [c],
+            )
+        )
+    return [part[1:] for part in found]
+
+
 def _first_freedoms(links):
     """(links + 1,) first freedom of each link."""
     return np.concatenate([[0], np.cumsum([FREEDOMS[link.group] for link in links])])
@@ -140,6 +159,22 @@ def _coupling_rows(links, coupled, length):
             row[first[i]] = links[i].sign * factor / unit
         row /= np.linalg.norm(row)
     return rows
+
+
+def _welded(scene, joints):
+    """Fixed joints that hold bodies to those of other joints, directly or by each other."""
+    bodies = {end for j in joints for end in (scene.joints[j].parent, scene.joints[j].child)}
+    bodies.discard(WORLD_NAME)
+    found, grown = set(), True
+    while grown:
+        grown = False
+        for j, joint in enumerate(scene.joints):
+            ends = {joint.parent, joint.child} - {WORLD_NAME}
+            if joint.type == "fixed" and j not in found and ends & bodies:
+                found.add(j)
+                bodies |= ends
+                grown = True
+    return found
 
 
 def cut_elements(scene, frames, cut, places, coupled):
