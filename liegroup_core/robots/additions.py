@@ -7,7 +7,7 @@ from liegroup_core.errors import SceneError
 from liegroup_core.fields.frames import Frame
 from liegroup_core.lie.groups import SE3
 
-from .description import WORLD, RobotJoint
+from .description import ONE_COORDINATE, WORLD, Coupling, RobotJoint
 
 # {key of a force with a point: key of the link that it is fixed to}
 POINTS = {"parent_point": "parent", "child_point": "child", "point": "body"}
@@ -86,6 +86,26 @@ def _joint(options, grouping, i, entry):
         pitch=entry.get("pitch", 0.0),
         length=entry.get("length"),
     )
+
+
+def added_couplings(options, robot):
+    """[Coupling] of the additions, with their place there as line. Raises SceneError."""
+    types = {joint.name: joint.type for joint in robot.joints}
+    for i, entry in enumerate(options.couplings):
+        for end in ("joint", "other"):
+            name, place = getattr(entry, end), ("couplings", i, end)
+            if name not in types:
+                raise options.unknown(place, f"couplings[{i}]: {end}", name, types)
+            if types[name] not in ONE_COORDINATE:
+                raise options.error(
+                    place,
+                    f'couplings[{i}]: joint "{name}" is {types[name]}: only joints with one '
+                    f"coordinate ({', '.join(ONE_COORDINATE)}) can be coupled",
+                )
+    return [
+        Coupling(entry.name, entry.joint, entry.other, entry.ratio, entry.offset, ("couplings", i))
+        for i, entry in enumerate(options.couplings)
+    ]
 
 
 def added_forces(options, grouping, parts):

@@ -59,14 +59,19 @@ def locked_joints(robot, options, values, notes):
         changed = False
         for coupling in robot.couplings:
             first, second = coupling.first in still, coupling.second in still
+            held = coupling.offset is not None  # else the start values define the offset
             if second and not first:
-                values[coupling.first] = coupling.ratio * values[coupling.second] + coupling.offset
+                if held:
+                    values[coupling.first] = (
+                        coupling.ratio * values[coupling.second] + coupling.offset
+                    )
                 still.add(coupling.first)
                 changed = True
             elif first and not second and coupling.ratio:
-                values[coupling.second] = (
-                    values[coupling.first] - coupling.offset
-                ) / coupling.ratio
+                if held:
+                    values[coupling.second] = (
+                        values[coupling.first] - coupling.offset
+                    ) / coupling.ratio
                 still.add(coupling.second)
                 changed = True
     for name in still:

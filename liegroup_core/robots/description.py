@@ -111,13 +111,16 @@ class RobotJoint:
 
 @dataclass
 class Coupling:
-    """Linear relation of two joint coordinates: first = ratio * second + offset."""
+    """Linear relation of two joint coordinates: first = ratio * second + offset.
+
+    offset : None: that of the start values
+    """
 
     name: str
     first: str
     second: str
     ratio: float
-    offset: float
+    offset: float | None
     line: int = 0
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from liegroup_core.fields.values import NEGATIVE_ROUND_OFF, TRIANGLE_TOLERANCE
 from liegroup_core.lie.groups import SO3, UNKNOWN_TURN, within_a_turn
 
-from .additions import added_forces, added_joints
+from .additions import added_couplings, added_forces, added_joints
 from .chains import base_of, grouped, kept_joints, locked_joints
 from .description import ONE_COORDINATE, WORLD, listed
 from .names import scene_name, unique_names
@@ -54,6 +54,7 @@ class SceneParts:
 
 def scene_parts(robot, options):
     """SceneParts of a Robot with the additions of a user. Raises SceneError."""
+    robot.couplings += added_couplings(options, robot)
     values = options.coordinates(robot)
     notes = []
     joints = kept_joints(robot, options, notes)
@@ -228,6 +229,9 @@ def _couplings(robot, grouping, parts, values, taken):
         (name,) = unique_names([coupling.name], taken)
         taken.add(name)
         number, second = len(parts.couplings), values[coupling.second]
+        offset = coupling.offset
+        if offset is None:
+            offset = values[coupling.first] - coupling.ratio * second
         # A scene counts the turns of the other joint from its start.
         turned = second - within_a_turn(second, UNKNOWN_TURN) if turns[coupling.second] else 0.0
         parts.couplings.append(
@@ -236,11 +240,13 @@ def _couplings(robot, grouping, parts, values, taken):
                 "joint": in_scene[coupling.first],
                 "other": in_scene[coupling.second],
                 "ratio": coupling.ratio,
-                "offset": coupling.offset + coupling.ratio * turned,
+                "offset": offset + coupling.ratio * turned,
             }
         )
         parts.lines["couplings", number] = coupling.line
-        parts.comments["couplings", number] = _from_line(robot, coupling.line)
+        parts.comments["couplings", number] = (
+            "added" if isinstance(coupling.line, tuple) else _from_line(robot, coupling.line)
+        )
 
 
 def exchanged(kind, F_a, F_b):

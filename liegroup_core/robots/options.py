@@ -22,6 +22,7 @@ class Options:
     lock      : {joint: coordinate} of joints that do not move
     only      : links whose chains to the root are kept; empty: all
     joints    : [keys of a scene's joint], between links; its frames are in the frames of the links
+    couplings : [coupling of a scene, with names of joints of the robot]
     forces    : [keys of a scene's force]
     srdf      : path of an SRDF file with poses
     gravity, name, description : of the scene, None: as the file says
@@ -35,6 +36,7 @@ class Options:
     lock: dict = field(default_factory=dict)
     only: list = field(default_factory=list)
     joints: list = field(default_factory=list)
+    couplings: list = field(default_factory=list)
     forces: list = field(default_factory=list)
     srdf: object = None
     gravity: list | None = None

@@ -13,6 +13,7 @@ from pydantic import Field
 
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.values import Described, Name, Number, Text, Vector3
+from liegroup_core.joints.coupling import Coupling
 from liegroup_core.robots.mapping import scene_parts
 from liegroup_core.robots.options import BASES, Options
 from liegroup_core.robots.read import read_robot
@@ -60,6 +61,9 @@ class RobotFile(Described):
     )
     joints: tuple[dict[str, Any], ...] = Field(
         (), description="further joints, with names of links; they close loops"
+    )
+    couplings: tuple[Coupling, ...] = Field(
+        (), description="couplings, with names of joints of the robot"
     )
     forces: tuple[dict[str, Any], ...] = Field(
         (), description="forces, with names of links and joints of the robot"
@@ -136,6 +140,7 @@ def robot_beside(root, source):
         lock=given.lock or {},
         only=list(given.only),
         joints=list(given.joints),
+        couplings=list(given.couplings),
         forces=list(given.forces),
         gravity=given.gravity,
         name=given.name,

@@ -482,6 +482,33 @@ def test_coupled_joints_have_mujocos_accelerations(tmp_path):
     assert peers().against_mujoco(path, scene, 20) < 1e-12
 
 
+def test_couplings_beside_a_robot(tmp_path):
+    """By names of the robot's joints; without an offset the start values define it."""
+    path = arm_in(tmp_path, "urdf")
+    beside = tmp_path / "geared.yaml"
+    beside.write_text(
+        f"robot: {path.name}\nstart: {{shoulder: 0.3, extend: 0.1}}\n"
+        "couplings:\n  - {name: rack, joint: extend, other: shoulder, ratio: 0.5}\n"
+    )
+    scene = load_scene(beside)
+    assert scene.couplings[0].offset == pytest.approx(0.1 - 0.5 * 0.3, abs=1e-15)
+    assert coordinates(scene) == pytest.approx({"shoulder": 0.3, "extend": 0.1}, abs=1e-14)
+    for wrong, message in (
+        (
+            "joint: extent, other",
+            r"geared.yaml:4: couplings\[0\]: joint 'extent' is not in the robot",
+        ),
+        ("name: 1a, joint: extend, other", "geared.yaml:4: .*name"),
+    ):
+        beside.write_text(
+            f"robot: {path.name}\n\ncouplings:\n  - {{name: rack, {wrong}: shoulder, ratio: 0.5}}\n".replace(
+                "name: rack, name", "name"
+            )
+        )
+        with pytest.raises(SceneError, match=message):
+            load_scene(beside)
+
+
 def test_an_imported_coupling_is_written_with_its_line(tmp_path):
     path = mimic_urdf(tmp_path)
     assert "couplings:\n  - name: near_mimic  # line" in load_scene(path).text
