@@ -19,7 +19,7 @@ from .description import refusal
 
 SECONDS = 60
 BYTES = 8 * 2**30  # address space
-LARGEST_OUTPUT = 256 * 2**20  # bytes
+LARGEST_OUTPUT = 32 * 2**20  # bytes; large models have 1 MB, read they take ten times as much
 MISSING = 3  # exit code: the package of the tool is not installed
 PACKAGES = {"xacro": "xacro", "mjcf": "mujoco"}
 
@@ -31,24 +31,28 @@ def run_apart(tool, path):
     try:
         # MuJoCo writes a log into the working folder.
         with tempfile.TemporaryDirectory() as folder:
-            done = subprocess.run(
-                command,
-                cwd=folder,
-                env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, folders))},
-                stdin=subprocess.DEVNULL,
-                capture_output=True,
-                timeout=SECONDS,
-            )
+            texts = [Path(folder, name) for name in ("output", "errors")]
+            with texts[0].open("wb") as output, texts[1].open("wb") as errors:
+                done = subprocess.run(
+                    command,
+                    cwd=folder,
+                    env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, folders))},
+                    stdin=subprocess.DEVNULL,
+                    stdout=output,
+                    stderr=errors,
+                    timeout=SECONDS,
+                )
+            found, problems = (_head(text) for text in texts)
     except subprocess.TimeoutExpired:
         raise refusal(
             path, 0, f"{tool} did not end within {SECONDS} s: make the file smaller"
         ) from None
-    if done.returncode == 0 and len(done.stdout) <= LARGEST_OUTPUT:
-        return done.stdout.decode("utf-8", errors="replace")
-    if done.returncode == 0:
+    if len(found) >= LARGEST_OUTPUT:
         raise refusal(
             path, 0, f"{tool} made more than {LARGEST_OUTPUT >> 20} MiB: make the file smaller"
         )
+    if done.returncode == 0:
+        return found.decode(errors="replace")
     if done.returncode == MISSING:
         package = PACKAGES[tool]
         raise refusal(
@@ -56,15 +60,25 @@ def run_apart(tool, path):
             0,
             f"is read by the package {package}, which is not installed: pip install {package}",
         )
-    text = [line for line in done.stderr.decode(errors="replace").splitlines() if line.strip()]
+    text = [line for line in problems.decode(errors="replace").splitlines() if line.strip()]
     if done.returncode < 0 or any("MemoryError" in line or "bad_alloc" in line for line in text):
         raise refusal(path, 0, f"{tool} ran out of memory or crashed on it: simplify the file")
     raise refusal(path, 0, f"{tool}: {(' '.join(text) or 'failed')[-400:]}; correct the file")
 
 
+def _head(path):
+    """Bytes of a file, at most LARGEST_OUTPUT: a tool writes no more, see _bound."""
+    with path.open("rb") as file:
+        return file.read(LARGEST_OUTPUT)
+
+
 def _bound():
-    """Bound memory and time of this process."""
-    for kind, limit in ((resource.RLIMIT_AS, BYTES), (resource.RLIMIT_CPU, SECONDS)):
+    """Bound memory, time and output of this process."""
+    for kind, limit in (
+        (resource.RLIMIT_AS, BYTES),
+        (resource.RLIMIT_CPU, SECONDS),
+        (resource.RLIMIT_FSIZE, LARGEST_OUTPUT),
+    ):
         hard = resource.getrlimit(kind)[1]
         limit = limit if hard == resource.RLIM_INFINITY else min(limit, hard)
         resource.setrlimit(kind, (limit, hard))

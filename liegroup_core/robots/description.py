@@ -16,6 +16,7 @@ from liegroup_core.fields.values import suggestion
 from liegroup_core.lie.groups import SE3
 
 WORLD = "world"
+LONGEST_MESSAGE = 1500  # characters; names in it can be long
 # Coordinates of joints; those of a closing joint follow from the others.
 COORDINATES = {
     "fixed": 0,
@@ -197,6 +198,8 @@ class Robot:
 
 def refusal(file, line, message):
     """SceneError at a line of a file."""
+    if len(message) > LONGEST_MESSAGE:
+        message = f"{message[:LONGEST_MESSAGE]}..."
     return SceneError(f"{file}:{line}: {message}" if line else f"{file}: {message}")
 
 

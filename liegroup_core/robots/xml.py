@@ -3,7 +3,6 @@
 
 import math
 import os
-from pathlib import Path
 
 import numpy as np
 from lxml import etree
@@ -13,6 +12,8 @@ from liegroup_core.fields.values import LARGEST_NUMBER, suggestion
 from .description import place, refusal, rotation_of_rpy
 
 LARGEST_FILE = 64 * 2**20  # bytes; descriptions of large robots have 1 MB
+LONGEST_NAME = 1000  # characters, also of the address of a mesh
+MOST_PARTS = 500_000  # elements and attributes; a parsed one takes some 200 bytes
 
 
 class Reader:
@@ -30,6 +31,12 @@ class Reader:
         value = element.get(key)
         if not value or not value.strip():
             raise self.error(element, f"<{element.tag}> has no {key}: give one")
+        if len(value) > LONGEST_NAME:
+            raise self.error(
+                element,
+                f"{key} of <{element.tag}> has {len(value)} characters, {value[:20]!r}...: give at "
+                f"most {LONGEST_NAME}",
+            )
         return value
 
     def number(self, element, text, what):
@@ -89,9 +96,17 @@ def read_xml(path, text=None):
     No entity is expanded, no other file or address is opened. The parser refuses elements that are
     nested deeper than 256.
     """
-    content = Path(path).read_bytes() if text is None else text.encode()
+    if text is None:
+        with open(path, "rb") as file:
+            content = file.read(LARGEST_FILE + 1)
+    else:
+        content = text.encode()
     if len(content) > LARGEST_FILE:
         raise refusal(path, 0, f"is larger than {LARGEST_FILE >> 20} MiB: give a robot's file")
+    if content.count(b"<") - content.count(b"</") + content.count(b"=") > MOST_PARTS:
+        raise refusal(
+            path, 0, f"has more than {MOST_PARTS} elements and attributes: give a robot's file"
+        )
     parser = etree.XMLParser(
         resolve_entities=False,
         no_network=True,

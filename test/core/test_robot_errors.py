@@ -2,6 +2,8 @@
 """Wrong robot files: one line with file and line, whatever is wrong, in bounded time."""
 
 import re
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -10,6 +12,7 @@ from robot_texts import ARM_MJCF, ARM_SDF, ARM_URDF, five_bar_urdf
 
 from liegroup_core import SceneError, load_scene
 from liegroup_core.layout import make_layout
+from liegroup_core.robots import apart
 
 WORDS = [
     "0",
@@ -214,6 +217,73 @@ def test_damaged_files_load_or_have_one_line(kind, tmp_path):
             assert "\n" not in line and line.startswith(str(path)) and len(line) < 2000, line
         assert time.perf_counter() - start < SECONDS
     assert refused > count // 2
+
+
+# Peak memory above what the program has before it reads the file, MiB. A file of the largest size has
+# 64 MiB, and its tree takes up to 55 MiB. A parsed file never has both: the limit of elements comes first.
+MEMORY = 150
+MEASURE = """
+import re, sys
+from pathlib import Path
+from liegroup_core import SceneError, load_scene
+# Not ru_maxrss: it begins with that of the process that started this one.
+peak = lambda: int(re.search(r"VmHWM:\\s+(\\d+) kB", Path("/proc/self/status").read_text())[1]) / 1024
+before = peak()
+try:
+    load_scene(sys.argv[1])
+    text = "loaded"
+except SceneError as error:
+    text = str(error)
+print(peak() - before)
+print(text)
+"""
+OPENINGS = {
+    "urdf": '<robot name="r"><link name="base"/>{}</robot>',
+    "sdf": '<sdf version="1.9"><model name="m"><link name="base"/>{}</model></sdf>',
+    "xml": "<mujoco>{}</mujoco>",
+}
+BOMB = "".join(f'<!ENTITY e{k} "{f"&e{k - 1};" * 10 if k else "lol" * 10}">' for k in range(12))
+# {what: (text before the root element, its content, what the refusal says, "" if it may load)}
+LARGE = {
+    "entity bomb": (f"<!DOCTYPE r [{BOMB}]>", "<link name='&e11;'/>&e11;", "ntity"),
+    "deep": ("", "<a>" * 10**5 + "</a>" * 10**5, "is not XML"),
+    "long attribute": ("", f'<a b="{"x" * (9 * 10**6)}"/>', ""),
+    "attribute above 10 MB": ("", f'<a b="{"x" * (11 * 10**6)}"/>', "is not XML"),
+    "long name": ("", f'<link name="{"x" * (9 * 10**6)}"/>', ""),
+    "many elements": ("", "<a/>" * 400_000, ""),
+    "too many elements": ("", "<a/>" * (16 * 10**6), "has more than 500000 elements"),
+    "too many attributes": (
+        "",
+        "<a " + " ".join(f"a{k}=''" for k in range(600_000)) + "/>",
+        "more",
+    ),
+    "too large": ("", f"<a>{'x' * (65 * 2**20)}</a>", "is larger than 64 MiB"),
+}
+
+
+@pytest.mark.parametrize("kind", OPENINGS)
+@pytest.mark.parametrize("what", LARGE)
+def test_a_large_file_takes_bounded_memory(kind, what, tmp_path):
+    head, content, said = LARGE[what]
+    path = tmp_path / f"robot.{kind}"
+    path.write_text(head + OPENINGS[kind].format(content))
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", MEASURE, str(path)], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 0, done.stderr[-500:]
+    memory, text = done.stdout.split("\n", 1)
+    text = text.strip()
+    assert float(memory) < MEMORY and said in text
+    assert text == "loaded" or text.startswith(str(path)) and "\n" not in text and len(text) < 2000
+
+
+def test_a_tool_that_prints_too_much_is_refused(tmp_path, monkeypatch):
+    """The limit holds in the process of the tool: it cannot fill this one's memory."""
+    monkeypatch.setattr(apart, "LARGEST_OUTPUT", 1000)
+    path = tmp_path / "arm.xml"
+    path.write_text(ARM_MJCF.format(upper="0.02 0.03 0.025 0.001 -0.002 0.0015"))
+    with pytest.raises(SceneError, match="mjcf made more than"):
+        load_scene(path)
 
 
 def test_a_robot_beside_yaml_that_is_not_there(tmp_path):
