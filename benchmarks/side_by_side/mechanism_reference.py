@@ -254,7 +254,8 @@ def slope(
                 rows[row : row + 3] += (2.0 * end - 1.0) * part
     if sides == 1:
         return dq, dv[:, 0].copy()
-    forces = np.linalg.solve(rows[:, 1:].copy(), -rows[:, 0].copy())
+    # Least squares: rows of planar loops depend on others.
+    forces = np.linalg.lstsq(rows[:, 1:].copy(), -rows[:, 0].copy(), 1e-10)[0]
     return dq, dv[:, 0] + dv[:, 1:].copy() @ forces
 
 

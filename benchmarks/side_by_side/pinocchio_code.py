@@ -93,6 +93,19 @@ def _integers(values):
     return np.ascontiguousarray(values, dtype=np.int32).ctypes
 
 
+def _turn(joint):
+    """Orientation (3, 3) of a joint's frame: z along an axis that is no axis of the world.
+
+    Pinocchio has faster code for hinges and slides along the axes of their frames.
+    """
+    if joint.kind not in (HINGE, SLIDE) or joint.axis.max() == 1.0:
+        return np.eye(3)
+    turn = np.linalg.qr(np.column_stack([joint.axis, np.eye(3)]))[0][:, ::-1].copy()
+    turn[:, 2] = joint.axis
+    turn[:, 0] *= np.linalg.det(turn)
+    return turn
+
+
 class _Run:
     """Munthe-Kaas method of a tableau with a number of steps per duration."""
 
@@ -104,6 +117,7 @@ class _Run:
         parents = [joint.parent for joint in tree] or [GROUND]
         points = [joint.point for joint in tree] or [bodies[0].position]
         axes = [[*joint.axis, *joint.second] for joint in tree] or [np.zeros(6)]
+        turns = [_turn(joint) for joint in tree] or [np.eye(3)]
         origin = {GROUND: np.zeros(3)} | dict(enumerate(points))
         speeds = [rate for i in range(len(tree)) for rate in problem.rates(i)]
         speeds = speeds or [*bodies[0].velocity, *bodies[0].omega]
@@ -118,6 +132,7 @@ class _Run:
                 _integers(parents),
                 _doubles([points[i] - origin[parents[i]] for i in range(self.count)]),
                 _doubles(axes),
+                _doubles(turns),
                 _doubles([body.mass for body in bodies]),
                 _doubles([body.position - points[i] for i, body in enumerate(bodies)]),
                 _doubles([body.inertia for body in bodies]),
@@ -177,12 +192,15 @@ def _closings(problem):
     """[(words, how, rate)] of ways to close the loops."""
     if not problem.loops:
         return [("", REDUNDANT, 0.0)]
-    closing = REGULAR if all(loop.kind == BALL for loop in problem.loops) else REDUNDANT
+    regular = all(loop.kind == BALL for loop in problem.loops) and not problem.redundant
+    closing = REGULAR if regular else REDUNDANT
     ways = [("gains" if rate else "no gains", closing, rate) for rate in RATES]
     return [*ways, ("lcaba", EMBEDDED, 0.0)]
 
 
 def stepper(problem, step):
     """Function take_steps(n) of RK4 steps, to measure the cost of a step."""
-    run = _Run(problem, RK4, 2, round(problem.duration / step))
+    # With redundant rows of balls constraintDynamics gives NaN, whatever the regularisation.
+    closing = EMBEDDED if problem.redundant else REDUNDANT
+    run = _Run(problem, RK4, 2, round(problem.duration / step), closing)
     return run.take

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Munthe-Kaas steps around Pinocchio's forward dynamics: the loop its user would write.
 //
-// Joint frames stand at the joints, aligned with the world at the start. The state is Pinocchio's
+// Joint frames stand at the joints, aligned with the world at the start or turned so that z is the
+// axis of a hinge or slide. The state is Pinocchio's
 // (q, v); an increment psi in the tangent space moves it by pinocchio::integrate, and
 //     psi' = dexp^-1_{-psi} v,   v' = aba(q, v),   with loops constraintDynamics(q, v) or lcaba(q, v).
 // Nothing is allocated in a step but what Pinocchio allocates.
@@ -22,6 +23,15 @@ using Eigen::Vector3d;
 using Eigen::VectorXd;
 
 enum Kind { FREE = 0, BALL = 1, HINGE = 2, SLIDE = 3, UNIVERSAL = 4, CYLINDRICAL = 5 };
+
+// An axis without round-off next to 0 and 1.
+Vector3d snapped(Vector3d axis)
+{
+  for (int i = 0; i < 3; ++i)
+    if (std::abs(axis[i] - std::round(axis[i])) < 1e-14)
+      axis[i] = std::round(axis[i]);
+  return axis;
+}
 
 // A hinge or a slide; those about and along the axes have code of their own.
 template<class X, class Y, class Z, class Unaligned>
@@ -57,6 +67,7 @@ struct Loop
   pin::Model model;
   std::unique_ptr<pin::Data> data;
   std::vector<int> kinds, ids;  // of the bodies, and of the joints that they are on
+  std::vector<Matrix3d> turns;  // orientations of the joint frames in the world at the start
   std::vector<pin::RigidConstraintModel> constraints;
   std::vector<pin::RigidConstraintData> constraint_data;
   pin::ProximalSettings settings;
@@ -140,12 +151,13 @@ struct Loop
 
 extern "C"
 {
-  // kinds, parents (n); points (n, 3) of the joints in the parent's joint frame; axes (n, 6) two of
-  // each; masses (n); centres (n, 3) in the joint frame; inertias (n, 9) about the centres; v (nv);
-  // loops (m, 2) bodies; anchors (m, 6) points in the joint frames of the two; a (stages + 1, stages)
+  // kinds, parents (n); points (n, 3) of the joints from the parent's joint; axes (n, 6) two of each;
+  // turns (n, 9) orientations of the joint frames; masses (n); centres (n, 3) from the joint; inertias
+  // (n, 9) about the centres; v (nv); loops (m, 2) bodies; anchors (m, 6) points from the joints of the
+  // two; all vectors in world axes at the start; a (stages + 1, stages)
   Loop * make(
     int n, const int * kinds, const int * parents, const double * points, const double * axes,
-    const double * masses, const double * centres, const double * inertias, const double * gravity,
+    const double * turns, const double * masses, const double * centres, const double * inertias, const double * gravity,
     const double * v, int m, const int * loops, const double * anchors, int stages, const double * a,
     int highest, double mu, double rate, int embedded, int iterations)
   {
@@ -154,10 +166,14 @@ extern "C"
     model.gravity.linear() = Eigen::Map<const Vector3d>(gravity);
     for (int i = 0; i < n; ++i)
     {
-      const Vector3d axis = Eigen::Map<const Vector3d>(axes + 6 * i);
-      const Vector3d second = Eigen::Map<const Vector3d>(axes + 6 * i + 3);
+      const Matrix3d turn = Eigen::Map<const Matrix3d>(turns + 9 * i).transpose();
+      const Matrix3d parent = parents[i] < 0 ? Matrix3d(Matrix3d::Identity()) : loop->turns[parents[i]];
+      const Vector3d axis = snapped(turn.transpose() * Eigen::Map<const Vector3d>(axes + 6 * i));
+      const Vector3d second = snapped(turn.transpose() * Eigen::Map<const Vector3d>(axes + 6 * i + 3));
       const std::string name = "joint" + std::to_string(i);
-      pin::SE3 place(Matrix3d::Identity(), Eigen::Map<const Vector3d>(points + 3 * i));
+      pin::SE3 place(
+        parent.transpose() * turn, parent.transpose() * Eigen::Map<const Vector3d>(points + 3 * i));
+      loop->turns.push_back(turn);
       size_t id = parents[i] < 0 ? 0 : loop->ids[parents[i]];
       if (kinds[i] == CYLINDRICAL)
       {
@@ -170,15 +186,18 @@ extern "C"
       loop->ids.push_back(int(id));
       model.appendBodyToJoint(
         id, pin::Inertia(
-              masses[i], Eigen::Map<const Vector3d>(centres + 3 * i),
-              Eigen::Map<const Matrix3d>(inertias + 9 * i)));
+              masses[i], turn.transpose() * Eigen::Map<const Vector3d>(centres + 3 * i),
+              turn.transpose() * Eigen::Map<const Matrix3d>(inertias + 9 * i) * turn));
       loop->kinds.push_back(kinds[i]);
     }
     for (int l = 0; l < m; ++l)
     {
       const auto at = [&](int end) {
-        return pin::SE3(
-          Matrix3d::Identity(), Eigen::Map<const Vector3d>(anchors + 6 * l + 3 * end));
+        const Vector3d anchor = Eigen::Map<const Vector3d>(anchors + 6 * l + 3 * end);
+        const int body = loops[2 * l + end];
+        // The frame of the constraint has the axes of the world at the start.
+        const Matrix3d turn = body < 0 ? Matrix3d(Matrix3d::Identity()) : loop->turns[body];
+        return pin::SE3(turn.transpose(), turn.transpose() * anchor);
       };
       const auto id = [&](int end) {
         return loops[2 * l + end] < 0 ? 0 : size_t(loop->ids[loops[2 * l + end]]);
@@ -226,7 +245,7 @@ extern "C"
     pin::forwardKinematics(loop->model, *loop->data, loop->q);
     for (size_t i = 0; i < loop->kinds.size(); ++i)
       Eigen::Map<Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(rotations + 9 * i) =
-        loop->data->oMi[loop->ids[i]].rotation();
+        loop->data->oMi[loop->ids[i]].rotation() * loop->turns[i].transpose();
     double gap = 0.;
     for (const auto & c : loop->constraints)
       gap = std::max(

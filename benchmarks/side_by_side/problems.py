@@ -61,6 +61,7 @@ class Problem:
     changes  : True when the motion is of another kind after the duration
     exact    : function of a fineness 0 or 1 that returns the exact attitudes then, (n, 3, 3)
     wanted   : by how much we want to be faster than the best other code, at each of TARGETS
+    redundant: True if rows of ball joints that close loops depend on others
     """
 
     name: str
@@ -74,6 +75,7 @@ class Problem:
     changes: bool
     exact: Callable | None = None
     wanted: tuple = (3.0, 5.0, 8.0)
+    redundant: bool = False
 
     @property
     def joints(self):
