@@ -34,7 +34,7 @@ SAMPLES = 2000
 def put(turn):
     """Replace the rotation update of the method; call it before anything is compiled."""
     from liegroup_core.compiling import subroutine
-    from liegroup_core.integrators.rattle import half_steps
+    from liegroup_core.integrators.rattle import absolute
     from liegroup_core.integrators.rotation.newton import INCREMENT, RATTLE, newton
     from liegroup_core.lie.vec3 import ZERO3
 
@@ -48,7 +48,7 @@ def put(turn):
         return newton(RATTLE, inertia, h, start, v, a, b, c)
 
     if turn != TURNS[0]:
-        half_steps.newton = midpoint if turn == TURNS[1] else moser_veselov
+        absolute.newton = midpoint if turn == TURNS[1] else moser_veselov
 
 
 def chain():
@@ -89,11 +89,11 @@ def measure(steps):
     from liegroup_core.reference import integrate
 
     scene = chain()
-    start = Engine(scene, method="constrained_rattle").state()
+    start = Engine(scene, method="constrained_rattle", group="so3xr3").state()
     reference, _ = integrate(scene, *start, [1.0])
     errors = []
     for step in SHORT:
-        simulation = Engine(scene, method="constrained_rattle", step=step)
+        simulation = Engine(scene, method="constrained_rattle", step=step, group="so3xr3")
         simulation.advance(round(1.0 / step))
         pose = simulation.state()[0]
         errors.append(
@@ -102,7 +102,7 @@ def measure(steps):
                 np.abs(pose[:, 9:] - reference.position[0]).max(),
             )
         )
-    simulation = Engine(scene, method="constrained_rattle", step=STEP)
+    simulation = Engine(scene, method="constrained_rattle", step=STEP, group="so3xr3")
     first, energy, kinetic = simulation.energy(), [], []
     for k in range(SAMPLES):
         simulation.advance(steps // SAMPLES)

@@ -74,17 +74,19 @@ class Engine:
     method : name of METHODS; default "rkmk4"
     step   : step size h, s; default 1e-3. A method with error control takes substeps within it
     group  : configuration space: "se3" for SE(3)^n, "so3xr3" for (SO(3) x R^3)^n, "relative" for
-             the product of the joints' motion groups (Munthe-Kaas methods and generalized_alpha).
-             "auto": the cheaper of "se3" and "relative" for these, else "so3xr3"
+             the product of the joints' motion groups (all families but the rotation methods).
+             "auto": the cheaper of "relative" and "se3", or "so3xr3" for constrained_rattle
+             and its compositions; always "so3xr3" for rotation methods
     stabilisation : treatment of constraint drift: "none"; "projection" of poses and velocities
                     after every step; or "baumgarte", which damps the drift with the time constant
                     baumgarte_time
     baumgarte_time : s, at least the step; default: ten steps
     options: further options of the method, see its family in `integrators`:
              dexpinv="exact" or "truncated"  of all Munthe-Kaas methods
-             space="auto" or "space"         of the same and of generalized_alpha; "auto": in
-                                             relative coordinates planar mechanisms move in their
-                                             plane; "space": in space, and on SE(3)^n by default
+             space="auto" or "space"         of the same, generalized_alpha and
+                                             constrained_rattle; "auto": in relative coordinates
+                                             planar mechanisms move in their plane; "space": in
+                                             space, and not in relative coordinates by default
              rtol=1e-6, atol=1e-6            tolerances of methods with error control (rkmk54,
                                              rkmk853)
              rho_inf=0.8                     damping of generalized_alpha

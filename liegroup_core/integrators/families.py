@@ -14,7 +14,7 @@ and with error control
     tighten(part)    multiply the tolerances of the options by `part`
 """
 
-from liegroup_core.formulations.relative.cost import has_fewer_unknowns, is_cheaper
+from liegroup_core.formulations.relative.cost import has_fewer_unknowns, is_cheaper, saves_sweeps
 from liegroup_core.integrators.generalized_alpha.generalized_alpha import GeneralizedAlpha
 from liegroup_core.integrators.rattle.rattle import Constrained
 from liegroup_core.integrators.rkmk.munthe_kaas import MuntheKaas
@@ -29,8 +29,14 @@ FAMILIES = {
     "rotation": Rotation,
     "constrained": Constrained,
 }
-NOT_ON_SE3 = ("rotation", "constrained")  # families with a group of their own
-ON_JOINTS = ("rkmk", "generalized_alpha")  # families that support relative coordinates
+NOT_ON_SE3 = ("rotation", "constrained")  # families without SE(3)^n
+# Families that support relative coordinates, and the function that tells when these are better.
+BETTER_ON_JOINTS = {
+    "rkmk": is_cheaper,
+    "generalized_alpha": has_fewer_unknowns,
+    "constrained": saves_sweeps,
+}
+ON_JOINTS = tuple(BETTER_ON_JOINTS)
 
 
 def check_options(method, options):
@@ -56,12 +62,12 @@ def check_group(method, group):
     if group == RELATIVE and family not in ON_JOINTS:
         raise ValueError(
             f"method {method} does not support group 'relative': choose a Munthe-Kaas method, "
-            "rkmk..., generalized_alpha, or another group"
+            "rkmk..., generalized_alpha, constrained_rattle, or another group"
         )
-    if family in NOT_ON_SE3 and group not in ("auto", "so3xr3"):
+    if family in NOT_ON_SE3 and group == "se3":
+        others = "'so3xr3', 'relative' or 'auto'" if family in ON_JOINTS else "'so3xr3' or 'auto'"
         raise ValueError(
-            f"method {method} integrates on SO(3) x R^3 only: group must be 'so3xr3' or "
-            f"'auto', got {group!r}"
+            f"method {method} does not integrate on SE(3): group must be {others}, got {group!r}"
         )
 
 
@@ -70,14 +76,14 @@ def choose_group(method, group, options, layout):
     family = METHODS[method].family
     if group != "auto":
         return group
-    if family in NOT_ON_SE3:
-        return "so3xr3"
+    bodies = "so3xr3" if family in NOT_ON_SE3 else "se3"
+    if family not in ON_JOINTS:
+        return bodies
     if layout.needs_relative:
         return RELATIVE
     if options["space"] == "space":
-        return "se3"
-    better = is_cheaper if family == "rkmk" else has_fewer_unknowns
-    return RELATIVE if better(layout.relative) else "se3"
+        return bodies
+    return RELATIVE if BETTER_ON_JOINTS[family](layout.relative) else bodies
 
 
 def misfit(method, layout):
@@ -102,8 +108,8 @@ def make_integrator(method, layout, group, step, options):
     if layout.needs_relative and group != RELATIVE:
         raise ValueError(
             f"method {method} in group {group!r} cannot integrate this scene: "
-            f"{layout.needs_relative}. Use group 'relative' with a Munthe-Kaas method, rkmk..., or "
-            "with generalized_alpha"
+            f"{layout.needs_relative}. Use group 'relative' with a Munthe-Kaas method, rkmk..., "
+            "generalized_alpha or constrained_rattle"
         )
     reason = misfit(method, layout)
     if reason:

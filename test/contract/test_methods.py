@@ -305,7 +305,10 @@ def test_inapplicable_or_invalid_options_are_refused():
         ({"method": "rkmk54", "rho_inf": 1.0}, "it has: dexpinv, space, rtol, atol"),
         ({"method": "rattle", "rtol": 1e-6}, "rattle has no option 'rtol'; it has none$"),
         ({"method": "rattle", "group": "se3"}, "group must be 'so3xr3' or 'auto', got 'se3'"),
-        ({"method": "constrained_rattle", "group": "se3"}, "on SO\\(3\\) x R\\^3 only"),
+        (
+            {"method": "constrained_rattle", "group": "se3"},
+            "on SE\\(3\\): group must be 'so3xr3', 'relative' or 'auto', got 'se3'",
+        ),
         ({"method": "rkmk4", "group": "so3"}, "unknown group 'so3'; choose one of: auto, se3"),
         ({"method": "rkmk54", "atol": 0.0}, "atol must be a positive number, got 0.0"),
         ({"method": "rkmk54", "rtol": math.nan}, "rtol must be a positive number"),

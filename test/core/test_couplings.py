@@ -20,7 +20,16 @@ from liegroup_core.scene import scene_from_text
 from liegroup_core.status import TURNS_NOT_COUNTED
 
 EPS = 2.0**-52
-SUPPORTED = ("rkmk1", "rkmk2", "rkmk3", "rkmk4", "rkmk8", "rkmk54", "generalized_alpha")
+SUPPORTED = (
+    "rkmk1",
+    "rkmk2",
+    "rkmk3",
+    "rkmk4",
+    "rkmk8",
+    "rkmk54",
+    "generalized_alpha",
+    "constrained_rattle",
+)
 
 WHEELS = """
 name: wheels
@@ -159,7 +168,15 @@ def test_a_pinion_drives_its_rack(axis, first):
 
 @pytest.mark.parametrize("bolt", [False, True])
 @pytest.mark.parametrize(
-    "method, order", [("rkmk2", 2), ("rkmk3", 3), ("rkmk4", 4), ("generalized_alpha", 2)]
+    "method, order",
+    [
+        ("rkmk2", 2),
+        ("rkmk3", 3),
+        ("rkmk4", 4),
+        ("generalized_alpha", 2),
+        ("constrained_rattle", 2),
+        ("constrained_rattle4", 4),
+    ],
 )
 def test_coupled_pendulums_move_at_the_order_of_the_method(method, order, bolt):
     """In space, against one equation of motion that knows no joint."""
@@ -212,7 +229,7 @@ def test_turns_that_cannot_be_counted_are_reported():
     assert failure.value.status & 0xFF == TURNS_NOT_COUNTED
 
 
-@pytest.mark.parametrize("method", ["rkmk8", "generalized_alpha"])
+@pytest.mark.parametrize("method", ["rkmk8", "generalized_alpha", "constrained_rattle"])
 def test_a_geared_five_bar_keeps_energy_and_closes(method):
     """A coupling in a loop: one freedom is left. The loop drifts, or is projected; energy is kept.
 

@@ -18,6 +18,7 @@ from liegroup_core.scene.description import Drag, Motor, TorsionalSpringDamper
 from liegroup_core.status import NOT_CONVERGED, ROTATION_TOO_LARGE
 
 CONSTRAINED = [name for name, method in METHODS.items() if method.family == "constrained"]
+GROUPS = ("so3xr3", "relative")
 UNIT = 2.0**-53
 # Steps per second by order.
 TIME = 0.5  # s
@@ -49,13 +50,14 @@ def driven():
     return scene, trajectory
 
 
+@pytest.mark.parametrize("group", GROUPS)
 @pytest.mark.parametrize("method", CONSTRAINED)
-def test_order_with_velocity_dependent_forces(driven, method):
+def test_order_with_velocity_dependent_forces(driven, method, group):
     """Poses and velocities against the independent DOP853 integration in maximal coordinates."""
     scene, reference = driven
     order, found = METHODS[method].order, []
     for rate in RATES[order]:
-        simulation = Simulation(scene, method=method, step=1 / rate)
+        simulation = Simulation(scene, method=method, step=1 / rate, group=group)
         simulation.advance(round(TIME * rate))
         pose, twist = simulation.state()
         found.append(
@@ -71,13 +73,14 @@ def test_order_with_velocity_dependent_forces(driven, method):
 
 @pytest.mark.parametrize("name", ["net", "every kind", "floating"])
 @pytest.mark.parametrize("method", CONSTRAINED)
-def test_backward_steps_undo_forward_steps(method, name):
+@pytest.mark.parametrize("group", GROUPS)
+def test_backward_steps_undo_forward_steps(method, name, group):
     """With dampers. A method that is not symmetric misses the start by O(h^3).
 
     What is left are roundings. A closed joint is closed to 16 units of lengths of some metres,
     1e-14, and a velocity to 2/h times that, 1e-11; three steps each way.
     """
-    simulation = Simulation(mechanisms.named(name), method=method, step=2e-3)
+    simulation = Simulation(mechanisms.named(name), method=method, step=2e-3, group=group)
     simulation.advance(2)  # from here on joints are closed as the method closes them
     pose, twist = simulation.state()
     simulation.advance(3)
@@ -100,11 +103,12 @@ def test_rkmk4_is_not_symmetric():
     assert np.abs(there_twist - twist).max() > 1e-9
 
 
+@pytest.mark.parametrize("group", GROUPS)
 @pytest.mark.parametrize("name", mechanisms.MECHANISMS)
-def test_position_and_velocity_constraints_hold_to_round_off(name):
+def test_position_and_velocity_constraints_hold_to_round_off(name, group):
     """Tolerance: 16 units of round-off of lengths of 10 m; J V sums ten terms of 10 m/s."""
     for method, step in (("constrained_rattle", 2e-3), ("constrained_rattle4", 4e-3)):
-        simulation = Simulation(mechanisms.named(name), method=method, step=step)
+        simulation = Simulation(mechanisms.named(name), method=method, step=step, group=group)
         for _ in range(10):
             simulation.advance(10)
             assert simulation.sample().constraint_residual <= 16 * 2 * UNIT * 10.0
@@ -113,13 +117,14 @@ def test_position_and_velocity_constraints_hold_to_round_off(name):
             assert np.abs(J @ simulation.state()[1].ravel()).max() <= 100 * UNIT * max(1.0, speed)
 
 
+@pytest.mark.parametrize("group", GROUPS)
 @pytest.mark.parametrize("method", CONSTRAINED)
-def test_momentum_of_a_free_linkage_is_conserved_to_round_off(method):
+def test_momentum_of_a_free_linkage_is_conserved_to_round_off(method, group):
     """Floating closed loop without gravity. Tolerance: a few same-sign round-offs per step."""
     links, loops = mechanisms.MECHANISMS["floating"]
     made = mechanisms.mechanism(np.random.default_rng(5), links, springs=0, loops=loops)
     scene = Scene(name="floating", gravity=(0, 0, 0), bodies=made.bodies, joints=made.joints)
-    simulation = Simulation(scene, method=method, step=4e-3)
+    simulation = Simulation(scene, method=method, step=4e-3, group=group)
     start = simulation.sample()
     simulation.advance(500)
     end = simulation.sample()

@@ -35,24 +35,32 @@ def _near(value, near):
 
 
 @kernel
-def set_gap(model, work):
-    """Position residuals of all cut joints and couplings at the stage, to work.gap.
+def set_coupled_gaps(model, work, moves, moved):
+    """Position residuals of the couplings at the stage, to work.gap.
 
-    A residual of a coupling below the round-off of its terms is 0.
+    moves, moved : (f, 1) rad or m; 1: they are added to the coordinates, 0: they are not
+    A residual below the round-off of its terms is 0.
     """
-    position_residuals(model, work.world, work.gap)
     for c in range(len(model.couplings)):
         coupling = model.couplings[c]
-        sign = coupling["sign"]
-        first = coupling["factors"][0] * link_coordinate(
-            model, coupling["links"][0], work.stage_pose
-        )
-        second = link_coordinate(model, coupling["links"][1], work.stage_pose)
+        links, factors = coupling["links"], coupling["factors"]
+        first = link_coordinate(model, links[0], work.stage_pose)
+        second = link_coordinate(model, links[1], work.stage_pose)
         if coupling["angle"] >= 0:
-            second = _near(second, sign * work.angle[coupling["angle"]])
-        second *= coupling["factors"][1]
+            second = _near(second, coupling["sign"] * work.angle[coupling["angle"]])
+        if moved == 1:
+            first += moves[model.bodies[links[0]]["freedom"], 0]
+            second += moves[model.bodies[links[1]]["freedom"], 0]
+        first, second = factors[0] * first, factors[1] * second
         gap = first + second - coupling["offset"]
         size = 1.0 + abs(first) + abs(second) + abs(coupling["offset"])
         if coupling["turned"] == 1:
             gap = _near(gap, 0.0)
         work.gap[coupling["residual"]] = 0.0 if abs(gap) <= ROUND_OFF * size else gap
+
+
+@kernel
+def set_gap(model, work):
+    """Position residuals of all cut joints and couplings at the stage, to work.gap."""
+    position_residuals(model, work.world, work.gap)
+    set_coupled_gaps(model, work, work.acceleration, 0)

@@ -72,18 +72,11 @@ def _refine(model, work):
 
 
 @kernel
-def accelerations(model, work, external):
-    """Accelerations of all freedoms at the stage, to work.acceleration.
+def solve_equations(model, work):
+    """Accelerations of all freedoms for the kinematics and applied wrenches that `work` has.
 
-    external : (n, 16), see forces/external.py
-    returns -1, or the joint with dependent rows if the regularised solve fails too
+    returns as `accelerations`
     """
-    move_links(model, work)
-    applied = model.has_forces or work.pushed[0] > 0.0
-    if applied or len(model.joints) > 0:
-        place_links(model, work)
-    if applied:
-        apply_forces(model, work, external)
     gather(model, work)
     refinements = model.refinements
     if len(model.joints) > 0:
@@ -100,3 +93,19 @@ def accelerations(model, work, external):
     for _ in range(refinements):
         _refine(model, work)
     return -1
+
+
+@kernel
+def accelerations(model, work, external):
+    """Accelerations of all freedoms at the stage, to work.acceleration.
+
+    external : (n, 16), see forces/external.py
+    returns -1, or the joint with dependent rows if the regularised solve fails too
+    """
+    move_links(model, work)
+    applied = model.has_forces or work.pushed[0] > 0.0
+    if applied or len(model.joints) > 0:
+        place_links(model, work)
+    if applied:
+        apply_forces(model, work, external)
+    return solve_equations(model, work)

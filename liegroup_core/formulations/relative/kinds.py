@@ -28,27 +28,30 @@ def by_formulation(name, absolute, relative):
     return Choice(name, kinds)
 
 
-def _of(name, space, plane):
+def by_space(name, space, plane):
     """Choice of the function of this name of two modules."""
     return Choice(name, {RelativeModel: getattr(space, name), PlaneModel: getattr(plane, name)})
 
 
 coordinates, displace, normalise = (
-    _of(name, space_coordinates, plane_coordinates)
+    by_space(name, space_coordinates, plane_coordinates)
     for name in ("coordinates", "displace", "normalise")
 )
 place_links, lift_links, place_bodies = (
-    _of(name, space_coordinates, plane_coordinates)
+    by_space(name, space_coordinates, plane_coordinates)
     for name in ("place_links", "lift_links", "place_bodies")
 )
 move_links, apply_wrenches, gather, spread, spread_response = (
-    _of(name, trees, plane_trees)
+    by_space(name, trees, plane_trees)
     for name in ("move_links", "apply_wrenches", "gather", "spread", "spread_response")
 )
-set_rows, respond = (_of(name, rows, plane_rows) for name in ("set_rows", "respond"))
-add_multipliers, gather_residual, set_free_residual, set_residual = (
-    _of(name, residuals, plane_residuals)
-    for name in ("add_multipliers", "gather_residual", "set_free_residual", "set_residual")
+set_rows, respond = (by_space(name, rows, plane_rows) for name in ("set_rows", "respond"))
+add_multipliers, gather_forces, gather_residual = (
+    by_space(name, residuals, plane_residuals)
+    for name in ("add_multipliers", "gather_forces", "gather_residual")
 )
-inverse_dynamics = _of("inverse_dynamics", space_inverse_dynamics, plane_inverse_dynamics)
-link_coordinate = _of("link_coordinate", couplings, plane_couplings)
+set_free_residual, set_residual = (
+    by_space(name, residuals, plane_residuals) for name in ("set_free_residual", "set_residual")
+)
+inverse_dynamics = by_space("inverse_dynamics", space_inverse_dynamics, plane_inverse_dynamics)
+link_coordinate = by_space("link_coordinate", couplings, plane_couplings)

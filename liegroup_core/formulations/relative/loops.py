@@ -78,6 +78,22 @@ def set_loops(model, work):
     return dependent if dependent >= 0 else SINGULAR
 
 
+@kernel
+def set_response_residual(model, work):
+    """Residual of the rows in the response to u of all freedoms, J Vdot - bias, to work.right."""
+    for j in range(len(model.joints)):
+        first, rows = model.joints[j]["first"], model.joints[j]["rows"]
+        at = model.path_places[j]
+        for r in range(first, first + rows):
+            work.right[r] = -work.bias[r]
+        for k in range(model.path_ends[j], model.path_ends[j + 1]):
+            f = model.path_freedoms[k]
+            rate = work.freedoms[f, 6] * work.freedoms[f, 7]
+            for r in range(rows):
+                work.right[first + r] += work.response[at + r] * rate
+            at += rows
+
+
 @subroutine
 def close_loops(model, work):
     """Change u of the freedoms so that the residual of the rows in work.right vanishes."""

@@ -40,12 +40,8 @@ def add_own_forces(model, work):
 
 
 @subroutine
-def gather_residual(model, work):
-    """u of all freedoms for what work.moved leaves of the equations of motion.
-
-    work.force : J^T lambda of the cut joints (L, 3); overwritten
-    """
-    add_own_forces(model, work)
+def gather_forces(model, work):
+    """u of all freedoms for the wrenches -work.force (L, 3) on the links; work.force is overwritten."""
     force, U, n = work.force, work.freedoms, len(model.parts)
     for b in range(len(model.links) - 1, -1, -1):
         link = model.links[b]
@@ -68,6 +64,16 @@ def gather_residual(model, work):
             force[a, 1] += fx - share * U[f, 1]
             force[a, 2] += fy - share * U[f, 2]
     return 0
+
+
+@kernel
+def gather_residual(model, work):
+    """u of all freedoms for what work.moved leaves of the equations of motion.
+
+    work.force : J^T lambda of the cut joints (L, 3); overwritten
+    """
+    add_own_forces(model, work)
+    gather_forces(model, work)
 
 
 @kernel

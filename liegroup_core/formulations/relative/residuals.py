@@ -47,12 +47,8 @@ def add_own_forces(model, work):
 
 
 @subroutine
-def gather_residual(model, work):
-    """u of all freedoms for what the accelerations in work.moved leave of the equations of motion.
-
-    work.force : J^T lambda of the cut joints (L, 6); overwritten
-    """
-    add_own_forces(model, work)
+def gather_forces(model, work):
+    """u of all freedoms for the wrenches -work.force (L, 6) on the links; work.force is overwritten."""
     for b in range(len(model.bodies) - 1, -1, -1):
         link = model.bodies[b]
         for k in range(link["freedom"], link["freedom"] + link["freedoms"]):
@@ -62,6 +58,16 @@ def gather_residual(model, work):
         if a != WORLD:
             pass_on(work, b, work.force, b, a)
     return 0
+
+
+@kernel
+def gather_residual(model, work):
+    """u of all freedoms for what the accelerations in work.moved leave of the equations of motion.
+
+    work.force : J^T lambda of the cut joints (L, 6); overwritten
+    """
+    add_own_forces(model, work)
+    gather_forces(model, work)
 
 
 @kernel

@@ -20,9 +20,15 @@ Properties, shown by test/verification/test_constrained_geometric.py:
 Steps g_1 h, ..., g_k h with symmetric g, sum g = 1, compose a step of higher order with the same
 properties, see SUBSTEPS. docs/explanation/long_runs.md compares them with rkmk4 and rkmk8.
 
+The groups are (SO(3) x R^3)^n, where J has the rows of all joints (absolute.py), and the product of
+the joints' motion groups, where only cut joints have multipliers (relative.py). Both have the same
+trajectory, test/verification/test_rattle_relative.py: the multipliers of the other joints are
+eliminated exactly. Only bodies that are welded to each other differ, by O(h^2): in relative
+coordinates they are one body, with the kinetic energy of its turn about its centre of mass.
+
 Broyden's method finds lambda, in terms of J V', from the saddle-point matrix at the start of the
-step. A step takes one elimination; all other solves are substitutions. The configuration group is
-SO(3) x R^3 for every `group` of the simulation. half_steps.py has both halves of a step.
+step, or the displacements of the joints from the articulated bodies there. A step takes one
+elimination; all other solves are substitutions.
 
 Source: Andersen, J. Comput. Phys. 52 (1983) 24-34; Marsden and West, Acta Numerica 2001, 3.5.2;
 Bou-Rabee and Marsden, Found. Comput. Math. 9 (2009) 197-219 for the rotation.
@@ -31,15 +37,14 @@ Bou-Rabee and Marsden, Found. Comput. Math. 9 (2009) 197-219 for the rotation.
 import numpy as np
 
 from liegroup_core.compiling import SameTypes, borrowed, stepper
-from liegroup_core.forces.kinds import count_turns
-from liegroup_core.integrators.methods import refuse_stabilisation
-from liegroup_core.integrators.motion import copy_state, end_status
-from liegroup_core.lie.vec3 import dot3, load3
+from liegroup_core.formulations.relative.arrays import PlaneModel, links_of, make_relative_work
+from liegroup_core.integrators.methods import RELATIVE, refuse_stabilisation
+from liegroup_core.integrators.motion import copy_state
 from liegroup_core.model.arrays import make_work
 from liegroup_core.status import OK
 
-from .half_steps import HISTORY, Memory, first_half, second_half
-from .solve import loads
+from . import spaces
+from .arrays import clear_guesses, make_link_memory, make_memory
 
 
 def _mirrored(*half):
@@ -69,92 +74,96 @@ SUBSTEPS = {
 
 
 @stepper
-def advance(model, work, memory, parts, h, steps, pose, twist, external):
+def advance(model, work, memory, parts, h, steps, pose_in, twist_in, external_in):
     """Take `steps` steps of size h in place of pose (n, 12) and twist (n, 6).
 
+    model, work     : Model and Work, or RelativeModel or PlaneModel and RelativeWork
+    memory          : Memory or LinkMemory
     parts           : (k,) substeps as fractions of a step, an entry of SUBSTEPS
     external        : external wrenches of these steps, see forces/external.py
     returns (steps done, status), as munthe_kaas.advance; if status is not OK, the initial guesses
     are invalid
     """
-    pose, twist, external, parts = (
-        borrowed(pose),
-        borrowed(twist),
-        borrowed(external),
-        borrowed(parts),
-    )
-    for done in range(steps):
-        copy_state(pose, twist, work.start_pose, work.start_twist)
-        loads(model, work, pose, twist, external)
-        for i in range(len(model.bodies)):
-            for c in range(6):
-                memory.load[i, c] = work.wrench[i, c]
+    pose_in, twist_in = borrowed(pose_in), borrowed(twist_in)
+    external_in, parts = borrowed(external_in), borrowed(parts)
+    pose, twist, external, status = spaces.enter(model, work, pose_in, twist_in, external_in)
+    done = 0
+    while done < steps and status == OK:
+        spaces.begin(model, work, memory, pose, twist, external, done == 0)
         work.report[1] = 0.0
         for part in range(len(parts)):
             size = parts[part] * h
-            status = first_half(model, work, memory, size, done + part == 0)
+            status = spaces.first_half(model, work, memory, size, done + part == 0)
             if status == OK:
-                status = second_half(model, work, memory, size, external)
+                status = spaces.second_half(model, work, memory, size, external)
             if status != OK:
-                return done, status
-            for i in range(len(model.bodies)):
-                x = load3(memory.turn, i, 0)
-                work.report[1] = max(work.report[1], dot3(x, x))
-            copy_state(work.stage_pose, work.stage_twist, work.start_pose, work.start_twist)
-        status = end_status(model.forces, h, work.stage_pose, work.stage_twist)
-        if status != OK:
-            return done, status
-        count_turns(model.forces, work.stage_pose, work.angle)
-        copy_state(work.stage_pose, work.stage_twist, pose, twist)
-        work.report[0] = max(work.report[0], work.report[1])
-    return steps, OK
+                break
+            spaces.keep(model, work, memory)
+        if status == OK:
+            status = spaces.finish(model, work, h)
+        if status == OK:
+            copy_state(work.stage_pose, work.stage_twist, pose, twist)
+            work.report[0] = max(work.report[0], work.report[1])
+            done += 1
+    if done > 0:
+        spaces.leave(model, work, pose, twist, pose_in, twist_in)
+    return done, status
 
 
 class Constrained:
-    """RATTLE method for a model, with its memory and initial guesses between calls."""
+    """RATTLE method for a model, with its memory and initial guesses between calls.
 
-    kernels = "constrained"
+    space : "auto": in relative coordinates planar mechanisms (formulations/relative/plane.py) move
+            in their plane; "space": all mechanisms move in space, and as bodies by default
+    """
+
     substeps = (0, 0)
 
     def __init__(self, method, layout, group, step, options):
-        model = layout.model
-        refuse_stabilisation(method, model)
-        n, rows = len(model.bodies), len(model.row_residual)
-        self._model, self._parts = model, SUBSTEPS[method.name]
-        self._memory = Memory(
-            half=np.zeros((n, 6)),
-            turn=np.zeros((n, 3)),
-            load=np.zeros((n, 6)),
-            impulse=np.zeros((n, 6)),
-            target=np.zeros(rows),
-            corrections=np.zeros((HISTORY, rows)),
-            bias=np.zeros(rows),
-            growth=np.zeros(rows),
-            size=np.zeros(1),
-        )
-        self.work = make_work(model, 1)
+        refuse_stabilisation(method, layout.model)
+        self._parts = SUBSTEPS[method.name]
+        self._work = self.work = make_work(layout.model, 1)
+        if group == RELATIVE:
+            in_space = options["space"] == "space" or layout.normal is None
+            self.kernels = "constrained-relative" if in_space else "constrained-plane"
+            self._model = _weightless(layout.relative_in_space if in_space else layout.relative)
+            self._work = make_relative_work(self._model, self.work, 1)
+            self._memory = make_link_memory(self._model)
+        else:
+            self.kernels, self._model = "constrained", layout.model
+            self._memory = make_memory(self._model)
         self._advance = SameTypes(advance)
 
     @staticmethod
     def options(method):
-        """Options of the method: none."""
-        return {}
+        """{name: (default, description of valid values, check)} of the method's options."""
+        return {"space": ("auto", "'auto' or 'space'", ("auto", "space").__contains__)}
 
     def restart(self):
         """Clear the initial guesses: the state was set."""
-        for guess in self.memory:
-            guess[:] = 0.0
+        clear_guesses(self._memory)
+        if self._work is not self.work:
+            self._work.known[0] = 0.0
 
     @property
     def memory(self):
         """Arrays of the memory between calls."""
-        return self._memory.bias, self._memory.growth, self._memory.size
+        guesses = self._memory.bias, self._memory.growth, self._memory.size
+        return guesses if self._work is self.work else (*guesses, *links_of(self._work))
 
     def advance(self, h, steps, pose, twist, external):
         """Take steps of size h in place; returns (steps done, status)."""
         done, status = self._advance(
-            self._model, self.work, self._memory, self._parts, h, steps, pose, twist, external
+            self._model, self._work, self._memory, self._parts, h, steps, pose, twist, external
         )
         if status != OK:
-            self.restart()
+            clear_guesses(self._memory)
         return done, status
+
+
+def _weightless(model):
+    """RelativeModel whose equations of motion are without weight: a step adds impulses of weights."""
+    changes = {"gravity": np.zeros_like(model.gravity)}
+    if isinstance(model, PlaneModel):
+        changes["plane_gravity"] = np.zeros_like(model.plane_gravity)
+    return model.replace(**changes)

@@ -9,7 +9,7 @@ import math
 from fractions import Fraction
 from typing import NamedTuple
 
-from liegroup_core.integrators.families import NOT_ON_SE3, ON_JOINTS, fitting_methods
+from liegroup_core.integrators.families import NOT_ON_SE3, ON_JOINTS, choose_group, fitting_methods
 from liegroup_core.integrators.methods import CONFIGURATION_GROUPS, METHODS, RELATIVE
 
 STABILISATIONS = ("none", "projection")
@@ -83,7 +83,7 @@ def ladders(layout, methods=None, groups=None, stabilisations=None):
         if method not in fitting:
             continue
         family = METHODS[method].family
-        for group in _groups(family, layout, groups):
+        for group in _groups(method, layout, groups):
             drifts = layout.relative.joints if group == RELATIVE else layout.scene.joints
             for kind in stabilisations or STABILISATIONS:
                 if kind == "none" or (family == "rkmk" and len(drifts)):
@@ -91,10 +91,15 @@ def ladders(layout, methods=None, groups=None, stabilisations=None):
     return found
 
 
-def _groups(family, layout, groups):
-    """Groups of a family for a scene; groups : those to use, None for all."""
+def _groups(method, layout, groups):
+    """Groups of a method for a scene; groups : those to use, None for all."""
+    family = METHODS[method].family
     if family in NOT_ON_SE3:
-        return ("so3xr3",)
+        # The same trajectory in all of its groups: the one of the user, or the fastest.
+        asked = "auto" if groups is None or layout.needs_relative else "so3xr3"
+        if groups and RELATIVE in groups and family in ON_JOINTS:
+            asked = RELATIVE
+        return (choose_group(method, asked, {"space": "auto"}, layout),)
     if layout.needs_relative:
         return (RELATIVE,)
     if groups is None:

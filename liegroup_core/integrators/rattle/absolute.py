@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Both halves of a RATTLE step for mechanisms; rattle.py has the equations.
+"""Both halves of a RATTLE step on bodies; rattle.py has the equations, spaces.py the list.
 
 The first half finds V' and the poses at the end, so that the constraints are satisfied there. The
 second half finds V at the end, so that the velocity constraints are satisfied.
@@ -7,13 +7,12 @@ second half finds V at the end, so that the velocity constraints are satisfied.
 
 import math
 
-import numpy as np
-
-from liegroup_core.compiling import Struct, kernel
+from liegroup_core.compiling import kernel
+from liegroup_core.forces.kinds import count_turns
 from liegroup_core.formulations.absolute.constraints import position_residuals
 from liegroup_core.formulations.absolute.projection import is_satisfied
 from liegroup_core.integrators.broyden import broyden
-from liegroup_core.integrators.motion import copy_state, rotation_status
+from liegroup_core.integrators.motion import copy_state, end_status, rotation_status
 from liegroup_core.integrators.rotation.maps import turn, velocity
 from liegroup_core.integrators.rotation.newton import EXPONENTIAL, newton
 from liegroup_core.lie.so3 import so3_nearest
@@ -33,29 +32,36 @@ from liegroup_core.lie.vec3 import (
 )
 from liegroup_core.status import NOT_CONVERGED, OK
 
+from .arrays import HISTORY
 from .solve import loads, respond
 
 MAX_ITERATIONS = 50
-# Corrections that Broyden's method stores before it restarts.
-HISTORY = 8
 # Velocity-dependent forces are iterated until no velocity changes by more than TOLERANCE times the
 # largest one. If round-off is larger: until changes below STUCK times that stop decreasing.
 TOLERANCE, STUCK = 1e-15, 100.0
 MAX_REPEATS = 100
 
 
-class Memory(Struct):
-    """Memory of the method besides pose, twist and Work; the last three are for initial guesses."""
+@kernel
+def enter(model, work, pose, twist, external):
+    """Return the caller's arrays: they are integrated in place."""
+    return pose, twist, external, OK
 
-    half: np.ndarray  # (n, 6) V', then V'+
-    turn: np.ndarray  # (n, 3) rad, x
-    load: np.ndarray  # (n, 6) Q at the start of a substep, then at its end
-    impulse: np.ndarray  # (n, 6) N m s and N s, right-hand side of the bodies
-    target: np.ndarray  # (rows,) right-hand side of the rows: required J V', or change of J V
-    corrections: np.ndarray  # (HISTORY, rows) of J V' in this substep
-    bias: np.ndarray  # (rows,) (2/h) J V' of the last substep
-    growth: np.ndarray  # (rows,) time derivative of `bias`
-    size: np.ndarray  # (1,) s, the last substep; 0: none yet
+
+@kernel
+def leave(model, work, pose, twist, pose_out, twist_out):
+    """Do nothing: the caller's arrays were integrated in place."""
+    return
+
+
+@kernel
+def begin(model, work, memory, pose, twist, external, fresh):
+    """Set the start of a step to the state, and Q there."""
+    copy_state(pose, twist, work.start_pose, work.start_twist)
+    loads(model, work, pose, twist, external)
+    for i in range(len(model.bodies)):
+        for c in range(6):
+            memory.load[i, c] = work.wrench[i, c]
 
 
 @kernel
@@ -266,3 +272,21 @@ def second_half(model, work, memory, h, external):
         if status != OK:
             return status
     return NOT_CONVERGED
+
+
+@kernel
+def keep(model, work, memory):
+    """Continue from the end of a substep."""
+    for i in range(len(model.bodies)):
+        x = load3(memory.turn, i, 0)
+        work.report[1] = max(work.report[1], dot3(x, x))
+    copy_state(work.stage_pose, work.stage_twist, work.start_pose, work.start_twist)
+
+
+@kernel
+def finish(model, work, h):
+    """Check the end of a step, and unwrap angles. Returns a status."""
+    status = end_status(model.forces, h, work.stage_pose, work.stage_twist)
+    if status == OK:
+        count_turns(model.forces, work.stage_pose, work.angle)
+    return status

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Memory of a RATTLE step: on bodies, and on links in relative coordinates."""
+
+import numpy as np
+
+from liegroup_core.compiling import Struct
+from liegroup_core.formulations.relative.arrays import PlaneModel
+
+# Corrections that Broyden's method stores before it restarts.
+HISTORY = 8
+
+
+class Memory(Struct):
+    """Memory of the method besides pose, twist and Work; the last three are for initial guesses."""
+
+    half: np.ndarray  # (n, 6) V', then V'+
+    turn: np.ndarray  # (n, 3) rad, x
+    load: np.ndarray  # (n, 6) Q at the start of a substep, then at its end
+    impulse: np.ndarray  # (n, 6) N m s and N s, right-hand side of the bodies
+    target: np.ndarray  # (rows,) right-hand side of the rows: required J V', or change of J V
+    corrections: np.ndarray  # (HISTORY, rows) of J V' in this substep
+    bias: np.ndarray  # (rows,) (2/h) J V' of the last substep
+    growth: np.ndarray  # (rows,) time derivative of `bias`
+    size: np.ndarray  # (1,) s, the last substep; 0: none yet
+
+
+class LinkMemory(Struct):
+    """The same in relative coordinates; wrenches and momenta have 3 numbers in a plane, s = 6 or 3."""
+
+    centre: np.ndarray  # (L, 3) centre of mass in the link, m
+    central: np.ndarray  # (L, 6) inertia about it: xx, xy, xz, yy, yz, zz
+    weight: np.ndarray  # (L, 3) acceleration of gravity, link axes
+    load: np.ndarray  # (L, s) Q at the start of a substep, then at its end; about the origin
+    last_load: np.ndarray  # (L, s) that of the last iteration
+    impulse: np.ndarray  # (L, s) M V + (h/2) Q, then M V'+ + (h/2) Q+, about the origin
+    half: np.ndarray  # (L, s) M V' about the centre of mass, axes of the start
+    moves: np.ndarray  # (L, 8) displacement of each link in a substep, axes of the start: unit
+    # quaternion (real part first), m, bound of the angle. In a plane: angle, cos - 1, sin, m
+    world: np.ndarray  # (L, 12) poses at the end of a substep; of links at cut joints
+    psi: np.ndarray  # (f, 1) displacements of the joints in a substep
+    corrections: np.ndarray  # (HISTORY, f) of psi, then of the rates, in this substep
+    residual: np.ndarray  # (f,) of the rates at the end
+    bias: np.ndarray  # (f,) (2/h) (psi/h - qdot) of the last substep
+    growth: np.ndarray  # (f,) time derivative of `bias`
+    size: np.ndarray  # (1,) s, the last substep; 0: none yet
+    turned: np.ndarray  # (1,) rad^2, largest squared rotation of a link in a substep
+
+
+def make_memory(model):
+    """Allocate a Memory."""
+    n, rows = len(model.bodies), len(model.row_residual)
+    return Memory(
+        half=np.zeros((n, 6)),
+        turn=np.zeros((n, 3)),
+        load=np.zeros((n, 6)),
+        impulse=np.zeros((n, 6)),
+        target=np.zeros(rows),
+        corrections=np.zeros((HISTORY, rows)),
+        bias=np.zeros(rows),
+        growth=np.zeros(rows),
+        size=np.zeros(1),
+    )
+
+
+def make_link_memory(model):
+    """Allocate a LinkMemory of a RelativeModel."""
+    links = model.bodies
+    count, f = len(links), int(links["freedoms"].sum())
+    mass = np.where(links["mass"] > 0.0, links["mass"], 1.0)[:, None]
+    centre = links["moment"] / mass
+    moment = np.einsum("bi,bj->bij", links["moment"], centre)
+    shift = np.einsum("bii->b", moment)[:, None, None] * np.eye(3) - moment
+    rows, columns = np.triu_indices(3)
+    size = 3 if isinstance(model, PlaneModel) else 6
+    return LinkMemory(
+        centre=np.ascontiguousarray(centre),
+        central=np.ascontiguousarray(links["inertia"] - shift[:, rows, columns]),
+        weight=np.zeros((count, 3)),
+        **{name: np.zeros((count, size)) for name in ("load", "last_load", "impulse", "half")},
+        moves=np.zeros((count, 8)),
+        world=np.zeros((count, 12)),
+        psi=np.zeros((f, 1)),
+        corrections=np.zeros((HISTORY, f)),
+        residual=np.zeros(f),
+        bias=np.zeros(f),
+        growth=np.zeros(f),
+        size=np.zeros(1),
+        turned=np.zeros(1),
+    )
+
+
+def clear_guesses(memory):
+    """Clear the initial guesses: the state was set."""
+    for guess in (memory.bias, memory.growth, memory.size):
+        guess[:] = 0.0
