@@ -6,15 +6,32 @@ formulations/relative/coordinates.py.
 """
 
 from liegroup_core.compiling import kernel
+from liegroup_core.formulations.relative.arrays import make_relative_work
 from liegroup_core.formulations.relative.kinds import (
     coordinates,
     move_links,
     place_bodies,
     place_links,
 )
+from liegroup_core.model.arrays import make_work
 from liegroup_core.status import OK
 
+from .methods import RELATIVE
 from .motion import copy_state
+
+
+def model_and_work(layout, group, options, stages):
+    """(model, its work, Work of the bodies, ending of the name of the kernels) of an integrator.
+
+    options : "space": "auto" for the plane of a planar mechanism, or "space"
+    """
+    work = make_work(layout.model, stages)
+    if group != RELATIVE:
+        return layout.model, work, work, ""
+    in_space = options["space"] == "space" or layout.normal is None
+    model = layout.relative_in_space if in_space else layout.relative
+    ending = "-relative" if in_space else "-plane"
+    return model, make_relative_work(model, work, stages), work, ending
 
 
 @kernel

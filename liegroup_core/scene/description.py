@@ -31,23 +31,21 @@ from liegroup_core.fields.values import (
     listed,
     one_of,
     real_inertia,
-    suggestion,
 )
 from liegroup_core.forces import kinds as force_kinds
 from liegroup_core.forces.kinds import *  # noqa: F403 (the classes of all forces)
 from liegroup_core.forces.kinds import FORCES
 from liegroup_core.joints import kinds as joint_kinds
-from liegroup_core.joints.coupling import COUPLED, Coupling
+from liegroup_core.joints.coupling import Coupling
 from liegroup_core.joints.kinds import *  # noqa: F403 (the classes of all joints)
 from liegroup_core.joints.kinds import JOINTS, TYPES
 
+from .names import WORLD, refuse_coupling, refuse_ends, refuse_joint, refuse_twins, refuse_unknown
 from .shapes import SHAPES
 
 __all__ = ["WORLD", "Body", "Coupling", "Frame", "Scene"]
 __all__ += force_kinds.__all__
 __all__ += joint_kinds.__all__
-
-WORLD = "world"
 
 
 class Body(Placed):
@@ -226,14 +224,14 @@ class Scene(Described):
         if not self.bodies:
             raise SceneError("bodies is empty: give at least one body", place=("bodies",))
         bodies = [body.name for body in self.bodies]
-        _refuse_twins([("bodies", i, name) for i, name in enumerate(bodies)])
+        refuse_twins([("bodies", i, name) for i, name in enumerate(bodies)])
         links = [
             (key, i, link)
             for key in ("joints", "forces")
             for i, link in enumerate(getattr(self, key))
         ]
         couplings = [("couplings", i, entry.name) for i, entry in enumerate(self.couplings)]
-        _refuse_twins([*((key, i, link.name) for key, i, link in links), *couplings])
+        refuse_twins([*((key, i, link.name) for key, i, link in links), *couplings])
         for i, joint in enumerate(self.joints):
             if joint.rate is not None and TYPES[joint.type].rate is None:
                 raise SceneError(
@@ -245,13 +243,13 @@ class Scene(Described):
         kinds = {joint.name: joint.type for joint in self.joints}
         for key, i, link in links:
             if hasattr(link, "joint"):
-                _refuse_joint(link, kinds, i)
+                refuse_joint(link, kinds, i)
             elif hasattr(link, "body"):
-                _refuse_unknown("body", link, bodies, key, i)
+                refuse_unknown("body", link, bodies, key, i)
             else:
-                _refuse_ends(link, bodies, key, i)
+                refuse_ends(link, bodies, key, i)
         for i, coupling in enumerate(self.couplings):
-            _refuse_coupling(coupling, kinds, i)
+            refuse_coupling(coupling, kinds, i)
         for key, name in (("bodies", "initial"), ("joints", "rate")):
             for i, entry in enumerate(getattr(self, key)):
                 if not self.assemble and name in entry.model_fields_set:
@@ -261,82 +259,6 @@ class Scene(Described):
                         place=(key, i, name),
                     )
         return self
-
-
-def _refuse_twins(entries):
-    """Refuse duplicate names among the (list, index, name) entries."""
-    first = {}
-    for key, i, name in entries:
-        if name in first:
-            raise SceneError(
-                f'{key}[{i}] "{name}": this name is already used by {first[name]}: choose another',
-                place=(key, i, "name"),
-            )
-        first[name] = f"{key}[{i}]"
-
-
-def _refuse_ends(link, bodies, key, i):
-    """Refuse a joint or force that does not connect a body to another body or to the world."""
-    where = f'{key}[{i}] "{link.name}": '
-    if link.child == WORLD:
-        hint = "name a body" if link.parent == WORLD else "swap parent and child"
-        raise SceneError(
-            f"{where}child must be a body, not {WORLD}: {hint}", place=(key, i, "child")
-        )
-    _refuse_unknown("parent", link, [WORLD, *bodies], key, i)
-    _refuse_unknown("child", link, bodies, key, i)
-    if link.parent == link.child:
-        raise SceneError(
-            f'{where}parent and child are both "{link.child}": they must differ',
-            place=(key, i, "child"),
-        )
-
-
-def _refuse_unknown(end, link, known, key, i):
-    """Refuse a joint or force whose `end` is not one of the known bodies."""
-    name = getattr(link, end)
-    if name not in known:
-        raise SceneError(
-            f'{key}[{i}] "{link.name}": {end} {name!r:.40} is not a body; '
-            f"{suggestion(name, known)}",
-            place=(key, i, end),
-        )
-
-
-def _refuse_joint(force, kinds, i):
-    """Refuse a force whose joint does not exist or does not allow the motion that it acts on."""
-    where, place = f'forces[{i}] "{force.name}": ', ("forces", i, "joint")
-    if force.joint not in kinds:
-        hint = suggestion(force.joint, list(kinds)) if kinds else "the scene has no joints"
-        raise SceneError(f"{where}joint {force.joint!r:.40} is not a joint; {hint}", place=place)
-    if not getattr(TYPES[kinds[force.joint]], force.joint_moves):
-        fitting = [name for name, kind in TYPES.items() if getattr(kind, force.joint_moves)]
-        raise SceneError(
-            f'{where}joint "{force.joint}" is {kinds[force.joint]}, but {force.type} '
-            f"requires a joint that is {' or '.join(fitting)}",
-            place=place,
-        )
-
-
-def _refuse_coupling(coupling, kinds, i):
-    """Refuse a coupling of joints that do not exist, or that have not one coordinate."""
-    where = f'couplings[{i}] "{coupling.name}": '
-    for end in ("joint", "other"):
-        name, place = getattr(coupling, end), ("couplings", i, end)
-        if name not in kinds:
-            hint = suggestion(name, list(kinds)) if kinds else "the scene has no joints"
-            raise SceneError(f"{where}{end} {name!r:.40} is not a joint; {hint}", place=place)
-        if kinds[name] not in COUPLED:
-            raise SceneError(
-                f'{where}joint "{name}" is {kinds[name]}, but a coupling requires joints that are '
-                f"{', '.join(COUPLED[:-1])} or {COUPLED[-1]}",
-                place=place,
-            )
-    if coupling.joint == coupling.other:
-        raise SceneError(
-            f'{where}joint and other are both "{coupling.joint}": they must differ',
-            place=("couplings", i, "other"),
-        )
 
 
 class _Dumper(yaml.SafeDumper):

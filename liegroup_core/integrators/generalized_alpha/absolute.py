@@ -14,6 +14,8 @@ from liegroup_core.formulations.absolute.constraints import (
     subtract_joint_forces,
 )
 from liegroup_core.formulations.absolute.newton_euler import accelerations, wrenches
+from liegroup_core.integrators.body_state import enter as enter
+from liegroup_core.integrators.body_state import leave as leave
 from liegroup_core.integrators.methods import SE3
 from liegroup_core.integrators.motion import displace, end_status, group_velocity, rotation_status
 from liegroup_core.lie.so3 import so3_nearest
@@ -45,17 +47,6 @@ def _load(array, k):
 def _store(v, array, k):
     """Write three numbers to a flat array."""
     array[k], array[k + 1], array[k + 2] = v
-
-
-@kernel
-def enter(model, work, pose, twist, external):
-    """Integrate the arrays of the caller."""
-    return pose, twist, external, OK
-
-
-@kernel
-def leave(model, work, pose, twist, pose_out, twist_out):
-    """Nothing: the arrays of the caller are integrated in place."""
 
 
 @kernel

@@ -31,10 +31,10 @@ import numpy as np
 
 from liegroup_core.compiling import SameTypes, borrowed, kernel, stepper
 from liegroup_core.forces.external import COLUMNS as EXTERNAL_COLUMNS
-from liegroup_core.formulations.relative.arrays import links_of, make_relative_work
-from liegroup_core.integrators.methods import GROUPS, RELATIVE, SE3, refuse_stabilisation
+from liegroup_core.formulations.relative.arrays import links_of
+from liegroup_core.integrators.link_state import model_and_work
+from liegroup_core.integrators.methods import GROUPS, SE3, refuse_stabilisation
 from liegroup_core.integrators.motion import copy_state
-from liegroup_core.model.arrays import make_work
 from liegroup_core.status import DEPENDENT_ROWS, OK
 
 from . import spaces
@@ -106,17 +106,11 @@ class GeneralizedAlpha:
         gamma = 0.5 + alpha_f - alpha_m
         self._numbers = Coefficients(alpha_m, alpha_f, 0.25 * (gamma + 0.5) ** 2, gamma)
         refuse_stabilisation(method, layout.model)
-        self._model, self._group = layout.model, GROUPS.get(group, SE3)
-        self.kernels = "generalized_alpha"
-        self._work = self.work = make_work(layout.model, 1)
+        self._group = GROUPS.get(group, SE3)
+        self._model, self._work, self.work, ending = model_and_work(layout, group, options, 1)
+        self.kernels = "generalized_alpha" + ending
         n = len(layout.model.bodies)
-        freedoms = 6 * n
-        if group == RELATIVE:
-            in_space = options["space"] == "space" or layout.normal is None
-            self._model = layout.relative_in_space if in_space else layout.relative
-            self.kernels += "-relative" if in_space else "-plane"
-            self._work = make_relative_work(self._model, self.work, 1)
-            freedoms = len(self._work.freedoms)
+        freedoms = 6 * n if self._work is self.work else len(self._work.freedoms)
         self._memory = make_memory(freedoms, len(self._model.row_residual))
         self._advance, self._initialise = SameTypes(advance), SameTypes(initialise)
         # Step size and wrenches for which the memory was initialised; NaN: not initialised.

@@ -11,6 +11,8 @@ from liegroup_core.compiling import kernel
 from liegroup_core.forces.kinds import count_turns
 from liegroup_core.formulations.absolute.constraints import position_residuals
 from liegroup_core.formulations.absolute.projection import is_satisfied
+from liegroup_core.integrators.body_state import enter as enter
+from liegroup_core.integrators.body_state import leave as leave
 from liegroup_core.integrators.broyden import broyden
 from liegroup_core.integrators.motion import copy_state, end_status, rotation_status
 from liegroup_core.integrators.rotation.maps import turn, velocity
@@ -40,18 +42,6 @@ MAX_ITERATIONS = 50
 # largest one. If round-off is larger: until changes below STUCK times that stop decreasing.
 TOLERANCE, STUCK = 1e-15, 100.0
 MAX_REPEATS = 100
-
-
-@kernel
-def enter(model, work, pose, twist, external):
-    """Return the caller's arrays: they are integrated in place."""
-    return pose, twist, external, OK
-
-
-@kernel
-def leave(model, work, pose, twist, pose_out, twist_out):
-    """Do nothing: the caller's arrays were integrated in place."""
-    return
 
 
 @kernel

@@ -37,10 +37,10 @@ Bou-Rabee and Marsden, Found. Comput. Math. 9 (2009) 197-219 for the rotation.
 import numpy as np
 
 from liegroup_core.compiling import SameTypes, borrowed, stepper
-from liegroup_core.formulations.relative.arrays import PlaneModel, links_of, make_relative_work
-from liegroup_core.integrators.methods import RELATIVE, refuse_stabilisation
+from liegroup_core.formulations.relative.arrays import PlaneModel, links_of
+from liegroup_core.integrators.link_state import model_and_work
+from liegroup_core.integrators.methods import refuse_stabilisation
 from liegroup_core.integrators.motion import copy_state
-from liegroup_core.model.arrays import make_work
 from liegroup_core.status import OK
 
 from . import spaces
@@ -122,16 +122,13 @@ class Constrained:
     def __init__(self, method, layout, group, step, options):
         refuse_stabilisation(method, layout.model)
         self._parts = SUBSTEPS[method.name]
-        self._work = self.work = make_work(layout.model, 1)
-        if group == RELATIVE:
-            in_space = options["space"] == "space" or layout.normal is None
-            self.kernels = "constrained-relative" if in_space else "constrained-plane"
-            self._model = _weightless(layout.relative_in_space if in_space else layout.relative)
-            self._work = make_relative_work(self._model, self.work, 1)
-            self._memory = make_link_memory(self._model)
-        else:
-            self.kernels, self._model = "constrained", layout.model
+        self._model, self._work, self.work, ending = model_and_work(layout, group, options, 1)
+        self.kernels = "constrained" + ending
+        if self._work is self.work:
             self._memory = make_memory(self._model)
+        else:
+            self._model = _weightless(self._model)
+            self._memory = make_link_memory(self._model)
         self._advance = SameTypes(advance)
 
     @staticmethod

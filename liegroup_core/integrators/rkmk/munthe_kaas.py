@@ -26,10 +26,10 @@ import math
 import numpy as np
 
 from liegroup_core.compiling import SameTypes, Struct, borrowed, kernel, stepper
-from liegroup_core.formulations.relative.arrays import links_of, make_relative_work
-from liegroup_core.integrators.methods import EXACT, GROUPS, RELATIVE, SE3, is_positive
+from liegroup_core.formulations.relative.arrays import links_of
+from liegroup_core.integrators.link_state import model_and_work
+from liegroup_core.integrators.methods import EXACT, GROUPS, SE3, is_positive
 from liegroup_core.integrators.motion import copy_state
-from liegroup_core.model.arrays import make_work
 from liegroup_core.status import DEPENDENT_ROWS, OK, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS
 
 from . import spaces
@@ -232,13 +232,8 @@ class MuntheKaas:
             EXACT if options["dexpinv"] == "exact" else max(method.order - 2, 0),
         )
         self._group, self._longest = GROUPS.get(group, SE3), step
-        self._model, self.kernels = layout.model, "rkmk"
-        self._work = self.work = make_work(layout.model, stages)
-        if group == RELATIVE:
-            in_space = options["space"] == "space" or layout.normal is None
-            self._model = layout.relative_in_space if in_space else layout.relative
-            self.kernels = "rkmk-relative" if in_space else "rkmk-plane"
-            self._work = make_relative_work(self._model, self.work, stages)
+        self._model, self._work, self.work, ending = model_and_work(layout, group, options, stages)
+        self.kernels = "rkmk" + ending
         self._control = np.zeros(6)
         self._control[4:] = self._tolerances = options.get("rtol", 0.0), options.get("atol", 1.0)
         self._advance = SameTypes(advance)

@@ -12,6 +12,8 @@ from liegroup_core.forces import kinds
 from liegroup_core.formulations.absolute.constraints import clear_ground_slip
 from liegroup_core.formulations.absolute.newton_euler import accelerations
 from liegroup_core.formulations.absolute.projection import close_joints
+from liegroup_core.integrators.body_state import enter as enter
+from liegroup_core.integrators.body_state import leave as leave
 from liegroup_core.integrators.methods import EXACT, SE3
 from liegroup_core.integrators.motion import (
     copy_state,
@@ -38,18 +40,6 @@ from liegroup_core.lie.vec3 import (
     tmatvec3,
 )
 from liegroup_core.status import LARGEST_ROTATION, NOT_FINITE, OK, ROTATION_TOO_LARGE
-
-
-@kernel
-def enter(model, work, pose, twist, external):
-    """Return the caller's arrays: they are integrated in place."""
-    return pose, twist, external, OK
-
-
-@kernel
-def leave(model, work, pose, twist, pose_out, twist_out):
-    """Do nothing: the caller's arrays were integrated in place."""
-    return
 
 
 @kernel

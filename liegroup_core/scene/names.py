@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Names of a scene that entries refer to: bodies, joints, couplings and forces must exist and fit."""
+
+from liegroup_core.errors import SceneError
+from liegroup_core.fields.values import suggestion
+from liegroup_core.joints.coupling import COUPLED
+from liegroup_core.joints.kinds import TYPES
+
+WORLD = "world"
+
+
+def refuse_twins(entries):
+    """Refuse duplicate names among the (list, index, name) entries."""
+    first = {}
+    for key, i, name in entries:
+        if name in first:
+            raise SceneError(
+                f'{key}[{i}] "{name}": this name is already used by {first[name]}: choose another',
+                place=(key, i, "name"),
+            )
+        first[name] = f"{key}[{i}]"
+
+
+def refuse_ends(link, bodies, key, i):
+    """Refuse a joint or force that does not connect a body to another body or to the world."""
+    where = f'{key}[{i}] "{link.name}": '
+    if link.child == WORLD:
+        hint = "name a body" if link.parent == WORLD else "swap parent and child"
+        raise SceneError(
+            f"{where}child must be a body, not {WORLD}: {hint}", place=(key, i, "child")
+        )
+    refuse_unknown("parent", link, [WORLD, *bodies], key, i)
+    refuse_unknown("child", link, bodies, key, i)
+    if link.parent == link.child:
+        raise SceneError(
+            f'{where}parent and child are both "{link.child}": they must differ',
+            place=(key, i, "child"),
+        )
+
+
+def refuse_unknown(end, link, known, key, i):
+    """Refuse a joint or force whose `end` is not one of the known bodies."""
+    name = getattr(link, end)
+    if name not in known:
+        raise SceneError(
+            f'{key}[{i}] "{link.name}": {end} {name!r:.40} is not a body; '
+            f"{suggestion(name, known)}",
+            place=(key, i, end),
+        )
+
+
+def refuse_joint(force, kinds, i):
+    """Refuse a force whose joint does not exist or does not allow the motion that it acts on."""
+    where, place = f'forces[{i}] "{force.name}": ', ("forces", i, "joint")
+    if force.joint not in kinds:
+        hint = suggestion(force.joint, list(kinds)) if kinds else "the scene has no joints"
+        raise SceneError(f"{where}joint {force.joint!r:.40} is not a joint; {hint}", place=place)
+    if not getattr(TYPES[kinds[force.joint]], force.joint_moves):
+        fitting = [name for name, kind in TYPES.items() if getattr(kind, force.joint_moves)]
+        raise SceneError(
+            f'{where}joint "{force.joint}" is {kinds[force.joint]}, but {force.type} '
+            f"requires a joint that is {' or '.join(fitting)}",
+            place=place,
+        )
+
+
+def refuse_coupling(coupling, kinds, i):
+    """Refuse a coupling of joints that do not exist, or that have not one coordinate."""
+    where = f'couplings[{i}] "{coupling.name}": '
+    for end in ("joint", "other"):
+        name, place = getattr(coupling, end), ("couplings", i, end)
+        if name not in kinds:
+            hint = suggestion(name, list(kinds)) if kinds else "the scene has no joints"
+            raise SceneError(f"{where}{end} {name!r:.40} is not a joint; {hint}", place=place)
+        if kinds[name] not in COUPLED:
+            raise SceneError(
+                f'{where}joint "{name}" is {kinds[name]}, but a coupling requires joints that are '
+                f"{', '.join(COUPLED[:-1])} or {COUPLED[-1]}",
+                place=place,
+            )
+    if coupling.joint == coupling.other:
+        raise SceneError(
+            f'{where}joint and other are both "{coupling.joint}": they must differ',
+            place=("couplings", i, "other"),
+        )
