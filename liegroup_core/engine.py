@@ -75,8 +75,8 @@ class Engine:
     step   : step size h, s; default 1e-3. A method with error control takes substeps within it
     group  : configuration space: "se3" for SE(3)^n, "so3xr3" for (SO(3) x R^3)^n, "relative" for
              the product of the joints' motion groups (all families but the rotation methods).
-             "auto": the cheaper of "relative" and "se3", or "so3xr3" for constrained_rattle
-             and its compositions; always "so3xr3" for rotation methods
+             "auto": "relative" unless "se3" is clearly cheaper, or for constrained_rattle
+             and its compositions "so3xr3"; always "so3xr3" for rotation methods
     stabilisation : treatment of constraint drift: "none"; "projection" of poses and velocities
                     after every step; or "baumgarte", which damps the drift with the time constant
                     baumgarte_time
@@ -240,8 +240,8 @@ class Engine:
     def memory(self) -> bytes:
         """Bytes of the method's memory between steps, for `set_state`.
 
-        Empty for most methods. Methods with error control store the size of the substep, implicit
-        methods accelerations and initial guesses.
+        In group "relative" the coordinates of the joints. Methods with error control add the size of
+        the substep, implicit methods accelerations and initial guesses.
         """
         return b"".join(array.tobytes() for array in self._integrator.memory)
 

@@ -260,3 +260,46 @@ def scissor_lift(stages, angle=0.5):
         )
     text = f'<robot name="lift">{"".join(links)}{"".join(joints)}</robot>'
     return text, "\n".join(rows) + "\n"
+
+
+MJCF_WITH_ALL_JOINTS = """<mujoco>
+  <worldbody>
+    <body name="cart"><joint name="x" type="slide" axis="1 0 0" damping="0.3"/>
+      <joint name="y" type="slide" axis="0 1 0" stiffness="3" springref="0.2"/>
+      <joint name="turn" type="hinge" axis="0 0 1" pos="0.1 0 0"/>
+      <geom type="box" size="0.2 0.1 0.05" mass="3"/>
+      <body name="arm" pos="0.2 0 0.1"><joint name="ball" type="ball" pos="0 0 0.1"/>
+        <geom type="capsule" fromto="0 0 0 0.4 0 0" size="0.05" mass="1"/>
+        <body name="hand" pos="0.4 0 0" euler="0 30 20">
+          <joint name="wrist" type="hinge" axis="0 1 1" ref="20" stiffness="2" armature="0.1"/>
+          <joint name="twist" type="hinge" axis="1 0 0" frictionloss="0.2"/>
+          <geom type="box" size="0.1 0.02 0.05" mass="0.5"/></body></body></body>
+    <body name="ball_free" pos="1 0 1"><freejoint name="free"/>
+      <geom type="sphere" size="0.1" mass="0.2"/></body>
+  </worldbody>
+  <keyframe><key name="home" qpos="0.1 0.2 0.3  1 0 0 0  0.4 0.5  1 0 1 1 0 0 0"/></keyframe>
+</mujoco>"""
+MIMIC_URDF = """<robot name="hand">
+  <link name="base"/>{links}
+  <joint name="drive" type="continuous"><parent link="base"/><child link="a"/><axis xyz="0 1 0"/></joint>
+  <joint name="near" type="continuous"><parent link="a"/><child link="b"/><origin xyz="0.1 0 0"/>
+    <axis xyz="0 0.6 0.8"/><mimic joint="drive" multiplier="-1.3" offset="0.2"/></joint>
+  <joint name="far" type="prismatic"><parent link="b"/><child link="c"/><origin rpy="0.2 0.3 0"/>
+    <axis xyz="1 0 0"/><limit effort="1" velocity="1" lower="-1" upper="1"/>
+    <mimic joint="near" multiplier="0.05"/></joint>
+</robot>"""
+
+
+def mimic_urdf(folder):
+    """Path of a robot with a chain of mimic joints."""
+    inertial = (
+        '<inertial><origin xyz="0.05 0.01 0.02"/><mass value="{}"/><inertia ixx="0.02" iyy="0.03" '
+        'izz="0.025" ixy="0.001" ixz="0.002" iyz="0.0005"/></inertial>'
+    )
+    links = "".join(
+        f'<link name="{name}">{inertial.format(mass)}</link>'
+        for name, mass in (("a", 1.5), ("b", 0.7), ("c", 0.4))
+    )
+    path = folder / "hand.urdf"
+    path.write_text(MIMIC_URDF.format(links=links))
+    return path

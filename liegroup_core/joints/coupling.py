@@ -32,8 +32,8 @@ class Coupling(Described):
     joint: Text = Field(description="name of a revolute, prismatic or screw joint")
     other: Text = Field(description="name of another such joint; they need not be neighbours")
     ratio: Number = Field(
-        description="the coordinate of joint is ratio times that of other, plus offset: -0.5 for a "
-        "gear pair where joint has twice the teeth; in m/rad for a rack"
+        description="ratio r of q_joint = r q_other + offset: -0.5 for a gear pair where joint has "
+        "twice the teeth; in m/rad for a rack"
     )
     offset: Number | None = Field(
         None, description="offset in rad or m; default: that of the initial poses"

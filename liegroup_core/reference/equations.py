@@ -7,7 +7,9 @@ Kinematics and Dynamics of Mechanical Systems, 1989, chapter 9 (dot-1, dot-2, di
     ACROSS    e . f = 0                             a direction e of the parent, f of the child
     LEVEL     e . d - pitch theta - offset = 0      d from the point of the parent to that of the child
     DISTANCE  (d . d - length^2) / (2 length) = 0
+    ANGLE     theta                                 of a coupled joint, and LEVEL of a coupled slide
 
+A coupling is the difference of two such coordinates: q_1 - ratio q_2, less its value at the start.
 theta is the angle of a screw. Its rate is integrated with the motion, so that it is unwrapped. Each
 equation g = 0 is given with its first and second time derivatives.
 """
@@ -20,7 +22,7 @@ from liegroup_core.compiling import subroutine
 
 GROUND = -1  # body index of the world
 STATE = 13  # numbers per body: quaternion, position, velocity, angular velocity
-ACROSS, LEVEL, DISTANCE = 0, 1, 2
+ACROSS, LEVEL, DISTANCE, ANGLE = 0, 1, 2, 3
 X, Y, Z = 0, 1, 2  # axes of a joint frame
 
 # The equations of each kind of joint: (ACROSS, axis of the parent's frame, axis of the child's)
@@ -45,13 +47,16 @@ JOINTS = {
 class Equations(NamedTuple):
     """Equations of all joints of a scene: k rows, t joints with an integrated angle."""
 
-    kind: np.ndarray  # (k,) ACROSS, LEVEL or DISTANCE
+    kind: np.ndarray  # (k,) ACROSS, LEVEL, DISTANCE or ANGLE
     body: np.ndarray  # (k, 2) parent, child; GROUND = -1
     point: np.ndarray  # (k, 2, 3) m, in the frames of parent and child
     axis: np.ndarray  # (k, 2, 3) e in the parent's axes, f in the child's
     length: np.ndarray  # (k,) m, of a DISTANCE; the offset of a LEVEL
     pitch: np.ndarray  # (k,) m/rad
     turn: np.ndarray  # (k,) index of the angle theta, or -1
+    coupled: np.ndarray  # (c,) first of the two rows of each coupling, at the end
+    ratio: np.ndarray  # (c,)
+    offset: np.ndarray  # (c,) q_1 - ratio q_2
 
 
 @subroutine
@@ -156,6 +161,14 @@ def joint_equations(equations, state, angle, rows_out, gap_out):
             _add_rotation(row, state, child, axis)
             _add_rotation(row, state, parent, -axis)
             continue
+        if equations.kind[r] == ANGLE:
+            spin = turning(state, parent, child)
+            gap_out[0, r] = angle[equations.turn[r]]
+            gap_out[1, r] = np.dot(e[0], spin)
+            gap_out[2, r] = np.dot(e[1], spin)
+            _add_rotation(row, state, child, e[0])
+            _add_rotation(row, state, parent, -e[0])
+            continue
         d = point(state, child, equations.point[r, 1]) - point(state, parent, equations.point[r, 0])
         length = equations.length[r]
         if equations.kind[r] == DISTANCE:
@@ -178,3 +191,10 @@ def joint_equations(equations, state, angle, rows_out, gap_out):
             gap_out[2, r] -= pitch * np.dot(e[1], spin)
             _add_rotation(row, state, child, -pitch * e[0])
             _add_rotation(row, state, parent, pitch * e[0])
+    for c in range(len(equations.coupled)):
+        first = equations.coupled[c]
+        rows_out[first] -= equations.ratio[c] * rows_out[first + 1]
+        gap_out[:, first] -= equations.ratio[c] * gap_out[:, first + 1]
+        gap_out[0, first] -= equations.offset[c]
+        rows_out[first + 1] = 0.0
+        gap_out[:, first + 1] = 0.0

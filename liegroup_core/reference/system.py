@@ -7,7 +7,7 @@ from liegroup_core.errors import SimulationError
 from liegroup_core.scene.consistency import resolve_frames
 from liegroup_core.scene.massless import lack_of_inertia
 
-from .equations import DISTANCE, GROUND, JOINTS, Equations, X
+from .equations import ANGLE, DISTANCE, GROUND, JOINTS, LEVEL, Equations, X
 from .loads import Loads
 from .rigid_body_dae import System
 
@@ -17,11 +17,12 @@ TURNING = ("torsional_spring_damper", "motor")
 SLIDING = ("linear_spring_damper", "linear_motor")
 
 
-def build_system(scene, pose):
+def build_system(scene, pose, angles=None):
     """Arrays of a scene with body frames at the centres of mass.
 
-    pose : (n, 12) R row by row (body -> world), then r in m, at the start of the integration
-    returns (System, angles (t,) in (-pi, pi] rad, at that pose, of the joints that need an angle)
+    pose   : (n, 12) R row by row (body -> world), then r in m, at the start of the integration
+    angles : (u,) rad, those of `scene.unwrapped` at that pose; None: in (-pi, pi]
+    returns (System, angles (t,) rad at that pose, of the joints that need an angle)
     Raises SimulationError for a joint or force without equations here.
     """
     index = {body.name: i for i, body in enumerate(scene.bodies)} | {"world": GROUND}
@@ -49,7 +50,13 @@ def build_system(scene, pose):
     turns = [(joint, (0.0, 0.0, 0.0)) for joint in scene.joints if joint.type == "screw"]
     turns += [(joints[force.joint], _law(force)) for force in scene.forces if force.type in TURNING]
     slides = [(joints[force.joint], _law(force)) for force in scene.forces if force.type in SLIDING]
-    equations = _equations(scene, index, frames, relative)
+    coupled = [joints[name] for entry in scene.couplings for name in (entry.joint, entry.other)]
+    turns += [(joint, (0.0, 0.0, 0.0)) for joint in coupled if joint.type != "prismatic"]
+    known = {} if angles is None else dict(zip((name for name, _ in scene.unwrapped), angles))
+    start = np.array(
+        [known.get(joint.name, _angle(relative[joint.name])) for joint, _ in turns], dtype=float
+    )
+    equations = _equations(scene, index, frames, relative, (coupled, start))
     system = System(
         mass=np.array([body.mass for body in scene.bodies], dtype=float),
         inertia=np.array([body.inertia_matrix for body in scene.bodies]),
@@ -57,7 +64,7 @@ def build_system(scene, pose):
         equations=equations,
         loads=_loads(scene, index, frames, turns, slides),
     )
-    return system, np.array([_angle(relative[joint.name]) for joint, _ in turns])
+    return system, start
 
 
 def _relative(scene, frames, start):
@@ -88,7 +95,8 @@ def _ends(link, index):
     return index[link.parent], index[link.child]
 
 
-def _equations(scene, index, frames, relative):
+def _equations(scene, index, frames, relative, couplings):
+    """Equations; couplings : (their joints in pairs, angles of all joints that need one)."""
     kind, body, point, axis, length, pitch, turn = ([] for _ in range(7))
     described = _relative(scene, frames, {body.name: body.pose for body in scene.bodies})
     screws = 0
@@ -111,6 +119,22 @@ def _equations(scene, index, frames, relative):
                 else _length(joint, described[joint.name])
             )
         screws += joint.type == "screw"
+    coupled, start = couplings
+    angle, values = len(start) - sum(joint.type != "prismatic" for joint in coupled), []
+    for joint in coupled:
+        F_a, F_b = frames[joint.name]
+        turns = joint.type != "prismatic"
+        kind.append(ANGLE if turns else LEVEL)
+        body.append(_ends(joint, index))
+        point.append((F_a[:3, 3], F_b[:3, 3]))
+        axis.append((F_a[:3, 2], F_b[:3, 2]))
+        length.append(0.0)
+        pitch.append(0.0)
+        turn.append(angle if turns else -1)
+        values.append(start[angle] if turns else relative[joint.name][2, 3])
+        angle += turns
+    ratio = np.array([entry.ratio for entry in scene.couplings])
+    values = np.array(values).reshape(-1, 2)
     return Equations(
         _table(kind, (), int),
         _table(body, (2,), int),
@@ -119,6 +143,9 @@ def _equations(scene, index, frames, relative):
         _table(length, ()),
         _table(pitch, ()),
         _table(turn, (), int),
+        len(kind) - len(coupled) + 2 * np.arange(len(ratio)),
+        ratio,
+        values[:, 0] - ratio * values[:, 1],
     )
 
 

@@ -104,7 +104,7 @@ class Reference:
     """Integration as by `integrate`, continued from one call of `at` to the next.
 
     end    : s, last time that can be requested
-    angles : (t,) rad, unwrapped, of the torsional springs at `start`; None: in (-pi, pi]
+    angles : (u,) rad, those of `Scene.unwrapped` at `start`; None: in (-pi, pi]
     The other arguments are those of `integrate`.
     """
 
@@ -113,8 +113,7 @@ class Reference:
     ):
         scene = assembled(scene)
         pose, self._offsets = np.asarray(pose, dtype=float), Offsets(scene)
-        system, initial_angles = build_system(at_centres_of_mass(scene), pose)
-        angles = initial_angles if angles is None else np.asarray(angles, dtype=float)
+        system, angles = build_system(at_centres_of_mass(scene), pose, angles)
         state = np.concatenate([_to_state(pose, np.asarray(twist, dtype=float)), angles])
         pieces = _pieces(scene, self._offsets, changes, start, end)
         rank = _rank(system, state)

@@ -7,7 +7,7 @@ are locked too. Links without mass at the end of a chain are held in place.
 
 from liegroup_core.lie.groups import SE3
 
-from .description import WORLD, listed
+from .description import ONE_COORDINATE, WORLD, listed
 from .links import Grouping
 
 
@@ -74,6 +74,19 @@ def locked_joints(robot, options, values, notes):
                     ) / coupling.ratio
                 still.add(coupling.second)
                 changed = True
+    for coupling in robot.couplings:
+        ends = (coupling.first, coupling.second)
+        if coupling.offset is None or not all(
+            name in still and types.get(name) in ONE_COORDINATE for name in ends
+        ):
+            continue
+        wanted = coupling.ratio * values[coupling.second] + coupling.offset
+        if abs(values[coupling.first] - wanted) > 1e-9 * (1.0 + abs(wanted)):
+            raise options.error(
+                ("lock", coupling.first),
+                f"lock: {ends[0]} at {values[ends[0]]:.6g} and {ends[1]} at {values[ends[1]]:.6g} "
+                f"contradict their coupling, which wants {wanted:.6g} for {ends[0]}: lock one of them",
+            )
     for name in still:
         if types[name] != "fixed":
             own = name in options.lock or name in robot.locked

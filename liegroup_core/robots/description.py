@@ -170,6 +170,7 @@ class Robot:
     def check_couplings(self):
         """Raise SceneError for a coupling of unknown joints, and for circles of mimic joints."""
         known = [joint.name for joint in self.joints]
+        types = {joint.name: joint.type for joint in self.joints}
         for coupling in self.couplings:
             for name in (coupling.first, coupling.second):
                 if name not in known:
@@ -177,6 +178,13 @@ class Robot:
                         coupling.line,
                         f'joint "{coupling.first}" mimics "{coupling.second}": joint {name!r:.60} '
                         f"does not exist; {suggestion(name, sorted(known))}",
+                    )
+            for name in (coupling.first, coupling.second):
+                if types[name] not in (*ONE_COORDINATE, "fixed"):
+                    raise self.error(
+                        coupling.line,
+                        f'joint "{coupling.first}" mimics "{coupling.second}": joint "{name}" is '
+                        f"{types[name]}, and only joints with one coordinate can be coupled",
                     )
         mimics = {coupling.first: coupling for coupling in self.couplings}
         for coupling in self.couplings:

@@ -17,6 +17,7 @@ from .additions import added_couplings, added_forces, added_joints
 from .chains import base_of, grouped, kept_joints, locked_joints
 from .description import ONE_COORDINATE, WORLD, listed
 from .names import scene_name, unique_names
+from .resources import find_resource
 
 # Mass of a link without mass between two joints, relative to the lightest body: its effect on
 # accelerations is below round-off.
@@ -304,13 +305,17 @@ def _left_out(robot, grouping):
         if names:
             notes.append(f"changes the motion: {text}: {listed(names)}")
     for coupling in robot.couplings:
-        if coupling.first in moving and coupling.second not in moving:
-            notes.append(
-                f"changes the motion: {coupling.first} moves freely: {coupling.second}, to which it "
-                "is coupled, is cut"
-            )
+        for name, other in ((coupling.first, coupling.second), (coupling.second, coupling.first)):
+            if name in moving and other not in moving:
+                notes.append(
+                    f"changes the motion: without the coupling of {name} and {other}, which is cut"
+                )
     for what, names in robot.changes.items():
         notes.append(f"changes the motion: {what}, left out: {listed(names)}")
+    for name in grouping.of_link:
+        for visual in robot.links[name].visuals if name in robot.links else ():
+            if visual.mesh and find_resource(visual.mesh, robot.file) is None:
+                robot.leave_out("mesh files that are not there", f"{visual.mesh} of {name}")
     for what, names in robot.left_out.items():
         notes.append(f"left out: {len(names)} {what} ({listed(names)})")
     return notes

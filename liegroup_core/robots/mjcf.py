@@ -7,6 +7,7 @@ without mass. Joint coordinates are counted from the pose of the file (qpos0).
 """
 
 import json
+import math
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from liegroup_core.fields.frames import rotation_z_to
 from liegroup_core.lie.groups import SO3
 
 from .apart import run_apart
-from .description import WORLD, Coupling, Link, Robot, RobotJoint, Visual, place
+from .description import WORLD, Coupling, Link, Robot, RobotJoint, Visual, place, refusal
 from .xml import Reader
 
 TYPES = {"ball": "spherical", "slide": "prismatic", "hinge": "revolute"}
@@ -26,6 +27,7 @@ VISUALS = {"box", "sphere", "cylinder", "capsule"}
 def robot_of_mjcf(root, path):
     """Robot of an MJCF file; root: its root element. Raises SceneError."""
     model = json.loads(run_apart("mjcf", path))
+    _refuse_infinite(path, model)
     lines = {
         (element.tag, element.get("name")): element.sourceline
         for element in root.iter()
@@ -47,6 +49,22 @@ def robot_of_mjcf(root, path):
     _poses(robot, model)
     _others(robot, model)
     return robot
+
+
+def _refuse_infinite(path, value, place=()):
+    """Raise SceneError for a number of the compiled model that is not finite."""
+    if isinstance(value, float) and not math.isfinite(value):
+        where = ", ".join(str(part) for part in place if not isinstance(part, int))
+        raise refusal(path, 0, f"has a number that is not finite ({where}): correct the file")
+    entries = value.items() if isinstance(value, dict) else ()
+    if isinstance(value, list):
+        # An entry of a list is known by its name.
+        entries = [
+            (str(each.get("name") or i) if isinstance(each, dict) else i, each)
+            for i, each in enumerate(value)
+        ]
+    for key, each in entries:
+        _refuse_infinite(path, each, (*place, key))
 
 
 def _names(given, what):

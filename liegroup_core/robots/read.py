@@ -5,7 +5,7 @@ import os
 from pathlib import Path
 
 from .apart import run_apart
-from .description import refusal
+from .description import listed, refusal
 from .mjcf import robot_of_mjcf
 from .sdf import robot_of_sdf
 from .urdf import robot_of_urdf
@@ -29,7 +29,17 @@ def read_robot(path, srdf=None):
     try:
         robot = _read(path)
         if srdf is not None:
-            robot.poses |= _group_states(srdf)
+            states = _group_states(srdf)
+            known = {joint.name for joint in robot.joints}
+            for pose, values in states.items():
+                unknown = sorted(values.keys() - known)
+                if unknown:
+                    raise refusal(
+                        srdf,
+                        0,
+                        f'group state "{pose}": the robot has no joint {listed(unknown)}: correct it',
+                    )
+            robot.poses |= states
     except OSError as error:
         raise refusal(
             error.filename or path, 0, f"cannot be read: {error.strerror or error}"
@@ -40,7 +50,7 @@ def read_robot(path, srdf=None):
 def _read(path):
     root = read_xml(path)
     if root.tag == "robot":
-        if any("xacro}" in element.tag for element in root.iter()):
+        if Path(path).suffix == ".xacro" or any("xacro}" in each.tag for each in root.iter()):
             text = run_apart("xacro", path)
             # Lines are those of the expanded text.
             file = f"{path} (expanded)"

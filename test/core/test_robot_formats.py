@@ -94,6 +94,11 @@ def test_screws_gears_and_static_models(tmp_path):
     assert (gear.first, gear.second, gear.ratio) == ("wheel", "shaft", 4.0)
     (coupling,) = scene.couplings
     assert (coupling.joint, coupling.other, coupling.ratio) == ("wheel", "shaft", 4.0)
+    # The gear's own axes decide the sign.
+    reverse = "<axis><xyz>0 0 -1</xyz></axis></joint></model>"
+    turned = text.replace("</gearbox_ratio></joint>", "</gearbox_ratio>" + reverse[:-8])
+    assert load_scene(sdf(tmp_path, turned)).couplings[0].ratio == -4.0
+    sdf(tmp_path, text)
     # The child of a joint of a scene moves: the ends are exchanged, the coordinate stays.
     locked = scene_from_robot(path, Options(start={"wheel": 0.3}))
     wheel = next(joint for joint in locked.joints if joint.name == "wheel")
