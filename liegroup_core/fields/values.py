@@ -326,7 +326,7 @@ def _refusal(cls, errors, values):
             )
         )
         message = f"{path} {rule}, got {shown(first['input'])}".strip()
-    if cls.__name__ != "Scene":
+    if cls.__name__ not in ("Scene", "RobotFile"):
         name = values.get("name")
         label = f' "{name}"' if isinstance(name, str) and _NAME.fullmatch(name) else ""
         message = f"{cls.__name__}{label}: {message}"

@@ -344,4 +344,4 @@ def _from_line(robot, line):
 def _counted(names):
     """Number of shapes, and the links that have them."""
     links = list(dict.fromkeys(names))
-    return f"{len(names)} collision shapes of {listed(links)}"
+    return f"{len(names)} collision shape{'s'[: len(names) != 1]} of {listed(links)}"

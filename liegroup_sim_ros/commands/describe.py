@@ -81,9 +81,7 @@ def step_cost(scene, method, group="auto", seconds=MEASURING):
 
 def print_facts(facts, console):
     """Tables on a terminal."""
-    console.print(
-        Text(f"{facts['scene']}: {facts['degrees_of_freedom']} degrees of freedom", style="bold")
-    )
+    console.print(Text(f"{facts['scene']}: {_freedoms(facts['degrees_of_freedom'])}", style="bold"))
     if facts["description"]:
         console.print(Text(facts["description"], style="dim"))
     for title, rows in sections(facts):
@@ -188,6 +186,11 @@ def _import_rows(facts):
             )
         )
     return rows
+
+
+def _freedoms(count):
+    """Number of degrees of freedom in words."""
+    return f"{count} degree{'' if count == 1 else 's'} of freedom"
 
 
 def _note(text):

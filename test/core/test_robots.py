@@ -136,7 +136,7 @@ def test_notes_name_what_was_merged_and_left_out(tmp_path):
     assert "merged into slide: tool, tip" in text
     assert "fixed to the world: base" in text
     assert "held in place: tip at the end of joint tip_joint" in text
-    assert "changes the motion: no contact, 1 collision shapes of base" in text
+    assert "changes the motion: no contact, 1 collision shape of base" in text
     assert "changes the motion: joint limits are not enforced: shoulder, extend" in text
     assert "changes the motion: joint friction is not simulated: shoulder" in text
     assert "left out: 1 transmission (drive)" in text

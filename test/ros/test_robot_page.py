@@ -47,7 +47,7 @@ def test_all_commands_of_the_page(folder, capsys):
     assert "arm: changes the motion: joint limits are not enforced: shoulder" in read.err
     for note in re.findall(r"^    (\w+ [\w ]*?\w)   +(.*)$", PAGE, re.MULTILINE):
         assert " ".join(note) in printed
-    assert "arm: 2 degrees of freedom" in printed and "arm: 1 degrees of freedom" in printed
+    assert "arm: 2 degrees of freedom" in printed and "arm: 1 degree of freedom" in printed
 
 
 def test_a_recording_is_repeated_without_the_robots_file(folder):
