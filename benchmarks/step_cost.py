@@ -40,6 +40,7 @@ START = """
 import sys, time
 start = time.process_time()
 from liegroup_core import load_scene
+from liegroup_core.engine import Engine
 for name in sys.argv[1:]:
     scene, method = name.split()
     Engine(load_scene(scene), method=method)
