@@ -2,7 +2,7 @@
 """Published robots as problems: URDF and SDF files of the package example-robot-data.
 
 All codes get the bodies that this project's import makes of a file: links over fixed joints are one
-body. Springs, dampers, limits and motors are left out. The robots fall from a bent pose with all
+body. Springs, dampers, limits, motors and mimic couplings are left out. The robots fall from a bent pose with all
 joints turning. Loops are cut at ball joints, which every code can close.
 """
 

@@ -72,9 +72,7 @@ class Forces(Struct):
     linear_motor: np.ndarray
     drag: np.ndarray
     applied_wrench: np.ndarray
-    counted: (
-        np.ndarray
-    )  # torsional springs without stiffness: their angle is unwrapped for a coupling
+    counted: np.ndarray  # springs without stiffness, at joints that a coupling counts
 
 
 def make_forces(described, index, ends, counted=()):

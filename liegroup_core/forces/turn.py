@@ -65,6 +65,12 @@ def _frame_axes(pose, body, axes):
 
 
 @kernel
+def unwrapped(value, near):
+    """The angle that differs from `value` by whole turns and is nearest to `near`, rad."""
+    return value + 2.0 * math.pi * math.floor((near - value) / (2.0 * math.pi) + 0.5)
+
+
+@kernel
 def angle(row, pose, near):
     """Angle of the child's joint frame about z, rad: the value modulo 2 pi nearest to `near`."""
     relative = tmatmul3(
@@ -72,8 +78,7 @@ def angle(row, pose, near):
         _frame_axes(pose, row["child"], matrix3(row["child_axes"])),
     )
     within_a_turn = math.atan2(relative[3] - relative[1], relative[0] + relative[4])
-    turns = math.floor((near - within_a_turn) / (2.0 * math.pi) + 0.5)
-    return within_a_turn + 2.0 * math.pi * turns
+    return unwrapped(within_a_turn, near)
 
 
 @kernel

@@ -169,15 +169,14 @@ class Robot:
 
     def check_couplings(self):
         """Raise SceneError for a coupling of unknown joints, and for circles of mimic joints."""
-        known = [joint.name for joint in self.joints]
         types = {joint.name: joint.type for joint in self.joints}
         for coupling in self.couplings:
             for name in (coupling.first, coupling.second):
-                if name not in known:
+                if name not in types:
                     raise self.error(
                         coupling.line,
                         f'joint "{coupling.first}" mimics "{coupling.second}": joint {name!r:.60} '
-                        f"does not exist; {suggestion(name, sorted(known))}",
+                        f"does not exist; {suggestion(name, sorted(types))}",
                     )
             for name in (coupling.first, coupling.second):
                 if types[name] not in (*ONE_COORDINATE, "fixed"):

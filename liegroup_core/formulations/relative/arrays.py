@@ -74,8 +74,8 @@ COUPLED = np.dtype(
         ("links", "i8", (2,)),
         ("factors", "f8", (2,)),  # of their coordinates in the residual
         ("offset", "f8"),
-        ("angle", "i8"),
-        ("sign", "f8"),  # unwrapped angle of the second joint, -1: none; link / joint coordinate
+        ("angle", "i8"),  # unwrapped angle of the second joint, -1: none
+        ("sign", "f8"),  # of the second link's coordinate when that of its joint increases
         ("turned", "i8"),  # 1: the residual counts modulo 2 pi
     ],
     align=True,

@@ -5,9 +5,8 @@ A coupling is one of the cut joints, with an element and rows of zeros; what is 
 here. couplings.py has forces and accelerations.
 """
 
-import math
-
 from liegroup_core.compiling import kernel
+from liegroup_core.forces.turn import unwrapped
 from liegroup_core.formulations.absolute.constraints import position_residuals
 from liegroup_core.formulations.absolute.projection import ROUND_OFF
 
@@ -29,12 +28,6 @@ def set_all_rows(model, work):
 
 
 @kernel
-def _near(value, near):
-    """The angle that differs from `value` by whole turns and is nearest to `near`."""
-    return value + 2.0 * math.pi * math.floor((near - value) / (2.0 * math.pi) + 0.5)
-
-
-@kernel
 def set_coupled_gaps(model, work, moves, moved):
     """Position residuals of the couplings at the stage, to work.gap.
 
@@ -47,7 +40,7 @@ def set_coupled_gaps(model, work, moves, moved):
         first = link_coordinate(model, links[0], work.stage_pose)
         second = link_coordinate(model, links[1], work.stage_pose)
         if coupling["angle"] >= 0:
-            second = _near(second, coupling["sign"] * work.angle[coupling["angle"]])
+            second = unwrapped(second, coupling["sign"] * work.angle[coupling["angle"]])
         if moved == 1:
             first += moves[model.bodies[links[0]]["freedom"], 0]
             second += moves[model.bodies[links[1]]["freedom"], 0]
@@ -55,7 +48,7 @@ def set_coupled_gaps(model, work, moves, moved):
         gap = first + second - coupling["offset"]
         size = 1.0 + abs(first) + abs(second) + abs(coupling["offset"])
         if coupling["turned"] == 1:
-            gap = _near(gap, 0.0)
+            gap = unwrapped(gap, 0.0)
         work.gap[coupling["residual"]] = 0.0 if abs(gap) <= ROUND_OFF * size else gap
 
 
