@@ -22,22 +22,22 @@ def added_joints(options, grouping):
 
 
 def _joint(options, grouping, i, entry):
-    frames = {}
+    which, frames = options.joint_label.format(i), {}
     for end in ("parent", "child"):
         link = entry.get(end)
         if link not in grouping.of_link:
-            raise options.unknown(("joints", i, end), f"joints[{i}]: {end}", link, grouping.of_link)
+            raise options.unknown(("joints", i, end), f"{which}: {end}", link, grouping.of_link)
         if entry.get(f"{end}_frame") is not None:
             try:
                 frames[end] = Frame.model_validate(entry[f"{end}_frame"]).pose
             except SceneError as error:
                 raise options.error(
-                    ("joints", i, f"{end}_frame"), f"joints[{i}]: {error}"
+                    ("joints", i, f"{end}_frame"), f"{which}: {error}"
                 ) from None
             except ValueError:
                 raise options.error(
                     ("joints", i, f"{end}_frame"),
-                    f"joints[{i}]: {end}_frame must be a frame: position, and axis or quaternion",
+                    f"{which}: {end}_frame must be a frame: position, and axis or quaternion",
                 ) from None
     poses = {
         end: grouping.of_link[entry[end]].pose @ grouping.of_link[entry[end]].places[entry[end]]
@@ -47,7 +47,7 @@ def _joint(options, grouping, i, entry):
         if end not in frames:
             if other not in frames:
                 raise options.error(
-                    ("joints", i), f"joints[{i}]: parent_frame or child_frame is missing"
+                    ("joints", i), f"{which}: parent_frame or child_frame is missing"
                 )
             frames[end] = SE3.inverse(poses[end]) @ poses[other] @ frames[other]
     parent, child = entry["parent"], entry["child"]
@@ -55,26 +55,26 @@ def _joint(options, grouping, i, entry):
     if grouping.of_link[child] is grouping.world:
         if grouping.of_link[parent] is grouping.world:
             raise options.error(
-                ("joints", i), f"joints[{i}]: neither {parent} nor {child} moves: name other links"
+                ("joints", i), f"{which}: neither {parent} nor {child} moves: name other links"
             )
         if entry.get("type") in ("universal",):
             raise options.error(
-                ("joints", i, "child"), f"joints[{i}]: {child} does not move: exchange the ends"
+                ("joints", i, "child"), f"{which}: {child} does not move: exchange the ends"
             )
         parent, child, F_a, F_b = child, parent, F_b, F_a
     if grouping.of_link[parent] is grouping.of_link[child]:
         raise options.error(
-            ("joints", i), f"joints[{i}]: {parent} and {child} move as one body: name other links"
+            ("joints", i), f"{which}: {parent} and {child} move as one body: name other links"
         )
     known = {"name", "type", "parent", "child", "parent_frame", "child_frame", "pitch", "length"}
     for key in entry:
         if key not in known:
             raise options.error(
-                ("joints", i, key), f"joints[{i}]: unknown key {key!r:.40} of a closing joint"
+                ("joints", i, key), f"{which}: unknown key {key!r:.40} of a closing joint"
             )
     name = entry.get("name")
     if not isinstance(name, str):
-        raise options.error(("joints", i), f"joints[{i}]: name is missing: give one")
+        raise options.error(("joints", i), f"{which}: name is missing: give one")
     return RobotJoint(
         name,
         entry.get("type"),

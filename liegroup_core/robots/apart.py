@@ -4,7 +4,8 @@
     python -m liegroup_core.robots.apart xacro FILE        prints the expanded XML
     python -m liegroup_core.robots.apart mjcf FILE         prints the compiled model as JSON
 
-A wrong file cannot take this process down, whatever the tool does with it.
+A wrong file cannot take this process down, whatever the tool does with it. Where a tool fails, its
+message is on stderr, and the place "file:line" on stdout if it is known.
 """
 
 import json
@@ -14,6 +15,7 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from xml.dom import expatbuilder, minidom
 
 from .description import refusal
 
@@ -63,7 +65,11 @@ def run_apart(tool, path):
     text = [line for line in problems.decode(errors="replace").splitlines() if line.strip()]
     if done.returncode < 0 or any("MemoryError" in line or "bad_alloc" in line for line in text):
         raise refusal(path, 0, f"{tool} ran out of memory or crashed on it: simplify the file")
-    raise refusal(path, 0, f"{tool}: {(' '.join(text) or 'failed')[-400:]}; correct the file")
+    file, _, line = found.decode(errors="replace").strip().rpartition(":")
+    if not line.isdecimal() or file == str(Path(path).resolve()):
+        file = path
+    line = int(line) if line.isdecimal() else 0
+    raise refusal(file, line, f"{tool}: {(' '.join(text) or 'failed')[-400:]}; correct the file")
 
 
 def _head(path):
@@ -88,7 +94,30 @@ def _expand(path):
     """Expanded XML of a xacro file."""
     import xacro
 
+    expatbuilder.ExpatBuilderNS = _PlacedBuilder  # that minidom makes its elements with
     return xacro.process_file(path).toprettyxml(indent="  ")
+
+
+class _PlacedBuilder(expatbuilder.ExpatBuilderNS):
+    """Builder of elements that know their `place`, "file:line"."""
+
+    def parseFile(self, file):
+        self.file = Path(file.name).resolve()
+        return super().parseFile(file)
+
+    def start_element_handler(self, *arguments):
+        super().start_element_handler(*arguments)
+        self.curNode.place = f"{self.file}:{self.getParser().CurrentLineNumber}"
+
+
+def _place(error):
+    """Place of the element that was handled last when an error was raised; "" if it is not known."""
+    place, trace = "", error.__traceback__
+    while trace is not None:
+        for value in trace.tb_frame.f_locals.values():
+            place = getattr(value, "place", place) if isinstance(value, minidom.Node) else place
+        trace = trace.tb_next
+    return place
 
 
 def _compile(path):
@@ -114,6 +143,7 @@ def main(tool, path):
         print("it contains itself, or is nested too deep", file=sys.stderr)
         return 1
     except Exception as error:  # whatever the tool finds wrong is the message
+        print(_place(error))
         print(" ".join(str(error).split()) or type(error).__name__, file=sys.stderr)
         return 1
     return 0

@@ -59,6 +59,7 @@ def scene_parts(robot, options):
     values = options.coordinates(robot)
     notes = []
     joints = kept_joints(robot, options, notes)
+    options.check_start({joint.name for joint in joints})
     base = base_of(robot, options, joints, notes)
     lock = locked_joints(robot, options, values, notes)
     grouping = grouped(robot, options, base, joints, lock, values, notes)
@@ -127,9 +128,10 @@ def _bodies(robot, grouping, parts, notes):
         body = {"name": name}
         if mass == 0.0:
             body["mass"] = NO_MASS * lightest
+            kind = "modelled with its inertia and a mass" if inertia.any() else "a point mass"
             notes.append(
-                f"without mass: {listed(group.links)} between joints, modelled as a point mass of "
-                f"{NO_MASS:g} of the lightest body"
+                f"without mass: {listed(group.links)} between joints, {kind} of {NO_MASS:g} of the "
+                "lightest body"
             )
         else:
             body["mass"] = mass

@@ -26,6 +26,7 @@ class Options:
     forces    : [keys of a scene's force]
     srdf      : path of an SRDF file with poses
     gravity, name, description : of the scene, None: as the file says
+    joint_label : how errors name one of `joints`, by its index
     place     : function: path inside the additions -> text that an error starts with
     """
 
@@ -42,6 +43,7 @@ class Options:
     gravity: list | None = None
     name: str | None = None
     description: str | None = None
+    joint_label: str = "--close"
     place: object = None
 
     def error(self, path, message):
@@ -95,6 +97,21 @@ class Options:
                 )
             values[name] = float(value)
         return values
+
+    def check_start(self, kept):
+        """Refuse a start value of a joint that is not among the kept ones, or that is locked elsewhere."""
+        for name, value in self.start.items():
+            if name not in kept:
+                raise self.error(
+                    ("start", name),
+                    f'start: joint "{name}" is cut: keep its links with only, or omit its value',
+                )
+            if value != self.lock.get(name, value):
+                raise self.error(
+                    ("start", name),
+                    f'start: joint "{name}" is {value:g}, and lock holds it at {self.lock[name]:g}: '
+                    "omit one of the two",
+                )
 
     def check_velocities(self, moving):
         """Refuse a velocity of a joint that is not among the moving ones."""

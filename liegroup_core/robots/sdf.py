@@ -158,7 +158,7 @@ def _model(loader, model, pose):
 
 def _joint(loader, model, element, model_pose):
     reader, robot = loader.reader, loader.robot
-    name, kind = model.full(reader.name(element)), element.get("type")
+    name, kind = model.full(reader.name(element)), element.get("type", "")
     if kind not in TYPES:
         raise reader.error(
             element,

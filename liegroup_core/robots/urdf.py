@@ -128,7 +128,7 @@ def _visuals(reader, visual):
 
 def _joint(reader, robot, element):
     name = reader.name(element)
-    kind = element.get("type")
+    kind = element.get("type", "")
     if kind not in JOINTS:
         raise reader.error(
             element, f'joint "{name}" has the type {kind!r:.40}; choose one of: {", ".join(JOINTS)}'

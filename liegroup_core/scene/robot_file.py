@@ -140,6 +140,7 @@ def robot_beside(root, source):
         lock=given.lock or {},
         only=list(given.only),
         joints=list(given.joints),
+        joint_label="joints[{}]",
         couplings=list(given.couplings),
         forces=list(given.forces),
         gravity=given.gravity,

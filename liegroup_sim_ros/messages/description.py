@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """robot_description: the URDF text that RViz's RobotModel and robot_state_publisher take.
 
-A robot from a URDF file keeps its text. Other scenes get a URDF of their bodies, each held to the
-world by a floating joint: RViz takes the poses from /tf. Imports no ROS.
+A robot from a URDF file keeps its text. Other scenes get a URDF of their links and joints. URDF has
+no loops and no joints of two or three freedoms: there, the links are floating, and RViz takes their
+poses from /tf. Imports no ROS.
 """
 
 from pathlib import Path
@@ -14,11 +15,13 @@ from liegroup_core.robots.description import Visual, rpy_of_rotation
 from liegroup_core.robots.resources import find_resource
 
 from .cdr import Template
+from .links import links_and_joints
 from .markers import CUBE, CYLINDER, SPHERE, solid
 
 TYPE = "std_msgs/msg/String"
 KINDS = {CUBE: "box", CYLINDER: "cylinder", SPHERE: "sphere"}
 COLOR = "0.35 0.55 0.8 1"
+FAR = 1e6  # m, m/s and N: a limit that is none
 
 
 def robot_description(scene):
@@ -26,21 +29,17 @@ def robot_description(scene):
     robot = scene.robot
     if robot is not None and robot.text:
         return robot.text
+    links, joints = links_and_joints(scene)
     if robot is None:
-        links = {body.name: [_solid(body)] for body in scene.bodies}
-        folder = ""
+        visuals, folder = {body.name: [_solid(body)] for body in scene.bodies}, ""
     else:
-        links, folder = robot.visuals, robot.file
+        visuals, folder = robot.visuals, robot.file
     parts = [f"<robot name={quoteattr(scene.name)}>", '  <link name="world"/>']
-    for name, visuals in links.items():
+    for name in links:
         parts.append(f"  <link name={quoteattr(name)}>")
-        parts += [_visual(visual, folder) for visual in visuals]
+        parts += [_visual(visual, folder) for visual in visuals.get(name, ())]
         parts.append("  </link>")
-        parts.append(
-            f'  <joint name={quoteattr(f"{name}_to_world")} type="floating">'
-            f'<parent link="world"/><child link={quoteattr(name)}/></joint>'
-        )
-    return "\n".join([*parts, "</robot>", ""])
+    return "\n".join([*parts, *(_joint(joint) for joint in joints), "</robot>", ""])
 
 
 def encoded(text):
@@ -57,10 +56,28 @@ def _solid(body):
     return Visual(KINDS[kind], size, pose)
 
 
+def _joint(joint):
+    """<joint> element. URDF asks for limits of a prismatic joint."""
+    lines = [
+        f'  <joint name={quoteattr(joint.name)} type="{joint.type}">'
+        f"<parent link={quoteattr(joint.parent)}/><child link={quoteattr(joint.child)}/>",
+        f"    {_origin(joint.origin)}",
+    ]
+    if joint.axis is not None:
+        lines.append(f'    <axis xyz="{_row(joint.axis)}"/>')
+    if joint.type == "prismatic":
+        lower, upper = (joint.data.get(end, far) for end, far in (("lower", -FAR), ("upper", FAR)))
+        lines.append(f'    <limit lower="{lower}" upper="{upper}" effort="{FAR}" velocity="{FAR}"/>')
+    return "\n".join([*lines, "  </joint>"])
+
+
+def _origin(pose):
+    rpy = rpy_of_rotation(pose[:3, :3])
+    return f'<origin xyz="{_row(pose[:3, 3])}" rpy="{_row(rpy)}"/>'
+
+
 def _visual(visual, file):
     """<visual> element; a mesh that is no file of this machine keeps its address."""
-    xyz = _row(visual.pose[:3, 3])
-    rpy = _row(rpy_of_rotation(visual.pose[:3, :3]))
     if visual.kind == "box":
         shape = f'<box size="{_row(np.maximum(visual.size, 1e-6))}"/>'
     elif visual.kind == "cylinder":
@@ -72,7 +89,7 @@ def _visual(visual, file):
         address = visual.mesh if path is None else Path(path).as_uri()
         shape = f'<mesh filename={quoteattr(address)} scale="{_row(visual.size)}"/>'
     return (
-        f'    <visual><origin xyz="{xyz}" rpy="{rpy}"/><geometry>{shape}</geometry>'
+        f'    <visual>{_origin(visual.pose)}<geometry>{shape}</geometry>'
         f'<material name="body"><color rgba="{COLOR}"/></material></visual>'
     )
 

@@ -15,6 +15,7 @@ from liegroup_core.observables.along import quaternions
 
 from .cdr import Template, stamp
 from .codecs import PoseStampedCodec, TwistStampedCodec, pack_stamp
+from .links import links_and_joints
 
 _POSE, _BODY = 7 * 8, 13 * 8  # bytes of a pose, and of a body, in Sample.rows
 
@@ -154,31 +155,21 @@ def joint_states(layout, world_frame, frame_prefix=""):
 
 
 def transforms(layout, world_frame, frame_prefix=""):
-    """tf2_msgs/TFMessage: transforms from the world frame to every body frame.
-
-    Of a robot: to the frames of all its links, with the names of its file.
-    """
-    robot, bodies = layout.scene.robot, layout.body_names
-    if robot is None:
-        frames = {body: (body, np.eye(4)) for body in bodies}
-    else:
-        frames = robot.frames
+    """tf2_msgs/TFMessage: transforms from the world frame to the frame of every link."""
+    links, _ = links_and_joints(layout.scene)
     template = Template()
-    template.put("I", len(frames))
-    for name in frames:
+    template.put("I", len(links))
+    for name in links:
         template.header(world_frame)
         template.string(frame_prefix + name)
         template.slot("7d")
     # The world has the index after the last body.
-    number = {body: i for i, body in enumerate(bodies)}
-    owner = [number.get(body, len(bodies)) for body, _ in frames.values()]
-    local = np.array([pose for _, pose in frames.values()])
-    plain = robot is None
+    number = {body: i for i, body in enumerate(layout.body_names)}
+    owner = [number.get(body, len(number)) for body, _ in links.values()]
+    local = np.array([pose for _, pose in links.values()])
 
     def encode(stamp_ns, sample):
         time = stamp(stamp_ns)
-        if plain:
-            return template.pack(*(slot for body in bodies for slot in (time, _pose(sample, body))))
         poses = np.concatenate([sample.pose_matrices, np.eye(4)[None]])[owner] @ local
         rows = np.hstack([poses[:, :3, :3].reshape(-1, 9), poses[:, :3, 3]])
         places = np.hstack([rows[:, 9:], quaternions(rows)]).tolist()

@@ -45,9 +45,9 @@ def robot_shapes(robot):
                 meshes.setdefault(body, []).append(mesh)
     remarks = []
     if missing:
-        remarks.append(f"{len(missing)} meshes are not on this machine, the first is {missing[0]}")
+        remarks.append(f"meshes that are not on this machine: {len(missing)}, the first is {missing[0]}")
     for name, text in list(failed.items())[:1]:
-        remarks.append(f"{len(failed)} meshes cannot be read, the first is {name}: {text}")
+        remarks.append(f"meshes that cannot be read: {len(failed)}, the first is {name}: {text}")
     whole = {body: trimesh.util.concatenate(parts) for body, parts in meshes.items()}
     return {body: _packed(mesh) for body, mesh in _decimated(whole, remarks).items()}, remarks
 

@@ -118,6 +118,7 @@ SDF_ERRORS = [
     ('<frame name="mount"><pose>', '<frame name="mount"><pose relative_to="tool">', "circle"),
     ("<child>upper</child>", "<child>base</child>", "'base' does not exist"),
     ('type="prismatic"', 'type="slider"', "has the type 'slider'"),
+    ('type="prismatic"', "", "has the type ''"),
     ("<mass>2.5</mass>", "<mass>x</mass>", "must be a number"),
     ("<ixx>0.02</ixx>", "<ixx>-1</ixx>", "negative moment of inertia"),
     ("<parent>upper</parent>", "", "has no <parent>"),
@@ -155,7 +156,14 @@ def test_xacro_files(tmp_path):
     scene = load_scene(path)
     assert scene.bodies[0].com == (0.25, 0.0, 0.0) and "two.urdf.xacro" in scene.description
     path.write_text(XACRO.replace("length / 2", "lenght / 2"))
-    assert "lenght" in refusal(path)
+    # The call of the macro is what xacro handles: an element that a macro makes is in no file.
+    assert "two.urdf.xacro:6: xacro: name 'lenght' is not defined" in refusal(path)
+    (tmp_path / "part.xacro").write_text('<robot>\n\n<link name="${x}"/></robot>')
+    line = '<xacro:include filename="part.xacro"/>'
+    path.write_text(XACRO.replace("<link name", f"{line}<link name", 1))
+    assert re.search(r"part\.xacro:3: xacro: name 'x' is not defined", refusal(path))
+    path.write_text(XACRO.replace("xacro:rod name", "xacro:rot name"))
+    assert "two.urdf.xacro:6: xacro: unknown macro name: xacro:rot" in refusal(path)
     # A macro that calls itself for ever.
     path.write_text(XACRO.replace('<link name="${name}">', '<xacro:rod name="b"/><link name="x">'))
     start = time.perf_counter()

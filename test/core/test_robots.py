@@ -198,6 +198,12 @@ def test_start_values_poses_and_locked_joints(tmp_path):
     locked = scene_from_robot(urdf, Options(lock={"extend": 0.1}))
     assert [joint.name for joint in locked.joints] == ["shoulder"]
     assert "locked: joint extend at 0.1" in locked.notes
+    for options, message in (
+        (Options(lock={"extend": 0.1}, start={"extend": 0.2}), "is 0.2, and lock holds it at 0.1"),
+        (Options(only=["upper"], start={"extend": 0.2}), '"extend" is cut'),
+    ):
+        with pytest.raises(SceneError, match=message):
+            scene_from_robot(urdf, options)
 
 
 def rates(scene):

@@ -12,11 +12,12 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from liegroup_core import Simulation, load_scene
+from liegroup_core.joints.linkage import inverse
 from liegroup_core.robots.description import rpy_of_rotation
 from liegroup_core.robots.read import read_robot
 from liegroup_sim_ros.messages.description import robot_description
 from liegroup_sim_ros.messages.markers import CUBE, MESH, Markers
-from liegroup_sim_ros.messages.samples import transforms
+from liegroup_sim_ros.messages.samples import joint_states, transforms
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -62,25 +63,82 @@ def test_tf_has_the_frames_of_all_links(tmp_path):
     assert not found["a/base"].any()
 
 
-@pytest.mark.parametrize("kind", ["sdf", "yaml"])
-def test_other_scenes_get_a_urdf_of_their_bodies(kind, tmp_path):
-    path = tmp_path / "arm.sdf"
-    path.write_text(ARM_SDF.replace("</link>", VISUAL + "</link>", 1))
-    scene = load_scene(path if kind == "sdf" else "four_bar")
+def transforms_of(simulation):
+    """{frame: (4, 4)} of /tf, and {joint: coordinate} of ~/joint_states, of the present state."""
+    store, sample = get_typestore(Stores.ROS2_JAZZY), simulation.sample()
+
+    def message(topic):
+        ((_, message_type, encode),) = topic(simulation.layout, "world")
+        return store.deserialize_cdr(encode(0, sample), message_type)
+
+    found = {"world": np.eye(4)}
+    for each in message(transforms).transforms:
+        t, q = each.transform.translation, each.transform.rotation
+        pose = np.eye(4)
+        pose[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
+        pose[:3, 3] = t.x, t.y, t.z
+        found[each.child_frame_id] = pose
+    if not simulation.layout.coordinates.names:  # no message: rosbags refuses empty sequences
+        return found, {}
+    states = message(joint_states)
+    return found, dict(zip(states.name, states.position))
+
+
+@pytest.mark.parametrize(
+    "name", ["arm.sdf", "stewart.sdf", "apart.xml", "four_bar", "slider_crank", "bricard", "ball_chain"]
+)
+def test_the_generated_urdf_moves_with_the_joint_states(name, tmp_path):
+    """Poses of all links from the joints of the URDF and ~/joint_states are those of /tf.
+
+    Tolerance: round-off, for up to ten joints between a link and the world.
+    """
+    texts = {
+        "arm.sdf": ARM_SDF.replace("</link>", VISUAL + "</link>", 1),
+        "stewart.sdf": stewart_sdf(),
+        "apart.xml": APART_XML,
+    }
+    path = name
+    if name == "apart.xml":
+        pytest.importorskip("mujoco")
+    if name in texts:
+        path = tmp_path / name
+        path.write_text(texts[name])
+    simulation = Simulation(load_scene(path))
+    scene = simulation.scene
     written = tmp_path / "generated.urdf"
     written.write_text(robot_description(scene))
-    again = read_robot(written)  # a URDF with one root, every link once
-    assert again.roots == ["world"]
-    assert {joint.type for joint in again.joints} == {"floating"}
-    links = {"upper", "slide", "tool"} if kind == "sdf" else {body.name for body in scene.bodies}
-    shapes = {name: link.visuals for name, link in again.links.items()}
-    assert set(shapes) == links | {"world"}
-    if kind == "sdf":
-        (box,) = shapes["upper"]
+    robot = read_robot(written)  # a URDF with one root, every link once
+    assert robot.roots == ["world"]
+    simulation.advance(200)
+    frames, values = transforms_of(simulation)
+    assert set(robot.links) == set(frames) and {body.name for body in scene.bodies} <= set(frames)
+    moving = {joint.name for joint in robot.joints if joint.type not in ("fixed", "floating")}
+    loose = [joint for joint in robot.joints if joint.type == "floating"]
+    assert moving <= set(values) and len(loose) == LOOSE.get(name, 0)
+    for joint in robot.joints:
+        if joint.type == "floating":
+            continue
+        moved = joint.motion(values[joint.name]) if joint.name in moving else np.eye(4)
+        pose = frames[joint.parent] @ joint.parent_frame @ moved @ inverse(joint.child_frame)
+        assert np.abs(pose - frames[joint.child]).max() < 1e-12
+    if name == "arm.sdf":
+        (box,) = robot.links["upper"].visuals
         assert box.kind == "box" and box.size == pytest.approx((0.2, 0.1, 0.3))
         assert box.pose[:3, 3] == pytest.approx((0.1, 0, 0))
-    else:
-        assert all(len(shapes[name]) == 1 for name in links)
+    elif name not in texts:
+        assert all(len(robot.links[body.name].visuals) == 1 for body in scene.bodies)
+
+
+LOOSE = {"stewart.sdf": 7, "ball_chain": 10, "apart.xml": 1, "slider_crank": 1}  # links that are floating
+
+
+APART_XML = """<mujoco><worldbody><body name="first" pos="0 0 1"><freejoint/>
+<geom type="box" size="0.1 0.2 0.3"/>
+<body name="second" pos="0.3 0 0">
+<joint name="a" type="hinge" axis="0 1 0" pos="0.1 0.2 0"/>
+<joint name="b" type="hinge" axis="1 1 0"/>
+<joint name="c" type="slide" axis="0 1 1"/>
+<geom type="capsule" fromto="0 0 0 0 0 -0.5" size="0.05"/></body></body></worldbody></mujoco>"""
 
 
 VISUAL = """<visual name="v"><pose>0.1 0 0 0 0.5 0</pose>

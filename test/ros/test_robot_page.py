@@ -151,7 +151,9 @@ def test_the_page_draws_meshes_within_its_bound(tmp_path, capsys, monkeypatch):
     trimesh.creation.icosphere(subdivisions=6).export("meshes/ball.stl")
     Path("ball.urdf").write_text(BALL_URDF)
     shapes, remarks = robot_shapes(load_scene("ball.urdf").robot)
-    assert remarks == ["1 meshes are not on this machine, the first is package://nowhere/rod.stl"]
+    assert remarks == [
+        "meshes that are not on this machine: 1, the first is package://nowhere/rod.stl"
+    ]
     points, faces = (
         np.frombuffer(base64.b64decode(shapes["ball"][key]), kind).reshape(-1, 3)
         for key, kind in (("points", "<f4"), ("faces", "<i4"))
@@ -166,7 +168,7 @@ def test_the_page_draws_meshes_within_its_bound(tmp_path, capsys, monkeypatch):
     report = ["analyze", "run.mcap", "--no-reference", "--html", "run.html", "--robot"]
     assert main([*report, "ball.urdf"]) == 0
     assert shapes["ball"]["points"] in Path("run.html").read_text()
-    assert "1 meshes are not on this machine" in capsys.readouterr().err
+    assert "meshes that are not on this machine: 1" in capsys.readouterr().err
     Path("arm.urdf").write_text(ROBOT)
     assert main([*report, "arm.urdf"]) == 2
     assert "has other bodies than the recording" in capsys.readouterr().err

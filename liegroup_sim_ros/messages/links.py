@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Links of a scene, and the URDF joints between them: what /tf and ~/robot_description have in common.
+
+A robot has the links of its file; another scene has its bodies. A URDF joint moves the frame of its
+child about an axis through the origin, so a hinge whose axis passes beside it needs a link more.
+Imports no ROS.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from liegroup_core.joints.linkage import inverse
+from liegroup_core.scene.consistency import resolve_frames
+
+WORLD = "world"
+URDF_TYPES = {"revolute": "continuous", "prismatic": "prismatic"}
+# Distance of an axis from an origin, in units of the largest coordinate: round-off of the scene's poses.
+BESIDE = 1e-14
+
+
+class UrdfJoint(NamedTuple):
+    """Joint of a URDF: child pose = parent pose, then `origin` (4, 4), then the motion along or about `axis`."""
+
+    name: str
+    type: str
+    parent: str
+    child: str
+    origin: np.ndarray
+    axis: np.ndarray | None = None
+    data: dict | None = None
+
+
+def links_and_joints(scene):
+    """({link: (body or world, (4, 4) pose in the frame of the body)}, [UrdfJoint]) of a scene.
+
+    The joints are a tree from the world. Joints of one angle or displacement come first, with the
+    names of ~/joint_states; what they do not reach is floating.
+    """
+    robot = scene.robot
+    links = {body.name: (body.name, np.eye(4)) for body in scene.bodies}
+    main = {body: body for body in links} | {WORLD: WORLD}
+    labels = {}
+    if robot is not None:
+        main |= robot.links
+        links, labels = dict(robot.frames), robot.joints
+        if robot.text:
+            return links, []
+    tree = [
+        UrdfJoint(f"{link}_fixed", "fixed", main[body], link, place)
+        for link, (body, place) in links.items()
+        if link != main[body]
+    ]
+    beside = {}
+    for joint, (A, B) in zip(scene.joints, resolve_frames(scene)):
+        if joint.type in URDF_TYPES:
+            beside.setdefault(joint.parent, []).append((joint, joint.child, A, B, 1.0))
+            beside.setdefault(joint.child, []).append((joint, joint.parent, B, A, -1.0))
+    reached = set()
+    for start in (WORLD, *(body.name for body in scene.bodies)):
+        if start in reached:
+            continue
+        if start != WORLD:
+            name = _unused(f"{main[start]}_to_world", {joint.name for joint in tree})
+            tree.append(UrdfJoint(name, "floating", WORLD, main[start], np.eye(4)))
+        reached.add(start)
+        pending = [start]
+        for near in pending:
+            for joint, far, A, B, sign in beside.get(near, ()):
+                if far not in reached:
+                    reached.add(far)
+                    pending.append(far)
+                    label = labels.get(joint.name, joint.name)
+                    tree += _joint(links, joint, label, (main[near], main[far]), far, A, B, sign)
+    return links, tree
+
+
+def _joint(links, joint, label, ends, body, A, B, sign):
+    """UrdfJoints of a joint with frames A and B in its near and far link; adds a link if it is needed."""
+    near, far = ends
+    axis, at = sign * B[:3, 2], B[:3, 3]
+    kind, data = URDF_TYPES[joint.type], joint.data or {}
+    if kind == "prismatic" or np.abs(np.cross(at, axis)).max() <= BESIDE * np.abs(at).max():
+        return [UrdfJoint(label, kind, near, far, A @ inverse(B), axis, data)]
+    middle = _unused(f"{label}_frame", links)
+    links[middle] = (body, B)
+    return [
+        UrdfJoint(label, kind, near, middle, A, np.array([0.0, 0.0, sign]), data),
+        UrdfJoint(f"{middle}_fixed", "fixed", middle, far, inverse(B)),
+    ]
+
+
+def _unused(name, taken):
+    while name in taken:
+        name += "_"
+    return name
