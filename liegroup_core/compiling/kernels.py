@@ -2,11 +2,12 @@
 """Decorators of the numerical kernels."""
 
 import functools
+import gc
 import importlib.util
 import logging
 import os
 import time
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 
 from . import backend
 
@@ -121,6 +122,18 @@ def shared(function):
     return Kernel(function, "shared") if JIT else function
 
 
+@contextmanager
+def _no_collection():
+    """Switch the garbage collector off: with millions of objects of Numba it is a tenth of compiling."""
+    was = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was:
+            gc.enable()
+
+
 def warm_up(call, name):
     """Run `call` once so that its kernels are compiled; log a warning if that takes time.
 
@@ -139,7 +152,8 @@ def warm_up(call, name):
     elif done is None or not done.exists():
         log.warning("first start on this machine: compiling (about 20 s). The result is cached")
     start = time.perf_counter()
-    call()
+    with _no_collection():
+        call()
     if done is not None:
         with suppress(OSError):
             done.touch()

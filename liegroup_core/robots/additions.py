@@ -31,9 +31,7 @@ def _joint(options, grouping, i, entry):
             try:
                 frames[end] = Frame.model_validate(entry[f"{end}_frame"]).pose
             except SceneError as error:
-                raise options.error(
-                    ("joints", i, f"{end}_frame"), f"{which}: {error}"
-                ) from None
+                raise options.error(("joints", i, f"{end}_frame"), f"{which}: {error}") from None
             except ValueError:
                 raise options.error(
                     ("joints", i, f"{end}_frame"),

@@ -67,7 +67,9 @@ def _joint(joint):
         lines.append(f'    <axis xyz="{_row(joint.axis)}"/>')
     if joint.type == "prismatic":
         lower, upper = (joint.data.get(end, far) for end, far in (("lower", -FAR), ("upper", FAR)))
-        lines.append(f'    <limit lower="{lower}" upper="{upper}" effort="{FAR}" velocity="{FAR}"/>')
+        lines.append(
+            f'    <limit lower="{lower}" upper="{upper}" effort="{FAR}" velocity="{FAR}"/>'
+        )
     return "\n".join([*lines, "  </joint>"])
 
 
@@ -89,7 +91,7 @@ def _visual(visual, file):
         address = visual.mesh if path is None else Path(path).as_uri()
         shape = f'<mesh filename={quoteattr(address)} scale="{_row(visual.size)}"/>'
     return (
-        f'    <visual>{_origin(visual.pose)}<geometry>{shape}</geometry>'
+        f"    <visual>{_origin(visual.pose)}<geometry>{shape}</geometry>"
         f'<material name="body"><color rgba="{COLOR}"/></material></visual>'
     )
 

@@ -45,7 +45,9 @@ def robot_shapes(robot):
                 meshes.setdefault(body, []).append(mesh)
     remarks = []
     if missing:
-        remarks.append(f"meshes that are not on this machine: {len(missing)}, the first is {missing[0]}")
+        remarks.append(
+            f"meshes that are not on this machine: {len(missing)}, the first is {missing[0]}"
+        )
     for name, text in list(failed.items())[:1]:
         remarks.append(f"meshes that cannot be read: {len(failed)}, the first is {name}: {text}")
     whole = {body: trimesh.util.concatenate(parts) for body, parts in meshes.items()}

@@ -85,7 +85,8 @@ def transforms_of(simulation):
 
 
 @pytest.mark.parametrize(
-    "name", ["arm.sdf", "stewart.sdf", "apart.xml", "four_bar", "slider_crank", "bricard", "ball_chain"]
+    "name",
+    ["arm.sdf", "stewart.sdf", "apart.xml", "four_bar", "slider_crank", "bricard", "ball_chain"],
 )
 def test_the_generated_urdf_moves_with_the_joint_states(name, tmp_path):
     """Poses of all links from the joints of the URDF and ~/joint_states are those of /tf.
@@ -129,7 +130,12 @@ def test_the_generated_urdf_moves_with_the_joint_states(name, tmp_path):
         assert all(len(robot.links[body.name].visuals) == 1 for body in scene.bodies)
 
 
-LOOSE = {"stewart.sdf": 7, "ball_chain": 10, "apart.xml": 1, "slider_crank": 1}  # links that are floating
+LOOSE = {
+    "stewart.sdf": 7,
+    "ball_chain": 10,
+    "apart.xml": 1,
+    "slider_crank": 1,
+}  # links that are floating
 
 
 APART_XML = """<mujoco><worldbody><body name="first" pos="0 0 1"><freejoint/>

@@ -184,4 +184,4 @@ def test_a_damaged_mesh_leaves_a_box(tmp_path):
     (tmp_path / "meshes" / "ball.stl").write_bytes(b"solid \xff\x00" * 9)
     (tmp_path / "ball.urdf").write_text(BALL_URDF)
     shapes, remarks = robot_shapes(load_scene(tmp_path / "ball.urdf").robot)
-    assert not shapes and any("cannot be read, the first is meshes/ball.stl" in r for r in remarks)
+    assert not shapes and any("cannot be read: 1, the first is meshes/ball" in r for r in remarks)
