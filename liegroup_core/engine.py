@@ -487,9 +487,11 @@ class Engine:
 
     def sample(self) -> Sample:
         """Create a Sample of the present state."""
-        return Sample(
+        sample = Sample(
             self.layout, self.time, self.time_ns, self.steps, *self.state(), self._work.angle.copy()
         )
+        sample.external = self._external.copy()
+        return sample
 
     def energy(self) -> float:
         """Kinetic energy plus potential energy of gravity and springs at the present state, J."""

@@ -21,6 +21,7 @@ from .lie.groups import UNKNOWN_TURN
 from .model.arrays import Model
 from .model.build import build_model
 from .observables.joint_coordinates import JointCoordinates
+from .observables.reactions import Reactions
 from .observables.sample import Sample
 from .scene.assembly import ready
 from .scene.centres import Offsets
@@ -128,6 +129,11 @@ class Layout:
     def coordinates(self):
         """JointCoordinates of the joints with one degree of freedom."""
         return JointCoordinates(self.centred, self.joint_frames)
+
+    @cached_property
+    def reactions(self):
+        """Reactions of the joints."""
+        return Reactions(self)
 
     def sample(self, pose, twist, time=0.0, time_ns=0, steps=0, near=None):
         """Create a Sample from pose (n, 12) and twist (n, 6) of the body frames, as in a recording.

@@ -22,11 +22,13 @@ class Sample:
     pose  : (n, 12) per body R row by row, then r in m; body frame -> world
     twist : (n, 6) per body omega rad/s, v m/s; body axes, v of the frame's origin
     errors : (n, 4) estimated errors, see `error`; None without an estimate
+    external : (n, 16) external wrenches, see forces/external.py; None: none
     The constructor takes pose and twist at the centres of mass; all attributes refer to the body
     frames of the scene. Derived quantities are computed on first access and cached.
     """
 
     errors = None
+    external = None
 
     def __init__(self, layout, time, time_ns, steps, pose, twist, near):
         self._layout, self._near = layout, near
@@ -118,10 +120,47 @@ class Sample:
         Motors and the scene's applied wrenches, dampers and drag. The power of external wrenches
         is not included.
         """
-        forces = self._layout.model.forces
-        # A wrench that starts at this time acts, however the time was rounded.
-        acting = acting_at(forces.applied_wrench, self.time * (1.0 + ROUNDING))
-        return kinds.power(forces, acting, *self._state)
+        return kinds.power(self._layout.model.forces, self._acting, *self._state)
+
+    @property
+    def _acting(self):
+        """Mask of the scene's applied wrenches that act: one that starts at this time, too."""
+        rows = self._layout.model.forces.applied_wrench
+        return acting_at(rows, self.time * (1.0 + ROUNDING))
+
+    @cached_property
+    def _reactions(self):
+        return self._layout.reactions.at(*self._state, self.angles, self._acting, self.external)
+
+    def _by_joint(self, values):
+        return dict(zip(self._layout.reactions.names, values))
+
+    @cached_property
+    def reactions(self) -> dict[str, NDArray[np.float64]]:
+        """{joint: (6,)} torque N m, force N that the joint exerts on its child.
+
+        In the axes and about the origin of the child's joint frame. NaN for components that redundant
+        constraints leave undetermined, see `undetermined`. Springs, motors and other forces are no
+        part of it; a coupling acts along the axes of its two joints. External wrenches are those of
+        the last step. At the end of a tree of n bodies, errors are about n times those of a wrench:
+        test/verification/test_reactions.py.
+        """
+        wrenches, mask = self._reactions
+        return self._by_joint(np.where(mask, np.nan, wrenches))
+
+    @cached_property
+    def minimum_norm_reactions(self) -> dict[str, NDArray[np.float64]]:
+        """As `reactions`; undetermined components are those of the smallest multipliers of unit rows.
+
+        Torques are compared with forces at the characteristic length of the closed loop.
+        """
+        wrenches, _ = self._reactions
+        return self._by_joint(self._layout.reactions.minimum_norm(self._state[0], wrenches))
+
+    @cached_property
+    def undetermined(self) -> dict[str, str]:
+        """{joint: why components of its reaction are undetermined}, without the others."""
+        return self._layout.reactions.reasons(self._reactions[1])
 
     @cached_property
     def spatial_momentum(self) -> NDArray[np.float64]:

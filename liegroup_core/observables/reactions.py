@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reactions of joints, and which of their components the equations of motion determine.
+
+Redundant rows of closed loops leave reactions undetermined: with J^T lambda given, lambda is known
+up to the null space N of J^T, and so is the wrench A^T lambda of a joint with rows A. A component is
+determined if its row of A^T N vanishes. This is a property of the linkage: it is found at generic
+poses (model/redundancy.py), and again at a singular pose, where more of them are undetermined.
+
+Source: Wojtyra, Joint reactions in rigid body mechanisms with dependent constraints, Mechanism and
+Machine Theory 44 (2009) 2265.
+"""
+
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from liegroup_core.errors import SimulationError
+from liegroup_core.forces.external import no_wrenches
+from liegroup_core.formulations.relative.arrays import make_relative_work
+from liegroup_core.formulations.relative.reactions import joint_wrenches, reaction_table
+from liegroup_core.formulations.relative.spanning_tree import WORLD_NAME
+from liegroup_core.joints.kinds import forbidden_rows
+from liegroup_core.joints.linkage import RANK_TOLERANCE, Linkage
+from liegroup_core.model.arrays import make_work
+from liegroup_core.model.redundancy import generic_poses, loop_groups
+from liegroup_core.scene.consistency import resolve_couplings, resolve_elements, resolve_frames
+
+COMPONENTS = ("torque x", "torque y", "torque z", "force x", "force y", "force z")
+# A^T N has entries of order one or of round-off; closed poses leave 1e-12 / RANK_TOLERANCE.
+VANISHING = 1e-6
+
+
+class _Rows(NamedTuple):
+    """Rows of a linkage at a pose: unit rows, and their null space.
+
+    of_joint : [(k, 6)] rows of each joint for twists of its child's joint frame, (omega length, v)
+    null     : (rows, d) N of the unit rows
+    """
+
+    of_joint: list
+    null: np.ndarray
+
+
+class Reactions:
+    """Reactions of all joints of a layout.
+
+    names : of the joints, in the order of all arrays
+    """
+
+    def __init__(self, layout):
+        self._offsets = layout.offsets
+        self._bodies = layout.body_names
+        self.names = tuple(joint.name for joint in layout.scene.joints)
+        model = layout.relative_in_space
+        self._model, self._table = model, reaction_table(layout)
+        self._work = make_relative_work(model, make_work(layout.model, 0), 0)
+        scene = layout.centred
+        couplings = resolve_couplings(scene)
+        ends = [(joint.parent, joint.child) for joint in scene.joints]
+        # A coupling connects joints of several loops: with one, all joints are analysed together.
+        groups = [list(range(len(ends)))] if couplings else loop_groups(ends)
+        frames, parts = resolve_frames(scene), resolve_elements(scene)
+        self._groups = [
+            (group, Linkage(scene, frames, parts, group, couplings=couplings)) for group in groups
+        ]
+
+    @cached_property
+    def undetermined(self):
+        """(J, 6) mask of the components that are undetermined at generic poses."""
+        mask = np.zeros((len(self.names), 6), dtype=bool)
+        for group, linkage in self._groups:
+            for poses in generic_poses(linkage):
+                mask[group] |= _undetermined(_rows(linkage, poses))
+        return mask
+
+    def reasons(self, mask):
+        """{joint: why some of its components are undetermined}; mask : (J, 6)."""
+        found = {}
+        for group, _ in self._groups:
+            joints = [j for j in group if mask[j].any()]
+            for j in joints:
+                others = ", ".join(self.names[k] for k in joints if k != j)
+                parts = ", ".join(part for part, bad in zip(COMPONENTS, mask[j]) if bad)
+                shared = f"shared with {others} in any proportion" if others else "any value"
+                found[self.names[j]] = f"{parts}: redundant constraints, {shared}"
+        return found
+
+    def at(self, pose, twist, angles, acting, external=None):
+        """((J, 6) wrenches, (J, 6) mask of the undetermined components) of a state.
+
+        pose, twist : (n, 12), (n, 6) of frames at the centres of mass
+        angles      : (k,) rad, `Sample.angles`;  acting : mask of the scene's applied wrenches
+        external    : (n, 16), see forces/external.py; None: no external wrenches
+        Raises SimulationError if the accelerations cannot be computed.
+        """
+        work, out = self._work, np.zeros((len(self.names), 6))
+        work.angle[:], work.acting[:] = angles, acting
+        before = work.report[2]
+        if external is None:
+            external = no_wrenches(self._offsets)
+        if joint_wrenches(self._model, work, pose, twist, external, self._table, out) >= 0:
+            raise SimulationError("the reactions cannot be computed: constraint rows are dependent")
+        if work.report[2] == before:
+            return out, self.undetermined
+        mask = self.undetermined.copy()  # a singular pose
+        places = self._places(pose)
+        for group, linkage in self._groups:
+            mask[group] |= _undetermined(_rows(linkage, places))
+        return out, mask
+
+    def _places(self, pose):
+        """{body: (4, 4)} of frames at the centres of mass, with the world."""
+        places = {WORLD_NAME: np.eye(4)}
+        for name, row in zip(self._bodies, pose):
+            place = np.eye(4)
+            place[:3, :3], place[:3, 3] = row[:9].reshape(3, 3), row[9:]
+            places[name] = place
+        return places
+
+    def minimum_norm(self, pose, wrenches):
+        """(J, 6) wrenches with the smallest multipliers of unit rows, among all that are possible.
+
+        Torques are compared with forces at the linkage's characteristic length.
+        """
+        out, places = wrenches.copy(), self._places(pose)
+        for group, linkage in self._groups:
+            rows = _rows(linkage, places)
+            units = np.repeat([linkage.length, 1.0], 3)
+            sizes = [
+                np.linalg.lstsq(A.T, wrenches[j] / units, rcond=None)[0]
+                for j, A in zip(group, rows.of_joint)
+            ]
+            joint_rows = sum(len(part) for part in sizes)
+            own = np.zeros(len(rows.null))
+            own[:joint_rows] = np.concatenate(sizes)
+            own -= rows.null @ (rows.null.T @ own)
+            at = 0
+            for j, A in zip(group, rows.of_joint):
+                out[j] = units * (A.T @ own[at : at + len(A)])
+                at += len(A)
+        return out
+
+
+def _rows(linkage, poses):
+    """_Rows of a linkage at poses."""
+    plain = linkage.velocity_rows(poses)
+    unit = linkage.jacobian(poses)
+    turned = plain.copy()
+    turned.reshape(len(plain), -1, 6)[:, :, :3] /= linkage.length
+    sizes = np.linalg.norm(turned, axis=1)
+    left, values, _ = np.linalg.svd(unit)
+    rank = int((values > RANK_TOLERANCE).sum())
+    of_joint, at = [], 0
+    for j, part in enumerate(linkage.parts):
+        rows = forbidden_rows(part, linkage.relative(j, poses)) / np.repeat([linkage.length, 1.0], 3)
+        of_joint.append(rows / sizes[at : at + len(rows), None])
+        at += len(rows)
+    return _Rows(of_joint, left[:, rank:])
+
+
+def _undetermined(rows):
+    """(joints, 6) mask of the components of the joints that the null space changes."""
+    mask, at = [], 0
+    for A in rows.of_joint:
+        mask.append(np.abs(A.T @ rows.null[at : at + len(A)]).max(axis=1, initial=0.0) > VANISHING)
+        at += len(A)
+    return np.array(mask).reshape(-1, 6)
