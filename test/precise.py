@@ -195,6 +195,7 @@ class System(NamedTuple):
     J: np.ndarray  # (m, 6 n)
     Q: np.ndarray  # (6 n,)
     right: np.ndarray  # (m,)
+    shares: list  # of each row: {joint: (6,) its row for the twist of the joint's child}
 
 
 def _system(scene, wrenches, read):
@@ -204,7 +205,7 @@ def _system(scene, wrenches, read):
     gravity = read.vector(scene.gravity)
     n = 6 * len(names)
 
-    frames, rows, right = {}, [], []
+    frames, rows, right, shares = {}, [], [], []
     for joint, pair in zip(scene.joints, resolve_frames(scene)):
         ends = joint.parent, joint.child
         frames[joint.name] = tuple(
@@ -219,10 +220,11 @@ def _system(scene, wrenches, read):
                     row[index[name]] = g.slopes[6 * end : 6 * end + 6]
             rows.append(row)
             right.append(-g.curvature)
+            shares.append({joint.name: g.slopes[6:12]})
 
     joints = {joint.name: joint for joint in scene.joints}
     for coupling in scene.couplings:
-        row, curvature = decimals(np.zeros(n)), Decimal(0)
+        row, curvature, share = decimals(np.zeros(n)), Decimal(0), {}
         for name, factor in (
             (coupling.joint, Decimal(1)),
             (coupling.other, -read.number(coupling.ratio)),
@@ -232,6 +234,8 @@ def _system(scene, wrenches, read):
                 if body != "world":
                     row[index[body]] += factor * q.slopes[6 * end : 6 * end + 6]
             curvature += factor * q.curvature
+            share[name] = factor * q.slopes[6:12]
+        shares.append(share)
         rows.append(row)
         right.append(-curvature)
 
@@ -271,7 +275,7 @@ def _system(scene, wrenches, read):
                 if name != "world":
                     Q[index[name]] += pull * q.slopes[6 * end : 6 * end + 6]
     J = np.array(rows, dtype=object).reshape(len(rows), n)
-    return System(masses, J, Q, np.array(right, dtype=object))
+    return System(masses, J, Q, np.array(right, dtype=object), shares)
 
 
 def _independent_rows(J):
@@ -291,7 +295,7 @@ def _independent_rows(J):
 
 
 def _solved(system, keep):
-    """Vdot (6 n,) of a System with the rows `keep`, in decimals.
+    """Vdot (6 n,) and lambda of a System with the rows `keep`, in decimals.
 
     Gaussian elimination of the dense matrix, zeros skipped. No pivoting is needed: M is positive
     definite and what is left of the other diagonal block is negative definite. The residual
@@ -319,7 +323,7 @@ def _solved(system, keep):
     # Rows of a mechanism at rest contain round-off of the last digits only, hence the floor.
     if not (abs(K @ x - right) <= SOLVED * (terms + terms.max() / 10**12)).all():
         raise ArithmeticError("the system was not solved to 25 digits")
-    return x[:n]
+    return x
 
 
 def _squared_condition(system, keep):
@@ -359,9 +363,9 @@ def accelerations(scene, wrenches=(), samples=3):
     n = len(scene.bodies)
     system = _system(scene, wrenches, Reader())
     keep = _independent_rows(system.J)
-    found = _solved(system, keep)
+    found = _solved(system, keep)[: 6 * n]
     changes = [
-        _solved(_system(scene, wrenches, Reader(np.random.default_rng(k))), keep) - found
+        _solved(_system(scene, wrenches, Reader(np.random.default_rng(k))), keep)[: 6 * n] - found
         for k in range(samples)
     ]
     Q = system.Q.astype(float).reshape(n, 6)
@@ -387,4 +391,40 @@ def solved_with(scene, wrenches, J, right):
     J (m, 6 n), right (m,) : independent rows and their right-hand side, in double precision
     """
     system = _system(scene, wrenches, Reader())._replace(J=decimals(J), right=decimals(right))
-    return _solved(system, np.arange(len(J))).reshape(-1, 6)
+    return _solved(system, np.arange(len(J)))[: len(system.Q)].reshape(-1, 6)
+
+
+@precise
+def reactions(scene, wrenches=()):
+    """{joint: ((6,) wrench on the child, (6,) mask of the components that are undetermined)}, floats.
+
+    Torque, force about the origin and in the axes of the child's joint frame; couplings act through
+    their joints. Rows that depend on others transmit nothing. A component is undetermined where the
+    null space of J^T changes it, of unit rows, by more than 1e-8: poses close to 1e-14.
+    Raises NearlySingular.
+    """
+    system = _system(scene, wrenches, Reader())
+    keep = _independent_rows(system.J)
+    multipliers = _solved(system, keep)[len(system.Q) :]
+    J = system.J.astype(float)
+    sizes = np.linalg.norm(J, axis=1)
+    null = np.linalg.svd(J / sizes[:, None])[0][:, len(keep) :] / sizes[:, None]
+    bodies = {body.name: body for body in scene.bodies}
+    found = {}
+    for joint, (_, frame) in zip(scene.joints, resolve_frames(scene)):
+        rotation = Reader().rotation(frame[:3, :3])
+        place = decimals(frame[:3, 3]) - decimals(bodies[joint.child].com)
+
+        def in_frame(wrench):
+            torque = wrench[:3] - np.cross(place, wrench[3:])
+            return np.concatenate([rotation.T @ torque, rotation.T @ wrench[3:]])
+
+        own, changes = decimals(np.zeros(6)), np.zeros((6, null.shape[1]))
+        for r, share in enumerate(system.shares):
+            if joint.name in share:
+                row = in_frame(share[joint.name])
+                changes += np.outer(row.astype(float), null[r])
+                if r in keep:
+                    own -= multipliers[np.searchsorted(keep, r)] * row
+        found[joint.name] = own.astype(float), np.abs(changes).max(axis=1, initial=0.0) > 1e-8
+    return found

@@ -23,6 +23,7 @@ from liegroup_core.formulations.relative.spanning_tree import WORLD_NAME
 from liegroup_core.joints.kinds import forbidden_rows
 from liegroup_core.joints.linkage import RANK_TOLERANCE, Linkage
 from liegroup_core.model.arrays import make_work
+from liegroup_core.model.build import initial_state
 from liegroup_core.model.redundancy import generic_poses, loop_groups
 from liegroup_core.scene.consistency import resolve_couplings, resolve_elements, resolve_frames
 
@@ -55,7 +56,7 @@ class Reactions:
         model = layout.relative_in_space
         self._model, self._table = model, reaction_table(layout)
         self._work = make_relative_work(model, make_work(layout.model, 0), 0)
-        scene = layout.centred
+        self._scene = scene = layout.centred
         couplings = resolve_couplings(scene)
         ends = [(joint.parent, joint.child) for joint in scene.joints]
         # A coupling connects joints of several loops: with one, all joints are analysed together.
@@ -64,6 +65,15 @@ class Reactions:
         self._groups = [
             (group, Linkage(scene, frames, parts, group, couplings=couplings)) for group in groups
         ]
+
+    def warm_up(self):
+        """Compile the kernels and analyse the linkage, at the start of the scene."""
+        state = initial_state(self._scene)
+        angles, acting = (
+            np.zeros(len(self._work.angle)),
+            np.zeros(len(self._work.acting), dtype=bool),
+        )
+        self.at(*state, angles, acting)
 
     @cached_property
     def undetermined(self):
@@ -153,7 +163,9 @@ def _rows(linkage, poses):
     rank = int((values > RANK_TOLERANCE).sum())
     of_joint, at = [], 0
     for j, part in enumerate(linkage.parts):
-        rows = forbidden_rows(part, linkage.relative(j, poses)) / np.repeat([linkage.length, 1.0], 3)
+        rows = forbidden_rows(part, linkage.relative(j, poses)) / np.repeat(
+            [linkage.length, 1.0], 3
+        )
         of_joint.append(rows / sizes[at : at + len(rows), None])
         at += len(rows)
     return _Rows(of_joint, left[:, rank:])

@@ -81,6 +81,11 @@ def add_arguments(parser):
         action="store_false",
         help="with a method: do not estimate the error, at about half of the cost",
     )
+    parser.add_argument(
+        "--reactions",
+        action="store_true",
+        help="also write the wrench of every joint on its child (nan: undetermined)",
+    )
     add_settings(parser)
 
 
@@ -182,11 +187,13 @@ def run(args):
             simulation = Simulation(scene, **settings, estimate=args.estimate)
     except ValueError as error:  # SceneError, too, is one
         raise RunError(str(error)) from None
+    if args.reactions:
+        simulation.layout.reactions.warm_up()
     steps = whole_steps(args.duration, simulation.step)
     samples = 1 + -(-steps // every)
     started = time.monotonic()
     stopped, code = None, 0
-    with kind(args.out, simulation, every, samples) as file:
+    with kind(args.out, simulation, every, samples, args.reactions) as file:
         file.sample(simulation.sample())
         try:
             _simulate(simulation, steps, every, file, console)

@@ -31,6 +31,12 @@ class UrdfJoint(NamedTuple):
     data: dict | None = None
 
 
+def link_of_body(scene):
+    """{body or world: link whose frame is that of the body}."""
+    names = {body.name: body.name for body in scene.bodies} | {WORLD: WORLD}
+    return names if scene.robot is None else names | scene.robot.links
+
+
 def links_and_joints(scene):
     """({link: (body or world, (4, 4) pose in the frame of the body)}, [UrdfJoint]) of a scene.
 
@@ -39,10 +45,8 @@ def links_and_joints(scene):
     """
     robot = scene.robot
     links = {body.name: (body.name, np.eye(4)) for body in scene.bodies}
-    main = {body: body for body in links} | {WORLD: WORLD}
-    labels = {}
+    main, labels = link_of_body(scene), {}
     if robot is not None:
-        main |= robot.links
         links, labels = dict(robot.frames), robot.joints
         if robot.text:
             return links, []

@@ -12,11 +12,13 @@ import math
 import numpy as np
 
 from liegroup_core.observables.along import quaternions
+from liegroup_core.scene.consistency import resolve_frames
 
 from .cdr import Template, stamp
-from .codecs import PoseStampedCodec, TwistStampedCodec, pack_stamp
-from .links import links_and_joints
+from .codecs import PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec, pack_stamp
+from .links import link_of_body, links_and_joints
 
+REACTION = "_reaction"  # ending of the frame ids of reactions
 _POSE, _BODY = 7 * 8, 13 * 8  # bytes of a pose, and of a body, in Sample.rows
 
 
@@ -154,6 +156,40 @@ def joint_states(layout, world_frame, frame_prefix=""):
     return [("~/joint_states", "sensor_msgs/msg/JointState", encode)]
 
 
+def reactions(layout, world_frame, frame_prefix=""):
+    """geometry_msgs/WrenchStamped of every joint: `Sample.reactions`, NaN where undetermined.
+
+    The frame is the child's joint frame, `JOINT_reaction`; see `reaction_frames`. Raises ValueError
+    if a joint has the name of a body, whose ~/BODY/wrench is an input.
+    """
+    joints = [joint.name for joint in layout.scene.joints]
+    for name in joints:
+        if name in layout.body_names:
+            raise ValueError(
+                f"~/{name}/wrench is the input for body {name}: give joint {name} another name"
+            )
+
+    def of_joint(name):
+        codec = WrenchStampedCodec(f"{frame_prefix}{name}{REACTION}")
+        return lambda stamp_ns, sample: codec.encode(stamp_ns, sample.reactions[name])
+
+    return [(f"~/{name}/wrench", WrenchStampedCodec.TYPE, of_joint(name)) for name in joints]
+
+
+def reaction_frames(layout, frame_prefix=""):
+    """Serialized tf2_msgs/TFMessage: the joint frames of all children, in the frames of their links."""
+    scene = layout.scene
+    links, template, slots = link_of_body(scene), Template(), []
+    template.put("I", len(scene.joints))
+    for joint, (_, frame) in zip(scene.joints, resolve_frames(scene)):
+        template.header(frame_prefix + links[joint.child])
+        template.string(f"{frame_prefix}{joint.name}{REACTION}")
+        template.slot("7d")
+        row = np.concatenate([frame[:3, :3].ravel(), frame[:3, 3]])[None]
+        slots += [stamp(0), [*row[0, 9:].tolist(), *quaternions(row)[0].tolist()]]
+    return template.pack(*slots)
+
+
 def transforms(layout, world_frame, frame_prefix=""):
     """tf2_msgs/TFMessage: transforms from the world frame to the frame of every link."""
     links, _ = links_and_joints(layout.scene)
@@ -187,6 +223,7 @@ OPTIONAL = {
     "pose_array_rate": (pose_array, "~/poses"),
     "joint_state_rate": (joint_states, "~/joint_states"),
     "tf_rate": (transforms, "/tf"),
+    "reaction_rate": (reactions, "~/JOINT/wrench"),
 }
 
 

@@ -46,6 +46,7 @@ def wrench_frame(frame, axes, world_frame):
 # Late subscribers receive the acting wrenches; many wrenches may change at one step.
 APPLIED_WRENCH = Topic("~/applied_wrench", WrenchStampedCodec.TYPE, "transient_local", 1000)
 EVENTS = Topic("~/events", LogCodec.TYPE, "transient_local")
+STATIC_TRANSFORMS = Topic("/tf_static", "tf2_msgs/msg/TFMessage", "transient_local", 1)
 DESCRIPTION = Topic("~/robot_description", description.TYPE, "transient_local", 1)
 CLOCK = Topic("/clock", ClockCodec.TYPE, depth=1)
 STATE = Topic("~/state", diagnostics.TYPE)

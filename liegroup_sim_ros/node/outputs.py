@@ -143,9 +143,18 @@ class Outputs:
         optional["marker_rate"] = lambda *_: markers(self._markers)
         for name, make in optional.items():
             if values.steps[name]:
-                self._add_optional(
-                    name, make(layout, world_frame, values.frame_prefix), values.steps[name]
-                )
+                try:
+                    entries = make(layout, world_frame, values.frame_prefix)
+                except ValueError as error:
+                    raise ParameterError(f"parameter {name}: {error}") from None
+                self._add_optional(name, entries, values.steps[name])
+        self._static = []
+        if values.steps["reaction_rate"]:
+            layout.reactions.warm_up()
+            with contextlib.suppress(ImportError):  # wrenches need no tf2_msgs
+                self._static.append(Stream(node, overrides, *topics.STATIC_TRANSFORMS))
+                frames = sample_messages.reaction_frames(layout, values.frame_prefix)
+                self._static[0].publish(frames)
 
     def _stream(self, *arguments, **options):
         self._streams.append(Stream(self._node, self._overrides, *arguments, **options))
@@ -224,7 +233,7 @@ class Outputs:
             end = time.monotonic() + LAST_WORDS
             for stream in self._streams:
                 stream.wait(max(0.0, end - time.monotonic()))
-        for stream in (*self._streams, self._description):
+        for stream in (*self._streams, *self._static, self._description):
             stream.close()
 
     def clock(self, stamp_ns):

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from liegroup_sim_ros.messages import estimates, events, schemas, topics
+from liegroup_sim_ros.messages import samples as sample_messages
 from liegroup_sim_ros.messages.codecs import LogCodec
-from liegroup_sim_ros.messages.samples import poses_and_twists
 
 from . import attachments
 from .errors import OutputError, RecorderError
@@ -30,12 +30,14 @@ class ArrayFile:
     time (k,) s, steps (k,), bodies (n,) names, poses (k, n, 4, 4) body -> world, m,
     twists (k, n, 6) (omega, v) rad/s and m/s in body axes, energy (k,) J,
     residual (k,) largest joint residual, m or rad; errors (k, n, 4) estimated errors, m, rad, m/s
-    and rad/s, if the simulation carries an estimate; scene and settings: texts, YAML and JSON
+    and rad/s, if the simulation carries an estimate; on request joints (j,) names and reactions
+    (k, j, 6), see Sample.reactions; scene and settings: texts, YAML and JSON
     """
 
-    def __init__(self, path, simulation, every, samples):
+    def __init__(self, path, simulation, every, samples, reactions=False):
         self.count, self.last_step = 0, -1
         self._path, self._every = Path(path), every
+        self._joints = {"joints": np.array(_joint_names(simulation))} if reactions else {}
         n = len(simulation.layout.body_names)
         try:
             self._arrays = {
@@ -48,6 +50,8 @@ class ArrayFile:
             }
             if _has_estimate(simulation):
                 self._arrays["errors"] = np.empty((samples, n, 4))
+            if reactions:
+                self._arrays["reactions"] = np.empty((samples, len(_joint_names(simulation)), 6))
             self._stream = open(self._path, "xb")
         except MemoryError:
             raise OutputError(
@@ -80,6 +84,8 @@ class ArrayFile:
         ):
             if name in self._arrays:
                 self._arrays[name][self.count] = value
+        if "reactions" in self._arrays:
+            self._arrays["reactions"][self.count] = list(sample.reactions.values())
         self.count, self.last_step = self.count + 1, sample.steps
 
     def finish(self, simulation, stopped, failed, wall_seconds):
@@ -91,6 +97,7 @@ class ArrayFile:
                 self._stream,
                 **{name: array[: self.count] for name, array in self._arrays.items()},
                 bodies=np.array(simulation.layout.body_names),
+                **self._joints,
                 scene=np.array(simulation.scene.text),
                 settings=np.array(json.dumps(settings, indent=1)),
             )
@@ -105,7 +112,8 @@ class TableFile:
     quaternion qx qy qz qw (body to world), angular velocity wx wy wz (rad/s) and velocity vx vy vz
     (m/s) in body axes; position and velocity of each joint with one degree of freedom (rad and
     rad/s, or m and m/s); energy (J); largest constraint residual (m or rad); estimated errors of
-    each body, if the simulation carries an estimate.
+    each body, if the simulation carries an estimate; on request the reaction of each joint, torque
+    tx ty tz (N m) and force fx fy fz (N), see Sample.reactions.
     """
 
     BODY = (
@@ -121,9 +129,11 @@ class TableFile:
         "angular_velocity_error [rad/s]",
     )
 
-    def __init__(self, path, simulation, _every, _samples):
+    REACTION = (*(f"t{axis} [N m]" for axis in "xyz"), *(f"f{axis} [N]" for axis in "xyz"))
+
+    def __init__(self, path, simulation, _every, _samples, reactions=False):
         self.count, self.last_step = 0, -1
-        self._path = Path(path)
+        self._path, self._reactions = Path(path), reactions
         try:
             self._stream = open(self._path, "x", encoding="utf-8", newline="")
         except FileExistsError:
@@ -148,6 +158,11 @@ class TableFile:
             "energy [J]",
             "constraint_residual [m or rad]",
             *(f"{body}.{name}" for body in layout.body_names for name in errors),
+            *(
+                f"{joint}.{name}"
+                for joint in (_joint_names(simulation) if reactions else ())
+                for name in self.REACTION
+            ),
         )
 
     def __enter__(self):
@@ -176,6 +191,11 @@ class TableFile:
             float(sample.energy),
             float(sample.constraint_residual),
             *(() if sample.errors is None else sample.errors.ravel().tolist()),
+            *(
+                number
+                for wrench in (sample.reactions.values() if self._reactions else ())
+                for number in wrench.tolist()
+            ),
         )
         self.count, self.last_step = self.count + 1, sample.steps
 
@@ -186,9 +206,15 @@ class TableFile:
 class LogFile:
     """Recording *.mcap in the node's format, without clock and diagnostics (docs/reference/node.md)."""
 
-    def __init__(self, path, simulation, every, _samples):
+    def __init__(self, path, simulation, every, _samples, reactions=False):
         self.count, self.last_step = 0, -1
         self._simulation, self._told = simulation, set()  # events that are recorded once
+        try:
+            wrenches = (
+                sample_messages.reactions(simulation.layout, WORLD_FRAME) if reactions else []
+            )
+        except ValueError as error:
+            raise OutputError(f"{path}: --reactions: {error}; *.npz has no topics") from None
         bodies = simulation.layout.body_names
         pairs = [(topics.pose(body), topics.twist(body)) for body in bodies]
         names = {
@@ -217,11 +243,15 @@ class LogFile:
             raise OutputError(f"{path}: {error}; *.npz needs no ROS") from None
         except RecorderError as error:
             raise OutputError(str(error)) from None
-        self._encode = poses_and_twists(bodies, WORLD_FRAME)
+        self._encode = sample_messages.poses_and_twists(bodies, WORLD_FRAME)
         self._encode_errors = estimates.encoder(bodies)
         self._channels = [tuple(map(self._channel, pair)) for pair in pairs]
         self._errors = self._channel(topics.ERRORS) if "errors" in names else None
         self._channel(topics.APPLIED_WRENCH)
+        self._wrenches = [
+            (self._channel(topics.Topic(name, message_type)), encode)
+            for name, message_type, encode in wrenches
+        ]
         self._events = self._channel(topics.EVENTS)
         self._event(
             simulation.time_ns,
@@ -256,6 +286,8 @@ class LogFile:
                 self._recorder.write(channel, stamp, message)
         if self._errors is not None:
             self._recorder.write(self._errors, stamp, self._encode_errors(sample))
+        for channel, encode in self._wrenches:
+            self._recorder.write(channel, stamp, encode(stamp, sample))
         self.count, self.last_step = self.count + 1, sample.steps
 
     def finish(self, simulation, stopped, failed, wall_seconds):
@@ -281,6 +313,10 @@ class LogFile:
                 }
             ),
         )
+
+
+def _joint_names(simulation):
+    return [joint.name for joint in simulation.scene.joints]
 
 
 def _has_estimate(simulation):

@@ -25,9 +25,12 @@ from node_process import COMPILING, PUSH, NodeProcess, python, stamp_ns, values
 from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
+from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import Marker, MarkerArray
 
+from liegroup_core.layout import make_layout
+from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.messages.samples import OPTIONAL
 from liegroup_sim_ros.playback.resimulate import resimulate
 from liegroup_sim_ros.recording.read import read_recording
@@ -42,6 +45,7 @@ PERIODS = {
     "velocity_rate": 25,
     "pose_array_rate": 50,
     "joint_state_rate": 4,
+    "reaction_rate": 200,
     "marker_rate": 40,
     "state_rate": 125,
     "clock_rate": 5,
@@ -78,6 +82,7 @@ class Shown:
             "velocity_rate": client.listen(f"{NODE}/lower/velocity", VelocityStamped),
             "pose_array_rate": client.listen(f"{NODE}/poses", PoseArray),
             "joint_state_rate": client.listen(f"{NODE}/joint_states", JointState),
+            "reaction_rate": client.listen(f"{NODE}/elbow/wrench", WrenchStamped),
             "marker_rate": client.listen(f"{NODE}/markers", MarkerArray),
             "state_rate": client.listen(f"{NODE}/state", DiagnosticArray),
         }
@@ -194,6 +199,34 @@ def test_topics_agree_at_the_same_stamp(client, node):
         )
     assert joints.velocity[0] + joints.velocity[1] == pytest.approx(twist.angular.y, abs=1e-9)
     assert markers.markers[1].pose.position == pose.pose.position
+
+
+def test_reactions_are_those_of_the_same_state(client, node):
+    """Of the recorded pose and twist, whose matrices have another round-off than the state."""
+    stamps = set(node.stamps("publish_rate")) & {stamp_ns(m.header.stamp) for m in node.twist}
+    message = next(m for m in node.messages["reaction_rate"] if stamp_of(m) in stamps)
+    assert message.header.frame_id == f"{PREFIX}elbow_reaction"
+    poses = next(
+        m for m in node.messages["pose_array_rate"] if stamp_of(m) == stamp_of(message)
+    ).poses
+    joints = next(m for m in node.messages["joint_state_rate"] if stamp_of(m) == stamp_of(message))
+    layout = make_layout(scene_from_text(ARM))
+    rate, pose, twist = 0.0, np.zeros((2, 12)), np.zeros((2, 6))
+    for i, (p, velocity) in enumerate(zip(poses, joints.velocity)):
+        q = p.orientation
+        pose[i, :9] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix().ravel()
+        pose[i, 9:] = p.position.x, p.position.y, p.position.z
+        rate += velocity
+        twist[i, 1] = rate
+    # Velocities of the centres of mass from the rates: the arm is two rods of 1 m in a plane.
+    twist[0, 3:] = np.cross(twist[0, :3], (0.5, 0.0, 0.0))
+    tip = pose[0, :9].reshape(3, 3) @ (2.0 * twist[0, 3:])
+    back = pose[1, :9].reshape(3, 3).T @ tip
+    twist[1, 3:] = back + np.cross(twist[1, :3], (0.0, 0.0, -0.5))
+    expected = layout.sample(pose, twist).reactions["elbow"]
+    w = message.wrench
+    found = (w.torque.x, w.torque.y, w.torque.z, w.force.x, w.force.y, w.force.z)
+    assert found == pytest.approx(expected.tolist(), rel=1e-9, abs=1e-9)
 
 
 def test_an_applied_wrench_is_shown_as_an_arrow(client, node):

@@ -8,13 +8,14 @@ import sys
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 from rcl_interfaces.msg import Log
 from rclpy.serialization import deserialize_message, serialize_message
 
 from liegroup_core import Simulation, load_scene
 from liegroup_sim_ros.analysis.analyse import analyse
 from liegroup_sim_ros.commands.main import main
-from liegroup_sim_ros.messages.codecs import LogCodec
+from liegroup_sim_ros.messages.codecs import LogCodec, WrenchStampedCodec
 from liegroup_sim_ros.recording.read import read_recording
 
 
@@ -298,3 +299,44 @@ def test_figures(tmp_path, capsys):
         data = (tmp_path / f"{name}.png").read_bytes()
         assert data.startswith(b"\x89PNG") and len(data) > 20_000
     assert "here" in capsys.readouterr().out
+
+
+def test_a_run_writes_the_reactions_on_request(tmp_path, capsys):
+    """The same numbers in all three files, those of a simulation with the same settings."""
+    arguments = ["run", "four_bar", "--method", "rkmk4", "--step", "1e-3", "--every", "50"]
+    arguments += ["--duration", "0.1", "--no-estimate", "--reactions", "--out"]
+    for name in ("run.npz", "run.csv", "run.mcap"):
+        assert main([*arguments, str(tmp_path / name)]) == 0
+    simulation = Simulation(load_scene("four_bar"), "rkmk4", 1e-3, estimate=False)
+    simulation.advance(50)
+    expected = np.array(list(simulation.sample().reactions.values()))
+    arrays = np.load(tmp_path / "run.npz")
+    joints = [joint.name for joint in simulation.scene.joints]
+    assert arrays["joints"].tolist() == joints and np.isnan(expected).any()
+    assert np.array_equal(arrays["reactions"][1], expected, equal_nan=True)
+    with open(tmp_path / "run.csv", newline="") as file:
+        row = list(csv.DictReader(file))[1]
+    columns = [f"t{axis} [N m]" for axis in "xyz"] + [f"f{axis} [N]" for axis in "xyz"]
+    written = [[float(row[f"{joint}.{column}"]) for column in columns] for joint in joints]
+    assert np.array_equal(written, expected, equal_nan=True)
+    with open(tmp_path / "run.mcap", "rb") as file:
+        messages = [
+            (channel.topic, WrenchStampedCodec.decode_one(message.data))
+            for _, channel, message in make_reader(file).iter_messages()
+            if channel.topic.endswith("/wrench")
+        ]
+    recorded = {topic: wrench for topic, (ns, _, wrench) in messages if ns == 50_000_000}
+    found = [recorded[f"/sim_node/{joint}/wrench"] for joint in joints]
+    assert np.array_equal(found, expected, equal_nan=True)
+
+
+def test_a_joint_with_the_name_of_a_body_has_no_topic_for_its_reaction(tmp_path, capsys):
+    scene = tmp_path / "one.yaml"
+    scene.write_text(
+        "name: one\ngravity: [0, 0, 0]\nbodies: [{name: arm, mass: 1, inertia: [1, 1, 1]}]\n"
+        "joints: [{name: arm, type: revolute, parent: world, child: arm, child_frame: {}}]\n"
+    )
+    common = ["run", str(scene), "--duration", "0.1", "--reactions", "--out"]
+    assert main([*common, str(tmp_path / "run.npz")]) == 0
+    assert main([*common, str(tmp_path / "run.mcap")]) == 2
+    assert "~/arm/wrench is the input for body arm" in capsys.readouterr().err

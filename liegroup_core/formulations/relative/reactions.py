@@ -99,7 +99,10 @@ def _set_lacking(model, work, table):
         inertia = matrix3(body["inertia"])
         torque = add3(matvec3(inertia, dw), cross3(w, matvec3(inertia, w)))
         force = scale3(body["mass"], add3(dv, cross3(w, v)))
-        torque, force = sub3(torque, load3(work.wrench, i, 0)), sub3(force, load3(work.wrench, i, 3))
+        torque, force = (
+            sub3(torque, load3(work.wrench, i, 0)),
+            sub3(force, load3(work.wrench, i, 3)),
+        )
         store3(matvec3(rot, torque), table.lacking, i, 0)
         store3(matvec3(rot, force), table.lacking, i, 3)
 
