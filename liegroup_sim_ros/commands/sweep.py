@@ -85,6 +85,11 @@ def add_arguments(parser):
         help="assemble: correct the sampled poses and velocities until they satisfy the joints",
     )
     parser.add_argument(
+        "--reactions",
+        action="store_true",
+        help="add the largest reactions of all joints at these times (nan: undetermined)",
+    )
+    parser.add_argument(
         "--workers", type=int, metavar="N", help="number of processes (default: one per core)"
     )
     parser.add_argument(
@@ -165,6 +170,7 @@ def _sweep_of(scene, args):
             every,
             args.assemble,
             settings,
+            args.reactions,
         )
     except (ParameterError, RunError):
         raise

@@ -397,3 +397,27 @@ def test_a_folder_without_a_sweep_is_not_touched(tmp_path):
         "b.parquet",
         "notes.txt",
     ]
+
+
+def test_the_largest_reactions_of_each_run_are_columns():
+    """For three masses of the crank, they are those of a simulation at the same times."""
+    sweep = Sweep.of(
+        load_scene("four_bar"),
+        ["bodies.crank.shape.mass=1:3"],
+        3,
+        20,
+        every=10,
+        settings={"method": "rkmk4", "step": 1e-3},
+        reactions=True,
+    )
+    columns = joined(sweep.run(range(3), workers=1))
+    assert list(sweep.columns) == [*columns, "cpu_s"]
+    simulation, looks = sweep.simulation(1), []
+    for steps in (0, 10, 10):
+        simulation.advance(steps)
+        looks.append(np.abs(simulation.sample().reactions["crank_coupler"]))
+    found = [columns[f"crank_coupler.{part}"][1] for part in ("tx", "ty", "tz", "fx", "fy", "fz")]
+    assert np.array_equal(found, np.max(looks, axis=0), equal_nan=True)
+    assert np.isnan(found).any() and found[3] > 1.0
+    again = described(describe(sweep))
+    assert again == sweep

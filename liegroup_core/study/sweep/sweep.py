@@ -31,6 +31,7 @@ from .parameters import ParameterError, changed, parameters, range_of
 
 FORMAT = 1  # version of the description and of the columns
 POSE, TWIST = ("x", "y", "z", "qx", "qy", "qz", "qw"), ("wx", "wy", "wz", "vx", "vy", "vz")
+WRENCH = "tx", "ty", "tz", "fx", "fy", "fz"
 CHECKS = 10  # evaluations of energy and joints in a run, by default
 # CPU time of a batch in s: far above the cost of its distribution, and short enough that an
 # interruption loses few runs. The number of batches is limited because each is a file.
@@ -58,6 +59,7 @@ class Sweep:
     every    : steps between two evaluations of energy and joints
     keep     : whether the states at these times are saved
     assemble : whether sampled poses and velocities are corrected to satisfy the joints
+    reactions : whether the largest reactions of all joints are columns
     settings : ((name, value), ...), arguments of Simulation, the step among them
     sources  : digest of the sources, which a worker must have too
     """
@@ -71,11 +73,23 @@ class Sweep:
     every: int
     keep: bool
     assemble: bool
+    reactions: bool
     settings: tuple
     sources: str
 
     @classmethod
-    def of(cls, scene, vary, samples, steps, seed=0, every=None, assemble=False, settings=None):
+    def of(
+        cls,
+        scene,
+        vary,
+        samples,
+        steps,
+        seed=0,
+        every=None,
+        assemble=False,
+        settings=None,
+        reactions=False,
+    ):
         """Sweep of a Scene with ranges as texts, see parameters.range_of; the rest as above.
 
         every : None: a tenth of the run, without states
@@ -103,7 +117,10 @@ class Sweep:
                 "numbers: run several sweeps with different seeds"
             )
         # Compiles, and checks the configuration.
-        settings = Simulation(scene, **(settings or {})).arguments
+        simulation = Simulation(scene, **(settings or {}))
+        settings = simulation.arguments
+        if reactions:
+            simulation.layout.reactions.warm_up()
         return cls(
             scene.text,
             scene.name,
@@ -114,6 +131,7 @@ class Sweep:
             every or max(1, math.ceil(steps / CHECKS)),
             bool(every),
             assemble,
+            reactions,
             tuple(sorted(settings.items())),
             source_digest(),
         )
@@ -162,10 +180,13 @@ class Sweep:
     @property
     def columns(self):
         """{name: "int", "float", "text" or "list"} of the results, see docs/how-to/sweep.md."""
-        bodies = [body.name for body in _base(self.text, self.name, False).bodies]
+        scene = _base(self.text, self.name, False)
+        bodies = [body.name for body in scene.bodies]
         state = [f"{body}.{part}" for body in bodies for part in POSE + TWIST]
         kept = [f"samples.{name}" for name in ("time", *state)] if self.keep else []
-        floats = ("time", *state, "energy_start", "energy_drift", "joints")
+        joints = [joint.name for joint in scene.joints] if self.reactions else []
+        largest = [f"{joint}.{part}" for joint in joints for part in WRENCH]
+        floats = ("time", *state, "energy_start", "energy_drift", "joints", *largest)
         return (
             {"run": "int"}
             | dict.fromkeys(self.paths, "float")
@@ -285,14 +306,14 @@ def _run(sweep, values):
             scene = sweep._scene_at(values)
             said += filter(None, [sweep._unlike(values, scene)])
             simulation = Simulation(scene, **dict(sweep.settings))
-            looks.append(_look(simulation))
+            looks.append(_look(simulation, sweep.reactions))
             while simulation.steps < sweep.steps:
                 simulation.advance(min(sweep.every, sweep.steps - simulation.steps))
-                looks.append(_look(simulation))
+                looks.append(_look(simulation, sweep.reactions))
         except (LieGroupSimError, ValueError, ArithmeticError) as error:
             status = " ".join(str(error).split()) or type(error).__name__
             if looks and simulation.steps > looks[-1].steps:
-                looks.append(_look(simulation))
+                looks.append(_look(simulation, sweep.reactions))
     found = {"status": status, "warning": None}
     if looks:
         energy = np.array([sample.energy for sample in looks])
@@ -302,6 +323,10 @@ def _run(sweep, values):
             "energy_drift": np.abs(energy - energy[0]).max(),
             "joints": max(sample.constraint_residual for sample in looks),
         }
+        if sweep.reactions:
+            wrenches = [np.array(list(sample.reactions.values())) for sample in looks]
+            names = (f"{joint}.{part}" for joint in looks[0].reactions for part in WRENCH)
+            found |= dict(zip(names, np.abs(wrenches).max(axis=0).ravel()))
         states = np.array([_state(sample) for sample in (looks if sweep.keep else looks[-1:])])
         names = [
             "time",
@@ -313,8 +338,10 @@ def _run(sweep, values):
     return found | {"cpu_s": time.thread_time() - start}
 
 
-def _look(simulation):
+def _look(simulation, reactions):
     sample = simulation.sample()
+    if reactions:
+        _ = sample.reactions  # kept with the sample; raises here if there are none
     if not math.isfinite(sample.energy):
         raise ArithmeticError(f"the energy is not finite at t = {sample.time:.9g} s")
     return sample
@@ -343,6 +370,7 @@ def describe(sweep):
         "every": sweep.every,
         "keep": sweep.keep,
         "assemble": sweep.assemble,
+        "reactions": sweep.reactions,
         "settings": dict(sweep.settings),
         "sources": sweep.sources,
     }
@@ -361,6 +389,7 @@ def described(entries):
         entries["every"],
         entries["keep"],
         entries["assemble"],
+        entries.get("reactions", False),
         tuple(sorted(entries["settings"].items())),
         entries["sources"],
     )
