@@ -3,6 +3,7 @@
 
 import numpy as np
 
+WRENCH = ["tx", "ty", "tz", "fx", "fy", "fz"]  # N m, N
 ERRORS = ("position", "attitude", "velocity", "angular_velocity")  # m, rad, m/s, rad/s
 
 
@@ -29,7 +30,7 @@ def data_frame(recording, what):
         frame = pandas.DataFrame(
             [change.wrench for change in changes],
             [c.stamp_ns * 1e-9 for c in changes],
-            ["tx", "ty", "tz", "fx", "fy", "fz"],
+            WRENCH,
             dtype=float,
         )
         frame.insert(0, "body", [change.body for change in changes])
@@ -50,6 +51,18 @@ def data_frame(recording, what):
                 axis=1,
             )
         )
+    elif what == "reactions":
+        frame = (
+            pandas.concat(
+                {
+                    joint: pandas.DataFrame(track.wrench, track.time, WRENCH)
+                    for joint, track in recording.reactions.items()
+                },
+                axis=1,
+            )
+            if recording.reactions
+            else pandas.DataFrame()
+        )
     elif what == "errors":
         track = recording.errors
         columns = pandas.MultiIndex.from_product([recording.bodies, ERRORS])
@@ -67,6 +80,8 @@ def data_frame(recording, what):
             ["name", "text"],
         )
     else:
-        raise ValueError(f"what must be motion, wrench, joints, errors or events, got {what!r}")
+        raise ValueError(
+            f"what must be motion, wrench, joints, reactions, errors or events, got {what!r}"
+        )
     frame.index.name = "time_s"
     return frame

@@ -24,6 +24,7 @@ from liegroup_sim_ros.messages.codecs import (
     MessageError,
     PoseStampedCodec,
     TwistStampedCodec,
+    WrenchStampedCodec,
 )
 
 from .addresses import is_remote
@@ -36,6 +37,7 @@ from .tracks import (
     Event,
     JointTrack,
     PoseTrack,
+    ReactionTrack,
     Samples,
     TwistTrack,
     WrenchTrack,
@@ -47,6 +49,7 @@ __all__ = [
     "Event",
     "JointTrack",
     "PoseTrack",
+    "ReactionTrack",
     "Recording",
     "RecordingError",
     "Samples",
@@ -56,6 +59,7 @@ __all__ = [
 ]
 
 FORMAT = 1  # of settings.json and the other attachments
+REACTION = "/wrench"  # ending of the topics of reactions; inputs are not recorded
 JOINT_STATE = "sensor_msgs/msg/JointState"
 # Numbers in a piece of `samples`, and the largest offset between two topics of a file in samples.
 PIECE, MOST_APART = 200_000, 100_000
@@ -159,6 +163,24 @@ class Recording:
             names,
             *np.array(numbers).reshape(-1, 2, len(names)).transpose(1, 0, 2),
         )
+
+    @cached_property
+    def reactions(self) -> dict[str, ReactionTrack]:
+        """{joint: ReactionTrack} of ~/JOINT/wrench, of the joints that were recorded."""
+        found: dict[str, list] = {}
+        with ErrorsWithPath(self.path):
+            for messages, channels in self._source.messages(self.channels):
+                for channel, index in channels:
+                    if channel.type == WrenchStampedCodec.TYPE and channel.topic.endswith(REACTION):
+                        joint = channel.topic.removesuffix(REACTION).rpartition("/")[2]
+                        rows = found.setdefault(joint, [])
+                        rows += (WrenchStampedCodec.decode_one(messages.payload(k)) for k in index)
+        return {
+            joint: ReactionTrack(
+                np.array([stamp for stamp, _, _ in rows]), np.array([row for *_, row in rows])
+            )
+            for joint, rows in found.items()
+        }
 
     def samples(self) -> Iterator[Samples]:
         """Iterator over the samples of all bodies in the order of time: Samples in pieces.
@@ -291,6 +313,7 @@ class Recording:
                "wrench"  columns body, axes, tx, ty, tz, fx, fy, fz: the total wrench in these axes
                          from this time on
                "joints"  columns (joint, "position" or "velocity")
+               "reactions" columns (joint, tx to fz): N m and N, NaN: undetermined
                "errors"  columns (body, "position", "attitude", "velocity" or "angular_velocity"):
                          estimated errors in m, rad, m/s, rad/s, as in `errors`
                "events"  columns name, text

@@ -53,6 +53,15 @@ class WrenchTrack(_WrenchTrack, _Timed):
     """Changes of the total wrenches on one body: of that in body axes, or of that in world axes."""
 
 
+class _ReactionTrack(NamedTuple):
+    stamp_ns: np.ndarray  # (n,) int64, ns
+    wrench: np.ndarray  # (n, 6) (torque, force), N m and N; NaN: undetermined
+
+
+class ReactionTrack(_ReactionTrack, _Timed):
+    """Reactions of one joint, as in Sample.reactions."""
+
+
 class _JointTrack(NamedTuple):
     stamp_ns: np.ndarray  # (n,) int64, ns
     names: tuple  # of k joints

@@ -73,6 +73,11 @@ def make_plots(analysis):
                 ),
             )
         )
+    for title, unit, part in (("forces", "N", slice(3, 6)), ("torques", "N m", slice(0, 3))):
+        traces = _reaction_traces(analysis.recording.reactions, part)
+        if traces:
+            remark = "size of the determined components of the largest ones, in joint frames"
+            plots.append((f"Reaction {title}", remark, _plane(traces, bands, unit)))
     late = _lateness_traces(analysis.recording.diagnostics)
     if late:
         plots.append(
@@ -112,6 +117,16 @@ def _interval_traces(named):
         )
         for k, (name, part) in enumerate(named)
     ]
+
+
+def _reaction_traces(reactions, part):
+    """Curves of the joints with the largest forces or torques, as many as there are colours."""
+    sizes = {
+        joint: (track.time, np.sqrt(np.nansum(track.wrench[:, part] ** 2, axis=1)))
+        for joint, track in reactions.items()
+    }
+    largest = sorted(sizes, key=lambda joint: -sizes[joint][1].max(initial=0.0))[: len(COLOURS)]
+    return [_line(joint, *sizes[joint], COLOURS[k]) for k, joint in enumerate(largest)]
 
 
 def _lateness_traces(diagnostics):

@@ -17,6 +17,7 @@ from liegroup_sim_ros.analysis.analyse import analyse
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.messages.codecs import LogCodec, WrenchStampedCodec
 from liegroup_sim_ros.recording.read import read_recording
+from liegroup_sim_ros.report.plots import make_plots
 
 
 def test_a_csv_table_has_the_exact_numbers(tmp_path, capsys):
@@ -328,6 +329,17 @@ def test_a_run_writes_the_reactions_on_request(tmp_path, capsys):
     recorded = {topic: wrench for topic, (ns, _, wrench) in messages if ns == 50_000_000}
     found = [recorded[f"/sim_node/{joint}/wrench"] for joint in joints]
     assert np.array_equal(found, expected, equal_nan=True)
+    recording = read_recording(tmp_path / "run.mcap")
+    track = recording.reactions["crank_coupler"]
+    assert track.time[1] == 0.05 and np.array_equal(track.wrench[1], expected[1], equal_nan=True)
+    frame = recording.to_pandas("reactions")
+    assert frame.iloc[1]["crank_coupler", "fx"] == expected[1, 3]
+    plots = {title: plot for title, _, plot in make_plots(analyse(recording))}
+    curves = {trace["name"]: trace["y"] for trace in plots["Reaction forces"]["data"]}
+    determined = expected[1, 3:][~np.isnan(expected[1, 3:])]
+    # A page has seven digits.
+    size = np.linalg.norm(determined)
+    assert curves["crank_coupler"][1] == pytest.approx(size, rel=1e-6)
 
 
 def test_a_joint_with_the_name_of_a_body_has_no_topic_for_its_reaction(tmp_path, capsys):
