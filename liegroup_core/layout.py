@@ -151,6 +151,8 @@ class Layout:
         """Unwrapped angles (k,), see `Scene.unwrapped`, at a pose (n, 12), rad; near: see `sample`."""
         forces = self.model.forces
         angles = np.full(kinds.count_of_angles(forces), UNKNOWN_TURN)
+        if not len(angles):
+            return angles
         if near is not None:
             angles[:] = near
         kinds.count_turns(forces, pose, angles)

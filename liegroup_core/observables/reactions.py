@@ -97,27 +97,30 @@ class Reactions:
         return found
 
     def at(self, pose, twist, angles, acting, external=None):
-        """((J, 6) wrenches, (J, 6) mask of the undetermined components) of a state.
+        """((J, 6) wrenches, (J, 6) mask of the undetermined components, (n, 6) motion) of a state.
 
         pose, twist : (n, 12), (n, 6) of frames at the centres of mass
         angles      : (k,) rad, `Sample.angles`;  acting : mask of the scene's applied wrenches
         external    : (n, 16), see forces/external.py; None: no external wrenches
+        motion      : angular acceleration and specific force (acceleration less gravity) of every
+                      centre of mass, body axes
         Raises SimulationError if the accelerations cannot be computed.
         """
-        work, out = self._work, np.zeros((len(self.names), 6))
+        work, out = self._work, np.empty((len(self.names), 6))
         work.angle[:], work.acting[:] = angles, acting
         before = work.report[2]
         if external is None:
             external = no_wrenches(self._offsets)
         if joint_wrenches(self._model, work, pose, twist, external, self._table, out) >= 0:
             raise SimulationError("the reactions cannot be computed: constraint rows are dependent")
+        motion = self._table.motion.copy()
         if work.report[2] == before:
-            return out, self.undetermined
+            return out, self.undetermined, motion
         mask = self.undetermined.copy()  # a singular pose
         places = self._places(pose)
         for group, linkage in self._groups:
             mask[group] |= _undetermined(_rows(linkage, places))
-        return out, mask
+        return out, mask, motion
 
     def _places(self, pose):
         """{body: (4, 4)} of frames at the centres of mass, with the world."""

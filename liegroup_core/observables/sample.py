@@ -145,8 +145,32 @@ class Sample:
         the last step. At the end of a tree of n bodies, errors are about n times those of a wrench:
         test/verification/test_reactions.py.
         """
-        wrenches, mask = self._reactions
+        wrenches, mask, _ = self._reactions
         return self._by_joint(np.where(mask, np.nan, wrenches))
+
+    @cached_property
+    def accelerations(self) -> dict[str, NDArray[np.float64]]:
+        """{body: (6,)} angular rad/s^2, and linear m/s^2 of the body frame's origin; body axes.
+
+        Under the same wrenches as `reactions`.
+        """
+        _, _, motion = self._reactions
+        R = self.pose[:, :9].reshape(-1, 3, 3)
+        w, dw = self.twist[:, :3], motion[:, :3]
+        arm = -self._layout.offsets.com
+        linear = motion[:, 3:] + np.cross(dw, arm) + np.cross(w, np.cross(w, arm))
+        linear += np.array(self.scene.gravity) @ R
+        return self._by_body(np.hstack([dw, linear]))
+
+    @cached_property
+    def sensors(self) -> dict[str, NDArray[np.float64]]:
+        """{sensor: its numbers} of the scene's sensors, with noise; see docs/reference/scene_format.md."""
+        return {sensor.name: sensor.read(self) for sensor in self.scene.sensors}
+
+    @property
+    def scene(self):
+        """Scene of the mechanism."""
+        return self._layout.scene
 
     @cached_property
     def minimum_norm_reactions(self) -> dict[str, NDArray[np.float64]]:
@@ -154,7 +178,7 @@ class Sample:
 
         Torques are compared with forces at the characteristic length of the closed loop.
         """
-        wrenches, _ = self._reactions
+        wrenches, *_ = self._reactions
         return self._by_joint(self._layout.reactions.minimum_norm(self._state[0], wrenches))
 
     @cached_property

@@ -6,7 +6,8 @@ the centre of mass in this frame. Rotations map body components to world compone
 are x, y, z, w. Twists are (omega, v), angular first, in body axes, v of the body frame's origin.
 
 A model made from wrong values raises `SceneError`. The classes of joints and forces are next to
-their equations, in liegroup_core/joints/ and liegroup_core/forces/.
+their equations, in liegroup_core/joints/ and liegroup_core/forces/, those of sensors in
+liegroup_core/sensors/.
 """
 
 from typing import Annotated, Any, Literal
@@ -39,8 +40,17 @@ from liegroup_core.joints import kinds as joint_kinds
 from liegroup_core.joints.coupling import Coupling
 from liegroup_core.joints.kinds import *  # noqa: F403 (the classes of all joints)
 from liegroup_core.joints.kinds import JOINTS, TYPES
+from liegroup_core.sensors.kinds import SENSORS
 
-from .names import WORLD, refuse_coupling, refuse_ends, refuse_joint, refuse_twins, refuse_unknown
+from .names import (
+    WORLD,
+    refuse_coupling,
+    refuse_ends,
+    refuse_joint,
+    refuse_sensor,
+    refuse_twins,
+    refuse_unknown,
+)
 from .shapes import SHAPES
 
 __all__ = ["WORLD", "Body", "Coupling", "Frame", "Scene"]
@@ -176,6 +186,7 @@ class Scene(Described):
         tuple[Coupling, ...], BeforeValidator(lambda value: [] if value is None else listed(value))
     ] = Field((), description="list of couplings of joints: gears, belts, racks")
     forces: _entries(FORCES) = Field((), description="list of forces")
+    sensors: _entries(SENSORS) = Field((), description="list of sensors")
 
     _text: str | None = PrivateAttr(None)
     _source: str | None = PrivateAttr(None)
@@ -250,6 +261,11 @@ class Scene(Described):
                 refuse_ends(link, bodies, key, i)
         for i, coupling in enumerate(self.couplings):
             refuse_coupling(coupling, kinds, i)
+        named = [*links, *(("couplings", i, entry) for i, entry in enumerate(self.couplings))]
+        for i, sensor in enumerate(self.sensors):
+            taken = [*bodies, *(each.name for *_, each in named)]
+            taken += [each.name for each in self.sensors[:i]]
+            refuse_sensor(sensor, bodies, kinds, taken, i)
         for key, name in (("bodies", "initial"), ("joints", "rate")):
             for i, entry in enumerate(getattr(self, key)):
                 if not self.assemble and name in entry.model_fields_set:
@@ -275,7 +291,7 @@ _Dumper.add_representer(str, _Dumper.represent_str)
 def _written_out(scene):
     """YAML text of a scene made in code; numbers read back bit-identical."""
     values: dict[str, Any] = scene.model_dump(exclude_unset=True)
-    for key in ("joints", "forces"):
+    for key in ("joints", "forces", "sensors"):
         for entry, written in zip(getattr(scene, key), values.get(key, ())):
             written.setdefault("type", entry.type)
     for body, written in zip(scene.bodies, values["bodies"]):

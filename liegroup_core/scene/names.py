@@ -64,6 +64,35 @@ def refuse_joint(force, kinds, i):
         )
 
 
+def refuse_sensor(sensor, bodies, kinds, taken, i):
+    """Refuse a sensor with a name that is taken, or of a body or joint that does not exist or fit.
+
+    bodies : names; kinds : {joint: type}; taken : names of everything else
+    """
+    where = f'sensors[{i}] "{sensor.name}": '
+    if sensor.name in taken:
+        raise SceneError(
+            f"{where}this name is already used: choose another", place=("sensors", i, "name")
+        )
+    if hasattr(sensor, "body"):
+        refuse_unknown("body", sensor, bodies, "sensors", i)
+    elif hasattr(sensor, "child"):
+        refuse_ends(sensor, bodies, "sensors", i)
+    else:
+        place = ("sensors", i, "joint")
+        if sensor.joint not in kinds:
+            hint = suggestion(sensor.joint, list(kinds)) if kinds else "the scene has no joints"
+            raise SceneError(
+                f"{where}joint {sensor.joint!r:.40} is not a joint; {hint}", place=place
+            )
+        if sensor.needs_coordinate and TYPES[kinds[sensor.joint]].coordinate is None:
+            raise SceneError(
+                f'{where}joint "{sensor.joint}" is {kinds[sensor.joint]}, which has no single angle '
+                "or displacement: use a pose sensor",
+                place=place,
+            )
+
+
 def refuse_coupling(coupling, kinds, i):
     """Refuse a coupling of joints that do not exist, or that have not one coordinate."""
     where = f'couplings[{i}] "{coupling.name}": '

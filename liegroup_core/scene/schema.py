@@ -9,7 +9,7 @@ joints must be satisfied) are checked when a scene is read.
 
 import json
 
-from .description import FORCES, JOINTS, Scene
+from .description import FORCES, JOINTS, SENSORS, Scene
 from .shapes import SHAPES
 
 
@@ -20,6 +20,7 @@ def scene_schema():
     for kinds, needed in (
         (JOINTS, ("parent_frame", "child_frame")),
         (FORCES, ()),
+        (SENSORS, ()),
         (SHAPES, ("mass", "density")),
     ):
         for kind in kinds:
@@ -28,7 +29,12 @@ def scene_schema():
             if needed:
                 part["anyOf"] = [{"required": [key]} for key in needed]
     parts["Body"]["anyOf"] = [{"required": ["shape"]}, {"required": ["mass", "inertia"]}]
-    for key in ("joints", "couplings", "forces"):  # a key without a value is an empty list
+    for key in (
+        "joints",
+        "couplings",
+        "forces",
+        "sensors",
+    ):  # a key without a value is an empty list
         schema["properties"][key]["type"] = ["array", "null"]
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "Scene"} | schema
 

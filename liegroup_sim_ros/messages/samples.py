@@ -11,12 +11,14 @@ import math
 
 import numpy as np
 
+from liegroup_core.fields.frames import Frame
 from liegroup_core.observables.along import quaternions
 from liegroup_core.scene.consistency import resolve_frames
 
 from .cdr import Template, stamp
 from .codecs import PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec, pack_stamp
 from .links import link_of_body, links_and_joints
+from .sensors import sensors
 
 REACTION = "_reaction"  # ending of the frame ids of reactions
 _POSE, _BODY = 7 * 8, 13 * 8  # bytes of a pose, and of a body, in Sample.rows
@@ -159,7 +161,7 @@ def joint_states(layout, world_frame, frame_prefix=""):
 def reactions(layout, world_frame, frame_prefix=""):
     """geometry_msgs/WrenchStamped of every joint: `Sample.reactions`, NaN where undetermined.
 
-    The frame is the child's joint frame, `JOINT_reaction`; see `reaction_frames`. Raises ValueError
+    The frame is the child's joint frame, `JOINT_reaction`; see `fixed_frames`. Raises ValueError
     if a joint has the name of a body, whose ~/BODY/wrench is an input.
     """
     joints = [joint.name for joint in layout.scene.joints]
@@ -176,14 +178,27 @@ def reactions(layout, world_frame, frame_prefix=""):
     return [(f"~/{name}/wrench", WrenchStampedCodec.TYPE, of_joint(name)) for name in joints]
 
 
-def reaction_frames(layout, frame_prefix=""):
-    """Serialized tf2_msgs/TFMessage: the joint frames of all children, in the frames of their links."""
+def fixed_frames(layout, frame_prefix=""):
+    """Serialized tf2_msgs/TFMessage of the frames that are fixed in links: of joints and sensors.
+
+    JOINT_reaction is the joint frame of the child; a force_torque sensor has it too.
+    """
     scene = layout.scene
+    of_child = {
+        joint.name: (joint.child, frame)
+        for joint, (_, frame) in zip(scene.joints, resolve_frames(scene))
+    }
+    frames = {f"{joint}{REACTION}": place for joint, place in of_child.items()}
+    for sensor in scene.sensors:
+        if sensor.type == "force_torque":
+            frames[sensor.name] = of_child[sensor.joint]
+        elif hasattr(sensor, "frame"):
+            frames[sensor.name] = sensor.body, (sensor.frame or Frame()).pose
     links, template, slots = link_of_body(scene), Template(), []
-    template.put("I", len(scene.joints))
-    for joint, (_, frame) in zip(scene.joints, resolve_frames(scene)):
-        template.header(frame_prefix + links[joint.child])
-        template.string(f"{frame_prefix}{joint.name}{REACTION}")
+    template.put("I", len(frames))
+    for name, (body, frame) in frames.items():
+        template.header(frame_prefix + links[body])
+        template.string(frame_prefix + name)
         template.slot("7d")
         row = np.concatenate([frame[:3, :3].ravel(), frame[:3, 3]])[None]
         slots += [stamp(0), [*row[0, 9:].tolist(), *quaternions(row)[0].tolist()]]
@@ -224,6 +239,7 @@ OPTIONAL = {
     "joint_state_rate": (joint_states, "~/joint_states"),
     "tf_rate": (transforms, "/tf"),
     "reaction_rate": (reactions, "~/JOINT/wrench"),
+    "sensor_rate": (sensors, "~/SENSOR/..."),
 }
 
 

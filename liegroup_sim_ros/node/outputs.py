@@ -149,11 +149,11 @@ class Outputs:
                     raise ParameterError(f"parameter {name}: {error}") from None
                 self._add_optional(name, entries, values.steps[name])
         self._static = []
-        if values.steps["reaction_rate"]:
+        if values.steps["reaction_rate"] or values.steps["sensor_rate"]:
             layout.reactions.warm_up()
             with contextlib.suppress(ImportError):  # wrenches need no tf2_msgs
                 self._static.append(Stream(node, overrides, *topics.STATIC_TRANSFORMS))
-                frames = sample_messages.reaction_frames(layout, values.frame_prefix)
+                frames = sample_messages.fixed_frames(layout, values.frame_prefix)
                 self._static[0].publish(frames)
 
     def _stream(self, *arguments, **options):

@@ -166,7 +166,7 @@ class Recording:
 
     @cached_property
     def reactions(self) -> dict[str, ReactionTrack]:
-        """{joint: ReactionTrack} of ~/JOINT/wrench, of the joints that were recorded."""
+        """{joint: ReactionTrack} of ~/JOINT/wrench; force-torque sensors, too, by their names."""
         found: dict[str, list] = {}
         with ErrorsWithPath(self.path):
             for messages, channels in self._source.messages(self.channels):

@@ -17,6 +17,7 @@ from liegroup_core.scene.description import FORCES, JOINTS
 
 # Properties of a Sample that depend on the body frames; all others belong to the mechanism.
 OF_FRAMES = {"pose", "twist", "rows", "poses", "twists", "positions", "pose_matrices"}
+OF_FRAMES |= {"accelerations", "external", "scene"}
 ABSENT = {"error", "errors"}  # None without an estimate
 
 
@@ -89,6 +90,11 @@ def test_the_motion_does_not_depend_on_body_frames(name, group):
             w, v = np.split(mine.twists[body], 2)
             np.testing.assert_allclose(
                 np.r_[w, v + np.cross(w, c)], theirs.twists[body], atol=1e-10
+            )
+            turning, moving = np.split(mine.accelerations[body], 2)
+            moving = moving + np.cross(turning, c) + np.cross(w, np.cross(w, c))
+            np.testing.assert_allclose(
+                np.r_[turning, moving], theirs.accelerations[body], rtol=1e-12, atol=1e-10
             )
         one.advance(50)
         other.advance(50)

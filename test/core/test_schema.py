@@ -9,7 +9,7 @@ from scene_files import ROOT, each_scene
 
 from liegroup_core.errors import SceneError
 from liegroup_core.scene import scene_from_text
-from liegroup_core.scene.description import FORCES, JOINTS
+from liegroup_core.scene.description import FORCES, JOINTS, SENSORS
 from liegroup_core.scene.schema import scene_schema, scene_schema_text
 from liegroup_core.scene.shapes import SHAPES
 from liegroup_core.scene.yaml_text import read_yaml
@@ -40,7 +40,11 @@ def test_every_example_scene_validates(path):
 def test_every_key_has_a_description():
     """Every key of every model has a description, which editors show."""
     schema = scene_schema()
-    for model in ("Body", "Frame", *(kind.__name__ for kind in (*JOINTS, *FORCES, *SHAPES))):
+    for model in (
+        "Body",
+        "Frame",
+        *(kind.__name__ for kind in (*JOINTS, *FORCES, *SENSORS, *SHAPES)),
+    ):
         for key, part in schema["$defs"][model]["properties"].items():
             assert part["description"], (model, key)
 

@@ -6,6 +6,7 @@ The frames of its bodies have a prefix, as those of one robot of several.
 
 import importlib.util
 import signal
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,7 @@ from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from scipy.spatial.transform import Rotation
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import Imu, JointState
 from visualization_msgs.msg import Marker, MarkerArray
 
 from liegroup_core.layout import make_layout
@@ -46,6 +47,7 @@ PERIODS = {
     "pose_array_rate": 50,
     "joint_state_rate": 4,
     "reaction_rate": 200,
+    "sensor_rate": 250,
     "marker_rate": 40,
     "state_rate": 125,
     "clock_rate": 5,
@@ -61,6 +63,7 @@ joints:
      child_frame: {position: [-0.5, 0, 0], axis: [0, 1, 0]}}
   - {name: elbow, type: revolute, parent: upper, child: lower,
      parent_frame: {position: [0.5, 0, 0], axis: [0, 1, 0]}}
+sensors: [{name: imu, type: imu, body: lower, acceleration_noise: 0.01, angular_velocity_noise: 0.01}]
 """
 
 
@@ -82,6 +85,7 @@ class Shown:
             "velocity_rate": client.listen(f"{NODE}/lower/velocity", VelocityStamped),
             "pose_array_rate": client.listen(f"{NODE}/poses", PoseArray),
             "joint_state_rate": client.listen(f"{NODE}/joint_states", JointState),
+            "sensor_rate": client.listen(f"{NODE}/imu/imu", Imu),
             "reaction_rate": client.listen(f"{NODE}/elbow/wrench", WrenchStamped),
             "marker_rate": client.listen(f"{NODE}/markers", MarkerArray),
             "state_rate": client.listen(f"{NODE}/state", DiagnosticArray),
@@ -199,6 +203,19 @@ def test_topics_agree_at_the_same_stamp(client, node):
         )
     assert joints.velocity[0] + joints.velocity[1] == pytest.approx(twist.angular.y, abs=1e-9)
     assert markers.markers[1].pose.position == pose.pose.position
+
+
+def test_the_noise_of_sensors_is_repeated_from_the_recording(client, node):
+    """White noise of seed and step: the re-simulated state gives the same message."""
+    scene = scene_from_text(ARM)
+    message = node.messages["sensor_rate"][-1]
+    steps = stamp_of(message) // STEP_NS
+    angular = next(m for m in node.twist if stamp_ns(m.header.stamp) == stamp_of(message)).twist
+    key = [0, zlib.crc32(b"imu")]
+    bits = np.random.Philox(key=key, counter=[0, 0, 0, int(steps)])
+    noise = np.random.Generator(bits).standard_normal(10) * scene.sensors[0].noise
+    w, true = message.angular_velocity, angular.angular
+    assert (w.x, w.y, w.z) == (true.x + noise[4], true.y + noise[5], true.z + noise[6])
 
 
 def test_reactions_are_those_of_the_same_state(client, node):

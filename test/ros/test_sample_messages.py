@@ -20,6 +20,7 @@ from geometry_msgs.msg import (
     PoseWithCovarianceStamped,
     TwistStamped,
     VelocityStamped,
+    WrenchStamped,
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -28,8 +29,8 @@ from rcl_interfaces.msg import Log
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float32MultiArray, Float64MultiArray, Int64MultiArray
+from sensor_msgs.msg import Imu, JointState
+from std_msgs.msg import Float32MultiArray, Float64, Float64MultiArray, Int64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -522,3 +523,78 @@ def test_joint_states_follow_a_simulation():
     assert dict(zip(message.name, zip(message.position, message.velocity))) == (
         sample.joint_coordinates
     )
+
+
+SENSED = """
+name: sensed
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: rod, mass: 2, inertia: [0.3, 0.3, 0.1], com: [0, 0, -0.7], angular_velocity: [0, 1.3, 0]}
+joints:
+  - {name: hinge, type: revolute, parent: world, child: rod, parent_frame: {axis: [0, 1, 0]},
+     child_frame: {axis: [0, 1, 0]}}
+sensors:
+  - {name: imu, type: imu, body: rod, frame: {position: [0, 0, -0.5]}, acceleration_noise: 0.1,
+     angular_velocity_noise: 0.01}
+  - {name: cell, type: force_torque, joint: hinge, force_noise: 3}
+  - {name: disc, type: encoder, joint: hinge, resolution: 0.001}
+  - {name: mark, type: pose, body: rod, frame: {position: [0.1, 0, -1]}, position_noise: 0.02}
+  - {name: wire, type: distance, parent: world, child: rod, parent_point: [1, 0, 0], child_point: [0, 0, -1]}
+"""
+
+
+def test_sensors_are_encoded_with_their_noise_and_the_estimated_errors():
+    simulation = Simulation(scene_from_text(SENSED), "rkmk4", 1e-3)
+    simulation.advance(20)
+    sample = simulation.sample()
+    position, attitude, speed, spin = sample.error["rod"]
+    entries = sample_messages.sensors(simulation.layout, "map", "left/")
+    values = {name: numbers.tolist() for name, numbers in sample.sensors.items()}
+    classes = [Imu, WrenchStamped, JointState, Odometry, Float64]
+    imu, cell, disc, mark, wire = (
+        as_ros_serializes(encode(STAMP, sample), message_class)
+        for (_, _, encode), message_class in zip(entries, classes, strict=True)
+    )
+    assert {topic: kind for topic, kind, _ in entries} == {
+        "~/imu/imu": "sensor_msgs/msg/Imu",
+        "~/cell/wrench": "geometry_msgs/msg/WrenchStamped",
+        "~/disc/joint_state": "sensor_msgs/msg/JointState",
+        "~/mark/odometry": "nav_msgs/msg/Odometry",
+        "~/wire/distance": "std_msgs/msg/Float64",
+    }
+    assert imu.header.frame_id == "left/imu" and cell.header.frame_id == "left/cell"
+    assert numbers(imu.orientation, "xyzw") == values["imu"][:4]
+    assert numbers(imu.angular_velocity, "xyz") == values["imu"][4:7]
+    assert numbers(imu.linear_acceleration, "xyz") == values["imu"][7:]
+    for found, variance in (
+        (imu.orientation_covariance, attitude**2),
+        (imu.angular_velocity_covariance, 0.01**2 + spin**2),
+        (imu.linear_acceleration_covariance, 0.1**2),
+    ):
+        assert np.array_equal(np.reshape(found, (3, 3)), variance * np.eye(3))
+    wrench = numbers(cell.wrench.torque, "xyz") + numbers(cell.wrench.force, "xyz")
+    assert wrench == values["cell"]
+    assert disc.name == ["hinge"] and list(disc.position) == values["disc"]
+    assert math.isnan(disc.velocity[0]) and math.isnan(disc.effort[0])
+    assert (mark.header.frame_id, mark.child_frame_id) == ("map", "left/mark")
+    assert numbers(mark.pose.pose.position, "xyz") == values["mark"][:3]
+    assert numbers(mark.twist.twist.angular, "xyz") == values["mark"][10:]
+    expected = np.repeat([0.02**2 + position**2, attitude**2], 3)
+    assert np.array_equal(np.reshape(mark.pose.covariance, (6, 6)), np.diag(expected))
+    expected = np.repeat([speed**2, spin**2], 3)
+    assert np.array_equal(np.reshape(mark.twist.covariance, (6, 6)), np.diag(expected))
+    assert wire.data == values["wire"][0]
+
+
+def test_fixed_frames_of_joints_and_sensors():
+    layout = make_layout(scene_from_text(SENSED))
+    message = get_typestore(Stores.ROS2_JAZZY).deserialize_cdr(
+        sample_messages.fixed_frames(layout, "left/"), "tf2_msgs/msg/TFMessage"
+    )
+    found = {each.child_frame_id: each for each in message.transforms}
+    assert found.keys() == {f"left/{name}" for name in ("hinge_reaction", "imu", "cell", "mark")}
+    assert {each.header.frame_id for each in message.transforms} == {"left/rod"}
+    assert numbers(found["left/imu"].transform.translation, "xyz") == [0.0, 0.0, -0.5]
+    for name in ("hinge_reaction", "cell"):
+        turned = numbers(found[f"left/{name}"].transform.rotation, "xyzw")
+        assert Rotation.from_quat(turned).apply([0, 0, 1]) == pytest.approx([0, 1, 0], abs=1e-15)

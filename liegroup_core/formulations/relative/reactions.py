@@ -44,6 +44,9 @@ class ReactionTable(Struct):
     frames: np.ndarray  # (J, 12) joint frame in the frame of the child: R row by row, then r
     order: np.ndarray  # (t, 3) tree joints, leaves first: joint, body behind it, body before it
     owners: np.ndarray  # (c,) joint of each cut element that is solved for; -1: a coupling
+    motion: (
+        np.ndarray
+    )  # (n, 6) of each body: angular acceleration, specific force at the COM; own axes
     lacking: np.ndarray  # (n, 6) scratch: wrench that a body lacks, world axes, about its COM
 
 
@@ -77,13 +80,14 @@ def reaction_table(layout):
         ).reshape(-1, 12),
         order=np.array(order[::-1], dtype=np.int64).reshape(-1, 3),
         owners=np.array(owners, dtype=np.int64),
+        motion=np.zeros((len(scene.bodies), 6)),
         lacking=np.zeros((len(scene.bodies), 6)),
     )
 
 
 @kernel
 def _set_lacking(model, work, table):
-    """Wrench that each body lacks without its joints, to table.lacking."""
+    """Wrench that each body lacks without its joints, to table.lacking; its motion, to table.motion."""
     poses = work.space.stage_pose
     for i in range(len(model.parts)):
         part, body, rot = model.parts[i], model.space.bodies[i], load9(poses, i, 0)
@@ -98,7 +102,10 @@ def _set_lacking(model, work, table):
             dw, dv = se3_Ad_inverse(turn, at, load3(work.moved, b, 0), load3(work.moved, b, 3))
         inertia = matrix3(body["inertia"])
         torque = add3(matvec3(inertia, dw), cross3(w, matvec3(inertia, w)))
-        force = scale3(body["mass"], add3(dv, cross3(w, v)))
+        dv = add3(dv, cross3(w, v))
+        store3(dw, table.motion, i, 0)
+        store3(dv, table.motion, i, 3)
+        force = scale3(body["mass"], dv)
         torque, force = (
             sub3(torque, load3(work.wrench, i, 0)),
             sub3(force, load3(work.wrench, i, 3)),

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Inertial measurement unit: orientation, angular velocity and specific force of a frame of a body.
+
+The specific force is what an accelerometer shows: the acceleration of the frame's origin less
+gravity, in the axes of the frame. Angular velocity and specific force have a constant bias.
+"""
+
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from liegroup_core.fields.frames import Frame
+from liegroup_core.fields.values import NotNegative, Text, Vector3
+from liegroup_core.lie.groups import SO3
+
+from .described import Sensor, frame_pose
+
+
+class Imu(Sensor):
+    """Inertial measurement unit on a body."""
+
+    parts = (
+        *("qx", "qy", "qz", "qw"),
+        *("wx [rad/s]", "wy [rad/s]", "wz [rad/s]"),
+        *("ax [m/s^2]", "ay [m/s^2]", "az [m/s^2]"),
+    )
+    type: Literal["imu"] = Field("imu", description="imu")
+    body: Text = Field(description="name of the body")
+    frame: Frame | None = Field(None, description="its frame in the body; default: the body frame")
+    angular_velocity_noise: NotNegative = Field(
+        0.0, description="standard deviation of each angular velocity in rad/s"
+    )
+    acceleration_noise: NotNegative = Field(
+        0.0, description="standard deviation of each specific force in m/s^2"
+    )
+    angular_velocity_bias: Vector3 = Field((0.0, 0.0, 0.0), description="bias in rad/s")
+    acceleration_bias: Vector3 = Field((0.0, 0.0, 0.0), description="bias in m/s^2")
+
+    @property
+    def noise(self):
+        """Standard deviations; the orientation has none."""
+        return np.repeat([0.0, self.angular_velocity_noise, self.acceleration_noise], [4, 3, 3])
+
+    def measure(self, sample):
+        """(10,) quaternion x y z w to the world, angular velocity, specific force."""
+        R, p = frame_pose(self.frame)
+        body = sample.poses[self.body][:3, :3]
+        w = sample.twists[self.body][:3]
+        turning, moving = np.split(sample.accelerations[self.body], 2)
+        force = moving + np.cross(turning, p) + np.cross(w, np.cross(w, p))
+        force -= body.T @ np.array(sample.scene.gravity)
+        return np.concatenate(
+            [
+                SO3.to_quaternion(body @ R),
+                R.T @ w + self.angular_velocity_bias,
+                R.T @ force + self.acceleration_bias,
+            ]
+        )

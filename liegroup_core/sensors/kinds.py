@@ -1,0 +1,10 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All kinds of sensors. A kind is a file with a class, and its line in SENSORS."""
+
+from .distance import Distance
+from .encoder import Encoder
+from .force_torque import ForceTorque
+from .imu import Imu
+from .pose import Pose
+
+SENSORS = (Imu, ForceTorque, Encoder, Pose, Distance)

@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages of the sensors of a scene. Imports no ROS.
+
+Variances are those of a sensor's noise plus the squares of the estimated errors of its body.
+"""
+
+import numpy as np
+
+from .cdr import Template, stamp
+from .codecs import WrenchStampedCodec
+
+
+def sensors(layout, world_frame, frame_prefix=""):
+    """[(topic, type, encode)] of all sensors; arguments and result as in samples.py.
+
+    imu ~/SENSOR/imu, force_torque ~/SENSOR/wrench, encoder ~/SENSOR/joint_state, pose
+    ~/SENSOR/odometry, distance ~/SENSOR/distance.
+    """
+    return [
+        (f"~/{sensor.name}/{topic}", message_type, make(sensor, world_frame, frame_prefix))
+        for sensor in layout.scene.sensors
+        for topic, message_type, make in [KINDS[sensor.type]]
+    ]
+
+
+def _errors(sample, body):
+    """Squares of the estimated errors (4,) of a body; 0 if they are unknown."""
+    if sample.errors is None:
+        return np.zeros(4)
+    return np.nan_to_num(sample.error[body], posinf=0.0) ** 2
+
+
+def _diagonal(*variances):
+    """Covariance matrix, row by row."""
+    return np.diag(variances).ravel().tolist()
+
+
+def _imu(sensor, _world_frame, frame_prefix):
+    template = Template()
+    template.header(frame_prefix + sensor.name)
+    for size in (4, 3, 3):
+        template.slot(f"{size}d")
+        template.slot("9d")
+
+    def encode(stamp_ns, sample):
+        values = sample.sensors[sensor.name].tolist()
+        _, attitude, _, spin = _errors(sample, sensor.body)
+        turning = sensor.angular_velocity_noise**2 + spin
+        return template.pack(
+            stamp(stamp_ns),
+            values[:4],
+            _diagonal(*[attitude] * 3),
+            values[4:7],
+            _diagonal(*[turning] * 3),
+            values[7:],
+            _diagonal(*[sensor.acceleration_noise**2] * 3),
+        )
+
+    return encode
+
+
+def _force_torque(sensor, _world_frame, frame_prefix):
+    codec = WrenchStampedCodec(f"{frame_prefix}{sensor.name}")
+    return lambda stamp_ns, sample: codec.encode(stamp_ns, sample.sensors[sensor.name])
+
+
+def _encoder(sensor, _world_frame, _frame_prefix):
+    template = Template()
+    template.header("")
+    template.put("I", 1)
+    template.string(sensor.joint)
+    for _ in ("position", "velocity", "effort"):  # NaN: not measured
+        template.put("I", 1)
+        template.slot("1d")
+    nothing = [float("nan")]
+    return lambda stamp_ns, sample: template.pack(
+        stamp(stamp_ns), sample.sensors[sensor.name].tolist(), nothing, nothing
+    )
+
+
+def _pose(sensor, world_frame, frame_prefix):
+    template = Template()
+    template.header(world_frame)
+    template.string(frame_prefix + sensor.name)
+    for size in (7, 6):
+        template.slot(f"{size}d")
+        template.slot("36d")
+
+    def encode(stamp_ns, sample):
+        values = sample.sensors[sensor.name].tolist()
+        place, attitude, speed, spin = _errors(sample, sensor.body)
+        place += sensor.position_noise**2
+        return template.pack(
+            stamp(stamp_ns),
+            values[:7],
+            _diagonal(*[place] * 3, *[attitude] * 3),
+            values[7:],
+            _diagonal(*[speed] * 3, *[spin] * 3),
+        )
+
+    return encode
+
+
+def _distance(sensor, _world_frame, _frame_prefix):
+    template = Template()
+    template.slot("1d")
+    return lambda stamp_ns, sample: template.pack(sample.sensors[sensor.name][:1].tolist())
+
+
+KINDS = {
+    "imu": ("imu", "sensor_msgs/msg/Imu", _imu),
+    "force_torque": ("wrench", WrenchStampedCodec.TYPE, _force_torque),
+    "encoder": ("joint_state", "sensor_msgs/msg/JointState", _encoder),
+    "pose": ("odometry", "nav_msgs/msg/Odometry", _pose),
+    "distance": ("distance", "std_msgs/msg/Float64", _distance),
+}
