@@ -43,7 +43,8 @@ def describe(layout):
         bodies              [{name, mass}], kg
         joints              [{name, type, parent, child, rows, dropped}]: names of all rows, wx..vz,
                             and of the redundant ones, which are eliminated
-        forces              [{name, type, on}]; on: names of its bodies, or of its joint
+        forces, sensors     [{name, type, on}]; on: names of its bodies, or of its joint
+        undetermined        {joint: why components of its reaction are undetermined}
         degrees_of_freedom  6 n minus the number of independent rows; larger at singular poses
         rows, solved_rows   number of rows of all joints, with and without redundant ones
         dropped_rows        [[joint, row]] of redundant rows
@@ -96,6 +97,11 @@ def describe(layout):
             {"name": force.name, "type": force.type, "on": _acts_on(force)}
             for force in scene.forces
         ],
+        "sensors": [
+            {"name": sensor.name, "type": sensor.type, "on": _acts_on(sensor)}
+            for sensor in scene.sensors
+        ],
+        "undetermined": layout.reactions.reasons(layout.reactions.undetermined),
         "degrees_of_freedom": 6 * len(model.bodies)
         - len(model.row_residual)
         - len(layout.relative.couplings),

@@ -28,6 +28,7 @@ from liegroup_core.model.redundancy import generic_poses, loop_groups
 from liegroup_core.scene.consistency import resolve_couplings, resolve_elements, resolve_frames
 
 COMPONENTS = ("torque x", "torque y", "torque z", "force x", "force y", "force z")
+MOST = 5  # names in a reason
 # A^T N has entries of order one or of round-off; closed poses leave 1e-12 / RANK_TOLERANCE.
 VANISHING = 1e-6
 
@@ -61,6 +62,9 @@ class Reactions:
         ends = [(joint.parent, joint.child) for joint in scene.joints]
         # A coupling connects joints of several loops: with one, all joints are analysed together.
         groups = [list(range(len(ends)))] if couplings else loop_groups(ends)
+        if not couplings:  # the order of model/redundancy.py: the same linkage is analysed once
+            for group in groups:
+                group.sort(key=lambda j: ends[j][0] != WORLD_NAME)
         frames, parts = resolve_frames(scene), resolve_elements(scene)
         self._groups = [
             (group, Linkage(scene, frames, parts, group, couplings=couplings)) for group in groups
@@ -90,7 +94,9 @@ class Reactions:
         for group, _ in self._groups:
             joints = [j for j in group if mask[j].any()]
             for j in joints:
-                others = ", ".join(self.names[k] for k in joints if k != j)
+                others = [self.names[k] for k in joints if k != j]
+                more = f" and {len(others) - MOST} more" if len(others) > MOST else ""
+                others = ", ".join(others[:MOST]) + more
                 parts = ", ".join(part for part, bad in zip(COMPONENTS, mask[j]) if bad)
                 shared = f"shared with {others} in any proportion" if others else "any value"
                 found[self.names[j]] = f"{parts}: redundant constraints, {shared}"

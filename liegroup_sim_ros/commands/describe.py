@@ -139,7 +139,15 @@ def sections(facts):
             "Forces",
             [(force["name"], force["type"], " - ".join(force["on"])) for force in facts["forces"]],
         ),
+        (
+            "Sensors",
+            [(each["name"], each["type"], " - ".join(each["on"])) for each in facts["sensors"]],
+        ),
         ("Degrees of freedom", _freedom_rows(facts)),
+        (
+            "Reactions",
+            [(joint, "undetermined", why) for joint, why in facts["undetermined"].items()],
+        ),
         (
             "Formulation of Munthe-Kaas methods",
             _formulation_rows(facts["formulation"], len(facts["bodies"])),

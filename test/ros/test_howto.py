@@ -1,16 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""docs/how-to/control.md: its commands start a node, and its Python code controls one."""
+"""docs/how-to/control.md and reactions.md: their commands and their Python code run."""
 
 import re
 import shlex
 import signal
 from pathlib import Path
 
+import pandas
 import pytest
+from geometry_msgs.msg import WrenchStamped
 from node_process import COMPILING, NODE, NodeProcess, python
 from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import Imu, JointState
 
+from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.recording.read import read_recording
 
 SOURCE = Path(__file__).resolve().parents[2]
@@ -60,3 +64,48 @@ def test_the_python_code_of_the_page_runs(tmp_path):
     assert {"pause", "step", "reset", "speed", "resume"} <= {
         event.name for event in read_recording(path).events
     }
+
+
+REACTIONS = (SOURCE / "docs" / "how-to" / "reactions.md").read_text()
+
+
+def test_the_commands_of_the_page_on_reactions_run(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"^```sh\n(.*?)^```$", REACTIONS, re.MULTILINE | re.DOTALL)
+    lines = [shlex.split(line) for line in "".join(blocks).splitlines()]
+    for program, *arguments in lines:
+        assert program == "liegroup_sim" and main(arguments) == 0, arguments
+    assert [line[1] for line in lines] == ["run", "analyze", "sweep", "describe"]
+    assert "Reaction forces" in Path("crank.html").read_text()
+    loads = pandas.read_parquet("loads.parquet")
+    assert (loads["shaft.fx"] > 0.0).all() and "undetermined" in capsys.readouterr().out
+
+
+def test_the_sensors_of_the_page_on_reactions_run(tmp_path, monkeypatch, capsys, client):
+    monkeypatch.chdir(tmp_path)
+    scene, code = (
+        re.findall(rf"^```{kind}\n(.*?)^```$", REACTIONS, re.MULTILINE | re.DOTALL)[0]
+        for kind in ("yaml", "python")
+    )
+    Path("rod.yaml").write_text(scene)
+    exec(compile(code, "reactions.md", "exec"), {})
+    said = capsys.readouterr().out
+    assert all(name in said for name in ("imu", "disc", "bearing"))
+    (command,) = re.findall(r"^    sim_node (--ros-args .*)$", REACTIONS, re.MULTILINE)
+    process = python(NODE, *shlex.split(command.replace("rod.yaml", str(tmp_path / "rod.yaml"))))
+    try:
+        heard = [
+            client.listen(f"/sim_node/{topic}", kind)
+            for topic, kind in (
+                ("imu/imu", Imu),
+                ("disc/joint_state", JointState),
+                ("bearing/wrench", WrenchStamped),
+                ("hinge/wrench", WrenchStamped),
+            )
+        ]
+        client.until(lambda: all(heard), COMPILING, "a message of each sensor")
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=30)
+        assert process.returncode == 0, errors
+    finally:
+        process.kill()
