@@ -155,7 +155,7 @@ class Engine:
         )
 
     def reset(self) -> None:
-        """Return to the initial state of the scene at step 0, and clear all applied wrenches."""
+        """Return to the initial state at step 0, and clear all applied wrenches and efforts."""
         self.set_state(*self._start)
 
     def set_state(
@@ -173,7 +173,7 @@ class Engine:
                  all are in (-pi, pi], as at the start of a scene
         memory : bytes from `memory()` at this state: the run continues bit-identically. None: a
                  method with memory restarts
-        Clears the wrenches of `apply_wrench`. The wrenches of the scene follow the step count.
+        Clears the applied wrenches and efforts. The wrenches of the scene follow the step count.
         Raises ValueError for wrong shapes, non-finite numbers or matrices that are no rotations.
         """
         n = len(self._body)
@@ -303,6 +303,40 @@ class Engine:
             wrench = np.zeros(0)
         if wrench.shape != (6,) or not np.isfinite(wrench).all():
             raise ValueError(f"a wrench must be six finite numbers (torque, force), got {given!r}")
+        begin, end = self._interval(start, duration)
+        self._schedule.command(source, self._body[body], wrench, begin, end, axes)
+
+    def apply_effort(
+        self,
+        joint: str,
+        effort: float,
+        start: float | None = None,
+        duration: float | None = None,
+        source: str = "api",
+    ) -> None:
+        """Apply an effort to a joint with one coordinate, from one time to another.
+
+        joint  : name of a revolute or prismatic joint
+        effort : torque about its z axis in N m, or force along it in N, on the child; the opposite
+                 acts on the parent. Zero ends it
+        start, duration, source : as in `apply_wrench`; each source has one effort per joint
+        The total wrenches of `drain_applied` contain the efforts.
+        Raises ValueError for an unknown joint, a joint without exactly one coordinate, or a number
+        that is not finite.
+        """
+        unit = self.layout.unit_efforts.get(joint)
+        if unit is None:
+            names = ", ".join(self.layout.unit_efforts) or "the scene has none"
+            raise ValueError(
+                f"joint {joint!r} is not a joint with one coordinate; choose one of: {names}"
+            )
+        if isinstance(effort, bool) or not (isinstance(effort, Real) and math.isfinite(effort)):
+            raise ValueError(f"an effort must be a finite number, got {effort!r}")
+        begin, end = self._interval(start, duration)
+        self._schedule.command_effort(source, joint, float(effort), unit, begin, end)
+
+    def _interval(self, start, duration):
+        """Instants at which a command starts and ends (None: never). Raises ValueError."""
         for name, value in (("start", start), ("duration", duration)):
             if value is not None and not (isinstance(value, Real) and math.isfinite(value)):
                 raise ValueError(f"{name} must be finite, or None, got {value!r}")
@@ -315,20 +349,20 @@ class Engine:
             end = self._schedule.instant(begin.time + float(duration))
             if end <= begin:
                 raise ValueError(f"a duration must be at least 1 ns, got {duration!r} s")
-        self._schedule.command(source, self._body[body], wrench, begin, end, axes)
+        return begin, end
 
     @property
     def wrench_count(self) -> int:
-        """Number of wrenches of `apply_wrench` that act now or start later."""
+        """Number of applied wrenches and efforts that act now or start later."""
         return len(self._schedule)
 
     @property
     def wrench_sources(self):
-        """Names of the sources of these wrenches."""
+        """Names of the sources of these wrenches and efforts."""
         return self._schedule.sources
 
     def clear_wrenches(self, source: str = "api") -> None:
-        """End all wrenches of a source, also those that start later."""
+        """End all wrenches and efforts of a source, also those that start later."""
         self._schedule.clear(source)
 
     def drain_applied(self) -> list[AppliedWrench]:
@@ -487,9 +521,11 @@ class Engine:
 
     def sample(self) -> Sample:
         """Create a Sample of the present state."""
-        return Sample(
+        sample = Sample(
             self.layout, self.time, self.time_ns, self.steps, *self.state(), self._work.angle.copy()
         )
+        sample.joint_efforts = self._schedule.efforts
+        return sample
 
     def energy(self) -> float:
         """Kinetic energy plus potential energy of gravity and springs at the present state, J."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from .errors import SceneError
 from .forces import kinds
+from .forces.joint_effort import unit_wrenches
 from .formulations.relative.arrays import PlaneModel
 from .formulations.relative.build import (
     refuse_cut_couplings,
@@ -128,6 +129,12 @@ class Layout:
     def coordinates(self):
         """JointCoordinates of the joints with one degree of freedom."""
         return JointCoordinates(self.centred, self.joint_frames)
+
+    @cached_property
+    def unit_efforts(self):
+        """{joint: [(body index, wrench (6,))]} of unit efforts; see forces/joint_effort.py."""
+        index = {name: i for i, name in enumerate(self.body_names)}
+        return unit_wrenches(self.scene.joints, self.joint_frames, index, self.offsets.com)
 
     def sample(self, pose, twist, time=0.0, time_ns=0, steps=0, near=None):
         """Create a Sample from pose (n, 12) and twist (n, 6) of the body frames, as in a recording.

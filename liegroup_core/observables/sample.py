@@ -22,6 +22,7 @@ class Sample:
     pose  : (n, 12) per body R row by row, then r in m; body frame -> world
     twist : (n, 6) per body omega rad/s, v m/s; body axes, v of the frame's origin
     errors : (n, 4) estimated errors, see `error`; None without an estimate
+    joint_efforts : {joint: N m or N} of the efforts that acted at the end of the last step; a copy
     The constructor takes pose and twist at the centres of mass; all attributes refer to the body
     frames of the scene. Derived quantities are computed on first access and cached.
     """
@@ -30,6 +31,7 @@ class Sample:
 
     def __init__(self, layout, time, time_ns, steps, pose, twist, near):
         self._layout, self._near = layout, near
+        self.joint_efforts: dict[str, float] = {}
         self.time, self.time_ns, self.steps = time, time_ns, steps
         self._state = pose, twist
         self.pose, self.twist = layout.offsets.to_bodies(pose, twist)

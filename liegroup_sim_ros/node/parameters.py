@@ -198,6 +198,15 @@ TABLE = (
         high=1e6,
         above=True,
     ),
+    Entry(
+        "command_timeout",
+        0.0,
+        "duration of a command from ~/joint_commands, s of simulated time; 0: until the next one of "
+        "its joint",
+        read_only=False,
+        low=0.0,
+        high=1e6,
+    ),
     Entry("body_wrenches", True, "subscribe to a topic ~/BODY/wrench for every body"),
 )
 _ENTRIES = {entry.name: entry for entry in TABLE}

@@ -9,6 +9,7 @@ from liegroup_core import SceneError, Simulation, load_scene
 from liegroup_sim_ros.recording import attachments
 from liegroup_sim_ros.recording.write import Recorder
 
+from .joint_command_topics import JointCommandTopics
 from .outputs import Outputs
 from .parameters import AUTO, ParameterError, fitting_steps, set_step
 from .qos import QosOverrides
@@ -79,6 +80,7 @@ class SceneRun:
         self.wrenches = WrenchTopics(
             node, layout.body_names, values, simulation.step, self.server, qos
         )
+        self.commands = JointCommandTopics(node, layout, values, self.server, qos)
         if before is None:  # a reloaded scene may lack the bodies of these parameters
             qos.check()
         # Last step that can fail: earlier ones leave no files.
@@ -159,6 +161,7 @@ class SceneRun:
         recorder = self.recorder
         return {
             **self.wrenches.figures(),
+            **self.commands.figures(),
             "recorder_queued": recorder.queued if recorder else 0,
             "recorder_written": recorder.written if recorder else 0,
             "recorder_lost": recorder.lost if recorder else 0,
@@ -179,6 +182,7 @@ class SceneRun:
 
     def _close_topics(self, stamp_ns=None):
         self.wrenches.close()
+        self.commands.close()
         self.outputs.close(stamp_ns)
 
 

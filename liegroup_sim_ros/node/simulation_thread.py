@@ -71,7 +71,7 @@ class SimulationServer(threading.Thread):
         self._wake = threading.Event()
         self._lock = threading.Lock()
         self._commands = []  # (Future, bound method, arguments)
-        self._wrenches = {}  # (source, start_ns) -> (Push, duration)
+        self._wrenches = {}  # key -> (Push or JointEffort, duration)
         self._stopping = False
         self._base_ns = base_ns
         self._origin = origin
@@ -114,28 +114,29 @@ class SimulationServer(threading.Thread):
         self._wake.set()
         return future
 
-    def push(self, push, duration):
-        """Apply a wrench; it replaces the previous one of its source.
+    def push(self, pushes, duration):
+        """Apply wrenches or efforts; each replaces the previous one of its source.
 
-        push     : Push
-        duration : s of simulated time, None: until the next wrench of this source
+        pushes   : [Push or JointEffort], which all start with the same step
+        duration : s of simulated time, None: until the next one of this source
         """
-        # While the simulation is paused, a later wrench with the same start replaces the earlier
+        # While the simulation is paused, a later command with the same start replaces the earlier
         # one, so that the queue is bounded.
         with self._lock:
-            self._wrenches.pop((push.source, push.start_ns), None)
-            self._wrenches[push.source, push.start_ns] = push, duration
+            for push in pushes:
+                self._wrenches.pop(push.key, None)
+                self._wrenches[push.key] = push, duration
 
     def clear(self, prefix):
         """End the wrenches of all sources whose names start with `prefix`."""
         with self._lock:  # wrenches that arrive later are not cleared
-            for key in [key for key in self._wrenches if key[0].startswith(prefix)]:
+            for key in [key for key in self._wrenches if key[1].startswith(prefix)]:
                 del self._wrenches[key]
         self.call("clear", prefix)
 
     @property
     def wrenches_held(self):
-        """Number of wrenches that act now or start later."""
+        """Number of wrenches and efforts that act now or start later."""
         return self._simulation.wrench_count + len(self._wrenches)
 
     def stop(self):
@@ -284,9 +285,7 @@ class SimulationServer(threading.Thread):
             wrenches, self._wrenches = self._wrenches, {}
         for push, duration in wrenches.values():
             start = (push.start_ns - self._base_ns) * 1e-9 if push.start_ns else None
-            self._simulation.apply_wrench(
-                push.body, push.wrench, start, duration, push.source, push.axes
-            )
+            push.apply(self._simulation, start, duration)
 
     def _send_outputs(self, everything=False):
         """Send the outputs of the current step, in the order of their stamps."""

@@ -19,12 +19,8 @@ from pathlib import Path
 import numpy as np
 
 from liegroup_sim_ros.messages import estimates
-from liegroup_sim_ros.messages.codecs import (
-    Fields,
-    MessageError,
-    PoseStampedCodec,
-    TwistStampedCodec,
-)
+from liegroup_sim_ros.messages.codecs import MessageError, PoseStampedCodec, TwistStampedCodec
+from liegroup_sim_ros.messages.commands import JOINT_STATE, JointStateDecoder
 
 from .addresses import is_remote
 from .errors import RecordingError
@@ -56,7 +52,6 @@ __all__ = [
 ]
 
 FORMAT = 1  # of settings.json and the other attachments
-JOINT_STATE = "sensor_msgs/msg/JointState"
 # Numbers in a piece of `samples`, and the largest offset between two topics of a file in samples.
 PIECE, MOST_APART = 200_000, 100_000
 
@@ -138,13 +133,14 @@ class Recording:
     def joint_states(self) -> JointTrack | None:
         """JointTrack of ~/joint_states, or None if the topic was not recorded."""
         names, stamps, numbers = None, [], []
+        decoder = JointStateDecoder()
         with ErrorsWithPath(self.path):
             for messages, channels in self._source.messages(self.channels):
                 for channel, index in channels:
                     if channel.type != JOINT_STATE:
                         continue
                     for k in index:
-                        joint_names, stamp_ns, values = _joint_state(messages.payload(k))
+                        joint_names, stamp_ns, values = _joint_state(decoder, messages.payload(k))
                         if joint_names != (names or joint_names):
                             raise RecordingError(
                                 "its joint states name different joints in different messages"
@@ -342,13 +338,9 @@ def read_recording(path: str | Path) -> Recording:
         )
 
 
-def _joint_state(payload):
+def _joint_state(decoder, payload):
     """(names, stamp in ns, (2 k,) positions and velocities) of a JointState."""
-    fields = Fields(JOINT_STATE, payload)
-    stamp_ns = fields.stamp_ns()
-    fields.text()
-    names = tuple(fields.text() for _ in range(fields.number("I")))
-    values = [fields.numbers("d", fields.number("I")) for _ in range(2)]
-    if any(len(part) != len(names) for part in values):
+    values = decoder.decode(payload)
+    if any(len(part) != len(values.names) for part in values[2:4]):
         raise MessageError(f"{JOINT_STATE}: the number of values differs from the number of joints")
-    return names, stamp_ns, sum(values, ())
+    return values.names, values.stamp_ns, values.position + values.velocity

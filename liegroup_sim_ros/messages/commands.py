@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Decoding of commands for joints: sensor_msgs/JointState. Imports no ROS."""
+
+from typing import NamedTuple
+
+from .codecs import Fields, MessageError
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+_STAMP_END = 12  # offset of the frame id in the payload
+
+
+class JointValues(NamedTuple):
+    """Content of a JointState; each of the last three has a number per name, or is empty."""
+
+    stamp_ns: int
+    names: tuple
+    position: tuple  # rad or m
+    velocity: tuple  # rad/s or m/s
+    effort: tuple  # N m or N
+
+
+class JointStateDecoder:
+    """Decoder of JointState; names that repeat from message to message are decoded once.
+
+    most : largest number of names
+    """
+
+    def __init__(self, most=100_000):
+        self._most = most
+        self._known = b"", (), 0  # bytes of frame id and names, the names, where the values begin
+
+    def decode(self, payload):
+        """JointValues of one payload. Raises MessageError; lengths are not compared."""
+        fields = Fields(JOINT_STATE, payload)
+        stamp_ns = fields.stamp_ns()
+        known, names, end = self._known
+        if end and payload[:2] + payload[_STAMP_END:end] == known:
+            fields.skip_to(end)
+        else:
+            fields.text()
+            count = fields.number("I")
+            if count > self._most:
+                raise MessageError(
+                    f"{JOINT_STATE}: {count} names, at most {self._most} can be right"
+                )
+            names = tuple(fields.text() for _ in range(count))
+            self._known = payload[:2] + payload[_STAMP_END : fields.at], names, fields.at
+        values = [fields.numbers("d", fields.number("I")) for _ in range(3)]
+        return JointValues(stamp_ns, names, *values)

@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Commands for joints: decoding and validation of JointState on ~/joint_commands.
+
+Names are those of ~/joint_states. A message may name any of the joints; NaN, or an empty field, is no
+command of this kind. A command replaces the previous one of the same joint.
+
+A zero stamp, or one that is not older than the command lasts, means the next step; a future stamp
+means that simulated time. A message is accepted or refused as a whole; refusals are counted by reason.
+Imports no ROS.
+"""
+
+import math
+from typing import NamedTuple
+
+from liegroup_sim_ros.messages.codecs import MessageError
+from liegroup_sim_ros.messages.commands import JointStateDecoder
+
+from .counted_input import LONGEST_NAME, CountedInput
+
+OLDEST = 1.0  # s; age of the stamp of a command that acts until the next one
+SOURCE = "joint_commands"
+REASONS = (
+    "not_finite",
+    "wrong_length",
+    "unknown_joint",
+    "no_coordinate",
+    "repeated_joint",
+    "effort_only",
+    "stamp_too_old",
+    "stamp_too_far",
+    "too_many",
+    "damaged",
+)
+
+
+class JointEffort(NamedTuple):
+    """An accepted effort of one joint."""
+
+    source: str
+    joint: str  # as in the scene
+    effort: float  # N m or N
+    start_ns: int  # stamp at which it starts to act; 0: at the next step
+
+    @property
+    def key(self):
+        """Start, source and joint: of two equal ones the later counts."""
+        return self.start_ns, self.source, self.joint
+
+    def apply(self, simulation, start, duration):
+        """Apply it to a Simulation from a time in s on (None: the next step), for a duration in s."""
+        simulation.apply_effort(self.joint, self.effort, start, duration, self.source)
+
+
+class JointCommandInput(CountedInput):
+    """Decoder and counter of commands for the joints of a scene; layout : Layout."""
+
+    def __init__(self, layout):
+        super().__init__("joint command", "joint_commands", REASONS)
+        robot = layout.scene.robot
+        labels = {} if robot is None else robot.joints
+        self._joints = {labels.get(name, name): name for name in layout.coordinates.names}
+        self._others = {labels.get(joint.name, joint.name) for joint in layout.scene.joints}
+        if robot is not None:
+            self._others |= robot.still.keys()
+        self._others -= self._joints.keys()
+        self._decoder = JointStateDecoder(len(self._joints) + len(self._others))
+        self._checked = ()  # names of the last accepted message
+
+    def read(self, payload, now_ns, held, lasting):
+        """[JointEffort] of a serialized JointState. Raises Refusal.
+
+        now_ns  : current stamp
+        held    : number of commands that act now or start later
+        lasting : s, duration of a command; None: until the next one
+        """
+        try:
+            stamp_ns, names, *fields = self._decoder.decode(payload)
+        except MessageError as error:
+            text = str(error)
+            self.refuse("damaged", lambda: text)
+        if names != self._checked:
+            self._check_names(names)
+        for kind, values in zip(("position", "velocity", "effort"), fields):
+            if len(values) not in (0, len(names)):
+                self.refuse(
+                    "wrong_length",
+                    lambda: (
+                        f"{len(values)} values of {kind} for {len(names)} names; give one per "
+                        "name (NaN: no command), or none"
+                    ),
+                )
+            for name, value in zip(names, values):
+                if math.isinf(value):
+                    self.refuse("not_finite", lambda: f"{kind} of {name} is infinite")
+        for kind, values in zip(("position", "velocity"), fields):
+            for name, value in zip(names, values):
+                if not math.isnan(value):
+                    self.refuse(
+                        "effort_only",
+                        lambda: (
+                            f"it has a {kind} for {name}; only effort can be commanded: leave "
+                            f"{kind} empty or NaN"
+                        ),
+                    )
+        target = ", ".join(names)
+        age = OLDEST if lasting is None else lasting
+        if stamp_ns and stamp_ns < now_ns - round(age * 1e9):
+            self.refuse(
+                "stamp_too_old",
+                lambda: (
+                    f"for {target:.{LONGEST_NAME}}: its time stamp {stamp_ns * 1e-9:.9g} s is more "
+                    f"than {age:g} s before the simulated time {now_ns * 1e-9:.9g} s; use a zero "
+                    "stamp, or simulated time (use_sim_time)"
+                ),
+            )
+        self.refuse_far_stamp(stamp_ns, now_ns, f"{target:.{LONGEST_NAME}}")
+        self.refuse_too_many(held, f"{target:.{LONGEST_NAME}}")
+        self.accepted += 1
+        self._checked = names
+        start_ns = stamp_ns if stamp_ns > now_ns else 0
+        return [
+            JointEffort(SOURCE, self._joints[name], effort, start_ns)
+            for name, effort in zip(names, fields[2])
+            if not math.isnan(effort)
+        ]
+
+    def _check_names(self, names):
+        for name in names:
+            if name in self._joints:
+                continue
+            listed = ", ".join(self._joints)
+            if name in self._others:
+                self.refuse(
+                    "no_coordinate",
+                    lambda: (
+                        f"joint {name!r:.{LONGEST_NAME}} does not move, or not in one coordinate; "
+                        f"name some of: {listed:.200}"
+                    ),
+                )
+            self.refuse(
+                "unknown_joint",
+                lambda: f"unknown joint {name!r:.{LONGEST_NAME}}; name some of: {listed:.200}",
+            )
+        if len(set(names)) < len(names):
+            self.refuse("repeated_joint", lambda: "it names a joint twice; name each one once")
