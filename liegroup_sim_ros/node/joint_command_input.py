@@ -66,18 +66,21 @@ class JointCommandInput(CountedInput):
         self._decoder = JointStateDecoder(len(self._joints) + len(self._others))
         self._checked = ()  # names of the last accepted message
 
-    def read(self, payload, now_ns, held, lasting):
+    def read(self, payload, now_ns, held, lasting, stamped=True):
         """[JointEffort] of a serialized JointState. Raises Refusal.
 
         now_ns  : current stamp
         held    : number of commands that act now or start later
         lasting : s, duration of a command; None: until the next one
+        stamped : False: time stamps are ignored
         """
         try:
             stamp_ns, names, *fields = self._decoder.decode(payload)
         except MessageError as error:
             text = str(error)
             self.refuse("damaged", lambda: text)
+        if not stamped:
+            stamp_ns = 0
         if names != self._checked:
             self._check_names(names)
         for kind, values in zip(("position", "velocity", "effort"), fields):

@@ -16,7 +16,7 @@ class JointCommandTopics:
 
     node   : rclpy Node
     layout : Layout of the scene
-    values : parameters; command_timeout is read for every message
+    values : parameters; command_timeout and command_stamps are read for every message
     server : SimulationServer
     qos    : QosOverrides
     """
@@ -38,7 +38,9 @@ class JointCommandTopics:
     def _receive(self, payload):
         server, lasting = self._server, self._values.command_timeout or None
         try:
-            commands = self.input.read(payload, server.stamp_ns, server.wrenches_held, lasting)
+            commands = self.input.read(
+                payload, server.stamp_ns, server.wrenches_held, lasting, self._values.command_stamps
+            )
         except Refusal as refusal:
             if refusal.first:
                 self._node.get_logger().warning(str(refusal))

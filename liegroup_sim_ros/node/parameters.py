@@ -207,6 +207,13 @@ TABLE = (
         low=0.0,
         high=1e6,
     ),
+    Entry(
+        "command_stamps",
+        True,
+        "commands for joints start at their time stamp if that is in the future; false: stamps are "
+        "ignored, for publishers with another clock",
+        read_only=False,
+    ),
     Entry("body_wrenches", True, "subscribe to a topic ~/BODY/wrench for every body"),
 )
 _ENTRIES = {entry.name: entry for entry in TABLE}

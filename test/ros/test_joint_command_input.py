@@ -73,6 +73,13 @@ def test_a_future_stamp_is_awaited(layout, stamp_ns, start_ns):
     assert command.start_ns == start_ns
 
 
+@pytest.mark.parametrize("stamp_ns", [1, NOW + 1, NOW + 2 * FARTHEST])
+def test_stamps_of_another_clock_can_be_ignored(layout, stamp_ns):
+    payload = message(["pin"], effort=[1.0], stamp_ns=stamp_ns)
+    (command,) = JointCommandInput(layout).read(payload, 10 * NOW, 0, 0.1, stamped=False)
+    assert command.start_ns == 0
+
+
 @pytest.mark.parametrize(
     "changed, reason",
     [
