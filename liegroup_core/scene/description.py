@@ -40,7 +40,15 @@ from liegroup_core.joints.coupling import Coupling
 from liegroup_core.joints.kinds import *  # noqa: F403 (the classes of all joints)
 from liegroup_core.joints.kinds import JOINTS, TYPES
 
-from .names import WORLD, refuse_coupling, refuse_ends, refuse_joint, refuse_twins, refuse_unknown
+from .names import (
+    WORLD,
+    refuse_coupling,
+    refuse_ends,
+    refuse_joint,
+    refuse_twins,
+    refuse_two_servos,
+    refuse_unknown,
+)
 from .shapes import SHAPES
 
 __all__ = ["WORLD", "Body", "Coupling", "Frame", "Scene"]
@@ -202,11 +210,13 @@ class Scene(Described):
         """[(joint, force or coupling)]: names, for each angle that is unwrapped: forces/turn.py."""
         types = {joint.name: joint.type for joint in self.joints}
         springs = [(force.joint, force.name) for force in self.forces if force.counts_turns]
-        return springs + [
+        coupled = [
             (coupling.other, coupling.name)
             for coupling in self.couplings
             if TYPES[types[coupling.other]].turns
         ]
+        servos = [(force.joint, force.name) for force in self.forces if force.type == "servo"]
+        return springs + coupled + servos
 
     @property
     def robot(self):
@@ -230,6 +240,7 @@ class Scene(Described):
             for key in ("joints", "forces")
             for i, link in enumerate(getattr(self, key))
         ]
+        refuse_two_servos(self.forces)
         couplings = [("couplings", i, entry.name) for i, entry in enumerate(self.couplings)]
         refuse_twins([*((key, i, link.name) for key, i, link in links), *couplings])
         for i, joint in enumerate(self.joints):

@@ -15,6 +15,7 @@ from liegroup_core.observables.along import quaternions
 
 from .cdr import Template, stamp
 from .codecs import PoseStampedCodec, TwistStampedCodec, pack_stamp
+from .commands import joint_labels
 
 _POSE, _BODY = 7 * 8, 13 * 8  # bytes of a pose, and of a body, in Sample.rows
 
@@ -120,7 +121,7 @@ def joint_states(layout, world_frame, frame_prefix=""):
     """sensor_msgs/JointState of the joints with one angle or displacement.
 
     Joints of a robot have the names of its file; joints that do not move have their coordinate.
-    Efforts are the commanded ones that act.
+    Efforts are those of servos, and the commanded ones that act.
 
     NaN marks that there is none, as in ros2_control's joint_state_broadcaster. An empty sequence at
     the end of the message would not do, because readers differ in the padding that they accept
@@ -128,9 +129,7 @@ def joint_states(layout, world_frame, frame_prefix=""):
     """
     names, robot = layout.coordinates.names, layout.scene.robot
     still = {} if robot is None else robot.still
-    labels = [*names, *still]
-    if robot is not None:
-        labels[: len(names)] = [robot.joints.get(name, name) for name in names]
+    labels = [*joint_labels(names, robot), *still]
     template = Template()
     template.header("")
     template.put("I", len(labels))
@@ -143,7 +142,7 @@ def joint_states(layout, world_frame, frame_prefix=""):
     idle = [math.nan] * len(labels)
 
     def encode(stamp_ns, sample):
-        coordinates, efforts = sample.joint_coordinates, sample.joint_efforts
+        coordinates, efforts = sample.joint_coordinates, sample.all_efforts
         effort = idle
         if efforts:
             effort = [efforts.get(name, math.nan) for name in names] + idle[len(names) :]

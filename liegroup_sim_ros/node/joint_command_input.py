@@ -2,7 +2,8 @@
 """Commands for joints: decoding and validation of JointState on ~/joint_commands.
 
 Names are those of ~/joint_states. A message may name any of the joints; NaN, or an empty field, is no
-command of this kind. A command replaces the previous one of the same joint.
+command of this kind. A command replaces the previous one of the same joint and kind. An effort acts on
+the joint itself; position and velocity are wanted values of its servo.
 
 A zero stamp, or one that is not older than the command lasts, means the next step; a future stamp
 means that simulated time. A message is accepted or refused as a whole; refusals are counted by reason.
@@ -12,8 +13,9 @@ Imports no ROS.
 import math
 from typing import NamedTuple
 
+from liegroup_core.forces.kinds import servos
 from liegroup_sim_ros.messages.codecs import MessageError
-from liegroup_sim_ros.messages.commands import JointStateDecoder
+from liegroup_sim_ros.messages.commands import JointStateDecoder, joint_labels
 
 from .counted_input import LONGEST_NAME, CountedInput
 
@@ -25,7 +27,8 @@ REASONS = (
     "unknown_joint",
     "no_coordinate",
     "repeated_joint",
-    "effort_only",
+    "no_servo",
+    "no_position",
     "stamp_too_old",
     "stamp_too_far",
     "too_many",
@@ -51,23 +54,44 @@ class JointEffort(NamedTuple):
         simulation.apply_effort(self.joint, self.effort, start, duration, self.source)
 
 
+class Target(NamedTuple):
+    """Accepted wanted values of the servo of a joint."""
+
+    joint: str  # as in the scene
+    position: float  # rad or m
+    velocity: float  # rad/s or m/s
+    start_ns: int  # stamp at which it starts to act; 0: at the next step
+
+    @property
+    def key(self):
+        """Start, kind and joint: of two equal ones the later counts."""
+        return self.start_ns, "target", self.joint
+
+    def apply(self, simulation, start, duration):
+        """Command it to a Simulation from a time in s on (None: the next step), for a duration in s."""
+        simulation.command_servo(self.joint, self.position, self.velocity, start, duration)
+
+
 class JointCommandInput(CountedInput):
     """Decoder and counter of commands for the joints of a scene; layout : Layout."""
 
     def __init__(self, layout):
         super().__init__("joint command", "joint_commands", REASONS)
-        robot = layout.scene.robot
-        labels = {} if robot is None else robot.joints
-        self._joints = {labels.get(name, name): name for name in layout.coordinates.names}
-        self._others = {labels.get(joint.name, joint.name) for joint in layout.scene.joints}
-        if robot is not None:
-            self._others |= robot.still.keys()
+        scene, names = layout.scene, layout.coordinates.names
+        self._joints = dict(zip(joint_labels(names, scene.robot), names))
+        self._others = set(joint_labels([joint.name for joint in scene.joints], scene.robot))
+        if scene.robot is not None:
+            self._others |= scene.robot.still.keys()
+        # {name in messages: whether the servo needs a wanted position}
+        driven = servos(scene.forces)
+        labels = joint_labels([servo.joint for servo in driven], scene.robot)
+        self._servos = {label: servo.stiffness > 0.0 for label, servo in zip(labels, driven)}
         self._others -= self._joints.keys()
         self._decoder = JointStateDecoder(len(self._joints) + len(self._others))
         self._checked = ()  # names of the last accepted message
 
     def read(self, payload, now_ns, held, lasting, stamped=True):
-        """[JointEffort] of a serialized JointState. Raises Refusal.
+        """[JointEffort or Target] of a serialized JointState. Raises Refusal.
 
         now_ns  : current stamp
         held    : number of commands that act now or start later
@@ -95,16 +119,13 @@ class JointCommandInput(CountedInput):
             for name, value in zip(names, values):
                 if math.isinf(value):
                     self.refuse("not_finite", lambda: f"{kind} of {name} is infinite")
-        for kind, values in zip(("position", "velocity"), fields):
-            for name, value in zip(names, values):
-                if not math.isnan(value):
-                    self.refuse(
-                        "effort_only",
-                        lambda: (
-                            f"it has a {kind} for {name}; only effort can be commanded: leave "
-                            f"{kind} empty or NaN"
-                        ),
-                    )
+        position, velocity, effort = (values or (math.nan,) * len(names) for values in fields)
+        wanted = [
+            (name, *target)
+            for name, *target in zip(names, position, velocity)
+            if not all(map(math.isnan, target))
+        ]
+        self._check_servos(wanted)
         target = ", ".join(names)
         age = OLDEST if lasting is None else lasting
         if stamp_ns and stamp_ns < now_ns - round(age * 1e9):
@@ -122,10 +143,33 @@ class JointCommandInput(CountedInput):
         self._checked = names
         start_ns = stamp_ns if stamp_ns > now_ns else 0
         return [
-            JointEffort(SOURCE, self._joints[name], effort, start_ns)
-            for name, effort in zip(names, fields[2])
-            if not math.isnan(effort)
+            JointEffort(SOURCE, self._joints[name], value, start_ns)
+            for name, value in zip(names, effort)
+            if not math.isnan(value)
+        ] + [
+            Target(self._joints[name], _or_zero(position), _or_zero(velocity), start_ns)
+            for name, position, velocity in wanted
         ]
+
+    def _check_servos(self, wanted):
+        for name, position, velocity in wanted:
+            if name not in self._servos:
+                kind = "velocity" if math.isnan(position) else "position"
+                self.refuse(
+                    "no_servo",
+                    lambda: (
+                        f"it has a {kind} for {name}, which has no servo: add one to the scene, or "
+                        f"command an effort and leave {kind} empty or NaN"
+                    ),
+                )
+            if math.isnan(position) and self._servos[name]:
+                self.refuse(
+                    "no_position",
+                    lambda: (
+                        f"it has a velocity but no position for {name}, whose servo has a "
+                        "stiffness: give a position too, or a servo with stiffness 0"
+                    ),
+                )
 
     def _check_names(self, names):
         for name in names:
@@ -146,3 +190,7 @@ class JointCommandInput(CountedInput):
             )
         if len(set(names)) < len(names):
             self.refuse("repeated_joint", lambda: "it names a joint twice; name each one once")
+
+
+def _or_zero(value):
+    return 0.0 if math.isnan(value) else value

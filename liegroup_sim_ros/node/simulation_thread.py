@@ -13,9 +13,12 @@ import math
 import threading
 import time
 from concurrent.futures import Future
+from itertools import groupby
+from operator import attrgetter
 
 from liegroup_core import SimulationError
 from liegroup_core.errors import LieGroupSimError
+from liegroup_core.forces.schedule import AppliedTarget
 from liegroup_core.pacing import SLOW, Pacer
 from liegroup_sim_ros.messages import events
 
@@ -30,6 +33,7 @@ COARSER, COARSEST = 10.0, 0.1
 # No accuracy takes less than one substep per step. It is raised only above so many, and only if one
 # per step, with the messages, would take less than so much of a core.
 WORTH, REACHABLE = 1.2, 1.0
+_time_ns = attrgetter("time_ns")
 IDLE_TICK = 0.01  # s of simulated time between two ticks if no output has a period
 
 
@@ -41,8 +45,9 @@ class SimulationServer(threading.Thread):
     """Thread that runs a simulation in real time.
 
     simulation : liegroup_core.Simulation; only this thread uses it from `start` to its end
-    output     : Outputs, or an object with the attributes timed, clock_steps, state_steps, acting
-                 and the methods clock, state, applied_wrench, event, diagnostics
+    output     : Outputs, or an object with the attributes timed, clock_steps, state_steps, acting,
+                 targets and the methods clock, state, applied_wrench, servo_targets, event,
+                 diagnostics
     factor     : real-time factor, 0: as fast as possible
     paused     : start paused
     base_ns    : stamp of step 0
@@ -80,6 +85,8 @@ class SimulationServer(threading.Thread):
         self._measure_shares()
         self._share = self._share_of_messages = 0.0  # of a core, in real time
         self._slow = False  # at the last diagnostics
+        self._servos = bool(simulation.layout.servos)
+        self._saturated, self._saturations = set(), 0  # servos at their limit; how often reached
         self._reference_energy = None  # J, at the last known instant without an applied wrench
         self.pacer = Pacer(factor, sleep=self._wake.wait)
         self.state = "paused" if paused else "running"
@@ -290,9 +297,8 @@ class SimulationServer(threading.Thread):
     def _send_outputs(self, everything=False):
         """Send the outputs of the current step, in the order of their stamps."""
         steps = self._simulation.steps
-        for change in self._simulation.drain_applied():
-            stamp_ns = self._base_ns + change.time_ns
-            self._send_wrench(stamp_ns, change.body, change.wrench, change.axes)
+        for time_ns, changes in groupby(self._simulation.drain_applied(), _time_ns):
+            self._send_changes(self._base_ns + time_ns, list(changes))
         self.stamp_ns = self._stamp(steps)
         self._tell_of_the_error()
         period = self._output.clock_steps
@@ -304,6 +310,20 @@ class SimulationServer(threading.Thread):
                 self._sent_ns[i] = self.stamp_ns
                 sample = sample or self._simulation.sample()
                 send(self.stamp_ns, sample)
+        if self._servos and sample is not None:
+            self._tell_of_saturation(sample)
+
+    def _tell_of_saturation(self, sample):
+        """Count servos that reach their limit; send an event for the first time of each."""
+        saturated = set(sample.saturated)
+        for joint in sorted(saturated - self._saturated):
+            self._saturations += 1
+            if ("saturated", joint) not in self._said:
+                self._said.add(("saturated", joint))
+                text = events.saturated(sample.servo_efforts[joint], joint, self._simulation.time)
+                log.warning(text)
+                self._event("saturated", text)
+        self._saturated = saturated
 
     def _tell_of_the_error(self):
         """Send an event when the estimate exceeds the accuracy, and when it is large."""
@@ -334,6 +354,18 @@ class SimulationServer(threading.Thread):
 
     def _send_state(self, stamp_ns, sample):
         self._output.state(stamp_ns, self._figures(sample))
+
+    def _send_changes(self, stamp_ns, changes):
+        """Send the wrenches and the wanted values of servos that act from a stamp on."""
+        targets = {}
+        for change in changes:
+            if isinstance(change, AppliedTarget):
+                targets[change.joint] = change.position, change.velocity
+            else:
+                self._send_wrench(stamp_ns, change.body, change.wrench, change.axes)
+        if targets:
+            self._output.servo_targets(stamp_ns, targets)
+            self._reference_energy = None
 
     def _send_wrench(self, stamp_ns, body, wrench, axes):
         self._output.applied_wrench(stamp_ns, body, wrench, axes)
@@ -386,6 +418,8 @@ class SimulationServer(threading.Thread):
         self._event("reset", "initial state, step 0")
         for body, axes in list(self._output.acting):
             self._send_wrench(self.stamp_ns, body, (0.0,) * 6, axes)
+        if self._output.targets:
+            self._output.servo_targets(self.stamp_ns, {})
         self._send_outputs(everything=True)
         self._reference_energy = self._simulation.sample().energy
         if self.state == "faulted":
@@ -453,6 +487,14 @@ class SimulationServer(threading.Thread):
             **self._accuracy_figures(),
         }
 
+    def _servo_figures(self, sample):
+        if not self._servos:
+            return {}
+        return {
+            "servos_saturated": ", ".join(sample.saturated),
+            "servo_saturations": self._saturations,
+        }
+
     def _accuracy_figures(self):
         promise = self._simulation.promise
         if promise is None:
@@ -490,5 +532,6 @@ class SimulationServer(threading.Thread):
             "energy_drift_J": drift,
             "constraint_residual": sample.constraint_residual,
             **self._error_figures(sample),
+            **self._servo_figures(sample),
             "wrenches_held": self.wrenches_held,
         }

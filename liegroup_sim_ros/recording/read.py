@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from liegroup_sim_ros.messages import estimates
-from liegroup_sim_ros.messages.codecs import MessageError, PoseStampedCodec, TwistStampedCodec
+from liegroup_sim_ros.messages.codecs import PoseStampedCodec, TwistStampedCodec
 from liegroup_sim_ros.messages.commands import JOINT_STATE, JointStateDecoder
 
 from .addresses import is_remote
@@ -67,6 +67,7 @@ class Recording:
     pacing: dict | None  # pacing.json; None if the run did not end normally
     bodies: tuple  # names, in the order of initial_state
     wrench: dict  # {body: WrenchTrack}
+    servo_targets: JointTrack | None  # wanted values of all servos from each stamp on
     events: list  # Event
     diagnostics: list  # (stamp_ns, {key: text}), the values of all statuses of a message
     topics: dict  # {topic: message count}
@@ -132,29 +133,14 @@ class Recording:
     @cached_property
     def joint_states(self) -> JointTrack | None:
         """JointTrack of ~/joint_states, or None if the topic was not recorded."""
-        names, stamps, numbers = None, [], []
-        decoder = JointStateDecoder()
+        found, decoder = [], JointStateDecoder()
+        targets = self.settings["topics"].get("servo_targets")
         with ErrorsWithPath(self.path):
             for messages, channels in self._source.messages(self.channels):
                 for channel, index in channels:
-                    if channel.type != JOINT_STATE:
-                        continue
-                    for k in index:
-                        joint_names, stamp_ns, values = _joint_state(decoder, messages.payload(k))
-                        if joint_names != (names or joint_names):
-                            raise RecordingError(
-                                "its joint states name different joints in different messages"
-                            )
-                        names = joint_names
-                        stamps.append(stamp_ns)
-                        numbers.append(values)
-        if names is None:
-            return None
-        return JointTrack(
-            np.array(stamps),
-            names,
-            *np.array(numbers).reshape(-1, 2, len(names)).transpose(1, 0, 2),
-        )
+                    if channel.type == JOINT_STATE and channel.topic != targets:
+                        found += [decoder.decode(messages.payload(k)).complete()[:4] for k in index]
+            return _joint_track(found)
 
     def samples(self) -> Iterator[Samples]:
         """Iterator over the samples of all bodies in the order of time: Samples in pieces.
@@ -327,6 +313,7 @@ def read_recording(path: str | Path) -> Recording:
             pacing=pacing,
             bodies=bodies,
             wrench=scan.wrenches(),
+            servo_targets=_joint_track(scan.servo_targets),
             events=scan.events,
             diagnostics=scan.diagnostics,
             topics=scan.counts(),
@@ -338,9 +325,17 @@ def read_recording(path: str | Path) -> Recording:
         )
 
 
-def _joint_state(decoder, payload):
-    """(names, stamp in ns, (2 k,) positions and velocities) of a JointState."""
-    values = decoder.decode(payload)
-    if any(len(part) != len(values.names) for part in values[2:4]):
-        raise MessageError(f"{JOINT_STATE}: the number of values differs from the number of joints")
-    return values.names, values.stamp_ns, values.position + values.velocity
+def _joint_track(messages):
+    """JointTrack of [(stamp in ns, names, positions, velocities)]; None without messages."""
+    if not messages:
+        return None
+    stamps, names, position, velocity = zip(*messages)
+    if len(set(names)) > 1:
+        raise RecordingError("its joint states name different joints in different messages")
+    shape = len(stamps), len(names[0])
+    return JointTrack(
+        np.array(stamps),
+        names[0],
+        np.array(position).reshape(shape),
+        np.array(velocity).reshape(shape),
+    )

@@ -16,7 +16,7 @@ from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.messages.codecs import MessageError
 from liegroup_sim_ros.messages.commands import JointStateDecoder
 from liegroup_sim_ros.node.counted_input import FARTHEST, MOST, Refusal
-from liegroup_sim_ros.node.joint_command_input import JointCommandInput
+from liegroup_sim_ros.node.joint_command_input import JointCommandInput, Target
 
 NOW, NAN = 5 * 10**9, math.nan
 SCENE = """
@@ -30,6 +30,8 @@ joints:
   - {name: pin, type: revolute, parent: world, child: one, child_frame: {position: [0, 0, 0]}}
   - {name: rail, type: prismatic, parent: one, child: two, child_frame: {position: [0, 0, 0]}}
   - {name: ball, type: spherical, parent: two, child: three, child_frame: {position: [0, 0, 0]}}
+forces:
+  - {name: drive, type: servo, joint: pin, stiffness: 9, damping: 1}
 """
 
 
@@ -64,6 +66,25 @@ def test_a_message_commands_some_of_the_joints(layout, fields, efforts):
     assert reader.accepted == 1 and not any(reader.refused.values())
 
 
+def test_positions_and_velocities_are_wanted_values_of_servos(layout):
+    reader = JointCommandInput(layout)
+    for fields, target in (
+        ({"names": ["pin"], "position": [2.0], "velocity": [3.0]}, ("pin", 2.0, 3.0)),
+        (
+            {"names": ["rail", "pin"], "position": [NAN, 2.0], "effort": [1.0, NAN]},
+            ("pin", 2.0, 0.0),
+        ),
+    ):
+        *efforts, found = reader.read(message(**fields, stamp_ns=NOW + 5), NOW, 0, None)
+        assert found == (*target, NOW + 5) and isinstance(found, Target)
+        assert [effort.joint for effort in efforts] == ["rail"] * len(efforts)
+    free = scene_from_text(SCENE.replace("stiffness: 9", "stiffness: 0"))
+    (found,) = JointCommandInput(make_layout(free)).read(
+        message(["pin"], velocity=[3.0]), NOW, 0, None
+    )
+    assert found == ("pin", 0.0, 3.0, 0)
+
+
 @pytest.mark.parametrize(
     "stamp_ns, start_ns", [(0, 0), (NOW - 1, 0), (NOW, 0), (NOW + 1, NOW + 1), (NOW - 10**9, 0)]
 )
@@ -94,8 +115,9 @@ def test_stamps_of_another_clock_can_be_ignored(layout, stamp_ns):
         ({"names": ["ball"], "effort": [1.0]}, "no_coordinate"),
         ({"names": ["pin", "pin"]}, "repeated_joint"),
         ({"names": ["pin"] * 9, "effort": [1.0] * 9}, "damaged"),
-        ({"position": [0.0, NAN]}, "effort_only"),
-        ({"velocity": [NAN, 0.0]}, "effort_only"),
+        ({"position": [0.0, 0.0]}, "no_servo"),
+        ({"velocity": [NAN, 0.0]}, "no_servo"),
+        ({"velocity": [0.0, NAN]}, "no_position"),
         ({"stamp_ns": NOW - 10**9 - 1}, "stamp_too_old"),
         ({"stamp_ns": NOW - 10**8 - 1, "lasting": 0.1}, "stamp_too_old"),
         ({"stamp_ns": -1}, "stamp_too_old"),

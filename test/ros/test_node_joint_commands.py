@@ -5,15 +5,13 @@ import math
 import signal
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import WrenchStamped
-from node_process import COMPILING, NodeProcess, python, stamp_ns, values
-from sensor_msgs.msg import JointState
+from commanded import STEP, Commanded, coordinates
+from node_process import NodeProcess, python, values
 
 from liegroup_sim_ros.playback.resimulate import resimulate
 from liegroup_sim_ros.recording.read import read_recording
 
-NODE, STEP = "/commanded", 1e-3
+NODE = "/commanded"
 # Hinge of inertia 0.5 kg m^2 and slide of 2 kg, each alone on the ground; a free ball joint.
 SCENE = """
 name: bench
@@ -49,42 +47,6 @@ print(sent)
 """
 
 
-class Commanded:
-    """Running node with a publisher of commands; joint states and applied wrenches as they come."""
-
-    def __init__(self, client):
-        self.client = client
-        self.states = client.listen(f"{NODE}/joint_states", JointState)
-        self.applied = client.listen(f"{NODE}/applied_wrench", WrenchStamped)
-        self.figures = client.listen(f"{NODE}/state", DiagnosticArray)
-        self.publisher = client.node.create_publisher(JointState, f"{NODE}/joint_commands", 100)
-        client.until(self.publisher.get_subscription_count, COMPILING, "the subscription")
-
-    def command(self, stamp=0, **fields):
-        message = JointState(**fields)
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 10**9)
-        self.publisher.publish(message)
-
-    def figure(self, name):
-        return int({v.key: v.value for v in self.figures[-1].status[0].values}[name])
-
-    def now(self):
-        return stamp_ns(self.states[-1].header.stamp)
-
-    def steps(self, count):
-        """Take steps while paused; the joint state after them."""
-        assert self.client.set(NODE, step_count=count).successful
-        self.client.spin(0.1)  # commands have arrived before it is asked for steps
-        before = self.now()
-        assert self.client.call(f"{NODE}/step").success
-        end = before + round(count * STEP * 1e9)
-        return self.client.until(
-            lambda: next(
-                (s for s in reversed(self.states) if stamp_ns(s.header.stamp) == end), None
-            )
-        )
-
-
 @pytest.fixture(scope="module")
 def process(client, tmp_path_factory):
     folder = tmp_path_factory.mktemp("commanded")
@@ -98,7 +60,7 @@ def process(client, tmp_path_factory):
         "real_time_factor": 1.0,
     }
     with NodeProcess(parameters, remap=[f"__node:={NODE[1:]}"]) as process:
-        yield process, Commanded(client), folder / "run.mcap"
+        yield process, Commanded(client, NODE), folder / "run.mcap"
 
 
 @pytest.fixture
@@ -110,10 +72,6 @@ def node(client, process):
     client.spin(0.2)
     node.applied.clear()
     return node
-
-
-def coordinates(state):
-    return list(zip(state.position, state.velocity))
 
 
 def test_a_constant_effort_gives_the_known_accelerations(node):
@@ -156,7 +114,7 @@ def test_wrong_commands_are_counted_and_change_nothing(client, node):
         ("no_coordinate", 0, {"name": ["ball"], "effort": [1.0]}),
         ("wrong_length", 0, {"name": ["hinge"], "effort": [1.0, 2.0]}),
         ("not_finite", 0, {"name": ["hinge"], "effort": [math.inf]}),
-        ("effort_only", 0, {"name": ["hinge"], "position": [1.0]}),
+        ("no_servo", 0, {"name": ["hinge"], "position": [1.0]}),
         ("repeated_joint", 0, {"name": ["hinge"] * 2, "effort": [1.0, 2.0]}),
         ("stamp_too_old", -(10**9), good),
         ("stamp_too_far", node.now() + 3601 * 10**9, good),

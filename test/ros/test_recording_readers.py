@@ -155,7 +155,7 @@ def test_joint_states_of_no_joint_one_and_two_are_decoded(reader, tmp_path):
             )
             ((_, kind, encode),) = samples.joint_states(layout, "world")
             state = SimpleNamespace(
-                joint_coordinates={name: (1.0, 2.0) for name in names}, joint_efforts={}
+                joint_coordinates={name: (1.0, 2.0) for name in names}, all_efforts={}
             )
             channel = recorder.add_channel(f"/joints_{count}", kind)
             recorder.write(channel, count, encode(count, state))

@@ -408,7 +408,7 @@ def test_names_of_every_length(layout, sample, length):
         )
         _, _, encode = only(sample_messages.joint_states(joints, world))
         state = SimpleNamespace(
-            joint_coordinates={name: (0.5, 2.0) for name in names}, joint_efforts={}
+            joint_coordinates={name: (0.5, 2.0) for name in names}, all_efforts={}
         )
         message = as_ros_serializes(encode(STAMP, state), JointState)
         assert (message.name, message.velocity.tolist()) == (names, [2.0] * count)
