@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands for joints: decoding of sensor_msgs/JointState, encoding of what acts. Imports no ROS."""
+"""Commands for joints: decoding of the messages, encoding of what acts. Imports no ROS."""
 
 import math
 from typing import NamedTuple
@@ -8,6 +8,9 @@ from .cdr import Template, stamp
 from .codecs import Fields, MessageError
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
+TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
+ARRAY = "std_msgs/msg/Float64MultiArray"
+MOST_POINTS = 100_000
 _STAMP_END = 12  # offset of the frame id in the payload
 
 
@@ -57,6 +60,48 @@ class JointStateDecoder:
             self._known = payload[:2] + payload[_STAMP_END : fields.at], names, fields.at
         values = [fields.numbers("d", fields.number("I")) for _ in range(3)]
         return JointValues(stamp_ns, names, *values)
+
+
+class Point(NamedTuple):
+    """Point of a JointTrajectory; each of the first four has a number per joint, or is empty."""
+
+    position: tuple  # rad or m
+    velocity: tuple  # rad/s or m/s
+    acceleration: tuple  # rad/s^2 or m/s^2
+    effort: tuple  # N m or N
+    time_ns: int  # since the start
+
+
+def decode_trajectory(payload, most):
+    """(stamp in ns, names, [Point]) of a JointTrajectory. Raises MessageError.
+
+    most : largest number of names
+    """
+    fields = Fields(TRAJECTORY, payload)
+    stamp_ns = fields.stamp_ns()
+    fields.text()
+    count = fields.number("I")
+    if count > most:
+        raise MessageError(f"{TRAJECTORY}: {count} names, at most {most} can be right")
+    names = tuple(fields.text() for _ in range(count))
+    count = fields.number("I")
+    if count > MOST_POINTS:
+        raise MessageError(f"{TRAJECTORY}: {count} points, at most {MOST_POINTS} are taken")
+    points = []
+    for _ in range(count):
+        numbers = [fields.numbers("d", fields.number("I")) for _ in range(4)]
+        points.append(Point(*numbers, fields.stamp_ns()))
+    return stamp_ns, names, points
+
+
+def decode_array(payload):
+    """The numbers of a Float64MultiArray; its layout is ignored. Raises MessageError."""
+    fields = Fields(ARRAY, payload)
+    for _ in range(min(fields.number("I"), len(payload))):
+        fields.text()
+        fields.numbers("I", 2)
+    fields.number("I")
+    return fields.numbers("d", fields.number("I"))
 
 
 def joint_labels(joints, robot):

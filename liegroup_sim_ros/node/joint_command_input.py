@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands for joints: decoding and validation of JointState on ~/joint_commands.
+"""Commands for joints: decoding and validation of JointState and Float64MultiArray.
 
 Names are those of ~/joint_states. A message may name any of the joints; NaN, or an empty field, is no
 command of this kind. A command replaces the previous one of the same joint and kind. An effort acts on
@@ -13,14 +13,15 @@ Imports no ROS.
 import math
 from typing import NamedTuple
 
-from liegroup_core.forces.kinds import servos
 from liegroup_sim_ros.messages.codecs import MessageError
-from liegroup_sim_ros.messages.commands import JointStateDecoder, joint_labels
+from liegroup_sim_ros.messages.commands import JointStateDecoder, decode_array
 
-from .counted_input import LONGEST_NAME, CountedInput
+from .counted_input import LONGEST_NAME
+from .joint_input import JointInput
 
 OLDEST = 1.0  # s; age of the stamp of a command that acts until the next one
 SOURCE = "joint_commands"
+INTERFACES = ("position", "velocity", "effort")  # in the order of a JointState
 REASONS = (
     "not_finite",
     "wrong_length",
@@ -72,23 +73,31 @@ class Target(NamedTuple):
         simulation.command_servo(self.joint, self.position, self.velocity, start, duration)
 
 
-class JointCommandInput(CountedInput):
+class JointCommandInput(JointInput):
     """Decoder and counter of commands for the joints of a scene; layout : Layout."""
 
     def __init__(self, layout):
-        super().__init__("joint command", "joint_commands", REASONS)
-        scene, names = layout.scene, layout.coordinates.names
-        self._joints = dict(zip(joint_labels(names, scene.robot), names))
-        self._others = set(joint_labels([joint.name for joint in scene.joints], scene.robot))
-        if scene.robot is not None:
-            self._others |= scene.robot.still.keys()
-        # {name in messages: whether the servo needs a wanted position}
-        driven = servos(scene.forces)
-        labels = joint_labels([servo.joint for servo in driven], scene.robot)
-        self._servos = {label: servo.stiffness > 0.0 for label, servo in zip(labels, driven)}
-        self._others -= self._joints.keys()
-        self._decoder = JointStateDecoder(len(self._joints) + len(self._others))
+        super().__init__("joint command", "joint_commands", REASONS, layout)
+        self._decoder = JointStateDecoder(self.most_names)
         self._checked = ()  # names of the last accepted message
+
+    def read_array(self, payload, names, interface, held):
+        """As `read`, of a serialized Float64MultiArray: numbers of one interface for these joints.
+
+        interface : "position", "velocity" or "effort"
+        """
+        try:
+            numbers = decode_array(payload)
+        except MessageError as error:
+            text = str(error)
+            self.refuse("damaged", lambda: text)
+        if len(numbers) != len(names):
+            self.refuse(
+                "wrong_length",
+                lambda: f"{len(numbers)} numbers for the {len(names)} joints of command_joints",
+            )
+        fields = [numbers if kind == interface else () for kind in INTERFACES]
+        return self._commands(names, fields, 0, 0, held, None)
 
     def read(self, payload, now_ns, held, lasting, stamped=True):
         """[JointEffort or Target] of a serialized JointState. Raises Refusal.
@@ -103,11 +112,12 @@ class JointCommandInput(CountedInput):
         except MessageError as error:
             text = str(error)
             self.refuse("damaged", lambda: text)
-        if not stamped:
-            stamp_ns = 0
+        return self._commands(names, fields, stamp_ns if stamped else 0, now_ns, held, lasting)
+
+    def _commands(self, names, fields, stamp_ns, now_ns, held, lasting):
         if names != self._checked:
-            self._check_names(names)
-        for kind, values in zip(("position", "velocity", "effort"), fields):
+            self.check_names(names)
+        for kind, values in zip(INTERFACES, fields):
             if len(values) not in (0, len(names)):
                 self.refuse(
                     "wrong_length",
@@ -143,17 +153,17 @@ class JointCommandInput(CountedInput):
         self._checked = names
         start_ns = stamp_ns if stamp_ns > now_ns else 0
         return [
-            JointEffort(SOURCE, self._joints[name], value, start_ns)
+            JointEffort(SOURCE, self.joints[name], value, start_ns)
             for name, value in zip(names, effort)
             if not math.isnan(value)
         ] + [
-            Target(self._joints[name], _or_zero(position), _or_zero(velocity), start_ns)
+            Target(self.joints[name], _or_zero(position), _or_zero(velocity), start_ns)
             for name, position, velocity in wanted
         ]
 
     def _check_servos(self, wanted):
         for name, position, velocity in wanted:
-            if name not in self._servos:
+            if name not in self.servos:
                 kind = "velocity" if math.isnan(position) else "position"
                 self.refuse(
                     "no_servo",
@@ -162,7 +172,7 @@ class JointCommandInput(CountedInput):
                         f"command an effort and leave {kind} empty or NaN"
                     ),
                 )
-            if math.isnan(position) and self._servos[name]:
+            if math.isnan(position) and self.servos[name]:
                 self.refuse(
                     "no_position",
                     lambda: (
@@ -170,26 +180,6 @@ class JointCommandInput(CountedInput):
                         "stiffness: give a position too, or a servo with stiffness 0"
                     ),
                 )
-
-    def _check_names(self, names):
-        for name in names:
-            if name in self._joints:
-                continue
-            listed = ", ".join(self._joints)
-            if name in self._others:
-                self.refuse(
-                    "no_coordinate",
-                    lambda: (
-                        f"joint {name!r:.{LONGEST_NAME}} does not move, or not in one coordinate; "
-                        f"name some of: {listed:.200}"
-                    ),
-                )
-            self.refuse(
-                "unknown_joint",
-                lambda: f"unknown joint {name!r:.{LONGEST_NAME}}; name some of: {listed:.200}",
-            )
-        if len(set(names)) < len(names):
-            self.refuse("repeated_joint", lambda: "it names a joint twice; name each one once")
 
 
 def _or_zero(value):

@@ -43,7 +43,7 @@ class SceneRun:
     def __init__(self, node, values, simulation, before=None, paused=False):
         self._node = node
         self.simulation = simulation
-        self.recorder = None
+        self.recorder = self.commands = None
         layout = simulation.layout
         self._values, self._more = values, {}
         self._sample_steps = values.steps["publish_rate"]
@@ -75,12 +75,22 @@ class SceneRun:
             # Before the samples: the first sample of a file is its initial state.
             self.outputs.timed.insert(0, (self._sample_steps, self._divide_if_due))
         self.server = SimulationServer(
-            simulation, self.outputs, values.real_time_factor, paused, base_ns, origin
+            simulation,
+            self.outputs,
+            values.real_time_factor,
+            paused,
+            base_ns,
+            origin,
+            values.trajectory_period,
         )
         self.wrenches = WrenchTopics(
             node, layout.body_names, values, simulation.step, self.server, qos
         )
-        self.commands = JointCommandTopics(node, layout, values, self.server, qos)
+        try:
+            self.commands = JointCommandTopics(node, layout, values, self.server, qos)
+        except ParameterError:
+            self._close_topics()
+            raise
         if before is None:  # a reloaded scene may lack the bodies of these parameters
             qos.check()
         # Last step that can fail: earlier ones leave no files.
@@ -182,7 +192,8 @@ class SceneRun:
 
     def _close_topics(self, stamp_ns=None):
         self.wrenches.close()
-        self.commands.close()
+        if self.commands is not None:
+            self.commands.close()
         self.outputs.close(stamp_ns)
 
 

@@ -22,6 +22,9 @@ from liegroup_core.forces.schedule import AppliedTarget
 from liegroup_core.pacing import SLOW, Pacer
 from liegroup_sim_ros.messages import events
 
+from .joint_command_input import Target
+from .trajectory import Follower
+
 log = logging.getLogger("liegroup_core")
 
 DIAGNOSTICS_PERIOD = 1.0  # s of wall time
@@ -49,6 +52,7 @@ class SimulationServer(threading.Thread):
                  targets and the methods clock, state, applied_wrench, servo_targets, event,
                  diagnostics
     factor     : real-time factor, 0: as fast as possible
+    follow_period : s, for which wanted values of a trajectory are constant
     paused     : start paused
     base_ns    : stamp of step 0
     origin     : text of the event `start` besides the name of the scene
@@ -57,7 +61,9 @@ class SimulationServer(threading.Thread):
     kept, and only a reset continues. `failure` is the exception that ended the thread, or None.
     """
 
-    def __init__(self, simulation, output, factor=1.0, paused=False, base_ns=0, origin=""):
+    def __init__(
+        self, simulation, output, factor=1.0, paused=False, base_ns=0, origin="", follow_period=2e-3
+    ):
         super().__init__(name="simulation", daemon=True)
         self._simulation = simulation
         self._output = output
@@ -76,6 +82,7 @@ class SimulationServer(threading.Thread):
         self._wake = threading.Event()
         self._lock = threading.Lock()
         self._commands = []  # (Future, bound method, arguments)
+        self._follower, self._trajectory = Follower(simulation, follow_period), None
         self._wrenches = {}  # key -> (Push or JointEffort, duration)
         self._stopping = False
         self._base_ns = base_ns
@@ -133,6 +140,10 @@ class SimulationServer(threading.Thread):
             for push in pushes:
                 self._wrenches.pop(push.key, None)
                 self._wrenches[push.key] = push, duration
+
+    def follow(self, trajectory):
+        """Follow a Trajectory; it replaces one that waits, and the present one when it starts."""
+        self._trajectory = trajectory
 
     def clear(self, prefix):
         """End the wrenches of all sources whose names start with `prefix`."""
@@ -231,6 +242,8 @@ class SimulationServer(threading.Thread):
         """Advance to the next step with outputs and send them; False after a fault."""
         if self._wrenches:
             self._apply_wrenches()
+        if self._trajectory is not None or not self._follower.is_idle:
+            self._follow_until(tick)
         began, first = time.thread_time(), self._simulation.steps
         try:
             self._simulation.advance(tick - first)
@@ -293,6 +306,15 @@ class SimulationServer(threading.Thread):
         for push, duration in wrenches.values():
             start = (push.start_ns - self._base_ns) * 1e-9 if push.start_ns else None
             push.apply(self._simulation, start, duration)
+            if isinstance(push, Target):
+                self._follower.release(push.joint, start or self._simulation.time)
+
+    def _follow_until(self, tick):
+        trajectory, self._trajectory = self._trajectory, None
+        if trajectory is not None:
+            start = (trajectory.stamp_ns - self._base_ns) * 1e-9
+            self._follower.follow(trajectory, max(start, self._simulation.time))
+        self._follower.command(tick * self._simulation.step)
 
     def _send_outputs(self, everything=False):
         """Send the outputs of the current step, in the order of their stamps."""
@@ -411,6 +433,8 @@ class SimulationServer(threading.Thread):
         self.stamp_ns = self._base_ns
         with self._lock:
             self._wrenches.clear()
+        self._trajectory = None
+        self._follower.clear()
         self._simulation.reset()
         self._said.clear()
         self._measure_shares()
