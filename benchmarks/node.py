@@ -27,6 +27,7 @@ import rclpy  # noqa: E402  (reads the domain from the environment)
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from geometry_msgs.msg import TwistStamped, WrenchStamped  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
 
 from liegroup_core.scene.library import chain  # noqa: E402
 from liegroup_sim_ros.recording.read import read_recording  # noqa: E402
@@ -35,7 +36,11 @@ BARE = Path(__file__).parent / "node_side" / "bare.py"
 NODE = "import sys; from liegroup_sim_ros.node.entry import main; sys.exit(main())"
 STARTING = 240.0  # s; the first start on a machine compiles
 HELD = 0.999  # real-time factor that counts as held
-PUCK = "name: table\ngravity: [0, 0, 0]\nbodies:\n  - {name: puck, mass: 1, inertia: [1, 1, 1]}\n"
+PUCK = (
+    "name: table\ngravity: [0, 0, 0]\nbodies:\n  - {name: puck, mass: 1, inertia: [1, 1, 1]}\n"
+    "  - {name: wheel, mass: 1, inertia: [1, 1, 1]}\njoints:\n"
+    "  - {name: axle, type: revolute, parent: world, child: wheel, child_frame: {}}\n"
+)
 MANY = "name: many\ngravity: [0, 0, -9.81]\nbodies:\n" + "".join(
     f"  - {{name: b{i}, mass: 1, inertia: [1, 2, 3], position: [{i}, 0, 0], "
     "angular_velocity: [1, 2, 3]}\n"
@@ -213,27 +218,26 @@ def largest(listener, folder, seconds):
         print(f"{kind:<12} {good:8d} links hold real time: factor at least {HELD}")
 
 
-def trips(listener, target, count):
-    """Latency in us from publishing a wrench to receiving the twist that shows its effect."""
+def trips(listener, out, back, count):
+    """Latency in us from publishing a command to receiving the state that shows its effect.
+
+    out  : topic, function: number -> message
+    back : topic, message class, function: message -> number
+    """
     seen = []
+    (commanded, make), (shown, message_class, value) = out, back
     subscription = listener.node.create_subscription(
-        TwistStamped, f"{target}/puck/twist", lambda m: seen.append(m.twist.linear.x), 10
+        message_class, shown, lambda m: seen.append(value(m)), 10
     )
-    publisher = listener.node.create_publisher(WrenchStamped, f"{target}/wrench", 10)
+    publisher = listener.node.create_publisher(type(make(0.0)), commanded, 10)
     listener.until(
-        lambda: (
-            publisher.get_subscription_count()
-            and listener.node.count_publishers(f"{target}/puck/twist")
-        )
+        lambda: publisher.get_subscription_count() and listener.node.count_publishers(shown)
     )
-    message = WrenchStamped()
-    message.header.frame_id = "puck"
     times, sign = [], 1.0
     listener.spin(1.0)
     for _ in range(count):
         listener.spin(random.uniform(2e-3, 4e-3))
-        # To and fro: the node's speed goes 0, v, 0, v; the echo says the force itself.
-        message.wrench.force.x, sign = sign, -sign
+        message, sign = make(sign), -sign
         before = seen[-1] if seen else None
         seen.clear()
         start = time.perf_counter()
@@ -244,8 +248,15 @@ def trips(listener, target, count):
     return times
 
 
+def pushed(force):
+    """To and fro: the node's speed goes 0, v, 0, v; the echo says the force itself."""
+    message = WrenchStamped()
+    message.header.frame_id, message.wrench.force.x = "puck", force
+    return message
+
+
 def round_trip(listener, folder, count):
-    print("\nwrench out, twist back       us p50       p99")
+    print("\ncommand out, state back      us p50       p99")
     scene = folder / "puck.yaml"
     scene.write_text(PUCK)
 
@@ -253,15 +264,28 @@ def round_trip(listener, folder, count):
         p50, p99 = statistics.median(times), sorted(times)[int(0.99 * len(times))]
         print(f"{name:<24} {p50:10.0f} {p99:9.0f}")
 
+    def speed(message):
+        return message.twist.linear.x
+
     # A step of 1 ms: up to one to wait for the next tick. Of 0.1 ms: mostly transport.
     for name, step, rate in (("node, 1 kHz", 1e-3, 1e3), ("node, 5 kHz", 2e-4, 5e3)):
         with simulation(
-            scene=scene, step=step, publish_rate=rate, wrench_hold="timeout", wrench_timeout=1e-3
+            scene=scene,
+            step=step,
+            publish_rate=rate,
+            joint_state_rate=rate,
+            wrench_hold="timeout",
+            wrench_timeout=1e-3,
         ):
             listener.figures()
-            report(name, trips(listener, "/sim_node", count))
+            out, back = ("/sim_node/wrench", pushed), ("/sim_node/puck/twist", TwistStamped, speed)
+            report(name, trips(listener, out, back, count))
+            out = "/sim_node/joint_commands", lambda x: JointState(name=["axle"], effort=[x])
+            back = "/sim_node/joint_states", JointState, lambda m: m.effort[0]
+            report(name + ", effort", trips(listener, out, back, count))
     with Process(BARE, "echo"):
-        report("bare echo node", trips(listener, "/echo", count))
+        out, back = ("/echo/wrench", pushed), ("/echo/puck/twist", TwistStamped, speed)
+        report("bare echo node", trips(listener, out, back, count))
 
 
 def cost_of(listener, path, seconds, scene, bodies):

@@ -12,7 +12,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from liegroup_core.compiling import warm_up
 from liegroup_core.forces.external import no_wrenches, set_wrench
-from liegroup_core.forces.schedule import AXES, AppliedWrench, Instant, WrenchSchedule
+from liegroup_core.forces.kinds import wanted_values
+from liegroup_core.forces.schedule import (
+    AXES,
+    SERVO,
+    AppliedTarget,
+    AppliedWrench,
+    Instant,
+    WrenchSchedule,
+)
 from liegroup_core.forces.timetable import Timetable
 from liegroup_core.integrators.methods import METHODS, is_positive
 from liegroup_core.integrators.smaller_step import step_that_works
@@ -155,7 +163,7 @@ class Engine:
         )
 
     def reset(self) -> None:
-        """Return to the initial state of the scene at step 0, and clear all applied wrenches."""
+        """Return to the initial state at step 0, and clear all applied wrenches and efforts."""
         self.set_state(*self._start)
 
     def set_state(
@@ -173,7 +181,7 @@ class Engine:
                  all are in (-pi, pi], as at the start of a scene
         memory : bytes from `memory()` at this state: the run continues bit-identically. None: a
                  method with memory restarts
-        Clears the wrenches of `apply_wrench`. The wrenches of the scene follow the step count.
+        Clears the applied wrenches and efforts. The wrenches of the scene follow the step count.
         Raises ValueError for wrong shapes, non-finite numbers or matrices that are no rotations.
         """
         n = len(self._body)
@@ -197,7 +205,9 @@ class Engine:
             raise ValueError(f"expected {k} finite angles, as `Sample.angles`, got {angles!r}")
         self._work.angle[:] = self.layout.angles(pose, angles)
         self._pose, self._twist, self.steps = pose, twist, int(steps)
-        self._schedule = WrenchSchedule(n, self.step)
+        wanted = wanted_values(self.layout.model.forces)
+        self._schedule = WrenchSchedule(n, self.step, wanted)
+        self._work.wanted[:] = wanted
         self._external = no_wrenches(self.layout.offsets)
         self._applied = []
         self._integrator.restart()
@@ -229,13 +239,14 @@ class Engine:
         return self.layout.offsets.to_bodies(self._pose, self._twist)
 
     def acting(self):
-        """[(body, axes, wrench (6,))] of the nonzero total external wrenches."""
-        return [
-            (name, axes, total[i])
-            for axes, total in self._schedule.total.items()
-            for i, name in enumerate(self.layout.body_names)
-            if total[i].any()
-        ]
+        """[AppliedWrench or AppliedTarget] of what acts from now on."""
+        acting = {
+            (i, axes)
+            for axes in AXES
+            for i in np.flatnonzero(self._schedule.total[axes].any(axis=1))
+        }
+        acting |= {(i, SERVO) for i in self.layout.servos.values()}
+        return [self._applied_at(self.time, *key) for key in sorted(acting)]
 
     def memory(self) -> bytes:
         """Bytes of the method's memory between steps, for `set_state`.
@@ -303,6 +314,66 @@ class Engine:
             wrench = np.zeros(0)
         if wrench.shape != (6,) or not np.isfinite(wrench).all():
             raise ValueError(f"a wrench must be six finite numbers (torque, force), got {given!r}")
+        begin, end = self._interval(start, duration)
+        self._schedule.command(source, self._body[body], wrench, begin, end, axes)
+
+    def apply_effort(
+        self,
+        joint: str,
+        effort: float,
+        start: float | None = None,
+        duration: float | None = None,
+        source: str = "api",
+    ) -> None:
+        """Apply an effort to a joint with one coordinate, from one time to another.
+
+        joint  : name of a revolute or prismatic joint
+        effort : torque about its z axis in N m, or force along it in N, on the child; the opposite
+                 acts on the parent. Zero ends it
+        start, duration, source : as in `apply_wrench`; each source has one effort per joint
+        The total wrenches of `drain_applied` contain the efforts.
+        Raises ValueError for an unknown joint, a joint without exactly one coordinate, or a number
+        that is not finite.
+        """
+        unit = self.layout.unit_efforts.get(joint)
+        if unit is None:
+            names = ", ".join(self.layout.unit_efforts) or "the scene has none"
+            raise ValueError(
+                f"joint {joint!r} is not a joint with one coordinate; choose one of: {names}"
+            )
+        if isinstance(effort, bool) or not (isinstance(effort, Real) and math.isfinite(effort)):
+            raise ValueError(f"an effort must be a finite number, got {effort!r}")
+        begin, end = self._interval(start, duration)
+        self._schedule.command_effort(source, joint, float(effort), unit, begin, end)
+
+    def command_servo(
+        self,
+        joint: str,
+        position: float,
+        velocity: float = 0.0,
+        start: float | None = None,
+        duration: float | None = None,
+    ) -> None:
+        """Command the wanted position and velocity of the servo of a joint.
+
+        joint    : name of a joint with a servo or linear_servo
+        position : rad, which may exceed 2 pi, or m
+        velocity : rad/s or m/s
+        start, duration : as in `apply_wrench`; after its end the values of the scene hold
+        Raises ValueError for a joint without a servo, or a number that is not finite.
+        """
+        number = self.layout.servos.get(joint)
+        if number is None:
+            names = ", ".join(self.layout.servos) or "the scene has none"
+            raise ValueError(f"joint {joint!r} has no servo; choose one of: {names}")
+        for name, value in (("position", position), ("velocity", velocity)):
+            if isinstance(value, bool) or not (isinstance(value, Real) and math.isfinite(value)):
+                raise ValueError(f"a wanted {name} must be a finite number, got {value!r}")
+        begin, end = self._interval(start, duration)
+        self._schedule.command_servo(number, float(position), float(velocity), begin, end)
+
+    def _interval(self, start, duration):
+        """Instants at which a command starts and ends (None: never). Raises ValueError."""
         for name, value in (("start", start), ("duration", duration)):
             if value is not None and not (isinstance(value, Real) and math.isfinite(value)):
                 raise ValueError(f"{name} must be finite, or None, got {value!r}")
@@ -315,28 +386,27 @@ class Engine:
             end = self._schedule.instant(begin.time + float(duration))
             if end <= begin:
                 raise ValueError(f"a duration must be at least 1 ns, got {duration!r} s")
-        self._schedule.command(source, self._body[body], wrench, begin, end, axes)
+        return begin, end
 
     @property
     def wrench_count(self) -> int:
-        """Number of wrenches of `apply_wrench` that act now or start later."""
+        """Number of applied wrenches and efforts that act now or start later."""
         return len(self._schedule)
 
     @property
     def wrench_sources(self):
-        """Names of the sources of these wrenches."""
+        """Names of the sources of these wrenches and efforts."""
         return self._schedule.sources
 
     def clear_wrenches(self, source: str = "api") -> None:
-        """End all wrenches of a source, also those that start later."""
+        """End all wrenches and efforts of a source, also those that start later."""
         self._schedule.clear(source)
 
-    def drain_applied(self) -> list[AppliedWrench]:
-        """Return the changes of the total wrenches on each body since the last call.
+    def drain_applied(self) -> list[AppliedWrench | AppliedTarget]:
+        """Return the changes of the total wrenches on each body, and of servos, since the last call.
 
-        There is one total in body axes and one in world axes. If
-        `apply_wrench(body, wrench, start=time, source=axes, axes=axes)` applies the changes again,
-        the run is bit-identical (test/core/test_wrenches.py).
+        There is one total in body axes and one in world axes. If `change.repeat(simulation)`
+        applies the changes again, the run is bit-identical (test/core/test_wrenches.py).
         """
         applied, self._applied = self._applied, []
         return applied
@@ -397,19 +467,22 @@ class Engine:
             )
 
     def _change_wrenches(self, time, changed):
-        """Apply the total wrenches of [(body, axes)] from a time on."""
+        """Apply the total wrenches, or wanted values, of [(body, axes)] from a time on."""
         for body, axes in changed:
             total = self._schedule.total[axes][body]
-            set_wrench(self._external, body, total, axes)
-            self._applied.append(
-                AppliedWrench(
-                    time,
-                    round(time * 1e9),
-                    self.layout.body_names[body],
-                    tuple(total.tolist()),
-                    axes,
-                )
-            )
+            if axes == SERVO:
+                self._work.wanted[body] = total
+            else:
+                set_wrench(self._external, body, total, axes)
+            self._applied.append(self._applied_at(time, body, axes))
+
+    def _applied_at(self, time, body, axes):
+        """AppliedWrench or AppliedTarget of a total at a time."""
+        total = self._schedule.total[axes][body].tolist()
+        if axes == SERVO:
+            return AppliedTarget(time, round(time * 1e9), list(self.layout.servos)[body], *total)
+        name = self.layout.body_names[body]
+        return AppliedWrench(time, round(time * 1e9), name, tuple(total), axes)
 
     def _times_inside(self):
         """Times inside the next step at which a wrench may start or end."""
@@ -491,6 +564,9 @@ class Engine:
             self.layout, self.time, self.time_ns, self.steps, *self.state(), self._work.angle.copy()
         )
         sample.external = self._external.copy()
+        sample.joint_efforts = self._schedule.efforts
+        if self.layout.servos:
+            sample.wanted = self._work.wanted.copy()
         return sample
 
     def energy(self) -> float:

@@ -8,6 +8,7 @@ import numpy as np
 
 from .errors import SceneError
 from .forces import kinds
+from .forces.joint_effort import unit_wrenches
 from .formulations.relative.arrays import PlaneModel
 from .formulations.relative.build import (
     refuse_cut_couplings,
@@ -134,6 +135,17 @@ class Layout:
     def reactions(self):
         """Reactions of the joints."""
         return Reactions(self)
+
+    @cached_property
+    def unit_efforts(self):
+        """{joint: [(body index, wrench (6,))]} of unit efforts; see forces/joint_effort.py."""
+        index = {name: i for i, name in enumerate(self.body_names)}
+        return unit_wrenches(self.scene.joints, self.joint_frames, index, self.offsets.com)
+
+    @cached_property
+    def servos(self):
+        """{joint: number} of the joints with a servo; the number is that of its wanted values."""
+        return {servo.joint: i for i, servo in enumerate(kinds.servos(self.scene.forces))}
 
     def sample(self, pose, twist, time=0.0, time_ns=0, steps=0, near=None):
         """Create a Sample from pose (n, 12) and twist (n, 6) of the body frames, as in a recording.

@@ -140,12 +140,10 @@ class RunningError:
         return self._start + (done // period + 1) * period
 
     def changed(self, changes):
-        """Tell the companion of changes of the wrenches: [AppliedWrench]."""
+        """Tell the companion of changes of wrenches and servos: [AppliedWrench or AppliedTarget]."""
         if self._start is not None and self._alive:
             for change in changes:
-                self._companion.apply_wrench(
-                    change.body, change.wrench, change.time, source=change.axes, axes=change.axes
-                )
+                change.repeat(self._companion)
 
     def follow(self):
         """Advance the companion to the present step if they can meet, and estimate the error."""
@@ -173,8 +171,8 @@ class RunningError:
         companion.set_state(
             *engine.state(), steps // self.ours * self._theirs, engine.sample().angles
         )
-        for body, axes, wrench in engine.acting():
-            companion.apply_wrench(body, wrench, source=axes, axes=axes)
+        for change in engine.acting():
+            change.repeat(companion)
         self._start = steps
         self._next = self._next_checkpoint(steps)
 

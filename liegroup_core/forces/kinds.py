@@ -25,8 +25,10 @@ from . import (
     applied_wrench,
     drag,
     linear_motor,
+    linear_servo,
     linear_spring_damper,
     motor,
+    servo,
     spring_damper,
     torsional_spring_damper,
     turn,
@@ -34,8 +36,10 @@ from . import (
 from .applied_wrench import ConstantWrench
 from .drag import Drag
 from .linear_motor import LinearMotor
+from .linear_servo import LinearServo
 from .linear_spring_damper import LinearSpringDamper
 from .motor import Motor
+from .servo import Servo
 from .spring_damper import SpringDamper
 from .torsional_spring_damper import TorsionalSpringDamper
 
@@ -43,8 +47,10 @@ __all__ = [
     "ConstantWrench",
     "Drag",
     "LinearMotor",
+    "LinearServo",
     "LinearSpringDamper",
     "Motor",
+    "Servo",
     "SpringDamper",
     "TorsionalSpringDamper",
 ]
@@ -56,6 +62,8 @@ FORCES = (
     LinearSpringDamper,
     Motor,
     LinearMotor,
+    Servo,
+    LinearServo,
     Drag,
     ConstantWrench,
 )
@@ -70,9 +78,11 @@ class Forces(Struct):
     linear_spring_damper: np.ndarray
     motor: np.ndarray
     linear_motor: np.ndarray
+    servo: np.ndarray
+    linear_servo: np.ndarray
     drag: np.ndarray
     applied_wrench: np.ndarray
-    counted: np.ndarray  # springs without stiffness, at joints that a coupling counts
+    counted: np.ndarray  # springs without stiffness, at joints of couplings, then of servos
 
 
 def make_forces(described, index, ends, counted=()):
@@ -83,6 +93,7 @@ def make_forces(described, index, ends, counted=()):
     ends      : {joint name: (parent's index, child's index, parent frame, child frame)}
     counted   : names of joints whose angle is unwrapped for a coupling
     """
+    servos = [force.joint for force in described if force.type == "servo"]
     return Forces(
         **{
             kind: np.array(
@@ -92,7 +103,7 @@ def make_forces(described, index, ends, counted=()):
             for kind, module in KINDS.items()
         },
         counted=np.array(
-            [(*turn.fields(*ends[joint]), 0.0, 0.0, 0.0) for joint in counted],
+            [(*turn.fields(*ends[joint]), 0.0, 0.0, 0.0) for joint in [*counted, *servos]],
             dtype=torsional_spring_damper.ROW,
         ),
     )
@@ -103,17 +114,36 @@ def has_forces(forces):
     return any(len(getattr(forces, kind)) for kind in KINDS)
 
 
+def servos(described):
+    """Servos among the forces of a scene, in the order of their wanted values."""
+    return [
+        force for kind in ("servo", "linear_servo") for force in described if force.type == kind
+    ]
+
+
+def wanted_values(forces):
+    """Wanted position and velocity (k, 2) of all servos without a command."""
+    rows = [(row["position"], row["velocity"]) for row in (*forces.servo, *forces.linear_servo)]
+    return np.array(rows, dtype=float).reshape(-1, 2)
+
+
+def limits(forces):
+    """Effort limits (k,) of all servos."""
+    return np.concatenate([forces.servo["limit"], forces.linear_servo["limit"]])
+
+
 def count_of_angles(forces):
-    """Number of unwrapped joint angles: those of torsional springs, then of couplings."""
+    """Number of unwrapped joint angles: those of torsional springs, of couplings, of servos."""
     return len(forces.torsional_spring_damper) + len(forces.counted)
 
 
 @kernel
-def add_wrenches(forces, angle, acting, pose, twist, wrench_out):
+def add_wrenches(forces, angle, acting, wanted, pose, twist, wrench_out):
     """Add the wrenches of all forces to wrench_out (n, 6).
 
-    angle  : (k,) rad, unwrapped angle of each torsional spring after the last step
+    angle  : (k,) rad, the unwrapped angles after the last step
     acting : (k,) mask of the applied wrenches that act
+    wanted : (k, 2) wanted position and velocity of each servo
     pose (n, 12), twist (n, 6)
     """
     spring_damper.add_wrench(forces.spring_damper, pose, twist, wrench_out)
@@ -123,6 +153,8 @@ def add_wrenches(forces, angle, acting, pose, twist, wrench_out):
     linear_spring_damper.add_wrench(forces.linear_spring_damper, pose, twist, wrench_out)
     motor.add_wrench(forces.motor, pose, twist, wrench_out)
     linear_motor.add_wrench(forces.linear_motor, pose, twist, wrench_out)
+    servo.add_wrench(forces.servo, angle, wanted, pose, twist, wrench_out)
+    linear_servo.add_wrench(forces.linear_servo, wanted, pose, twist, wrench_out)
     drag.add_wrench(forces.drag, twist, wrench_out)
     applied_wrench.add_wrench(forces.applied_wrench, acting, pose, wrench_out)
 
@@ -138,7 +170,7 @@ def energy(forces, angle, pose):
 
 
 @kernel
-def power(forces, acting, pose, twist):
+def power(forces, angle, acting, wanted, pose, twist):
     """Power of the non-conservative forces, W: the rate of the mechanical energy."""
     return (
         spring_damper.power(forces.spring_damper, pose, twist)
@@ -146,9 +178,18 @@ def power(forces, acting, pose, twist):
         + linear_spring_damper.power(forces.linear_spring_damper, pose, twist)
         + motor.power(forces.motor, pose, twist)
         + linear_motor.power(forces.linear_motor, pose, twist)
+        + servo.power(forces.servo, angle, wanted, pose, twist)
+        + linear_servo.power(forces.linear_servo, wanted, pose, twist)
         + drag.power(forces.drag, twist)
         + applied_wrench.power(forces.applied_wrench, acting, pose, twist)
     )
+
+
+@kernel
+def servo_efforts(forces, angle, wanted, pose, twist, out):
+    """Write effort and rate of each servo to out (k, 2); arguments as for `add_wrenches`."""
+    servo.efforts(forces.servo, angle, wanted, pose, twist, out)
+    linear_servo.efforts(forces.linear_servo, wanted, pose, twist, out)
 
 
 @kernel

@@ -5,6 +5,12 @@ A source applies at most one wrench to a body. A later wrench of the same source
 its time comes; a zero wrench ends it. Wrenches of different sources add. A wrench is constant in
 body axes or in world axes from its start to its end. A step in which a wrench starts or ends is
 split there, and the list of changes reproduces a run exactly.
+
+The effort of a joint is one command with constant wrenches on both bodies (joint_effort.py). A
+source applies at most one effort to a joint, by the same rules.
+
+The wanted position and velocity of a servo are a command, too, between the same instants. Whatever
+its source, a later one replaces it; without one the servo has the values of the scene.
 """
 
 import bisect
@@ -19,6 +25,7 @@ ROUNDING = 4.0 * np.finfo(float).eps
 HALF_NS = 0.5e-9  # s; stamps are whole nanoseconds
 LATEST = 9.2e9  # s; later stamps do not fit into 64 bits
 AXES = ("body", "world")
+SERVO = "servo"  # stands for axes where a number is that of a servo
 
 
 class Instant(NamedTuple):
@@ -44,25 +51,63 @@ class AppliedWrench(NamedTuple):
     wrench: tuple
     axes: str
 
+    def repeat(self, simulation):
+        """Apply it to another simulation of the same scene, from its time on."""
+        simulation.apply_wrench(self.body, self.wrench, self.time, source=self.axes, axes=self.axes)
+
+
+class AppliedTarget(NamedTuple):
+    """Wanted position and velocity of the servo of a joint, from a time on.
+
+    time     : s
+    time_ns  : the same in ns
+    joint    : name of the joint
+    position : rad or m
+    velocity : rad/s or m/s
+    """
+
+    time: float
+    time_ns: int
+    joint: str
+    position: float
+    velocity: float
+
+    def repeat(self, simulation):
+        """Command it to another simulation of the same scene, from its time on."""
+        simulation.command_servo(self.joint, self.position, self.velocity, self.time)
+
 
 class _Command(NamedTuple):
     start: Instant
     end: Instant
     number: int  # order of arrival: of two with the same start the later wins
-    source: str
-    body: int
-    wrench: tuple
+    key: tuple  # source, joint or "", body: a later command with the same key replaces it
+    wrenches: tuple  # ((body, wrench), ...); or ((servo, (position, velocity)),)
     axes: str
+    effort: float  # of the joint
+
+    @property
+    def changes(self):
+        """{(body, axes)} on which it acts."""
+        return {(body, self.axes) for body, _ in self.wrenches}
+
+    @property
+    def is_zero(self):
+        """True if it ends what acts: a zero wrench or effort."""
+        return self.axes != SERVO and not any(any(wrench) for _, wrench in self.wrenches)
 
 
 class WrenchSchedule:
     """External wrenches that act, and those that start later, for steps of size h in s.
 
-    total : {"body": (n, 6), "world": (n, 6)} sums of the wrenches that act, by their axes
+    wanted : (k, 2) wanted position and velocity of each servo without a command
+    total  : {"body": (n, 6), "world": (n, 6)} sums of the wrenches that act, by their axes;
+             "servo": (k, 2) wanted values
     """
 
-    def __init__(self, body_count, h):
-        self.total = {axes: np.zeros((body_count, 6)) for axes in AXES}
+    def __init__(self, body_count, h, wanted=np.zeros((0, 2))):
+        self._idle = {axes: np.zeros((body_count, 6)) for axes in AXES} | {SERVO: wanted}
+        self.total = {axes: idle.copy() for axes, idle in self._idle.items()}
         self._h = h
         self._waiting = []
         self._acting = {}
@@ -75,7 +120,16 @@ class WrenchSchedule:
     @property
     def sources(self):
         """Names of the sources with a wrench that acts or starts later."""
-        return {c.source for c in (*self._waiting, *self._acting.values())}
+        return {c.key[0] for c in (*self._waiting, *self._acting.values())}
+
+    @property
+    def efforts(self):
+        """{joint: total effort} of the joints on which efforts act."""
+        totals = {}
+        for (_, joint, _), command in sorted(self._acting.items()):
+            if joint:
+                totals[joint] = totals.get(joint, 0.0) + command.effort
+        return totals
 
     def instant(self, time):
         """Instant of a time in s: the boundary of a step within half a ns, else whole ns."""
@@ -96,18 +150,37 @@ class WrenchSchedule:
 
         end : None: until it is replaced
         """
+        self._insert((source, "", body), [(body, wrench)], start, end, axes)
+
+    def command_effort(self, source, joint, effort, unit, start, end):
+        """Apply an effort of `source` to a joint from one Instant to another.
+
+        unit : wrenches of a unit effort, as of joint_effort.unit_wrenches
+        end  : None: until it is replaced
+        """
+        wrenches = [(body, effort * wrench) for body, wrench in unit]
+        self._insert((source, joint, -1), wrenches, start, end, "body", effort)
+
+    def command_servo(self, servo, position, velocity, start, end):
+        """Command the wanted values of servo number `servo` from one Instant to another.
+
+        end : None: until they are replaced
+        """
+        self._insert(("", "", -2 - servo), [(servo, (position, velocity))], start, end, SERVO)
+
+    def _insert(self, key, wrenches, start, end, axes, effort=0.0):
         self._arrived += 1
-        wrench = tuple(float(x) for x in wrench)
+        wrenches = tuple((body, tuple(map(float, wrench))) for body, wrench in wrenches)
         end = self.instant(math.inf) if end is None else end
         bisect.insort(
             self._waiting,
-            _Command(start, end, self._arrived, source, body, wrench, axes),
+            _Command(start, end, self._arrived, key, wrenches, axes, effort),
             key=lambda c: (c.start, c.number),
         )
 
     def clear(self, source):
         """End all wrenches of a source, also those that start later. It takes effect with the next update."""
-        self._waiting = [c for c in self._waiting if c.source != source]
+        self._waiting = [c for c in self._waiting if c.key[0] != source]
         for key in [key for key in self._acting if key[0] == source]:
             self._acting[key] = self._acting[key]._replace(end=Instant(-1, -math.inf))
 
@@ -116,19 +189,20 @@ class WrenchSchedule:
         touched = set()
         while self._waiting and self._waiting[0].start <= instant:
             command = self._waiting.pop(0)
-            key = command.source, command.body
-            touched |= {(c.body, c.axes) for c in (command, self._acting.get(key)) if c}
-            self._acting[key] = command
+            before = self._acting.get(command.key)
+            touched |= command.changes | (before.changes if before else set())
+            self._acting[command.key] = command
         for key, command in list(self._acting.items()):
-            if command.end <= instant or not any(command.wrench):
-                touched.add((command.body, command.axes))
+            if command.end <= instant or command.is_zero:
+                touched |= command.changes
                 del self._acting[key]
+        # Summed in the order of the sources' names: the sum is bit-identical for the same wrenches.
+        ordered = [self._acting[key] for key in sorted(self._acting)] if touched else []
         changed = []
         for body, axes in sorted(touched):
-            # Summed in the order of the sources' names: the sum is bit-identical for the same wrenches.
-            acting = [self._acting[key] for key in sorted(self._acting) if key[1] == body]
-            wrenches = [c.wrench for c in acting if c.axes == axes]
-            total = np.sum(wrenches, axis=0) if wrenches else np.zeros(6)
+            acting = [command for command in ordered if command.axes == axes]
+            wrenches = [w for command in acting for on, w in command.wrenches if on == body]
+            total = np.sum(wrenches, axis=0) if wrenches else self._idle[axes][body]
             if not np.array_equal(total, self.total[axes][body]):
                 self.total[axes][body] = total
                 changed.append((body, axes))

@@ -16,7 +16,7 @@ Each array is structured: one record per body, element, joint or vertex.
 import numpy as np
 
 from liegroup_core.compiling import Struct
-from liegroup_core.forces.kinds import count_of_angles
+from liegroup_core.forces.kinds import count_of_angles, wanted_values
 
 BODY = np.dtype([
     ("mass", "f8"), ("inverse_mass", "f8"),                       # kg, 1/kg
@@ -83,6 +83,7 @@ class Work(Struct):
     wrench: np.ndarray             # (n, 6) sum of the applied wrenches
     angle: np.ndarray              # rad, of each torsional spring at the last finished step: state
     acting: np.ndarray             # bool, of each applied wrench of the scene: input of a call
+    wanted: np.ndarray             # (k, 2) position and velocity of each servo: input of a call
     stage_pose: np.ndarray         # (n, 12)
     stage_twist: np.ndarray        # (n, 6)
     start_pose: np.ndarray         # (n, 12) at the start of a step that is taken in substeps
@@ -113,6 +114,7 @@ def make_work(model, stages):
         residual=np.zeros(len(model.pivot_floor)), wrench=np.zeros((n, 6)),
         angle=np.zeros(springs), start_angle=np.zeros(springs),
         acting=np.zeros(len(model.forces.applied_wrench), dtype=bool),
+        wanted=wanted_values(model.forces),
         stage_pose=np.zeros((n, 12)), stage_twist=np.zeros((n, 6)),
         start_pose=np.zeros((n, 12)), start_twist=np.zeros((n, 6)), velocity=np.zeros((n, 6)),
         slopes=np.zeros(((stages + 1) * n, 12)), report=np.zeros(3))

@@ -195,7 +195,8 @@ def _forces(scene, index, frames):
         for joint, pair in zip(scene.joints, frames)
     }
     springs = sum(force.counts_turns for force in scene.forces)
-    counted = [joint for joint, _ in scene.unwrapped[springs:]]
+    servos = sum(force.type == "servo" for force in scene.forces)
+    counted = [joint for joint, _ in scene.unwrapped[springs : len(scene.unwrapped) - servos]]
     return make_forces(scene.forces, index, ends, counted)
 
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from liegroup_core.errors import SimulationError
 from liegroup_core.forces.external import no_wrenches
+from liegroup_core.forces.kinds import wanted_values
 from liegroup_core.formulations.relative.arrays import make_relative_work
 from liegroup_core.formulations.relative.reactions import joint_wrenches, reaction_table
 from liegroup_core.formulations.relative.spanning_tree import WORLD_NAME
@@ -77,7 +78,7 @@ class Reactions:
             np.zeros(len(self._work.angle)),
             np.zeros(len(self._work.acting), dtype=bool),
         )
-        self.at(*state, angles, acting)
+        self.at(*state, angles, acting, wanted_values(self._model.space.forces))
 
     @cached_property
     def undetermined(self):
@@ -102,18 +103,19 @@ class Reactions:
                 found[self.names[j]] = f"{parts}: redundant constraints, {shared}"
         return found
 
-    def at(self, pose, twist, angles, acting, external=None):
+    def at(self, pose, twist, angles, acting, wanted, external=None):
         """((J, 6) wrenches, (J, 6) mask of the undetermined components, (n, 6) motion) of a state.
 
         pose, twist : (n, 12), (n, 6) of frames at the centres of mass
         angles      : (k,) rad, `Sample.angles`;  acting : mask of the scene's applied wrenches
+        wanted      : (k, 2) wanted positions and velocities of the servos
         external    : (n, 16), see forces/external.py; None: no external wrenches
         motion      : angular acceleration and specific force (acceleration less gravity) of every
                       centre of mass, body axes
         Raises SimulationError if the accelerations cannot be computed.
         """
         work, out = self._work, np.empty((len(self.names), 6))
-        work.angle[:], work.acting[:] = angles, acting
+        work.angle[:], work.acting[:], work.wanted[:] = angles, acting, wanted
         before = work.report[2]
         if external is None:
             external = no_wrenches(self._offsets)

@@ -23,6 +23,9 @@ class Sample:
     twist : (n, 6) per body omega rad/s, v m/s; body axes, v of the frame's origin
     errors : (n, 4) estimated errors, see `error`; None without an estimate
     external : (n, 16) external wrenches, see forces/external.py; None: none
+    joint_efforts : {joint: N m or N} of the efforts that acted at the end of the last step; a copy
+    wanted : (k, 2) wanted positions and velocities of the servos, rad and rad/s, or m and m/s;
+             None: those of the scene
     The constructor takes pose and twist at the centres of mass; all attributes refer to the body
     frames of the scene. Derived quantities are computed on first access and cached.
     """
@@ -32,6 +35,8 @@ class Sample:
 
     def __init__(self, layout, time, time_ns, steps, pose, twist, near):
         self._layout, self._near = layout, near
+        self.joint_efforts: dict[str, float] = {}
+        self.wanted = None
         self.time, self.time_ns, self.steps = time, time_ns, steps
         self._state = pose, twist
         self.pose, self.twist = layout.offsets.to_bodies(pose, twist)
@@ -117,10 +122,11 @@ class Sample:
     def power(self) -> float:
         """Power of the scene's non-conservative forces, W: the rate of `energy`.
 
-        Motors and the scene's applied wrenches, dampers and drag. The power of external wrenches
+        Motors, servos and the scene's applied wrenches, dampers and drag. The power of external wrenches
         is not included.
         """
-        return kinds.power(self._layout.model.forces, self._acting, *self._state)
+        forces = self._layout.model.forces
+        return kinds.power(forces, self.angles, self._acting, self._wanted, *self._state)
 
     @property
     def _acting(self):
@@ -130,7 +136,8 @@ class Sample:
 
     @cached_property
     def _reactions(self):
-        return self._layout.reactions.at(*self._state, self.angles, self._acting, self.external)
+        inputs = self.angles, self._acting, self._wanted, self.external
+        return self._layout.reactions.at(*self._state, *inputs)
 
     def _by_joint(self, values):
         return dict(zip(self._layout.reactions.names, values))
@@ -185,6 +192,39 @@ class Sample:
     def undetermined(self) -> dict[str, str]:
         """{joint: why components of its reaction are undetermined}, without the others."""
         return self._layout.reactions.reasons(self._reactions[1])
+
+    @property
+    def _wanted(self):
+        forces = self._layout.model.forces
+        return kinds.wanted_values(forces) if self.wanted is None else self.wanted
+
+    @cached_property
+    def _servo_efforts(self):
+        """(k, 2) effort and rate of each servo."""
+        out = np.zeros((len(self._layout.servos), 2))
+        if len(out):
+            forces = self._layout.model.forces
+            kinds.servo_efforts(forces, self.angles, self._wanted, *self._state, out)
+        return out
+
+    @cached_property
+    def servo_efforts(self) -> dict[str, float]:
+        """{joint: effort of its servo}, N m or N, within its limit."""
+        return dict(zip(self._layout.servos, self._servo_efforts[:, 0].tolist()))
+
+    @property
+    def all_efforts(self) -> dict[str, float]:
+        """{joint: N m or N} sum of the effort of its servo and of those in `joint_efforts`."""
+        efforts = dict(self.servo_efforts)
+        for joint, effort in self.joint_efforts.items():
+            efforts[joint] = efforts.get(joint, 0.0) + effort
+        return efforts
+
+    @cached_property
+    def saturated(self) -> tuple[str, ...]:
+        """Joints whose servo is at its effort limit."""
+        at_limit = np.abs(self._servo_efforts[:, 0]) >= kinds.limits(self._layout.model.forces)
+        return tuple(joint for joint, is_at in zip(self._layout.servos, at_limit) if is_at)
 
     @cached_property
     def spatial_momentum(self) -> NDArray[np.float64]:

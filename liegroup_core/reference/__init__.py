@@ -4,6 +4,22 @@
 elliptic.py has the exact rotations of a free body and of a symmetric heavy top; it needs mpmath.
 """
 
-from .trajectory import Distance, Reference, Trajectory, WrenchChange, distance, integrate
+from .trajectory import (
+    Distance,
+    Reference,
+    ServoChange,
+    Trajectory,
+    WrenchChange,
+    distance,
+    integrate,
+)
 
-__all__ = ["Distance", "Reference", "Trajectory", "WrenchChange", "distance", "integrate"]
+__all__ = [
+    "Distance",
+    "Reference",
+    "ServoChange",
+    "Trajectory",
+    "WrenchChange",
+    "distance",
+    "integrate",
+]

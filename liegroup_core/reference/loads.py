@@ -4,10 +4,10 @@
 Forces between bodies act along the line between two points, about the z axis of a joint, or along
 that axis. Each of them is linear in coordinate and rate:
 
-    constant - stiffness * coordinate - damping * rate
+    constant - stiffness * coordinate - damping * rate, within +- limit
 
 A spring at rest at x0 has constant = stiffness * x0. A motor with a rate limit has
-damping = |its force| / limit.
+damping = |its force| / limit. Only servos have a limit, of the force or torque.
 """
 
 from typing import NamedTuple
@@ -20,19 +20,23 @@ from .equations import GROUND, direction, point, rotate, rotate_back, turning
 
 
 class Loads(NamedTuple):
-    """Gravity and forces of a scene of n bodies; a law is (constant, stiffness, damping)."""
+    """Gravity and forces of a scene of n bodies; a law is (constant, stiffness, damping, limit)."""
 
     gravity: np.ndarray  # (3,) m/s^2
     line_body: np.ndarray  # (l, 2) parent, child; GROUND = -1
     line_point: np.ndarray  # (l, 2, 3) m, in the frames of the two
-    line_law: np.ndarray  # (l, 3) N, N/m, N s/m; coordinate: the length
+    line_law: np.ndarray  # (l, 4) N, N/m, N s/m, N; coordinate: the length
     turn_body: np.ndarray  # (t, 2)
     turn_axis: np.ndarray  # (t, 3) z of the joint in the parent's axes
-    turn_law: np.ndarray  # (t, 3) N m, N m/rad, N m s/rad; coordinate: the angle; zero for screws
+    turn_law: (
+        np.ndarray
+    )  # (t, 4) N m, N m/rad, N m s/rad, N m; coordinate: the angle; zero for screws
     slide_body: np.ndarray  # (s, 2)
     slide_point: np.ndarray  # (s, 2, 3) m, origins of the joint frames
     slide_axis: np.ndarray  # (s, 3) z of the joint in the parent's axes
-    slide_law: np.ndarray  # (s, 3) N, N/m, N s/m; coordinate: origin of the child's frame along z
+    slide_law: (
+        np.ndarray
+    )  # (s, 4) N, N/m, N s/m, N; coordinate: origin of the child's frame along z
     drag: np.ndarray  # (n, 4) N s/m, N s^2/m^2, N m s, N m s^2: linear, quadratic, the same angular
     push_body: np.ndarray  # (p,) bodies of the applied wrenches
     push_world: np.ndarray  # (p,) True: constant in world axes, False: in body axes
@@ -61,7 +65,7 @@ def _lines(loads, state, force):
         parent, child = loads.line_body[i]
         start = point(state, parent, loads.line_point[i, 0])
         end = point(state, child, loads.line_point[i, 1])
-        constant, stiffness, damping = loads.line_law[i]
+        constant, stiffness, damping, _ = loads.line_law[i]
         d = end[0] - start[0]
         length = np.sqrt(np.dot(d, d))
         f = -stiffness * d
@@ -78,8 +82,9 @@ def _turns(loads, state, angle, force, angle_rate_out):
         parent, child = loads.turn_body[i]
         axis = direction(state, parent, loads.turn_axis[i])[0]
         angle_rate_out[i] = np.dot(axis, turning(state, parent, child))
-        constant, stiffness, damping = loads.turn_law[i]
-        torque = (constant - stiffness * angle[i] - damping * angle_rate_out[i]) * axis
+        constant, stiffness, damping, limit = loads.turn_law[i]
+        torque = constant - stiffness * angle[i] - damping * angle_rate_out[i]
+        torque = min(max(torque, -limit), limit) * axis
         _add_torque(force, state, child, torque)
         _add_torque(force, state, parent, -torque)
 
@@ -91,12 +96,13 @@ def _slides(loads, state, force):
         axis = direction(state, parent, loads.slide_axis[i])
         end = point(state, child, loads.slide_point[i, 1])
         d = end - point(state, parent, loads.slide_point[i, 0])
-        constant, stiffness, damping = loads.slide_law[i]
+        constant, stiffness, damping, limit = loads.slide_law[i]
         f = (
             constant
             - stiffness * np.dot(axis[0], d[0])
             - damping * (np.dot(axis[1], d[0]) + np.dot(axis[0], d[1]))
-        ) * axis[0]
+        )
+        f = min(max(f, -limit), limit) * axis[0]
         _add_force(force, state, child, loads.slide_point[i, 1], f)
         if parent != GROUND:  # at the same point, so that the wrenches on both bodies cancel
             arm = end[0] - state[parent, 4:7]

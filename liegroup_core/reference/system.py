@@ -13,8 +13,9 @@ from .rigid_body_dae import System
 
 # An angle within HALF_TURN rad of -pi is pi, independent of its round-off.
 HALF_TURN = 1e-9
-TURNING = ("torsional_spring_damper", "motor")
-SLIDING = ("linear_spring_damper", "linear_motor")
+TURNING = ("torsional_spring_damper", "motor", "servo")
+SLIDING = ("linear_spring_damper", "linear_motor", "linear_servo")
+FREE = (0.0, 0.0, 0.0, np.inf)  # law of a joint whose angle is only counted
 
 
 def build_system(scene, pose, angles=None):
@@ -47,11 +48,11 @@ def build_system(scene, pose, angles=None):
         },
     )
     joints = {joint.name: joint for joint in scene.joints}
-    turns = [(joint, (0.0, 0.0, 0.0)) for joint in scene.joints if joint.type == "screw"]
+    turns = [(joint, FREE) for joint in scene.joints if joint.type == "screw"]
     turns += [(joints[force.joint], _law(force)) for force in scene.forces if force.type in TURNING]
     slides = [(joints[force.joint], _law(force)) for force in scene.forces if force.type in SLIDING]
     coupled = [joints[name] for entry in scene.couplings for name in (entry.joint, entry.other)]
-    turns += [(joint, (0.0, 0.0, 0.0)) for joint in coupled if joint.type != "prismatic"]
+    turns += [(joint, FREE) for joint in coupled if joint.type != "prismatic"]
     known = {} if angles is None else dict(zip((name for name, _ in scene.unwrapped), angles))
     start = np.array(
         [known.get(joint.name, _angle(relative[joint.name])) for joint, _ in turns], dtype=float
@@ -160,19 +161,42 @@ def _thread(joint, relative):
 
 
 def _law(force):
-    """(constant, stiffness, damping) of a force, see loads.py."""
+    """(constant, stiffness, damping, limit) of a force, see loads.py."""
     if force.type == "motor":
         limit = force.rate_limit
-        return force.torque, 0.0, 0.0 if limit is None else abs(force.torque) / limit
+        return force.torque, 0.0, 0.0 if limit is None else abs(force.torque) / limit, np.inf
     if force.type == "linear_motor":
         limit = force.speed_limit
-        return force.force, 0.0, 0.0 if limit is None else abs(force.force) / limit
+        return force.force, 0.0, 0.0 if limit is None else abs(force.force) / limit, np.inf
+    if force.type in ("servo", "linear_servo"):
+        return servo_law(force, force.position, force.velocity)
     at_rest = {
         "spring_damper": "rest_length",
         "torsional_spring_damper": "rest_angle",
         "linear_spring_damper": "rest_position",
     }[force.type]
-    return force.stiffness * getattr(force, at_rest), force.stiffness, force.damping
+    return force.stiffness * getattr(force, at_rest), force.stiffness, force.damping, np.inf
+
+
+def servo_law(servo, position, velocity):
+    """Law of a servo with a wanted position and velocity."""
+    limit = np.inf if servo.effort_limit is None else servo.effort_limit
+    constant = servo.stiffness * position + servo.damping * velocity
+    return constant, servo.stiffness, servo.damping, limit
+
+
+def with_wanted(system, scene, wanted):
+    """System with other wanted values of its servos; wanted : {joint: (position, velocity)}."""
+    laws = system.loads.turn_law.copy(), system.loads.slide_law.copy()
+    screws = sum(joint.type == "screw" for joint in scene.joints)
+    for law, types, row in zip(laws, (TURNING, SLIDING), (screws, 0)):
+        for force in scene.forces:
+            if force.type in types:
+                if force.type.endswith("servo") and force.joint in wanted:
+                    law[row] = servo_law(force, *wanted[force.joint])
+                row += 1
+    loads = system.loads._replace(turn_law=laws[0], slide_law=laws[1])
+    return system._replace(loads=loads)
 
 
 def _loads(scene, index, frames, turns, slides):
@@ -191,14 +215,14 @@ def _loads(scene, index, frames, turns, slides):
         gravity=np.array(scene.gravity, dtype=float),
         line_body=_table([_ends(s, index) for s in lines], (2,), int),
         line_point=_table([(s.parent_point, s.child_point) for s in lines], (2, 3)),
-        line_law=_table([_law(s) for s in lines], (3,)),
+        line_law=_table([_law(s) for s in lines], (4,)),
         turn_body=_table([_ends(joint, index) for joint, _ in turns], (2,), int),
         turn_axis=_table([frames[joint.name][0][:3, 2] for joint, _ in turns], (3,)),
-        turn_law=_table([law for _, law in turns], (3,)),
+        turn_law=_table([law for _, law in turns], (4,)),
         slide_body=_table([_ends(joint, index) for joint, _ in slides], (2,), int),
         slide_point=_table([[F[:3, 3] for F in frames[joint.name]] for joint, _ in slides], (2, 3)),
         slide_axis=_table([frames[joint.name][0][:3, 2] for joint, _ in slides], (3,)),
-        slide_law=_table([law for _, law in slides], (3,)),
+        slide_law=_table([law for _, law in slides], (4,)),
         drag=drag,
         push_body=_table([index[p.body] for p in pushes], (), int),
         push_world=_table([p.axes == "world" for p in pushes], (), bool),

@@ -13,7 +13,7 @@ from liegroup_core.scene.centres import Offsets, at_centres_of_mass
 
 from .equations import STATE
 from .rigid_body_dae import rate, scaled_equations
-from .system import build_system
+from .system import build_system, with_wanted
 
 # Just above the smallest tolerance of DOP853 (2.2e-14). The uncertainty of a run is its distance to
 # a run with a tolerance ten times larger.
@@ -36,6 +36,15 @@ class WrenchChange(NamedTuple):
     body: str
     wrench: tuple  # (6,) torque N m, force N; about the body frame's origin
     axes: str = "body"  # or "world"
+
+
+class ServoChange(NamedTuple):
+    """Wanted position and velocity of the servo of a joint from `time` on."""
+
+    time: float  # s
+    joint: str
+    position: float  # rad or m
+    velocity: float  # rad/s or m/s
 
 
 class Trajectory(NamedTuple):
@@ -82,7 +91,8 @@ def integrate(scene, pose, twist, times, changes=(), start=0.0, rtol=TIGHT):
     twist   : (n, 6) body-fixed, at `start`. Pose and twist are those of the frames at the centres of
               mass, as from Simulation.state
     times   : (k,) s, increasing, not before `start`
-    changes : WrenchChange in the order of their times; no wrench acts before the first one
+    changes : WrenchChange and ServoChange in the order of their times; before the first one no
+              wrench acts, and wanted values are those of the scene
     rtol    : relative and absolute tolerance of DOP853
     returns (Trajectory at `times`, its uncertainty as a Distance: the largest distance so far to
     a run with a tolerance ten times larger)
@@ -115,12 +125,11 @@ class Reference:
         pose, self._offsets = np.asarray(pose, dtype=float), Offsets(scene)
         system, angles = build_system(at_centres_of_mass(scene), pose, angles)
         state = np.concatenate([_to_state(pose, np.asarray(twist, dtype=float)), angles])
-        pieces = _pieces(scene, self._offsets, changes, start, end)
+        pieces = _pieces(scene, system, self._offsets, changes, start, end)
         rank = _rank(system, state)
         self._size = STATE * len(pose)
         self._runs = [
-            _Run(system, rank, state, start, pieces, tolerance)
-            for tolerance in (rtol, LOOSER * rtol)
+            _Run(rank, state, start, pieces, tolerance) for tolerance in (rtol, LOOSER * rtol)
         ]
         self._largest = None
 
@@ -146,11 +155,12 @@ class Reference:
         return tight, largest
 
 
-def _pieces(scene, offsets, changes, start, end):
-    """Intervals of constant wrenches.
+def _pieces(scene, system, offsets, changes, start, end):
+    """Intervals of constant wrenches and constant wanted values of servos.
 
-    returns [(start, end, wrenches (n, 15) of loads.add_loads, mask (p,) of applied wrenches)]
+    returns [(start, end, System, wrenches (n, 15) of loads.add_loads, mask (p,) of applied wrenches)]
     """
+    wanted = {}
     index = {body.name: i for i, body in enumerate(scene.bodies)}
     pushes = [force for force in scene.forces if force.type == "applied_wrench"]
     # Sorted by time; changes at the same time keep their order.
@@ -175,9 +185,12 @@ def _pieces(scene, offsets, changes, start, end):
                 ],
                 dtype=bool,
             )
-            pieces.append((since, until, wrench.copy(), acting))
+            pieces.append((since, until, system, wrench.copy(), acting))
             since = until
-        if change is not None:
+        if isinstance(change, ServoChange):
+            wanted[change.joint] = change.position, change.velocity
+            system = with_wanted(system, scene, wanted)
+        elif change is not None:
             body = index[change.body]
             if change.axes == "world":
                 wrench[body, 6:12] = change.wrench
@@ -210,8 +223,8 @@ def _rank(system, state):
 class _Run:
     """Integration with one tolerance, continued from one call of `at` to the next."""
 
-    def __init__(self, system, rank, state, start, pieces, rtol):
-        self._system, self._rank, self._rtol = system, rank, rtol
+    def __init__(self, rank, state, start, pieces, rtol):
+        self._rank, self._rtol = rank, rtol
         self._pending = list(pieces)
         self._state, self._reached = state, start
         self._solver = self._dense = self._step = None
@@ -271,10 +284,10 @@ class _Run:
             )
         return True
 
-    def _begin(self, begin, end, wrench, acting):
+    def _begin(self, begin, end, system, wrench, acting):
         def function(t, y):
             slope = np.empty_like(y)
-            self._singular[:] = rate(self._system, self._rank, y, wrench, acting, slope)
+            self._singular[:] = rate(system, self._rank, y, wrench, acting, slope)
             if not np.isfinite(slope).all():  # DOP853 would reduce its step without end
                 raise SimulationError(
                     f"the reference integration stopped at t = {t:.6g} s: the state or a wrench is "

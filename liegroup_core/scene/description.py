@@ -49,6 +49,7 @@ from .names import (
     refuse_joint,
     refuse_sensor,
     refuse_twins,
+    refuse_two_servos,
     refuse_unknown,
 )
 from .shapes import SHAPES
@@ -213,11 +214,13 @@ class Scene(Described):
         """[(joint, force or coupling)]: names, for each angle that is unwrapped: forces/turn.py."""
         types = {joint.name: joint.type for joint in self.joints}
         springs = [(force.joint, force.name) for force in self.forces if force.counts_turns]
-        return springs + [
+        coupled = [
             (coupling.other, coupling.name)
             for coupling in self.couplings
             if TYPES[types[coupling.other]].turns
         ]
+        servos = [(force.joint, force.name) for force in self.forces if force.type == "servo"]
+        return springs + coupled + servos
 
     @property
     def robot(self):
@@ -241,6 +244,7 @@ class Scene(Described):
             for key in ("joints", "forces")
             for i, link in enumerate(getattr(self, key))
         ]
+        refuse_two_servos(self.forces)
         couplings = [("couplings", i, entry.name) for i, entry in enumerate(self.couplings)]
         refuse_twins([*((key, i, link.name) for key, i, link in links), *couplings])
         for i, joint in enumerate(self.joints):

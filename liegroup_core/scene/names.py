@@ -93,6 +93,21 @@ def refuse_sensor(sensor, bodies, kinds, taken, i):
             )
 
 
+def refuse_two_servos(forces):
+    """Refuse a second servo at a joint: commands name the joint."""
+    first = {}
+    for i, force in enumerate(forces):
+        if force.type not in ("servo", "linear_servo"):
+            continue
+        if force.joint in first:
+            raise SceneError(
+                f'forces[{i}] "{force.name}": joint "{force.joint}" already has the servo '
+                f'"{first[force.joint]}": keep one of them',
+                place=("forces", i, "joint"),
+            )
+        first[force.joint] = force.name
+
+
 def refuse_coupling(coupling, kinds, i):
     """Refuse a coupling of joints that do not exist, or that have not one coordinate."""
     where = f'couplings[{i}] "{coupling.name}": '

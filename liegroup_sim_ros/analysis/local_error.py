@@ -96,6 +96,10 @@ def _advance(simulation, stretch, row, length):
             if len(mine):
                 wrench = stretch.change_wrenches[mine[-1]]
                 simulation.apply_wrench(body, wrench, source=axes, axes=axes)
+    known = np.flatnonzero(stretch.target_steps <= stretch.steps[row])
+    if len(known):
+        for joint, target in zip(simulation.layout.servos, stretch.targets[known[-1]].tolist()):
+            simulation.command_servo(joint, *target)
     simulation.advance(max(1, round(length / rung)))
     return simulation.state()
 

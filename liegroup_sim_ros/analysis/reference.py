@@ -7,7 +7,7 @@ state of each stretch.
 
 import numpy as np
 
-from liegroup_core.reference import Reference, Trajectory, WrenchChange, distance
+from liegroup_core.reference import Reference, ServoChange, Trajectory, WrenchChange, distance
 from liegroup_sim_ros.playback.repeat import Starts
 
 from .drift import MOST_POINTS, extremes
@@ -100,6 +100,7 @@ class ReferenceError:
 
     def __init__(self, layout, recording, expected, seconds=np.inf, promise=None, estimate=None):
         self._scene, self._starts = layout.scene, Starts(recording, layout)
+        self._servos = tuple(layout.servos)
         self._left, self._judged = seconds, 0.0
         self._errors = Errors(expected, promise, estimate)
         self._stretch = None
@@ -130,6 +131,7 @@ class ReferenceError:
                     stretch.change_in_world[:upto].tolist(),
                 )
             ]
+            changes += self._targets(stretch)
             pose, twist, angles = self._starts.of(stretch)
             self._reference = Reference(
                 self._scene, pose, twist, changes, self._start, angles=angles
@@ -143,6 +145,16 @@ class ReferenceError:
         )
         estimates = None if block.errors is None else block.errors[:k]
         self._errors.add(stretch, times[:k], block.log_times[:k], error, uncertainty, estimates)
+
+    def _targets(self, stretch):
+        """[ServoChange] up to the end of the reference."""
+        when = stretch.target_steps * stretch.step
+        upto = int(np.searchsorted(when, self._end, "right"))
+        return [
+            ServoChange(time, joint, *target)
+            for time, targets in zip(when[:upto].tolist(), stretch.targets[:upto].tolist())
+            for joint, target in zip(self._servos, targets)
+        ]
 
     def figures(self):
         """(figures, curves), see Errors."""

@@ -67,6 +67,15 @@ class Fields:
         if self._order is None:
             raise MessageError(f"{name}: a message is not plain CDR")
 
+    @property
+    def at(self):
+        """Offset in the payload of what follows."""
+        return self._at
+
+    def skip_to(self, at):
+        """Continue at another offset in the payload."""
+        self._at = at
+
     def number(self, form):
         """One number, `form` as in struct."""
         return self.numbers(form, 1)[0]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Texts of the events about the accuracy of a run; they begin with the number that a reader needs."""
+"""Texts of events about accuracy, real time and servos; they begin with the number that a reader needs."""
 
 
 def accuracy(value, time, before, share, share_of_messages):
@@ -39,6 +39,13 @@ def unpredictable(since):
     """The estimated error is large since a time in s."""
     return (
         f"{since:.9g} s is the time from which on the error is too large for the motion to be known"
+    )
+
+
+def saturated(effort, joint, time):
+    """A servo has reached its effort limit; effort : N m or N, time : s."""
+    return (
+        f"{effort:g} is the effort limit that the servo of {joint} has reached at t = {time:.6g} s"
     )
 
 

@@ -17,6 +17,7 @@ from liegroup_core.scene.consistency import resolve_frames
 
 from .cdr import Template, stamp
 from .codecs import PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec, pack_stamp
+from .commands import joint_labels
 from .links import link_of_body, links_and_joints
 from .sensors import sensors
 
@@ -122,37 +123,39 @@ def pose_array(layout, world_frame, frame_prefix=""):
 
 
 def joint_states(layout, world_frame, frame_prefix=""):
-    """sensor_msgs/JointState of the joints with one angle or displacement; every effort is NaN.
+    """sensor_msgs/JointState of the joints with one angle or displacement.
 
     Joints of a robot have the names of its file; joints that do not move have their coordinate.
+    Efforts are those of servos, and the commanded ones that act.
 
-    NaN marks an unknown effort, as in ros2_control's joint_state_broadcaster. An empty sequence at
+    NaN marks that there is none, as in ros2_control's joint_state_broadcaster. An empty sequence at
     the end of the message would not do, because readers differ in the padding that they accept
     there: rosbags takes at most 3 bytes more than ROS sends, pybag-sdk needs up to 4.
     """
     names, robot = layout.coordinates.names, layout.scene.robot
     still = {} if robot is None else robot.still
-    labels = [*names, *still]
-    if robot is not None:
-        labels[: len(names)] = [robot.joints.get(name, name) for name in names]
+    labels = [*joint_labels(names, robot), *still]
     template = Template()
     template.header("")
     template.put("I", len(labels))
     for name in labels:
         template.string(name)
-    for _ in ("position", "velocity"):
+    for _ in ("position", "velocity", "effort"):
         template.put("I", len(labels))
         template.slot(f"{len(labels)}d")
-    template.put("I", len(labels))  # effort
-    template.put(f"{len(labels)}d", *[math.nan] * len(labels))
     held, rest = list(still.values()), [0.0] * len(still)
+    idle = [math.nan] * len(labels)
 
     def encode(stamp_ns, sample):
-        coordinates = sample.joint_coordinates
+        coordinates, efforts = sample.joint_coordinates, sample.all_efforts
+        effort = idle
+        if efforts:
+            effort = [efforts.get(name, math.nan) for name in names] + idle[len(names) :]
         return template.pack(
             stamp(stamp_ns),
             [coordinates[name][0] for name in names] + held,
             [coordinates[name][1] for name in names] + rest,
+            effort,
         )
 
     return [("~/joint_states", "sensor_msgs/msg/JointState", encode)]

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from . import description, diagnostics, estimates
 from .codecs import ClockCodec, LogCodec, PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec
+from .commands import JOINT_STATE
 
 
 class Topic(NamedTuple):
@@ -45,6 +46,8 @@ def wrench_frame(frame, axes, world_frame):
 
 # Late subscribers receive the acting wrenches; many wrenches may change at one step.
 APPLIED_WRENCH = Topic("~/applied_wrench", WrenchStampedCodec.TYPE, "transient_local", 1000)
+# Each message has all servos: late subscribers need the last one only.
+SERVO_TARGETS = Topic("~/servo_targets", JOINT_STATE, "transient_local", 10)
 EVENTS = Topic("~/events", LogCodec.TYPE, "transient_local")
 STATIC_TRANSFORMS = Topic("/tf_static", "tf2_msgs/msg/TFMessage", "transient_local", 1)
 DESCRIPTION = Topic("~/robot_description", description.TYPE, "transient_local", 1)

@@ -12,8 +12,9 @@ import time
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
+from liegroup_core.forces.kinds import wanted_values
 from liegroup_core.forces.schedule import AXES
-from liegroup_sim_ros.messages import description, diagnostics, estimates, topics
+from liegroup_sim_ros.messages import commands, description, diagnostics, estimates, topics
 from liegroup_sim_ros.messages import samples as sample_messages
 from liegroup_sim_ros.messages.codecs import ClockCodec, LogCodec, WrenchStampedCodec
 from liegroup_sim_ros.messages.markers import Markers, markers
@@ -106,6 +107,7 @@ class Outputs:
     timed                    : [(steps between messages, send(stamp_ns, sample))]
     clock_steps, state_steps : steps between messages of /clock and ~/state, 0: none
     acting                   : {(body, axes): total wrench in these axes}, without zero wrenches
+    targets                  : {joint: (position, velocity)} of the servos that were commanded
     """
 
     def __init__(self, node, layout, values, figures, overrides):
@@ -128,6 +130,12 @@ class Outputs:
             for body, frame in self._frames.items()
             for axes in AXES
         }
+        self._servos, self.targets = layout.servos, {}
+        if self._servos:
+            self._targets = self._stream(*topics.SERVO_TARGETS)
+            self._encode_targets = commands.servo_targets(layout)
+            idle = wanted_values(layout.model.forces).tolist()
+            self._idle = dict(zip(self._servos, idle))
         self._events = self._stream(*topics.EVENTS)
         # For viewers only: the recording has the scene.
         self._description = Stream(node, overrides, *topics.DESCRIPTION)
@@ -210,6 +218,7 @@ class Outputs:
         return {
             **self._topics,
             "applied_wrench": self._applied.topic,
+            **({"servo_targets": self._targets.topic} if self._servos else {}),
             "events": self._events.topic,
             "clock": self._clock.topic if self._clock else None,
             "diagnostics": self._diagnostics.topic,
@@ -264,10 +273,23 @@ class Outputs:
             self.acting[key] = wrench = self.acting.pop(key)
             self._applied.publish(self._encode_wrench[key](stamp_ns, wrench))
 
+    def servo_targets(self, stamp_ns, changed):
+        """Publish the wanted values of all servos from this stamp on.
+
+        changed : {joint: (position, velocity)}; empty: those of the scene again
+        """
+        self.targets = self.targets | changed if changed else {}
+        self._targets.send(stamp_ns, self._targets_now(stamp_ns))
+
+    def _targets_now(self, stamp_ns):
+        return self._encode_targets(stamp_ns, (self._idle | self.targets).values())
+
     def record_acting(self, stamp_ns):
-        """Record all acting wrenches again, without publishing, at the start of a new file."""
+        """Record all that acts again, without publishing, at the start of a new file."""
         for key, wrench in self.acting.items():
             self._applied.record(stamp_ns, self._encode_wrench[key](stamp_ns, wrench))
+        if self.targets:
+            self._targets.record(stamp_ns, self._targets_now(stamp_ns))
 
     def event(self, stamp_ns, name, text, failed=False):
         """Publish an event of the run; log it as well if it is a failure."""

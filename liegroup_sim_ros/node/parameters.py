@@ -25,6 +25,8 @@ from liegroup_core.integrators.methods import CONFIGURATION_GROUPS, METHODS
 from liegroup_core.simulation import STEPS
 from liegroup_sim_ros.messages.samples import OPTIONAL
 
+from .joint_command_input import INTERFACES
+
 QOS_PREFIX = "qos_overrides."
 RELIABILITIES = ("reliable", "best_effort")
 DEEPEST = 1_000_000  # largest QoS depth, messages
@@ -197,6 +199,37 @@ TABLE = (
         low=0.0,
         high=1e6,
         above=True,
+    ),
+    Entry(
+        "command_timeout",
+        0.0,
+        "duration of a command from ~/joint_commands or ~/commands, s of simulated time; 0: until the "
+        "next one of its joint",
+        read_only=False,
+        low=0.0,
+        high=1e6,
+    ),
+    Entry(
+        "command_stamps",
+        True,
+        "commands for joints start at their time stamp if that is in the future; false: stamps are "
+        "ignored, for publishers with another clock",
+        read_only=False,
+    ),
+    Entry(
+        "command_joints",
+        "",
+        "joints of ~/commands, separated by commas, in the order of its numbers; empty: no such topic",
+    ),
+    Entry(
+        "command_interface", "position", "what the numbers of ~/commands are", choices=INTERFACES
+    ),
+    Entry(
+        "trajectory_period",
+        0.002,
+        "time for which a trajectory gives constant wanted values to the servos, s of simulated time",
+        low=1e-5,
+        high=1.0,
     ),
     Entry("body_wrenches", True, "subscribe to a topic ~/BODY/wrench for every body"),
 )

@@ -9,6 +9,7 @@ from liegroup_core import SceneError, Simulation, load_scene
 from liegroup_sim_ros.recording import attachments
 from liegroup_sim_ros.recording.write import Recorder
 
+from .joint_command_topics import JointCommandTopics
 from .outputs import Outputs
 from .parameters import AUTO, ParameterError, fitting_steps, set_step
 from .qos import QosOverrides
@@ -42,7 +43,7 @@ class SceneRun:
     def __init__(self, node, values, simulation, before=None, paused=False):
         self._node = node
         self.simulation = simulation
-        self.recorder = None
+        self.recorder = self.commands = None
         layout = simulation.layout
         self._values, self._more = values, {}
         self._sample_steps = values.steps["publish_rate"]
@@ -74,11 +75,22 @@ class SceneRun:
             # Before the samples: the first sample of a file is its initial state.
             self.outputs.timed.insert(0, (self._sample_steps, self._divide_if_due))
         self.server = SimulationServer(
-            simulation, self.outputs, values.real_time_factor, paused, base_ns, origin
+            simulation,
+            self.outputs,
+            values.real_time_factor,
+            paused,
+            base_ns,
+            origin,
+            values.trajectory_period,
         )
         self.wrenches = WrenchTopics(
             node, layout.body_names, values, simulation.step, self.server, qos
         )
+        try:
+            self.commands = JointCommandTopics(node, layout, values, self.server, qos)
+        except ParameterError:
+            self._close_topics()
+            raise
         if before is None:  # a reloaded scene may lack the bodies of these parameters
             qos.check()
         # Last step that can fail: earlier ones leave no files.
@@ -159,6 +171,7 @@ class SceneRun:
         recorder = self.recorder
         return {
             **self.wrenches.figures(),
+            **self.commands.figures(),
             "recorder_queued": recorder.queued if recorder else 0,
             "recorder_written": recorder.written if recorder else 0,
             "recorder_lost": recorder.lost if recorder else 0,
@@ -179,6 +192,8 @@ class SceneRun:
 
     def _close_topics(self, stamp_ns=None):
         self.wrenches.close()
+        if self.commands is not None:
+            self.commands.close()
         self.outputs.close(stamp_ns)
 
 

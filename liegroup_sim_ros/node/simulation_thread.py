@@ -13,11 +13,17 @@ import math
 import threading
 import time
 from concurrent.futures import Future
+from itertools import groupby
+from operator import attrgetter
 
 from liegroup_core import SimulationError
 from liegroup_core.errors import LieGroupSimError
+from liegroup_core.forces.schedule import AppliedTarget
 from liegroup_core.pacing import SLOW, Pacer
 from liegroup_sim_ros.messages import events
+
+from .joint_command_input import Target
+from .trajectory import Follower
 
 log = logging.getLogger("liegroup_core")
 
@@ -30,6 +36,7 @@ COARSER, COARSEST = 10.0, 0.1
 # No accuracy takes less than one substep per step. It is raised only above so many, and only if one
 # per step, with the messages, would take less than so much of a core.
 WORTH, REACHABLE = 1.2, 1.0
+_time_ns = attrgetter("time_ns")
 IDLE_TICK = 0.01  # s of simulated time between two ticks if no output has a period
 
 
@@ -41,9 +48,11 @@ class SimulationServer(threading.Thread):
     """Thread that runs a simulation in real time.
 
     simulation : liegroup_core.Simulation; only this thread uses it from `start` to its end
-    output     : Outputs, or an object with the attributes timed, clock_steps, state_steps, acting
-                 and the methods clock, state, applied_wrench, event, diagnostics
+    output     : Outputs, or an object with the attributes timed, clock_steps, state_steps, acting,
+                 targets and the methods clock, state, applied_wrench, servo_targets, event,
+                 diagnostics
     factor     : real-time factor, 0: as fast as possible
+    follow_period : s, for which wanted values of a trajectory are constant
     paused     : start paused
     base_ns    : stamp of step 0
     origin     : text of the event `start` besides the name of the scene
@@ -52,7 +61,9 @@ class SimulationServer(threading.Thread):
     kept, and only a reset continues. `failure` is the exception that ended the thread, or None.
     """
 
-    def __init__(self, simulation, output, factor=1.0, paused=False, base_ns=0, origin=""):
+    def __init__(
+        self, simulation, output, factor=1.0, paused=False, base_ns=0, origin="", follow_period=2e-3
+    ):
         super().__init__(name="simulation", daemon=True)
         self._simulation = simulation
         self._output = output
@@ -71,7 +82,8 @@ class SimulationServer(threading.Thread):
         self._wake = threading.Event()
         self._lock = threading.Lock()
         self._commands = []  # (Future, bound method, arguments)
-        self._wrenches = {}  # (source, start_ns) -> (Push, duration)
+        self._follower, self._trajectory = Follower(simulation, follow_period), None
+        self._wrenches = {}  # key -> (Push or JointEffort, duration)
         self._stopping = False
         self._base_ns = base_ns
         self._origin = origin
@@ -80,6 +92,8 @@ class SimulationServer(threading.Thread):
         self._measure_shares()
         self._share = self._share_of_messages = 0.0  # of a core, in real time
         self._slow = False  # at the last diagnostics
+        self._servos = bool(simulation.layout.servos)
+        self._saturated, self._saturations = set(), 0  # servos at their limit; how often reached
         self._reference_energy = None  # J, at the last known instant without an applied wrench
         self.pacer = Pacer(factor, sleep=self._wake.wait)
         self.state = "paused" if paused else "running"
@@ -114,28 +128,33 @@ class SimulationServer(threading.Thread):
         self._wake.set()
         return future
 
-    def push(self, push, duration):
-        """Apply a wrench; it replaces the previous one of its source.
+    def push(self, pushes, duration):
+        """Apply wrenches or efforts; each replaces the previous one of its source.
 
-        push     : Push
-        duration : s of simulated time, None: until the next wrench of this source
+        pushes   : [Push or JointEffort], which all start with the same step
+        duration : s of simulated time, None: until the next one of this source
         """
-        # While the simulation is paused, a later wrench with the same start replaces the earlier
+        # While the simulation is paused, a later command with the same start replaces the earlier
         # one, so that the queue is bounded.
         with self._lock:
-            self._wrenches.pop((push.source, push.start_ns), None)
-            self._wrenches[push.source, push.start_ns] = push, duration
+            for push in pushes:
+                self._wrenches.pop(push.key, None)
+                self._wrenches[push.key] = push, duration
+
+    def follow(self, trajectory):
+        """Follow a Trajectory; it replaces one that waits, and the present one when it starts."""
+        self._trajectory = trajectory
 
     def clear(self, prefix):
         """End the wrenches of all sources whose names start with `prefix`."""
         with self._lock:  # wrenches that arrive later are not cleared
-            for key in [key for key in self._wrenches if key[0].startswith(prefix)]:
+            for key in [key for key in self._wrenches if key[1].startswith(prefix)]:
                 del self._wrenches[key]
         self.call("clear", prefix)
 
     @property
     def wrenches_held(self):
-        """Number of wrenches that act now or start later."""
+        """Number of wrenches and efforts that act now or start later."""
         return self._simulation.wrench_count + len(self._wrenches)
 
     def stop(self):
@@ -223,6 +242,8 @@ class SimulationServer(threading.Thread):
         """Advance to the next step with outputs and send them; False after a fault."""
         if self._wrenches:
             self._apply_wrenches()
+        if self._trajectory is not None or not self._follower.is_idle:
+            self._follow_until(tick)
         began, first = time.thread_time(), self._simulation.steps
         try:
             self._simulation.advance(tick - first)
@@ -284,16 +305,22 @@ class SimulationServer(threading.Thread):
             wrenches, self._wrenches = self._wrenches, {}
         for push, duration in wrenches.values():
             start = (push.start_ns - self._base_ns) * 1e-9 if push.start_ns else None
-            self._simulation.apply_wrench(
-                push.body, push.wrench, start, duration, push.source, push.axes
-            )
+            push.apply(self._simulation, start, duration)
+            if isinstance(push, Target):
+                self._follower.release(push.joint, start or self._simulation.time)
+
+    def _follow_until(self, tick):
+        trajectory, self._trajectory = self._trajectory, None
+        if trajectory is not None:
+            start = (trajectory.stamp_ns - self._base_ns) * 1e-9
+            self._follower.follow(trajectory, max(start, self._simulation.time))
+        self._follower.command(tick * self._simulation.step)
 
     def _send_outputs(self, everything=False):
         """Send the outputs of the current step, in the order of their stamps."""
         steps = self._simulation.steps
-        for change in self._simulation.drain_applied():
-            stamp_ns = self._base_ns + change.time_ns
-            self._send_wrench(stamp_ns, change.body, change.wrench, change.axes)
+        for time_ns, changes in groupby(self._simulation.drain_applied(), _time_ns):
+            self._send_changes(self._base_ns + time_ns, list(changes))
         self.stamp_ns = self._stamp(steps)
         self._tell_of_the_error()
         period = self._output.clock_steps
@@ -305,6 +332,20 @@ class SimulationServer(threading.Thread):
                 self._sent_ns[i] = self.stamp_ns
                 sample = sample or self._simulation.sample()
                 send(self.stamp_ns, sample)
+        if self._servos and sample is not None:
+            self._tell_of_saturation(sample)
+
+    def _tell_of_saturation(self, sample):
+        """Count servos that reach their limit; send an event for the first time of each."""
+        saturated = set(sample.saturated)
+        for joint in sorted(saturated - self._saturated):
+            self._saturations += 1
+            if ("saturated", joint) not in self._said:
+                self._said.add(("saturated", joint))
+                text = events.saturated(sample.servo_efforts[joint], joint, self._simulation.time)
+                log.warning(text)
+                self._event("saturated", text)
+        self._saturated = saturated
 
     def _tell_of_the_error(self):
         """Send an event when the estimate exceeds the accuracy, and when it is large."""
@@ -335,6 +376,18 @@ class SimulationServer(threading.Thread):
 
     def _send_state(self, stamp_ns, sample):
         self._output.state(stamp_ns, self._figures(sample))
+
+    def _send_changes(self, stamp_ns, changes):
+        """Send the wrenches and the wanted values of servos that act from a stamp on."""
+        targets = {}
+        for change in changes:
+            if isinstance(change, AppliedTarget):
+                targets[change.joint] = change.position, change.velocity
+            else:
+                self._send_wrench(stamp_ns, change.body, change.wrench, change.axes)
+        if targets:
+            self._output.servo_targets(stamp_ns, targets)
+            self._reference_energy = None
 
     def _send_wrench(self, stamp_ns, body, wrench, axes):
         self._output.applied_wrench(stamp_ns, body, wrench, axes)
@@ -380,6 +433,8 @@ class SimulationServer(threading.Thread):
         self.stamp_ns = self._base_ns
         with self._lock:
             self._wrenches.clear()
+        self._trajectory = None
+        self._follower.clear()
         self._simulation.reset()
         self._said.clear()
         self._measure_shares()
@@ -387,6 +442,8 @@ class SimulationServer(threading.Thread):
         self._event("reset", "initial state, step 0")
         for body, axes in list(self._output.acting):
             self._send_wrench(self.stamp_ns, body, (0.0,) * 6, axes)
+        if self._output.targets:
+            self._output.servo_targets(self.stamp_ns, {})
         self._send_outputs(everything=True)
         self._reference_energy = self._simulation.sample().energy
         if self.state == "faulted":
@@ -454,6 +511,14 @@ class SimulationServer(threading.Thread):
             **self._accuracy_figures(),
         }
 
+    def _servo_figures(self, sample):
+        if not self._servos:
+            return {}
+        return {
+            "servos_saturated": ", ".join(sample.saturated),
+            "servo_saturations": self._saturations,
+        }
+
     def _accuracy_figures(self):
         promise = self._simulation.promise
         if promise is None:
@@ -491,5 +556,6 @@ class SimulationServer(threading.Thread):
             "energy_drift_J": drift,
             "constraint_residual": sample.constraint_residual,
             **self._error_figures(sample),
+            **self._servo_figures(sample),
             "wrenches_held": self.wrenches_held,
         }

@@ -16,26 +16,9 @@ from typing import NamedTuple
 
 from liegroup_sim_ros.messages.codecs import MessageError, WrenchStampedCodec
 
-# A stamp further ahead indicates a publisher that does not use simulated time.
-FARTHEST = 3600 * 10**9  # ns
-# Largest number of wrenches that act now or start later. Bounds the memory of the node.
-MOST = 10_000
-LONGEST_NAME = 64  # characters
+from .counted_input import LONGEST_NAME, CountedInput
 
 REASONS = ("not_finite", "no_frame", "unknown_frame", "stamp_too_far", "too_many", "damaged")
-
-
-class Refusal(Exception):
-    """Refused message.
-
-    reason : one of REASONS, for counting
-    first  : True for the first one with this reason
-    """
-
-    def __init__(self, reason, text, first):
-        super().__init__(f"wrench refused: {text} (logged once; /diagnostics has the count)")
-        self.reason = reason
-        self.first = first
 
 
 class Push(NamedTuple):
@@ -47,13 +30,22 @@ class Push(NamedTuple):
     axes: str  # of the components: "body" or "world"
     start_ns: int  # stamp at which it starts to act; 0: at the next step
 
+    @property
+    def key(self):
+        """Start and source, and "" for no joint: of two equal ones the later counts."""
+        return self.start_ns, self.source, ""
+
+    def apply(self, simulation, start, duration):
+        """Apply it to a Simulation from a time in s on (None: the next step), for a duration in s."""
+        simulation.apply_wrench(self.body, self.wrench, start, duration, self.source, self.axes)
+
 
 def source_prefix(kind, target):
     """Common prefix of the names of all sources of one topic for a body, or for BODY/NAME."""
     return f"{kind}/{target}/" if target else f"{kind}/"
 
 
-class WrenchInput:
+class WrenchInput(CountedInput):
     """Decoder and counter of wrench messages.
 
     bodies       : names of the bodies
@@ -63,9 +55,8 @@ class WrenchInput:
 
     def __init__(self, bodies, world_frame, frame_prefix=""):
         self._bodies = dict.fromkeys(bodies)
+        super().__init__("wrench", "wrenches", REASONS)
         self._world_frame, self._prefix = world_frame, frame_prefix
-        self.accepted = 0
-        self.refused = dict.fromkeys(REASONS, 0)
 
     def read(self, payload, kind, body, now_ns, held):
         """Push of a serialized WrenchStamped. Raises Refusal.
@@ -79,7 +70,7 @@ class WrenchInput:
             start_ns, frame_id, wrench = WrenchStampedCodec.decode_one(payload)
         except MessageError as error:
             text = str(error)
-            self._refuse("damaged", lambda: text)
+            self.refuse("damaged", lambda: text)
         axes = "body"
         target, name = self.body_and_name(frame_id)
         if (
@@ -89,11 +80,11 @@ class WrenchInput:
         ):
             axes, target, name = "world", body, frame_id[len(self._world_frame) + 1 :]
         if not frame_id.partition("/")[0]:
-            self._refuse(
+            self.refuse(
                 "no_frame", lambda: "frame_id is empty; it must be one of: " + self._frames(body)
             )
         if target is None or body not in (None, target):
-            self._refuse(
+            self.refuse(
                 "unknown_frame",
                 lambda: (
                     f"unknown frame_id {frame_id[:LONGEST_NAME]!r}; it must be one of: "
@@ -101,7 +92,7 @@ class WrenchInput:
                 ),
             )
         if len(name) > LONGEST_NAME:
-            self._refuse(
+            self.refuse(
                 "unknown_frame",
                 lambda: (
                     f"frame_id {frame_id[:20]!r}...: the name after the slash has more than "
@@ -109,21 +100,9 @@ class WrenchInput:
                 ),
             )
         if not all(map(math.isfinite, wrench)):
-            self._refuse("not_finite", lambda: f"for {target}: a component is NaN or infinite")
-        if start_ns > now_ns + FARTHEST:
-            self._refuse(
-                "stamp_too_far",
-                lambda: (
-                    f"for {target}: its time stamp {start_ns / 1000000000.0:.9g} s is more than "
-                    f"{FARTHEST // 10**9} s ahead of the simulated time "
-                    f"{now_ns / 1000000000.0:.9g} s; use a zero stamp, or simulated time "
-                    "(use_sim_time)"
-                ),
-            )
-        if held >= MOST:
-            self._refuse(
-                "too_many", lambda: f"for {target}: {held} wrenches already act or are scheduled"
-            )
+            self.refuse("not_finite", lambda: f"for {target}: a component is NaN or infinite")
+        self.refuse_far_stamp(start_ns, now_ns, target)
+        self.refuse_too_many(held, target)
         self.accepted += 1
         return Push(
             source_prefix(kind, f"{target}/{name}" if name else target),
@@ -135,7 +114,7 @@ class WrenchInput:
 
     def refuse_clear(self, text):
         """Count a ~/wrench/clear that names no body. Raises Refusal."""
-        self._refuse(
+        self.refuse(
             "unknown_frame",
             lambda: (
                 f"~/wrench/clear: unknown body {text[:LONGEST_NAME]!r}; it must be empty (all "
@@ -150,12 +129,6 @@ class WrenchInput:
             if body in self._bodies:
                 return body, name
         return None, ""
-
-    def _refuse(self, reason, text):
-        """Count and raise a Refusal; text : function, called only for the first one of a reason."""
-        self.refused[reason] += 1
-        first = self.refused[reason] == 1
-        raise Refusal(reason, text() if first else reason, first)
 
     def _frames(self, body):
         if body is not None:

@@ -5,7 +5,8 @@ from geometry_msgs.msg import WrenchStamped
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 
-from .wrench_input import Refusal, WrenchInput, source_prefix
+from .counted_input import Refusal
+from .wrench_input import WrenchInput, source_prefix
 
 # Depth of the queues; DDS drops the oldest message of a full queue. At 10 kHz this covers a delay of
 # 1 s. A busy machine often delays a process by more than 0.1 s.
@@ -59,7 +60,7 @@ class WrenchTopics:
         values = self._values
         hold = "until_replaced" if kind == "persistent" else values.wrench_hold
         self._server.push(
-            push,
+            [push],
             {"one_step": self._step, "timeout": values.wrench_timeout, "until_replaced": None}[
                 hold
             ],
@@ -82,12 +83,7 @@ class WrenchTopics:
 
     def figures(self):
         """Figures of the wrench topics for the diagnostics."""
-        refused = self.input.refused
-        return {
-            "wrenches_accepted": self.input.accepted,
-            "wrenches_refused": sum(refused.values()),
-            **{f"wrenches_refused_{reason}": count for reason, count in refused.items()},
-        }
+        return self.input.figures()
 
     def close(self):
         """Destroy the subscriptions."""

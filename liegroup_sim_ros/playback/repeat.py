@@ -108,7 +108,9 @@ class Repeat:
         )
 
     def _begin(self, stretch):
-        self._stretch, self._broken, self._next = stretch, False, 0
+        self._stretch, self._broken, self._next, self._next_target = stretch, False, 0, 0
+        if stretch.targets.size and stretch.targets.shape[1] != len(self._simulation.layout.servos):
+            raise ReplayError("its servo targets are not those of the servos of its scene")
         self._accuracies = [
             (round(step * self._ratio), accuracy)
             for step, accuracy in stretch.accuracies
@@ -170,7 +172,7 @@ class Repeat:
             self._simulation.set_accuracy(accuracy)
 
     def _apply_changes(self, until):
-        """Apply the recorded changes of wrenches up to a time."""
+        """Apply the recorded changes of wrenches and of wanted values of servos up to a time."""
         stretch = self._stretch
         upto = int(np.searchsorted(stretch.change_times, until, "right"))
         for k in range(self._next, upto):
@@ -183,6 +185,14 @@ class Repeat:
                 axes=axes,
             )
         self._next = max(self._next, upto)
+        upto = int(np.searchsorted(stretch.target_times, until, "right"))
+        for time, targets in zip(
+            stretch.target_times[self._next_target : upto].tolist(),
+            stretch.targets[self._next_target : upto].tolist(),
+        ):
+            for joint, target in zip(self._simulation.layout.servos, targets):
+                self._simulation.command_servo(joint, *target, time)
+        self._next_target = max(self._next_target, upto)
 
     def figures(self):
         """Number of bit-identical samples, and the largest differences of the others."""

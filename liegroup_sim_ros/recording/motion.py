@@ -34,6 +34,10 @@ class Stretch:
     change_bodies: np.ndarray  # (m,) index of the body
     change_wrenches: np.ndarray  # (m, 6) the total in its axes
     change_in_world: np.ndarray  # (m,) bool: in world axes, not in body axes
+    target_times: np.ndarray  # (p,) s since step 0, at which wanted values of servos change
+    targets: (
+        np.ndarray
+    )  # (p, servos, 2) wanted positions and velocities, in the order of the layout
     accuracies: list  # [(step, accuracy)] from which on another accuracy holds
     inaccurate_from: (
         float  # s since step 0: the run said that its error exceeds the accuracy; or inf
@@ -64,9 +68,17 @@ class Stretch:
     @property
     def change_steps(self):
         """(m,) change_times in steps; whole numbers within the rounding of stamps to ns."""
-        steps = self.change_times / self.step
+        return self._in_steps(self.change_times)
+
+    def _in_steps(self, times):
+        steps = times / self.step
         whole = np.rint(steps)
         return np.where(np.abs(steps - whole) * self.step <= 0.6e-9, whole, steps)
+
+    @property
+    def target_steps(self):
+        """(p,) target_times in steps; whole numbers within the rounding of stamps to ns."""
+        return self._in_steps(self.target_times)
 
     @property
     def seconds(self):
@@ -222,8 +234,18 @@ class Motion:
             which[order],
             wrench[order],
             in_world[order],
+            *self._targets(base, end),
             *self._accuracies(base, end, step),
         )
+
+    def _targets(self, base, end):
+        """Times in s at which wanted values of servos change, and these values."""
+        track = self._recording.servo_targets
+        if track is None:
+            return np.empty(0), np.empty((0, 0, 2))
+        inside = (track.stamp_ns >= base) & (track.stamp_ns < end)
+        values = np.stack([track.position[inside], track.velocity[inside]], axis=2)
+        return (track.stamp_ns[inside] - base) * 1e-9, values
 
     def _accuracies(self, base, end, step):
         """Changes of the accuracy, and the first time in s at which it was not kept."""

@@ -19,13 +19,8 @@ from pathlib import Path
 import numpy as np
 
 from liegroup_sim_ros.messages import estimates
-from liegroup_sim_ros.messages.codecs import (
-    Fields,
-    MessageError,
-    PoseStampedCodec,
-    TwistStampedCodec,
-    WrenchStampedCodec,
-)
+from liegroup_sim_ros.messages.codecs import PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec
+from liegroup_sim_ros.messages.commands import JOINT_STATE, JointStateDecoder
 
 from .addresses import is_remote
 from .errors import RecordingError
@@ -60,7 +55,6 @@ __all__ = [
 
 FORMAT = 1  # of settings.json and the other attachments
 REACTION = "/wrench"  # ending of the topics of reactions; inputs are not recorded
-JOINT_STATE = "sensor_msgs/msg/JointState"
 # Numbers in a piece of `samples`, and the largest offset between two topics of a file in samples.
 PIECE, MOST_APART = 200_000, 100_000
 
@@ -76,6 +70,7 @@ class Recording:
     pacing: dict | None  # pacing.json; None if the run did not end normally
     bodies: tuple  # names, in the order of initial_state
     wrench: dict  # {body: WrenchTrack}
+    servo_targets: JointTrack | None  # wanted values of all servos from each stamp on
     events: list  # Event
     diagnostics: list  # (stamp_ns, {key: text}), the values of all statuses of a message
     topics: dict  # {topic: message count}
@@ -141,28 +136,14 @@ class Recording:
     @cached_property
     def joint_states(self) -> JointTrack | None:
         """JointTrack of ~/joint_states, or None if the topic was not recorded."""
-        names, stamps, numbers = None, [], []
+        found, decoder = [], JointStateDecoder()
+        targets = self.settings["topics"].get("servo_targets")
         with ErrorsWithPath(self.path):
             for messages, channels in self._source.messages(self.channels):
                 for channel, index in channels:
-                    if channel.type != JOINT_STATE:
-                        continue
-                    for k in index:
-                        joint_names, stamp_ns, values = _joint_state(messages.payload(k))
-                        if joint_names != (names or joint_names):
-                            raise RecordingError(
-                                "its joint states name different joints in different messages"
-                            )
-                        names = joint_names
-                        stamps.append(stamp_ns)
-                        numbers.append(values)
-        if names is None:
-            return None
-        return JointTrack(
-            np.array(stamps),
-            names,
-            *np.array(numbers).reshape(-1, 2, len(names)).transpose(1, 0, 2),
-        )
+                    if channel.type == JOINT_STATE and channel.topic != targets:
+                        found += [decoder.decode(messages.payload(k)).complete()[:4] for k in index]
+            return _joint_track(found)
 
     @cached_property
     def reactions(self) -> dict[str, ReactionTrack]:
@@ -354,6 +335,7 @@ def read_recording(path: str | Path) -> Recording:
             pacing=pacing,
             bodies=bodies,
             wrench=scan.wrenches(),
+            servo_targets=_joint_track(scan.servo_targets),
             events=scan.events,
             diagnostics=scan.diagnostics,
             topics=scan.counts(),
@@ -365,13 +347,17 @@ def read_recording(path: str | Path) -> Recording:
         )
 
 
-def _joint_state(payload):
-    """(names, stamp in ns, (2 k,) positions and velocities) of a JointState."""
-    fields = Fields(JOINT_STATE, payload)
-    stamp_ns = fields.stamp_ns()
-    fields.text()
-    names = tuple(fields.text() for _ in range(fields.number("I")))
-    values = [fields.numbers("d", fields.number("I")) for _ in range(2)]
-    if any(len(part) != len(names) for part in values):
-        raise MessageError(f"{JOINT_STATE}: the number of values differs from the number of joints")
-    return names, stamp_ns, sum(values, ())
+def _joint_track(messages):
+    """JointTrack of [(stamp in ns, names, positions, velocities)]; None without messages."""
+    if not messages:
+        return None
+    stamps, names, position, velocity = zip(*messages)
+    if len(set(names)) > 1:
+        raise RecordingError("its joint states name different joints in different messages")
+    shape = len(stamps), len(names[0])
+    return JointTrack(
+        np.array(stamps),
+        names[0],
+        np.array(position).reshape(shape),
+        np.array(velocity).reshape(shape),
+    )

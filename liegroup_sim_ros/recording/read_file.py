@@ -9,6 +9,7 @@ import numpy as np
 from liegroup_core.forces.schedule import AXES
 from liegroup_sim_ros.messages import diagnostics
 from liegroup_sim_ros.messages.codecs import LogCodec, MessageError, WrenchStampedCodec, decode_rows
+from liegroup_sim_ros.messages.commands import JointStateDecoder
 from liegroup_sim_ros.messages.topics import wrench_frame
 
 from .addresses import fetch, is_remote
@@ -136,6 +137,9 @@ class Scan:
         events, figures, applied = (
             topics[key] for key in ("events", "diagnostics", "applied_wrench")
         )
+        targets = topics.get("servo_targets")
+        self.servo_targets = []  # (stamp_ns, names, positions, velocities)
+        decoder = JointStateDecoder()
         for messages, channels in source.messages():
             for channel, index in channels:
                 if channel.id not in self._tallies:
@@ -152,6 +156,10 @@ class Scan:
                     self.diagnostics += [diagnostics.decode(messages.payload(k)) for k in index]
                 elif channel.topic == applied:
                     self._add_wrenches(messages, index)
+                elif channel.topic == targets:
+                    self.servo_targets += [
+                        decoder.decode(messages.payload(k)).complete()[:4] for k in index
+                    ]
             if max(len(self.events), len(self.diagnostics)) > MOST_EVENTS:
                 raise RecordingError(f"contains more than {MOST_EVENTS} events or diagnostics")
         self.channels = source.stream.channels

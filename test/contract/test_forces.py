@@ -20,8 +20,10 @@ from liegroup_core.scene import (
     ConstantWrench,
     Drag,
     LinearMotor,
+    LinearServo,
     LinearSpringDamper,
     Motor,
+    Servo,
     SpringDamper,
     TorsionalSpringDamper,
 )
@@ -69,6 +71,14 @@ EXAMPLES = {
         LinearMotor(name="s", joint="between", force=-4, speed_limit=3),
         LinearMotor(name="t", joint="ground", force=3),
     ],
+    "servo": [
+        Servo(name="s", joint="between", stiffness=4, damping=0.3, position=9, velocity=2),
+        Servo(name="t", joint="ground", stiffness=2, damping=1, position=-3, effort_limit=0.7),
+    ],
+    "linear_servo": [
+        LinearServo(name="s", joint="between", stiffness=40, damping=3, position=0.3, velocity=-1),
+        LinearServo(name="t", joint="ground", stiffness=20, position=2, effort_limit=0.9),
+    ],
     "drag": [
         Drag(name="s", body="a", linear=2, quadratic=3, angular=0.5, angular_quadratic=0.7),
         Drag(name="t", body="b", quadratic=1),
@@ -80,7 +90,13 @@ EXAMPLES = {
         ),
     ],
 }
-DRIVEN = ("motor", "linear_motor", "applied_wrench")  # their power may be positive
+DRIVEN = (
+    "motor",
+    "linear_motor",
+    "servo",
+    "linear_servo",
+    "applied_wrench",
+)  # their power may be positive
 ELASTIC = [kind for kind, module in kinds.KINDS.items() if hasattr(module, "energy")]
 SEEDS = range(4)
 
@@ -107,13 +123,16 @@ class State:
         self.forces = kinds.make_forces(
             EXAMPLES[kind] if described is None else described, INDEX, ends
         )
-        self.angle = np.full(len(self.forces.torsional_spring_damper), 20.0)  # three turns
+        self.angle = np.full(kinds.count_of_angles(self.forces), 20.0)  # three turns
         kinds.count_turns(self.forces, flat(pose), self.angle)
         self.acting = np.ones(len(self.forces.applied_wrench), dtype=bool)
+        self.wanted = kinds.wanted_values(self.forces)
 
     def wrench(self, twist):
         out = np.zeros((3, 6))
-        kinds.add_wrenches(self.forces, self.angle, self.acting, flat(self.matrices), twist, out)
+        kinds.add_wrenches(
+            self.forces, self.angle, self.acting, self.wanted, flat(self.matrices), twist, out
+        )
         return out
 
     def energy(self, motion=np.zeros((3, 6))):
@@ -122,7 +141,9 @@ class State:
         return kinds.energy(self.forces, self.angle, flat(moved))
 
     def power(self, twist):
-        return kinds.power(self.forces, self.acting, flat(self.matrices), twist)
+        return kinds.power(
+            self.forces, self.angle, self.acting, self.wanted, flat(self.matrices), twist
+        )
 
 
 def flat(matrices):
@@ -233,7 +254,13 @@ def test_without_rows_nothing_happens():
     wrench = np.random.default_rng(0).normal(size=(3, 6))
     before = wrench.tobytes()
     kinds.add_wrenches(
-        state.forces, state.angle, state.acting, flat(state.matrices), state.twist, wrench
+        state.forces,
+        state.angle,
+        state.acting,
+        state.wanted,
+        flat(state.matrices),
+        state.twist,
+        wrench,
     )
     assert wrench.tobytes() == before
     assert state.energy() == 0.0 and state.power(state.twist) == 0.0
@@ -275,6 +302,7 @@ def busy_scene():
         TorsionalSpringDamper(name="inner", joint="j1", stiffness=2, damping=0.02, rest_angle=-4),
         Motor(name="motor", joint="j2", torque=0.7, rate_limit=9),
         Motor(name="push", joint="j1", torque=-0.3),
+        Servo(name="hold", joint="j1", stiffness=1.5, damping=0.1, position=3, velocity=0.2),
         Drag(
             name="air", body="b", linear=0.1, quadratic=0.02, angular=0.01, angular_quadratic=0.003
         ),

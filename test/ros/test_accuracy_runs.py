@@ -150,7 +150,7 @@ def scene_run(ros_node, scene, before=None, **parameters):
 
 
 def pushed(run, body, wrench, duration, source="test", axes="body"):
-    run.server.push(Push(source, body, wrench, axes, 0), duration)
+    run.server.push([Push(source, body, wrench, axes, 0)], duration)
 
 
 def wait_for(condition, seconds=30.0):

@@ -154,7 +154,9 @@ def test_joint_states_of_no_joint_one_and_two_are_decoded(reader, tmp_path):
                 coordinates=SimpleNamespace(names=names), scene=SimpleNamespace(robot=None)
             )
             ((_, kind, encode),) = samples.joint_states(layout, "world")
-            state = SimpleNamespace(joint_coordinates={name: (1.0, 2.0) for name in names})
+            state = SimpleNamespace(
+                joint_coordinates={name: (1.0, 2.0) for name in names}, all_efforts={}
+            )
             channel = recorder.add_channel(f"/joints_{count}", kind)
             recorder.write(channel, count, encode(count, state))
     for count, (_, _, message) in enumerate(reader(path)):

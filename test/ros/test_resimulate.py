@@ -65,7 +65,7 @@ def test_resimulation_is_bit_identical_with_every_method(ros_node, tmp_path, met
 
     def push(body, wrench, duration=0.05, axes="body", ahead=0.0, source="test"):
         start = run.server.stamp_ns + round(ahead * 1e9) if ahead else 0
-        run.server.push(Push(source, body, wrench, axes, start), duration)
+        run.server.push([Push(source, body, wrench, axes, start)], duration)
 
     try:
         time.sleep(0.02)

@@ -358,7 +358,16 @@ def test_joint_states(layout, sample):
     assert list(zip(message.position, message.velocity)) == [
         sample.joint_coordinates[name] for name in ("pin", "rail")
     ]
-    assert np.isnan(message.effort).tolist() == [True, True]  # it is not computed
+    assert np.isnan(message.effort).tolist() == [True, True]  # nothing is commanded
+
+
+def test_joint_states_have_the_efforts_that_act():
+    simulation = Simulation(scene_from_text(SCENE, "shapes"), "rkmk4", 1e-3)
+    simulation.apply_effort("rail", -2.5)
+    simulation.advance(1)
+    _, _, encode = only(sample_messages.joint_states(simulation.layout, "world"))
+    message = as_ros_serializes(encode(STAMP, simulation.sample()), JointState)
+    assert np.isnan(message.effort[0]) and message.effort[1] == -2.5
 
 
 def test_joint_states_of_a_scene_without_such_joints():
@@ -399,7 +408,9 @@ def test_names_of_every_length(layout, sample, length):
             coordinates=SimpleNamespace(names=names), scene=SimpleNamespace(robot=None)
         )
         _, _, encode = only(sample_messages.joint_states(joints, world))
-        state = SimpleNamespace(joint_coordinates={name: (0.5, 2.0) for name in names})
+        state = SimpleNamespace(
+            joint_coordinates={name: (0.5, 2.0) for name in names}, all_efforts={}
+        )
         message = as_ros_serializes(encode(STAMP, state), JointState)
         assert (message.name, message.velocity.tolist()) == (names, [2.0] * count)
 

@@ -73,7 +73,7 @@ class Silent:
     timed, clock_steps, state_steps = [], 0, 0
 
     def __init__(self):
-        self.acting = {}
+        self.acting, self.targets = {}, {}
 
     def applied_wrench(self, *_):
         pass

@@ -19,8 +19,10 @@ from liegroup_core.scene import (
     Frame,
     Joint,
     LinearMotor,
+    LinearServo,
     LinearSpringDamper,
     Motor,
+    Servo,
     SpringDamper,
     TorsionalSpringDamper,
 )
@@ -124,6 +126,15 @@ ON_EVERY_KIND = {
     "linear_motor": [
         LinearMotor(name="s", joint="j4", force=-4, speed_limit=3),
         LinearMotor(name="t", joint="j0", force=3),
+    ],
+    "servo": [
+        Servo(name="s", joint="j0", stiffness=4, damping=0.3, position=9, velocity=2),
+        Servo(name="t", joint="j7", stiffness=20, position=-40, effort_limit=3),
+        Servo(name="u", joint="j2", stiffness=0, damping=0.5, velocity=4),
+    ],
+    "linear_servo": [
+        LinearServo(name="s", joint="j4", stiffness=40, damping=3, position=0.3, velocity=-1),
+        LinearServo(name="t", joint="j0", stiffness=20, position=9, effort_limit=4),
     ],
     "drag": [
         Drag(name="s", body="a", linear=2, quadratic=3, angular=0.5, angular_quadratic=0.7),

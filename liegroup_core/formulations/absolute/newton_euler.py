@@ -34,7 +34,7 @@ def wrenches(model, work, pose, twist, external, wrench_out):
         for c in range(3):
             wrench_out[i, c] = torque[c] + gyro_w[c]
             wrench_out[i, 3 + c] = force[c] + mass * gyro_v[c] + weight[c]
-    add_wrenches(model.forces, work.angle, work.acting, pose, twist, wrench_out)
+    add_wrenches(model.forces, work.angle, work.acting, work.wanted, pose, twist, wrench_out)
 
 
 @kernel
@@ -52,7 +52,7 @@ def _unconstrained(model, wrench):
 def accelerations(model, work, pose, twist, external):
     """Write Vdot of all bodies to work.acceleration, and Vdot and lambda to work.solution.
 
-    pose (n, 12), twist (n, 6); work.angle and work.acting: see Work
+    pose (n, 12), twist (n, 6); work.angle, work.acting and work.wanted: see Work
     external : external wrenches, see forces/external.py
     returns -1, or the joint with dependent rows if the regularised solve fails too
     """

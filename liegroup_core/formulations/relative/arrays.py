@@ -167,6 +167,7 @@ class RelativeWork(Struct):
     space: Work
     angle: np.ndarray  # that of `space`
     acting: np.ndarray  # that of `space`
+    wanted: np.ndarray  # that of `space`
     start_angle: np.ndarray  # that of `space`
     report: np.ndarray  # that of `space`
     known: np.ndarray  # (1,) 1 if the rows of the links in pose and twist are those of the state
@@ -219,6 +220,7 @@ def make_relative_work(model, work, stages):
         space=work,
         angle=work.angle,
         acting=work.acting,
+        wanted=work.wanted,
         start_angle=work.start_angle,
         report=work.report,
         **{name: np.zeros((n + links, 12)) for name in ("pose", "stage_pose", "start_pose")},

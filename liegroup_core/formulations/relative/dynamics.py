@@ -41,6 +41,7 @@ def apply_forces(model, work, external):
         model.space.forces,
         work.angle,
         work.acting,
+        work.wanted,
         space.stage_pose,
         space.stage_twist,
         work.wrench,

@@ -114,7 +114,8 @@ class GeneralizedAlpha:
         self._memory = make_memory(freedoms, len(self._model.row_residual))
         self._advance, self._initialise = SameTypes(advance), SameTypes(initialise)
         # Step size and wrenches for which the memory was initialised; NaN: not initialised.
-        self._started_for = np.zeros(1 + EXTERNAL_COLUMNS * n + len(self.work.acting))
+        inputs = EXTERNAL_COLUMNS * n + len(self.work.acting) + self.work.wanted.size
+        self._started_for = np.zeros(1 + inputs)
         self.restart()
 
     @staticmethod
@@ -143,7 +144,9 @@ class GeneralizedAlpha:
 
     def advance(self, h, steps, pose, twist, external):
         """Take steps of size h in place; returns (steps done, status)."""
-        inputs = np.concatenate(((h,), external.ravel(), self.work.acting))
+        inputs = np.concatenate(
+            ((h,), external.ravel(), self.work.acting, self.work.wanted.ravel())
+        )
         if self._started_for.tobytes() != inputs.tobytes():
             dependent = self._initialise(
                 self._model, self._work, self._memory, self._group, pose, twist, external

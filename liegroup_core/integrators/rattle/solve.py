@@ -21,7 +21,7 @@ def loads(model, work, pose, twist, external):
         store3(torque, work.wrench, i, 0)
         store3(force, work.wrench, i, 3)
     add_gravity(model, pose, work.wrench)
-    add_wrenches(model.forces, work.angle, work.acting, pose, twist, work.wrench)
+    add_wrenches(model.forces, work.angle, work.acting, work.wanted, pose, twist, work.wrench)
 
 
 @subroutine

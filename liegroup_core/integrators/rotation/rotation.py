@@ -124,6 +124,7 @@ def advance(
                 model.forces,
                 work.angle,
                 work.acting,
+                work.wanted,
                 work.stage_pose,
                 work.stage_twist,
                 work.wrench,

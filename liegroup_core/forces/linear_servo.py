@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Servo along the z axis of a joint.
+
+The law of servo.py, with position and force instead of angle and torque.
+"""
+
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from liegroup_core.compiling import kernel
+from liegroup_core.fields.values import NotNegative, Number, Positive
+
+from . import slide
+from .servo import LAW, law, limited
+from .slide import SlideForce
+
+ROW = np.dtype(slide.FIELDS + LAW, align=True)
+
+
+class LinearServo(SlideForce):
+    """Servo along the z axis of a joint."""
+
+    type: Literal["linear_servo"] = Field("linear_servo", description="linear_servo")
+    stiffness: NotNegative = Field(description="gain of the position in N/m, not negative")
+    damping: NotNegative = Field(0.0, description="gain of the velocity in N s/m, not negative")
+    effort_limit: Positive | None = Field(
+        None, description="largest force in N, greater than 0; default: no limit"
+    )
+    position: Number = Field(0.0, description="wanted position in m without a command")
+    velocity: Number = Field(0.0, description="wanted velocity in m/s without a command")
+
+
+def make_row(servo, index, ends):
+    """Record of a LinearServo; arguments as in kinds.make_forces."""
+    return *slide.fields(*ends[servo.joint]), *law(servo)
+
+
+@kernel
+def _effort(row, position, velocity, pose, twist):
+    return limited(
+        row, position - slide.coordinate(row, pose), velocity - slide.rate(row, pose, twist)
+    )
+
+
+@kernel
+def add_wrench(rows, wanted, pose, twist, wrench_out):
+    """Add the wrenches of all rows; wanted : (k, 2), the last ones are those of the rows."""
+    first = len(wanted) - len(rows)
+    for e in range(len(rows)):
+        force = _effort(rows[e], wanted[first + e, 0], wanted[first + e, 1], pose, twist)
+        slide.apply(rows[e], pose, force, wrench_out)
+
+
+@kernel
+def efforts(rows, wanted, pose, twist, out):
+    """Write the forces, and the rates on which they act, to the last rows of out (k, 2)."""
+    first = len(wanted) - len(rows)
+    for e in range(len(rows)):
+        row = rows[e]
+        out[first + e, 0] = _effort(row, wanted[first + e, 0], wanted[first + e, 1], pose, twist)
+        out[first + e, 1] = slide.rate(row, pose, twist)
+
+
+@kernel
+def power(rows, wanted, pose, twist):
+    """Power sum force * sdot of the servos, W; wanted as for `add_wrench`."""
+    total, first = 0.0, len(wanted) - len(rows)
+    for e in range(len(rows)):
+        force = _effort(rows[e], wanted[first + e, 0], wanted[first + e, 1], pose, twist)
+        total += force * slide.rate(rows[e], pose, twist)
+    return total

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Commands for joints: decoding of the messages, encoding of what acts. Imports no ROS."""
+
+import math
+from typing import NamedTuple
+
+from .cdr import Template, stamp
+from .codecs import Fields, MessageError
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
+ARRAY = "std_msgs/msg/Float64MultiArray"
+MOST_POINTS = 100_000
+_STAMP_END = 12  # offset of the frame id in the payload
+
+
+class JointValues(NamedTuple):
+    """Content of a JointState; each of the last three has a number per name, or is empty."""
+
+    stamp_ns: int
+    names: tuple
+    position: tuple  # rad or m
+    velocity: tuple  # rad/s or m/s
+    effort: tuple  # N m or N
+
+    def complete(self):
+        """Itself. Raises MessageError unless every name has a position and a velocity."""
+        if any(len(part) != len(self.names) for part in (self.position, self.velocity)):
+            raise MessageError(
+                f"{JOINT_STATE}: the number of values differs from the number of joints"
+            )
+        return self
+
+
+class JointStateDecoder:
+    """Decoder of JointState; names that repeat from message to message are decoded once.
+
+    most : largest number of names
+    """
+
+    def __init__(self, most=100_000):
+        self._most = most
+        self._known = b"", (), 0  # bytes of frame id and names, the names, where the values begin
+
+    def decode(self, payload):
+        """JointValues of one payload. Raises MessageError; lengths are not compared."""
+        fields = Fields(JOINT_STATE, payload)
+        stamp_ns = fields.stamp_ns()
+        known, names, end = self._known
+        if end and payload[:2] + payload[_STAMP_END:end] == known:
+            fields.skip_to(end)
+        else:
+            fields.text()
+            count = fields.number("I")
+            if count > self._most:
+                raise MessageError(
+                    f"{JOINT_STATE}: {count} names, at most {self._most} can be right"
+                )
+            names = tuple(fields.text() for _ in range(count))
+            self._known = payload[:2] + payload[_STAMP_END : fields.at], names, fields.at
+        values = [fields.numbers("d", fields.number("I")) for _ in range(3)]
+        return JointValues(stamp_ns, names, *values)
+
+
+class Point(NamedTuple):
+    """Point of a JointTrajectory; each of the first four has a number per joint, or is empty."""
+
+    position: tuple  # rad or m
+    velocity: tuple  # rad/s or m/s
+    acceleration: tuple  # rad/s^2 or m/s^2
+    effort: tuple  # N m or N
+    time_ns: int  # since the start
+
+
+def decode_trajectory(payload, most):
+    """(stamp in ns, names, [Point]) of a JointTrajectory. Raises MessageError.
+
+    most : largest number of names
+    """
+    fields = Fields(TRAJECTORY, payload)
+    stamp_ns = fields.stamp_ns()
+    fields.text()
+    count = fields.number("I")
+    if count > most:
+        raise MessageError(f"{TRAJECTORY}: {count} names, at most {most} can be right")
+    names = tuple(fields.text() for _ in range(count))
+    count = fields.number("I")
+    if count > MOST_POINTS:
+        raise MessageError(f"{TRAJECTORY}: {count} points, at most {MOST_POINTS} are taken")
+    points = []
+    for _ in range(count):
+        numbers = [fields.numbers("d", fields.number("I")) for _ in range(4)]
+        points.append(Point(*numbers, fields.stamp_ns()))
+    return stamp_ns, names, points
+
+
+def decode_array(payload):
+    """The numbers of a Float64MultiArray; its layout is ignored. Raises MessageError."""
+    fields = Fields(ARRAY, payload)
+    for _ in range(min(fields.number("I"), len(payload))):
+        fields.text()
+        fields.numbers("I", 2)
+    fields.number("I")
+    return fields.numbers("d", fields.number("I"))
+
+
+def joint_labels(joints, robot):
+    """[name in messages] of joints of a scene: of a robot the name in its file.
+
+    robot : RobotNames, or None
+    """
+    return list(joints) if robot is None else [robot.joints.get(joint, joint) for joint in joints]
+
+
+def servo_targets(layout):
+    """Function (stamp_ns, [(position, velocity)]) -> serialized JointState of all servos.
+
+    Servos are in the order of `layout.servos`; efforts are NaN.
+    """
+    labels = joint_labels(layout.servos, layout.scene.robot)
+    count = len(labels)
+    template = Template()
+    template.header("")
+    template.put("I", count)
+    for label in labels:
+        template.string(label)
+    for _ in ("position", "velocity"):
+        template.put("I", count)
+        template.slot(f"{count}d")
+    template.put("I", count)
+    template.put(f"{count}d", *[math.nan] * count)
+
+    def encode(stamp_ns, targets):
+        position, velocity = zip(*targets)
+        return template.pack(stamp(stamp_ns), position, velocity)
+
+    return encode

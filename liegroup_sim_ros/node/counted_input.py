@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Counts of accepted and refused messages, and what all inputs of the node refuse. Imports no ROS."""
+
+# A stamp further ahead indicates a publisher that does not use simulated time.
+FARTHEST = 3600 * 10**9  # ns
+# Largest number of commands that act now or start later. Bounds the memory of the node.
+MOST = 10_000
+LONGEST_NAME = 64  # characters that are shown of a name
+
+
+class Refusal(Exception):
+    """Refused message.
+
+    reason : for counting
+    first  : True for the first one with this reason
+    """
+
+    def __init__(self, what, reason, text, first):
+        super().__init__(f"{what} refused: {text} (logged once; /diagnostics has the count)")
+        self.reason = reason
+        self.first = first
+
+
+class CountedInput:
+    """Counter of the messages of one kind of input; a subclass decodes them.
+
+    what    : a message, in texts
+    counted : first part of the names of its figures
+    reasons : for which messages are refused
+    accepted, refused : number; {reason: number}
+    """
+
+    def __init__(self, what, counted, reasons):
+        self._what, self._counted = what, counted
+        self.accepted = 0
+        self.refused = dict.fromkeys(reasons, 0)
+
+    def refuse(self, reason, text):
+        """Count and raise a Refusal; text : function, called only for the first one of a reason."""
+        self.refused[reason] += 1
+        first = self.refused[reason] == 1
+        raise Refusal(self._what, reason, text() if first else reason, first)
+
+    def refuse_far_stamp(self, start_ns, now_ns, target):
+        """Refuse a stamp too far ahead. Raises Refusal."""
+        if start_ns > now_ns + FARTHEST:
+            self.refuse(
+                "stamp_too_far",
+                lambda: (
+                    f"for {target}: its time stamp {start_ns / 1000000000.0:.9g} s is more than "
+                    f"{FARTHEST // 10**9} s ahead of the simulated time "
+                    f"{now_ns / 1000000000.0:.9g} s; use a zero stamp, or simulated time "
+                    "(use_sim_time)"
+                ),
+            )
+
+    def refuse_too_many(self, held, target):
+        """Refuse a message if MOST commands act or wait. Raises Refusal."""
+        if held >= MOST:
+            self.refuse(
+                "too_many", lambda: f"for {target}: {held} commands already act or are scheduled"
+            )
+
+    def figures(self):
+        """{name: number} for the diagnostics."""
+        return {
+            f"{self._counted}_accepted": self.accepted,
+            f"{self._counted}_refused": sum(self.refused.values()),
+            **{f"{self._counted}_refused_{reason}": n for reason, n in self.refused.items()},
+        }

@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Commands for joints: decoding and validation of JointState and Float64MultiArray.
+
+Names are those of ~/joint_states. A message may name any of the joints; NaN, or an empty field, is no
+command of this kind. A command replaces the previous one of the same joint and kind. An effort acts on
+the joint itself; position and velocity are wanted values of its servo.
+
+A zero stamp, or one that is not older than the command lasts, means the next step; a future stamp
+means that simulated time. A message is accepted or refused as a whole; refusals are counted by reason.
+Imports no ROS.
+"""
+
+import math
+from typing import NamedTuple
+
+from liegroup_sim_ros.messages.codecs import MessageError
+from liegroup_sim_ros.messages.commands import JointStateDecoder, decode_array
+
+from .counted_input import LONGEST_NAME
+from .joint_input import JointInput
+
+OLDEST = 1.0  # s; age of the stamp of a command that acts until the next one
+SOURCE = "joint_commands"
+INTERFACES = ("position", "velocity", "effort")  # in the order of a JointState
+REASONS = (
+    "not_finite",
+    "wrong_length",
+    "unknown_joint",
+    "no_coordinate",
+    "repeated_joint",
+    "no_servo",
+    "no_position",
+    "stamp_too_old",
+    "stamp_too_far",
+    "too_many",
+    "damaged",
+)
+
+
+class JointEffort(NamedTuple):
+    """An accepted effort of one joint."""
+
+    source: str
+    joint: str  # as in the scene
+    effort: float  # N m or N
+    start_ns: int  # stamp at which it starts to act; 0: at the next step
+
+    @property
+    def key(self):
+        """Start, source and joint: of two equal ones the later counts."""
+        return self.start_ns, self.source, self.joint
+
+    def apply(self, simulation, start, duration):
+        """Apply it to a Simulation from a time in s on (None: the next step), for a duration in s."""
+        simulation.apply_effort(self.joint, self.effort, start, duration, self.source)
+
+
+class Target(NamedTuple):
+    """Accepted wanted values of the servo of a joint."""
+
+    joint: str  # as in the scene
+    position: float  # rad or m
+    velocity: float  # rad/s or m/s
+    start_ns: int  # stamp at which it starts to act; 0: at the next step
+
+    @property
+    def key(self):
+        """Start, kind and joint: of two equal ones the later counts."""
+        return self.start_ns, "target", self.joint
+
+    def apply(self, simulation, start, duration):
+        """Command it to a Simulation from a time in s on (None: the next step), for a duration in s."""
+        simulation.command_servo(self.joint, self.position, self.velocity, start, duration)
+
+
+class JointCommandInput(JointInput):
+    """Decoder and counter of commands for the joints of a scene; layout : Layout."""
+
+    def __init__(self, layout):
+        super().__init__("joint command", "joint_commands", REASONS, layout)
+        self._decoder = JointStateDecoder(self.most_names)
+        self._checked = ()  # names of the last accepted message
+
+    def read_array(self, payload, names, interface, held):
+        """As `read`, of a serialized Float64MultiArray: numbers of one interface for these joints.
+
+        interface : "position", "velocity" or "effort"
+        """
+        try:
+            numbers = decode_array(payload)
+        except MessageError as error:
+            text = str(error)
+            self.refuse("damaged", lambda: text)
+        if len(numbers) != len(names):
+            self.refuse(
+                "wrong_length",
+                lambda: f"{len(numbers)} numbers for the {len(names)} joints of command_joints",
+            )
+        fields = [numbers if kind == interface else () for kind in INTERFACES]
+        return self._commands(names, fields, 0, 0, held, None)
+
+    def read(self, payload, now_ns, held, lasting, stamped=True):
+        """[JointEffort or Target] of a serialized JointState. Raises Refusal.
+
+        now_ns  : current stamp
+        held    : number of commands that act now or start later
+        lasting : s, duration of a command; None: until the next one
+        stamped : False: time stamps are ignored
+        """
+        try:
+            stamp_ns, names, *fields = self._decoder.decode(payload)
+        except MessageError as error:
+            text = str(error)
+            self.refuse("damaged", lambda: text)
+        return self._commands(names, fields, stamp_ns if stamped else 0, now_ns, held, lasting)
+
+    def _commands(self, names, fields, stamp_ns, now_ns, held, lasting):
+        if names != self._checked:
+            self.check_names(names)
+        for kind, values in zip(INTERFACES, fields):
+            if len(values) not in (0, len(names)):
+                self.refuse(
+                    "wrong_length",
+                    lambda: (
+                        f"{len(values)} values of {kind} for {len(names)} names; give one per "
+                        "name (NaN: no command), or none"
+                    ),
+                )
+            for name, value in zip(names, values):
+                if math.isinf(value):
+                    self.refuse("not_finite", lambda: f"{kind} of {name} is infinite")
+        position, velocity, effort = (values or (math.nan,) * len(names) for values in fields)
+        wanted = [
+            (name, *target)
+            for name, *target in zip(names, position, velocity)
+            if not all(map(math.isnan, target))
+        ]
+        self._check_servos(wanted)
+        target = ", ".join(names)
+        age = OLDEST if lasting is None else lasting
+        if stamp_ns and stamp_ns < now_ns - round(age * 1e9):
+            self.refuse(
+                "stamp_too_old",
+                lambda: (
+                    f"for {target:.{LONGEST_NAME}}: its time stamp {stamp_ns * 1e-9:.9g} s is more "
+                    f"than {age:g} s before the simulated time {now_ns * 1e-9:.9g} s; use a zero "
+                    "stamp, or simulated time (use_sim_time)"
+                ),
+            )
+        self.refuse_far_stamp(stamp_ns, now_ns, f"{target:.{LONGEST_NAME}}")
+        self.refuse_too_many(held, f"{target:.{LONGEST_NAME}}")
+        self.accepted += 1
+        self._checked = names
+        start_ns = stamp_ns if stamp_ns > now_ns else 0
+        return [
+            JointEffort(SOURCE, self.joints[name], value, start_ns)
+            for name, value in zip(names, effort)
+            if not math.isnan(value)
+        ] + [
+            Target(self.joints[name], _or_zero(position), _or_zero(velocity), start_ns)
+            for name, position, velocity in wanted
+        ]
+
+    def _check_servos(self, wanted):
+        for name, position, velocity in wanted:
+            if name not in self.servos:
+                kind = "velocity" if math.isnan(position) else "position"
+                self.refuse(
+                    "no_servo",
+                    lambda: (
+                        f"it has a {kind} for {name}, which has no servo: add one to the scene, or "
+                        f"command an effort and leave {kind} empty or NaN"
+                    ),
+                )
+            if math.isnan(position) and self.servos[name]:
+                self.refuse(
+                    "no_position",
+                    lambda: (
+                        f"it has a velocity but no position for {name}, whose servo has a "
+                        "stiffness: give a position too, or a servo with stiffness 0"
+                    ),
+                )
+
+
+def _or_zero(value):
+    return 0.0 if math.isnan(value) else value

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Subscriptions to the commands for joints: they are decoded and passed to the simulation."""
+
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from trajectory_msgs.msg import JointTrajectory
+
+from .counted_input import Refusal
+from .joint_command_input import JointCommandInput
+from .parameters import ParameterError
+from .trajectory_input import TrajectoryInput
+from .wrench_topics import DEPTH
+
+
+class JointCommandTopics:
+    """Topics for commands: ~/joint_commands, ~/commands and ~/joint_trajectory.
+
+    Each exists only if the scene has joints that it can command.
+
+    node   : rclpy Node
+    layout : Layout of the scene
+    values : parameters; command_timeout and command_stamps are read for every message
+    server : SimulationServer
+    qos    : QosOverrides
+    Raises ParameterError for command_joints that are not joints of the scene.
+    """
+
+    def __init__(self, node, layout, values, server, qos):
+        self._node, self._values, self._server, self._qos = node, values, server, qos
+        self.input, self.trajectories = JointCommandInput(layout), TrajectoryInput(layout)
+        self._names = tuple(
+            name.strip() for name in values.command_joints.split(",") if name.strip()
+        )
+        self._check_names()
+        self._subscriptions = []
+        if self.input.joints:
+            self._subscribe("~/joint_commands", JointState, self._read)
+        if self._names:
+            self._subscribe("~/commands", Float64MultiArray, self._read_array)
+        if any(self.input.servos.values()):
+            self._subscribe("~/joint_trajectory", JointTrajectory, self._read_trajectory)
+
+    def _check_names(self):
+        for name in self._names:
+            if name not in self.input.joints:
+                raise ParameterError(
+                    f"parameter command_joints: {name!r} is not a joint with one coordinate; choose "
+                    f"some of: {', '.join(self.input.joints) or 'the scene has none'}"
+                )
+            driven = self._values.command_interface
+            if driven != "effort" and self.input.servos.get(name) is not (driven == "position"):
+                raise ParameterError(
+                    f"parameter command_interface: {name!r} has no servo "
+                    f"{'with' if driven == 'position' else 'without'} stiffness, which {driven} needs"
+                )
+        if len(set(self._names)) < len(self._names):
+            raise ParameterError("parameter command_joints: names a joint twice")
+
+    def _subscribe(self, topic, message_class, read):
+        def receive(payload):
+            try:
+                read(payload)
+            except Refusal as refusal:
+                if refusal.first:
+                    self._node.get_logger().warning(str(refusal))
+
+        self._subscriptions.append(
+            self._node.create_subscription(
+                message_class,
+                topic,
+                receive,
+                QoSProfile(depth=DEPTH),
+                raw=True,
+                qos_overriding_options=self._qos.options(self._node, topic, "subscription"),
+            )
+        )
+
+    @property
+    def _lasting(self):
+        return self._values.command_timeout or None
+
+    def _read(self, payload):
+        server = self._server
+        commands = self.input.read(
+            payload,
+            server.stamp_ns,
+            server.wrenches_held,
+            self._lasting,
+            self._values.command_stamps,
+        )
+        server.push(commands, self._lasting)
+
+    def _read_array(self, payload):
+        commands = self.input.read_array(
+            payload, self._names, self._values.command_interface, self._server.wrenches_held
+        )
+        self._server.push(commands, self._lasting)
+
+    def _read_trajectory(self, payload):
+        self._server.follow(
+            self.trajectories.read(payload, self._server.stamp_ns, self._values.command_stamps)
+        )
+
+    def figures(self):
+        """Figures of the topics for the diagnostics; none without the topics."""
+        return {
+            **(self.input.figures() if self.input.joints else {}),
+            **(self.trajectories.figures() if any(self.input.servos.values()) else {}),
+        }
+
+    def close(self):
+        """Destroy the subscriptions."""
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)

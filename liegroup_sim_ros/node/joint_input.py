@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What all inputs that name joints share: the joints of a scene, and refused names. Imports no ROS."""
+
+from liegroup_core.forces.kinds import servos
+from liegroup_sim_ros.messages.commands import joint_labels
+
+from .counted_input import LONGEST_NAME, CountedInput
+
+
+class JointInput(CountedInput):
+    """Counter of messages that name joints of a scene; layout : Layout, the others as CountedInput.
+
+    joints     : {name in messages: joint of the scene} of the joints with one coordinate
+    servos     : {name in messages: whether its servo needs a wanted position}
+    most_names : number of names that a message can have
+    """
+
+    def __init__(self, what, counted, reasons, layout):
+        super().__init__(what, counted, reasons)
+        scene, names = layout.scene, layout.coordinates.names
+        self.joints = dict(zip(joint_labels(names, scene.robot), names))
+        self._others = set(joint_labels([joint.name for joint in scene.joints], scene.robot))
+        if scene.robot is not None:
+            self._others |= scene.robot.still.keys()
+        self._others -= self.joints.keys()
+        self.most_names = len(self.joints) + len(self._others)
+        driven = servos(scene.forces)
+        labels = joint_labels([servo.joint for servo in driven], scene.robot)
+        self.servos = {label: servo.stiffness > 0.0 for label, servo in zip(labels, driven)}
+
+    def check_names(self, names):
+        """Refuse names that are not those of joints, or repeat. Raises Refusal."""
+        for name in names:
+            if name in self.joints:
+                continue
+            listed = ", ".join(self.joints)
+            if name in self._others:
+                self.refuse(
+                    "no_coordinate",
+                    lambda: (
+                        f"joint {name!r:.{LONGEST_NAME}} does not move, or not in one coordinate; "
+                        f"name some of: {listed:.200}"
+                    ),
+                )
+            self.refuse(
+                "unknown_joint",
+                lambda: f"unknown joint {name!r:.{LONGEST_NAME}}; name some of: {listed:.200}",
+            )
+        if len(set(names)) < len(names):
+            self.refuse("repeated_joint", lambda: "it names a joint twice; name each one once")

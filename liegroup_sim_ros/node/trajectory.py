@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Trajectories of joints: interpolation, and the commands to their servos. Imports no ROS.
+
+Between two points the interpolation is that of ros2_control's joint_trajectory_controller:
+
+    both have positions only              linear
+    and velocities                        cubic
+    and velocities and accelerations      quintic
+
+The first segment begins with positions and velocities of the joints when the trajectory starts. After
+the last point its positions are held.
+"""
+
+import math
+
+
+class Trajectory:
+    """Points through which joints move together.
+
+    joints   : names in the scene
+    points   : [messages.commands.Point], their times increase
+    stamp_ns : simulated time at which it starts; 0: at once
+    """
+
+    def __init__(self, joints, points, stamp_ns=0):
+        self.joints, self.stamp_ns = joints, stamp_ns
+        self._times = [1e-9 * point.time_ns for point in points]
+        # [(position, velocity or None, acceleration or None)] of each joint
+        self._points = [
+            [
+                (
+                    point.position[j],
+                    point.velocity[j] if point.velocity else None,
+                    point.acceleration[j] if point.acceleration else None,
+                )
+                for point in points
+            ]
+            for j in range(len(joints))
+        ]
+        self._segment = 0
+
+    @property
+    def seconds(self):
+        """Time from the start to the last point, s."""
+        return self._times[-1]
+
+    def begin(self, states):
+        """Start from [(position, velocity)] of the joints."""
+        self._times.insert(0, 0.0)
+        for points, state in zip(self._points, states):
+            points.insert(0, (*state, None))
+
+    def at(self, time):
+        """[(position, velocity)] of the joints at increasing times in s since the start."""
+        while self._segment < len(self._times) - 1 and time >= self._times[self._segment + 1]:
+            self._segment += 1
+        k = self._segment
+        if k == len(self._times) - 1:
+            return [(points[-1][0], 0.0) for points in self._points]
+        length, since = self._times[k + 1] - self._times[k], time - self._times[k]
+        return [between(points[k], points[k + 1], length, since) for points in self._points]
+
+
+def between(first, last, length, time):
+    """(position, velocity) at a time in s after the first of two points, `length` s apart.
+
+    first, last : (position, velocity or None, acceleration or None)
+    """
+    (p, v, a), (q, w, b) = first, last
+    way = q - p
+    if v is None or w is None:
+        return p + way * time / length, way / length
+    if a is None or b is None:
+        coefficients = (
+            p,
+            v,
+            (3.0 * way - (2.0 * v + w) * length) / length**2,
+            (-2.0 * way + (v + w) * length) / length**3,
+        )
+    else:
+        coefficients = (
+            p,
+            v,
+            0.5 * a,
+            (20.0 * way - (12.0 * v + 8.0 * w) * length - (3.0 * a - b) * length**2)
+            / (2.0 * length**3),
+            (-30.0 * way + (16.0 * v + 14.0 * w) * length + (3.0 * a - 2.0 * b) * length**2)
+            / (2.0 * length**4),
+            (12.0 * way - 6.0 * (v + w) * length + (b - a) * length**2) / (2.0 * length**5),
+        )
+    position = velocity = 0.0
+    for coefficient in reversed(coefficients):
+        velocity = velocity * time + position
+        position = position * time + coefficient
+    return position, velocity
+
+
+class Follower:
+    """Commands servos along the latest trajectory; used by the simulation thread only.
+
+    simulation : liegroup_core.Simulation
+    period     : s of simulated time; wanted values are constant for so long, those of its middle
+    """
+
+    def __init__(self, simulation, period):
+        self._simulation, self._period = simulation, period
+        self.clear()
+
+    def clear(self):
+        """Forget all trajectories."""
+        self._active = self._waiting = None
+
+    def follow(self, trajectory, start):
+        """Replace the present trajectory, at a time in s: now or later."""
+        self._waiting = trajectory, start
+
+    def release(self, joint, time):
+        """Let a joint go from a time in s on: something else commands it."""
+        if self._active is not None and joint in self._active.joints:
+            self._ends[joint] = min(time, self._ends.get(joint, math.inf))
+
+    @property
+    def is_idle(self):
+        """True if there is nothing to follow."""
+        return self._active is None and self._waiting is None
+
+    def command(self, until):
+        """Command the wanted values up to a time in s."""
+        if self._waiting is not None and self._waiting[1] < until:
+            trajectory, start = self._waiting
+            self._feed(start)
+            self._stop(start, trajectory.joints)
+            coordinates = self._simulation.sample().joint_coordinates
+            trajectory.begin([coordinates[joint] for joint in trajectory.joints])
+            self._active, self._waiting = trajectory, None
+            self._start, self._sent, self._ends = start, 0, {}
+        self._feed(until)
+
+    def _stop(self, time, others):
+        """End the trajectory at a time; its joints that are none of the others stay where they are."""
+        if self._active is None:
+            return
+        for joint, (position, _) in zip(
+            self._active.joints, self._active.at(max(0.0, time - self._start))
+        ):
+            if joint not in others and time < self._ends.get(joint, math.inf):
+                self._simulation.command_servo(joint, position, 0.0, time)
+        self._active = None
+
+    def _feed(self, until):
+        while self._active is not None:
+            since = self._sent * self._period
+            if self._start + min(since, self._active.seconds) >= until:
+                return
+            ended = since >= self._active.seconds
+            time = self._start + (self._active.seconds if ended else since)
+            middle = 0.5 * (since + min(since + self._period, self._active.seconds))
+            targets = self._active.at(self._active.seconds if ended else middle)
+            for joint, target in zip(self._active.joints, targets):
+                if time < self._ends.get(joint, math.inf):
+                    self._simulation.command_servo(joint, *target, time)
+            self._sent += 1
+            if ended:
+                self._active = None

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Trajectories of joints: decoding and validation of JointTrajectory, as a whole, before they start.
+
+Names are those of ~/joint_states; every joint needs a servo with a stiffness. A zero stamp means
+the present, a future stamp that simulated time. Imports no ROS.
+"""
+
+import math
+
+from liegroup_sim_ros.messages.codecs import MessageError
+from liegroup_sim_ros.messages.commands import decode_trajectory
+
+from .joint_input import JointInput
+from .trajectory import Trajectory
+
+REASONS = (
+    "not_finite",
+    "wrong_length",
+    "unknown_joint",
+    "no_coordinate",
+    "repeated_joint",
+    "no_servo",
+    "no_points",
+    "wrong_times",
+    "moving_at_end",
+    "effort",
+    "stamp_too_old",
+    "stamp_too_far",
+    "damaged",
+)
+QUANTITIES = ("positions", "velocities", "accelerations")
+
+
+class TrajectoryInput(JointInput):
+    """Decoder and counter of trajectories for the joints of a scene; layout : Layout."""
+
+    def __init__(self, layout):
+        super().__init__("joint trajectory", "joint_trajectories", REASONS, layout)
+
+    def read(self, payload, now_ns, stamped=True):
+        """Trajectory of a serialized JointTrajectory. Raises Refusal.
+
+        now_ns  : current stamp
+        stamped : False: the time stamp is ignored
+        """
+        try:
+            stamp_ns, names, points = decode_trajectory(payload, self.most_names)
+        except MessageError as error:
+            text = str(error)
+            self.refuse("damaged", lambda: text)
+        self.check_names(names)
+        for name in names:
+            if not self.servos.get(name, False):
+                self.refuse(
+                    "no_servo",
+                    lambda: f"{name} has no servo with a stiffness: add one to the scene",
+                )
+        if not (names and points):
+            self.refuse("no_points", lambda: "it has no joints or no points")
+        for k, point in enumerate(points):
+            self._check_point(k, point, len(names))
+        times = [point.time_ns for point in points]
+        if times[0] < 0 or any(b <= a for a, b in zip(times, times[1:])):
+            self.refuse(
+                "wrong_times",
+                lambda: (
+                    "time_from_start must not be negative, and must increase from point to point"
+                ),
+            )
+        if any(points[-1].velocity):
+            self.refuse("moving_at_end", lambda: "the velocities of its last point must be zero")
+        if not stamped:
+            stamp_ns = 0
+        if stamp_ns and stamp_ns + times[-1] < now_ns:
+            self.refuse(
+                "stamp_too_old",
+                lambda: (
+                    f"it ends at {(stamp_ns + times[-1]) * 1e-9:.9g} s, before the simulated time "
+                    f"{now_ns * 1e-9:.9g} s; use a zero stamp, or simulated time (use_sim_time)"
+                ),
+            )
+        self.refuse_far_stamp(stamp_ns, now_ns, names[0])
+        self.accepted += 1
+        return Trajectory([self.joints[name] for name in names], points, stamp_ns)
+
+    def _check_point(self, k, point, count):
+        if any(point.effort):
+            self.refuse("effort", lambda: f"point {k} has efforts: leave them empty")
+        for kind, values in zip(QUANTITIES, point):
+            if len(values) != count and (values or kind == "positions"):
+                self.refuse(
+                    "wrong_length",
+                    lambda: (
+                        f"{len(values)} {kind} in point {k} for {count} joints; give one per joint"
+                        + ("" if kind == "positions" else ", or none")
+                    ),
+                )
+            if not all(map(math.isfinite, values)):
+                self.refuse("not_finite", lambda: f"{kind} of point {k} are not finite")

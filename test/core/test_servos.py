@@ -1,0 +1,254 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Servos: closed forms with commands and limits, turns, exact repetition, refusals."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from liegroup_core import SceneError, Simulation, load_scene
+from liegroup_core.reference import ServoChange, WrenchChange, integrate
+from liegroup_core.scene.load import scene_from_text
+
+INERTIA, MASS = 0.5, 2.0
+SERVO = "{name: drive, type: servo, joint: hinge, stiffness: 40, damping: 3"
+LINEAR = "{name: pull, type: linear_servo, joint: slide, stiffness: 90, damping: 8"
+# A hinge and a slide, each alone on the ground, without gravity.
+BENCH = """
+name: bench
+gravity: [0, 0, 0]
+bodies:
+  - {name: wheel, mass: 1.0, inertia: [0.3, 0.4, 0.5]}
+  - {name: sledge, mass: 2.0, inertia: [0.1, 0.1, 0.1], position: [3, 0, 0]}
+joints:
+  - {name: hinge, type: revolute, parent: world, child: wheel, child_frame: {position: [0, 0, 0]}}
+  - {name: slide, type: prismatic, parent: world, child: sledge, child_frame: {position: [0, 0, 0]}}
+forces:
+"""
+# Two links on a tilted base under gravity, one that slides.
+ARM = """
+name: arm
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: upper, mass: 2.0, inertia: [0.02, 0.05, 0.05], com: [0.25, 0, 0.02]}
+  - {name: hand, mass: 0.7, inertia: [0.01, 0.012, 0.01], position: [0.5, 0, 0]}
+joints:
+  - {name: hinge, type: revolute, parent: world, child: upper,
+     parent_frame: {position: [0, 0, 0], axis: [0.2, 1, 0]}}
+  - {name: slide, type: prismatic, parent: upper, child: hand,
+     parent_frame: {position: [0.5, 0, 0], axis: [1, 0, 0.3]}}
+forces:
+"""
+GROUPS = [
+    ("rkmk8", "relative"),
+    ("rkmk8", "se3"),
+    ("rkmk8", "so3xr3"),
+    ("generalized_alpha", "relative"),
+    ("generalized_alpha", "so3xr3"),
+    ("constrained_rattle", "relative"),
+    ("constrained_rattle", "so3xr3"),
+]
+
+
+def scene(text, *forces):
+    return scene_from_text(text + "".join(f"  - {force}\n" for force in forces))
+
+
+def both(more="", linear=""):
+    return f"{SERVO}{more}}}", f"{LINEAR}{linear}}}"
+
+
+def law(mass, stiffness, damping):
+    """Function (state, position, velocity, t) -> state: the linear servo on a mass, exactly."""
+
+    def after(state, position, velocity, t):
+        matrix = np.zeros((3, 3))
+        matrix[0, 1] = 1.0
+        matrix[1] = (
+            -stiffness / mass,
+            -damping / mass,
+            (stiffness * position + damping * velocity) / mass,
+        )
+        return (expm(matrix * t) @ [*state, 1.0])[:2]
+
+    return after
+
+
+@pytest.mark.parametrize("method, group", GROUPS)
+def test_servos_are_damped_oscillators_about_wanted_values(method, group):
+    """Commands from 20.3 ms to 70.7 ms, inside steps, then the values of the scene again."""
+    apart = []
+    for step in (1e-3, 5e-4):
+        made = scene(BENCH, *both(", position: 0.4", ", velocity: 0.3"))
+        simulation = Simulation(made, method, step, group, estimate=False)
+        for joint, target in (("hinge", (-0.7, 2.0)), ("slide", (0.5, 0.0))):
+            simulation.command_servo(joint, *target, start=0.0203, duration=0.0504)
+        simulation.advance(round(0.2 / step))
+        found = simulation.sample().joint_coordinates
+        for joint, after, idle, target in (
+            ("hinge", law(INERTIA, 40, 3), (0.4, 0.0), (-0.7, 2.0)),
+            ("slide", law(MASS, 90, 8), (0.0, 0.3), (0.5, 0.0)),
+        ):
+            state = after((0.0, 0.0), *idle, 0.0203)
+            state = after(after(state, *target, 0.0504), *idle, 0.2 - 0.0707)
+            apart.append(np.abs(np.subtract(found[joint], state)).max())
+    if method == "rkmk8":
+        assert max(apart) < 1e-12
+    else:  # order 2
+        assert all(3.0 < large / small < 5.0 for large, small in zip(apart, apart[2:]))
+        assert max(apart) < 1e-3
+
+
+@pytest.mark.parametrize("group", ["relative", "se3"])
+def test_a_servo_at_its_limit_has_a_constant_effort(group):
+    """Far from the target: tau / I = 4 rad/s^2, f / m = -1.5 m/s^2, and it says so."""
+    made = scene(BENCH, *both(", position: 9, effort_limit: 2", ", position: -9, effort_limit: 3"))
+    simulation = Simulation(made, "rkmk4", 1e-3, group, estimate=False)
+    simulation.advance(100)
+    sample = simulation.sample()
+    assert sample.saturated == ("hinge", "slide")
+    assert sample.servo_efforts == {"hinge": 2.0, "slide": -3.0}
+    for joint, acceleration in (("hinge", 4.0), ("slide", -1.5)):
+        expected = 0.005 * acceleration, 0.1 * acceleration
+        assert sample.joint_coordinates[joint] == pytest.approx(expected, abs=1e-13)
+    work = 2.0 * 0.02 + 3.0 * 0.0075
+    assert sample.energy == pytest.approx(work, rel=1e-12)
+    assert sample.power == pytest.approx(2.0 * 0.4 + 3.0 * 0.15, rel=1e-12)
+    simulation.command_servo("hinge", 0.02)
+    simulation.advance(1)
+    assert simulation.sample().saturated == ("slide",)
+
+
+def test_a_servo_counts_turns():
+    """Twenty radians, with a shaft that starts in (-pi, pi]; damped critically, to round-off."""
+    made = scene(BENCH, SERVO.replace("damping: 3", "damping: 8.95") + "}")
+    simulation = Simulation(made, "rkmk4", 1e-3, estimate=False)
+    simulation.command_servo("hinge", 20.0)
+    simulation.advance(4000)
+    angle, rate = simulation.sample().joint_coordinates["hinge"]
+    assert angle == pytest.approx(20.0, abs=1e-9) and abs(rate) < 1e-9
+    assert simulation.sample().angles == pytest.approx([20.0], abs=1e-9)
+
+
+def test_a_servo_without_commands_is_a_spring():
+    spring = "{name: s, type: torsional_spring_damper, joint: hinge, stiffness: 40, damping: 3, rest_angle: 5}"
+    runs = [
+        Simulation(scene(ARM, force), "rkmk4", 1e-3, estimate=False)
+        for force in (spring, f"{SERVO}, position: 5}}")
+    ]
+    for run in runs:
+        run.advance(1000)
+    assert np.abs(runs[0].state()[0] - runs[1].state()[0]).max() < 1e-12
+
+
+@pytest.mark.parametrize("group", ["relative", "se3", "so3xr3"])
+def test_servos_follow_the_independent_reference(group):
+    """With limits that are reached, commands, an effort and a wrench, on an arm under gravity.
+
+    The kinks of the limits leave an error of the step: 1e-7 at 0.5 ms.
+    """
+    made = scene(ARM, *both(", effort_limit: 9", ", effort_limit: 12"))
+    simulation = Simulation(made, "rkmk4", 5e-4, group, stabilisation="projection", estimate=False)
+    start = simulation.state()
+    simulation.command_servo("hinge", -0.6, 0.2, start=0.1003)
+    simulation.command_servo("slide", 0.2, start=0.25, duration=0.2)
+    simulation.apply_effort("hinge", -2.0, start=0.3)
+    simulation.advance(1200)
+    changes = [
+        ServoChange(c.time, c.joint, c.position, c.velocity)
+        if hasattr(c, "joint")
+        else WrenchChange(c.time, c.body, c.wrench, c.axes)
+        for c in simulation.drain_applied()
+    ]
+    assert len(changes) == 4
+    found, uncertainty = integrate(made, *start, [0.6], changes)
+    sample = simulation.sample()
+    assert np.abs(found.position[0] - sample.pose[:, 9:]).max() < 1e-7
+    assert uncertainty.position.max() < 1e-8
+
+
+@pytest.mark.parametrize(
+    "method", ["rkmk4", "rkmk54", "generalized_alpha", "constrained_rattle", None]
+)
+@pytest.mark.parametrize("at_once", [1, 13])
+def test_the_recorded_changes_repeat_a_run_with_servos_bit_by_bit(method, at_once):
+    made = scene(ARM, *both(", effort_limit: 9"))
+    options = {"method": method, "step": 1e-3} if method else {"accuracy": 1e-5, "step": 1e-3}
+    first, second = (Simulation(made, **options) for _ in range(2))
+    first.command_servo("hinge", -0.6, 0.2, start=0.0501234)
+    first.command_servo("hinge", 0.3, start=0.12)
+    first.command_servo("slide", 0.2, start=0.07, duration=0.09)
+    first.apply_effort("slide", 3.0, start=0.0304, duration=0.1)
+    first.apply_wrench("hand", (0, 0, 0, 0, 2.0, 0), start=0.1, duration=0.07)
+    first.advance(260)
+    changes = first.drain_applied()
+    assert sum(hasattr(change, "joint") for change in changes) == 4
+    for change in changes:
+        change.repeat(second)
+    for _ in range(260 // at_once):
+        second.advance(at_once)
+    for mine, theirs in zip(first.state(), second.state()):
+        assert mine.tobytes() == theirs.tobytes()
+    if method is None:
+        assert first.sample().errors.tobytes() == second.sample().errors.tobytes()
+
+
+def test_the_estimate_of_the_error_follows_commands():
+    """Also of commands from before the companion starts: within a factor of 10 of the true error."""
+    made = scene(ARM, *both())
+    simulation = Simulation(made, "rkmk4", 0.01)
+    reference = Simulation(made, "rkmk853", 1e-3, estimate=False, rtol=1e-13, atol=1e-13)
+    for each in (simulation, reference):
+        each.command_servo("slide", 0.2)
+        each.command_servo("hinge", -1.0, 0.2, start=0.1003)
+        each.advance(round(0.4 / each.step))
+    sample, true = simulation.sample(), reference.sample()
+    error = np.linalg.norm(sample.pose[:, 9:] - true.pose[:, 9:], axis=1).max()
+    assert error > 1e-9 and 0.1 < sample.errors[:, 0].max() / error < 10.0
+
+
+@pytest.mark.parametrize("group", ["relative", "se3", "so3xr3"])
+def test_a_servo_holds_the_crank_of_a_loop(group):
+    """Three turns of a four-bar linkage at rest there; the coordinate counts them."""
+    text = load_scene("four_bar").text.replace("rate: 31.41592653589793", "rate: 0.0")
+    servo = "{name: drive, type: servo, joint: ground_crank, stiffness: 300, damping: 40}"
+    made = scene(text + "\nforces:\n", servo)
+    simulation = Simulation(
+        made, "rkmk54", 1e-2, group, "projection", rtol=1e-7, atol=1e-7, estimate=False
+    )
+    simulation.command_servo("ground_crank", 6.0 * np.pi)
+    simulation.advance(500)
+    angle, rate = simulation.sample().joint_coordinates["ground_crank"]
+    assert angle == pytest.approx(6.0 * np.pi, abs=1e-4) and abs(rate) < 1e-3
+
+
+def test_wrong_servos_and_commands_are_refused():
+    simulation = Simulation(scene(BENCH, f"{SERVO}}}"), "rkmk4", estimate=False)
+    for arguments, text in (
+        (("slide", 1.0), "joint 'slide' has no servo; choose one of: hinge"),
+        (("hinge", np.nan), "wanted position must be a finite number, got nan"),
+        (("hinge", 1.0, np.inf), "wanted velocity must be a finite number, got inf"),
+        (("hinge", "1"), "wanted position must be a finite number, got '1'"),
+        (("hinge", 1.0, 0.0, None, -1.0), "duration must be positive"),
+    ):
+        with pytest.raises(ValueError, match=text):
+            simulation.command_servo(*arguments)
+    simulation.advance(1)
+    assert simulation.drain_applied() == [] and simulation.wrench_count == 0
+    for force, text in (
+        (f"{SERVO}}}\n  - {SERVO.replace('drive', 'other')}}}", 'already has the servo "drive"'),
+        (f"{SERVO}, effort_limit: 0}}", "effort_limit must be greater than 0"),
+        (SERVO.replace("hinge", "slide") + "}", "requires a joint that is"),
+        (LINEAR.replace("slide", "hinge") + "}", "requires a joint that is"),
+    ):
+        with pytest.raises(SceneError, match=text):
+            scene(BENCH, force)
+
+
+def test_a_reset_ends_commands():
+    simulation = Simulation(scene(BENCH, f"{SERVO}}}"), "rkmk4", estimate=False)
+    simulation.command_servo("hinge", 1.0)
+    simulation.advance(10)
+    assert simulation.sample().joint_coordinates["hinge"][1] > 0.0
+    simulation.reset()
+    simulation.advance(10)
+    assert simulation.sample().joint_coordinates["hinge"] == (0.0, 0.0)

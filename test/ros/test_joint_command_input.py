@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Interpretation and refusal of joint commands; no ROS node runs here."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rclpy.serialization import serialize_message
+from robot_texts import ARM_URDF
+from sensor_msgs.msg import JointState
+
+from liegroup_core import load_scene
+from liegroup_core.layout import make_layout
+from liegroup_core.scene.load import scene_from_text
+from liegroup_sim_ros.messages.codecs import MessageError
+from liegroup_sim_ros.messages.commands import JointStateDecoder
+from liegroup_sim_ros.node.counted_input import FARTHEST, MOST, Refusal
+from liegroup_sim_ros.node.joint_command_input import JointCommandInput, Target
+
+NOW, NAN = 5 * 10**9, math.nan
+SCENE = """
+name: joints
+gravity: [0, 0, 0]
+bodies:
+  - {name: one, mass: 1, inertia: [1, 1, 1]}
+  - {name: two, mass: 1, inertia: [1, 1, 1]}
+  - {name: three, mass: 1, inertia: [1, 1, 1]}
+joints:
+  - {name: pin, type: revolute, parent: world, child: one, child_frame: {position: [0, 0, 0]}}
+  - {name: rail, type: prismatic, parent: one, child: two, child_frame: {position: [0, 0, 0]}}
+  - {name: ball, type: spherical, parent: two, child: three, child_frame: {position: [0, 0, 0]}}
+forces:
+  - {name: drive, type: servo, joint: pin, stiffness: 9, damping: 1}
+"""
+
+
+@pytest.fixture(scope="module")
+def layout():
+    return make_layout(scene_from_text(SCENE))
+
+
+def message(names=(), position=(), velocity=(), effort=(), stamp_ns=0):
+    state = JointState(
+        name=list(names), position=list(position), velocity=list(velocity), effort=list(effort)
+    )
+    state.header.stamp.sec, state.header.stamp.nanosec = divmod(stamp_ns, 10**9)
+    return serialize_message(state)
+
+
+@pytest.mark.parametrize(
+    "fields, efforts",
+    [
+        ({"names": ["pin", "rail"], "effort": [1.0, -2.0]}, {"pin": 1.0, "rail": -2.0}),
+        ({"names": ["rail"], "effort": [3.0]}, {"rail": 3.0}),
+        ({"names": ["rail", "pin"], "effort": [NAN, 0.0]}, {"pin": 0.0}),
+        ({"names": ["pin"], "position": [NAN], "velocity": [NAN], "effort": [4.0]}, {"pin": 4.0}),
+        ({"names": ["pin"]}, {}),
+        ({}, {}),
+    ],
+)
+def test_a_message_commands_some_of_the_joints(layout, fields, efforts):
+    reader = JointCommandInput(layout)
+    found = reader.read(message(**fields), NOW, 0, None)
+    assert {command.joint: command.effort for command in found} == efforts
+    assert reader.accepted == 1 and not any(reader.refused.values())
+
+
+def test_positions_and_velocities_are_wanted_values_of_servos(layout):
+    reader = JointCommandInput(layout)
+    for fields, target in (
+        ({"names": ["pin"], "position": [2.0], "velocity": [3.0]}, ("pin", 2.0, 3.0)),
+        (
+            {"names": ["rail", "pin"], "position": [NAN, 2.0], "effort": [1.0, NAN]},
+            ("pin", 2.0, 0.0),
+        ),
+    ):
+        *efforts, found = reader.read(message(**fields, stamp_ns=NOW + 5), NOW, 0, None)
+        assert found == (*target, NOW + 5) and isinstance(found, Target)
+        assert [effort.joint for effort in efforts] == ["rail"] * len(efforts)
+    free = scene_from_text(SCENE.replace("stiffness: 9", "stiffness: 0"))
+    (found,) = JointCommandInput(make_layout(free)).read(
+        message(["pin"], velocity=[3.0]), NOW, 0, None
+    )
+    assert found == ("pin", 0.0, 3.0, 0)
+
+
+@pytest.mark.parametrize(
+    "stamp_ns, start_ns", [(0, 0), (NOW - 1, 0), (NOW, 0), (NOW + 1, NOW + 1), (NOW - 10**9, 0)]
+)
+def test_a_future_stamp_is_awaited(layout, stamp_ns, start_ns):
+    payload = message(["pin"], effort=[1.0], stamp_ns=stamp_ns)
+    (command,) = JointCommandInput(layout).read(payload, NOW, 0, None)
+    assert command.start_ns == start_ns
+
+
+@pytest.mark.parametrize("stamp_ns", [1, NOW + 1, NOW + 2 * FARTHEST])
+def test_stamps_of_another_clock_can_be_ignored(layout, stamp_ns):
+    payload = message(["pin"], effort=[1.0], stamp_ns=stamp_ns)
+    (command,) = JointCommandInput(layout).read(payload, 10 * NOW, 0, 0.1, stamped=False)
+    assert command.start_ns == 0
+
+
+@pytest.mark.parametrize(
+    "changed, reason",
+    [
+        ({"effort": [math.inf, 0.0]}, "not_finite"),
+        ({"position": [NAN, -math.inf]}, "not_finite"),
+        ({"effort": [1.0]}, "wrong_length"),
+        ({"effort": [1.0] * 3}, "wrong_length"),
+        ({"names": [], "effort": [1.0]}, "wrong_length"),
+        ({"velocity": [NAN]}, "wrong_length"),
+        ({"names": ["pin", "rial"]}, "unknown_joint"),
+        ({"names": ["pin", ""]}, "unknown_joint"),
+        ({"names": ["ball"], "effort": [1.0]}, "no_coordinate"),
+        ({"names": ["pin", "pin"]}, "repeated_joint"),
+        ({"names": ["pin"] * 9, "effort": [1.0] * 9}, "damaged"),
+        ({"position": [0.0, 0.0]}, "no_servo"),
+        ({"velocity": [NAN, 0.0]}, "no_servo"),
+        ({"velocity": [0.0, NAN]}, "no_position"),
+        ({"stamp_ns": NOW - 10**9 - 1}, "stamp_too_old"),
+        ({"stamp_ns": NOW - 10**8 - 1, "lasting": 0.1}, "stamp_too_old"),
+        ({"stamp_ns": -1}, "stamp_too_old"),
+        ({"stamp_ns": NOW + FARTHEST + 1}, "stamp_too_far"),
+        ({"held": MOST}, "too_many"),
+    ],
+)
+def test_refusals_are_one_line(layout, changed, reason):
+    more = {"held": 0, "lasting": None}
+    more |= {key: changed[key] for key in more.keys() & changed.keys()}
+    fields = {"names": ["pin", "rail"], "effort": [1.0, 2.0]}
+    fields |= {key: value for key, value in changed.items() if key not in more}
+    reader = JointCommandInput(layout)
+    with pytest.raises(Refusal) as caught:
+        reader.read(message(**fields), NOW, more["held"], more["lasting"])
+    assert caught.value.reason == reason and caught.value.first
+    assert "\n" not in str(caught.value) and len(str(caught.value)) < 300
+    assert reader.accepted == 0 and reader.refused[reason] == 1
+
+
+def test_joints_of_a_robot_have_the_names_of_its_file(tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text(ARM_URDF.replace('"shoulder"', '"shoulder-1"'))
+    layout = make_layout(load_scene(path))
+    (scene_name,) = set(layout.coordinates.names) - {"extend"}
+    reader = JointCommandInput(layout)
+    found = reader.read(message(["extend", "shoulder-1"], effort=[1.0, 2.0]), NOW, 0, None)
+    assert [(c.joint, c.effort) for c in found] == [("extend", 1.0), (scene_name, 2.0)]
+    assert scene_name != "shoulder-1"
+    for name, reason in (
+        ("tip_joint", "no_coordinate"),
+        ("flange", "unknown_joint"),
+        (scene_name, "unknown_joint"),
+    ):
+        with pytest.raises(Refusal) as caught:
+            reader.read(message([name], effort=[1.0]), NOW, 0, None)
+        assert caught.value.reason == reason
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.lists(st.text("ab", max_size=9), max_size=4),
+            *(st.lists(st.floats(), max_size=4) for _ in range(3)),
+            st.integers(0, 2 * 10**18),
+        ),
+        min_size=1,
+        max_size=4,
+    )
+)
+def test_messages_serialized_by_ros_are_decoded(messages):
+    """Also those with the names of the last one, which are not decoded again."""
+    decoder = JointStateDecoder()
+    for names, *values, stamp_ns in [*messages, messages[-1]]:
+        found = decoder.decode(message(names, *values, stamp_ns))
+        assert (found.stamp_ns, found.names) == (stamp_ns, tuple(names))
+        assert repr(list(map(list, found[2:]))) == repr(values)
+
+
+@given(st.binary(max_size=200), st.booleans())
+def test_arbitrary_bytes_do_not_crash_the_decoder(payload, known):
+    decoder = JointStateDecoder(5)
+    whole = message(["pin"], effort=[1.0])
+    if known:
+        decoder.decode(whole)
+    for start in (b"", b"\0\1\0\0", whole[: len(whole) // 2]):
+        try:
+            decoder.decode(start + payload)
+        except MessageError as error:
+            assert "\n" not in str(error)
+
+
+def test_truncated_messages_are_refused_whatever_came_before(layout):
+    whole = message(["pin", "rail"], effort=[1.0, 2.0])
+    reader = JointCommandInput(layout)
+    reader.read(whole, NOW, 0, None)
+    for size in range(len(whole) - 8):
+        with pytest.raises(Refusal):
+            reader.read(whole[:size], NOW, 0, None)
+    assert reader.refused["damaged"] == len(whole) - 8

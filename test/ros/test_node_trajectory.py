@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Trajectories and arrays of commands of a running node, over DDS, and their recording."""
+
+import math
+import signal
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from commanded import STEP, Commanded
+from node_process import NodeProcess, stamp_ns
+from std_msgs.msg import Float64MultiArray
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from liegroup_sim_ros.playback.resimulate import resimulate
+from liegroup_sim_ros.recording.read import read_recording
+
+NODE = "/led"
+# Two links with servos of 70 rad/s and more, overdamped.
+SCENE = """
+name: arm
+gravity: [0, 0, 0]
+bodies:
+  - {name: upper, mass: 1.0, inertia: [0.01, 0.02, 0.02], position: [0.25, 0, 0]}
+  - {name: lower, mass: 0.5, inertia: [0.005, 0.01, 0.01], position: [0.75, 0, 0]}
+joints:
+  - {name: shoulder, type: revolute, parent: world, child: upper, parent_frame: {position: [0, 0, 0]}}
+  - {name: elbow, type: revolute, parent: upper, child: lower, child_frame: {position: [-0.25, 0, 0]}}
+forces:
+  - {name: s, type: servo, joint: shoulder, stiffness: 2000, damping: 60}
+  - {name: e, type: servo, joint: elbow, stiffness: 500, damping: 12}
+"""
+
+
+@pytest.fixture(scope="module")
+def process(client, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("led")
+    (folder / "arm.yaml").write_text(SCENE)
+    parameters = {
+        "scene": folder / "arm.yaml",
+        "method": "rkmk4",
+        "step": STEP,
+        "joint_state_rate": 1000.0,
+        "record": folder / "run.mcap",
+        "command_joints": "elbow,shoulder",
+        "trajectory_period": 0.001,
+        "start_paused": "true",
+    }
+    with NodeProcess(parameters, remap=[f"__node:={NODE[1:]}"]) as process:
+        node = Commanded(client, NODE)
+        lead = client.node.create_publisher(JointTrajectory, f"{NODE}/joint_trajectory", 10)
+        array = client.node.create_publisher(Float64MultiArray, f"{NODE}/commands", 10)
+        for publisher in (lead, array):
+            client.until(publisher.get_subscription_count, what="a subscription")
+        yield SimpleNamespace(process=process, node=node, lead=lead, array=array, folder=folder)
+
+
+@pytest.fixture
+def node(client, process):
+    assert client.call(f"{NODE}/reset").success
+    client.spin(0.2)
+    del process.node.states[:-1]
+    return process.node
+
+
+def trajectory(names, *points, stamp=0):
+    found = JointTrajectory(joint_names=names)
+    found.header.stamp.sec, found.header.stamp.nanosec = divmod(stamp, 10**9)
+    for seconds, *numbers in points:
+        fields = zip(("positions", "velocities", "accelerations"), numbers)
+        point = JointTrajectoryPoint(**dict(fields))
+        point.time_from_start.sec, point.time_from_start.nanosec = divmod(
+            round(seconds * 1e9), 10**9
+        )
+        found.points.append(point)
+    return found
+
+
+def motion(node, start):
+    """(times since a stamp in s, positions (k, 2)) of all joint states since then."""
+    found = [(stamp_ns(s.header.stamp) - start, s.position) for s in node.states]
+    return np.array([t for t, _ in found]) * 1e-9, np.array([p for _, p in found])
+
+
+def test_servos_follow_a_trajectory_from_its_stamp(process, node):
+    """Two segments: a cubic from the present state, then a quintic; the servo lags by a part of its inertia."""
+    node.steps(10)
+    start = node.now() + 50_300_000
+    message = trajectory(
+        ["elbow", "shoulder"],
+        (0.5, [0.4, -0.3], [0.6, -0.2], [0.0, 0.0]),
+        (1.0, [0.2, 0.5], [0.0, 0.0], [0.0, 0.0]),
+        stamp=start,
+    )
+    process.lead.publish(message)
+    node.steps(1200)
+    times, found = motion(node, start)
+    t = np.clip(times, 0.0, 0.5)[:, None]
+    first = np.array([[3.0 * -0.3 + 0.2 * 0.5, 3.0 * 0.4 - 0.6 * 0.5]]) / 0.5**2 * t**2
+    first += np.array([[0.6 - 0.2 * 0.5, -0.8 + 0.6 * 0.5]]) / 0.5**3 * t**3
+    early = times <= 0.5
+    assert np.abs(found - first)[early].max() < 1e-2 and np.abs(found[early]).max() > 0.3
+    assert found[-1] == pytest.approx([0.5, 0.2], abs=1e-4)
+    assert np.abs(found[times < -1e-4]).max() == 0.0
+
+
+def test_a_position_command_takes_its_joint_from_the_trajectory(process, node):
+    process.lead.publish(trajectory(["elbow", "shoulder"], (1.0, [0.5, 0.5], [0.0, 0.0])))
+    node.steps(200)
+    node.command(name=["elbow"], position=[-0.2])
+    node.steps(1200)
+    assert list(node.states[-1].position) == pytest.approx([0.5, -0.2], abs=1e-4)
+
+
+def test_an_array_commands_the_joints_of_the_parameter(process, node):
+    process.array.publish(Float64MultiArray(data=[0.3, math.nan]))
+    state = node.steps(500)
+    assert list(state.position) == pytest.approx([0.0, 0.3], abs=1e-4)
+    process.array.publish(Float64MultiArray(data=[0.1, -0.2]))
+    state = node.steps(500)
+    assert list(state.position) == pytest.approx([-0.2, 0.1], abs=1e-4)
+
+
+def test_wrong_trajectories_are_counted_and_change_nothing(client, process, node):
+    for reason, message in (
+        ("moving_at_end", trajectory(["elbow"], (1.0, [1.0], [1.0]))),
+        ("wrong_times", trajectory(["elbow"], (1.0, [1.0]), (1.0, [2.0]))),
+        ("unknown_joint", trajectory(["wrist"], (1.0, [1.0]))),
+        ("not_finite", trajectory(["elbow"], (1.0, [math.nan]))),
+        ("wrong_length", trajectory(["elbow"], (1.0, [1.0, 2.0]))),
+    ):
+        count = f"joint_trajectories_refused_{reason}"
+        known = node.figure(count) if node.figures else 0
+        process.lead.publish(message)
+        client.until(lambda: node.steps(100) and node.figure(count) == known + 1, what=reason)
+    process.array.publish(Float64MultiArray(data=[0.3]))
+    client.until(
+        lambda: node.steps(100) and node.figure("joint_commands_refused_wrong_length") == 1
+    )
+    assert not any(node.states[-1].velocity)
+
+
+def test_a_reset_ends_a_trajectory(process, client, node):
+    process.lead.publish(trajectory(["elbow"], (1.0, [1.0], [0.0])))
+    node.steps(100)
+    assert client.call(f"{NODE}/reset").success
+    assert list(node.steps(300).position) == [0.0, 0.0]
+
+
+def test_the_recording_is_repeated_bit_by_bit(process):
+    process.process.send(signal.SIGINT)
+    code, log = process.process.wait()
+    assert code == 0 and log.count("joint trajectory refused") == 5, log
+    recording = read_recording(process.folder / "run.mcap")
+    figures = resimulate(recording)
+    assert figures["identical"] == figures["samples"] > 300 and figures["must_be_equal"]
+    assert len(recording.servo_targets.stamp_ns) > 2000
+
+
+@pytest.mark.parametrize(
+    "parameters, text",
+    [
+        ({"command_joints": "wrist"}, "command_joints: 'wrist' is not a joint"),
+        ({"command_joints": "elbow,elbow"}, "command_joints: names a joint twice"),
+        (
+            {"command_joints": "elbow", "command_interface": "velocity"},
+            "command_interface: 'elbow' has no servo without stiffness",
+        ),
+        ({"command_interface": "force"}, "command_interface: must be position"),
+        ({"trajectory_period": 0.0}, "trajectory_period: must be at least 1e-05"),
+    ],
+)
+def test_wrong_parameters_are_refused_in_one_line(tmp_path, parameters, text):
+    (tmp_path / "arm.yaml").write_text(SCENE)
+    with NodeProcess({"scene": tmp_path / "arm.yaml", **parameters}) as process:
+        code, errors = process.wait()
+    assert code == 2 and text in errors.splitlines()[-1], errors

@@ -1,0 +1,254 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Interpolation and refusal of trajectories, and arrays of commands; no ROS node runs here."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rclpy.serialization import serialize_message
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from liegroup_core import Simulation
+from liegroup_core.layout import make_layout
+from liegroup_core.scene.load import scene_from_text
+from liegroup_sim_ros.messages.codecs import MessageError
+from liegroup_sim_ros.messages.commands import Point, decode_array, decode_trajectory
+from liegroup_sim_ros.node.counted_input import FARTHEST, MOST, Refusal
+from liegroup_sim_ros.node.joint_command_input import JointCommandInput
+from liegroup_sim_ros.node.trajectory import Follower, Trajectory, between
+from liegroup_sim_ros.node.trajectory_input import TrajectoryInput
+
+NOW = 5 * 10**9
+SCENE = """
+name: joints
+gravity: [0, 0, 0]
+bodies:
+  - {name: one, mass: 1, inertia: [0.01, 0.01, 0.01]}
+  - {name: two, mass: 0.1, inertia: [1, 1, 1], position: [1, 0, 0]}
+  - {name: three, mass: 1, inertia: [1, 1, 1], position: [2, 0, 0]}
+joints:
+  - {name: pin, type: revolute, parent: world, child: one, child_frame: {position: [0, 0, 0]}}
+  - {name: rail, type: prismatic, parent: world, child: two, child_frame: {position: [0, 0, 0]}}
+  - {name: free, type: revolute, parent: world, child: three, child_frame: {position: [0, 0, 0]}}
+forces:
+  - {name: drive, type: servo, joint: pin, stiffness: 100, damping: 2}
+  - {name: pull, type: linear_servo, joint: rail, stiffness: 1000, damping: 20}
+"""
+
+
+@pytest.fixture(scope="module")
+def layout():
+    return make_layout(scene_from_text(SCENE))
+
+
+def message(names=("pin", "rail"), points=(), stamp_ns=0):
+    """points : [(seconds, positions, velocities, accelerations, effort)], the last ones optional."""
+    found = JointTrajectory(joint_names=list(names))
+    found.header.stamp.sec, found.header.stamp.nanosec = divmod(stamp_ns, 10**9)
+    for seconds, *numbers in points:
+        fields = zip(("positions", "velocities", "accelerations", "effort"), numbers)
+        point = JointTrajectoryPoint(**{name: list(map(float, each)) for name, each in fields})
+        point.time_from_start.sec, point.time_from_start.nanosec = divmod(
+            round(seconds * 1e9), 10**9
+        )
+        found.points.append(point)
+    return serialize_message(found)
+
+
+@pytest.mark.parametrize("degree", [1, 3, 5])
+def test_segments_are_the_polynomials_that_their_ends_determine(degree):
+    """A random polynomial of this degree comes back, at any time between the ends."""
+    random = np.random.default_rng(degree)
+    exact = np.polynomial.Polynomial(random.normal(size=degree + 1))
+    rate, slope = exact.deriv(), exact.deriv(2)
+    length = 1.7
+
+    def end(t):
+        known = exact(t), rate(t), slope(t)
+        return tuple(value if 2 * k < degree else None for k, value in enumerate(known))
+
+    for t in np.linspace(0.0, length, 7):
+        found = between(end(0.0), end(length), length, t)
+        assert found == pytest.approx((exact(t), rate(t)), abs=1e-12)
+
+
+def test_a_segment_between_points_that_differ_in_kind_is_that_of_the_poorer_one():
+    whole = (0.0, 1.0, 2.0), (3.0, 4.0, 5.0)
+    for k in (1, 2):
+        poorer = tuple((*end[:k], *(None,) * (3 - k)) for end in whole)
+        for ends in ((poorer[0], whole[1]), (whole[0], poorer[1])):
+            assert between(*ends, 2.0, 0.7) == between(*poorer, 2.0, 0.7)
+
+
+def points(*rows):
+    return [Point(*row[:3], (), round(row[3] * 1e9)) for row in rows]
+
+
+def test_a_trajectory_begins_at_the_present_state_and_ends_at_rest():
+    trajectory = Trajectory(["pin"], points(((1.0,), (0.5,), (), 1.0), ((2.0,), (0.0,), (), 3.0)))
+    trajectory.begin([(-1.0, 0.25)])
+    assert trajectory.seconds == 3.0
+    times = [0.0, 0.5, 1.0, 2.0, 3.0, 9.0]
+    found = [state for time in times for state in trajectory.at(time)]
+    assert found[0] == (-1.0, 0.25) and found[2] == pytest.approx((1.0, 0.5))
+    assert found[4] == found[5] == (2.0, 0.0)
+    first, second = (-1.0, 0.25, None), (1.0, 0.5, None)
+    assert found[1] == between(first, second, 1.0, 0.5)
+    assert found[3] == between(second, (2.0, 0.0, None), 2.0, 1.0)
+
+
+def test_a_first_point_at_time_zero_is_a_jump():
+    trajectory = Trajectory(["pin"], points(((1.0,), (), (), 0.0), ((2.0,), (), (), 1.0)))
+    trajectory.begin([(-1.0, 0.0)])
+    assert trajectory.at(0.0) == [(1.0, 1.0)] and trajectory.at(0.5) == [(1.5, 1.0)]
+
+
+def followed(trajectory, step=1e-3, period=2e-3, seconds=1.0, more=lambda *_: None):
+    """(times, positions of the pin) of a simulation whose servos follow a trajectory from 0.1003 s."""
+    simulation = Simulation(scene_from_text(SCENE), "rkmk4", step, estimate=False)
+    follower = Follower(simulation, period)
+    follower.follow(trajectory, 0.1003)
+    times, positions = [], []
+    while simulation.time < seconds:
+        more(simulation, follower)
+        follower.command(simulation.time + 10 * step)
+        simulation.advance(10)
+        times.append(simulation.time)
+        positions.append(simulation.sample().joint_coordinates["pin"][0])
+    return np.array(times), np.array(positions), follower
+
+
+def test_servos_follow_a_trajectory():
+    """A stiff servo of 100 rad/s, a slow quintic: within what it lags, acceleration / 100^2."""
+    target = Trajectory(["pin"], points(((1.0,), (0.0,), (0.0,), 0.5)))
+    times, found, follower = followed(target)
+    s = np.clip((times - 0.1003) / 0.5, 0.0, 1.0)
+    # No acceleration is known at the start: the segment is a cubic, at most 6 / 0.5^2 rad/s^2.
+    assert np.abs(found - (3 * s**2 - 2 * s**3)).max() < 24.0 / 100.0**2 * 1.5
+    assert found[-1] == pytest.approx(1.0, abs=1e-6) and follower.is_idle
+
+
+def test_the_wanted_values_are_those_of_the_middle_of_each_period():
+    """Half the period, a fourth of the deviation, in an arc that both periods divide."""
+    apart = []
+    for period in (0.02, 0.01, 1e-4):
+        target = Trajectory(["pin"], points(((1.0,), (0.0,), (), 0.6)))
+        apart.append(followed(target, period=period, seconds=0.6)[1])
+    first, second = (np.abs(one - apart[2]).max() for one in apart[:2])
+    assert 1e-6 < second < first / 3.0
+
+
+def test_a_new_trajectory_replaces_the_former_at_its_start():
+    def more(simulation, follower):
+        if abs(simulation.time - 0.2) < 1e-9:
+            after = Trajectory(["rail"], points(((0.3,), (0.0,), (), 0.2)))
+            follower.follow(after, 0.3)
+
+    target = Trajectory(["pin"], points(((1.0,), (), (), 0.5)))
+    times, found, follower = followed(target, more=more)
+    # It stays where it was to be, after 0.1997 s at 2 rad/s.
+    assert found[-1] == pytest.approx(2.0 * 0.1997, abs=1e-6) and follower.is_idle
+
+
+def test_a_joint_that_something_else_commands_leaves_the_trajectory():
+    def more(simulation, follower):
+        if abs(simulation.time - 0.3) < 1e-9:
+            simulation.command_servo("pin", -0.5, start=0.35)
+            follower.release("pin", 0.35)
+
+    target = Trajectory(["pin", "rail"], points(((1.0, 0.2), (), (), 0.5)))
+    times, found, _ = followed(target, more=more)
+    assert found[times <= 0.35].max() > 0.4 and found[-1] == pytest.approx(-0.5, abs=1e-4)
+
+
+GOOD = [(0.5, (0.1, 0.2), (1, 1)), (1.0, (0.3, 0.1), (0, 0))]
+
+
+def test_a_trajectory_is_read(layout):
+    reader = TrajectoryInput(layout)
+    found = reader.read(message(["rail", "pin"], GOOD, NOW + 7), NOW)
+    assert (found.joints, found.stamp_ns, found.seconds) == (["rail", "pin"], NOW + 7, 1.0)
+    assert found.at(0.5) == [(0.1, 1.0), (0.2, 1.0)]
+    assert reader.read(message(points=GOOD, stamp_ns=10 * NOW), NOW, stamped=False).stamp_ns == 0
+    # One that has begun but not ended.
+    assert reader.read(message(points=GOOD, stamp_ns=NOW - 10**9 + 1), NOW)
+    assert reader.accepted == 3 and not any(reader.refused.values())
+
+
+def last(*fields, seconds=1.0):
+    return [GOOD[0], (seconds, *fields)]
+
+
+@pytest.mark.parametrize(
+    "changed, reason",
+    [
+        ({"points": last((math.nan, 0))}, "not_finite"),
+        ({"points": last((0, 0), (0, math.inf))}, "not_finite"),
+        ({"points": last((0, 0), (), (math.nan, 0))}, "not_finite"),
+        ({"points": last((0,))}, "wrong_length"),
+        ({"points": last(())}, "wrong_length"),
+        ({"points": last((0, 0), (0, 0, 0))}, "wrong_length"),
+        ({"names": ["pin", "rial"], "points": GOOD}, "unknown_joint"),
+        ({"names": ["pin", "pin"], "points": GOOD}, "repeated_joint"),
+        ({"names": ["pin", "free"], "points": GOOD}, "no_servo"),
+        ({"points": []}, "no_points"),
+        ({"names": [], "points": []}, "no_points"),
+        ({"points": last((0, 0), seconds=0.5)}, "wrong_times"),
+        ({"points": last((0, 0), seconds=0.4)}, "wrong_times"),
+        ({"points": [(-0.5, (0, 0)), GOOD[1]]}, "wrong_times"),
+        ({"points": last((0, 0), (0, 1))}, "moving_at_end"),
+        ({"points": last((0, 0), (), (), (0, 1))}, "effort"),
+        ({"points": GOOD, "stamp_ns": NOW - 10**9 - 1}, "stamp_too_old"),
+        ({"points": GOOD, "stamp_ns": NOW + FARTHEST + 1}, "stamp_too_far"),
+        ({"names": ["pin"] * 9, "points": GOOD}, "damaged"),
+    ],
+)
+def test_refused_trajectories_are_one_line(layout, changed, reason):
+    reader = TrajectoryInput(layout)
+    with pytest.raises(Refusal) as caught:
+        reader.read(message(**changed), NOW)
+    assert caught.value.reason == reason and caught.value.first
+    assert "\n" not in str(caught.value) and len(str(caught.value)) < 300
+    assert reader.accepted == 0 and reader.refused[reason] == 1
+
+
+@given(st.binary(max_size=200))
+def test_arbitrary_bytes_do_not_crash_the_decoders(payload):
+    whole = message(points=GOOD)
+    for start in (b"", b"\0\1\0\0", whole[: len(whole) // 2]):
+        for decode in (lambda data: decode_trajectory(data, 5), decode_array):
+            try:
+                decode(start + payload)
+            except MessageError as error:
+                assert "\n" not in str(error)
+
+
+@given(st.lists(st.floats(), max_size=5), st.lists(st.text("ab", max_size=5), max_size=3))
+def test_arrays_serialized_by_ros_are_decoded(numbers, labels):
+    dimensions = [MultiArrayDimension(label=label, size=3, stride=3) for label in labels]
+    array = Float64MultiArray(data=numbers, layout=MultiArrayLayout(dim=dimensions))
+    assert repr(list(decode_array(serialize_message(array)))) == repr(numbers)
+
+
+def test_an_array_commands_one_interface_of_the_joints(layout):
+    reader, names = JointCommandInput(layout), ("rail", "pin")
+
+    def read(*numbers, interface="effort", held=0):
+        array = serialize_message(Float64MultiArray(data=list(map(float, numbers))))
+        return reader.read_array(array, names, interface, held)
+
+    assert [(c.joint, c.effort) for c in read(1, math.nan)] == [("rail", 1.0)]
+    found = read(1, 2, interface="position")
+    assert [(c.joint, c.position, c.velocity) for c in found] == [("rail", 1, 0), ("pin", 2, 0)]
+    for arguments, reason in (
+        ({"numbers": (1,)}, "wrong_length"),
+        ({"numbers": (1, math.inf)}, "not_finite"),
+        ({"numbers": (1, 2), "interface": "velocity"}, "no_position"),
+        ({"numbers": (1, 2), "held": MOST}, "too_many"),
+    ):
+        with pytest.raises(Refusal) as caught:
+            read(*arguments.pop("numbers"), **arguments)
+        assert caught.value.reason == reason
