@@ -20,6 +20,7 @@ from .joints.pairs import LOWER_PAIRS
 from .lie.groups import UNKNOWN_TURN
 from .model.arrays import Model
 from .model.build import build_model
+from .observables.accelerations import Accelerations
 from .observables.joint_coordinates import JointCoordinates
 from .observables.sample import Sample
 from .scene.assembly import ready
@@ -128,6 +129,11 @@ class Layout:
     def coordinates(self):
         """JointCoordinates of the joints with one degree of freedom."""
         return JointCoordinates(self.centred, self.joint_frames)
+
+    @cached_property
+    def accelerations(self):
+        """Accelerations of the bodies, for states of this layout. The first use may compile."""
+        return Accelerations(self)
 
     def sample(self, pose, twist, time=0.0, time_ns=0, steps=0, near=None):
         """Create a Sample from pose (n, 12) and twist (n, 6) of the body frames, as in a recording.

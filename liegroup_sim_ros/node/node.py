@@ -126,32 +126,46 @@ class SimNode(Node):
             return False, "the node is shutting down"
 
     def _serve_reload(self, _, response):
+        response.success, response.message = self.load()
+        return response
+
+    def load(self, scene=None, paused=None):
+        """Replace the running scene: (True, its state) or (False, why the previous one continues).
+
+        scene  : Scene; None: that of the parameter
+        paused : whether it starts paused; None: as the previous one is
+        """
         before = self.scene_run
         try:
-            simulation = make_simulation(self._values, self._signals)
+            simulation = make_simulation(self._values, self._signals, scene)
             held, was_running = self.ask("hold")
             if not held:
                 raise Interrupted
             try:
-                after = SceneRun(self, self._values, simulation, before, paused=not was_running)
+                after = SceneRun(
+                    self,
+                    self._values,
+                    simulation,
+                    before,
+                    paused=not was_running if paused is None else paused,
+                )
             except WRONG_INPUT:
                 if was_running:
                     self.ask("resume")
                 raise
         except Interrupted:
-            response.message = "the node is shutting down"
+            return False, "the node is shutting down"
         except WRONG_INPUT as error:
-            response.message = f"the previous scene continues: {' '.join(str(error).split())}"
-        else:
-            before.close()
-            self.scene_run = after
-            after.start()
-            response.success = True
-            server = after.server
-            response.message = (
-                f"{simulation.scene.name} at {server.stamp_ns * 1e-9:.9g} s, {server.state}"
-            )
-        return response
+            return False, f"the previous scene continues: {' '.join(str(error).split())}"
+        before.close()
+        self.scene_run = after
+        after.start()
+        server = after.server
+        return True, f"{simulation.scene.name} at {server.stamp_ns * 1e-9:.9g} s, {server.state}"
+
+    def set_scene(self, path):
+        """Set the parameter `scene`: ~/reload loads this path from now on."""
+        self.set_parameters([Parameter("scene", value=path)])
 
     def _set_parameter(self, name, value):
         setattr(self._values, name, value)

@@ -13,11 +13,14 @@ import math
 import threading
 import time
 from concurrent.futures import Future
+from typing import NamedTuple
 
-from liegroup_core import SimulationError
+from liegroup_core import Sample, SceneError, SimulationError
 from liegroup_core.errors import LieGroupSimError
+from liegroup_core.layout import Layout
 from liegroup_core.pacing import SLOW, Pacer
 from liegroup_sim_ros.messages import events
+from liegroup_sim_ros.recording import attachments
 
 log = logging.getLogger("liegroup_core")
 
@@ -35,6 +38,16 @@ IDLE_TICK = 0.01  # s of simulated time between two ticks if no output has a per
 
 class CommandError(LieGroupSimError):
     """The current state does not allow the command; one line of text."""
+
+
+class Moment(NamedTuple):
+    """What the command "sample" returns."""
+
+    stamp_ns: int
+    sample: Sample
+    state: str  # of the server
+    acting: list  # [(body, axes, wrench (6,))] applied wrenches
+    layout: Layout
 
 
 class SimulationServer(threading.Thread):
@@ -93,10 +106,11 @@ class SimulationServer(threading.Thread):
         """Submit a command; returns its Future.
 
         Commands: "pause", "resume", "reset", "step" (count), "speed" (factor), "clear" (prefix of
-        sources), "sample", "hold". The result is one line of text, with two exceptions: "sample"
-        returns (stamp_ns, Sample, state), and "hold" returns whether the simulation was running.
-        "hold" is a pause that also works after a fault. The exception of the Future is
-        CommandError. The Future is cancelled if the thread ends first.
+        sources), "place" (poses, twists, reason; see Engine.place), "sample", "hold". The result is
+        one line of text, with two exceptions: "sample" returns a Moment, and "hold" returns whether
+        the simulation was running. "hold" is a pause that also works after a fault. A "step" in
+        several parts is "advance" (count) for each of them, then "stepped" (steps of all). The
+        exception of the Future is CommandError. The Future is cancelled if the thread ends first.
         """
         future = Future()
         method = {
@@ -104,6 +118,9 @@ class SimulationServer(threading.Thread):
             "resume": self._resume,
             "reset": self._reset,
             "step": self._step,
+            "advance": self._advance_paused,
+            "stepped": self._stepped,
+            "place": self._place,
             "speed": self._speed,
             "clear": self._clear,
             "sample": self._sample,
@@ -375,16 +392,32 @@ class SimulationServer(threading.Thread):
         return f"running from {self._seconds():.9g} s"
 
     def _reset(self):
-        # The new time is one step after the old one, so that no stamp occurs twice.
-        self._base_ns = self.stamp_ns + max(1, round(self._simulation.step * 1e9))
-        self.stamp_ns = self._base_ns
+        self._simulation.reset()
+        return self._restart("reset", "initial state, step 0", "initial state")
+
+    def _place(self, poses, twists, reason):
+        self._refuse_if_faulted()
+        try:
+            self._simulation.place(poses, twists)
+        except (SceneError, ValueError) as error:
+            raise CommandError(str(error)) from None
+        entries = attachments.state(self._simulation, self._next_stamp())
+        return self._restart("state", events.state(reason, entries), reason)
+
+    def _next_stamp(self):
+        """Stamp of a state that was set: one step after the last one, so that no stamp occurs twice."""
+        return self.stamp_ns + max(1, round(self._simulation.step * 1e9))
+
+    def _restart(self, name, text, result):
+        """Continue from a state that was set in the simulation; send the event and all outputs."""
+        self.stamp_ns = self._next_stamp()
+        self._base_ns = self.stamp_ns - self._simulation.time_ns
         with self._lock:
             self._wrenches.clear()
-        self._simulation.reset()
         self._said.clear()
         self._measure_shares()
         self._slow = False
-        self._event("reset", "initial state, step 0")
+        self._event(name, text)
         for body, axes in list(self._output.acting):
             self._send_wrench(self.stamp_ns, body, (0.0,) * 6, axes)
         self._send_outputs(everything=True)
@@ -393,21 +426,30 @@ class SimulationServer(threading.Thread):
             self.state = self._state_before_fault
         if self.state == "running":
             self.pacer.start(self._seconds())
-        return f"initial state at {self._seconds():.9g} s, {self.state}"
+        return f"{result} at {self._seconds():.9g} s, {self.state}"
 
     def _step(self, count):
+        first = self._simulation.steps
+        reached = self._advance_paused(count)
+        done = self._simulation.steps - first
+        text = self._stepped(done)
+        if not reached:
+            raise CommandError(f"stopped after {done} of {count} steps")
+        return text
+
+    def _advance_paused(self, count):
+        """Take steps while paused; True if all were taken."""
         self._refuse_if_faulted()
         if self.state != "paused":
             raise CommandError("the simulation is running: call ~/pause first")
-        first = self._simulation.steps
-        reached = self._advance(first + count)
-        done = self._simulation.steps - first
-        if reached:
+        return self._advance(self._simulation.steps + count)
+
+    def _stepped(self, done):
+        """Send all outputs and the event after steps that were taken while paused."""
+        if self.state != "faulted":
             self._send_outputs(everything=True)
         steps = f"{done} step{'s' if done != 1 else ''}"
         self._event("step", f"{steps}, at step {self._simulation.steps}")
-        if not reached:
-            raise CommandError(f"stopped after {done} of {count} steps")
         return f"{steps}, at {self._seconds():.9g} s"
 
     def _speed(self, factor):
@@ -428,7 +470,10 @@ class SimulationServer(threading.Thread):
         return f"wrenches of {prefix} end with the next step"
 
     def _sample(self):
-        return self.stamp_ns, self._simulation.sample(), self.state
+        simulation = self._simulation
+        return Moment(
+            self.stamp_ns, simulation.sample(), self.state, simulation.acting(), simulation.layout
+        )
 
     def _hold(self):
         if self.state == "faulted":  # a reset would let it run again
