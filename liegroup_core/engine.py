@@ -276,6 +276,22 @@ class Engine:
         """
         return b"".join(array.tobytes() for array in self._integrator.memory)
 
+    def snapshot(self) -> dict[str, Any]:
+        """Copy of the whole state, with the wrenches of `apply_wrench`, for `restore`."""
+        return {
+            "state": (*self.state(), self.steps, self._work.angle.copy()),
+            "memory": Engine.memory(self),
+            "schedule": copy.deepcopy(self._schedule),
+            "external": self._external.copy(),
+        }
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Return to a snapshot of this simulation. The continuation is bit-identical."""
+        self.set_state(*snapshot["state"])
+        Engine._remember(self, snapshot["memory"])
+        self._schedule = copy.deepcopy(snapshot["schedule"])
+        self._external[:] = snapshot["external"]
+
     @property
     def time(self) -> float:
         """Simulated time since the start or the last reset, s."""

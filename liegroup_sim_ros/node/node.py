@@ -96,16 +96,24 @@ class SimNode(Node):
         simulation = make_simulation(values, signals)
         with _refused_by_rcl():
             self.scene_run = SceneRun(self, values, simulation, paused=values.start_paused)
-        for name in ("pause", "resume", "reset", "step"):
+        for name in ("pause", "resume", "reset"):
             self.create_service(Trigger, f"~/{name}", self._command(name))
+        for name, command, parameter in (
+            ("step", "step", "step_count"),
+            ("save_snapshot", "save", "snapshot"),
+            ("restore_snapshot", "restore", "snapshot"),
+        ):
+            self.create_service(Trigger, f"~/{name}", self._command(command, parameter))
         self.create_service(Trigger, "~/reload", self._serve_reload)
         standard_services.offer(self, signals, values.world_frame)
         watch_parameters(self, self._set_parameter)
         self.scene_run.start()
 
-    def _command(self, name):
+    def _command(self, name, *parameters):
+        """Callback of a service that executes a command with the values of parameters."""
+
         def serve(_, response):
-            arguments = (self._values.step_count,) if name == "step" else ()
+            arguments = [getattr(self._values, parameter) for parameter in parameters]
             response.success, response.message = self.ask(name, *arguments)
             return response
 

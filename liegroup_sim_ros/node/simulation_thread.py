@@ -33,6 +33,7 @@ COARSER, COARSEST = 10.0, 0.1
 # No accuracy takes less than one substep per step. It is raised only above so many, and only if one
 # per step, with the messages, would take less than so much of a core.
 WORTH, REACHABLE = 1.2, 1.0
+MOST_SNAPSHOTS = 1000
 IDLE_TICK = 0.01  # s of simulated time between two ticks if no output has a period
 
 
@@ -86,6 +87,7 @@ class SimulationServer(threading.Thread):
         self._commands = []  # (Future, bound method, arguments)
         self._wrenches = {}  # (source, start_ns) -> (Push, duration)
         self._stopping = False
+        self._snapshots = {}
         self._base_ns = base_ns
         self._origin = origin
         self._factor_seen = 0.0  # achieved real-time factor at the last diagnostics
@@ -106,11 +108,12 @@ class SimulationServer(threading.Thread):
         """Submit a command; returns its Future.
 
         Commands: "pause", "resume", "reset", "step" (count), "speed" (factor), "clear" (prefix of
-        sources), "place" (poses, twists, reason; see Engine.place), "sample", "hold". The result is
-        one line of text, with two exceptions: "sample" returns a Moment, and "hold" returns whether
-        the simulation was running. "hold" is a pause that also works after a fault. A "step" in
-        several parts is "advance" (count) for each of them, then "stepped" (steps of all). The
-        exception of the Future is CommandError. The Future is cancelled if the thread ends first.
+        sources), "place" (poses, twists, reason; see Engine.place), "save" and "restore" (name of a
+        snapshot), "sample", "hold". The result is one line of text, with two exceptions: "sample"
+        returns a Moment, and "hold" returns whether the simulation was running. "hold" is a pause
+        that also works after a fault. A "step" in several parts is "advance" (count) for each of
+        them, then "stepped" (steps of all). The exception of the Future is CommandError. The Future
+        is cancelled if the thread ends first.
         """
         future = Future()
         method = {
@@ -121,6 +124,8 @@ class SimulationServer(threading.Thread):
             "advance": self._advance_paused,
             "stepped": self._stepped,
             "place": self._place,
+            "save": self._save,
+            "restore": self._restore,
             "speed": self._speed,
             "clear": self._clear,
             "sample": self._sample,
@@ -404,6 +409,29 @@ class SimulationServer(threading.Thread):
         entries = attachments.state(self._simulation, self._next_stamp())
         return self._restart("state", events.state(reason, entries), reason)
 
+    def _save(self, name):
+        self._refuse_if_faulted()
+        if name not in self._snapshots and len(self._snapshots) >= MOST_SNAPSHOTS:
+            raise CommandError(
+                f"there are {MOST_SNAPSHOTS} snapshots already: save under the name of one of them"
+            )
+        if self._wrenches:
+            self._apply_wrenches()
+        self._snapshots[name] = self._simulation.snapshot()
+        self._event("save", f"{name}, step {self._simulation.steps}")
+        return f"saved {name!r} at {self._seconds():.9g} s, step {self._simulation.steps}"
+
+    def _restore(self, name):
+        snapshot = self._snapshots.get(name)
+        if snapshot is None:
+            known = ", ".join(sorted(self._snapshots)) or "none, call ~/save_snapshot first"
+            raise CommandError(f"unknown snapshot {name!r}; saved are: {known}")
+        self._simulation.restore(snapshot)
+        entries = attachments.state(self._simulation, self._next_stamp())
+        return self._restart(
+            "state", events.state(f"snapshot {name}", entries), f"snapshot {name!r}"
+        )
+
     def _next_stamp(self):
         """Stamp of a state that was set: one step after the last one, so that no stamp occurs twice."""
         return self.stamp_ns + max(1, round(self._simulation.step * 1e9))
@@ -418,8 +446,10 @@ class SimulationServer(threading.Thread):
         self._measure_shares()
         self._slow = False
         self._event(name, text)
-        for body, axes in list(self._output.acting):
-            self._send_wrench(self.stamp_ns, body, (0.0,) * 6, axes)
+        acting = {(body, axes): tuple(wrench) for body, axes, wrench in self._simulation.acting()}
+        ended = dict.fromkeys(self._output.acting.keys() - acting.keys(), (0.0,) * 6)
+        for (body, axes), wrench in (ended | acting).items():
+            self._send_wrench(self.stamp_ns, body, wrench, axes)
         self._send_outputs(everything=True)
         self._reference_energy = self._simulation.sample().energy
         if self.state == "faulted":
