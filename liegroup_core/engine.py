@@ -27,6 +27,7 @@ from liegroup_core.integrators.smaller_step import step_that_works
 from liegroup_core.model.build import initial_state
 from liegroup_core.observables.sample import Sample
 from liegroup_core.scene.description import Scene
+from liegroup_core.scene.rearrange import rearranged
 
 from .errors import SimulationError
 from .integrators.families import check_group, check_options, choose_group, make_integrator
@@ -214,6 +215,36 @@ class Engine:
         if memory is not None:
             self._remember(memory)
 
+    def place(self, poses, twists) -> None:
+        """Give bodies other poses or twists; the other bodies follow through their joints.
+
+        poses  : {body: (4, 4)} homogeneous poses of body frames
+        twists : {body: (6,)} omega rad/s, v m/s; body axes, v of the body frame's origin
+        The given ones are kept exactly. The others are the nearest that satisfy all joints. Bodies
+        without a path of joints to a given one are not changed. Step count and time continue. The
+        wrenches of `apply_wrench` are cleared.
+        Raises SceneError with the joint and its residual if the joints do not allow it, ValueError
+        for an unknown body, NaN or a matrix that is no rotation. The state is then unchanged.
+        """
+        for body in {*poses, *twists} - self._body.keys():
+            raise ValueError(f"unknown body {body!r}; choose one of: {', '.join(self._body)}")
+        com = self.layout.offsets.com
+        centred_poses, centred_twists = {}, {}
+        for body, given in poses.items():
+            pose = np.array(given, dtype=float)
+            if pose.shape != (4, 4) or not np.isfinite(pose).all():
+                raise ValueError(f"expected a finite pose (4, 4) of {body}, got {given!r}")
+            position = pose[:3, 3] + pose[:3, :3] @ com[self._body[body]]
+            centred_poses[body] = np.concatenate([pose[:3, :3].ravel(), position])
+        for body, given in twists.items():
+            twist = np.array(given, dtype=float)
+            if twist.shape != (6,) or not np.isfinite(twist).all():
+                raise ValueError(f"expected a finite twist (6,) of {body}, got {given!r}")
+            twist[3:] += np.cross(twist[:3], com[self._body[body]])
+            centred_twists[body] = twist
+        state = rearranged(self.layout.centred, *self.state(), centred_poses, centred_twists)
+        self.set_state(*state, self.steps, self._work.angle.copy())
+
     def _remember(self, memory):
         arrays = self._integrator.memory
         if len(memory) != (size := sum(array.nbytes for array in arrays)):
@@ -255,6 +286,24 @@ class Engine:
         the substep, implicit methods accelerations and initial guesses.
         """
         return b"".join(array.tobytes() for array in self._integrator.memory)
+
+    def snapshot(self) -> dict[str, Any]:
+        """Copy of the whole state, with the wrenches of `apply_wrench`, for `restore`."""
+        return {
+            "state": (*self.state(), self.steps, self._work.angle.copy()),
+            "memory": Engine.memory(self),
+            "schedule": copy.deepcopy(self._schedule),
+            "external": self._external.copy(),
+            "wanted": self._work.wanted.copy(),
+        }
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Return to a snapshot of this simulation. The continuation is bit-identical."""
+        self.set_state(*snapshot["state"])
+        Engine._remember(self, snapshot["memory"])
+        self._schedule = copy.deepcopy(snapshot["schedule"])
+        self._external[:] = snapshot["external"]
+        self._work.wanted[:] = snapshot["wanted"]
 
     @property
     def time(self) -> float:

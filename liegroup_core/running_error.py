@@ -24,6 +24,7 @@ Coverage, that is estimate against true error: benchmarks/estimate_coverage.py,
 test/verification/test_running_error.py.
 """
 
+import copy
 import math
 
 import numpy as np
@@ -42,6 +43,16 @@ FASTEST = 8.0  # growth between two meetings that is continued until the next on
 SAFETY, SEEN, SEEN_CONTROLLED = 2.0, 0.6, 0.8
 # Of the mechanism's size, and rad: an error of this size makes a motion unpredictable.
 UNPREDICTABLE = 0.1
+_KEPT = (
+    "_set_at",
+    "_start",
+    "_next",
+    "_alive",
+    "_distance",
+    "_window",
+    "checkpoints",
+    "predictable_until",
+)
 
 
 @kernel
@@ -197,6 +208,34 @@ class RunningError:
         """Largest estimated error of a pose: parts of the mechanism's size, or rad."""
         position, angle = self.errors()[:, :2].max(axis=0)
         return max(float(position) / self.size, float(angle))
+
+    def snapshot(self):
+        """Copy of the estimate and of its companion, for `restore`."""
+        kept = {name: copy.deepcopy(getattr(self, name)) for name in _KEPT}
+        return kept | {"companion": self._companion.snapshot()}
+
+    def restore(self, snapshot):
+        """Return to a snapshot, at the same state of the engine."""
+        for name in _KEPT:
+            setattr(self, name, copy.deepcopy(snapshot[name]))
+        self._companion.restore(snapshot["companion"])
+
+    @property
+    def pending(self):
+        """[[time in s, body, axes, *wrench]] of which the companion knows, JSON types.
+
+        The companion may be some steps behind, and these wrenches may have changed since.
+        """
+        names = self._engine.layout.body_names
+        return [
+            [time, names[body], axes, *wrench]
+            for time, body, wrench, axes in self._companion._schedule.commands
+        ]
+
+    def remember_pending(self, pending):
+        """Tell the companion of `pending`. Raises ValueError."""
+        for time, body, axes, *wrench in pending:
+            self._companion.apply_wrench(body, wrench, time, source=axes, axes=axes)
 
     def memory(self):
         """Array from which `remember` restores the estimate."""

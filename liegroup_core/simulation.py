@@ -54,6 +54,7 @@ class Simulation(Engine):
     """
 
     doubt: str | None = None
+    _exceeded = _lost = False
     _running: RunningError | None = None
     _control: AccuracyControl | None = None
 
@@ -202,6 +203,34 @@ class Simulation(Engine):
             self._running.remember(numbers[len(arrays[0]) :])
             return
         super()._remember(memory)
+
+    def snapshot(self) -> dict[str, Any]:
+        """As Engine.snapshot, with the estimate of the error and what sets the steps."""
+        parts = {"doubt": (self.doubt, self._exceeded, self._lost)}
+        if self._running is not None:
+            parts["estimate"] = self._running.snapshot()
+        if self._control is not None:
+            parts["control"] = self._control.memory()
+        return super().snapshot() | parts
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """As Engine.restore."""
+        super().restore(snapshot)
+        self.doubt, self._exceeded, self._lost = snapshot["doubt"]
+        if self._control is not None:
+            self._control.remember(snapshot["control"])
+        if self._running is not None:
+            self._running.restore(snapshot["estimate"])
+
+    @property
+    def pending(self):
+        """Wrenches that belong to `memory`, see RunningError.pending; [] with a method."""
+        return [] if self._control is None else self._running.pending
+
+    def remember_pending(self, pending):
+        """Restore `pending` after `set_state` with a memory. Raises ValueError."""
+        if self._control is not None:
+            self._running.remember_pending(pending)
 
     def set_state(self, pose, twist, steps=0, angles=None, memory=None) -> None:
         """As Engine.set_state; without a memory the estimate of the error starts from zero."""

@@ -131,6 +131,14 @@ class WrenchSchedule:
                 totals[joint] = totals.get(joint, 0.0) + command.effort
         return totals
 
+    @property
+    def commands(self):
+        """[(start in s, body number, wrench (6,), axes)] that act, then those that start later."""
+        return [
+            (c.start.time, c.body, c.wrench, c.axes)
+            for c in (*self._acting.values(), *self._waiting)
+        ]
+
     def instant(self, time):
         """Instant of a time in s: the boundary of a step within half a ns, else whole ns."""
         if time > LATEST:

@@ -57,6 +57,7 @@ class Linkage:
     """
 
     def __init__(self, scene, frames, parts, joints, held=(), couplings=()):
+        self.numbers = list(joints)
         self.joints = [scene.joints[j] for j in joints]
         self.frames = [frames[j] for j in joints]
         self.parts = [parts[j] for j in joints]

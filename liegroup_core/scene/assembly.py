@@ -54,10 +54,11 @@ def assembled(scene, kept=()):
     linkage = Linkage(centred, frames, parts, joints, held, couplings)
     poses = linkage.nearest(linkage.start)
     if not linkage.is_closed(poses):
-        raise _open(linkage, poses)
+        raise cannot_close(linkage, poses)
     linkage = Linkage(centred, frames, parts, joints, (), couplings)
-    twists = _velocities(
+    twists = consistent_velocities(
         centred,
+        {body.name: body.twist for body in centred.bodies},
         linkage,
         poses,
         rates,
@@ -148,14 +149,17 @@ def _rows_of(scene, kept):
     return rows
 
 
-def _velocities(scene, linkage, poses, rates, fixed, kept):
-    """Step 4: twists {body: (6,)}, frames at the centres of mass; kept : see _rows_of."""
-    given = {body.name: body.twist for body in scene.bodies}
+def consistent_velocities(scene, given, linkage, poses, rates, fixed, kept=()):
+    """Step 4: twists {body: (6,)}, frames at the centres of mass.
+
+    given : {body: (6,)} the twists V0
+    rates : {index of a joint of the linkage: rate}; kept : see _rows_of
+    """
     if not linkage.bodies:
         return given
-    rate_rows = [np.zeros((0, 6))] * len(scene.joints)
+    rate_rows = [np.zeros((0, 6))] * len(linkage.joints)
     for j in rates:
-        joint, (_, F_b) = scene.joints[j], linkage.frames[j]
+        joint, (_, F_b) = linkage.joints[j], linkage.frames[j]
         rate_rows[j] = rate_row(joint, F_b)[None]
     kept = [(name, row) for name, row in kept if name in linkage.place]
     keeping = np.zeros((len(kept), 6 * len(linkage.bodies)))
@@ -164,11 +168,11 @@ def _velocities(scene, linkage, poses, rates, fixed, kept):
     closing = linkage.velocity_rows(poses)
     J = np.vstack([closing, linkage.relative_rows(poses, rate_rows), keeping])
     holders = [
-        next(j for j, joint in enumerate(scene.joints) if name in (joint.parent, joint.child))
+        next(j for j, joint in enumerate(linkage.joints) if name in (joint.parent, joint.child))
         for name, _ in kept
     ]
     owner = [
-        *np.repeat(range(len(scene.joints)), linkage.counts),
+        *np.repeat(range(len(linkage.joints)), linkage.counts),
         *(coupling.joint for coupling in linkage.couplings),
         *rates,
         *holders,
@@ -202,7 +206,7 @@ def _velocities(scene, linkage, poses, rates, fixed, kept):
     miss = wanted - J @ V
     scale = np.abs(J) @ np.abs(V) + np.abs(wanted)
     if (np.abs(miss) > TOLERANCE * (scale.max() + 1.0)).any():
-        raise _contradiction(scene, J, owner, miss)
+        raise _contradiction(linkage, J, owner, miss)
     return given | dict(zip(linkage.bodies, V.reshape(-1, 6)))
 
 
@@ -257,7 +261,7 @@ def _keys(pose):
     return {"position": pose[:3, 3], "quaternion": SO3.to_quaternion(pose[:3, :3])}
 
 
-def _open(linkage, poses):
+def cannot_close(linkage, poses):
     """SceneError for the joint with the largest position residual."""
     gaps = [linkage.gap(j, poses) for j in range(len(linkage.joints))]
     sizes = [max(gap / linkage.length, tilt) for gap, tilt in gaps]
@@ -269,26 +273,27 @@ def _open(linkage, poses):
                 "ratio or offset, or start from other poses",
                 ("couplings", i),
             )
-    j = int(np.argmax(sizes))
-    gap, tilt = gaps[j]
+    k = int(np.argmax(sizes))
+    (gap, tilt), j = gaps[k], linkage.numbers[k]
     return SceneError(
-        f'joints[{j}] "{linkage.joints[j].name}": cannot be assembled, the remaining '
+        f'joints[{j}] "{linkage.joints[k].name}": cannot be assembled, the remaining '
         f"constraint violation is {gap:.3g} m and {tilt:.3g} rad; check the lengths, "
         "start from poses closer to the assembled ones, or fix fewer bodies",
         ("joints", j),
     )
 
 
-def _contradiction(scene, J, owner, miss):
+def _contradiction(linkage, J, owner, miss):
     """SceneError for the joint with the largest velocity residual."""
-    j = int(owner[int(np.argmax(np.abs(miss)))])
+    k = int(owner[int(np.argmax(np.abs(miss)))])
+    j = linkage.numbers[k]
     turning = ~J.reshape(len(J), -1, 6)[:, :, 3:].any(axis=(1, 2))
     slip, turn = (
-        max((abs(x) for x, i, t in zip(miss, owner, turning) if i == j and t == kind), default=0.0)
+        max((abs(x) for x, i, t in zip(miss, owner, turning) if i == k and t == kind), default=0.0)
         for kind in (False, True)
     )
     return SceneError(
-        f'joints[{j}] "{scene.joints[j].name}": the given joint velocities and '
+        f'joints[{j}] "{linkage.joints[k].name}": the given joint velocities and '
         "velocities of fixed bodies contradict each other, the closest motion violates "
         f"this joint by {slip:.3g} m/s and {turn:.3g} rad/s; give fewer velocities",
         ("joints", j),

@@ -105,9 +105,7 @@ def find_scene(name_or_path: str | os.PathLike[str]) -> Path:
     given = resolve(name_or_path)
     if os.path.isfile(given):
         return given
-    known = {
-        path.stem: path for folder in reversed(_folders()) for path in sorted(folder.glob("*.yaml"))
-    }
+    known = example_scenes()
     name = str(given).removesuffix(".yaml")
     if name in known:
         return known[name]
@@ -115,6 +113,13 @@ def find_scene(name_or_path: str | os.PathLike[str]) -> Path:
         return given
     hint = suggestion(name, sorted(known)) if known else "give the path of a scene file (.yaml)"
     raise SceneError(f"{given}: is neither a file nor a known scene; {hint}")
+
+
+def example_scenes() -> dict[str, Path]:
+    """{name: path} of the example scenes."""
+    return {
+        path.stem: path for folder in reversed(_folders()) for path in sorted(folder.glob("*.yaml"))
+    }
 
 
 def _folders():

@@ -116,6 +116,7 @@ class _Parts:
             if not (
                 recording.initial_state.get("steps")
                 or any(len(track.stamp_ns) for track in recording.wrench.values())
+                or any(event.name == "state" for event in recording.events)
             ):
                 self._exact = exact_solution(layout, *initial_state(recording)[:2])
             if self._exact is None:

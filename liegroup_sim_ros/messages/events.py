@@ -1,5 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Texts of events about accuracy, real time and servos; they begin with the number that a reader needs."""
+"""Texts of events that readers of a recording need.
+
+Those about accuracy, real time and servos begin with a number. That of a state that was set has the
+state.
+"""
+
+import json
 
 
 def accuracy(value, time, before, share, share_of_messages):
@@ -64,3 +70,19 @@ def reports(simulation):
 def number(text):
     """The number at the beginning of a text. Raises ValueError."""
     return float(text.partition(" ")[0])
+
+
+def state(reason, entries):
+    """The run continues from a state that was set; its second line is the exact state.
+
+    entries : JSON types, see recording.attachments.state
+    """
+    return f"{reason}, step {entries['steps']}\n{json.dumps(entries, separators=(',', ':'))}"
+
+
+def state_of(text):
+    """The state in a text of `state`, a dict. Raises ValueError."""
+    entries = json.loads(text.partition("\n")[2])
+    if not isinstance(entries, dict):
+        raise ValueError("a state must be a JSON object")
+    return entries

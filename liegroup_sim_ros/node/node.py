@@ -96,16 +96,24 @@ class SimNode(Node):
         simulation = make_simulation(values, signals)
         with _refused_by_rcl():
             self.scene_run = SceneRun(self, values, simulation, paused=values.start_paused)
-        for name in ("pause", "resume", "reset", "step"):
+        for name in ("pause", "resume", "reset"):
             self.create_service(Trigger, f"~/{name}", self._command(name))
+        for name, command, parameter in (
+            ("step", "step", "step_count"),
+            ("save_snapshot", "save", "snapshot"),
+            ("restore_snapshot", "restore", "snapshot"),
+        ):
+            self.create_service(Trigger, f"~/{name}", self._command(command, parameter))
         self.create_service(Trigger, "~/reload", self._serve_reload)
         standard_services.offer(self, signals, values.world_frame)
         watch_parameters(self, self._set_parameter)
         self.scene_run.start()
 
-    def _command(self, name):
+    def _command(self, name, *parameters):
+        """Callback of a service that executes a command with the values of parameters."""
+
         def serve(_, response):
-            arguments = (self._values.step_count,) if name == "step" else ()
+            arguments = [getattr(self._values, parameter) for parameter in parameters]
             response.success, response.message = self.ask(name, *arguments)
             return response
 
@@ -126,32 +134,46 @@ class SimNode(Node):
             return False, "the node is shutting down"
 
     def _serve_reload(self, _, response):
+        response.success, response.message = self.load()
+        return response
+
+    def load(self, scene=None, paused=None):
+        """Replace the running scene: (True, its state) or (False, why the previous one continues).
+
+        scene  : Scene; None: that of the parameter
+        paused : whether it starts paused; None: as the previous one is
+        """
         before = self.scene_run
         try:
-            simulation = make_simulation(self._values, self._signals)
+            simulation = make_simulation(self._values, self._signals, scene)
             held, was_running = self.ask("hold")
             if not held:
                 raise Interrupted
             try:
-                after = SceneRun(self, self._values, simulation, before, paused=not was_running)
+                after = SceneRun(
+                    self,
+                    self._values,
+                    simulation,
+                    before,
+                    paused=not was_running if paused is None else paused,
+                )
             except WRONG_INPUT:
                 if was_running:
                     self.ask("resume")
                 raise
         except Interrupted:
-            response.message = "the node is shutting down"
+            return False, "the node is shutting down"
         except WRONG_INPUT as error:
-            response.message = f"the previous scene continues: {' '.join(str(error).split())}"
-        else:
-            before.close()
-            self.scene_run = after
-            after.start()
-            response.success = True
-            server = after.server
-            response.message = (
-                f"{simulation.scene.name} at {server.stamp_ns * 1e-9:.9g} s, {server.state}"
-            )
-        return response
+            return False, f"the previous scene continues: {' '.join(str(error).split())}"
+        before.close()
+        self.scene_run = after
+        after.start()
+        server = after.server
+        return True, f"{simulation.scene.name} at {server.stamp_ns * 1e-9:.9g} s, {server.state}"
+
+    def set_scene(self, path):
+        """Set the parameter `scene`: ~/reload loads this path from now on."""
+        self.set_parameters([Parameter("scene", value=path)])
 
     def _set_parameter(self, name, value):
         setattr(self._values, name, value)

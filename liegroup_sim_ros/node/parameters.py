@@ -140,6 +140,12 @@ TABLE = (
     Entry(
         "step_count", 1, "number of steps per call of ~/step", read_only=False, low=1, high=1000000
     ),
+    Entry(
+        "snapshot",
+        "snapshot",
+        "name of the snapshot that ~/save_snapshot saves and ~/restore_snapshot restores",
+        read_only=False,
+    ),
     Entry("record", "", "recording file (*.mcap) or existing folder; empty: no recording"),
     Entry(
         "record_flush_interval",

@@ -9,6 +9,7 @@ from liegroup_core import SceneError, Simulation, load_scene
 from liegroup_sim_ros.recording import attachments
 from liegroup_sim_ros.recording.write import Recorder
 
+from . import standard_services
 from .joint_command_topics import JointCommandTopics
 from .outputs import Outputs
 from .parameters import AUTO, ParameterError, fitting_steps, set_step
@@ -50,7 +51,7 @@ class SceneRun:
         base_ns, origin, path, part, bag = 0, "", values.record, 1, values.record_metadata or None
         if before is not None:
             base_ns = before.server.stamp_ns + max(1, round(simulation.step * 1e9))
-            origin = ", loaded by ~/reload"
+            origin = ", loaded"
             if before.recorder is not None:
                 origin += f"; the previous recording is {before.recorder.path.name}"
                 part, bag = before.recorder.part + 1, before.recorder.bag
@@ -197,16 +198,17 @@ class SceneRun:
         self.outputs.close(stamp_ns)
 
 
-def make_simulation(values, signals):
+def make_simulation(values, signals, scene=None):
     """Create the simulation that the parameters describe.
 
     signals : Signals
+    scene   : Scene in place of that of the parameter, or None
     raises SceneError, ParameterError; Interrupted as soon as `signals.received` is true
 
     Compiling may take half a minute. It runs in its own thread, because an exception from a signal
     handler can get lost in the compiler's callbacks.
     """
-    if not values.scene:
+    if scene is None and not values.scene:
         raise ParameterError(
             "parameter scene: is empty; give a scene, such as --ros-args -p "
             "scene:=heavy_top. In a parameter file it stands under /** or the node's name, "
@@ -216,7 +218,7 @@ def make_simulation(values, signals):
 
     def work():
         try:
-            future.set_result(_make(values))
+            future.set_result(_make(values, scene))
         except Exception as error:
             future.set_exception(error)
 
@@ -227,8 +229,8 @@ def make_simulation(values, signals):
     return future.result()
 
 
-def _make(values):
-    scene = load_scene(values.scene)
+def _make(values, scene):
+    scene = scene or load_scene(values.scene)
     for note in scene.differences:
         log.warning("%s: %s", scene.name, note)
     common = {
@@ -237,17 +239,23 @@ def _make(values):
     }
     try:
         if values.method != AUTO:
-            return Simulation(scene, values.method, values.step, **common, estimate=values.estimate)
-        simulation = Simulation(
-            scene,
-            step=values.wanted_step or fitting_steps(values),
-            **common,
-            accuracy=values.accuracy,
-            horizon=values.accuracy_horizon,
-        )
-        set_step(values, simulation.step)
-        return simulation
+            simulation = Simulation(
+                scene, values.method, values.step, **common, estimate=values.estimate
+            )
+        else:
+            simulation = Simulation(
+                scene,
+                step=values.wanted_step or fitting_steps(values),
+                **common,
+                accuracy=values.accuracy,
+                horizon=values.accuracy_horizon,
+            )
+            set_step(values, simulation.step)
     except SceneError:
         raise
     except ValueError as error:
         raise ParameterError(f"parameter accuracy, method, step or group: {error}") from None
+    if standard_services.is_installed():
+        # Compiled here, not at the first request: that would delay steps.
+        simulation.layout.reactions.warm_up()
+    return simulation

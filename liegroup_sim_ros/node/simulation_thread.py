@@ -15,12 +15,14 @@ import time
 from concurrent.futures import Future
 from itertools import groupby
 from operator import attrgetter
+from typing import NamedTuple
 
-from liegroup_core import SimulationError
+from liegroup_core import Sample, SceneError, SimulationError
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.forces.schedule import AppliedTarget
 from liegroup_core.pacing import SLOW, Pacer
 from liegroup_sim_ros.messages import events
+from liegroup_sim_ros.recording import attachments
 
 from .joint_command_input import Target
 from .trajectory import Follower
@@ -37,11 +39,20 @@ COARSER, COARSEST = 10.0, 0.1
 # per step, with the messages, would take less than so much of a core.
 WORTH, REACHABLE = 1.2, 1.0
 _time_ns = attrgetter("time_ns")
+MOST_SNAPSHOTS = 1000
 IDLE_TICK = 0.01  # s of simulated time between two ticks if no output has a period
 
 
 class CommandError(LieGroupSimError):
     """The current state does not allow the command; one line of text."""
+
+
+class Moment(NamedTuple):
+    """What the command "sample" returns."""
+
+    stamp_ns: int
+    sample: Sample
+    state: str  # of the server
 
 
 class SimulationServer(threading.Thread):
@@ -85,6 +96,7 @@ class SimulationServer(threading.Thread):
         self._follower, self._trajectory = Follower(simulation, follow_period), None
         self._wrenches = {}  # key -> (Push or JointEffort, duration)
         self._stopping = False
+        self._snapshots = {}
         self._base_ns = base_ns
         self._origin = origin
         self._factor_seen = 0.0  # achieved real-time factor at the last diagnostics
@@ -107,10 +119,12 @@ class SimulationServer(threading.Thread):
         """Submit a command; returns its Future.
 
         Commands: "pause", "resume", "reset", "step" (count), "speed" (factor), "clear" (prefix of
-        sources), "sample", "hold". The result is one line of text, with two exceptions: "sample"
-        returns (stamp_ns, Sample, state), and "hold" returns whether the simulation was running.
-        "hold" is a pause that also works after a fault. The exception of the Future is
-        CommandError. The Future is cancelled if the thread ends first.
+        sources), "place" (poses, twists, reason; see Engine.place), "save" and "restore" (name of a
+        snapshot), "sample", "hold". The result is one line of text, with two exceptions: "sample"
+        returns a Moment, and "hold" returns whether the simulation was running. "hold" is a pause
+        that also works after a fault. A "step" in several parts is "advance" (count) for each of
+        them, then "stepped" (steps of all). The exception of the Future is CommandError. The Future
+        is cancelled if the thread ends first.
         """
         future = Future()
         method = {
@@ -118,6 +132,11 @@ class SimulationServer(threading.Thread):
             "resume": self._resume,
             "reset": self._reset,
             "step": self._step,
+            "advance": self._advance_paused,
+            "stepped": self._stepped,
+            "place": self._place,
+            "save": self._save,
+            "restore": self._restore,
             "speed": self._speed,
             "clear": self._clear,
             "sample": self._sample,
@@ -428,43 +447,92 @@ class SimulationServer(threading.Thread):
         return f"running from {self._seconds():.9g} s"
 
     def _reset(self):
-        # The new time is one step after the old one, so that no stamp occurs twice.
-        self._base_ns = self.stamp_ns + max(1, round(self._simulation.step * 1e9))
-        self.stamp_ns = self._base_ns
+        self._simulation.reset()
+        return self._restart("reset", "initial state, step 0", "initial state")
+
+    def _place(self, poses, twists, reason):
+        self._refuse_if_faulted()
+        try:
+            self._simulation.place(poses, twists)
+        except (SceneError, ValueError) as error:
+            raise CommandError(str(error)) from None
+        entries = attachments.state(self._simulation, self._next_stamp())
+        return self._restart("state", events.state(reason, entries), reason)
+
+    def _save(self, name):
+        self._refuse_if_faulted()
+        if name not in self._snapshots and len(self._snapshots) >= MOST_SNAPSHOTS:
+            raise CommandError(
+                f"there are {MOST_SNAPSHOTS} snapshots already: save under the name of one of them"
+            )
+        if self._wrenches:
+            self._apply_wrenches()
+        self._snapshots[name] = self._simulation.snapshot()
+        self._event("save", f"{name}, step {self._simulation.steps}")
+        return f"saved {name!r} at {self._seconds():.9g} s, step {self._simulation.steps}"
+
+    def _restore(self, name):
+        snapshot = self._snapshots.get(name)
+        if snapshot is None:
+            known = ", ".join(sorted(self._snapshots)) or "none, call ~/save_snapshot first"
+            raise CommandError(f"unknown snapshot {name!r}; saved are: {known}")
+        self._simulation.restore(snapshot)
+        entries = attachments.state(self._simulation, self._next_stamp())
+        return self._restart(
+            "state", events.state(f"snapshot {name}", entries), f"snapshot {name!r}"
+        )
+
+    def _next_stamp(self):
+        """Stamp of a state that was set: one step after the last one, so that no stamp occurs twice."""
+        return self.stamp_ns + max(1, round(self._simulation.step * 1e9))
+
+    def _restart(self, name, text, result):
+        """Continue from a state that was set in the simulation; send the event and all outputs."""
+        self.stamp_ns = self._next_stamp()
+        self._base_ns = self.stamp_ns - self._simulation.time_ns
         with self._lock:
             self._wrenches.clear()
         self._trajectory = None
         self._follower.clear()
-        self._simulation.reset()
         self._said.clear()
         self._measure_shares()
         self._slow = False
-        self._event("reset", "initial state, step 0")
-        for body, axes in list(self._output.acting):
+        self._event(name, text)
+        acting = self._simulation.acting()
+        going_on = {(c.body, c.axes) for c in acting if not isinstance(c, AppliedTarget)}
+        for body, axes in self._output.acting.keys() - going_on:
             self._send_wrench(self.stamp_ns, body, (0.0,) * 6, axes)
-        if self._output.targets:
-            self._output.servo_targets(self.stamp_ns, {})
+        self._send_changes(self.stamp_ns, acting)
         self._send_outputs(everything=True)
         self._reference_energy = self._simulation.sample().energy
         if self.state == "faulted":
             self.state = self._state_before_fault
         if self.state == "running":
             self.pacer.start(self._seconds())
-        return f"initial state at {self._seconds():.9g} s, {self.state}"
+        return f"{result} at {self._seconds():.9g} s, {self.state}"
 
     def _step(self, count):
+        first = self._simulation.steps
+        reached = self._advance_paused(count)
+        done = self._simulation.steps - first
+        text = self._stepped(done)
+        if not reached:
+            raise CommandError(f"stopped after {done} of {count} steps")
+        return text
+
+    def _advance_paused(self, count):
+        """Take steps while paused; True if all were taken."""
         self._refuse_if_faulted()
         if self.state != "paused":
             raise CommandError("the simulation is running: call ~/pause first")
-        first = self._simulation.steps
-        reached = self._advance(first + count)
-        done = self._simulation.steps - first
-        if reached:
+        return self._advance(self._simulation.steps + count)
+
+    def _stepped(self, done):
+        """Send all outputs and the event after steps that were taken while paused."""
+        if self.state != "faulted":
             self._send_outputs(everything=True)
         steps = f"{done} step{'s' if done != 1 else ''}"
         self._event("step", f"{steps}, at step {self._simulation.steps}")
-        if not reached:
-            raise CommandError(f"stopped after {done} of {count} steps")
         return f"{steps}, at {self._seconds():.9g} s"
 
     def _speed(self, factor):
@@ -485,7 +553,7 @@ class SimulationServer(threading.Thread):
         return f"wrenches of {prefix} end with the next step"
 
     def _sample(self):
-        return self.stamp_ns, self._simulation.sample(), self.state
+        return Moment(self.stamp_ns, self._simulation.sample(), self.state)
 
     def _hold(self):
         if self.state == "faulted":  # a reset would let it run again

@@ -1,140 +1,227 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Services of the package simulation_interfaces, if it is installed, under Gazebo's names.
+"""Services and the action of the package simulation_interfaces, if it is installed.
 
-    ~/reset_simulation  ~/step_simulation  ~/set_simulation_state  ~/get_simulation_state
-    ~/get_entities_states
-
-Codes are given as numbers: the names of the constants differ between versions of the package, the
-numbers do not. Paused at step 0 is "stopped".
+They have Gazebo's names: that of their type in lower case. Older versions of the package lack some
+types; their services are then not offered. Paused at step 0 is "stopped".
 """
 
-import re
+import importlib.util
 
-OK, NOT_SUPPORTED, INCORRECT_STATE, FAILED = 1, 0, 3, 4  # Result
-STOPPED, PLAYING, PAUSED, QUITTING = 0, 1, 2, 3  # SimulationState
-ALREADY_THERE, TRANSITION_ERROR = 101, 102  # SetSimulationState
-SCOPE_DEFAULT, SCOPE_STATE, SCOPE_ALL = 0, 2, 255  # ResetSimulation
+from liegroup_sim_ros.version import __version__
+
+from . import standard_codes as codes
+from .standard_codes import answered
+from .standard_entities import Entities
+from .standard_worlds import Worlds
+
+# {service: type, features that it supports}
+SERVICES = {
+    "get_simulator_features": ("GetSimulatorFeatures", ()),
+    "reset_simulation": ("ResetSimulation", (codes.SIMULATION_RESET, codes.SIMULATION_RESET_STATE)),
+    "step_simulation": (
+        "StepSimulation",
+        (codes.STEP_SIMULATION_SINGLE, codes.STEP_SIMULATION_MULTIPLE),
+    ),
+    "get_simulation_state": ("GetSimulationState", (codes.SIMULATION_STATE_GETTING,)),
+    "set_simulation_state": (
+        "SetSimulationState",
+        (codes.SIMULATION_STATE_SETTING, codes.SIMULATION_STATE_PAUSE),
+    ),
+    "get_entities": ("GetEntities", ()),
+    "get_entities_states": ("GetEntitiesStates", ()),
+    "get_entity_state": ("GetEntityState", (codes.ENTITY_STATE_GETTING,)),
+    "set_entity_state": ("SetEntityState", (codes.ENTITY_STATE_SETTING,)),
+    "load_world": ("LoadWorld", (codes.WORLD_LOADING, codes.WORLD_RESOURCE_STRING)),
+    "get_current_world": ("GetCurrentWorld", (codes.WORLD_INFO_GETTING,)),
+    "get_available_worlds": ("GetAvailableWorlds", (codes.AVAILABLE_WORLDS,)),
+}
+ACTION = "simulate_steps"
+MOST_STEPS = 1_000_000  # a call, as step_count
+FEEDBACK = 1000  # messages that wait for a slow subscriber; there is one for each step
+
+
+def is_installed():
+    """Whether the package simulation_interfaces can be imported."""
+    return importlib.util.find_spec("simulation_interfaces") is not None
 
 
 def offer(node, signals, world_frame):
-    """Create the services of a SimNode. Does nothing if simulation_interfaces is not installed."""
-    try:
-        from simulation_interfaces import msg, srv
-    except ImportError:
+    """Create the services and the action of a SimNode. Does nothing without the package."""
+    if not is_installed():
         return
-    services = StandardServices(node.ask, signals, world_frame, msg.EntityState)
-    for name, kind in (
-        ("reset_simulation", srv.ResetSimulation),
-        ("step_simulation", srv.StepSimulation),
-        ("set_simulation_state", srv.SetSimulationState),
-        ("get_simulation_state", srv.GetSimulationState),
-        ("get_entities_states", srv.GetEntitiesStates),
-    ):
-        node.create_service(kind, f"~/{name}", getattr(services, name))
+    from simulation_interfaces import action, msg, srv
+
+    features = {codes.STEP_SIMULATION_ACTION} if hasattr(action, "SimulateSteps") else set()
+    offered = {
+        name: (getattr(srv, kind), supported)
+        for name, (kind, supported) in SERVICES.items()
+        if hasattr(srv, kind)
+    }
+    features.update(*(supported for _, supported in offered.values()))
+    handlers = (
+        Control(node.ask, signals, sorted(features)),
+        Entities(node.ask, world_frame, msg.EntityState),
+        Worlds(node, getattr(msg, "WorldResource", None)),
+    )
+    for name, (kind, _) in offered.items():
+        callback = next(getattr(h, name) for h in handlers if hasattr(h, name))
+        node.create_service(kind, f"~/{name}", callback)
+    if codes.STEP_SIMULATION_ACTION in features:
+        _offer_action(node, action.SimulateSteps)
 
 
-class StandardServices:
-    """Callbacks that translate services of simulation_interfaces to commands of the simulation.
+def _offer_action(node, kind):
+    from rclpy.action import ActionServer, CancelResponse
+    from rclpy.qos import QoSProfile
 
-    ask          : function (command, *arguments) -> (True, result) or (False, text): SimNode.ask
-    signals      : Signals; setting `received` ends the node
-    world_frame  : frame id of poses and twists
-    entity_state : class of the message EntityState
+    steps = SimulateSteps(node.ask, kind)
+    node.simulate_steps = ActionServer(
+        node,
+        kind,
+        f"~/{ACTION}",
+        steps.execute,
+        cancel_callback=lambda _: CancelResponse.ACCEPT,
+        feedback_pub_qos_profile=QoSProfile(depth=FEEDBACK),
+    )
+
+
+class Control:
+    """Callbacks that control the run.
+
+    ask      : function (command, *arguments) -> (True, result) or (False, text): SimNode.ask
+    signals  : Signals; setting `received` ends the node
+    features : numbers of SimulatorFeatures
     """
 
-    def __init__(self, ask, signals, world_frame, entity_state):
-        self._ask, self._signals = ask, signals
-        self._world_frame, self._entity_state = world_frame, entity_state
+    def __init__(self, ask, signals, features):
+        self._ask, self._signals, self._features = ask, signals, features
+
+    def get_simulator_features(self, _, response):
+        """Return the features that are supported."""
+        response.features.features = self._features
+        response.features.custom_info = (
+            f"liegroup_sim_ros {__version__}. Worlds are scenes (YAML) and robots (URDF, xacro, "
+            "SDF, MJCF), entities are their bodies."
+        )
+        return response
 
     def reset_simulation(self, request, response):
         """Reset to the initial state; simulated time continues, so time alone cannot be reset."""
-        if request.scope not in (SCOPE_DEFAULT, SCOPE_STATE, SCOPE_ALL):
-            return _answer(
+        scope = request.scope
+        if scope not in (0, codes.SCOPE_ALL) and (
+            scope & codes.SCOPE_TIME or not scope & codes.SCOPE_STATE
+        ):
+            return answered(
                 response,
-                NOT_SUPPORTED,
-                "only the state can be reset (scope 0, 2 or 255); simulated time increases "
-                "monotonically",
+                codes.NOT_SUPPORTED,
+                f"scope {scope}: only the state can be reset (scope 0, 2 or 255); simulated time "
+                "increases monotonically",
             )
-        return _answer(response, *_result(self._ask("reset"), FAILED))
+        done, text = self._ask("reset")
+        return answered(response, codes.OK if done else codes.FAILED, text)
 
     def step_simulation(self, request, response):
         """Take the requested number of steps while paused."""
-        return _answer(response, *_result(self._ask("step", request.steps), INCORRECT_STATE))
+        if request.steps > MOST_STEPS:
+            return answered(
+                response,
+                codes.FAILED,
+                f"{request.steps} steps are too many for one call: take at most {MOST_STEPS}, or "
+                f"use the action ~/{ACTION}",
+            )
+        done, text = self._ask("step", request.steps)
+        return answered(response, codes.OK if done else codes.FAILED, text)
 
-    def get_simulation_state(self, request, response):
+    def get_simulation_state(self, _, response):
         """Return stopped, playing or paused."""
         response.state.state, text = self._state()
-        return _answer(response, OK, text)
+        return answered(response, codes.OK, text)
 
     def set_simulation_state(self, request, response):
         """Stop (pause and reset), play, pause or quit."""
         requested, (current, _) = request.state.state, self._state()
         if requested == current:
-            return _answer(response, ALREADY_THERE, "")
-        if requested == QUITTING:
+            return answered(response, codes.ALREADY_THERE)
+        if (current, requested) == (codes.STOPPED, codes.PAUSED):
+            return answered(
+                response,
+                codes.INCORRECT_TRANSITION,
+                "the simulation is stopped: it is paused at step 0",
+            )
+        if requested == codes.QUITTING:
             self._signals.received = True
-            return _answer(response, OK, "the node is shutting down")
-        commands = {STOPPED: ("hold", "reset"), PLAYING: ("resume",), PAUSED: ("pause",)}.get(
-            requested
-        )
+            return answered(response, codes.OK, "the node is shutting down")
+        commands = {
+            codes.STOPPED: ("hold", "reset"),
+            codes.PLAYING: ("resume",),
+            codes.PAUSED: ("pause",),
+        }.get(requested)
         if commands is None:
-            return _answer(response, NOT_SUPPORTED, f"unknown state {requested}")
+            return answered(
+                response,
+                codes.NOT_SUPPORTED,
+                f"state {requested} cannot be set: choose stopped (0), playing (1), paused (2) or "
+                "quitting (3)",
+            )
         for command in commands:
             done, text = self._ask(command)
             if not done:
-                return _answer(response, TRANSITION_ERROR, text)
-        return _answer(response, OK, text)
-
-    def get_entities_states(self, request, response):
-        """Poses and twists of the bodies whose whole names match the filter, in world axes."""
-        filters = request.filters
-        bounded = getattr(getattr(filters, "bounds", None), "points", ())
-        if len(filters.categories) or len(filters.tags.tags) or len(bounded):
-            return _answer(response, NOT_SUPPORTED, "bodies have names only: filter by name")
-        try:
-            matches = re.compile(filters.filter or ".*").fullmatch
-        except re.error as error:
-            return _answer(response, FAILED, f"filter {filters.filter!r}: {error}")
-        done, result = self._ask("sample")
-        if not done:
-            return _answer(response, FAILED, result)
-        stamp_ns, sample, _ = result
-        response.entities = [body for body in sample.body_names if matches(body)]
-        response.states = [self._entity(stamp_ns, sample, body) for body in response.entities]
-        return _answer(response, OK, "")
+                return answered(response, codes.TRANSITION_ERROR, text)
+        return answered(response, codes.OK, text)
 
     def _state(self):
         """(SimulationState, text)."""
         done, result = self._ask("sample")
         if not done:
-            return QUITTING, result
-        _, sample, state = result
-        if state == "running":
-            return PLAYING, ""
-        text = "the simulation has stopped with an error: reset it" if state == "faulted" else ""
-        return (PAUSED if sample.steps else STOPPED), text
-
-    def _entity(self, stamp_ns, sample, body):
-        state = self._entity_state()
-        state.header.frame_id = self._world_frame
-        state.header.stamp.sec, state.header.stamp.nanosec = divmod(stamp_ns, 10**9)
-        rotation, twist = sample.poses[body][:3, :3], sample.twists[body]
-        for target, names, values in (
-            (state.pose.position, "xyz", sample.positions[body]),
-            (state.pose.orientation, "xyzw", sample.quaternions[body]),
-            (state.twist.angular, "xyz", rotation @ twist[:3]),
-            (state.twist.linear, "xyz", rotation @ twist[3:]),
-        ):
-            for name, value in zip(names, values):
-                setattr(target, name, float(value))
-        return state
+            return codes.QUITTING, result
+        if result.state == "running":
+            return codes.PLAYING, ""
+        text = (
+            "the simulation has stopped with an error: reset it"
+            if result.state == "faulted"
+            else ""
+        )
+        return (codes.PAUSED if result.sample.steps else codes.STOPPED), text
 
 
-def _result(answer, failure_code):
-    done, text = answer
-    return (OK if done else failure_code), text
+class SimulateSteps:
+    """The action: steps while paused, with feedback after each one.
+
+    ask  : as of Control
+    kind : class of the action
+    """
+
+    def __init__(self, ask, kind):
+        self._ask, self._kind = ask, kind
+
+    async def execute(self, goal):
+        """Take the steps of a goal handle; other callbacks run between two steps."""
+        count, done, text = goal.request.steps, 0, ""
+        feedback = self._kind.Feedback()
+        while done < count and not goal.is_cancel_requested:
+            reached, text = self._ask("advance", 1)
+            if not reached or not text:  # refused, or stopped by an error
+                break
+            done += 1
+            feedback.completed_steps, feedback.remaining_steps = done, count - done
+            goal.publish_feedback(feedback)
+            await _Turn()
+        if done:
+            self._ask("stepped", done)
+        result = self._kind.Result()
+        if done == count:
+            goal.succeed()
+            return answered(result, codes.OK, f"{done} steps")
+        if goal.is_cancel_requested:
+            goal.canceled()
+            return answered(result, codes.FAILED, f"cancelled after {done} of {count} steps")
+        goal.abort()
+        reason = text or "the simulation has stopped with an error: see ~/events"
+        return answered(result, codes.FAILED, f"stopped after {done} of {count} steps: {reason}")
 
 
-def _answer(response, code, text):
-    response.result.result, response.result.error_message = code, text
-    return response
+class _Turn:
+    """Awaitable that lets the executor run other callbacks once."""
+
+    def __await__(self):
+        yield

@@ -123,8 +123,9 @@ class Repeat:
                 f"{self._simulation.step:g} s"
             )
         try:
-            if stretch.is_first and "memory" in self._recorded and self._same_method:
-                restore(self._simulation, self._recorded)
+            recorded = self._recorded if stretch.is_first else stretch.state
+            if recorded and "memory" in recorded and self._same_method:
+                restore(self._simulation, recorded)
             else:
                 pose, twist, angles = self._starts.of(stretch)
                 self._simulation.set_state(pose, twist, round(start), angles)
@@ -218,18 +219,21 @@ def _same(one, other):
 
 
 class Starts:
-    """Initial states of stretches: that of the file, or after a reset that of the scene.
+    """Initial states of stretches: that of the file or of an event, or after a reset of the scene.
 
     `of(stretch)` is pose (n, 12), twist (n, 6) of the frames at the centres of mass, and angles
-    (t,) of the torsional springs or None.
+    (t,) of the torsional springs or None. Raises RecordingError.
     """
 
     def __init__(self, recording, layout):
+        self._recording = recording
         self._first = self._later = initial_state(recording)
         if recording.initial_state.get("steps"):
             self._later = *state_of_scene(layout.centred), None
 
     def of(self, stretch):
+        if stretch.state is not None:
+            return _arrays(self._recording, stretch.state)
         return self._first if stretch.is_first else self._later
 
 
@@ -238,7 +242,12 @@ def initial_state(recording):
 
     Raises RecordingError.
     """
-    state, n = recording.initial_state, len(recording.bodies)
+    return _arrays(recording, recording.initial_state)
+
+
+def _arrays(recording, state):
+    """Pose, twist and angles of the entries of a state, see `initial_state`."""
+    n = len(recording.bodies)
     try:
         pose = np.array(state["pose"], dtype=float).reshape(n, 12)
         twist = np.array(state["twist"], dtype=float).reshape(n, 6)

@@ -56,6 +56,7 @@ def state(simulation, stamp_ns):
         "stamp_ns": stamp_ns,
         "base_ns": stamp_ns - simulation.time_ns,
         "memory": base64.b64encode(simulation.memory()).decode(),
+        **({"pending": simulation.pending} if simulation.pending else {}),
     }
 
 
@@ -75,6 +76,7 @@ def restore(simulation, entries):
     try:
         memory = base64.b64decode(entries.get("memory", ""), validate=True)
         simulation.set_state(*arguments, memory=memory)
+        simulation.remember_pending(entries.get("pending", ()))
         return True
     except (binascii.Error, ValueError):
         simulation.set_state(*arguments)

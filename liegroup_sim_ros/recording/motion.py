@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Motion in a recording: blocks of samples between two resets, in bounded memory."""
+"""Motion in a recording: blocks of samples between two resets or states that were set.
+
+The memory is bounded.
+"""
 
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -18,18 +21,19 @@ LATEST = 2**62  # ns; larger stamps are invalid
 
 @dataclass(eq=False)
 class Stretch:
-    """The run from its start, or from a reset, to the next reset; n bodies.
+    """The run from its start, or from a reset or a state that was set, to the next one; n bodies.
 
     steps, rotation, position, twist, errors and angles are those of k kept samples, evenly
     distributed.
     """
 
     base_ns: int  # stamp of step 0
-    end_ns: float  # stamp of the reset that ends it, or infinity
+    end_ns: float  # stamp of the event that ends it, or infinity
     step: float  # s
     bodies: tuple  # names
-    is_first: bool  # begins with the file; the others begin with a reset
+    is_first: bool  # begins with the file
     start: int  # number of its first step
+    state: dict | None  # that was set, see attachments.state; None: that of the file or the scene
     change_times: np.ndarray  # (m,) s since step 0, at which a total wrench on a body changes
     change_bodies: np.ndarray  # (m,) index of the body
     change_wrenches: np.ndarray  # (m, 6) the total in its axes
@@ -197,21 +201,41 @@ class Motion:
         stamp = state.get("stamp_ns", 0)
         if not all(isinstance(value, int) and abs(value) < LATEST for value in (start, stamp)):
             raise RecordingError(f"{recording.path}: its initial state has no valid step and stamp")
-        bases = [stamp - round(start * step * 1e9)]  # a part continues a run
-        bases += [event.stamp_ns for event in recording.events if event.name == "reset"]
-        if any(b <= a for a, b in zip(bases, bases[1:])):
+        # A part continues a run: its first stamp is later than that of step 0.
+        starts = [(stamp - round(start * step * 1e9), start, None)]
+        for event in recording.events:
+            if event.name == "reset":
+                starts.append((event.stamp_ns, 0, None))
+            elif event.name == "state":
+                state = self._state(event.text)
+                starts.append((event.stamp_ns, state["steps"], state))
+        begins = [begin for begin, _, _ in starts]
+        if any(b <= a for a, b in zip(begins, begins[1:])):
             raise RecordingError(f"{recording.path}: the stamps of its resets do not increase")
         self._all = [
-            self._stretch(base, end, step, k == 0, start if k == 0 else 0)
-            for k, (base, end) in enumerate(zip(bases, [*bases[1:], np.inf]))
+            self._stretch(*each, end, step, k == 0)
+            for k, (each, end) in enumerate(zip(starts, [*begins[1:], np.inf]))
         ]
         self.first = self._all[0]
-        self._bases = np.array(bases, dtype=np.int64)
+        self._begins = np.array(begins, dtype=np.int64)
 
-    def _stretch(self, base, end, step, is_first, start):
+    def _state(self, text):
+        """State in the text of an event. Raises RecordingError."""
+        try:
+            state = events.state_of(text)
+            if not (isinstance(state["steps"], int) and 0 <= state["steps"] < LATEST):
+                raise ValueError
+        except (ValueError, KeyError, RecursionError):
+            raise RecordingError(
+                f"{self._recording.path}: an event state has no valid state: {text!r:.60}"
+            ) from None
+        return state
+
+    def _stretch(self, begin, start, state, end, step, is_first):
+        base = begin if is_first else begin - round(start * step * 1e9)
         tracks = self._recording.wrench
         stamps = [track.stamp_ns for track in tracks.values()] or [np.empty(0, dtype=np.int64)]
-        inside = [(s >= base) & (s < end) for s in stamps]
+        inside = [(s >= begin) & (s < end) for s in stamps]
         when = np.concatenate([s[mask] for s, mask in zip(stamps, inside)])
         which = np.repeat(np.arange(len(stamps)), [int(mask.sum()) for mask in inside])
         wrench = np.concatenate(
@@ -230,28 +254,29 @@ class Motion:
             self._recording.bodies,
             is_first,
             start,
+            state,
             (when[order] - base) * 1e-9,
             which[order],
             wrench[order],
             in_world[order],
-            *self._targets(base, end),
-            *self._accuracies(base, end, step),
+            *self._targets(begin, base, end),
+            *self._accuracies(begin, base, end, step),
         )
 
-    def _targets(self, base, end):
+    def _targets(self, begin, base, end):
         """Times in s at which wanted values of servos change, and these values."""
         track = self._recording.servo_targets
         if track is None:
             return np.empty(0), np.empty((0, 0, 2))
-        inside = (track.stamp_ns >= base) & (track.stamp_ns < end)
+        inside = (track.stamp_ns >= begin) & (track.stamp_ns < end)
         values = np.stack([track.position[inside], track.velocity[inside]], axis=2)
         return (track.stamp_ns[inside] - base) * 1e-9, values
 
-    def _accuracies(self, base, end, step):
+    def _accuracies(self, begin, base, end, step):
         """Changes of the accuracy, and the first time in s at which it was not kept."""
         changes, ended = [], np.inf
         for event in self._recording.events:
-            if not base <= event.stamp_ns < end:
+            if not begin <= event.stamp_ns < end:
                 continue
             since = (event.stamp_ns - base) * 1e-9
             if event.name not in ("accuracy", "inaccurate"):
@@ -277,7 +302,7 @@ class Motion:
         for samples in self._recording.samples():
             if abs(int(samples.stamp_ns[0])) > LATEST or abs(int(samples.stamp_ns[-1])) > LATEST:
                 raise RecordingError(f"{self._recording.path}: its stamps are out of range")
-            number = np.searchsorted(self._bases, samples.stamp_ns, "right") - 1
+            number = np.searchsorted(self._begins, samples.stamp_ns, "right") - 1
             edges = [0, *(np.flatnonzero(np.diff(number)) + 1).tolist(), len(number)]
             for a, b in zip(edges, edges[1:]):
                 if number[a] < 0:

@@ -39,7 +39,7 @@ def page_part(analysis, plots=True, shapes=None):
         "view": make_view(analysis, shapes) if plots and analysis.motion.stretches else None,
         "description": analysis.scene.description.strip(),
         "events": "\n".join(
-            f"{event.stamp_ns * 1e-9:12.6f} s  {event.name}: {event.text}"
+            f"{event.stamp_ns * 1e-9:12.6f} s  {event.name}: " + event.text.partition("\n")[0]
             for event in recording.events
         ),
         "scene": recording.scene_text,

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Entities of simulation_interfaces: the bodies of the scene, with their states in world axes."""
+
+import re
+
+import numpy as np
+
+from liegroup_core import SimulationError
+from liegroup_core.lie.groups import SO3
+
+from .standard_codes import FAILED, INVALID_POSE, NOT_FOUND, NOT_SUPPORTED, Refused, answering
+
+# Largest difference of a quaternion's norm from 1: single precision, or digits written by hand.
+NOT_UNIT = 1e-3
+
+
+class Entities:
+    """Callbacks of the services about entities.
+
+    ask          : function (command, *arguments) -> (True, result) or (False, text): SimNode.ask
+    world_frame  : frame id of poses, twists and accelerations
+    entity_state : class of the message EntityState
+    """
+
+    def __init__(self, ask, world_frame, entity_state):
+        self._ask, self._world_frame, self._entity_state = ask, world_frame, entity_state
+
+    @answering
+    def get_entities(self, request, response):
+        """Names of the bodies whose whole names match the filter."""
+        response.entities = _selected(self._moment(), request.filters)
+
+    @answering
+    def get_entities_states(self, request, response):
+        """States of the bodies that match the filter."""
+        moment = self._moment()
+        names = _selected(moment, request.filters)
+        response.states = self._states(moment, names)
+        response.entities = names
+
+    @answering
+    def get_entity_state(self, request, response):
+        """State of one body."""
+        moment = self._moment()
+        _check_name(moment, request.entity)
+        (response.state,) = self._states(moment, [request.entity])
+
+    @answering
+    def set_entity_state(self, request, response):
+        """Set pose, twist or both of one body; the other bodies follow through their joints."""
+        moment, body, state = self._moment(), request.entity, request.state
+        _check_name(moment, body)
+        # Versions before 2.1 have no flags: pose and twist are set.
+        sets = {name: getattr(request, f"set_{name}", True) for name in ("pose", "twist")}
+        if getattr(request, "set_acceleration", False):
+            raise Refused(
+                NOT_SUPPORTED,
+                "accelerations follow from the forces: set pose and twist, and apply a wrench",
+            )
+        if not any(sets.values()):
+            raise Refused(FAILED, "nothing to set: set_pose and set_twist are false")
+        frame = state.header.frame_id
+        if frame not in ("", self._world_frame):
+            raise Refused(
+                NOT_SUPPORTED,
+                f"frame {frame!r}: give pose and twist in {self._world_frame!r}, or leave it empty",
+            )
+        pose = _pose(state.pose) if sets["pose"] else moment.sample.poses[body]
+        twists = {body: _twist(state.twist, pose[:3, :3])} if sets["twist"] else {}
+        poses = {body: pose} if sets["pose"] else {}
+        done, text = self._ask("place", poses, twists, f"{_listed(sets)} of {body}")
+        if not done:
+            # A twist that the joints do not allow is reported as one, and has no code of its own.
+            at_pose = sets["pose"] and "velocities" not in text
+            raise Refused(INVALID_POSE if at_pose else FAILED, text)
+        return text
+
+    def _moment(self):
+        done, result = self._ask("sample")
+        if not done:
+            raise Refused(FAILED, result)
+        return result
+
+    def _states(self, moment, names):
+        """EntityStates of bodies."""
+        sample = moment.sample
+        try:
+            _ = sample.accelerations
+        except SimulationError as error:
+            raise Refused(FAILED, str(error)) from None
+        return [
+            self._entity(moment.stamp_ns, sample, body)
+            for body in sample.body_names
+            if body in names
+        ]
+
+    def _entity(self, stamp_ns, sample, body):
+        state = self._entity_state()
+        state.header.frame_id = self._world_frame
+        state.header.stamp.sec, state.header.stamp.nanosec = divmod(stamp_ns, 10**9)
+        rotation, twist = sample.poses[body][:3, :3], sample.twists[body]
+        acceleration = sample.accelerations[body]
+        for target, names, values in (
+            (state.pose.position, "xyz", sample.positions[body]),
+            (state.pose.orientation, "xyzw", sample.quaternions[body]),
+            (state.twist.angular, "xyz", rotation @ twist[:3]),
+            (state.twist.linear, "xyz", rotation @ twist[3:]),
+            (state.acceleration.angular, "xyz", rotation @ acceleration[:3]),
+            (state.acceleration.linear, "xyz", rotation @ acceleration[3:]),
+        ):
+            for name, value in zip(names, values):
+                setattr(target, name, float(value))
+        return state
+
+
+def _selected(moment, filters):
+    """Names of the bodies whose whole names match a filter, in the order of the scene."""
+    if len(filters.categories) or len(filters.tags.tags) or filters.bounds.type:
+        raise Refused(NOT_SUPPORTED, "bodies have names only: filter by name")
+    try:
+        matches = re.compile(filters.filter or ".*").fullmatch
+    except re.error as error:
+        raise Refused(FAILED, f"filter {filters.filter!r}: {error}") from None
+    return [body for body in moment.sample.body_names if matches(body)]
+
+
+def _check_name(moment, body):
+    names = moment.sample.body_names
+    if body not in names:
+        raise Refused(NOT_FOUND, f"unknown entity {body!r}; choose one of: {', '.join(names)}")
+
+
+def _listed(sets):
+    return " and ".join(name for name, is_set in sets.items() if is_set)
+
+
+def _numbers(message, names):
+    return np.array([getattr(message, name) for name in names], dtype=float)
+
+
+def _pose(message):
+    """(4, 4) of a geometry_msgs/Pose."""
+    position, quaternion = _numbers(message.position, "xyz"), _numbers(message.orientation, "xyzw")
+    norm = np.linalg.norm(quaternion)
+    if not np.isfinite(position).all():
+        raise Refused(INVALID_POSE, f"the position is not finite: {position.tolist()}")
+    if not abs(norm - 1.0) <= NOT_UNIT:
+        raise Refused(
+            INVALID_POSE, f"the quaternion {quaternion.tolist()} has norm {norm:g}, not 1"
+        )
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = SO3.from_quaternion(quaternion / norm), position
+    return pose
+
+
+def _twist(message, rotation):
+    """(6,) in body axes of a geometry_msgs/Twist in world axes."""
+    twist = np.concatenate([_numbers(message.angular, "xyz"), _numbers(message.linear, "xyz")])
+    if not np.isfinite(twist).all():
+        raise Refused(FAILED, f"the twist is not finite: {twist.tolist()}")
+    return (twist.reshape(2, 3) @ rotation).ravel()

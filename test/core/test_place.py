@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Engine.place: some bodies get a pose or a twist, the others follow through their joints."""
+
+import numpy as np
+import pytest
+from engine import rows
+
+from liegroup_core import Simulation
+from liegroup_core.engine import Engine
+from liegroup_core.errors import SceneError
+from liegroup_core.lie.groups import SE3, SO3
+from liegroup_core.scene.load import load_scene, scene_from_text
+
+FREE = """
+name: two
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: near, mass: 1, inertia: [1, 2, 3], com: [0.1, 0, 0.2], angular_velocity: [0, 1, 2]}
+  - {name: far, mass: 1, inertia: [1, 1, 2], position: [5, 0, 0], angular_velocity: [1, 2, 3]}
+"""
+
+
+def pose(rotation, position):
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = SO3.exp(np.array(rotation, dtype=float)), position
+    return matrix
+
+
+def test_a_free_body_gets_exactly_what_is_given_and_others_keep_their_bits():
+    engine = Engine(scene_from_text(FREE), "rkmk4", 1e-3)
+    engine.advance(100)
+    before = engine.state()
+    wanted, twist = pose([0.3, -0.2, 0.9], [1.0, 2.0, 3.0]), [0.1, 0.2, 0.3, 4.0, 5.0, 6.0]
+    engine.place({"near": wanted}, {"near": twist})
+    sample = engine.sample()
+    assert np.abs(sample.poses["near"] - wanted).max() <= 1e-15
+    assert np.abs(sample.twists["near"] - twist).max() <= 1e-15
+    assert engine.steps == 100
+    for old, new in zip(before, engine.state()):
+        assert np.array_equal(old[1], new[1])
+    engine.place({}, {"near": np.zeros(6)})
+    assert np.array_equal(engine.sample().poses["near"], sample.poses["near"])
+    assert not engine.sample().twists["near"].any()
+
+
+@pytest.mark.parametrize("name, group", [("four_bar", "auto"), ("four_bar", "se3")])
+def test_a_crank_that_is_turned_moves_the_other_links(name, group):
+    """The crank stays where it is set; coupler and rocker close the loop again, and move with it."""
+    scene = load_scene(name)
+    engine = Engine(scene, "rkmk4", 1e-3, group, quiet=True)
+    engine.advance(50)
+    crank = scene.bodies[0].name
+    start = engine.sample()
+    axis = start.twists[crank][:3] / np.linalg.norm(start.twists[crank][:3])
+    # About its joint to the ground, where its frame or its joint frame may be.
+    (hinge,) = [j for j in scene.joints if {j.parent, j.child} == {"world", crank}]
+    frame = hinge.child_frame if hinge.child == crank else hinge.parent_frame
+    about = start.poses[crank] @ frame.pose
+    turned = about @ pose(0.2 * (frame.pose[:3, :3].T @ axis), [0, 0, 0]) @ SE3.inverse(frame.pose)
+    engine.place({crank: turned}, {})
+    sample = engine.sample()
+    assert np.abs(sample.poses[crank] - turned).max() <= 1e-14
+    assert sample.constraint_residual <= 1e-12
+    others = [body.name for body in scene.bodies[1:]]
+    assert min(np.abs(sample.poses[b] - start.poses[b]).max() for b in others) > 1e-3
+    J, _ = rows(engine)
+    slip = J @ engine.state()[1].ravel()
+    assert np.abs(slip).max() <= 1e-13 * np.abs(sample.twist).max()
+
+
+def test_digits_that_single_precision_has_lost_are_found_again():
+    engine = Engine(load_scene("heavy_top"), "rkmk4", 1e-3, quiet=True)
+    engine.advance(10)
+    top = engine.layout.body_names[0]
+    sample = engine.sample()
+    rounded = sample.poses[top].astype(np.float32)
+    rotation = SO3.from_quaternion(sample.quaternions[top].astype(np.float32).astype(float))
+    rounded = rounded.astype(float)
+    rounded[:3, :3] = rotation
+    twist = sample.twists[top].astype(np.float32).astype(float)
+    assert not np.array_equal(twist, sample.twists[top])
+    engine.place({top: rounded}, {top: twist})
+    after = engine.sample()
+    assert after.constraint_residual <= 1e-14
+    assert np.abs(rows(engine)[0] @ engine.state()[1].ravel()).max() <= 1e-13
+    assert np.abs(after.poses[top] - sample.poses[top]).max() <= 1e-6
+    assert np.abs(after.twists[top] - sample.twists[top]).max() <= 1e-6 * np.abs(twist).max()
+
+
+def test_a_refusal_names_the_joint_of_the_scene():
+    """The third joint, of two mechanisms that are not connected."""
+    scene = scene_from_text(
+        "name: pair\ngravity: [0, 0, 0]\nbodies: [{name: a, mass: 1, inertia: [1, 1, 1]}, "
+        "{name: b, mass: 1, inertia: [1, 1, 1]}, {name: c, mass: 1, inertia: [1, 1, 1]}]\njoints:\n"
+        + "".join(
+            f"  - {{name: j{k}, type: spherical, parent: world, child: {body}, "
+            "parent_frame: {position: [0, 0, 0]}, child_frame: {position: [0, 0, 0]}}\n"
+            for k, body in enumerate("abc")
+        )
+    )
+    engine = Engine(scene, "rkmk4", 1e-3)
+    with pytest.raises(SceneError, match=r'joints\[2\] "j2": cannot be assembled.* 1 m'):
+        engine.place({"c": pose([0, 0, 0], [1.0, 0, 0])}, {})
+    with pytest.raises(SceneError, match=r'joints\[2\] "j2": .* 1 m/s'):
+        engine.place({}, {"c": [0, 0, 0, 1.0, 0, 0]})
+
+
+def test_what_the_joints_do_not_allow_is_refused_with_the_gap_and_changes_nothing():
+    engine = Engine(load_scene("heavy_top"), "rkmk4", 1e-3)
+    engine.advance(10)
+    before = engine.state(), engine.memory()
+    top = engine.layout.body_names[0]
+    lifted = engine.sample().poses[top].copy()
+    lifted[2, 3] += 0.25
+    with pytest.raises(SceneError, match=r"violation is 0\.25 m"):
+        engine.place({top: lifted}, {})
+    with pytest.raises(SceneError, match=r"violates this joint by 3 m/s"):
+        engine.place({}, {top: [0, 0, 0, 0, 0, 3.0]})
+    for unknown in ({"nobody": np.eye(4)}, {}), ({}, {"nobody": np.zeros(6)}):
+        with pytest.raises(ValueError, match="unknown body 'nobody'; choose one of: "):
+            engine.place(*unknown)
+    for wrong in (np.full((4, 4), np.nan), np.eye(3), np.diag([1.0, 2.0, 1.0, 1.0])):
+        with pytest.raises(ValueError):
+            engine.place({top: wrong}, {})
+    with pytest.raises(ValueError, match=r"finite twist \(6,\)"):
+        engine.place({}, {top: [np.inf] * 6})
+    assert all(np.array_equal(a, b) for a, b in zip(before[0], engine.state()))
+    assert before[1] == engine.memory()
+
+
+def test_the_estimate_starts_again():
+    simulation = Simulation(scene_from_text(FREE), accuracy=1e-4)
+    simulation.advance(24)
+    assert simulation.largest_error > 0.0
+    simulation.place({}, {"near": np.zeros(6)})
+    assert simulation.largest_error == 0.0 and simulation.steps == 24
+    simulation.advance(24)
+    assert np.isfinite(simulation.largest_error)

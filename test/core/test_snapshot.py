@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Snapshots: a run that returns to one repeats its continuation bit for bit, wrenches included."""
+
+import json
+
+import numpy as np
+import pytest
+
+from liegroup_core import Simulation, load_scene
+from liegroup_core.integrators.methods import METHODS
+from liegroup_core.scene.load import scene_from_text
+from liegroup_sim_ros.recording import attachments
+
+SPRING = """
+name: wound
+gravity: [0, 0, -9.81]
+bodies: [{name: arm, mass: 1, inertia: [0.1, 0.2, 0.3], com: [0.3, 0, 0], angular_velocity: [0, 30, 0]}]
+joints:
+  - {name: hinge, type: revolute, parent: world, child: arm,
+     parent_frame: {position: [0, 0, 0], axis: [0, 1, 0]}, child_frame: {axis: [0, 1, 0]}}
+forces: [{name: coil, type: torsional_spring_damper, joint: hinge, stiffness: 0.5, damping: 0.01}]
+"""
+PUSH = [0.3, 0.1, 0.0, 0.0, 0.2, 0.0]
+CASES = [
+    ("four_bar", {"accuracy": 1e-5, "step": 1e-3}),
+    ("heavy_top", {"accuracy": 1e-6}),
+    ("double_pendulum", {"method": "rkmk4", "step": 1e-3, "group": "se3"}),
+    ("four_bar", {"method": "generalized_alpha", "step": 1e-3}),
+    ("bricard", {"method": "constrained_rattle", "step": 1e-3}),
+    ("heavy_top", {"method": "rkmk853", "step": 1e-2, "rtol": 1e-11, "atol": 1e-11}),
+]
+
+
+def trace(simulation, count=40):
+    """Bits of every state, estimate and time on the way."""
+    found = []
+    for _ in range(count):
+        simulation.advance(1)
+        sample = simulation.sample()
+        estimate = b"" if sample.errors is None else sample.errors.tobytes()
+        found.append(
+            (sample.pose.tobytes(), sample.twist.tobytes(), sample.angles.tobytes(), estimate)
+        )
+    return found, simulation.steps, simulation.largest_error, simulation.accurate_until
+
+
+@pytest.mark.parametrize("steps", [24, 29])
+@pytest.mark.parametrize("scene, options", CASES, ids=lambda v: v if isinstance(v, str) else "")
+def test_the_continuation_of_a_snapshot_is_bit_identical(scene, options, steps):
+    """One wrench acts at the snapshot and ends later, one starts later, one started just before."""
+    simulation = Simulation(load_scene(scene), quiet=True, **options)
+    body, h = simulation.layout.body_names[-1], simulation.step
+    simulation.apply_wrench(body, PUSH, 5.3 * h, 40.2 * h, "a")
+    simulation.apply_wrench(body, PUSH, (steps - 1.5) * h, None, "b", "world")
+    simulation.apply_wrench(body, PUSH, (steps + 7.7) * h, 3.0 * h, "c")
+    simulation.advance(steps)
+    snapshot = simulation.snapshot()
+    expected = trace(simulation)
+    simulation.apply_wrench(body, np.multiply(PUSH, 50.0))
+    simulation.advance(30)
+    for _ in range(2):  # a snapshot can be used again
+        simulation.restore(snapshot)
+        assert simulation.steps == steps
+        assert trace(simulation) == expected
+
+
+def test_unwrapped_angles_return():
+    simulation = Simulation(scene_from_text(SPRING), "rkmk4", 1e-3, quiet=True)
+    simulation.advance(500)
+    assert abs(simulation.sample().angles[0]) > 2.0 * np.pi
+    snapshot = simulation.snapshot()
+    expected = trace(simulation)
+    simulation.reset()
+    simulation.restore(snapshot)
+    assert trace(simulation) == expected
+
+
+@pytest.mark.parametrize("steps", [24, 29, 31])
+@pytest.mark.parametrize("scene, options", CASES[:2] + CASES[3:4], ids=lambda v: "")
+def test_the_recorded_state_continues_bit_for_bit_at_any_step(scene, options, steps):
+    """As a re-simulation does it: state, memory and pending wrenches by JSON, then the totals."""
+    simulation = Simulation(load_scene(scene), quiet=True, **options)
+    body, h = simulation.layout.body_names[-1], simulation.step
+    simulation.apply_wrench(body, PUSH, 5.3 * h, None, "a")
+    simulation.apply_wrench(body, PUSH, (steps - 1.5) * h, None, "b", "world")
+    simulation.advance(steps)
+    entries = json.loads(json.dumps(attachments.state(simulation, 0)))
+    acting, (expected, *_) = simulation.acting(), trace(simulation)
+    other = Simulation(load_scene(scene), quiet=True, **options)
+    assert attachments.restore(other, entries)
+    for name, axes, wrench in acting:
+        other.apply_wrench(name, wrench, steps * h, source=axes, axes=axes)
+    found, *_ = trace(other)
+    assert [row[:3] for row in found] == [row[:3] for row in expected]
+
+
+def test_all_method_families_are_covered():
+    families = {METHODS[o["method"]].family for _, o in CASES if "method" in o}
+    assert families == {method.family for method in METHODS.values()} - {"rotation"}

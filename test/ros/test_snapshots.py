@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""~/save_snapshot and ~/restore_snapshot of a running node, over DDS, and in its recording."""
+
+import re
+import signal
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
+from node_process import NodeProcess, stamp_ns, values
+from rcl_interfaces.msg import Log
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from liegroup_sim_ros.commands.main import main
+from liegroup_sim_ros.recording.read import read_recording
+
+NODE = "/kept"
+STEP_NS = 10_000_000
+CASES = {"accuracy": {"accuracy": 1e-6}, "method": {"method": "rkmk4", "step": 1e-3}}
+
+
+def numbers(message):
+    """All numbers of a pose or a twist."""
+    parts = (
+        (message.pose.position, message.pose.orientation)
+        if hasattr(message, "pose")
+        else (message.twist.linear, message.twist.angular)
+    )
+    return [getattr(part, name) for part in parts for name in "xyzw" if hasattr(part, name)]
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_restored_snapshot_continues_bit_for_bit_and_is_recorded(
+    client, scene, tmp_path, capsys, case
+):
+    name = f"{NODE}_{case}"
+    poses = client.listen(f"{name}/cube/pose", PoseStamped)
+    twists = client.listen(f"{name}/puck/twist", TwistStamped)
+    applied = client.listen(f"{name}/applied_wrench", WrenchStamped)
+    events = client.listen(
+        f"{name}/events", Log, QoSProfile(depth=50, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    )
+    figures = client.listen("/diagnostics", DiagnosticArray)
+    parameters = {"scene": scene, "start_paused": True, "record": tmp_path / "run.mcap"}
+    with NodeProcess(parameters | CASES[case], [f"__node:={name[1:]}"]) as process:
+
+        def call(service):
+            response = client.call(f"{name}/{service}")
+            assert response.success, response.message
+            return response.message
+
+        def step(count):
+            assert client.set(name, step_count=count).successful
+            call("step")
+
+        def now_ns(answer):
+            """Stamp in an answer such as "saved 'first' at 0.19 s, step 19"."""
+            return round(float(re.search(r" at ([0-9.e-]+) s", answer)[1]) * 1e9)
+
+        def branch(start):
+            """[{ns after the start: numbers}] of the poses and twists that steps publish."""
+            step(400 if case == "method" else 40)
+            end = start + 400_000_000
+            client.until(
+                lambda: all(stamp_ns(kept[-1].header.stamp) >= end for kept in (poses, twists))
+            )
+            found = [
+                {
+                    stamp - start: numbers(message)
+                    for message in kept
+                    if start < (stamp := stamp_ns(message.header.stamp)) <= end
+                }
+                for kept in (poses, twists)
+            ]
+            assert [len(part) for part in found] == [41 if start % STEP_NS else 40] * 2
+            return found
+
+        def held():
+            """Wrenches that act or wait."""
+            shown = {p.key: p.value for m in figures[-1:] for p in m.status[0].values}
+            return int(shown.get("wrenches_held", 0))
+
+        client.call(f"{name}/step")  # waits for the node
+        client.until(lambda: client.call(f"{name}/step").success and poses and twists)
+        push = client.pusher(name, "wrench/persistent")
+        timed = client.pusher(name)
+        assert client.set(name, wrench_timeout=0.33).successful
+        push("puck", force=(0.3, 0.0, 0.0))
+        timed("cube", torque=(0.0, 0.2, 0.0), stamp_ns=123_456_789)
+        client.until(lambda: int(client.call(f"{name}/step").success) and applied)
+        step(170 if case == "method" else 17)
+        refused = client.call(f"{name}/restore_snapshot")
+        assert not refused.success
+        assert "unknown snapshot 'snapshot'; saved are: none" in refused.message
+        assert client.set(name, snapshot="first").successful
+        answer = call("save_snapshot")
+        assert answer.startswith("saved 'first' at ")
+        start = now_ns(answer)
+        expected = branch(start)
+        for force in (7.0, None):
+            last = stamp_ns(poses[-1].header.stamp)
+            answer = call("restore_snapshot")
+            assert answer.startswith("snapshot 'first' at ")
+            start = now_ns(answer)
+            assert start == last + (1_000_000 if case == "method" else STEP_NS)
+            # What acts is told again.
+            client.until(lambda: stamp_ns(applied[-1].header.stamp) == start)
+            told = {values(m)[:2] for m in applied if stamp_ns(m.header.stamp) == start}
+            assert ("puck", (0.0, 0.0, 0.0, 0.3, 0.0, 0.0)) in told
+            assert branch(start) == expected
+            if force:  # another branch in between
+                other = client.pusher(name, "puck/wrench")
+                start = now_ns(call("restore_snapshot"))
+                other("puck", force=(force, 0.0, 0.0))
+                client.until(lambda: held() > 2)
+                assert branch(start) != expected
+        assert client.set(name, snapshot="other").successful
+        refused = client.call(f"{name}/restore_snapshot")
+        assert not refused.success and "saved are: first" in refused.message
+        # While running, too.
+        call("resume")
+        call("save_snapshot")
+        call("restore_snapshot")
+        client.until(lambda: events[-1].name == "state")
+        assert events[-1].msg.startswith("snapshot other, step ")
+        process.send(signal.SIGINT)
+        code, errors = process.wait()
+        assert code == 0 and "Traceback" not in errors, errors
+    recording = read_recording(tmp_path / "run.mcap")
+    assert sum(event.name == "state" for event in recording.events) == 4
+    assert main(["replay", str(tmp_path / "run.mcap"), "--resimulate"]) == 0
+    assert "are bit-identical" in capsys.readouterr().out
