@@ -612,9 +612,10 @@ class Engine:
         sample = Sample(
             self.layout, self.time, self.time_ns, self.steps, *self.state(), self._work.angle.copy()
         )
-        sample.external = self._external.copy()
-        sample.joint_efforts = self._schedule.efforts
-        if self.layout.servos:
+        if self._schedule:
+            sample.external = self._external.copy()
+            sample.joint_efforts = self._schedule.efforts
+        if len(self._work.wanted):
             sample.wanted = self._work.wanted.copy()
         return sample
 

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sample: an immutable, named copy of a state. Users and outputs see states only as Samples."""
 
+from collections.abc import Mapping
 from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +25,7 @@ class Sample:
     twist : (n, 6) per body omega rad/s, v m/s; body axes, v of the frame's origin
     errors : (n, 4) estimated errors, see `error`; None without an estimate
     external : (n, 16) external wrenches, see forces/external.py; None: none
-    joint_efforts : {joint: N m or N} of the efforts that acted at the end of the last step; a copy
+    joint_efforts : {joint: N m or N} of the efforts that acted at the end of the last step
     wanted : (k, 2) wanted positions and velocities of the servos, rad and rad/s, or m and m/s;
              None: those of the scene
     The constructor takes pose and twist at the centres of mass; all attributes refer to the body
@@ -32,11 +34,11 @@ class Sample:
 
     errors = None
     external = None
+    joint_efforts: Mapping[str, float] = MappingProxyType({})
+    wanted = None
 
     def __init__(self, layout, time, time_ns, steps, pose, twist, near):
         self._layout, self._near = layout, near
-        self.joint_efforts: dict[str, float] = {}
-        self.wanted = None
         self.time, self.time_ns, self.steps = time, time_ns, steps
         self._state = pose, twist
         self.pose, self.twist = layout.offsets.to_bodies(pose, twist)

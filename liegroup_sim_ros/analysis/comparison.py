@@ -80,7 +80,8 @@ def differences(one, other):
         "first_difference_s": first,
         "difference": largest,
         "same_scene": one.scene_text == other.scene_text,
-        "same_wrenches": one.applied_wrench == other.applied_wrench,
+        "same_wrenches": one.applied_wrench == other.applied_wrench
+        and _same_track(one.servo_targets, other.servo_targets),
         "settings": {
             key: [one.settings.get(key), other.settings.get(key)]
             for key in SETTINGS
@@ -90,6 +91,13 @@ def differences(one, other):
     return figures, tuple(
         tuple(np.concatenate(part) for part in zip(*parts)) for parts in curves.values()
     )
+
+
+def _same_track(one, other):
+    """Whether two JointTracks, or None, are equal."""
+    if one is None or other is None:
+        return one is other
+    return all(map(np.array_equal, one, other))
 
 
 class _Track:

@@ -23,9 +23,12 @@ from liegroup_core.accuracy import DEFAULT, METHOD, MINUTE
 from liegroup_sim_ros.analysis.analyse import analyse
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.messages import events as events_of_runs
+from liegroup_sim_ros.messages.commands import Point
 from liegroup_sim_ros.node import simulation_thread
+from liegroup_sim_ros.node.joint_command_input import JointEffort, Target
 from liegroup_sim_ros.node.parameters import TABLE, fitting_steps, set_step
 from liegroup_sim_ros.node.scene_run import PART_STEPS, SceneRun
+from liegroup_sim_ros.node.trajectory import Trajectory
 from liegroup_sim_ros.node.wrench_input import Push
 from liegroup_sim_ros.playback.resimulate import resimulate
 from liegroup_sim_ros.recording.read import read_recording
@@ -204,6 +207,65 @@ def test_parts_of_a_run_to_an_accuracy_repeat_alone(ros_node, tmp_path, monkeypa
         )
         > 0
     )
+
+
+ARM = """
+name: arm
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: upper, mass: 2.0, inertia: [0.02, 0.05, 0.05], com: [0.25, 0, 0.02]}
+  - {name: hand, mass: 0.7, inertia: [0.01, 0.012, 0.01], position: [0.5, 0, 0]}
+joints:
+  - {name: hinge, type: revolute, parent: world, child: upper,
+     parent_frame: {position: [0, 0, 0], axis: [0.2, 1, 0]}}
+  - {name: slide, type: prismatic, parent: upper, child: hand,
+     parent_frame: {position: [0.5, 0, 0], axis: [1, 0, 0.3]}}
+forces:
+  - {name: drive, type: servo, joint: hinge, stiffness: 90, damping: 8, effort_limit: 9}
+  - {name: pull, type: linear_servo, joint: slide, stiffness: 300, damping: 20}
+"""
+
+
+def test_parts_with_joint_commands_repeat_alone(ros_node, tmp_path, monkeypatch):
+    """Efforts, wanted values and a trajectory that span parts, a limit that is reached, a reset."""
+    monkeypatch.setattr(simulation_thread, "SHARE", math.inf)
+    (tmp_path / "arm.yaml").write_text(ARM)
+    run = scene_run(
+        ros_node,
+        tmp_path / "arm.yaml",
+        record=tmp_path / "run.mcap",
+        record_split_duration=0.43,
+        clock_rate=50.0,
+        real_time_factor=5.0,
+    )
+    points = [
+        Point((0.3, 0.1), (0.5, 0.0), (), (), 400_000_000),
+        Point((-0.2, 0.0), (0.0, 0.0), (), (), 900_000_000),
+    ]
+    run.start()
+    try:
+        time.sleep(0.1)
+        run.server.push([Target("hinge", -0.4, 0.0, 0), JointEffort("test", "slide", 3.0, 0)], None)
+        time.sleep(0.25)
+        run.server.follow(Trajectory(["hinge", "slide"], points, run.server.stamp_ns + 123_456_789))
+        time.sleep(0.3)
+        run.server.push([Target("slide", 0.05, 0.0, 0)], 0.3)
+        run.server.call("reset").result(30.0)
+        time.sleep(0.1)
+        run.server.push([JointEffort("test", "hinge", 1.0, 0)], 0.1)
+        time.sleep(0.2)
+    finally:
+        run.close()
+    recordings = [repeats(path) for path in tmp_path.glob("*.mcap")]
+    assert len(recordings) > 5
+    starts = [
+        each.servo_targets.stamp_ns[0] == each.initial_state["stamp_ns"]
+        for each in recordings
+        if each.servo_targets is not None
+    ]
+    assert sum(starts) > 2
+    assert max(len(each.servo_targets.stamp_ns) for each in recordings if each.servo_targets) > 100
+    assert "saturated" in {event.name for each in recordings for event in each.events}
 
 
 def test_real_time_that_does_not_allow_the_accuracy_raises_it(
