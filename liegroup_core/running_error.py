@@ -32,6 +32,7 @@ import numpy as np
 from .compiling import kernel
 from .engine import BAUMGARTE_STEPS, Engine
 from .errors import SimulationError
+from .forces.schedule import AXES, SERVO
 from .integrators.methods import METHODS
 from .lie.vec3 import load3, load9, sub3, tmatmul3
 from .model.size import mechanism_size
@@ -222,20 +223,25 @@ class RunningError:
 
     @property
     def pending(self):
-        """[[time in s, body, axes, *wrench]] of which the companion knows, JSON types.
+        """[[time in s, body or joint, axes, *wrench]] of which the companion knows, JSON types.
 
-        The companion may be some steps behind, and these wrenches may have changed since.
+        The companion may be some steps behind, and these wrenches may have changed since. With the
+        axes "servo" it is a joint, and the wanted position and velocity of its servo.
         """
-        names = self._engine.layout.body_names
+        layout = self._engine.layout
+        names = dict.fromkeys(AXES, layout.body_names) | {SERVO: list(layout.servos)}
         return [
-            [time, names[body], axes, *wrench]
-            for time, body, wrench, axes in self._companion._schedule.commands
+            [time, names[axes][number], axes, *wrench]
+            for time, number, wrench, axes in self._companion._schedule.commands
         ]
 
     def remember_pending(self, pending):
         """Tell the companion of `pending`. Raises ValueError."""
-        for time, body, axes, *wrench in pending:
-            self._companion.apply_wrench(body, wrench, time, source=axes, axes=axes)
+        for time, name, axes, *wrench in pending:
+            if axes == SERVO:
+                self._companion.command_servo(name, *wrench, time)
+            else:
+                self._companion.apply_wrench(name, wrench, time, source=axes, axes=axes)
 
     def memory(self):
         """Array from which `remember` restores the estimate."""

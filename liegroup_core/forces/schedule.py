@@ -133,10 +133,15 @@ class WrenchSchedule:
 
     @property
     def commands(self):
-        """[(start in s, body number, wrench (6,), axes)] that act, then those that start later."""
+        """[(start in s, number, wrench (6,), axes)] that act, then those that start later.
+
+        The number is that of a body; with the axes "servo" that of a servo, and the wrench its wanted
+        position and velocity.
+        """
         return [
-            (c.start.time, c.body, c.wrench, c.axes)
+            (c.start.time, number, wrench, c.axes)
             for c in (*self._acting.values(), *self._waiting)
+            for number, wrench in c.wrenches
         ]
 
     def instant(self, time):

@@ -88,8 +88,8 @@ def test_the_recorded_state_continues_bit_for_bit_at_any_step(scene, options, st
     acting, (expected, *_) = simulation.acting(), trace(simulation)
     other = Simulation(load_scene(scene), quiet=True, **options)
     assert attachments.restore(other, entries)
-    for name, axes, wrench in acting:
-        other.apply_wrench(name, wrench, steps * h, source=axes, axes=axes)
+    for change in acting:
+        change.repeat(other)
     found, *_ = trace(other)
     assert [row[:3] for row in found] == [row[:3] for row in expected]
 
@@ -97,3 +97,32 @@ def test_the_recorded_state_continues_bit_for_bit_at_any_step(scene, options, st
 def test_all_method_families_are_covered():
     families = {METHODS[o["method"]].family for _, o in CASES if "method" in o}
     assert families == {method.family for method in METHODS.values()} - {"rotation"}
+
+
+SERVO = SPRING.replace(
+    "forces: [",
+    "forces: [{name: drive, type: servo, joint: hinge, stiffness: 20, damping: 1, effort_limit: 4}, ",
+)
+
+
+@pytest.mark.parametrize("options", [{"accuracy": 1e-5, "step": 1e-3}, CASES[2][1]], ids=["a", "m"])
+def test_servos_and_efforts_return(options):
+    """In a snapshot, and in the recorded state with what acts."""
+    simulation = Simulation(scene_from_text(SERVO), quiet=True, **options)
+    h = simulation.step
+    simulation.command_servo("hinge", 0.7, 0.1, 3.4 * h)
+    simulation.apply_effort("hinge", 0.5, 5.3 * h)
+    simulation.advance(29)
+    snapshot = simulation.snapshot()
+    entries = json.loads(json.dumps(attachments.state(simulation, 0)))
+    acting, expected = simulation.acting(), trace(simulation)
+    assert len(acting) == 2 and acting[-1].position == 0.7
+    simulation.command_servo("hinge", -2.0)
+    simulation.advance(30)
+    simulation.restore(snapshot)
+    assert trace(simulation) == expected
+    other = Simulation(scene_from_text(SERVO), quiet=True, **options)
+    assert attachments.restore(other, entries)
+    for change in acting:
+        change.repeat(other)
+    assert [row[:3] for row in trace(other)[0]] == [row[:3] for row in expected[0]]
