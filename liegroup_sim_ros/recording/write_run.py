@@ -17,6 +17,7 @@ from liegroup_sim_ros.messages.codecs import LogCodec
 from liegroup_sim_ros.messages.samples import poses_and_twists
 
 from . import attachments
+from .checkpoints import Checkpoints
 from .errors import OutputError, RecorderError
 from .write import Recorder
 
@@ -217,6 +218,7 @@ class LogFile:
             raise OutputError(f"{path}: {error}; *.npz needs no ROS") from None
         except RecorderError as error:
             raise OutputError(str(error)) from None
+        self._checkpoints = Checkpoints(self._recorder, simulation)
         self._encode = poses_and_twists(bodies, WORLD_FRAME)
         self._encode_errors = estimates.encoder(bodies)
         self._channels = [tuple(map(self._channel, pair)) for pair in pairs]
@@ -256,6 +258,7 @@ class LogFile:
                 self._recorder.write(channel, stamp, message)
         if self._errors is not None:
             self._recorder.write(self._errors, stamp, self._encode_errors(sample))
+        self._checkpoints.add_if_due(stamp)
         self.count, self.last_step = self.count + 1, sample.steps
 
     def finish(self, simulation, stopped, failed, wall_seconds):
