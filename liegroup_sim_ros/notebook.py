@@ -12,7 +12,7 @@ from pathlib import Path
 from liegroup_core.engine import Engine
 from liegroup_core.errors import LieGroupSimError
 from liegroup_sim_ros.analysis import analyse
-from liegroup_sim_ros.playback.repeat import make_simulation
+from liegroup_sim_ros.playback.rerun import make_simulation
 from liegroup_sim_ros.recording import attachments, read_recording
 from liegroup_sim_ros.recording.read import Recording
 from liegroup_sim_ros.recording.write_run import LogFile

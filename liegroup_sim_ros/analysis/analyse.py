@@ -16,13 +16,8 @@ from liegroup_core.model.size import mechanism_size
 from liegroup_core.observables.along import Along
 from liegroup_core.reference.exact import exact_solution
 from liegroup_core.scene.load import scene_from_text
-from liegroup_sim_ros.playback.repeat import (
-    Repeat,
-    ReplayError,
-    Starts,
-    initial_state,
-    make_simulation,
-)
+from liegroup_sim_ros.playback.repeat import Repeat
+from liegroup_sim_ros.playback.rerun import ReplayError, Starts, initial_state, make_simulation
 from liegroup_sim_ros.playback.resimulate import platform_changes
 from liegroup_sim_ros.recording.check import check_settings
 from liegroup_sim_ros.recording.motion import Motion

@@ -14,7 +14,7 @@ from liegroup_core.engine import BAUMGARTE_STEPS
 from liegroup_core.forces.schedule import AXES
 from liegroup_core.integrators.methods import METHODS
 from liegroup_core.model.size import mechanism_size
-from liegroup_sim_ros.playback.repeat import make_simulation
+from liegroup_sim_ros.playback.rerun import make_simulation
 
 WINDOWS = 8  # states of the recording at which the error is estimated
 LENGTH = 16  # steps

@@ -8,7 +8,7 @@ state of each stretch.
 import numpy as np
 
 from liegroup_core.reference import Reference, ServoChange, Trajectory, WrenchChange, distance
-from liegroup_sim_ros.playback.repeat import Starts
+from liegroup_sim_ros.playback.rerun import Starts
 
 from .drift import MOST_POINTS, extremes
 

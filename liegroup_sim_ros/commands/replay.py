@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """`liegroup_sim replay`: publish a recording again, or simulate it again and compare."""
 
+import json
 import math
 import sys
 
 from rich.console import Console
 
 from liegroup_sim_ros.playback.player_file import PlayError, PlayFile
-from liegroup_sim_ros.playback.repeat import ReplayError
+from liegroup_sim_ros.playback.rerun import ReplayError
 from liegroup_sim_ros.playback.resimulate import report, resimulate
 from liegroup_sim_ros.recording.read import read_recording
 
@@ -21,7 +22,8 @@ def add_arguments(parser):
         "terminal: space pauses and resumes, up and down change the rate, right publishes the "
         "next sample while paused, left goes back 5 s. With --resimulate nothing is "
         "published: the run is simulated again from its recorded initial state and wrenches, "
-        "and compared bit for bit."
+        "and compared bit for bit. With --from a simulation node goes on from an instant of it, "
+        "such as with other wrenches."
     )
     parser.epilog = (
         "Exit code: 0; 1 if --resimulate finds a difference where there must be none, or one "
@@ -54,6 +56,21 @@ def add_arguments(parser):
         help="rate of /clock if it was not recorded (default: %(default)g)",
     )
     parser.add_argument(
+        "--from",
+        dest="instant",
+        type=float,
+        metavar="T",
+        help="continue the run in a simulation node from this time stamp of the recording, s",
+    )
+    parser.add_argument(
+        "--inputs",
+        action="store_true",
+        help="with --from: apply the wrenches recorded after that, too (default: all wrenches end)",
+    )
+    parser.add_argument(
+        "--record", metavar="OUT", help="with --from: record the new run to this file (*.mcap)"
+    )
+    parser.add_argument(
         "--resimulate",
         action="store_true",
         help="simulate the run again and compare; publish nothing",
@@ -81,6 +98,12 @@ def run(args):
         for name in ("method", "step", "group", "stabilisation")
         if getattr(args, name) is not None
     }
+    if args.instant is not None:
+        if args.resimulate or other or args.bound is not None:
+            raise ReplayError("--from cannot be combined with --resimulate and its options")
+        return _continue(args)
+    if args.inputs or args.record:
+        raise ReplayError("--inputs and --record require --from")
     if args.resimulate:
         return _resimulate(args.file, other, args.bound)
     if other or args.bound is not None:
@@ -107,6 +130,24 @@ def run(args):
             f"publishing requires ROS 2: {error}; --resimulate works without it"
         ) from None
     return play(file, args)
+
+
+def _continue(args):
+    """Run a simulation node that goes on from an instant; returns its exit code."""
+    from liegroup_sim_ros.node.entry import main
+
+    if not (math.isfinite(args.instant) and args.instant >= 0.0):
+        raise ReplayError(f"--from must be a number, at least 0, got {args.instant:g}")
+    parameters = {
+        "continue_from": json.dumps(args.file),
+        "continue_at": f"{args.instant:.9f}",
+        "continue_inputs": str(args.inputs).lower(),
+        "real_time_factor": f"{args.rate:.9f}",
+        "start_paused": str(args.start_paused).lower(),
+        **({"record": json.dumps(args.record)} if args.record else {}),
+    }
+    given = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
+    return main(["sim_node", "--ros-args", *given])
 
 
 def _resimulate(path, other, bound):

@@ -93,9 +93,11 @@ class SimNode(Node):
         for name in ("liegroup_core", "liegroup_sim_ros"):
             logging.getLogger(name).addHandler(LogHandler(self.get_logger()))
         self._values = values = read_parameters(self)
-        simulation = make_simulation(values, signals)
+        simulation, start_ns = make_simulation(values, signals)
         with _refused_by_rcl():
-            self.scene_run = SceneRun(self, values, simulation, paused=values.start_paused)
+            self.scene_run = SceneRun(
+                self, values, simulation, paused=values.start_paused, start_ns=start_ns
+            )
         for name in ("pause", "resume", "reset"):
             self.create_service(Trigger, f"~/{name}", self._command(name))
         for name, command, parameter in (
@@ -145,7 +147,7 @@ class SimNode(Node):
         """
         before = self.scene_run
         try:
-            simulation = make_simulation(self._values, self._signals, scene)
+            simulation, _ = make_simulation(self._values, self._signals, scene)
             held, was_running = self.ask("hold")
             if not held:
                 raise Interrupted

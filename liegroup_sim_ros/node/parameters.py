@@ -33,6 +33,8 @@ DEEPEST = 1_000_000  # largest QoS depth, messages
 LONGEST_SHOWN = 60  # characters of a wrong value in an error text
 HOLDS = ("one_step", "timeout", "until_replaced")
 ACCURACY = ("accuracy", "accuracy_horizon")  # a method replaces these
+# What the recording of continue_from has.
+CONTINUED = ("scene", "method", *ACCURACY, "stabilisation", "group", "step")
 MOST_PARTS = 10  # steps in the shortest period that are needed to divide the other ones
 AUTO = "auto"  # a method or stabilisation that an accuracy chooses
 
@@ -139,6 +141,24 @@ TABLE = (
     Entry("start_paused", False, "start paused, until ~/resume or ~/step is called"),
     Entry(
         "step_count", 1, "number of steps per call of ~/step", read_only=False, low=1, high=1000000
+    ),
+    Entry(
+        "continue_from",
+        "",
+        "recording (*.mcap) whose run goes on, with its scene, method and step, in place of scene; "
+        "empty: none",
+    ),
+    Entry(
+        "continue_at",
+        0.0,
+        "time stamp in the recording continue_from at which the run goes on, s",
+        low=0.0,
+        high=1e9,
+    ),
+    Entry(
+        "continue_inputs",
+        False,
+        "apply the wrenches that the recording continue_from has after continue_at; false: all end",
     ),
     Entry(
         "snapshot",
@@ -295,6 +315,13 @@ def read_parameters(node):
         value = check(entry.name, overrides.get(entry.name, entry.default))
         node.declare_parameter(entry.name, value, _descriptor(entry), ignore_override=True)
         setattr(values, entry.name, value)
+    if values.continue_from:
+        for name in CONTINUED:
+            if getattr(values, name) != _ENTRIES[name].default:
+                raise ParameterError(
+                    f"parameter {name}: cannot be combined with continue_from, whose recording has "
+                    "its own; remove one of them"
+                )
     if values.method != AUTO:
         for name in ACCURACY:  # a dump of all parameters has them with their defaults
             if getattr(values, name) != _ENTRIES[name].default:
@@ -302,7 +329,7 @@ def read_parameters(node):
                     f"parameter {name}: cannot be combined with method; remove one of them"
                 )
         values.step = values.step or STEP
-    elif not values.estimate:
+    elif not (values.estimate or values.continue_from):
         raise ParameterError(
             "parameter estimate: must be true with an accuracy; or choose a method"
         )

@@ -6,7 +6,11 @@ import threading
 from concurrent.futures import Future, wait
 
 from liegroup_core import SceneError, Simulation, load_scene
-from liegroup_sim_ros.recording import attachments
+from liegroup_sim_ros.playback.branch import Branches
+from liegroup_sim_ros.playback.rerun import ReplayError
+from liegroup_sim_ros.recording import RecordingError, attachments
+from liegroup_sim_ros.recording.checkpoints import Checkpoints
+from liegroup_sim_ros.recording.read import read_recording
 from liegroup_sim_ros.recording.write import Recorder
 
 from . import standard_services
@@ -35,22 +39,23 @@ class SceneRun:
 
     node       : rclpy Node
     values     : parameters
-    simulation : liegroup_core.Simulation at step 0
+    simulation : liegroup_core.Simulation
     before     : paused SceneRun that this one replaces; stamps and recording continue, the latter
                  in a new file. None: the first one
     paused     : start paused
+    start_ns   : stamp of its state, if it is the first one
     """
 
-    def __init__(self, node, values, simulation, before=None, paused=False):
+    def __init__(self, node, values, simulation, before=None, paused=False, start_ns=0):
         self._node = node
         self.simulation = simulation
         self.recorder = self.commands = None
         layout = simulation.layout
         self._values, self._more = values, {}
         self._sample_steps = values.steps["publish_rate"]
-        base_ns, origin, path, part, bag = 0, "", values.record, 1, values.record_metadata or None
+        origin, path, part, bag = "", values.record, 1, values.record_metadata or None
         if before is not None:
-            base_ns = before.server.stamp_ns + max(1, round(simulation.step * 1e9))
+            start_ns = before.server.stamp_ns + max(1, round(simulation.step * 1e9))
             origin = ", loaded"
             if before.recorder is not None:
                 origin += f"; the previous recording is {before.recorder.path.name}"
@@ -75,6 +80,9 @@ class SceneRun:
         if path and (values.record_split_size or values.record_split_duration):
             # Before the samples: the first sample of a file is its initial state.
             self.outputs.timed.insert(0, (self._sample_steps, self._divide_if_due))
+        if path:
+            self.outputs.timed.append((self._sample_steps, self._add_checkpoint))
+        base_ns = start_ns - simulation.time_ns
         self.server = SimulationServer(
             simulation,
             self.outputs,
@@ -99,13 +107,14 @@ class SceneRun:
             try:
                 self.recorder = Recorder(
                     path,
-                    self._attachments(base_ns, "paused" if paused else "running"),
+                    self._attachments(start_ns, "paused" if paused else "running"),
                     flush_interval=values.record_flush_interval,
                     max_size=values.record_split_size,
                     max_duration=round(values.record_split_duration * 1e9),
                     part=part,
                     bag=bag,
                 )
+                self._checkpoints = Checkpoints(self.recorder, simulation)
                 self.outputs.record_to(self.recorder)
             except Exception:
                 self._close_topics()
@@ -162,6 +171,9 @@ class SceneRun:
             recorder.divide(self._attachments(stamp_ns, self.server.state))
             self.outputs.record_acting(stamp_ns)
 
+    def _add_checkpoint(self, stamp_ns, _):
+        self._checkpoints.add_if_due(stamp_ns)
+
     def _attach_pacing(self):
         self.recorder.add_attachment(
             "pacing.json", *attachments.as_json(self.server.pacer.report())
@@ -199,7 +211,7 @@ class SceneRun:
 
 
 def make_simulation(values, signals, scene=None):
-    """Create the simulation that the parameters describe.
+    """Create the simulation that the parameters describe; returns it, and the stamp of its state.
 
     signals : Signals
     scene   : Scene in place of that of the parameter, or None
@@ -208,7 +220,7 @@ def make_simulation(values, signals, scene=None):
     Compiling may take half a minute. It runs in its own thread, because an exception from a signal
     handler can get lost in the compiler's callbacks.
     """
-    if scene is None and not values.scene:
+    if scene is None and not (values.scene or values.continue_from):
         raise ParameterError(
             "parameter scene: is empty; give a scene, such as --ros-args -p "
             "scene:=heavy_top. In a parameter file it stands under /** or the node's name, "
@@ -230,6 +242,32 @@ def make_simulation(values, signals, scene=None):
 
 
 def _make(values, scene):
+    start_ns = 0
+    if values.continue_from and not (scene or values.scene):
+        simulation, start_ns = _continued(values)
+    else:
+        simulation = _from_scene(values, scene)
+    if standard_services.is_installed():
+        # Compiled here, not at the first request: that would delay steps.
+        simulation.layout.reactions.warm_up()
+    return simulation, start_ns
+
+
+def _continued(values):
+    """(simulation, stamp) of the recording that goes on."""
+    try:
+        recording = read_recording(values.continue_from)
+        # An accuracy always has its estimate; a method here as everywhere else.
+        other = {} if recording.settings.get("promise") else {"estimate": values.estimate}
+        branches = Branches(recording, quiet=False, **other)
+        simulation, stamp_ns = branches.at(values.continue_at, values.continue_inputs)
+    except (RecordingError, ReplayError) as error:
+        raise ParameterError(f"parameter continue_from: {error}") from None
+    set_step(values, simulation.step)
+    return simulation, stamp_ns
+
+
+def _from_scene(values, scene):
     scene = scene or load_scene(values.scene)
     for note in scene.differences:
         log.warning("%s: %s", scene.name, note)
@@ -255,7 +293,4 @@ def _make(values, scene):
         raise
     except ValueError as error:
         raise ParameterError(f"parameter accuracy, method, step or group: {error}") from None
-    if standard_services.is_installed():
-        # Compiled here, not at the first request: that would delay steps.
-        simulation.layout.reactions.warm_up()
     return simulation

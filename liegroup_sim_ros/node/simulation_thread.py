@@ -110,7 +110,7 @@ class SimulationServer(threading.Thread):
         self.pacer = Pacer(factor, sleep=self._wake.wait)
         self.state = "paused" if paused else "running"
         self._state_before_fault = self.state
-        self.stamp_ns = base_ns
+        self.stamp_ns = self._stamp(simulation.steps)
         self.failure = None
 
     # From other threads:
@@ -206,8 +206,11 @@ class SimulationServer(threading.Thread):
 
     def _begin(self):
         scene = self._simulation.scene.name
-        self._event("start", f"{scene} at step 0, {self.state}{self._origin}")
-        self._send_outputs()
+        steps = self._simulation.steps
+        self._event("start", f"{scene} at step {steps}, {self.state}{self._origin}")
+        for body, axes, wrench in self._simulation.acting():
+            self._send_wrench(self.stamp_ns, body, tuple(wrench), axes)
+        self._send_outputs(everything=steps > 0)
         self._reference_energy = self._simulation.sample().energy
         self._next_diagnostics = time.monotonic() + DIAGNOSTICS_PERIOD
         if self.state == "running":

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Playback of recordings: publish the messages again, or repeat the simulation and compare.
+"""Playback of recordings: publish the messages again, repeat the simulation, or go on from a state.
 
-In: a recording. Out: topics, or the states of a second run. This folder imports no analysis and no
-display.
+In: a recording. Out: topics, the states of a second run, or a simulation at an instant. This folder
+imports no analysis and no display.
 """

@@ -12,7 +12,8 @@ from liegroup_sim_ros.recording.attachments import machine, versions
 from liegroup_sim_ros.recording.check import check_settings
 from liegroup_sim_ros.recording.motion import Motion
 
-from .repeat import Repeat, ReplayError, make_simulation
+from .repeat import Repeat
+from .rerun import ReplayError, make_simulation
 
 # Entries that may affect the bits of the result; older recordings lack some of them.
 _VERSIONS = ("liegroup_sim_ros", "numpy", "scipy", "numba", "llvmlite")

@@ -27,6 +27,7 @@ class Stretch:
     distributed.
     """
 
+    begin_ns: int  # stamp of the event that begins it; of the first one base_ns
     base_ns: int  # stamp of step 0
     end_ns: float  # stamp of the event that ends it, or infinity
     step: float  # s
@@ -177,6 +178,7 @@ _KEPT = _Kept._fields
 class Motion:
     """All stretches of a recording, and the samples missing in it; `blocks` reads it once.
 
+    all              : all stretches, without samples
     stretches        : stretches with samples, as far as they are read
     samples          : number of complete samples: pose and twist of all bodies
     missing          : number of samples missing between the first and the last one
@@ -212,11 +214,11 @@ class Motion:
         begins = [begin for begin, _, _ in starts]
         if any(b <= a for a, b in zip(begins, begins[1:])):
             raise RecordingError(f"{recording.path}: the stamps of its resets do not increase")
-        self._all = [
+        self.all = [
             self._stretch(*each, end, step, k == 0)
             for k, (each, end) in enumerate(zip(starts, [*begins[1:], np.inf]))
         ]
-        self.first = self._all[0]
+        self.first = self.all[0]
         self._begins = np.array(begins, dtype=np.int64)
 
     def _state(self, text):
@@ -248,6 +250,7 @@ class Motion:
         )
         order = np.argsort(when, kind="stable")
         return Stretch(
+            begin,
             base,
             end,
             step,
@@ -307,7 +310,7 @@ class Motion:
             for a, b in zip(edges, edges[1:]):
                 if number[a] < 0:
                     continue
-                block = self._block(self._all[number[a]], samples, slice(a, b))
+                block = self._block(self.all[number[a]], samples, slice(a, b))
                 if block is None:
                     continue
                 since = since or 0

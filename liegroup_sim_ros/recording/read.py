@@ -77,8 +77,19 @@ class Recording:
     complete: bool  # the file is finished and undamaged
     lost: dict  # {topic: messages missing by sequence number}; empty if none
     problem: str | None  # None or one line for the user
+    last_ns: int  # last stamp
     channels: dict = field(repr=False)  # {id: read_mcap.Channel}
     _source: Source = field(repr=False)
+
+    @property
+    def checkpoints(self) -> list[int]:
+        """Stamps of the checkpoints in ns, sorted."""
+        return self._source.checkpoints
+
+    def checkpoint(self, stamp_ns: int) -> dict:
+        """State at a checkpoint, with the entries of initial_state. Raises RecordingError."""
+        with ErrorsWithPath(self.path):
+            return self._source.checkpoint(stamp_ns)
 
     @property
     def pose(self) -> dict[str, PoseTrack]:
@@ -342,6 +353,7 @@ def read_recording(path: str | Path) -> Recording:
             complete=problem is None,
             lost={topic: count for topic, count in scan.lost().items() if count},
             problem=problem and f"{path}: {problem}",
+            last_ns=scan.last_ns,
             channels=scan.channels,
             _source=source,
         )

@@ -13,8 +13,9 @@ from liegroup_sim_ros.messages.commands import JointStateDecoder
 from liegroup_sim_ros.messages.topics import wrench_frame
 
 from .addresses import fetch, is_remote
+from .checkpoints import stamp_of
 from .errors import AddressError, RecordingError
-from .mcap_records import AttachmentPiece, Damaged
+from .mcap_records import RECORD, AttachmentPiece, Damaged, attachment_of
 from .read_mcap import McapStream
 from .tracks import Event, WrenchTrack
 
@@ -86,14 +87,31 @@ class Source:
             self.size = file.seek(0, 2)  # the file may grow while it is read
 
     def attachments(self):
-        """({name: bytes}, McapStream); chunks are not decompressed."""
-        found = {}
+        """({name: bytes}, McapStream) without the checkpoints; chunks are not decompressed."""
+        found, self._checkpoints = {}, {}
         with open(self.path, "rb") as file:
             stream = McapStream(file, self.size, wanted=lambda *_: False)
             for item in stream:
                 if isinstance(item, AttachmentPiece):
-                    found.setdefault(item.name, item.data)
+                    stamp = stamp_of(item.name)
+                    if stamp is None:
+                        found.setdefault(item.name, item.data)
+                    else:
+                        self._checkpoints.setdefault(stamp, stream.offset)
         return found, stream
+
+    @property
+    def checkpoints(self):
+        """Stamps of the checkpoints in ns, sorted."""
+        return sorted(self._checkpoints)
+
+    def checkpoint(self, stamp):
+        """Entries of the checkpoint with a stamp, a dict. Raises RecordingError."""
+        with open(self.path, "rb") as file:
+            file.seek(self._checkpoints[stamp] - RECORD.size)
+            _, length = RECORD.unpack(file.read(RECORD.size))
+            piece = attachment_of(file.read(length))
+        return Attachments({piece.name: piece.data}, None).json(piece.name)
 
     def messages(self, channels=None):
         """(Messages, [(Channel, indices of its messages)]) of each chunk; `stream` is the reader.
@@ -120,12 +138,13 @@ class Source:
 
 
 class Scan:
-    """One pass over a file: events, diagnostics, wrenches and counts."""
+    """One pass over a file: events, diagnostics, wrenches, counts and the last stamp in ns."""
 
     def __init__(self, source, settings, bodies):
         topics, before = settings["topics"], settings.get("sequences")
         before = before if isinstance(before, dict) else {}  # of the previous part
         self.events, self.diagnostics = [], []
+        self.last_ns = 0
         self._tallies = {}  # channel id -> _Tally
         self._wrenches = {body: ([], [], []) for body in bodies}
         prefix, world = settings.get("frame_prefix", ""), settings.get("world_frame", "world")
@@ -141,6 +160,7 @@ class Scan:
         self.servo_targets = []  # (stamp_ns, names, positions, velocities)
         decoder = JointStateDecoder()
         for messages, channels in source.messages():
+            self.last_ns = max(self.last_ns, int(messages.log_time.max()))
             for channel, index in channels:
                 if channel.id not in self._tallies:
                     self._tallies[channel.id] = _Tally(channel.topic, before.get(channel.topic))
@@ -218,7 +238,7 @@ class Scan:
             problems.append("it has no summary")
         elif any(tally.count != tally.written for tally in self._tallies.values()):
             problems.append("the number of messages differs from its summary")
-        elif len(attachments) < stream.attachments_indexed:
+        elif len(attachments) + len(source.checkpoints) < stream.attachments_indexed:
             problems.append("an attachment is missing")
         return "; ".join(problems) or None
 

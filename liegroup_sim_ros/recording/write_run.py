@@ -17,6 +17,7 @@ from liegroup_sim_ros.messages import samples as sample_messages
 from liegroup_sim_ros.messages.codecs import LogCodec
 
 from . import attachments
+from .checkpoints import Checkpoints
 from .errors import OutputError, RecorderError
 from .write import Recorder
 
@@ -243,6 +244,7 @@ class LogFile:
             raise OutputError(f"{path}: {error}; *.npz needs no ROS") from None
         except RecorderError as error:
             raise OutputError(str(error)) from None
+        self._checkpoints = Checkpoints(self._recorder, simulation)
         self._encode = sample_messages.poses_and_twists(bodies, WORLD_FRAME)
         self._encode_errors = estimates.encoder(bodies)
         self._channels = [tuple(map(self._channel, pair)) for pair in pairs]
@@ -288,6 +290,7 @@ class LogFile:
             self._recorder.write(self._errors, stamp, self._encode_errors(sample))
         for channel, encode in self._wrenches:
             self._recorder.write(channel, stamp, encode(stamp, sample))
+        self._checkpoints.add_if_due(stamp)
         self.count, self.last_step = self.count + 1, sample.steps
 
     def finish(self, simulation, stopped, failed, wall_seconds):

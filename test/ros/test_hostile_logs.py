@@ -18,7 +18,7 @@ from liegroup_core import SceneError
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.analysis.analyse import analyse
 from liegroup_sim_ros.commands.main import main
-from liegroup_sim_ros.playback.repeat import ReplayError
+from liegroup_sim_ros.playback.rerun import ReplayError
 from liegroup_sim_ros.playback.resimulate import resimulate
 from liegroup_sim_ros.recording.read import RecordingError, read_recording
 from liegroup_sim_ros.recording.read_mcap import McapStream

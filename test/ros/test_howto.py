@@ -24,7 +24,7 @@ SCRIPT = "\n".join(re.findall(r"^```python\n(.*?)^```$", PAGE, re.MULTILINE | re
 
 
 def test_the_page_contains_commands_and_python_code():
-    assert len(COMMANDS) == 5 and SCRIPT.count("import rclpy\n") == 1
+    assert len(COMMANDS) == 6 and SCRIPT.count("import rclpy\n") == 1
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -32,6 +32,10 @@ def test_a_command_of_the_page_starts_a_node(client, tmp_path, command):
     command = command.replace("config/", f"{SOURCE / 'config'}/").replace(
         "run.mcap", str(tmp_path / "run.mcap")
     )
+    if "continue_from" in command:
+        assert (
+            main(["run", "heavy_top", "--duration", "1", "--out", str(tmp_path / "run.mcap")]) == 0
+        )
     namespace = re.search(r"__ns:=(\S+)", command)
     events = client.listen(
         f"{namespace[1] if namespace else ''}/sim_node/events",

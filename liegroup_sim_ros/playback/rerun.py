@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A simulation that repeats parts of a recording: from a state of it, with its wrenches."""
+
+import numpy as np
+
+from liegroup_core import Simulation, SimulationError
+from liegroup_core.accuracy import METHOD
+from liegroup_core.errors import LieGroupSimError
+from liegroup_core.model.build import initial_state as state_of_scene
+from liegroup_sim_ros.recording.attachments import restore
+from liegroup_sim_ros.recording.read import RecordingError
+
+# Limit on the number of steps, for damaged files; a step takes at least about 1 us.
+MOST_STEPS = 10**9
+
+
+class ReplayError(LieGroupSimError):
+    """The run cannot be repeated like this; one line of text, exit code 2."""
+
+
+def make_simulation(scene, settings, quiet=True, **other):
+    """Simulation with the settings of a recording; other : settings that replace recorded ones.
+
+    With a method it carries no estimate of the error, unless `other` says so.
+    quiet : True: log no warnings
+    Raises ValueError, one line, for settings that this version cannot simulate.
+    """
+    options, promise = settings.get("options") or {}, settings.get("promise")
+    if other.get("method") == settings["method"]:
+        del other["method"]  # the recorded accuracy stays
+    chosen = {
+        "step": settings["step"],
+        "group": settings["group"],
+        "stabilisation": settings.get("stabilisation") or "none",
+        "baumgarte_time": settings.get("baumgarte_time"),
+    }
+    if "method" in other:  # without options of the recorded method
+        return Simulation(scene, quiet=quiet, **(chosen | {"estimate": False} | other))
+    if promise and settings["method"] == METHOD:
+        chosen |= {name: promise[name] for name in ("accuracy", "horizon")}
+        options = {name: options[name] for name in options.keys() - {"rtol", "atol"}}
+    else:
+        chosen |= {"method": settings["method"], "estimate": False}
+    return Simulation(scene, quiet=quiet, **(chosen | options | other))
+
+
+class Rerun:
+    """Repetition of the stretches of a recording, see motion.Stretch.
+
+    simulation : Simulation with the recorded settings, or with other settings to measure their effect
+    ratio      : its steps in a recorded one
+    """
+
+    def __init__(self, recording, simulation):
+        self.simulation = simulation
+        self._starts = Starts(recording, simulation.layout)
+        self._recorded = recording.initial_state
+        self._same_method = all(
+            recording.settings.get(key) == getattr(simulation, key)
+            for key in ("method", "group", "step")
+        )
+        self.ratio = recording.settings["step"] / simulation.step
+        self._taken = 0
+
+    def begin(self, stretch, checkpoint=None):
+        """Set the state of the first step of a Stretch, or that of a checkpoint in it.
+
+        checkpoint : entries of the checkpoint. Raises ReplayError
+        """
+        simulation = self.simulation
+        if stretch.targets.size and stretch.targets.shape[1] != len(simulation.layout.servos):
+            raise ReplayError("its servo targets are not those of the servos of its scene")
+        recorded = checkpoint or (self._recorded if stretch.is_first else stretch.state)
+        try:
+            start = (recorded["steps"] if checkpoint else stretch.start) * self.ratio
+            if start != round(start):
+                raise ReplayError(
+                    "the start of the recording is not a whole number of steps of "
+                    f"{simulation.step:g} s"
+                )
+            if recorded and "memory" in recorded and self._same_method:
+                restore(simulation, recorded)
+            else:
+                pose, twist, angles = self._starts.of(stretch)
+                simulation.set_state(pose, twist, round(start), angles)
+        except (ValueError, KeyError, TypeError, OverflowError) as error:
+            raise ReplayError(f"invalid initial state in the recording: {error}") from None
+        self._stretch, self._next, self._next_target = stretch, 0, 0
+        # At the stamp of a checkpoint the accuracy changes after it.
+        self._accuracies = [
+            (step, accuracy)
+            for recorded_step, accuracy in stretch.accuracies
+            if simulation.promise and (step := round(recorded_step * self.ratio)) >= start
+        ]
+
+    def advance_to(self, step):
+        """Advance to a step with the recorded wrenches. Raises SimulationError."""
+        simulation = self.simulation
+        self._taken += step - simulation.steps
+        if self._taken > MOST_STEPS:
+            raise SimulationError(f"needs more than {MOST_STEPS} steps")
+        while self._accuracies and self._accuracies[0][0] < step:
+            at, accuracy = self._accuracies.pop(0)
+            self._go(at)
+            simulation.set_accuracy(accuracy)
+        self._go(step)
+
+    def _go(self, step):
+        self.apply_changes(step * self.simulation.step)
+        # Never advance by zero steps: that restarts a method whose memory depends on the wrenches.
+        if step > self.simulation.steps:
+            self.simulation.advance(step - self.simulation.steps)
+
+    def apply_changes(self, until):
+        """Apply the recorded changes of wrenches and of wanted values of servos up to a time in s."""
+        stretch = self._stretch
+        upto = int(np.searchsorted(stretch.change_times, until, "right"))
+        for k in range(self._next, upto):
+            axes = "world" if stretch.change_in_world[k] else "body"
+            self.simulation.apply_wrench(
+                stretch.bodies[stretch.change_bodies[k]],
+                stretch.change_wrenches[k],
+                float(stretch.change_times[k]),
+                source=axes,
+                axes=axes,
+            )
+        self._next = max(self._next, upto)
+        upto = int(np.searchsorted(stretch.target_times, until, "right"))
+        for time, targets in zip(
+            stretch.target_times[self._next_target : upto].tolist(),
+            stretch.targets[self._next_target : upto].tolist(),
+        ):
+            for joint, target in zip(self.simulation.layout.servos, targets):
+                self.simulation.command_servo(joint, *target, time)
+        self._next_target = max(self._next_target, upto)
+
+
+class Starts:
+    """Initial states of stretches: that of the file or of an event, or after a reset of the scene.
+
+    `of(stretch)` is pose (n, 12), twist (n, 6) of the frames at the centres of mass, and angles
+    (t,) of the torsional springs or None. Raises RecordingError.
+    """
+
+    def __init__(self, recording, layout):
+        self._recording = recording
+        self._first = self._later = initial_state(recording)
+        if recording.initial_state.get("steps"):
+            self._later = *state_of_scene(layout.centred), None
+
+    def of(self, stretch):
+        if stretch.state is not None:
+            return _arrays(self._recording, stretch.state)
+        return self._first if stretch.is_first else self._later
+
+
+def initial_state(recording):
+    """Pose (n, 12), twist (n, 6) and angles of torsional springs (or None) at the start.
+
+    Raises RecordingError.
+    """
+    return _arrays(recording, recording.initial_state)
+
+
+def _arrays(recording, state):
+    """Pose, twist and angles of the entries of a state, see `initial_state`."""
+    n = len(recording.bodies)
+    try:
+        pose = np.array(state["pose"], dtype=float).reshape(n, 12)
+        twist = np.array(state["twist"], dtype=float).reshape(n, 6)
+        angles = state.get("angles")
+        if angles is not None:
+            angles = np.array(angles, dtype=float).reshape(-1)
+        if not all(np.isfinite(part).all() for part in (pose, twist, angles) if part is not None):
+            raise ValueError
+    except (KeyError, TypeError, ValueError, OverflowError):
+        raise RecordingError(
+            f"{recording.path}: its initial state is not 12 and 6 numbers for each of {n} bodies"
+        ) from None
+    return pose, twist, angles
