@@ -118,7 +118,7 @@ def grouped(robot, options, base, joints, lock, values, notes):
         welded += [(WORLD, name, robot.links[name].pose) for name in robot.roots if name != WORLD]
     moving = [j for j in joints if j.name not in lock or j.closes]
     moving = [j for j in moving if j.type != "floating"]
-    tied = {end for entry in options.joints for end in (entry.get("parent"), entry.get("child"))}
+    tied = {end for entry in options.joints for end in (entry.parent, entry.child)}
     while True:
         grouping = Grouping(robot, welded, moving)
         light = _end_without_mass(grouping, tied)

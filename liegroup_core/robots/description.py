@@ -81,6 +81,7 @@ class RobotJoint:
     parent_frame  : (4, 4) in the frame of the parent; child_frame: in that of the child
     closes        : True for a joint that is no part of the file's tree
     damping       : N m s/rad or N s/m;  stiffness, rest: N m/rad or N/m, and its coordinate without torque
+    rate          : velocity at the start that assembly keeps, rad/s or m/s; None: any
     data          : {name: number} that the simulation does not use: lower, upper, ...
     """
 
@@ -97,6 +98,7 @@ class RobotJoint:
     damping: float = 0.0
     stiffness: float = 0.0
     rest: float = 0.0
+    rate: float | None = None
     data: dict = field(default_factory=dict)
 
     @property

@@ -76,7 +76,8 @@ def scene_parts(robot, options):
     used = _bodies(robot, grouping, parts, notes)
     # The nearest velocities that satisfy all loops keep those that the user gives.
     rates = options.start_velocity if closing else {}
-    taken = _joints(robot, grouping, parts, used, (extra, rates))
+    own = {entry.name for entry in (*options.couplings, *options.forces)}
+    taken = _joints(robot, grouping, parts, used, (extra, rates, own))
     _couplings(robot, grouping, parts, values, taken)
     for i, entry in enumerate(added_forces(options, grouping, parts)):
         parts.lines["forces", len(parts.forces)] = ("forces", i)
@@ -186,12 +187,14 @@ def _check_inertia(robot, group, line, inertia, body, notes):
 def _joints(robot, grouping, parts, body_of, added):
     """Append the joints, and the forces of their springs and dampers; returns all their names.
 
-    added : joints of the user, and {joint: velocity} that the start keeps
+    added : joints of the user, {joint: velocity} that the start keeps, names of other entries
     """
-    extra, rates = added
+    extra, rates, own_names = added
     moving = [*grouping.moving, *extra]
-    names = unique_names([joint.name for joint in moving], set())
-    taken = set(names)
+    own_names |= {joint.name for joint in extra}
+    names = unique_names([joint.name for joint in grouping.moving], own_names)
+    names += [joint.name for joint in extra]
+    taken = set(names) | own_names
     for joint, name in zip(moving, names):
         number = len(parts.joints)
         F_a, F_b = grouping.frames(joint)
@@ -204,8 +207,9 @@ def _joints(robot, grouping, parts, body_of, added):
         if joint.length is not None:
             entry["length"] = joint.length
         entry["parent_frame"], entry["child_frame"] = _placed(F_a), _placed(F_b)
-        if joint.name in rates and number < len(grouping.moving):
-            entry["rate"] = float(rates[joint.name])
+        rate = rates.get(joint.name, joint.rate)
+        if rate is not None:
+            entry["rate"] = float(rate)
         if joint.data:
             entry["data"] = dict(joint.data)
         parts.joints.append(entry)
@@ -229,8 +233,10 @@ def _couplings(robot, grouping, parts, values, taken):
     for coupling in robot.couplings:
         if not {coupling.first, coupling.second} <= moving:
             continue
-        (name,) = unique_names([coupling.name], taken)
-        taken.add(name)
+        name = coupling.name
+        if not isinstance(coupling.line, tuple):  # a name that the user gives is kept
+            (name,) = unique_names([name], taken)
+            taken.add(name)
         number, second = len(parts.couplings), values[coupling.second]
         offset = coupling.offset
         if offset is None:

@@ -21,9 +21,9 @@ class Options:
     start_velocity : {joint: velocity}, rad/s or m/s, in place of 0 or of that of the pose
     lock      : {joint: coordinate} of joints that do not move
     only      : links whose chains to the root are kept; empty: all
-    joints    : [keys of a scene's joint], between links; its frames are in the frames of the links
+    joints    : [joint of a scene], between links; its frames are in the frames of the links
     couplings : [coupling of a scene, with names of joints of the robot]
-    forces    : [keys of a scene's force]
+    forces    : [force of a scene], with names of links and joints of the robot
     srdf      : path of an SRDF file with poses
     gravity, name, description : of the scene, None: as the file says
     joint_label : how errors name one of `joints`, by its index

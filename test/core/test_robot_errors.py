@@ -307,7 +307,7 @@ def test_a_robot_beside_yaml_that_is_not_there(tmp_path):
         load_scene("package://nowhere/a.urdf")
     (tmp_path / "five_bar.urdf").write_text(five_bar_urdf())
     path.write_text("robot: five_bar.urdf\njoints:\n  - {name: a, type: spherical, parent: left}\n")
-    with pytest.raises(SceneError, match="child 'None' is not in the robot"):
+    with pytest.raises(SceneError, match="child is missing"):
         load_scene(path)
 
 
@@ -344,3 +344,80 @@ def test_group_states_have_joints_of_the_robot(tmp_path):
     )
     with pytest.raises(SceneError, match='group state "open": the robot has no joint drve'):
         scene_from_robot(path, Options(srdf=srdf))
+
+
+BESIDE = """robot: five_bar.urdf
+start: {left_crank: 0.1}
+joints:
+  - {name: tip, type: revolute, parent: left_end, child: right_end, parent_frame: {}, child_frame: {}}
+couplings: []
+forces:
+  - {name: a, type: drag, body: left_end, linear: 0.1}
+  - {name: b, type: applied_wrench, body: left_end, force: [0, 1, 0], point: [0, 0, 1]}
+  - {name: c, type: spring_damper, parent: left, parent_point: [0, 0, 0], child: right,
+     child_point: [0, 1, 0], stiffness: 3}
+"""
+VALUES = ["", "true", "x", "-1", "1e300", ".nan", "-.inf", "[]", "{}", "[1, 2]", "[a, b, c]"]
+VALUES += ["[1e99, 1e99, 1e99]", "{a: 1}", "left_crank", "left", "ground", "world", "[[1, 2, 3]]"]
+
+
+@pytest.mark.parametrize(
+    "old, new, line, expected",
+    [
+        ("force: [0, 1, 0]", "force: [0, 1]", 8, 'forces[1] "b": force must have 3 numbers'),
+        ("force: [0, 1, 0]", "force: [0, 0, .nan]", 8, 'forces[1] "b": force[2] must be finite'),
+        ("point: [0, 0, 1]", "point: up", 8, "forces[1] \"b\": point must be a list, got 'up'"),
+        ("child: right,", "", 9, 'forces[2] "c": child is missing'),
+        ("child: right,", "child: left,", 9, "left and left move as one body"),
+        ("body: left_end, force", "body: ground, force", 8, "ground does not move"),
+        ("parent: left_end", "parent: [left_end]", 4, 'joints[0] "tip": parent must be text'),
+        ("name: tip", "name: left_crank", 4, "has a joint with the name"),
+        ("name: tip", "name: a", 7, 'forces[0] "a": this name is already used'),
+        ("linear: 0.1", "joint: left", 7, "unknown key 'joint'"),
+        ("couplings: []", "only: upper", 5, "only must be a list, got 'upper'"),
+        ("{left_crank: 0.1}", "[left_crank]", 2, "start must be a mapping of joints to numbers"),
+    ],
+)
+def test_values_beside_a_robot_are_checked_with_their_place(old, new, line, expected, tmp_path):
+    (tmp_path / "five_bar.urdf").write_text(five_bar_urdf())
+    path = tmp_path / "beside.yaml"
+    path.write_text(BESIDE)
+    load_scene(path)
+    assert BESIDE.count(old) == 1
+    path.write_text(BESIDE.replace(old, new))
+    text = refusal(path)
+    assert text.startswith(f"{path}:{line}: ") and expected in text, text
+
+
+def test_any_value_beside_a_robot_loads_or_has_one_line(tmp_path):
+    (tmp_path / "five_bar.urdf").write_text(five_bar_urdf())
+    path = tmp_path / "beside.yaml"
+    # Values of keys: lists of numbers, mappings without further ones, words.
+    places = [
+        found.span(1) for found in re.finditer(r": (\[[^\]]*\]|\{[^{}]*\}|[^\s,{}]+)", BESIDE)
+    ]
+    refused = 0
+    for start, end in places:
+        for value in VALUES:
+            path.write_text(f"{BESIDE[:start]}{value}{BESIDE[end:]}")
+            try:
+                load_scene(path)
+            except SceneError as error:
+                refused += 1
+                assert re.match(r"\S+: ", str(error)) and "\n" not in str(error), error
+    assert refused > len(places) * len(VALUES) // 2
+
+
+def test_a_spring_between_a_link_and_one_that_stays(tmp_path):
+    """The link that does not move may be parent or child."""
+    (tmp_path / "five_bar.urdf").write_text(five_bar_urdf())
+    path, found = tmp_path / "beside.yaml", []
+    for ends in (
+        "parent: ground, parent_point: [1, 2, 3], child: left, child_point: [4, 5, 6]",
+        "child: ground, child_point: [1, 2, 3], parent: left, parent_point: [4, 5, 6]",
+    ):
+        path.write_text(
+            f"robot: five_bar.urdf\nforces: [{{name: s, type: spring_damper, stiffness: 2, {ends}}}]\n"
+        )
+        found.append(load_scene(path).forces[-1])
+    assert found[0] == found[1] and found[0].parent == "world"
