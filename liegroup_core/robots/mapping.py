@@ -59,8 +59,8 @@ def scene_parts(robot, options):
     values = options.coordinates(robot)
     notes = []
     joints = kept_joints(robot, options, notes)
-    options.check_start({joint.name for joint in joints})
-    base = base_of(robot, options, joints, notes)
+    options.check_kept({joint.name for joint in joints})
+    base = base_of(robot, options, notes)
     lock = locked_joints(robot, options, values, notes)
     grouping = grouped(robot, options, base, joints, lock, values, notes)
     closing = grouping.place(values, options.velocities(robot))
@@ -109,8 +109,16 @@ def _bodies(robot, grouping, parts, notes):
     """Append the bodies; returns {id of a group: name of its body}."""
     movable = [group for group in grouping.groups if group is not grouping.world]
     if not movable:
+        if grouping.held:
+            link, joint = grouping.held[0]
+            raise robot.error(
+                robot.links[link].line,
+                f'link "{link}" at the end of joint "{joint.name}" has no mass, and no other link '
+                "moves: give it an inertial",
+            )
         advice = (
-            "let the root float with base: floating (--base floating), or unlock a joint"
+            "let the root float with base: floating (--base floating), unlock a joint, or keep more "
+            "links with only"
             if robot.roots
             else "give a body a joint"
         )
@@ -312,6 +320,15 @@ def _left_out(robot, grouping):
         names = [name for name, joint in moving.items() if set(keys) & joint.data.keys()]
         if names:
             notes.append(f"changes the motion: {text}: {listed(names)}")
+    swapped = [
+        name
+        for name, joint in moving.items()
+        if joint.data.get("lower", -np.inf) > joint.data.get("upper", np.inf)
+    ]
+    if swapped:
+        notes.append(
+            f"wrong in the file: the lower limit is above the upper one: {listed(swapped)}"
+        )
     for coupling in robot.couplings:
         for name, other in ((coupling.first, coupling.second), (coupling.second, coupling.first)):
             if name in moving and other not in moving:

@@ -108,6 +108,8 @@ def _values(entries, option):
     found = {}
     for entry in entries:
         name, separator, text = entry.rpartition("=")
+        if name in found:
+            raise RobotError(f"--{option} gives {name} twice: keep one")
         try:
             found[name] = float(text)
         except ValueError:

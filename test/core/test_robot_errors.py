@@ -421,3 +421,75 @@ def test_a_spring_between_a_link_and_one_that_stays(tmp_path):
         )
         found.append(load_scene(path).forces[-1])
     assert found[0] == found[1] and found[0].parent == "world"
+
+
+def test_a_moving_end_needs_mass(tmp_path):
+    path = tmp_path / "light.urdf"
+    path.write_text(
+        '<robot name="r"><link name="base"/>\n<link name="a"/>\n<joint name="j" type="continuous">'
+        '<parent link="base"/><child link="a"/></joint></robot>'
+    )
+    assert refusal(path).startswith(f'{path}:2: link "a" at the end of joint "j" has no mass')
+
+
+def test_what_is_cut_does_not_change_the_base(tmp_path):
+    path = tmp_path / "five_bar.urdf"
+    path.write_text(five_bar_urdf())
+    with pytest.raises(SceneError, match="has no link that moves: .* keep more links with only"):
+        scene_from_robot(path, Options(only=["ground"]))
+
+
+def test_misspelt_parts_of_urdf_are_noted(tmp_path):
+    path = urdf(tmp_path, DAMPING, '<dynamic damping="4"/>')
+    line = ARM_URDF.count("\n", 0, ARM_URDF.index(DAMPING)) + 1
+    found = [note for note in load_scene(path).notes if "unknown parts" in note]
+    assert found == [
+        "left out: 1 unknown parts of the URDF file (<dynamic> in <joint> of line "
+        f"{ARM_URDF.count(chr(10), 0, ARM_URDF.index('<joint name=' + chr(34) + 'extend')) + 1})"
+    ], (found, line)
+
+
+def test_a_mimic_of_a_fixed_joint_holds_nothing(tmp_path):
+    text = five_bar_urdf().replace(
+        '<child link="left_end"/>', '<child link="left_end"/><mimic joint="left_crank"/>'
+    )
+    path = tmp_path / "five_bar.urdf"
+    path.write_text(text)
+    scene = load_scene(path)
+    assert len(scene.bodies) == 4
+    assert "left out: 1 couplings of fixed joints (left_tip)" in scene.notes
+
+
+def test_limits_that_are_exchanged_are_noted(tmp_path):
+    path = urdf(tmp_path, 'lower="-1', 'lower="9')
+    assert any("the lower limit is above the upper one" in note for note in load_scene(path).notes)
+
+
+def test_start_values_that_a_locked_joint_contradicts_are_refused(tmp_path):
+    path = mimic_urdf(tmp_path)
+    with pytest.raises(SceneError, match='start: joint "drive" is 2, and lock holds it at'):
+        scene_from_robot(path, Options(lock={"near": 0.07}, start={"drive": 2.0}))
+
+
+def test_an_srdf_file_needs_a_pose(tmp_path):
+    path, srdf = mimic_urdf(tmp_path), tmp_path / "hand.srdf"
+    state = '<robot name="hand"><group_state name="open" group="g"><joint name="drive" {}/>'
+    srdf.write_text(state.format('value="1"') + "</group_state></robot>")
+    with pytest.raises(SceneError, match=r"srdf needs a pose: give one of its group states \(open"):
+        scene_from_robot(path, Options(srdf=srdf))
+    srdf.write_text(state.format("") + "</group_state></robot>")
+    with pytest.raises(SceneError, match=r'hand.srdf:1: joint "drive" has no value'):
+        scene_from_robot(path, Options(srdf=srdf, pose="open"))
+
+
+def test_names_that_yaml_takes_for_values(tmp_path):
+    path = urdf(tmp_path, '<robot name="arm"', '<robot name="true"')
+    assert load_scene(path).name == "true"
+
+
+def test_included_models_that_are_missing_have_a_line(tmp_path):
+    path = tmp_path / "w.sdf"
+    path.write_text(
+        '<sdf version="1.9"><world name="w">\n<include><uri>model://nope</uri></include></world></sdf>'
+    )
+    assert refusal(path).startswith(f"{path}:2: ")
