@@ -1,10 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Joints and forces that a user adds to a robot: keys of a scene, between links of the robot."""
 
-import numpy as np
-
-from liegroup_core.errors import SceneError
-from liegroup_core.fields.frames import Frame
 from liegroup_core.lie.groups import SE3
 
 from .description import ONE_COORDINATE, WORLD, Coupling, RobotJoint
@@ -18,72 +14,59 @@ def added_joints(options, grouping):
 
     A frame that is omitted is where the other one is at the start.
     """
-    return [_joint(options, grouping, i, entry) for i, entry in enumerate(options.joints)]
+    names = {joint.name for joint in grouping.robot.joints}
+    return [_joint(options, grouping, i, given, names) for i, given in enumerate(options.joints)]
 
 
-def _joint(options, grouping, i, entry):
-    which, frames = options.joint_label.format(i), {}
-    for end in ("parent", "child"):
-        link = entry.get(end)
-        if link not in grouping.of_link:
-            raise options.unknown(("joints", i, end), f"{which}: {end}", link, grouping.of_link)
-        if entry.get(f"{end}_frame") is not None:
-            try:
-                frames[end] = Frame.model_validate(entry[f"{end}_frame"]).pose
-            except SceneError as error:
-                raise options.error(("joints", i, f"{end}_frame"), f"{which}: {error}") from None
-            except ValueError:
-                raise options.error(
-                    ("joints", i, f"{end}_frame"),
-                    f"{which}: {end}_frame must be a frame: position, and axis or quaternion",
-                ) from None
-    poses = {
-        end: grouping.of_link[entry[end]].pose @ grouping.of_link[entry[end]].places[entry[end]]
-        for end in ("parent", "child")
-    }
-    for end, other in (("parent", "child"), ("child", "parent")):
-        if end not in frames:
-            if other not in frames:
-                raise options.error(
-                    ("joints", i), f"{which}: parent_frame or child_frame is missing"
-                )
-            frames[end] = SE3.inverse(poses[end]) @ poses[other] @ frames[other]
-    parent, child = entry["parent"], entry["child"]
-    F_a, F_b = frames["parent"], frames["child"]
-    if grouping.of_link[child] is grouping.world:
-        if grouping.of_link[parent] is grouping.world:
-            raise options.error(
-                ("joints", i), f"{which}: neither {parent} nor {child} moves: name other links"
-            )
-        if entry.get("type") in ("universal",):
-            raise options.error(
-                ("joints", i, "child"), f"{which}: {child} does not move: exchange the ends"
-            )
-        parent, child, F_a, F_b = child, parent, F_b, F_a
-    if grouping.of_link[parent] is grouping.of_link[child]:
+def _joint(options, grouping, i, given, names):
+    which = options.joint_label.format(i)
+    if given.name in names:
         raise options.error(
-            ("joints", i), f"{which}: {parent} and {child} move as one body: name other links"
+            ("joints", i, "name"),
+            f'{which}: the robot has a joint with the name "{given.name}": choose another',
         )
-    known = {"name", "type", "parent", "child", "parent_frame", "child_frame", "pitch", "length"}
-    for key in entry:
-        if key not in known:
-            raise options.error(
-                ("joints", i, key), f"{which}: unknown key {key!r:.40} of a closing joint"
-            )
-    name = entry.get("name")
-    if not isinstance(name, str):
-        raise options.error(("joints", i), f"{which}: name is missing: give one")
+    _check_ends(options, grouping, ("joints", i), which, given)
+    frames, poses = {}, {}
+    for end in ("parent", "child"):
+        link, frame = getattr(given, end), getattr(given, f"{end}_frame")
+        group = grouping.of_link[link]
+        poses[end] = group.pose @ group.places[link]
+        frames[end] = None if frame is None else frame.pose
+    for end, other in (("parent", "child"), ("child", "parent")):
+        if frames[end] is None:
+            frames[end] = SE3.inverse(poses[end]) @ poses[other] @ frames[other]
     return RobotJoint(
-        name,
-        entry.get("type"),
-        parent,
-        child,
-        F_a,
-        F_b,
+        given.name,
+        given.type,
+        given.parent,
+        given.child,
+        frames["parent"],
+        frames["child"],
         closes=True,
-        pitch=entry.get("pitch", 0.0),
-        length=entry.get("length"),
+        pitch=getattr(given, "pitch", 0.0),
+        length=getattr(given, "length", None),
+        rate=given.rate,
+        data=dict(given.data or {}),
     )
+
+
+def _check_ends(options, grouping, place, which, given):
+    """Refuse unknown links of an entry, and two links that do not move relative to each other."""
+    ends = [end for end in ("parent", "child", "body") if hasattr(given, end)]
+    for end in ends:
+        if getattr(given, end) not in grouping.of_link:
+            name = getattr(given, end)
+            raise options.unknown((*place, end), f"{which}: {end}", name, grouping.of_link)
+    links = [getattr(given, end) for end in ends]
+    groups = [grouping.of_link[link] for link in links]
+    if len(groups) == 2 and groups[0] is groups[1]:
+        raise options.error(
+            place, f"{which}: {links[0]} and {links[1]} move as one body: name other links"
+        )
+    if ends == ["body"] and groups[0] is grouping.world:
+        raise options.error(
+            (*place, "body"), f"{which}: {links[0]} does not move: name another link"
+        )
 
 
 def added_couplings(options, robot):
@@ -110,34 +93,36 @@ def added_forces(options, grouping, parts):
     """[keys of a scene's force] with links and points in the frames of bodies."""
     links = {file: scene for (kind, scene), file in parts.names.items() if kind == "bodies"}
     joints = {file: scene for (kind, scene), file in parts.names.items() if kind == "joints"}
+    known = {joint.name for joint in grouping.robot.joints} - joints.keys()
     found = []
-    for i, entry in enumerate(options.forces):
-        entry = dict(entry)
-        places = {}
-        for end in ("parent", "child", "body"):
-            if end not in entry:
-                continue
-            name = entry[end]
-            if name not in grouping.of_link:
-                raise options.unknown(
-                    ("forces", i, end), f"forces[{i}]: {end}", name, grouping.of_link
-                )
-            group = grouping.of_link[name]
-            places[end] = group.places[name]
-            entry[end] = WORLD if group is grouping.world else links[group.links[0]]
+    for i, given in enumerate(options.forces):
+        which, place = f'forces[{i}] "{given.name}"', ("forces", i)
+        _check_ends(options, grouping, place, which, given)
+        keys = {"name", "type"} | given.model_fields_set
+        entry = {key: getattr(given, key) for key in type(given).model_fields if key in keys}
         if "joint" in entry:
-            if entry["joint"] not in joints:
-                raise options.unknown(
-                    ("forces", i, "joint"), f"forces[{i}]: joint", entry["joint"], joints
+            if given.joint in known:
+                raise options.error(
+                    (*place, "joint"), f'{which}: joint "{given.joint}" does not move: unlock it'
                 )
-            entry["joint"] = joints[entry["joint"]]
+            if given.joint not in joints:
+                raise options.unknown((*place, "joint"), f"{which}: joint", given.joint, joints)
+            entry["joint"] = joints[given.joint]
         for key, end in POINTS.items():
-            if key in entry or (key == "point" and "force" in entry and end in places):
-                point = np.asarray(entry.get(key, (0.0, 0.0, 0.0)), dtype=float)
-                entry[key] = places[end][:3, :3] @ point + places[end][:3, 3]
-        if "body" in entry and entry.get("axes", "body") == "body":
+            if hasattr(given, key):
+                pose = grouping.of_link[getattr(given, end)].places[getattr(given, end)]
+                entry[key] = pose[:3, :3] @ getattr(given, key) + pose[:3, 3]
+        if getattr(given, "axes", "") == "body":
+            pose = grouping.of_link[given.body].places[given.body]
             for key in ("force", "torque"):
-                if key in entry:
-                    entry[key] = places["body"][:3, :3] @ np.asarray(entry[key], dtype=float)
+                entry[key] = pose[:3, :3] @ getattr(given, key)
+        for end in ("parent", "child", "body"):
+            if end in entry:
+                group = grouping.of_link[entry[end]]
+                entry[end] = WORLD if group is grouping.world else links[group.links[0]]
+        if entry.get("child") == WORLD:  # the child of a force of a scene moves
+            for key in ("", "_point"):
+                ends = (f"parent{key}", f"child{key}")
+                entry |= dict(zip(ends, [entry[end] for end in reversed(ends)]))
         found.append(entry)
     return found

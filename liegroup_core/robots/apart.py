@@ -144,9 +144,22 @@ def main(tool, path):
         return 1
     except Exception as error:  # whatever the tool finds wrong is the message
         print(_place(error))
-        print(" ".join(str(error).split()) or type(error).__name__, file=sys.stderr)
+        print(_reason(error), file=sys.stderr)
         return 1
     return 0
+
+
+def _reason(error):
+    """Text of an error in one line; xacro wraps the cause and repeats it, or has only its type."""
+    cause = error
+    while getattr(cause, "exc", None) is not None:
+        cause = cause.exc
+    text = " ".join(str(cause).split()) or type(cause).__name__
+    around = " ".join(str(error).split()).replace(f"{type(cause)}: ", "")
+    head, *rest = around.split(text)
+    if not rest:
+        return f"{text} {around}"
+    return " ".join(filter(None, (part.strip() for part in (head, text, *rest))))
 
 
 if __name__ == "__main__":

@@ -92,16 +92,17 @@ def locked_joints(robot, options, values, notes):
             own = name in options.lock or name in robot.locked
             why = "" if own else ", because a locked joint drives it"
             notes.append(f"locked: joint {name} at {values[name]:.6g}{why}")
+    options.check_start(values)
     return still
 
 
-def base_of(robot, options, joints, notes):
+def base_of(robot, options, notes):
     """Whether the root links are fixed to the world or float."""
     if options.base is not None:
         return options.base
     if robot.free:
         return "floating"
-    if options.joints or any(joint.type != "fixed" for joint in joints):
+    if options.joints or any(joint.type != "fixed" for joint in robot.joints):
         return "fixed"
     notes.append("floating: the robot has no joint that moves")
     return "floating"
@@ -118,9 +119,11 @@ def grouped(robot, options, base, joints, lock, values, notes):
         welded += [(WORLD, name, robot.links[name].pose) for name in robot.roots if name != WORLD]
     moving = [j for j in joints if j.name not in lock or j.closes]
     moving = [j for j in moving if j.type != "floating"]
-    tied = {end for entry in options.joints for end in (entry.get("parent"), entry.get("child"))}
+    tied = {end for entry in options.joints for end in (entry.parent, entry.child)}
+    held = []
     while True:
         grouping = Grouping(robot, welded, moving)
+        grouping.held = held
         light = _end_without_mass(grouping, tied)
         if light is None:
             return grouping
@@ -131,6 +134,7 @@ def grouped(robot, options, base, joints, lock, values, notes):
                 f'link "{group.links[0]}" moves freely and has no mass: give it an inertial, or fix '
                 "it to another link",
             )
+        held.append((group.links[0], joint))
         notes.append(
             f"held in place: {listed(group.links)} at the end of joint {joint.name}, without mass"
         )

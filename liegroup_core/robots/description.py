@@ -81,6 +81,7 @@ class RobotJoint:
     parent_frame  : (4, 4) in the frame of the parent; child_frame: in that of the child
     closes        : True for a joint that is no part of the file's tree
     damping       : N m s/rad or N s/m;  stiffness, rest: N m/rad or N/m, and its coordinate without torque
+    rate          : velocity at the start that assembly keeps, rad/s or m/s; None: any
     data          : {name: number} that the simulation does not use: lower, upper, ...
     """
 
@@ -97,6 +98,7 @@ class RobotJoint:
     damping: float = 0.0
     stiffness: float = 0.0
     rest: float = 0.0
+    rate: float | None = None
     data: dict = field(default_factory=dict)
 
     @property
@@ -185,6 +187,10 @@ class Robot:
                         f'joint "{coupling.first}" mimics "{coupling.second}": joint "{name}" is '
                         f"{types[name]}, and only joints with one coordinate can be coupled",
                     )
+        for coupling in self.couplings:
+            if types[coupling.first] == "fixed":  # it has no coordinate to follow with
+                self.leave_out("couplings of fixed joints", coupling.first)
+        self.couplings = [each for each in self.couplings if types[each.first] != "fixed"]
         mimics = {coupling.first: coupling for coupling in self.couplings}
         for coupling in self.couplings:
             seen, name = [coupling.first], coupling.second
@@ -201,6 +207,21 @@ class Robot:
     def leave_out(self, what, name, changes_motion=False):
         """Note something of the file that the scene does not have."""
         (self.changes if changes_motion else self.left_out).setdefault(what, []).append(name)
+
+    def leave_out_unknown(self, root, known):
+        """Note the elements and attributes that the format does not have, such as misspelt ones.
+
+        known : {tag: (children, attributes)}, each separated by blanks; other elements are not checked
+        """
+        known = {tag: [set(part.split()) for part in parts] for tag, parts in known.items()}
+        for element in root.iter(*known):
+            children, attributes = known[element.tag]
+            odd = [f"<{part.tag}>" for part in element if part.tag not in children]
+            odd += [key for key in element.keys() if key not in attributes]
+            for name in odd:
+                if "}" not in name:  # other tools write into namespaces of their own
+                    where = f"{name} in <{element.tag}> of line {element.sourceline}"
+                    self.leave_out(f"unknown parts of the {self.kind} file", where)
 
 
 def refusal(file, line, message):

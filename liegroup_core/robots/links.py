@@ -26,17 +26,34 @@ class Group:
     twist: np.ndarray = field(default_factory=lambda: np.zeros(6))
 
 
+def combined(parts):
+    """(mass, centre of mass (3,), inertia (3, 3) about it) of parts given in the same way, same axes.
+
+    A single part keeps its numbers.
+    """
+    if len(parts) == 1:
+        return parts[0]
+    mass = sum(m for m, _, _ in parts)
+    com = sum((m * c for m, c, _ in parts), np.zeros(3)) / (mass or 1.0)
+    total = np.zeros((3, 3))
+    for m, c, inertia in parts:
+        d = c - com
+        total += inertia + m * ((d @ d) * np.eye(3) - np.outer(d, d))
+    return mass, com, total
+
+
 class Grouping:
     """Groups of a robot.
 
     robot  : Robot
     welded : [(parent, child, (4, 4) pose of the child in the parent)] of links that do not move
              relative to each other
+    held   : [(link, joint)] of links without mass at the end of a chain, which are held in place
     joints : joints of the file that may move; those inside a group are not in `moving`
     """
 
     def __init__(self, robot, welded, joints):
-        self.robot = robot
+        self.robot, self.held = robot, []
         names = [WORLD, *(name for name in robot.links if name != WORLD)]
         leader = {name: name for name in names}
 
@@ -111,15 +128,7 @@ class Grouping:
                 if not np.array_equal(place, np.eye(4)):
                     centre, inertia = R @ centre + place[:3, 3], R @ inertia @ R.T
                 parts.append((link.mass, centre, inertia))
-        mass = sum(m for m, _, _ in parts)
-        if len(parts) == 1:
-            return parts[0]
-        com = sum((m * c for m, c, _ in parts), np.zeros(3)) / (mass or 1.0)
-        total = np.zeros((3, 3))
-        for m, c, inertia in parts:
-            d = c - com
-            total += inertia + m * ((d @ d) * np.eye(3) - np.outer(d, d))
-        return mass, com, total
+        return combined(parts)
 
     def moves_nothing(self, group):
         """True for a group without mass and inertia."""

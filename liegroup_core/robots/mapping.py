@@ -59,8 +59,8 @@ def scene_parts(robot, options):
     values = options.coordinates(robot)
     notes = []
     joints = kept_joints(robot, options, notes)
-    options.check_start({joint.name for joint in joints})
-    base = base_of(robot, options, joints, notes)
+    options.check_kept({joint.name for joint in joints})
+    base = base_of(robot, options, notes)
     lock = locked_joints(robot, options, values, notes)
     grouping = grouped(robot, options, base, joints, lock, values, notes)
     closing = grouping.place(values, options.velocities(robot))
@@ -76,7 +76,8 @@ def scene_parts(robot, options):
     used = _bodies(robot, grouping, parts, notes)
     # The nearest velocities that satisfy all loops keep those that the user gives.
     rates = options.start_velocity if closing else {}
-    taken = _joints(robot, grouping, parts, used, (extra, rates))
+    own = {entry.name for entry in (*options.couplings, *options.forces)}
+    taken = _joints(robot, grouping, parts, used, (extra, rates, own))
     _couplings(robot, grouping, parts, values, taken)
     for i, entry in enumerate(added_forces(options, grouping, parts)):
         parts.lines["forces", len(parts.forces)] = ("forces", i)
@@ -108,8 +109,16 @@ def _bodies(robot, grouping, parts, notes):
     """Append the bodies; returns {id of a group: name of its body}."""
     movable = [group for group in grouping.groups if group is not grouping.world]
     if not movable:
+        if grouping.held:
+            link, joint = grouping.held[0]
+            raise robot.error(
+                robot.links[link].line,
+                f'link "{link}" at the end of joint "{joint.name}" has no mass, and no other link '
+                "moves: give it an inertial",
+            )
         advice = (
-            "let the root float with base: floating (--base floating), or unlock a joint"
+            "let the root float with base: floating (--base floating), unlock a joint, or keep more "
+            "links with only"
             if robot.roots
             else "give a body a joint"
         )
@@ -186,12 +195,14 @@ def _check_inertia(robot, group, line, inertia, body, notes):
 def _joints(robot, grouping, parts, body_of, added):
     """Append the joints, and the forces of their springs and dampers; returns all their names.
 
-    added : joints of the user, and {joint: velocity} that the start keeps
+    added : joints of the user, {joint: velocity} that the start keeps, names of other entries
     """
-    extra, rates = added
+    extra, rates, own_names = added
     moving = [*grouping.moving, *extra]
-    names = unique_names([joint.name for joint in moving], set())
-    taken = set(names)
+    own_names |= {joint.name for joint in extra}
+    names = unique_names([joint.name for joint in grouping.moving], own_names)
+    names += [joint.name for joint in extra]
+    taken = set(names) | own_names
     for joint, name in zip(moving, names):
         number = len(parts.joints)
         F_a, F_b = grouping.frames(joint)
@@ -204,8 +215,9 @@ def _joints(robot, grouping, parts, body_of, added):
         if joint.length is not None:
             entry["length"] = joint.length
         entry["parent_frame"], entry["child_frame"] = _placed(F_a), _placed(F_b)
-        if joint.name in rates and number < len(grouping.moving):
-            entry["rate"] = float(rates[joint.name])
+        rate = rates.get(joint.name, joint.rate)
+        if rate is not None:
+            entry["rate"] = float(rate)
         if joint.data:
             entry["data"] = dict(joint.data)
         parts.joints.append(entry)
@@ -229,8 +241,10 @@ def _couplings(robot, grouping, parts, values, taken):
     for coupling in robot.couplings:
         if not {coupling.first, coupling.second} <= moving:
             continue
-        (name,) = unique_names([coupling.name], taken)
-        taken.add(name)
+        name = coupling.name
+        if not isinstance(coupling.line, tuple):  # a name that the user gives is kept
+            (name,) = unique_names([name], taken)
+            taken.add(name)
         number, second = len(parts.couplings), values[coupling.second]
         offset = coupling.offset
         if offset is None:
@@ -306,6 +320,15 @@ def _left_out(robot, grouping):
         names = [name for name, joint in moving.items() if set(keys) & joint.data.keys()]
         if names:
             notes.append(f"changes the motion: {text}: {listed(names)}")
+    swapped = [
+        name
+        for name, joint in moving.items()
+        if joint.data.get("lower", -np.inf) > joint.data.get("upper", np.inf)
+    ]
+    if swapped:
+        notes.append(
+            f"wrong in the file: the lower limit is above the upper one: {listed(swapped)}"
+        )
     for coupling in robot.couplings:
         for name, other in ((coupling.first, coupling.second), (coupling.second, coupling.first)):
             if name in moving and other not in moving:

@@ -266,6 +266,11 @@ def _others(robot, model):
     for what in ("flexes", "plugins"):
         for name in model[what]:
             robot.leave_out(what, name, changes_motion=True)
-    for what in ("actuators", "sensors"):
-        for name in model[what]:
-            robot.leave_out(what, name)
+    for actuator in model["actuators"]:
+        if actuator["acts"]:
+            what = "actuators that act without a control signal, such as servos"
+            robot.leave_out(what, actuator["name"], changes_motion=True)
+        else:
+            robot.leave_out("actuators", actuator["name"])
+    for name in model["sensors"]:
+        robot.leave_out("sensors", name)

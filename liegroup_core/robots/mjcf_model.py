@@ -32,7 +32,16 @@ def arrays_of(path):
             }
             for i in range(model.ntendon)
         ],
-        "actuators": [model.actuator(i).name or f"actuator_{i}" for i in range(model.nu)],
+        "actuators": [
+            {
+                "name": model.actuator(i).name or f"actuator_{i}",
+                "acts": bool(
+                    model.actuator_biastype[i] != mujoco.mjtBias.mjBIAS_NONE
+                    and model.actuator_biasprm[i].any()
+                ),
+            }
+            for i in range(model.nu)
+        ],
         "sensors": [model.sensor(i).name or f"sensor_{i}" for i in range(model.nsensor)],
         "flexes": [f"flex_{i}" for i in range(model.nflex)],
         "plugins": [f"plugin_{i}" for i in range(model.nplugin)],

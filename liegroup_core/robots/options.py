@@ -21,9 +21,9 @@ class Options:
     start_velocity : {joint: velocity}, rad/s or m/s, in place of 0 or of that of the pose
     lock      : {joint: coordinate} of joints that do not move
     only      : links whose chains to the root are kept; empty: all
-    joints    : [keys of a scene's joint], between links; its frames are in the frames of the links
+    joints    : [joint of a scene], between links; its frames are in the frames of the links
     couplings : [coupling of a scene, with names of joints of the robot]
-    forces    : [keys of a scene's force]
+    forces    : [force of a scene], with names of links and joints of the robot
     srdf      : path of an SRDF file with poses
     gravity, name, description : of the scene, None: as the file says
     joint_label : how errors name one of `joints`, by its index
@@ -60,6 +60,11 @@ class Options:
         """{joint: coordinate at the start}; refuses unknown joints, and those without a coordinate."""
         types = {joint.name: joint.type for joint in robot.joints}
         values = dict.fromkeys(types, 0.0)
+        if self.srdf is not None and self.pose is None:
+            known = ", ".join(sorted(robot.poses)[:12]) or "none"
+            raise self.error(
+                ("srdf",), f"srdf needs a pose: give one of its group states ({known})"
+            )
         if self.pose is not None:
             if self.pose not in robot.poses:
                 raise self.unknown(("pose",), "pose", self.pose, robot.poses)
@@ -98,18 +103,25 @@ class Options:
             values[name] = float(value)
         return values
 
-    def check_start(self, kept):
-        """Refuse a start value of a joint that is not among the kept ones, or that is locked elsewhere."""
-        for name, value in self.start.items():
+    def check_kept(self, kept):
+        """Refuse a start value of a joint that is not among the kept ones."""
+        for name in self.start:
             if name not in kept:
                 raise self.error(
                     ("start", name),
                     f'start: joint "{name}" is cut: keep its links with only, or omit its value',
                 )
-            if value != self.lock.get(name, value):
+
+    def check_start(self, values):
+        """Refuse a start value of a joint that is locked elsewhere, by itself or by a coupling.
+
+        values : {joint: coordinate at the start}
+        """
+        for name, value in self.start.items():
+            if abs(value - values[name]) > 1e-9 * (1.0 + abs(value)):
                 raise self.error(
                     ("start", name),
-                    f'start: joint "{name}" is {value:g}, and lock holds it at {self.lock[name]:g}: '
+                    f'start: joint "{name}" is {value:g}, and lock holds it at {values[name]:g}: '
                     "omit one of the two",
                 )
 

@@ -76,6 +76,8 @@ def _group_states(path):
         values = found.setdefault(reader.name(state), {})
         for joint in state.iterfind("joint"):
             name, text = reader.name(joint), joint.get("value")
-            if text is not None and len(text.split()) == 1:  # joints with several values float
+            if text is None:
+                raise reader.error(joint, f'joint "{name}" has no value: give one')
+            if len(text.split()) == 1:  # joints with several values float
                 values[name] = reader.number(joint, text, f'value of joint "{name}"')
     return found

@@ -9,12 +9,13 @@ import math
 
 import numpy as np
 
+from liegroup_core.errors import SceneError
 from liegroup_core.fields.frames import rotation_z_to
 from liegroup_core.lie.groups import SE3
 
 from .description import WORLD, Coupling, Robot, RobotJoint
 from .resources import find_resource, resolve
-from .sdf_frames import Model, read_pose, text_of
+from .sdf_frames import Model, text_of
 from .sdf_links import read_link, value_of
 from .xml import Reader, read_xml
 
@@ -29,6 +30,22 @@ TYPES = {
     "revolute2": "universal",
 }
 DEEPEST = 20  # nested models and includes
+# {element: (children, attributes)} that are read, or that change nothing.
+KNOWN = {
+    "inertial": ("pose mass inertia density auto_inertia_params fluid_added_mass", "auto"),
+    "inertia": ("ixx ixy ixz iyy iyz izz", ""),
+    "joint": (
+        "parent child pose axis axis2 physics sensor screw_thread_pitch thread_pitch gearbox_ratio "
+        "gearbox_reference_body",
+        "name type",
+    ),
+    "axis": ("xyz limit dynamics mimic initial_position use_parent_model_frame", ""),
+    "dynamics": ("damping friction spring_reference spring_stiffness", ""),
+    "limit": ("lower upper effort velocity stiffness dissipation", ""),
+    "mimic": ("multiplier offset reference", "joint axis"),
+}
+KNOWN["axis2"] = KNOWN["axis"]
+PARTS_OF_WORLDS = ("model", "include", "frame", "joint", "gravity")
 PARTS = ("link", "joint", "frame", "model", "pose", "static", "include")
 
 
@@ -58,16 +75,14 @@ def robot_of_sdf(root, path):
     if world is None:
         robot.name = models[0].get("name") or "model"
     for element in top:
-        if world is not None and element.tag not in ("model", "include", "gravity"):
+        if world is not None and element.tag not in PARTS_OF_WORLDS:
             robot.leave_out(f"{element.tag} of the world", element.get("name") or "unnamed")
-    for element in models:
-        name = reader.name(element)
-        model = Model(reader, element, name if len(models) > 1 else "")
-        _nest(loader, model, 1)
-        pose = read_pose(reader, element)[0]
-        if element.get("placement_frame"):
-            pose = pose @ SE3.inverse(model.pose(element.get("placement_frame"), element))
-        _model(loader, model, pose)
+    robot.leave_out_unknown(root, KNOWN)
+    space = Model(reader, top, "", is_world=True)
+    _nest(loader, space, 0)
+    for name, model in space.nested.items():
+        _model(loader, model, space.pose(name, model.element))
+    _joints(loader, space, np.eye(4))
     robot.check_couplings()
     return robot
 
@@ -93,7 +108,10 @@ def _include(loader, element, depth):
             uri if uri.endswith(".sdf") else f"{uri.rstrip('/')}/model.sdf", loader.path
         )
         if path is None:
-            path = resolve(uri)
+            try:
+                path = resolve(uri)
+            except SceneError as error:
+                raise reader.error(include, str(error)) from None
         if not path.is_file():
             raise reader.error(include, f"the included model {uri!r:.80} is not found")
         model = read_xml(path).find("model")
@@ -114,12 +132,14 @@ def _include(loader, element, depth):
 
 
 def _nest(loader, model, depth):
-    """Models in a model."""
+    """Models in a model; the only one of a world gives its links no prefix."""
     if depth > DEEPEST:
         raise loader.reader.error(model.element, f"models are nested deeper than {DEEPEST} levels")
-    for element in model.element.findall("model"):
+    elements = model.element.findall("model")
+    for element in elements:
         name = loader.reader.name(element)
-        model.nested[name] = Model(loader.reader, element, model.full(name), model)
+        full = "" if model.is_world and len(elements) == 1 else model.full(name)
+        model.nested[name] = Model(loader.reader, element, full, model)
         _nest(loader, model.nested[name], depth + 1)
 
 
@@ -143,6 +163,14 @@ def _model(loader, model, pose):
                     f"{name}_static", "fixed", WORLD, name, robot.links[name].pose, np.eye(4)
                 )
             )
+    _joints(loader, model, pose)
+    for part in model.element:
+        if part.tag not in PARTS:
+            robot.leave_out(part.tag, part.get("name") or model.name or robot.name)
+
+
+def _joints(loader, model, pose):
+    """Joints of a model or world whose frame has this pose, and its gearboxes."""
     gears = []
     for element in model.element.iterfind("joint"):
         if element.get("type") == "gearbox":
@@ -151,9 +179,6 @@ def _model(loader, model, pose):
             _joint(loader, model, element, pose)
     for element in gears:
         _gearbox(loader, model, element, pose)
-    for part in model.element:
-        if part.tag not in PARTS and part.tag not in ("self_collide", "allow_auto_disable"):
-            robot.leave_out(part.tag, part.get("name") or model.name or robot.name)
 
 
 def _joint(loader, model, element, model_pose):
@@ -192,7 +217,10 @@ def _joint(loader, model, element, model_pose):
     joint = RobotJoint(name, TYPES[kind], *ends, *frames, element.sourceline)
     if kind == "screw":
         joint.pitch = _pitch(reader, element, name)
-    _law(reader, robot, element, joint, kind)
+    _law(reader, robot, model, element, joint)
+    for tag in ("sensor", "physics"):
+        for part in element.iterfind(tag):
+            robot.leave_out(f"{tag} of joints", part.get("name") or name)
     robot.joints.append(joint)
 
 
@@ -231,17 +259,19 @@ def _pitch(reader, element, name):
     )
 
 
-def _law(reader, robot, element, joint, kind):
+def _law(reader, robot, model, element, joint):
     """Damping, springs and limits of a joint."""
-    if kind in ("fixed", "ball"):
+    if joint.type in ("fixed", "spherical"):
         return
     for key in ("axis", "axis2"):
         axis = element.find(key)
         if axis is None:
             continue
         dynamics, limit = axis.find("dynamics"), axis.find("limit")
+        if text_of(axis, "initial_position") is not None:
+            robot.leave_out("initial_position of joints", joint.name, changes_motion=True)
         if axis.find("mimic") is not None and key == "axis":
-            _mimic(reader, robot, axis.find("mimic"), joint)
+            _mimic(reader, robot, model, axis.find("mimic"), joint)
         damping, stiffness, friction = (
             0.0 if dynamics is None else value_of(reader, dynamics, part, 0.0)
             for part in ("damping", "spring_stiffness", "friction")
@@ -279,17 +309,18 @@ def _limit(reader, element, text, part):
     return reader.number(element, text, f"<{part}>")
 
 
-def _mimic(reader, robot, mimic, joint):
+def _mimic(reader, robot, model, mimic, joint):
     """Coupling of <mimic>: coordinate = multiplier (other - reference) + offset."""
     ratio, offset, reference = (
         value_of(reader, mimic, key, default)
         for key, default in (("multiplier", 1.0), ("offset", 0.0), ("reference", 0.0))
     )
+    holder, other = model.split(reader.name(mimic, "joint"), mimic)
     robot.couplings.append(
         Coupling(
             f"{joint.name}_mimic",
             joint.name,
-            reader.name(mimic, "joint"),
+            holder.full(other),
             ratio,
             offset - ratio * reference,
             mimic.sourceline,

@@ -15,15 +15,16 @@ MODEL_FRAMES = ("__model__", "world")
 
 
 class Model:
-    """Model with its named parts.
+    """Model with its named parts; also a world, whose frame does not move.
 
     name   : full name, with those of the models around it: outer::inner
     frames : {name: element} of links, joints, frames and nested models
     nested : {name: Model}
     """
 
-    def __init__(self, reader, element, name, outer=None):
+    def __init__(self, reader, element, name, outer=None, is_world=False):
         self.reader, self.element, self.name, self.outer = reader, element, name, outer
+        self.is_world = is_world
         self.frames, self.nested, self._known, self._open = {}, {}, {}, []
         for part in element:
             if part.tag in ("link", "joint", "frame", "model"):
@@ -31,7 +32,7 @@ class Model:
                 if own in self.frames:
                     raise reader.error(
                         part,
-                        f'"{own}" is defined twice in the model "{name}", first on line '
+                        f'"{own}" is defined twice in "{name or element.get("name")}", first on line '
                         f"{self.frames[own].sourceline}: rename one",
                     )
                 self.frames[own] = part
@@ -93,6 +94,8 @@ class Model:
             if own == WORLD:
                 return WORLD
             if own == "__model__":
+                if model.is_world:
+                    return WORLD
                 own = next((n for n, part in model.frames.items() if part.tag == "link"), None)
                 if own is None:
                     raise self.reader.error(element, f'the model "{model.name}" has no link')

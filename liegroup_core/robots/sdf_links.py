@@ -1,16 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Links of SDF: inertia and visuals.
 
-A link without <inertial> has the format's defaults: 1 kg, and 1 kg m^2 about every axis.
+A link without <inertial> has the format's defaults: 1 kg, and 1 kg m^2 about every axis. Those of
+<inertial auto="true"> follow from the collision shapes.
 """
+
+import math
 
 import numpy as np
 
+from liegroup_core.lie.groups import SE3
+
 from .description import Link, Visual
+from .links import combined
 from .sdf_frames import read_pose, text_of
 
 # Parts of a link that have no influence on its motion.
-OF_LINKS = ("pose", "inertial", "visual", "collision", "self_collide", "gravity")
+OF_LINKS = ("pose", "inertial", "visual", "collision", "gravity")
+WATER = 1000.0  # kg/m^3, the format's density of a shape
 
 
 def read_link(reader, robot, model, element):
@@ -39,14 +46,26 @@ def read_link(reader, robot, model, element):
         if not np.array_equal(pose[:3, :3], np.eye(3)):
             link.inertia = pose[:3, :3] @ link.inertia @ pose[:3, :3].T
         link.com = pose[:3, 3]
+        if inertial.get("auto") in ("true", "1"):
+            _fill(reader, robot, model, element, link)
+        if inertial.find("fluid_added_mass") is not None:
+            robot.leave_out("fluid_added_mass", name, changes_motion=True)
     for visual in element.iterfind("visual"):
-        link.visuals += _visuals(reader, visual)
+        visuals = _visuals(reader, visual, _place(reader, model, element, visual))
+        link.visuals += visuals
+        if not visuals:
+            robot.leave_out("visuals that are not drawn", visual.get("name") or name)
     for _ in element.iterfind("collision"):
         robot.leave_out("collision", name, changes_motion=True)
     if text_of(element, "gravity") in ("false", "0"):
         robot.leave_out("links without gravity", name, changes_motion=True)
+    if text_of(element, "kinematic") in ("true", "1"):
+        robot.leave_out("kinematic links", name, changes_motion=True)
+    for part in element.iterfind("velocity_decay"):
+        if any(value_of(reader, part, key, 0.0) for key in ("linear", "angular")):
+            robot.leave_out("velocity_decay of links", name, changes_motion=True)
     for part in element:
-        if part.tag not in OF_LINKS:
+        if part.tag not in (*OF_LINKS, "kinematic", "velocity_decay"):
             robot.leave_out(f"{part.tag} of links", part.get("name") or name)
     return link
 
@@ -57,11 +76,72 @@ def value_of(reader, element, key, default):
     return float(default) if found is None else reader.number(found, found.text, f"<{key}>")
 
 
-def _visuals(reader, visual):
+def _place(reader, model, element, part):
+    """(4, 4) pose of a part of a link in the frame of the link."""
+    pose, base = read_pose(reader, part)
+    if base in (None, element.get("name")):
+        return pose
+    return SE3.inverse(model.pose(element.get("name"), part)) @ model.pose(base, part) @ pose
+
+
+def _fill(reader, robot, model, element, link):
+    """Mass and inertia of a link from its collision shapes and their density; a <mass> scales them."""
+    inertial, shapes = element.find("inertial"), []
+    density = value_of(reader, inertial, "density", WATER)
+    for collision in element.iterfind("collision"):
+        geometry = collision.find("geometry")
+        solid = None if geometry is None or not len(geometry) else geometry[0]
+        filled = None if solid is None else _solid(reader, solid)
+        if filled is None:
+            raise reader.error(
+                collision,
+                f'inertia of link "{link.name}" is automatic, and not known for this shape: write '
+                "its <mass> and <inertia>, and remove auto",
+            )
+        pose = _place(reader, model, element, collision)
+        mass = value_of(reader, collision, "density", density) * filled[0]
+        R = pose[:3, :3]
+        shapes.append((mass, pose[:3, 3], R @ np.diag(mass * np.array(filled[1])) @ R.T))
+    mass, com, inertia = combined(shapes)
+    if not mass > 0.0:
+        raise reader.error(
+            inertial,
+            f'inertia of link "{link.name}" is automatic, and it has no collision shape with a '
+            "density: write its <mass> and <inertia>",
+        )
+    factor = 1.0 if inertial.find("mass") is None else link.mass / mass
+    link.mass, link.com, link.inertia = factor * mass, com, factor * inertia
+    robot.leave_out("automatic inertias, computed from the collision shapes", link.name)
+
+
+def _solid(reader, solid):
+    """(volume, principal moments (3,) of the unit mass) of a shape about its centre, or None."""
+    if solid.tag == "box" and solid.find("size") is not None:
+        x, y, z = reader.numbers(solid, solid.find("size").text, 3, "<size>")
+        return x * y * z, np.array([y * y + z * z, x * x + z * z, x * x + y * y]) / 12.0
+    if solid.tag == "ellipsoid" and solid.find("radii") is not None:
+        x, y, z = reader.numbers(solid, solid.find("radii").text, 3, "<radii>")
+        moments = np.array([y * y + z * z, x * x + z * z, x * x + y * y]) / 5.0
+        return 4.0 / 3.0 * math.pi * x * y * z, moments
+    if solid.tag not in ("cylinder", "capsule", "sphere"):
+        return None
+    r = value_of(reader, solid, "radius", 1.0)
+    length = 0.0 if solid.tag == "sphere" else value_of(reader, solid, "length", 1.0)
+    # Volumes of a cylinder and of its round ends.
+    tube = math.pi * r * r * length
+    ball = 0.0 if solid.tag == "cylinder" else 4.0 / 3.0 * math.pi * r**3
+    around = 0.5 * tube * r * r + 0.4 * ball * r * r
+    across = tube * (3.0 * r * r + length * length) / 12.0
+    across += ball * (0.4 * r * r + 0.25 * length * length + 0.375 * length * r)
+    volume = (tube + ball) or 1.0
+    return tube + ball, np.array([across, across, around]) / volume
+
+
+def _visuals(reader, visual, pose):
     geometry = visual.find("geometry")
     if geometry is None or not len(geometry):
         return []
-    pose, solid = read_pose(reader, visual)[0], geometry[0]
+    solid = geometry[0]
     if solid.tag == "box" and solid.find("size") is not None:
         size = reader.numbers(solid, solid.find("size").text, 3, "<size>")
         return [Visual("box", tuple(size), pose)]

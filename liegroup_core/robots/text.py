@@ -14,7 +14,7 @@ _PLAIN = re.compile("[A-Za-z][A-Za-z0-9_]*")
 def scene_text(parts):
     """Text of a scene file from SceneParts; numbers read back bit-identical."""
     lines = [
-        f"name: {parts.name}",
+        f"name: {_value(parts.name)}",
         f"description: {json.dumps(parts.description, ensure_ascii=False)}",
         f"gravity: {_value(parts.gravity)}",
     ]

@@ -21,6 +21,24 @@ JOINTS = {
     "planar": "planar",
     "floating": "floating",
 }
+# {element: (children, attributes)} that are read, or that change nothing.
+KNOWN = {
+    "inertial": ("origin mass inertia", ""),
+    "mass": ("", "value"),
+    "inertia": ("", "ixx ixy ixz iyy iyz izz"),
+    "origin": ("", "xyz rpy"),
+    "visual": ("origin geometry material", "name"),
+    "joint": (
+        "parent child origin axis calibration dynamics limit mimic safety_controller",
+        "name type",
+    ),
+    "parent": ("", "link"),
+    "child": ("", "link"),
+    "axis": ("", "xyz"),
+    "dynamics": ("", "damping friction"),
+    "limit": ("", "lower upper effort velocity acceleration jerk"),
+    "mimic": ("", "joint multiplier offset"),
+}
 LIMITS = ("lower", "upper", "velocity", "effort")
 
 
@@ -46,6 +64,9 @@ def robot_of_urdf(root, file, text):
             robot.leave_out(element.tag, name)
     if not robot.links:
         raise reader.error(root, "has no <link>: give the description of a robot")
+    for element in root:
+        if element.tag in ("link", "joint"):
+            robot.leave_out_unknown(element, KNOWN)
     lines = {}
     for element in joints:
         joint = _joint(reader, robot, element)
@@ -87,7 +108,10 @@ def _link(reader, robot, element):
             link.inertia = R @ link.inertia @ R.T
         link.com = origin[:3, 3]
     for visual in element.iterfind("visual"):
-        link.visuals += _visuals(reader, visual)
+        visuals = _visuals(reader, visual)
+        link.visuals += visuals
+        if not visuals:
+            robot.leave_out("visuals that are not drawn", link.name)
     for _ in element.iterfind("collision"):
         robot.leave_out("collision", link.name, changes_motion=True)
     for child in element:

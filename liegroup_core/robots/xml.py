@@ -154,7 +154,10 @@ def root_tag(path):
 def _first_line(error):
     """First line of an error's text, without the position that the line number repeats."""
     text = str(error).splitlines()[0] if str(error) else type(error).__name__
-    return text.split(", line ")[0].strip()
+    # The last two are advice to programmers.
+    for end in (", line ", ", use XML_PARSE", ", see xmlCtxt"):
+        text = text.split(end)[0]
+    return text.strip()
 
 
 def _short(text):

@@ -154,7 +154,7 @@ def _check_couplings(scene, start):
             raise SceneError(
                 f'couplings[{i}] "{scene.couplings[i].name}": is violated at the start by {off:.3g} '
                 f"{unit} and {slip:.3g} {unit}/s: {ends[0].name} is at {first:.9g}, {ends[1].name} at "
-                f"{second:.9g}; correct ratio or offset, omit offset, or use assemble: true",
+                f"{second:.9g}; correct ratio, offset or the start values, or omit offset",
                 place=("couplings", i),
             )
 

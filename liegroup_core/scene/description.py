@@ -155,12 +155,15 @@ class Body(Placed):
         return np.array(self.angular_velocity + self.linear_velocity)
 
 
-def _entries(classes):
+def entries_of(classes):
     """Type of a list of entries; the `type` of an entry selects its class."""
-    # a key without a value is an empty list
+    return list_of(one_of(classes))
+
+
+def list_of(item):
+    """Type of a list; a key without a value is an empty one."""
     return Annotated[
-        tuple[one_of(classes), ...],
-        BeforeValidator(lambda value: [] if value is None else listed(value)),
+        tuple[item, ...], BeforeValidator(lambda value: [] if value is None else listed(value))
     ]
 
 
@@ -182,16 +185,16 @@ class Scene(Described):
     bodies: Annotated[tuple[Body, ...], BeforeValidator(listed)] = Field(
         description="list of bodies, at least one"
     )
-    joints: _entries(JOINTS) = Field((), description="list of joints")
-    couplings: Annotated[
-        tuple[Coupling, ...], BeforeValidator(lambda value: [] if value is None else listed(value))
-    ] = Field((), description="list of couplings of joints: gears, belts, racks")
-    forces: _entries(FORCES) = Field((), description="list of forces")
-    sensors: _entries(SENSORS) = Field((), description="list of sensors")
+    joints: entries_of(JOINTS) = Field((), description="list of joints")
+    couplings: list_of(Coupling) = Field(
+        (), description="list of couplings of joints: gears, belts, racks"
+    )
+    forces: entries_of(FORCES) = Field((), description="list of forces")
+    sensors: entries_of(SENSORS) = Field((), description="list of sensors")
 
     _text: str | None = PrivateAttr(None)
     _source: str | None = PrivateAttr(None)
-    _where: Any = PrivateAttr(None)  # function: place in the scene -> "file:line"
+    _where: Any = PrivateAttr(None)  # yaml_text.Lines, or as it
     _robot: Any = PrivateAttr(None)
 
     @property
@@ -231,7 +234,7 @@ class Scene(Described):
         """SceneError with file and line added, if the scene was read from a text."""
         if self._where is None:
             return error
-        return SceneError(f"{self._where(error.place or ())}: {error}", error.place)
+        return self._where.located(error)
 
     @model_validator(mode="after")
     def _check(self):

@@ -33,12 +33,22 @@ def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
     The file is a scene file, or a robot's file: URDF, xacro, SDF or MJCF. Paths may begin with
     package:// or model://.
     """
+    return scene_of(name_or_path)
+
+
+def scene_of(name_or_path, options=None):
+    """As `load_scene`, with additions to a robot's file: robots.options.Options, or None."""
     path = find_scene(name_or_path)
     try:
         if not os.path.isfile(path):
             raise SceneError(f"{path}: is not a file: give the path of a scene file (.yaml)")
         if is_robot_file(path):
-            return scene_from_robot(path)
+            return scene_from_robot(path, options)
+        if options is not None:
+            raise SceneError(
+                f"{path}: is a scene file: write base, start, start_velocity, lock, only, pose, "
+                "joints and name into it instead of options"
+            )
         if os.path.getsize(path) > LARGEST_FILE:
             raise SceneError(
                 f"{path}: is larger than {LARGEST_FILE >> 20} MiB: "
@@ -88,7 +98,7 @@ def _read(text, source, complete):
 
 
 def _made(text, values, where, robot, source, complete):
-    """Scene of a text with these values; where: function, place in the scene -> "file:line"."""
+    """Scene of a text with these values; where: Lines, or as Lines."""
     try:
         scene = Scene(**values)
         scene = assembled(scene) if complete else scene
@@ -96,7 +106,7 @@ def _made(text, values, where, robot, source, complete):
         if complete:
             check_consistency(scene)
     except SceneError as error:
-        raise SceneError(f"{where(error.place or ())}: {error}", error.place) from None
+        raise where.located(error) from None
     return scene
 
 

@@ -7,9 +7,10 @@ forces:
   - {name: spring, type: torsional_spring_damper, joint: elbow, stiffness: 5}
 """
 
-from typing import Any, Literal
+from collections.abc import Mapping
+from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.values import Described, Name, Number, Text, Vector3
@@ -20,7 +21,20 @@ from liegroup_core.robots.read import read_robot
 from liegroup_core.robots.resources import beside
 from liegroup_core.robots.text import scene_text
 
+from .description import FORCES, JOINTS, entries_of, list_of
 from .yaml_text import Lines, read_yaml
+
+
+def _mapped(value):
+    if value is None:
+        return {}
+    if not isinstance(value, Mapping):
+        raise ValueError("must be a mapping of joints to numbers, such as {elbow: 0.5}")
+    return value
+
+
+# {joint: number}; a key without a value is an empty one.
+ByJoint = Annotated[dict[str, Number], BeforeValidator(_mapped)]
 
 
 class RobotFile(Described):
@@ -46,26 +60,24 @@ class RobotFile(Described):
     srdf: Text | None = Field(
         None, description="path of an SRDF file with group states, relative to this file"
     )
-    start: dict[str, Number] | None = Field(
-        None, description="joint coordinates at the start, rad or m"
-    )
-    start_velocity: dict[str, Number] | None = Field(
-        None,
+    start: ByJoint = Field({}, description="joint coordinates at the start, rad or m")
+    start_velocity: ByJoint = Field(
+        {},
         description="joint velocities at the start, rad/s or m/s; default: 0, or those of the keyframe",
     )
-    lock: dict[str, Number] | None = Field(
-        None, description="joints that do not move, and their coordinates, rad or m"
+    lock: ByJoint = Field(
+        {}, description="joints that do not move, and their coordinates, rad or m"
     )
-    only: tuple[Text, ...] = Field(
+    only: list_of(Text) = Field(
         (), description="links to keep, with the chains that lead to them; default: all"
     )
-    joints: tuple[dict[str, Any], ...] = Field(
+    joints: entries_of(JOINTS) = Field(
         (), description="further joints, with names of links; they close loops"
     )
-    couplings: tuple[Coupling, ...] = Field(
+    couplings: list_of(Coupling) = Field(
         (), description="couplings, with names of joints of the robot"
     )
-    forces: tuple[dict[str, Any], ...] = Field(
+    forces: entries_of(FORCES) = Field(
         (), description="forces, with names of links and joints of the robot"
     )
 
@@ -109,6 +121,15 @@ class _Origins:
             return self._added(line + tuple(place[2:])) if self._added else self._file
         return f"{self._file}:{line}" if line else self._file
 
+    def located(self, error):
+        """SceneError with file and line, and with the index of an entry in the additions."""
+        place, text = error.place or (), str(error)
+        line = self._lines.get(tuple(place[:2]))
+        if isinstance(line, tuple):
+            own = "{}[{}]".format(*line) if self._added else "--close"
+            text = text.replace("{}[{}]".format(*place[:2]), own, 1)
+        return SceneError(f"{self(place)}: {text}", error.place)
+
 
 def robot_text(path, options=None, added_line=None):
     """(text of the scene, its values, function: place -> "file:line", RobotNames).
@@ -131,13 +152,13 @@ def robot_beside(root, source):
     try:
         given = RobotFile(**root.value)
     except SceneError as error:
-        raise SceneError(f"{at(error.place or ())}: {error}", error.place) from None
+        raise at.located(error) from None
     options = Options(
         base=given.base,
         pose=given.pose,
-        start=given.start or {},
-        start_velocity=given.start_velocity or {},
-        lock=given.lock or {},
+        start=given.start,
+        start_velocity=given.start_velocity,
+        lock=given.lock,
         only=list(given.only),
         joints=list(given.joints),
         joint_label="joints[{}]",

@@ -94,6 +94,10 @@ class Lines:
     def __call__(self, place):
         return f"{self._source}:{self._root.line_of(place)}"
 
+    def located(self, error):
+        """SceneError with file and line."""
+        return SceneError(f"{self(error.place or ())}: {error}", error.place)
+
 
 class _Refused(Exception):
     """Content on a line that a scene must not have."""

@@ -5,9 +5,10 @@ import sys
 from pathlib import Path
 
 from liegroup_core.errors import LieGroupSimError
+from liegroup_core.joints.kinds import Joint
+from liegroup_core.robots.names import scene_name
 from liegroup_core.robots.options import BASES, Options
-from liegroup_core.robots.read import is_robot_file
-from liegroup_core.scene.load import find_scene, load_scene, scene_from_robot
+from liegroup_core.scene.load import scene_of
 
 # Types of joints that need no more than the frames of two links.
 CLOSING = ("spherical", "revolute", "prismatic", "cylindrical", "planar", "fixed", "universal")
@@ -88,16 +89,7 @@ def run(args):
         joints=[_closing(*entry) for entry in args.close],
         name=args.name,
     )
-    path = find_scene(args.robot)
-    if is_robot_file(path):
-        scene = scene_from_robot(path, options)
-    elif options == Options():
-        scene = load_scene(path)
-    else:
-        raise RobotError(
-            f"{path} is a scene file: write base, start, start_velocity, lock, only, pose, joints and "
-            "name into it instead of options"
-        )
+    scene = scene_of(args.robot, None if options == Options() else options)
     if args.out is None:
         print(scene.text, end="")
         return 0
@@ -116,6 +108,8 @@ def _values(entries, option):
     found = {}
     for entry in entries:
         name, separator, text = entry.rpartition("=")
+        if name in found:
+            raise RobotError(f"--{option} gives {name} twice: keep one")
         try:
             found[name] = float(text)
         except ValueError:
@@ -126,14 +120,14 @@ def _values(entries, option):
 
 
 def _closing(first, second, kind):
-    """Keys of the joint of --close."""
+    """Joint of --close."""
     if kind not in CLOSING:
         raise RobotError(f"--close: type {kind!r:.40}; choose one of: {', '.join(CLOSING)}")
-    return {
-        "name": f"close_{first}_{second}",
-        "type": kind,
-        "parent": first,
-        "child": second,
-        "parent_frame": {},
-        "child_frame": {},
-    }
+    return Joint(
+        name=scene_name(f"close_{first}_{second}"),
+        type=kind,
+        parent=first,
+        child=second,
+        parent_frame={},
+        child_frame={},
+    )

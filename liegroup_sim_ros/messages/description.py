@@ -13,6 +13,7 @@ import numpy as np
 
 from liegroup_core.robots.description import Visual, rpy_of_rotation
 from liegroup_core.robots.resources import find_resource
+from liegroup_core.robots.xml import read_xml
 
 from .cdr import Template
 from .links import links_and_joints
@@ -40,6 +41,17 @@ def robot_description(scene):
         parts += [_visual(visual, folder) for visual in visuals.get(name, ())]
         parts.append("  </link>")
     return "\n".join([*parts, *(_joint(joint) for joint in joints), "</robot>", ""])
+
+
+def unheld_links(scene):
+    """Links of `robot_description` that no joint holds, or only a floating one.
+
+    robot_state_publisher publishes the transforms to all others.
+    """
+    root = read_xml("robot_description", robot_description(scene))
+    joints = [joint for joint in root.iterfind("joint") if joint.get("type") != "floating"]
+    held = {joint.find("child").get("link") for joint in joints}
+    return [link.get("name") for link in root.iterfind("link") if link.get("name") not in held]
 
 
 def encoded(text):

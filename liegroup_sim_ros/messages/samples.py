@@ -14,10 +14,12 @@ import numpy as np
 from liegroup_core.fields.frames import Frame
 from liegroup_core.observables.along import quaternions
 from liegroup_core.scene.consistency import resolve_frames
+from liegroup_core.scene.names import WORLD
 
 from .cdr import Template, stamp
 from .codecs import PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec, pack_stamp
 from .commands import joint_labels
+from .description import unheld_links
 from .links import link_of_body, links_and_joints
 from .sensors import sensors
 
@@ -208,9 +210,28 @@ def fixed_frames(layout, frame_prefix=""):
     return template.pack(*slots)
 
 
-def transforms(layout, world_frame, frame_prefix=""):
-    """tf2_msgs/TFMessage: transforms from the world frame to the frame of every link."""
-    links, _ = links_and_joints(layout.scene)
+def transforms(layout, world_frame, frame_prefix="", which="all"):
+    """tf2_msgs/TFMessage: transforms from the world frame to the frames of links and bodies.
+
+    which : of TF_LINKS: all links, or those that robot_state_publisher does not hold to others; a
+            body whose link has another name has a frame of its own name in both
+    """
+    scene = layout.scene
+    links, _ = links_and_joints(scene)
+    if which == ROOTS:
+        fixed = (WORLD, np.eye(4))
+        links = {
+            name: links.get(name, fixed)
+            for name in unheld_links(scene)
+            if frame_prefix + name != world_frame
+        }
+    links |= {
+        body: (body, np.eye(4))
+        for body, link in link_of_body(scene).items()
+        if link != body and body not in links
+    }
+    if not links:
+        return []
     template = Template()
     template.put("I", len(links))
     for name in links:
@@ -231,6 +252,10 @@ def transforms(layout, world_frame, frame_prefix=""):
 
     return [("/tf", "tf2_msgs/msg/TFMessage", encode)]
 
+
+# Values of the parameter tf_links.
+ROOTS = "roots"
+TF_LINKS = ("all", ROOTS)
 
 # Optional topics: {parameter of the rate: (function above, topic as in the documentation)}. The node
 # declares the parameters and publishes the topics from this table.

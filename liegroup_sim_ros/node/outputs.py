@@ -6,6 +6,7 @@ rate 0 is not created, and nothing is computed for it.
 """
 
 import contextlib
+import functools
 import importlib
 import time
 
@@ -148,6 +149,7 @@ class Outputs:
             self._state = self._stream(*topics.STATE)
         self._markers = Markers(layout, world_frame, values.arrow_scale, self.acting)
         optional = {name: make for name, (make, _) in sample_messages.OPTIONAL.items()}
+        optional["tf_rate"] = functools.partial(sample_messages.transforms, which=values.tf_links)
         optional["marker_rate"] = lambda *_: markers(self._markers)
         for name, make in optional.items():
             if values.steps[name]:

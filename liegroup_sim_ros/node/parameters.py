@@ -23,7 +23,7 @@ from liegroup_core.engine import STABILISATIONS, STEP
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.integrators.methods import CONFIGURATION_GROUPS, METHODS
 from liegroup_core.simulation import STEPS
-from liegroup_sim_ros.messages.samples import OPTIONAL
+from liegroup_sim_ros.messages.samples import OPTIONAL, TF_LINKS
 
 from .joint_command_input import INTERFACES
 
@@ -200,6 +200,13 @@ TABLE = (
     _rate("clock_rate", 100.0, "/clock"),
     _rate("state_rate", 10.0, "~/state"),
     *(_rate(name, 0.0, topic) for name, (_, topic) in OPTIONAL.items()),
+    Entry(
+        "tf_links",
+        TF_LINKS[0],
+        "links that /tf has; roots: only what no joint holds to another link, beside a "
+        "robot_state_publisher that publishes the others",
+        choices=TF_LINKS,
+    ),
     _rate("marker_rate", 0.0, "~/markers"),
     Entry(
         "arrow_scale",

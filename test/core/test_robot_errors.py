@@ -307,7 +307,7 @@ def test_a_robot_beside_yaml_that_is_not_there(tmp_path):
         load_scene("package://nowhere/a.urdf")
     (tmp_path / "five_bar.urdf").write_text(five_bar_urdf())
     path.write_text("robot: five_bar.urdf\njoints:\n  - {name: a, type: spherical, parent: left}\n")
-    with pytest.raises(SceneError, match="child 'None' is not in the robot"):
+    with pytest.raises(SceneError, match="child is missing"):
         load_scene(path)
 
 
@@ -344,3 +344,152 @@ def test_group_states_have_joints_of_the_robot(tmp_path):
     )
     with pytest.raises(SceneError, match='group state "open": the robot has no joint drve'):
         scene_from_robot(path, Options(srdf=srdf))
+
+
+BESIDE = """robot: five_bar.urdf
+start: {left_crank: 0.1}
+joints:
+  - {name: tip, type: revolute, parent: left_end, child: right_end, parent_frame: {}, child_frame: {}}
+couplings: []
+forces:
+  - {name: a, type: drag, body: left_end, linear: 0.1}
+  - {name: b, type: applied_wrench, body: left_end, force: [0, 1, 0], point: [0, 0, 1]}
+  - {name: c, type: spring_damper, parent: left, parent_point: [0, 0, 0], child: right,
+     child_point: [0, 1, 0], stiffness: 3}
+"""
+VALUES = ["", "true", "x", "-1", "1e300", ".nan", "-.inf", "[]", "{}", "[1, 2]", "[a, b, c]"]
+VALUES += ["[1e99, 1e99, 1e99]", "{a: 1}", "left_crank", "left", "ground", "world", "[[1, 2, 3]]"]
+
+
+@pytest.mark.parametrize(
+    "old, new, line, expected",
+    [
+        ("force: [0, 1, 0]", "force: [0, 1]", 8, 'forces[1] "b": force must have 3 numbers'),
+        ("force: [0, 1, 0]", "force: [0, 0, .nan]", 8, 'forces[1] "b": force[2] must be finite'),
+        ("point: [0, 0, 1]", "point: up", 8, "forces[1] \"b\": point must be a list, got 'up'"),
+        ("child: right,", "", 9, 'forces[2] "c": child is missing'),
+        ("child: right,", "child: left,", 9, "left and left move as one body"),
+        ("body: left_end, force", "body: ground, force", 8, "ground does not move"),
+        ("parent: left_end", "parent: [left_end]", 4, 'joints[0] "tip": parent must be text'),
+        ("name: tip", "name: left_crank", 4, "has a joint with the name"),
+        ("name: tip", "name: a", 7, 'forces[0] "a": this name is already used'),
+        ("linear: 0.1", "joint: left", 7, "unknown key 'joint'"),
+        ("couplings: []", "only: upper", 5, "only must be a list, got 'upper'"),
+        ("{left_crank: 0.1}", "[left_crank]", 2, "start must be a mapping of joints to numbers"),
+    ],
+)
+def test_values_beside_a_robot_are_checked_with_their_place(old, new, line, expected, tmp_path):
+    (tmp_path / "five_bar.urdf").write_text(five_bar_urdf())
+    path = tmp_path / "beside.yaml"
+    path.write_text(BESIDE)
+    load_scene(path)
+    assert BESIDE.count(old) == 1
+    path.write_text(BESIDE.replace(old, new))
+    text = refusal(path)
+    assert text.startswith(f"{path}:{line}: ") and expected in text, text
+
+
+def test_any_value_beside_a_robot_loads_or_has_one_line(tmp_path):
+    (tmp_path / "five_bar.urdf").write_text(five_bar_urdf())
+    path = tmp_path / "beside.yaml"
+    # Values of keys: lists of numbers, mappings without further ones, words.
+    places = [
+        found.span(1) for found in re.finditer(r": (\[[^\]]*\]|\{[^{}]*\}|[^\s,{}]+)", BESIDE)
+    ]
+    refused = 0
+    for start, end in places:
+        for value in VALUES:
+            path.write_text(f"{BESIDE[:start]}{value}{BESIDE[end:]}")
+            try:
+                load_scene(path)
+            except SceneError as error:
+                refused += 1
+                assert re.match(r"\S+: ", str(error)) and "\n" not in str(error), error
+    assert refused > len(places) * len(VALUES) // 2
+
+
+def test_a_spring_between_a_link_and_one_that_stays(tmp_path):
+    """The link that does not move may be parent or child."""
+    (tmp_path / "five_bar.urdf").write_text(five_bar_urdf())
+    path, found = tmp_path / "beside.yaml", []
+    for ends in (
+        "parent: ground, parent_point: [1, 2, 3], child: left, child_point: [4, 5, 6]",
+        "child: ground, child_point: [1, 2, 3], parent: left, parent_point: [4, 5, 6]",
+    ):
+        path.write_text(
+            f"robot: five_bar.urdf\nforces: [{{name: s, type: spring_damper, stiffness: 2, {ends}}}]\n"
+        )
+        found.append(load_scene(path).forces[-1])
+    assert found[0] == found[1] and found[0].parent == "world"
+
+
+def test_a_moving_end_needs_mass(tmp_path):
+    path = tmp_path / "light.urdf"
+    path.write_text(
+        '<robot name="r"><link name="base"/>\n<link name="a"/>\n<joint name="j" type="continuous">'
+        '<parent link="base"/><child link="a"/></joint></robot>'
+    )
+    assert refusal(path).startswith(f'{path}:2: link "a" at the end of joint "j" has no mass')
+
+
+def test_what_is_cut_does_not_change_the_base(tmp_path):
+    path = tmp_path / "five_bar.urdf"
+    path.write_text(five_bar_urdf())
+    with pytest.raises(SceneError, match="has no link that moves: .* keep more links with only"):
+        scene_from_robot(path, Options(only=["ground"]))
+
+
+def test_misspelt_parts_of_urdf_are_noted(tmp_path):
+    path = urdf(tmp_path, DAMPING, '<dynamic damping="4"/>')
+    line = ARM_URDF.count("\n", 0, ARM_URDF.index(DAMPING)) + 1
+    found = [note for note in load_scene(path).notes if "unknown parts" in note]
+    assert found == [
+        "left out: 1 unknown parts of the URDF file (<dynamic> in <joint> of line "
+        f"{ARM_URDF.count(chr(10), 0, ARM_URDF.index('<joint name=' + chr(34) + 'extend')) + 1})"
+    ], (found, line)
+
+
+def test_a_mimic_of_a_fixed_joint_holds_nothing(tmp_path):
+    text = five_bar_urdf().replace(
+        '<child link="left_end"/>', '<child link="left_end"/><mimic joint="left_crank"/>'
+    )
+    path = tmp_path / "five_bar.urdf"
+    path.write_text(text)
+    scene = load_scene(path)
+    assert len(scene.bodies) == 4
+    assert "left out: 1 couplings of fixed joints (left_tip)" in scene.notes
+
+
+def test_limits_that_are_exchanged_are_noted(tmp_path):
+    path = urdf(tmp_path, 'lower="-1', 'lower="9')
+    assert any("the lower limit is above the upper one" in note for note in load_scene(path).notes)
+
+
+def test_start_values_that_a_locked_joint_contradicts_are_refused(tmp_path):
+    path = mimic_urdf(tmp_path)
+    with pytest.raises(SceneError, match='start: joint "drive" is 2, and lock holds it at'):
+        scene_from_robot(path, Options(lock={"near": 0.07}, start={"drive": 2.0}))
+
+
+def test_an_srdf_file_needs_a_pose(tmp_path):
+    path, srdf = mimic_urdf(tmp_path), tmp_path / "hand.srdf"
+    state = '<robot name="hand"><group_state name="open" group="g"><joint name="drive" {}/>'
+    srdf.write_text(state.format('value="1"') + "</group_state></robot>")
+    with pytest.raises(SceneError, match=r"srdf needs a pose: give one of its group states \(open"):
+        scene_from_robot(path, Options(srdf=srdf))
+    srdf.write_text(state.format("") + "</group_state></robot>")
+    with pytest.raises(SceneError, match=r'hand.srdf:1: joint "drive" has no value'):
+        scene_from_robot(path, Options(srdf=srdf, pose="open"))
+
+
+def test_names_that_yaml_takes_for_values(tmp_path):
+    path = urdf(tmp_path, '<robot name="arm"', '<robot name="true"')
+    assert load_scene(path).name == "true"
+
+
+def test_included_models_that_are_missing_have_a_line(tmp_path):
+    path = tmp_path / "w.sdf"
+    path.write_text(
+        '<sdf version="1.9"><world name="w">\n<include><uri>model://nope</uri></include></world></sdf>'
+    )
+    assert refusal(path).startswith(f"{path}:2: ")

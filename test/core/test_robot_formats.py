@@ -6,7 +6,7 @@ import pytest
 from robot_texts import ARM_SDF, ARM_URDF, bar
 from scipy.integrate import solve_ivp
 
-from liegroup_core import Simulation, load_scene
+from liegroup_core import SceneError, Simulation, load_scene
 from liegroup_core.robots.options import Options
 from liegroup_core.robots.read import read_robot
 from liegroup_core.scene.load import scene_from_robot
@@ -257,3 +257,138 @@ def test_names_that_are_no_names_of_a_scene(tmp_path):
     assert [joint.name for joint in scene.joints] == ["n1", "j", "null"]
     assert scene.robot.links["left_arm_2"] == "left-arm" and scene.robot.joints["n1"] == "1"
     assert "renamed bodies: left-arm is left_arm_2" in scene.notes
+
+
+def world(models):
+    """Text of a world with a frame 2 m above its origin, and models."""
+    return f'<world name="w"><frame name="F"><pose>0 0 2 0 0 0</pose></frame>{models}</world>'
+
+
+def model(name, pose):
+    return f'<model name="{name}">{pose}<link name="a">{INERTIAL}</link></model>'
+
+
+def test_models_of_a_world_have_poses_relative_to_each_other(tmp_path):
+    text = model("n", '<pose relative_to="m">0 3 0 0 0 0</pose>')
+    text += model("m", '<pose relative_to="F">1 0 0 0 0 0</pose>')
+    scene = load_scene(sdf(tmp_path, world(text)))
+    found = {body.name: body.position for body in scene.bodies}
+    assert found == {"m__a": (1.0, 0.0, 2.0), "n__a": (1.0, 3.0, 2.0)}
+    with pytest.raises(SceneError, match=r"\.sdf:\d+: frame 'nope' does not exist"):
+        load_scene(
+            sdf(tmp_path, world(text + model("o", '<pose relative_to="nope">0 0 0 0 0 0</pose>')))
+        )
+    # The links of the only model of a world have no prefix.
+    scene = load_scene(sdf(tmp_path, world(model("m", '<pose relative_to="F">1 0 0 0 0 0</pose>'))))
+    assert scene.bodies[0].name == "a" and scene.bodies[0].position == (1.0, 0.0, 2.0)
+
+
+def test_joints_of_a_world_connect_its_models(tmp_path):
+    text = model("m", "") + model("n", "<pose>2 0 0 0 0 0</pose>")
+    text += '<joint name="across" type="ball"><parent>m::a</parent><child>n::a</child></joint>'
+    text += '<joint name="hold" type="revolute"><parent>F</parent><child>m</child></joint>'
+    scene = load_scene(sdf(tmp_path, world(text)))
+    across, hold = sorted(scene.joints, key=lambda joint: joint.name)
+    assert (across.type, across.parent, across.child) == ("spherical", "m__a", "n__a")
+    assert across.parent_frame.position == (2.0, 0.0, 0.0)
+    assert (hold.parent, hold.child) == ("world", "m__a")
+    assert not [note for note in scene.notes if "joint of the world" in note]
+
+
+SHAPES = {
+    "<box><size>0.1 0.2 0.4</size></box>": (0.008, (0.2 / 12, 0.17 / 12, 0.05 / 12)),
+    "<sphere><radius>0.2</radius></sphere>": (4 / 3 * np.pi * 0.008, (0.016,) * 3),
+    "<cylinder><radius>0.2</radius><length>0.6</length></cylinder>": (
+        np.pi * 0.04 * 0.6,
+        (0.04, 0.04, 0.02),
+    ),
+    "<ellipsoid><radii>0.1 0.2 0.4</radii></ellipsoid>": (
+        4 / 3 * np.pi * 0.008,
+        (0.04, 0.034, 0.01),
+    ),
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_automatic_inertias_follow_from_the_collision_shapes(shape, tmp_path):
+    volume, moments = SHAPES[shape]
+    text = (
+        '<model name="m"><link name="a"><inertial auto="true"><density>500</density></inertial>'
+        f'<collision name="c"><pose>1 0 0 0 0 0</pose><geometry>{shape}</geometry></collision>'
+        "</link></model>"
+    )
+    body = load_scene(sdf(tmp_path, text, "1.11")).bodies[0]
+    assert body.mass == pytest.approx(500 * volume, rel=1e-14)
+    assert body.com == (1.0, 0.0, 0.0)
+    assert body.inertia[:3] == pytest.approx(500 * volume * np.array(moments), rel=1e-13)
+    # Two shapes in the same place, one with a density of its own, scaled to a given mass.
+    second = f'<collision name="d"><density>1500</density><geometry>{shape}</geometry></collision>'
+    text = text.replace("</link>", f"{second}</link>").replace(
+        "<density>500", "<mass>8</mass><density>500"
+    )
+    body = load_scene(sdf(tmp_path, text, "1.11")).bodies[0]
+    assert (body.mass, body.com) == (pytest.approx(8, rel=1e-14), pytest.approx((0.25, 0, 0)))
+    assert body.inertia[1] == pytest.approx(8 * moments[1] + 8 * 0.25 * 0.75, rel=1e-13)
+    mesh = text.replace(shape, "<mesh><uri>a.stl</uri></mesh>")
+    with pytest.raises(
+        SceneError, match='inertia of link "a" is automatic, and not known for this'
+    ):
+        load_scene(sdf(tmp_path, mesh, "1.11"))
+
+
+def test_a_capsule_is_a_tube_with_round_ends(tmp_path):
+    """Against a sum over thin discs."""
+    shape = "<capsule><radius>0.2</radius><length>0.6</length></capsule>"
+    text = (
+        '<model name="m"><link name="a"><inertial auto="true"/><collision name="c"><geometry>'
+        f"{shape}</geometry></collision></link></model>"
+    )
+    body = load_scene(sdf(tmp_path, text, "1.11")).bodies[0]
+    z, width = np.linspace(-0.5, 0.5, 200001, retstep=True)
+    r2 = 0.04 - np.maximum(np.abs(z) - 0.3, 0.0) ** 2
+    m = 1000 * np.pi * r2 * width
+    across = (m * (r2 / 4 + z * z)).sum()
+    assert body.mass == pytest.approx(m.sum(), rel=1e-8)
+    assert body.inertia[:3] == pytest.approx((across, across, (m * r2 / 2).sum()), rel=1e-8)
+
+
+UNUSUAL = """<sdf version="1.9"><model name="m"><self_collide>true</self_collide>
+<link name="a"><inertial><mass>1</mass><inertia><ixx>1</ixx><iyy>1</iyy><izz>1</izz></inertia><orgin/>
+<fluid_added_mass><xx>1</xx></fluid_added_mass></inertial><kinematic>true</kinematic>
+<velocity_decay><linear>0.1</linear></velocity_decay>
+<visual name="ground"><geometry><plane/></geometry></visual></link>
+<joint name="j" type="revolute"><parent>world</parent><child>a</child><physics/><origin/>
+<sensor name="torque" type="force_torque"/>
+<axis><xyz>0 1 0</xyz><initial_position>0.4</initial_position><dynamics dampin="1"/></axis></joint>
+</model></sdf>"""
+
+
+def test_what_sdf_has_and_a_scene_has_not_is_noted(tmp_path):
+    path = tmp_path / "unusual.sdf"
+    path.write_text(UNUSUAL)
+    notes = load_scene(path).notes
+    for what in (
+        "changes the motion: fluid_added_mass, left out: a",
+        "changes the motion: kinematic links, left out: a",
+        "changes the motion: velocity_decay of links, left out: a",
+        "changes the motion: initial_position of joints, left out: j",
+        "left out: 1 visuals that are not drawn (ground)",
+        "left out: 1 sensor of joints (torque)",
+        "left out: 1 physics of joints (j)",
+        "left out: 1 self_collide (m)",
+        "left out: 3 unknown parts of the SDF file (<orgin> in <inertial> of line 2, <origin> in "
+        "<joint> of line 6, dampin in <dynamics> of line 8)",
+    ):
+        assert what in notes, (what, notes)
+
+
+def test_a_servo_of_mjcf_changes_the_motion(tmp_path):
+    path = tmp_path / "servo.xml"
+    path.write_text(
+        '<mujoco><worldbody><body><joint name="j"/><geom size="0.1"/></body></worldbody>'
+        '<actuator><position name="servo" joint="j" kp="100"/><motor name="free" joint="j"/>'
+        "</actuator></mujoco>"
+    )
+    notes = load_scene(path).notes
+    assert "left out: 1 actuators (free)" in notes
+    assert any(note.startswith("changes the motion") and "servo" in note for note in notes)

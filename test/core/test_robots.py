@@ -350,8 +350,9 @@ def test_errors_beside_a_robot_have_the_line_of_their_file(tmp_path):
         (2, "start: {left_cranc: 1}", 'did you mean "left_crank"'),
         (
             3,
-            "joints:\n  - {name: tip, type: revolute, parent: left_ends, child: right_end}",
-            "left_end",
+            "joints:\n  - {name: tip, type: revolute, parent: left_ends, child: right_end,"
+            " child_frame: {}}",
+            "'left_ends' is not in the robot; did you mean \"left_end\"",
         ),
         (3, "forces:\n  - {name: a, type: drag, body: left, linear: -1}", "must not be negative"),
         (2, "bodies: []", "unknown key 'bodies'"),

@@ -444,7 +444,7 @@ def test_every_field_is_documented():
                 else "-"
                 if value is None
                 else "empty"
-                if value in ("", [])
+                if value in ("", [], {})
                 else str(value).lower()
                 if isinstance(value, bool)
                 else value

@@ -63,16 +63,18 @@ def test_tf_has_the_frames_of_all_links(tmp_path):
     assert not found["a/base"].any()
 
 
-def transforms_of(simulation):
+def transforms_of(simulation, which="all"):
     """{frame: (4, 4)} of /tf, and {joint: coordinate} of ~/joint_states, of the present state."""
     store, sample = get_typestore(Stores.ROS2_JAZZY), simulation.sample()
 
-    def message(topic):
-        ((_, message_type, encode),) = topic(simulation.layout, "world")
+    def message(topic, **options):
+        ((_, message_type, encode),) = topic(simulation.layout, "world", **options)
         return store.deserialize_cdr(encode(0, sample), message_type)
 
     found = {"world": np.eye(4)}
-    for each in message(transforms).transforms:
+    if not transforms(simulation.layout, "world", which=which):  # all hang from the world
+        return found, {}
+    for each in message(transforms, which=which).transforms:
         t, q = each.transform.translation, each.transform.rotation
         pose = np.eye(4)
         pose[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
@@ -82,6 +84,60 @@ def transforms_of(simulation):
         return found, {}
     states = message(joint_states)
     return found, dict(zip(states.name, states.position))
+
+
+HYPHENS = ARM_URDF.replace('"slide"', '"slide-1"')
+
+
+@pytest.mark.parametrize(
+    "name, text, roots",
+    [
+        ("arm.urdf", HYPHENS, {"base"}),
+        ("stewart.sdf", stewart_sdf(), None),
+        ("four_bar", None, None),
+        ("heavy_top", None, {"top"}),
+    ],
+)
+def test_robot_state_publisher_and_the_roots_are_one_tree(name, text, roots, tmp_path):
+    """What robot_state_publisher makes of description and joint states, and /tf with the roots.
+
+    It publishes child in parent for all joints that are not floating. A body whose link has another
+    name has a frame of its own.
+    """
+    path = name if text is None else tmp_path / name
+    if text is not None:
+        path.write_text(text)
+    simulation = Simulation(load_scene(path))
+    simulation.advance(100)
+    written = tmp_path / "description.urdf"
+    written.write_text(robot_description(simulation.scene))
+    robot = read_robot(written)
+    everything, values = transforms_of(simulation)
+    ours, _ = transforms_of(simulation, "roots")
+    del ours["world"]
+    parents = dict.fromkeys(ours, "world")
+    poses = {"world": np.eye(4)} | ours
+    for joint in robot.joints:
+        if joint.type != "floating":
+            assert joint.child not in parents  # a frame has one parent
+            parents[joint.child] = joint.parent
+    own = {"slide_1"} if name == "arm.urdf" else set()
+    assert set(parents) == set(everything) - {"world"} and own <= set(ours)
+    assert roots is None or set(ours) == roots | own
+    left = [joint for joint in robot.joints if joint.type != "floating"]
+    while left:
+        ready = [joint for joint in left if joint.parent in poses]
+        assert ready, [joint.child for joint in left]  # everything hangs from the world
+        for joint in ready:
+            pose = (
+                poses[joint.parent] @ joint.parent_frame @ joint.motion(values.get(joint.name, 0.0))
+            )
+            poses[joint.child] = pose @ inverse(joint.child_frame)
+        left = [joint for joint in left if joint.child not in poses]
+    for frame, pose in everything.items():
+        assert np.abs(poses[frame] - pose).max() < 1e-12
+    if name == "arm.urdf":
+        assert np.array_equal(everything["slide_1"], everything["slide-1"])
 
 
 @pytest.mark.parametrize(

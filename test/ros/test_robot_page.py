@@ -93,7 +93,7 @@ def test_import_writes_what_load_scene_takes(folder, capsys):
     assert main(["import", "closed.yaml", "--out", "all.yaml"]) == 0
     assert load_scene("all.yaml").model_dump() == load_scene("closed.yaml").model_dump()
     assert main(["import", "closed.yaml", "--start", "elbow=1"]) == 2
-    assert "closed.yaml is a scene file" in capsys.readouterr().err
+    assert "closed.yaml: is a scene file" in capsys.readouterr().err
     assert main(["import", str(robot), "--lock", "left_crank=0", "right_crank=0"]) == 0
     assert "name: left_bar" in capsys.readouterr().out
 
