@@ -208,8 +208,7 @@ class SimulationServer(threading.Thread):
         scene = self._simulation.scene.name
         steps = self._simulation.steps
         self._event("start", f"{scene} at step {steps}, {self.state}{self._origin}")
-        for body, axes, wrench in self._simulation.acting():
-            self._send_wrench(self.stamp_ns, body, tuple(wrench), axes)
+        self._send_changes(self.stamp_ns, self._simulation.acting())
         self._send_outputs(everything=steps > 0)
         self._reference_energy = self._simulation.sample().energy
         self._next_diagnostics = time.monotonic() + DIAGNOSTICS_PERIOD
