@@ -292,6 +292,18 @@ class Engine:
         self._schedule = copy.deepcopy(snapshot["schedule"])
         self._external[:] = snapshot["external"]
 
+    def remember_acting(self, acting):
+        """Restore the total wrenches [[body, axes, *wrench]] that act, as `acting` returned them.
+
+        They have no other end than another wrench of the source "body" or "world".
+        Raises ValueError, KeyError, TypeError for what is no such list.
+        """
+        for body, axes, *wrench in acting:
+            if axes not in AXES or len(wrench) != 6 or not np.isfinite(wrench).all():
+                raise ValueError(f"no wrench: {axes!r:.20}, {wrench!r:.60}")
+            self._schedule.act(axes, self._body[body], wrench, axes)
+            set_wrench(self._external, self._body[body], wrench, axes)
+
     @property
     def time(self) -> float:
         """Simulated time since the start or the last reset, s."""

@@ -224,19 +224,23 @@ class RunningError:
 
     @property
     def pending(self):
-        """[[time in s, body, axes, *wrench]] of which the companion knows, JSON types.
+        """Wrenches of the companion, JSON types: it may be some steps behind.
 
-        The companion may be some steps behind, and these wrenches may have changed since.
+        {"acting": [[body, axes, *wrench]], "later": [[time in s, body, axes, *wrench]]}
         """
-        names = self._engine.layout.body_names
-        return [
-            [time, names[body], axes, *wrench]
-            for time, body, wrench, axes in self._companion._schedule.commands
-        ]
+        companion, names = self._companion, self._engine.layout.body_names
+        return {
+            "acting": [[body, axes, *wrench.tolist()] for body, axes, wrench in companion.acting()],
+            "later": [
+                [time, names[body], axes, *wrench]
+                for time, body, wrench, axes in companion._schedule.waiting
+            ],
+        }
 
     def remember_pending(self, pending):
-        """Tell the companion of `pending`. Raises ValueError."""
-        for time, body, axes, *wrench in pending:
+        """Restore `pending`. Raises ValueError, KeyError, TypeError."""
+        self._companion.remember_acting(pending["acting"])
+        for time, body, axes, *wrench in pending["later"]:
             self._companion.apply_wrench(body, wrench, time, source=axes, axes=axes)
 
     def memory(self):

@@ -78,12 +78,19 @@ class WrenchSchedule:
         return {c.source for c in (*self._waiting, *self._acting.values())}
 
     @property
-    def commands(self):
-        """[(start in s, body number, wrench (6,), axes)] that act, then those that start later."""
-        return [
-            (c.start.time, c.body, c.wrench, c.axes)
-            for c in (*self._acting.values(), *self._waiting)
-        ]
+    def waiting(self):
+        """[(start in s, body number, wrench (6,), axes)] that start later."""
+        return [(c.start.time, c.body, c.wrench, c.axes) for c in self._waiting]
+
+    def act(self, source, body, wrench, axes):
+        """Let a wrench (6,) act that acts already: it is no change."""
+        self._arrived += 1
+        wrench = tuple(float(x) for x in wrench)
+        never, before = self.instant(math.inf), Instant(-1, -math.inf)
+        self._acting[source, body] = _Command(
+            before, never, self._arrived, source, body, wrench, axes
+        )
+        self.total[axes][body] = wrench
 
     def instant(self, time):
         """Instant of a time in s: the boundary of a step within half a ns, else whole ns."""
