@@ -271,13 +271,16 @@ class Engine:
 
     def acting(self):
         """[AppliedWrench or AppliedTarget] of what acts from now on."""
+        return [self._applied_at(self.time, *key) for key in self._acting_numbers()]
+
+    def _acting_numbers(self):
+        """[(number, axes)] of the nonzero total wrenches, and of all servos."""
         acting = {
-            (i, axes)
+            (int(i), axes)
             for axes in AXES
             for i in np.flatnonzero(self._schedule.total[axes].any(axis=1))
         }
-        acting |= {(i, SERVO) for i in self.layout.servos.values()}
-        return [self._applied_at(self.time, *key) for key in sorted(acting)]
+        return sorted(acting | {(i, SERVO) for i in self.layout.servos.values()})
 
     def memory(self) -> bytes:
         """Bytes of the method's memory between steps, for `set_state`.
@@ -304,6 +307,32 @@ class Engine:
         self._schedule = copy.deepcopy(snapshot["schedule"])
         self._external[:] = snapshot["external"]
         self._work.wanted[:] = snapshot["wanted"]
+
+    def acting_now(self):
+        """[[body or joint, axes, *wrench]] of what acts, JSON types; see Layout.names_of_inputs."""
+        names = self.layout.names_of_inputs
+        return [
+            [names[axes][number], axes, *self._schedule.total[axes][number].tolist()]
+            for number, axes in self._acting_numbers()
+        ]
+
+    def remember_acting(self, acting):
+        """Restore what acts, as `acting_now` returned it.
+
+        It has no other end than another command: a wrench of the source "body" or "world", or wanted
+        values of the servo. Raises ValueError, KeyError, TypeError for what is no such list.
+        """
+        names = self.layout.names_of_inputs
+        for name, axes, *wrench in acting:
+            total = self._schedule.total[axes]
+            if len(wrench) != total.shape[1] or not np.isfinite(wrench).all():
+                raise ValueError(f"no wrench: {axes!r:.20}, {wrench!r:.60}")
+            number = names[axes].index(name)
+            self._schedule.act(number, wrench, axes)
+            if axes == SERVO:
+                self._work.wanted[number] = wrench
+            else:
+                set_wrench(self._external, number, wrench, axes)
 
     @property
     def time(self) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 from .errors import SceneError
 from .forces import kinds
 from .forces.joint_effort import unit_wrenches
+from .forces.schedule import AXES, SERVO
 from .formulations.relative.arrays import PlaneModel
 from .formulations.relative.build import (
     refuse_cut_couplings,
@@ -146,6 +147,11 @@ class Layout:
     def servos(self):
         """{joint: number} of the joints with a servo; the number is that of its wanted values."""
         return {servo.joint: i for i, servo in enumerate(kinds.servos(self.scene.forces))}
+
+    @cached_property
+    def names_of_inputs(self):
+        """{axes: names}: of bodies for wrenches in "body" and "world" axes, of joints for "servo"."""
+        return dict.fromkeys(AXES, self.body_names) | {SERVO: tuple(self.servos)}
 
     def sample(self, pose, twist, time=0.0, time_ns=0, steps=0, near=None):
         """Create a Sample from pose (n, 12) and twist (n, 6) of the body frames, as in a recording.

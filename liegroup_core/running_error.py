@@ -32,7 +32,7 @@ import numpy as np
 from .compiling import kernel
 from .engine import BAUMGARTE_STEPS, Engine
 from .errors import SimulationError
-from .forces.schedule import AXES, SERVO
+from .forces.schedule import SERVO
 from .integrators.methods import METHODS
 from .lie.vec3 import load3, load9, sub3, tmatmul3
 from .model.size import mechanism_size
@@ -223,21 +223,23 @@ class RunningError:
 
     @property
     def pending(self):
-        """[[time in s, body or joint, axes, *wrench]] of which the companion knows, JSON types.
+        """Wrenches of the companion, JSON types: it may be some steps behind.
 
-        The companion may be some steps behind, and these wrenches may have changed since. With the
-        axes "servo" it is a joint, and the wanted position and velocity of its servo.
+        {"acting": see Engine.acting_now, "later": [[time in s, name, axes, *wrench]]}
         """
-        layout = self._engine.layout
-        names = dict.fromkeys(AXES, layout.body_names) | {SERVO: list(layout.servos)}
-        return [
-            [time, names[axes][number], axes, *wrench]
-            for time, number, wrench, axes in self._companion._schedule.commands
-        ]
+        companion, names = self._companion, self._engine.layout.names_of_inputs
+        return {
+            "acting": companion.acting_now(),
+            "later": [
+                [time, names[axes][number], axes, *wrench]
+                for time, number, wrench, axes in companion._schedule.waiting
+            ],
+        }
 
     def remember_pending(self, pending):
-        """Tell the companion of `pending`. Raises ValueError."""
-        for time, name, axes, *wrench in pending:
+        """Restore `pending`. Raises ValueError, KeyError, TypeError."""
+        self._companion.remember_acting(pending["acting"])
+        for time, name, axes, *wrench in pending["later"]:
             if axes == SERVO:
                 self._companion.command_servo(name, *wrench, time)
             else:

@@ -224,13 +224,20 @@ class Simulation(Engine):
 
     @property
     def pending(self):
-        """Wrenches that belong to `memory`, see RunningError.pending; [] with a method."""
-        return [] if self._control is None else self._running.pending
+        """Wrenches that belong to `memory`, JSON types; {} if there are none, or with a method.
+
+        {"engine": those that act, "companion": RunningError.pending}
+        """
+        if self._control is None:
+            return {}
+        mine, theirs = self.acting_now(), self._running.pending
+        return {"engine": mine, "companion": theirs} if mine or any(theirs.values()) else {}
 
     def remember_pending(self, pending):
-        """Restore `pending` after `set_state` with a memory. Raises ValueError."""
-        if self._control is not None:
-            self._running.remember_pending(pending)
+        """Restore `pending` after `set_state` with a memory. Raises ValueError, KeyError, TypeError."""
+        if pending and self._control is not None:
+            self.remember_acting(pending["engine"])
+            self._running.remember_pending(pending["companion"])
 
     def set_state(self, pose, twist, steps=0, angles=None, memory=None) -> None:
         """As Engine.set_state; without a memory the estimate of the error starts from zero."""

@@ -132,17 +132,31 @@ class WrenchSchedule:
         return totals
 
     @property
-    def commands(self):
-        """[(start in s, number, wrench (6,), axes)] that act, then those that start later.
+    def waiting(self):
+        """[(start in s, number, wrench (6,), axes)] that start later.
 
         The number is that of a body; with the axes "servo" that of a servo, and the wrench its wanted
         position and velocity.
         """
         return [
             (c.start.time, number, wrench, c.axes)
-            for c in (*self._acting.values(), *self._waiting)
+            for c in self._waiting
             for number, wrench in c.wrenches
         ]
+
+    def act(self, number, wrench, axes):
+        """Let a wrench (6,), or the wanted values of a servo, act that act already: it is no change.
+
+        number, axes : as in `waiting`. The source of a wrench is that of its axes
+        """
+        self._arrived += 1
+        key = ("", "", -2 - number) if axes == SERVO else (axes, "", number)
+        wrench = tuple(map(float, wrench))
+        never, before = self.instant(math.inf), Instant(-1, -math.inf)
+        self._acting[key] = _Command(
+            before, never, self._arrived, key, ((number, wrench),), axes, 0.0
+        )
+        self.total[axes][number] = wrench
 
     def instant(self, time):
         """Instant of a time in s: the boundary of a step within half a ns, else whole ns."""

@@ -24,7 +24,7 @@ from std_srvs.srv import Trigger
 from liegroup_core import SceneError
 from liegroup_sim_ros.recording.write import RecorderError
 
-from . import standard_services
+from . import own_services, standard_services
 from .parameters import ParameterError, read_parameters, watch_parameters
 from .scene_run import ATTENTION, Interrupted, SceneRun, make_simulation
 from .simulation_thread import CommandError
@@ -107,6 +107,7 @@ class SimNode(Node):
         ):
             self.create_service(Trigger, f"~/{name}", self._command(command, parameter))
         self.create_service(Trigger, "~/reload", self._serve_reload)
+        own_services.offer(self)
         standard_services.offer(self, signals, values.world_frame)
         watch_parameters(self, self._set_parameter)
         self.scene_run.start()

@@ -76,7 +76,7 @@ def restore(simulation, entries):
     try:
         memory = base64.b64decode(entries.get("memory", ""), validate=True)
         simulation.set_state(*arguments, memory=memory)
-        simulation.remember_pending(entries.get("pending", ()))
+        simulation.remember_pending(entries.get("pending"))
         return True
     except (binascii.Error, ValueError):
         simulation.set_state(*arguments)

@@ -94,6 +94,46 @@ def test_the_recorded_state_continues_bit_for_bit_at_any_step(scene, options, st
     assert [row[:3] for row in found] == [row[:3] for row in expected]
 
 
+@pytest.mark.parametrize("steps", [24, 30])
+def test_a_wrench_that_ends_at_the_recorded_state_ends_for_the_estimate_too(steps):
+    """The record has both totals at that stamp: the one that acts, and zero from then on."""
+    scene, options = CASES[0]
+    simulation = Simulation(load_scene(scene), quiet=True, **options)
+    body, h = simulation.layout.body_names[-1], simulation.step
+    simulation.apply_wrench(body, PUSH, 5.3 * h, None, "a")
+    simulation.advance(steps)
+    entries = json.loads(json.dumps(attachments.state(simulation, 0)))
+    simulation.clear_wrenches("a")
+    expected = trace(simulation)
+    other = Simulation(load_scene(scene), quiet=True, **options)
+    assert attachments.restore(other, entries)
+    for wrench in (PUSH, [0.0] * 6):
+        other.apply_wrench(body, wrench, steps * h, source="body", axes="body")
+    assert trace(other) == expected
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda p: p["engine"][0].__setitem__(1, "sky"),
+        lambda p: p["engine"][0].__setitem__(0, "nobody"),
+        lambda p: p["engine"][0].pop(),
+        lambda p: p["engine"][0].__setitem__(2, "x"),
+        lambda p: p["companion"].pop("later"),
+        lambda p: p["companion"]["later"].append(3),
+    ],
+)
+def test_wrong_pending_wrenches_are_refused(change):
+    simulation = Simulation(load_scene("four_bar"), quiet=True, accuracy=1e-5, step=1e-3)
+    simulation.apply_wrench("rocker", PUSH)
+    simulation.advance(24)
+    pending = json.loads(json.dumps(simulation.pending))
+    simulation.remember_pending(pending)
+    change(pending)
+    with pytest.raises((ValueError, KeyError, TypeError)):
+        simulation.remember_pending(pending)
+
+
 def test_all_method_families_are_covered():
     families = {METHODS[o["method"]].family for _, o in CASES if "method" in o}
     assert families == {method.family for method in METHODS.values()} - {"rotation"}

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Services of this package that no standard type fits: set states, apply a wrench at a point.
+
+A request is a list of named values, the answer whether all were accepted, with the reason if not:
+rcl_interfaces/srv/SetParametersAtomically. The names are not parameters of the node.
+"""
+
+import math
+
+import numpy as np
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.parameter import parameter_value_to_python
+
+from liegroup_core.lie.groups import SO3
+
+from .wrench_input import MOST, Push
+
+NOT_UNIT = 1e-3  # largest difference of a quaternion's norm from 1
+SOURCE = "service"
+LONGEST_SHOWN = 60  # characters of a wrong value in an error text
+
+
+class Wrong(Exception):
+    """A value that is refused; one line of text."""
+
+
+def offer(node):
+    """Create the services of a SimNode."""
+    for name, serve in (("set_state", set_state), ("apply_wrench", apply_wrench)):
+        node.create_service(SetParametersAtomically, f"~/{name}", _answering(node, serve))
+
+
+def _answering(node, serve):
+    def callback(request, response):
+        result = response.result
+        try:
+            result.successful, result.reason = serve(node, _values(request))
+        except Wrong as error:
+            result.successful, result.reason = False, str(error)
+        return response
+
+    return callback
+
+
+def set_state(node, values):
+    """Set BODY/pose (x y z qx qy qz qw, world axes) and BODY/twist (angular, linear, body axes)."""
+    poses, twists = {}, {}
+    for name, value in values.items():
+        body, _, kind = name.rpartition("/")
+        if kind not in ("pose", "twist"):
+            raise Wrong(f"unknown name {name!r}: give BODY/pose or BODY/twist")
+        _check_body(node, body)
+        if kind == "pose":
+            numbers = _vector(name, value, 7)
+            norm = np.linalg.norm(numbers[3:])
+            if not abs(norm - 1.0) <= NOT_UNIT:
+                raise Wrong(f"{name}: its quaternion has norm {norm:g}, not 1")
+            poses[body] = np.eye(4)
+            poses[body][:3, 3] = numbers[:3]
+            poses[body][:3, :3] = SO3.from_quaternion(numbers[3:] / norm)
+        else:
+            twists[body] = _vector(name, value, 6)
+    return node.ask("place", poses, twists, " and ".join(values))
+
+
+def apply_wrench(node, values):
+    """Apply force and torque at a point of a body for a duration, from the next step on."""
+    known = {"body", "force", "torque", "point", "axes", "duration", "name"}
+    for name in values.keys() - known:
+        raise Wrong(f"unknown name {name!r}: choose from {', '.join(sorted(known))}")
+    body, axes = values.get("body", ""), values.get("axes", "body")
+    _check_body(node, body)
+    if axes not in ("body", "world"):
+        raise Wrong(f"axes must be 'body' or 'world', got {_shown(axes)}")
+    force, torque, point = (
+        _vector(name, values.get(name, [0.0] * 3), 3) for name in ("force", "torque", "point")
+    )
+    if axes == "world" and point.any():
+        raise Wrong(
+            "a force in world axes at a point of the body has no constant torque: give it in body "
+            "axes, or without a point"
+        )
+    duration, name = values.get("duration"), values.get("name", "")
+    if type(duration) not in (int, float) or not (math.isfinite(duration) and duration >= 1e-9):
+        raise Wrong(f"duration must be a number of seconds, at least 1e-9, got {_shown(duration)}")
+    if not isinstance(name, str):
+        raise Wrong(f"name must be a text, got {_shown(name)}")
+    server = node.scene_run.server
+    if server.wrenches_held >= MOST:
+        raise Wrong(f"{MOST} wrenches act or wait already")
+    wrench = (*(torque + np.cross(point, force)).tolist(), *force.tolist())
+    server.push(Push(f"{SOURCE}/{body}/{name}", body, wrench, axes, 0), float(duration))
+    return (
+        True,
+        f"wrench on {body} for {duration:g} s, from the next step after {server.stamp_ns * 1e-9:.9g} s",
+    )
+
+
+def _values(request):
+    values = {p.name: parameter_value_to_python(p.value) for p in request.parameters}
+    if len(values) < len(request.parameters):
+        raise Wrong("a name occurs twice")
+    if not values:
+        raise Wrong("no values are given")
+    return values
+
+
+def _check_body(node, body):
+    names = node.scene_run.simulation.layout.body_names
+    if body not in names:
+        raise Wrong(f"unknown body {_shown(body)}; choose one of: {', '.join(names)}")
+
+
+def _vector(name, value, size):
+    """(size,) numbers."""
+    try:
+        numbers = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        numbers = np.zeros(0)
+    if isinstance(value, str) or numbers.shape != (size,) or not np.isfinite(numbers).all():
+        raise Wrong(f"{name} must be {size} finite numbers, got {_shown(value)}")
+    return numbers
+
+
+def _shown(value):
+    text = repr(list(value) if hasattr(value, "tolist") else value)
+    return text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}..."

@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""~/set_state and ~/apply_wrench of a running node, over DDS, and in its recording."""
+
+import signal
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseStamped, TwistStamped
+from node_process import NodeProcess, stamp_ns
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.parameter import Parameter
+
+from liegroup_sim_ros.commands.main import main
+
+NODE = "/own"
+SCENE = """
+name: rig
+gravity: [0, 0, 0]
+bodies:
+  - {name: arm, mass: 2, inertia: [3, 3, 1], com: [1, 0, 0]}
+  - {name: stone, mass: 2, inertia: [3, 2, 4], position: [5, 6, 7]}
+joints:
+  - {name: hinge, type: spherical, parent: world, child: arm,
+     parent_frame: {position: [0, 0, 0]}, child_frame: {position: [0, 0, 0]}}
+"""
+
+
+class Own:
+    def __init__(self, client, folder):
+        self._client = client
+        self.pose = client.listen(f"{NODE}/stone/pose", PoseStamped)
+        self.twist = client.listen(f"{NODE}/stone/twist", TwistStamped)
+        self.record = folder / "run.mcap"
+
+    def call(self, service, values):
+        request = SetParametersAtomically.Request(
+            parameters=[Parameter(n, value=v).to_parameter_msg() for n, v in values]
+        )
+        result = self._client.call(f"{NODE}/{service}", SetParametersAtomically, request).result
+        assert "\n" not in result.reason
+        return result.successful, result.reason
+
+    def step(self, count):
+        """(pose, twist) numbers of the stone after some steps."""
+        assert self._client.set(NODE, step_count=count).successful
+        message = self._client.call(f"{NODE}/step").message
+        now = round(float(message.rpartition(" at ")[2].split()[0]) * 1e9)
+        both = (self.pose, self.twist)
+        self._client.until(lambda: all(k and stamp_ns(k[-1].header.stamp) == now for k in both))
+        p, t = self.pose[-1].pose, self.twist[-1].twist
+        return (
+            [
+                p.position.x,
+                p.position.y,
+                p.position.z,
+                *(getattr(p.orientation, c) for c in "xyzw"),
+            ],
+            [*(getattr(part, c) for part in (t.angular, t.linear) for c in "xyz")],
+        )
+
+
+@pytest.fixture(scope="module")
+def own(client, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("own")
+    (folder / "rig.yaml").write_text(SCENE)
+    parameters = {
+        "scene": folder / "rig.yaml",
+        "method": "rkmk4",
+        "start_paused": True,
+        "record": folder / "run.mcap",
+    }
+    with NodeProcess(parameters, [f"__node:={NODE[1:]}"]) as process:
+        own = Own(client, folder)
+        client.call(f"{NODE}/pause")
+        yield own
+        process.send(signal.SIGINT)
+        code, errors = process.wait()
+        assert code == 0 and "Traceback" not in errors, errors
+        assert main(["replay", str(own.record), "--resimulate"]) == 0
+
+
+def test_a_state_is_set_and_joints_stay_closed(own):
+    pose = [1.0, 2.0, 3.0, 0.0, 0.0, 0.6, 0.8]
+    done, text = own.call(
+        "set_state",
+        [
+            ("stone/pose", pose),
+            ("stone/twist", [0.0, 0.0, 0.0, 0.0, 0.0, 4.0]),
+            ("arm/pose", [0, 0, 0, 0, 0, 0, 1]),
+        ],
+    )
+    assert done and text.startswith("stone/pose and stone/twist and arm/pose at ")
+    found, twist = own.step(1)
+    assert found == pytest.approx([1.0, 2.0, 3.004, *pose[3:]], abs=1e-12)
+    assert twist == pytest.approx([0, 0, 0, 0, 0, 4.0], abs=1e-12)
+
+
+def test_a_force_at_a_point_has_its_torque_for_its_duration(own):
+    """No rotation at the start: w_z = r x f / I_z t, until it ends inside a step."""
+    assert own.call("set_state", [("stone/pose", [0.0] * 6 + [1.0]), ("stone/twist", [0.0] * 6)])[0]
+    done, text = own.call(
+        "apply_wrench",
+        [
+            ("body", "stone"),
+            ("force", [0.0, 6.0, 0.0]),
+            ("point", [2.0, 0.0, 0.0]),
+            ("torque", [0.0, 0.0, -4.0]),
+            ("duration", 0.0105),
+        ],
+    )
+    assert done and text.startswith("wrench on stone for 0.0105 s")
+    _, twist = own.step(10)
+    assert twist[2] == pytest.approx(8.0 / 4.0 * 0.010, rel=1e-9)
+    _, twist = own.step(30)
+    assert twist[2] == pytest.approx(8.0 / 4.0 * 0.0105, rel=1e-9)
+    assert np.hypot(twist[3], twist[4]) == pytest.approx(3.0 * 0.0105, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    "service, values, text",
+    [
+        ("set_state", [], "no values are given"),
+        ("set_state", [("leg/pose", [0.0] * 7)], "unknown body 'leg'; choose one of: arm, stone"),
+        ("set_state", [("stone/place", [0.0])], "unknown name 'stone/place'"),
+        ("set_state", [("stone/pose", [0.0] * 7)], "its quaternion has norm 0, not 1"),
+        ("set_state", [("stone/twist", [0.0] * 5)], "stone/twist must be 6 finite numbers"),
+        ("set_state", [("stone/twist", [float("nan")] * 6)], "must be 6 finite numbers"),
+        ("set_state", [("stone/twist", "fast")], "must be 6 finite numbers, got 'fast'"),
+        ("set_state", [("arm/pose", [0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 1.0])], "violation is 0.5 m"),
+        (
+            "set_state",
+            [("arm/twist", [0.0, 0.0, 0.0, 0.0, 3.0, 0.0])],
+            "violates this joint by 3 m/s",
+        ),
+        ("set_state", [("stone/twist", [0.0] * 6)] * 2, "a name occurs twice"),
+        ("apply_wrench", [("body", "stone"), ("force", [1.0] * 3)], "duration must be a number"),
+        ("apply_wrench", [("body", "stone"), ("duration", -1.0)], "duration must be a number"),
+        ("apply_wrench", [("duration", 1.0)], "unknown body ''"),
+        ("apply_wrench", [("body", "stone"), ("size", 1.0)], "unknown name 'size'"),
+        (
+            "apply_wrench",
+            [("body", "stone"), ("duration", 1.0), ("axes", "sky")],
+            "axes must be 'body' or 'world', got 'sky'",
+        ),
+        (
+            "apply_wrench",
+            [("body", "stone"), ("duration", 1.0), ("axes", "world"), ("point", [1.0, 0.0, 0.0])],
+            "a force in world axes at a point",
+        ),
+        (
+            "apply_wrench",
+            [("body", "stone"), ("duration", 1.0), ("force", [float("inf")] * 3)],
+            "force must be 3 finite numbers",
+        ),
+    ],
+)
+def test_wrong_values_are_refused_and_nothing_changes(own, service, values, text):
+    assert own.call("set_state", [("stone/twist", [0.0] * 6)])[0]
+    before = own.step(1)  # at rest
+    done, reason = own.call(service, values)
+    assert not done and text in reason
+    assert own.step(2) == before
