@@ -36,7 +36,7 @@ from liegroup_core.forces import kinds as force_kinds
 from liegroup_core.forces.kinds import *  # noqa: F403 (the classes of all forces)
 from liegroup_core.forces.kinds import FORCES
 from liegroup_core.joints import kinds as joint_kinds
-from liegroup_core.joints.coupling import Coupling
+from liegroup_core.joints.coupling import COUPLED, Coupling
 from liegroup_core.joints.kinds import *  # noqa: F403 (the classes of all joints)
 from liegroup_core.joints.kinds import JOINTS, TYPES
 
@@ -243,6 +243,12 @@ class Scene(Described):
                     f"{', '.join(name for name, kind in TYPES.items() if kind.rate is not None)}",
                     place=("joints", i, "rate"),
                 )
+            if joint.coordinate is not None and joint.type not in COUPLED:
+                raise SceneError(
+                    f'joints[{i}] "{joint.name}": coordinate cannot be given for a {joint.type} joint; '
+                    f"use it with {', '.join(COUPLED)}",
+                    place=("joints", i, "coordinate"),
+                )
         kinds = {joint.name: joint.type for joint in self.joints}
         for key, i, link in links:
             if hasattr(link, "joint"):
@@ -253,7 +259,7 @@ class Scene(Described):
                 refuse_ends(link, bodies, key, i)
         for i, coupling in enumerate(self.couplings):
             refuse_coupling(coupling, kinds, i)
-        for key, name in (("bodies", "initial"), ("joints", "rate")):
+        for key, name in (("bodies", "initial"), ("joints", "rate"), ("joints", "coordinate")):
             for i, entry in enumerate(getattr(self, key)):
                 if not self.assemble and name in entry.model_fields_set:
                     raise SceneError(
