@@ -141,6 +141,15 @@ def test_the_message_of_mujocos_compiler_is_passed_on(tmp_path):
     assert "invalid keyword: 'wheel'" in refusal(path)
 
 
+def test_a_mesh_of_mjcf_that_is_missing_has_its_line(tmp_path):
+    path = tmp_path / "mesh.xml"
+    path.write_text(
+        '<mujoco><asset>\n<mesh name="m" file="nope.stl"/></asset><worldbody><body><joint/>'
+        '<geom type="mesh" mesh="m"/></body></worldbody></mujoco>'
+    )
+    assert refusal(path).startswith(f"{path}:2: mjcf: ")
+
+
 XACRO = """<robot name="two" xmlns:xacro="http://www.ros.org/wiki/xacro">
 <xacro:property name="length" value="0.5"/>
 <xacro:macro name="rod" params="name"><link name="${name}"><inertial>
