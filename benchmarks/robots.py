@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Robots of public packages: which load, and their accelerations against Pinocchio and MuJoCo.
 
-    python benchmarks/robots.py [--states 100] [--motion] [--json FILE] [WORD ...]
+    python benchmarks/robots.py [--states 100] [--motion] [--json FILE] [--page FILE] [WORD ...]
 
 Loads every URDF and SDF of example-robot-data and every MJCF of mujoco and dm_control, or those whose
 path contains one of the words. Prints a table: bodies, degrees of freedom, joints that close loops,
@@ -335,16 +335,16 @@ def row_of(path, states, motion=False):
         row["load_s"] = round(time.perf_counter() - start, 3)
         layout = make_layout(scene)
     except SceneError as error:
-        return row | {"refused": str(error).replace(str(path), path.name)}
+        text = str(error).replace(str(path), path.name).replace(f"{path.parent}/", "")
+        return row | {"refused": text}
+    held = set(scene.robot.links.values())  # links that are the frame of a body
     row |= {
         "bodies": len(scene.bodies),
         "freedoms": describe(layout)["degrees_of_freedom"],
         "couplings": len(scene.couplings),
         "loops": len(scene.joints) - sum(_held(scene, body) for body in scene.bodies),
-        "merged": sum(note.startswith(("merged", "fixed to")) for note in scene.notes),
-        "left_out": [
-            note.split(":", 1)[1].strip()[:40] for note in scene.notes if "left out" in note
-        ],
+        "merged": sum(link not in held for link in scene.robot.frames),
+        "left_out": _left_out(scene),
     }
     against = {".urdf": against_pinocchio, ".xml": against_mujoco}.get(path.suffix)
     closed = row["loops"] or any(joint.type == "fixed" for joint in scene.joints)
@@ -359,6 +359,74 @@ def row_of(path, states, motion=False):
     return row
 
 
+def _left_out(scene):
+    """[(what, number, changes the motion)] of what a file has and its scene has not."""
+    found = []
+    for note in scene.notes:
+        text = note.removeprefix("changes the motion: ")
+        changes = text != note
+        what, separator, names = text.partition(", left out: ")
+        if separator:
+            found.append((what, _number_of(names), True))
+        elif text.startswith("left out: "):
+            count, _, what = text.removeprefix("left out: ").partition(" ")
+            found.append((what.partition(" (")[0], int(count), False))
+        elif changes and text.startswith("no contact, "):
+            found.append(("collision shapes", int(text.split()[2]), True))
+        elif changes and ": " in text:
+            what, _, names = text.rpartition(": ")
+            what = what.removesuffix(" are not enforced").removesuffix(" is not simulated")
+            found.append((what.partition(" (")[0], _number_of(names), True))
+    return found
+
+
+def _number_of(names):
+    """Number of names of a note, which lists the first ones and counts the others."""
+    names, _, more = names.partition(" and ")
+    return names.count(", ") + 1 + int(more.removesuffix(" more") or 0)
+
+
+def page_of(rows):
+    """Text of a page with one line for each file."""
+    loaded = [row for row in rows if "refused" not in row]
+    lines = [
+        "# Robots that were tried",
+        "",
+        "Written by `python benchmarks/robots.py --states 0 --page docs/reference/robots.md`: "
+        f"{len(loaded)} of "
+        f"{len(rows)} files load. How to use your own: [bring your robot](../how-to/robot.md).",
+        "",
+        "* *merged*: links that are no body of their own: held by fixed joints to another link or to "
+        "the world, or without mass at the end of a chain.",
+        "* *left out*: what the file has and the scene has not. **Bold**: it changes the motion.",
+        "",
+        "| file | bodies | degrees of freedom | loops | couplings | merged | left out | time to load, s |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for row in loaded:
+        out = ", ".join(
+            f"**{count} {what}**" if changes else f"{count} {what}"
+            for what, count, changes in row["left_out"]
+        )
+        cells = [
+            row[key] for key in ("robot", "bodies", "freedoms", "loops", "couplings", "merged")
+        ]
+        cells += [out or "-", f"{row['load_s']:.2f}"]
+        lines.append(f"| {' | '.join(map(str, cells))} |")
+    lines += ["", "## Refused", ""]
+    lines += [
+        "Many files of the packages are no robots: arenas, parts that others include, tests.",
+        "",
+    ]
+    lines += ["| file | reason |", "|---|---|"]
+    lines += [
+        f"| {row['robot']} | {row['refused'].replace('|', '/').replace('<', '`<').replace('>', '>`')} |"
+        for row in rows
+        if "refused" in row
+    ]
+    return "\n".join([*lines, ""])
+
+
 def _held(scene, body):
     """True if a joint has this body as its child."""
     return any(joint.child == body.name for joint in scene.joints)
@@ -370,16 +438,21 @@ def main():
     parser.add_argument("words", nargs="*")
     parser.add_argument("--states", type=int, default=100)
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--page", type=Path, help="write the table as a page of the documentation")
     parser.add_argument("--motion", action="store_true", help="MJCF: also compare 1 s of motion")
     args = parser.parse_args()
     rows = []
-    for path in files(args.words):
+    found = files(args.words)
+    row_of(found[0], 0)  # imports and compiles
+    for path in found:
         rows.append(row_of(path, args.states, args.motion))
         print(rows[-1], flush=True)
     loaded = [row for row in rows if "refused" not in row]
     print(f"{len(loaded)} of {len(rows)} loaded")
     if args.json:
         args.json.write_text(json.dumps(rows, indent=1) + "\n")
+    if args.page:
+        args.page.write_text(page_of(rows), encoding="utf-8")
     return 0
 
 

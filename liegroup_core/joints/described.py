@@ -30,6 +30,11 @@ class JointBase(Described):
         description="initial joint velocity for assembly: about z in rad/s, or along z in m/s if "
         "the joint does not rotate",
     )
+    coordinate: Number | None = Field(
+        None,
+        description="initial joint coordinate that assembly keeps, of revolute, prismatic and screw "
+        "joints: angle about z in rad, or displacement along z in m",
+    )
     data: dict[Name, Number] | None = Field(
         None,
         description="numbers by name that the simulation does not use, such as limits of an imported "

@@ -45,6 +45,7 @@ def _joint(options, grouping, i, given, names):
         closes=True,
         pitch=getattr(given, "pitch", 0.0),
         length=getattr(given, "length", None),
+        coordinate=given.coordinate,
         rate=given.rate,
         data=dict(given.data or {}),
     )

@@ -81,7 +81,7 @@ class RobotJoint:
     parent_frame  : (4, 4) in the frame of the parent; child_frame: in that of the child
     closes        : True for a joint that is no part of the file's tree
     damping       : N m s/rad or N s/m;  stiffness, rest: N m/rad or N/m, and its coordinate without torque
-    rate          : velocity at the start that assembly keeps, rad/s or m/s; None: any
+    coordinate, rate : at the start, kept by assembly, rad or m, rad/s or m/s; None: any
     data          : {name: number} that the simulation does not use: lower, upper, ...
     """
 
@@ -98,6 +98,7 @@ class RobotJoint:
     damping: float = 0.0
     stiffness: float = 0.0
     rest: float = 0.0
+    coordinate: float | None = None
     rate: float | None = None
     data: dict = field(default_factory=dict)
 

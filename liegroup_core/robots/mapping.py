@@ -31,7 +31,8 @@ GRAVITY = (0.0, 0.0, -9.81)  # m/s^2, of files that have none
 class SceneParts:
     """Entries of a scene, as keys and values, with the lines of the file that they come from.
 
-    comments : {("bodies", i): text}; lines: {("bodies", i): line}, also of joints and forces
+    comments : {("bodies", i): text}, also of joints and forces
+    lines    : the same for lines of the file, or paths inside the additions; also of single keys
     names    : {("bodies", name in the scene): name in the file}, also of joints
     frames   : {link: (name of its body or world, (4, 4) pose in the frame of the body)}
     still    : {joint with one coordinate that does not move: coordinate}
@@ -74,10 +75,10 @@ def scene_parts(robot, options):
         bool(closing),
     )
     used = _bodies(robot, grouping, parts, notes)
-    # The nearest velocities that satisfy all loops keep those that the user gives.
-    rates = options.start_velocity if closing else {}
+    # The nearest poses and velocities that satisfy all loops keep what the user gives.
+    given = (options.start, options.start_velocity) if closing else ({}, {})
     own = {entry.name for entry in (*options.couplings, *options.forces)}
-    taken = _joints(robot, grouping, parts, used, (extra, rates, own))
+    taken = _joints(robot, grouping, parts, used, (extra, given, own))
     _couplings(robot, grouping, parts, values, taken)
     for i, entry in enumerate(added_forces(options, grouping, parts)):
         parts.lines["forces", len(parts.forces)] = ("forces", i)
@@ -195,9 +196,10 @@ def _check_inertia(robot, group, line, inertia, body, notes):
 def _joints(robot, grouping, parts, body_of, added):
     """Append the joints, and the forces of their springs and dampers; returns all their names.
 
-    added : joints of the user, {joint: velocity} that the start keeps, names of other entries
+    added : joints of the user, ({joint: coordinate}, {joint: velocity}) that the start keeps, names
+            of other entries
     """
-    extra, rates, own_names = added
+    extra, (coordinates, rates), own_names = added
     moving = [*grouping.moving, *extra]
     own_names |= {joint.name for joint in extra}
     names = unique_names([joint.name for joint in grouping.moving], own_names)
@@ -215,9 +217,13 @@ def _joints(robot, grouping, parts, body_of, added):
         if joint.length is not None:
             entry["length"] = joint.length
         entry["parent_frame"], entry["child_frame"] = _placed(F_a), _placed(F_b)
-        rate = rates.get(joint.name, joint.rate)
-        if rate is not None:
-            entry["rate"] = float(rate)
+        for key, values in (("coordinate", coordinates), ("rate", rates)):
+            value = values.get(joint.name, getattr(joint, key))
+            if value is not None:
+                entry[key] = float(value)
+                if joint.name in values:
+                    of = "start" if key == "coordinate" else "start_velocity"
+                    parts.lines["joints", number, key] = (of, joint.name)
         if joint.data:
             entry["data"] = dict(joint.data)
         parts.joints.append(entry)

@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from liegroup_core.errors import SceneError
 from liegroup_core.fields.frames import rotation_z_to
 from liegroup_core.lie.groups import SO3
 
@@ -26,7 +27,10 @@ VISUALS = {"box", "sphere", "cylinder", "capsule"}
 
 def robot_of_mjcf(root, path):
     """Robot of an MJCF file; root: its root element. Raises SceneError."""
-    model = json.loads(run_apart("mjcf", path))
+    try:
+        model = json.loads(run_apart("mjcf", path))
+    except SceneError as error:
+        raise _with_line(error, root, path) from None
     _refuse_infinite(path, model)
     lines = {
         (element.tag, element.get("name")): element.sourceline
@@ -49,6 +53,16 @@ def robot_of_mjcf(root, path):
     _poses(robot, model)
     _others(robot, model)
     return robot
+
+
+def _with_line(error, root, path):
+    """SceneError with the line of the file that MuJoCo could not open, if that is what it says."""
+    head, text = f"{path}: ", str(error)
+    for element in root.iter():
+        name = element.get("file")
+        if name and text.startswith(head) and f"{name}'" in text:
+            return refusal(path, element.sourceline, text.removeprefix(head))
+    return error
 
 
 def _refuse_infinite(path, value, place=()):

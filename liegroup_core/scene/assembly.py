@@ -8,7 +8,7 @@ scene in which every pose, velocity and joint frame is explicit:
 2. A joint frame that is not given is placed where the other frame of the joint is at these poses.
    A length that is not given is the distance at these poses, an offset of a coupling that of these.
 3. Poses: the nearest ones that satisfy all joints (Newton's method on the group). Bodies marked
-   `fixed` keep the given pose.
+   `fixed` keep the given pose, joints with a `coordinate` keep it.
 4. Velocities: with V0 the given ones, the change of least kinetic energy,
        min (V - V0)^T M (V - V0)   subject to   J V = 0, the given joint rates, the velocities of
    `fixed` bodies, and the components listed in `kept`.
@@ -27,7 +27,13 @@ from liegroup_core.joints.linkage import RANK_TOLERANCE, Linkage
 from liegroup_core.lie.groups import SE3, SO3
 
 from .centres import Offsets, at_centres_of_mass
-from .consistency import check_consistency, resolve_couplings, resolve_elements, resolve_frames
+from .consistency import (
+    ResolvedCoupling,
+    check_consistency,
+    resolve_couplings,
+    resolve_elements,
+    resolve_frames,
+)
 from .description import WORLD
 from .massless import invertible_inertia, lack_of_inertia
 
@@ -45,14 +51,25 @@ def assembled(scene, kept=()):
         return scene
     fixed = [body for body in scene.bodies if body.initial == "fixed"]
     rates = {j: joint.rate for j, joint in enumerate(scene.joints) if joint.rate is not None}
+    # A coordinate that is kept is a coupling of ratio 0.
+    kept_coordinates = [
+        ResolvedCoupling(j, j, 0.0, joint.coordinate)
+        for j, joint in enumerate(scene.joints)
+        if joint.coordinate is not None
+    ]
     scene = _with_joints_written_out(_with_bodies_placed(scene))
     centred = at_centres_of_mass(scene)
     frames, parts = resolve_frames(centred), resolve_elements(centred)
     joints, couplings = range(len(centred.joints)), resolve_couplings(centred)
 
     held = {b.name for b in fixed if b.has_pose}
-    linkage = Linkage(centred, frames, parts, joints, held, couplings)
+    linkage = Linkage(centred, frames, parts, joints, held, [*couplings, *kept_coordinates])
     poses = linkage.nearest(linkage.start)
+    if kept_coordinates and not linkage.is_closed(poses):
+        linkage = Linkage(centred, frames, parts, joints, held, couplings)
+        poses = linkage.nearest(linkage.start)
+        if linkage.is_closed(poses):
+            raise _not_kept(linkage, poses, kept_coordinates)
     if not linkage.is_closed(poses):
         raise cannot_close(linkage, poses)
     linkage = Linkage(centred, frames, parts, joints, (), couplings)
@@ -127,7 +144,7 @@ def _with_joints_written_out(scene):
         if getattr(joint, "length", 0.0) is None:
             ends = [poses[name] @ F for name, F in zip((joint.parent, joint.child), pair)]
             found["length"] = float(np.linalg.norm((ends[1] - ends[0])[:3, 3]))
-        joints.append(joint.remade(("rate",), **found))
+        joints.append(joint.remade(("rate", "coordinate"), **found))
     written = {"joints": joints}
     if scene.couplings:
         written["couplings"] = [
@@ -280,6 +297,19 @@ def cannot_close(linkage, poses):
         f"constraint violation is {gap:.3g} m and {tilt:.3g} rad; check the lengths, "
         "start from poses closer to the assembled ones, or fix fewer bodies",
         ("joints", j),
+    )
+
+
+def _not_kept(linkage, poses, entries):
+    """SceneError for coordinates that cannot be kept; poses: the nearest ones without them."""
+    off = {entry.joint: linkage.coupling_gap(entry, poses) for entry in entries}
+    j = max(off, key=lambda each: abs(off[each]))
+    given = {entry.joint: entry.offset for entry in entries}
+    nearest = ", ".join(f"{linkage.joints[i].name} {given[i] + off[i]:.12g}" for i in off)
+    return SceneError(
+        f'joints[{j}] "{linkage.joints[j].name}": no pose near the start satisfies all joints with the '
+        f"coordinate {given[j]:.12g}; give fewer coordinates, or the nearest ones: {nearest}",
+        ("joints", j, "coordinate"),
     )
 
 

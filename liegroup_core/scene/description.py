@@ -37,7 +37,7 @@ from liegroup_core.forces import kinds as force_kinds
 from liegroup_core.forces.kinds import *  # noqa: F403 (the classes of all forces)
 from liegroup_core.forces.kinds import FORCES
 from liegroup_core.joints import kinds as joint_kinds
-from liegroup_core.joints.coupling import Coupling
+from liegroup_core.joints.coupling import COUPLED, Coupling
 from liegroup_core.joints.kinds import *  # noqa: F403 (the classes of all joints)
 from liegroup_core.joints.kinds import JOINTS, TYPES
 from liegroup_core.sensors.kinds import SENSORS
@@ -258,6 +258,12 @@ class Scene(Described):
                     f"{', '.join(name for name, kind in TYPES.items() if kind.rate is not None)}",
                     place=("joints", i, "rate"),
                 )
+            if joint.coordinate is not None and joint.type not in COUPLED:
+                raise SceneError(
+                    f'joints[{i}] "{joint.name}": coordinate cannot be given for a {joint.type} joint; '
+                    f"use it with {', '.join(COUPLED)}",
+                    place=("joints", i, "coordinate"),
+                )
         kinds = {joint.name: joint.type for joint in self.joints}
         for key, i, link in links:
             if hasattr(link, "joint"):
@@ -273,7 +279,7 @@ class Scene(Described):
             taken = [*bodies, *(each.name for *_, each in named)]
             taken += [each.name for each in self.sensors[:i]]
             refuse_sensor(sensor, bodies, kinds, taken, i)
-        for key, name in (("bodies", "initial"), ("joints", "rate")):
+        for key, name in (("bodies", "initial"), ("joints", "rate"), ("joints", "coordinate")):
             for i, entry in enumerate(getattr(self, key)):
                 if not self.assemble and name in entry.model_fields_set:
                     raise SceneError(

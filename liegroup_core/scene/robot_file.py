@@ -108,7 +108,7 @@ class _Origins:
     """Places of a scene in the files that it comes from: _Origins(...)(place) is "file:line".
 
     file  : the robot's file
-    lines : {(list, index): line of the file, or path inside the additions}
+    lines : {(list, index) or (list, index, key): line of the file, or path inside the additions}
     added : function: path inside the additions -> "file:line"; None without a file of additions
     """
 
@@ -116,17 +116,22 @@ class _Origins:
         self._file, self._lines, self._added = file, lines, added
 
     def __call__(self, place):
-        line = self._lines.get(tuple(place[:2]), 0)
+        line = self._line(place)
         if isinstance(line, tuple):
             return self._added(line + tuple(place[2:])) if self._added else self._file
         return f"{self._file}:{line}" if line else self._file
 
+    def _line(self, place):
+        return self._lines.get(tuple(place[:3]), self._lines.get(tuple(place[:2]), 0))
+
     def located(self, error):
         """SceneError with file and line, and with the index of an entry in the additions."""
         place, text = error.place or (), str(error)
-        line = self._lines.get(tuple(place[:2]))
+        line = self._line(place)
         if isinstance(line, tuple):
-            own = "{}[{}]".format(*line) if self._added else "--close"
+            own = "{}[{}]".format(*line)
+            if self._added is None:
+                own = "--close" if line[0] == "joints" else f"--{line[0].replace('_', '-')}"
             text = text.replace("{}[{}]".format(*place[:2]), own, 1)
         return SceneError(f"{self(place)}: {text}", error.place)
 

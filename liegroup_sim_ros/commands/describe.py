@@ -150,7 +150,7 @@ def sections(facts):
         ),
         (
             "Formulation of Munthe-Kaas methods",
-            _formulation_rows(facts["formulation"], len(facts["bodies"])),
+            _formulation_rows(facts["formulation"], len(facts["bodies"]), facts["plane"]),
         ),
         ("Spanning tree", _tree_rows(facts["formulation"])),
         ("Solve on SE(3)^n", _solve_rows(facts)),
@@ -207,7 +207,7 @@ def _note(text):
     return (kind, rest, "") if separator and len(kind) < 24 else ("", text, "")
 
 
-def _formulation_rows(facts, bodies):
+def _formulation_rows(facts, bodies, plane):
     cut = [
         f"{entry['joint']} ({' '.join(entry['rows'])})" for entry in facts["cut"] if entry["rows"]
     ]
@@ -233,6 +233,14 @@ def _formulation_rows(facts, bodies):
             "and their rows that are solved for" if cut else "",
         ),
     ]
+    if plane is not None:
+        rows.append(
+            (
+                "planar",
+                f"across {plane}",
+                "in relative coordinates bodies are integrated in the plane",
+            )
+        )
     if dropped:
         rows.append(("redundant rows", ", ".join(dropped), "of the cut joints: eliminated"))
     if welded:

@@ -6,6 +6,7 @@ no loops and no joints of two or three freedoms: there, the links are floating, 
 poses from /tf. Imports no ROS.
 """
 
+import re
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -16,12 +17,13 @@ from liegroup_core.robots.resources import find_resource
 from liegroup_core.robots.xml import read_xml
 
 from .cdr import Template
-from .links import links_and_joints
+from .links import link_of_body, links_and_joints
 from .markers import CUBE, CYLINDER, SPHERE, solid
 
 TYPE = "std_msgs/msg/String"
 KINDS = {CUBE: "box", CYLINDER: "cylinder", SPHERE: "sphere"}
 COLOR = "0.35 0.55 0.8 1"
+_FILENAME = re.compile(r"""(\bfilename\s*=\s*["'])([^"'<>]*)(["'])""")
 FAR = 1e6  # m, m/s and N: a limit that is none
 
 
@@ -29,12 +31,12 @@ def robot_description(scene):
     """URDF text of a scene."""
     robot = scene.robot
     if robot is not None and robot.text:
-        return robot.text
+        return _with_addresses(robot.text, robot.file)
     links, joints = links_and_joints(scene)
-    if robot is None:
-        visuals, folder = {body.name: [_solid(body)] for body in scene.bodies}, ""
-    else:
-        visuals, folder = robot.visuals, robot.file
+    visuals, folder = ({}, "") if robot is None else (dict(robot.visuals), robot.file)
+    drawn = {body for link, (body, _) in links.items() if visuals.get(link)}
+    main = link_of_body(scene)
+    visuals |= {main[body.name]: [_solid(body)] for body in scene.bodies if body.name not in drawn}
     parts = [f"<robot name={quoteattr(scene.name)}>", '  <link name="world"/>']
     for name in links:
         parts.append(f"  <link name={quoteattr(name)}>")
@@ -59,6 +61,17 @@ def encoded(text):
     template = Template()
     template.string(text)
     return template.pack()
+
+
+def _with_addresses(text, file):
+    """URDF text with file:// addresses for meshes relative to its file, which viewers do not find."""
+
+    def address(found):
+        name = found[2]
+        path = None if "://" in name else find_resource(name, file)
+        return found[0] if path is None else f"{found[1]}{Path(path).as_uri()}{found[3]}"
+
+    return _FILENAME.sub(address, text)
 
 
 def _solid(body):

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from robot_texts import ARM_MJCF, ARM_SDF, ARM_URDF, MJCF_WITH_ALL_JOINTS, five_bar_urdf, mimic_urdf
 
-from liegroup_core import SceneError, load_scene
+from liegroup_core import SceneError, Simulation, load_scene
+from liegroup_core.joints.kinds import Joint
 from liegroup_core.layout import make_layout
 from liegroup_core.robots import apart
 from liegroup_core.robots.options import Options
-from liegroup_core.scene.load import scene_from_robot
+from liegroup_core.scene.load import scene_from_robot, scene_from_text
 
 WORDS = [
     "0",
@@ -140,6 +141,15 @@ def test_the_message_of_mujocos_compiler_is_passed_on(tmp_path):
     assert "invalid keyword: 'wheel'" in refusal(path)
 
 
+def test_a_mesh_of_mjcf_that_is_missing_has_its_line(tmp_path):
+    path = tmp_path / "mesh.xml"
+    path.write_text(
+        '<mujoco><asset>\n<mesh name="m" file="nope.stl"/></asset><worldbody><body><joint/>'
+        '<geom type="mesh" mesh="m"/></body></worldbody></mujoco>'
+    )
+    assert refusal(path).startswith(f"{path}:2: mjcf: ")
+
+
 XACRO = """<robot name="two" xmlns:xacro="http://www.ros.org/wiki/xacro">
 <xacro:property name="length" value="0.5"/>
 <xacro:macro name="rod" params="name"><link name="${name}"><inertial>
@@ -237,7 +247,7 @@ MEMORY = 150
 MEASURE = """
 import re, sys
 from pathlib import Path
-from liegroup_core import SceneError, load_scene
+from liegroup_core import SceneError, Simulation, load_scene
 # Not ru_maxrss: it begins with that of the process that started this one.
 peak = lambda: int(re.search(r"VmHWM:\\s+(\\d+) kB", Path("/proc/self/status").read_text())[1]) / 1024
 before = peak()
@@ -493,3 +503,70 @@ def test_included_models_that_are_missing_have_a_line(tmp_path):
         '<sdf version="1.9"><world name="w">\n<include><uri>model://nope</uri></include></world></sdf>'
     )
     assert refusal(path).startswith(f"{path}:2: ")
+
+
+LOOP = """robot: five_bar.urdf
+gravity: [0, -9.81, 0]
+start: {}
+joints:
+  - {{name: tip, type: revolute, parent: left_end, child: right_end, parent_frame: {{}}, child_frame: {{}}}}
+"""
+
+
+@pytest.mark.parametrize("start", [{"left_crank": 0.2}, {"left_crank": -0.1, "right_elbow": 0.05}])
+def test_a_loop_keeps_the_start_values_that_are_given(start, tmp_path):
+    """The five-bar has two freedoms: up to two coordinates can be chosen."""
+    (tmp_path / "five_bar.urdf").write_text(five_bar_urdf())
+    path = tmp_path / "loop.yaml"
+    path.write_text(LOOP.format(str(start).replace("'", "")))
+    found = Simulation(load_scene(path), "rkmk4", 1e-3).sample()
+    for name, value in start.items():
+        assert found.joint_coordinates[name][0] == pytest.approx(value, abs=1e-13)
+    tips = [found.poses[f"{side}_bar"] @ (1.2, 0, 0, 1) for side in ("left", "right")]
+    assert np.allclose(*tips, atol=1e-12)
+
+
+def test_start_values_that_a_loop_cannot_keep_are_refused_with_the_nearest(tmp_path):
+    (tmp_path / "five_bar.urdf").write_text(five_bar_urdf())
+    path = tmp_path / "loop.yaml"
+    names = ("left_crank", "left_elbow", "right_crank")
+    start = dict.fromkeys(names, 0.1)
+    path.write_text(LOOP.format(str(start).replace("'", "")))
+    text = refusal(path)
+    assert text.startswith(f"{path}:3: start[") and "give fewer coordinates, or the nearest" in text
+    # The values of the line are kept.
+    nearest = dict(re.findall(r"(\w+) (-?[\d.]+)[,)]?", text.rpartition("nearest ones: ")[2]))
+    assert set(nearest) == set(names)
+    path.write_text(
+        LOOP.format(str({name: float(nearest[name]) for name in names}).replace("'", ""))
+    )
+    load_scene(path)
+    with pytest.raises(SceneError, match=r"five_bar.urdf: --start \"left_"):
+        scene_from_robot(
+            tmp_path / "five_bar.urdf",
+            Options(
+                start=start,
+                joints=[
+                    Joint(
+                        name="tip",
+                        type="revolute",
+                        parent="left_end",
+                        child="right_end",
+                        parent_frame={},
+                        child_frame={},
+                    )
+                ],
+            ),
+        )
+
+
+def test_a_coordinate_is_of_joints_that_have_one(tmp_path):
+    with pytest.raises(
+        SceneError, match=r'joints\[0\] "j": coordinate cannot be given for a spher'
+    ):
+        scene_from_text(
+            "name: s\ngravity: [0, 0, 0]\nassemble: true\n"
+            "bodies: [{name: a, mass: 1, inertia: [1, 1, 1]}]\n"
+            "joints: [{name: j, type: spherical, parent: world, child: a, child_frame: {},"
+            " coordinate: 1}]\n"
+        )

@@ -279,6 +279,13 @@ def test_events_are_encoded_like_ros_strings(name, text):
     assert len(serialize_message(message)) == len(data)
 
 
+def test_describe_says_that_a_mechanism_is_planar(capsys):
+    for scene, expected in (("four_bar", True), ("bricard", False)):
+        assert main(["describe", scene]) == 0
+        lines = capsys.readouterr().out.splitlines()
+        assert any(line.split()[:2] == ["planar", "across"] for line in lines) is expected
+
+
 def test_describe_prints_a_summary(capsys):
     assert main(["describe", "heavy_top"]) == 0
     out = capsys.readouterr().out

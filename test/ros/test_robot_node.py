@@ -317,3 +317,36 @@ def test_roll_pitch_yaw_give_the_rotation_again(angles):
     R = Rotation.from_euler("xyz", angles).as_matrix()
     again = Rotation.from_euler("xyz", rpy_of_rotation(R)).as_matrix()
     assert np.abs(again - R).max() < 1e-9
+
+
+def test_relative_meshes_of_a_urdf_have_addresses(tmp_path):
+    """Viewers know no folder that a name could be relative to; everything else stays as it is."""
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "a.stl").write_text("solid a\nendsolid a\n")
+    mesh = '<visual><geometry><mesh filename="{}"/></geometry></visual></link>'
+    text = ARM_URDF
+    for name in ("parts/a.stl", "missing.stl", "package://nowhere/b.stl"):
+        at = text.rindex("</link>") if "a.stl" not in text else text.index("</link>")
+        text = text[:at] + mesh.format(name) + text[at + len("</link>") :]
+    path = tmp_path / "arm.urdf"
+    path.write_text(text)
+    address = (tmp_path / "parts" / "a.stl").as_uri()
+    assert robot_description(load_scene(path)) == text.replace("parts/a.stl", address)
+
+
+def test_bodies_without_visuals_are_boxes_in_the_generated_urdf(tmp_path):
+    path = tmp_path / "arm.sdf"
+    path.write_text(ARM_SDF.replace("</link>", VISUAL + "</link>", 1))
+    scene = load_scene(path)
+    written = tmp_path / "generated.urdf"
+    written.write_text(robot_description(scene))
+    links = read_robot(written).links
+    drawn = {
+        body.name: sum(
+            len(links[link].visuals)
+            for link, (owner, _) in scene.robot.frames.items()
+            if owner == body.name
+        )
+        for body in scene.bodies
+    }
+    assert min(drawn.values()) >= 1 and len(drawn) == 2

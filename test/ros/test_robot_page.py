@@ -103,6 +103,7 @@ def test_import_writes_what_load_scene_takes(folder, capsys):
     [
         (["--out", "arm.urdf"], "arm.urdf exists"),
         (["--start", "elbow"], "--start elbow: give JOINT=VALUE"),
+        (["--start", "elbow=1", "elbow=2"], "--start gives elbow twice"),
         (["--start", "elbov=1"], 'did you mean "elbow"'),
         (["--start-velocity", "elbow=1", "--lock", "elbow=0"], '"elbow" does not move'),
         (["--lock", "flange=1"], "is fixed: only joints with one coordinate"),
@@ -116,6 +117,14 @@ def test_wrong_arguments_have_one_line(arguments, expected, folder, capsys):
     assert main(["import", "arm.urdf", *arguments]) == 2
     errors = capsys.readouterr().err
     assert errors.count("\n") == 1 and expected in errors, errors
+
+
+@pytest.mark.parametrize("path", ["", "."])
+def test_a_folder_is_no_robot(path, folder, capsys):
+    for arguments in ([], ["--base", "fixed"]):
+        assert main(["import", path, *arguments]) == 2
+        errors = capsys.readouterr().err
+        assert errors.count("\n") == 1 and "is not a file" in errors, errors
 
 
 @pytest.mark.parametrize("command", ["describe", "run", "trade", "sweep", "import"])
