@@ -78,6 +78,8 @@ def run(args):
     """Run the subcommand; returns the exit code. Raises SceneError."""
     if args.out is not None and Path(args.out).exists():
         raise RobotError(f"{args.out} exists: choose another name for --out")
+    if args.out is not None and Path(args.out).suffix not in (".yaml", ".yml"):
+        raise RobotError(f"--out {args.out}: a scene file ends in .yaml")
     options = Options(
         base=args.base,
         pose=args.pose,

@@ -92,9 +92,7 @@ class SceneRun:
             origin,
             values.trajectory_period,
         )
-        self.wrenches = WrenchTopics(
-            node, layout.body_names, values, simulation.step, self.server, qos
-        )
+        self.wrenches = WrenchTopics(node, layout, values, simulation.step, self.server, qos)
         try:
             self.commands = JointCommandTopics(node, layout, values, self.server, qos)
         except ParameterError:

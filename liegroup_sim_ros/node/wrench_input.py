@@ -51,10 +51,13 @@ class WrenchInput(CountedInput):
     bodies       : names of the bodies
     world_frame  : frame id of the world
     frame_prefix : prefix of the frame ids of the bodies
+    links        : {body: other name of its frame}, those of a robot's file
     """
 
-    def __init__(self, bodies, world_frame, frame_prefix=""):
-        self._bodies = dict.fromkeys(bodies)
+    def __init__(self, bodies, world_frame, frame_prefix="", links=None):
+        self._bodies = {name: name for name in bodies}
+        self._named = {link: body for body, link in (links or {}).items() if body in self._bodies}
+        self._named |= self._bodies
         super().__init__("wrench", "wrenches", REASONS)
         self._world_frame, self._prefix = world_frame, frame_prefix
 
@@ -126,8 +129,8 @@ class WrenchInput(CountedInput):
         """(body, name of the publisher) in a frame id; (None, "") if it names no body."""
         if frame_id.startswith(self._prefix):
             body, _, name = frame_id[len(self._prefix) :].partition("/")
-            if body in self._bodies:
-                return body, name
+            if body in self._named:
+                return self._named[body], name
         return None, ""
 
     def _frames(self, body):

@@ -5,6 +5,8 @@ from geometry_msgs.msg import WrenchStamped
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 
+from liegroup_sim_ros.messages.links import link_of_body
+
 from .counted_input import Refusal
 from .wrench_input import WrenchInput, source_prefix
 
@@ -17,16 +19,18 @@ class WrenchTopics:
     """All wrench topics of a scene.
 
     node   : rclpy Node
-    bodies : names of the bodies
+    layout : Layout of the scene
     values : parameters; wrench_hold and wrench_timeout are read for every message
     step   : s, of the simulation
     server : SimulationServer
     qos    : QosOverrides
     """
 
-    def __init__(self, node, bodies, values, step, server, qos):
+    def __init__(self, node, layout, values, step, server, qos):
+        bodies = layout.body_names
         self._node, self._values, self._step, self._server = node, values, step, server
-        self.input = WrenchInput(bodies, values.world_frame, values.frame_prefix)
+        links = link_of_body(layout.scene)
+        self.input = WrenchInput(bodies, values.world_frame, values.frame_prefix, links)
         self._qos, self._subscriptions = qos, []
         self._subscribe("~/wrench", "wrench")
         self._subscribe("~/wrench/persistent", "persistent")

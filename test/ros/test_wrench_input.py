@@ -117,3 +117,12 @@ def test_a_message_serialized_by_ros_is_decoded(values, stamp_ns, frame):
     stamp, frame_id, wrench = WrenchStampedCodec.decode_one(serialize_message(message))
     assert (stamp, frame_id) == (stamp_ns, frame)
     assert struct.pack("6d", *wrench) == struct.pack("6d", *values)
+
+
+def test_a_body_is_also_named_by_the_link_of_its_robots_file():
+    reader = WrenchInput(
+        ["crank_left"], "world", "a/", {"crank_left": "crank-left", "world": "world"}
+    )
+    assert reader.body_and_name("a/crank-left/me") == ("crank_left", "me")
+    assert reader.body_and_name("a/crank_left") == ("crank_left", "")
+    assert reader.body_and_name("a/world") == (None, "")
