@@ -13,7 +13,8 @@ from rclpy.parameter import parameter_value_to_python
 
 from liegroup_core.lie.groups import SO3
 
-from .wrench_input import MOST, Push
+from .counted_input import MOST
+from .wrench_input import Push
 
 NOT_UNIT = 1e-3  # largest difference of a quaternion's norm from 1
 SOURCE = "service"
@@ -89,7 +90,7 @@ def apply_wrench(node, values):
     if server.wrenches_held >= MOST:
         raise Wrong(f"{MOST} wrenches act or wait already")
     wrench = (*(torque + np.cross(point, force)).tolist(), *force.tolist())
-    server.push(Push(f"{SOURCE}/{body}/{name}", body, wrench, axes, 0), float(duration))
+    server.push([Push(f"{SOURCE}/{body}/{name}", body, wrench, axes, 0)], float(duration))
     return (
         True,
         f"wrench on {body} for {duration:g} s, from the next step after {server.stamp_ns * 1e-9:.9g} s",

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Centres of mass away from the body frames: the same mechanism in other frames."""
 
+from collections.abc import Mapping
+
 import mechanisms
 import numpy as np
 import pytest
@@ -36,7 +38,7 @@ def public(sample):
 
 
 def close(mine, theirs, atol):
-    if isinstance(mine, dict):
+    if isinstance(mine, Mapping):
         assert mine.keys() == theirs.keys()
         for key in mine:
             close(mine[key], theirs[key], atol)
