@@ -156,7 +156,7 @@ def _coordinate(force, joint_frames, bodies, read):
         )
         return np.sqrt((child - parent) @ (child - parent))
     return _joint_coordinate(
-        joint_frames, force.type not in ("linear_motor", "linear_spring_damper")
+        joint_frames, force.type not in ("linear_motor", "linear_spring_damper", "linear_servo")
     )
 
 
@@ -167,6 +167,11 @@ def _law(force, q, read):
         full = read.number(force.torque if about else force.force)
         limit = force.rate_limit if about else force.speed_limit
         return full if limit is None else full - abs(full) * q.rate / read.number(limit)
+    if force.type in ("servo", "linear_servo"):
+        limit = read.number(force.effort_limit)
+        wanted = read.number(force.position) - q.value, read.number(force.velocity) - q.rate
+        effort = read.number(force.stiffness) * wanted[0] + read.number(force.damping) * wanted[1]
+        return max(-limit, min(limit, effort))
     rest = {
         "spring_damper": "rest_length",
         "torsional_spring_damper": "rest_angle",

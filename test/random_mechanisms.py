@@ -23,8 +23,10 @@ from liegroup_core.scene.description import (
     ConstantWrench,
     Drag,
     LinearMotor,
+    LinearServo,
     LinearSpringDamper,
     Motor,
+    Servo,
     TorsionalSpringDamper,
 )
 
@@ -192,6 +194,25 @@ def forced(rng, scene):
             )
             add(LinearMotor, 0.2, joint=joint.name, force=-some[3])
             add(LinearMotor, 0.2, joint=joint.name, force=some[3], speed_limit=some[4])
+    # Numbers of their own, so that those of the other forces are what they were without servos.
+    own = np.random.default_rng([len(scene.joints), len(scene.bodies), len(forces)])
+    for joint in scene.joints:
+        some = own.uniform(0.1, 3.0, size=6)
+        moves = TYPES[joint.type].turns, TYPES[joint.type].slides
+        for kind, allowed in zip((Servo, LinearServo), moves):
+            if allowed and some[0] < 0.6:
+                forces.append(
+                    kind(
+                        name=f"f{len(forces)}",
+                        joint=joint.name,
+                        stiffness=3 * some[1],
+                        damping=some[2],
+                        position=some[3] - 1.5,
+                        velocity=some[4] - 1.5,
+                        effort_limit=some[5],
+                    )
+                )
+                break
     for body in scene.bodies:
         some = rng.uniform(0.0, 0.5, size=4)
         add(

@@ -62,6 +62,8 @@ def stiffened(scene, factor):
     poses = dict(zip(sample.body_names, sample.pose_matrices)) | {"world": np.eye(4)}
     forces = []
     for force in scene.forces:
+        if hasattr(force, "effort_limit"):
+            continue  # a servo with that stiffness would be at its limit, which is not smooth
         if not hasattr(force, "stiffness"):
             forces.append(force)
             continue
