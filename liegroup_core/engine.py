@@ -557,9 +557,9 @@ class Engine:
     def _applied_at(self, time, body, axes):
         """AppliedWrench or AppliedTarget of a total at a time."""
         total = self._schedule.total[axes][body].tolist()
+        name = self.layout.names_of_inputs[axes][body]
         if axes == SERVO:
-            return AppliedTarget(time, round(time * 1e9), list(self.layout.servos)[body], *total)
-        name = self.layout.body_names[body]
+            return AppliedTarget(time, round(time * 1e9), name, *total)
         return AppliedWrench(time, round(time * 1e9), name, tuple(total), axes)
 
     def _times_inside(self):

@@ -52,7 +52,7 @@ class Linkage:
     parts  : tuple of joints.elements.Element of every joint of the scene
     joints : indices of the selected joints
     held   : names of bodies that do not move
-    couplings : of consistency.ResolvedCoupling; if any are given, all joints are selected
+    couplings : of consistency.ResolvedCoupling, whose joints are counted among the selected ones
     Linkages with equal numbers are equal and hash alike, so that results can be cached.
     """
 

@@ -100,6 +100,29 @@ def loop_groups(ends):
     return sorted(group for group in groups.values() if len(group) > 1)
 
 
+def dependent_groups(scene, couplings):
+    """[(joints of loops, numbers of couplings)]: what can depend on each other.
+
+    couplings : of consistency.ResolvedCoupling, or with their `joint` and `other`
+    """
+    found = [
+        (set(loops), loops, [])
+        for loops in loop_groups([(j.parent, j.child) for j in scene.joints])
+    ]
+    for c, coupling in enumerate(couplings):
+        own = {coupling.joint, coupling.other}
+        touching = [part for part in found if part[0] & own]
+        found = [part for part in found if not part[0] & own]
+        found.append(
+            (
+                own.union(*(part[0] for part in touching)),
+                sorted(j for part in touching for j in part[1]),
+                [n for part in touching for n in part[2]] + [c],
+            )
+        )
+    return [part[1:] for part in found]
+
+
 def kept_rows(scene, frames, parts):
     """Mask (k,) of the rows to keep, of every joint.
 

@@ -25,7 +25,7 @@ from liegroup_core.joints.kinds import forbidden_rows
 from liegroup_core.joints.linkage import RANK_TOLERANCE, Linkage
 from liegroup_core.model.arrays import make_work
 from liegroup_core.model.build import initial_state
-from liegroup_core.model.redundancy import generic_poses, loop_groups
+from liegroup_core.model.redundancy import dependent_groups, generic_poses
 from liegroup_core.scene.consistency import resolve_couplings, resolve_elements, resolve_frames
 
 COMPONENTS = ("torque x", "torque y", "torque z", "force x", "force y", "force z")
@@ -60,16 +60,18 @@ class Reactions:
         self._work = make_relative_work(model, make_work(layout.model, 0), 0)
         self._scene = scene = layout.centred
         couplings = resolve_couplings(scene)
-        ends = [(joint.parent, joint.child) for joint in scene.joints]
-        # A coupling connects joints of several loops: with one, all joints are analysed together.
-        groups = [list(range(len(ends)))] if couplings else loop_groups(ends)
-        if not couplings:  # the order of model/redundancy.py: the same linkage is analysed once
-            for group in groups:
-                group.sort(key=lambda j: ends[j][0] != WORLD_NAME)
         frames, parts = resolve_frames(scene), resolve_elements(scene)
-        self._groups = [
-            (group, Linkage(scene, frames, parts, group, couplings=couplings)) for group in groups
-        ]
+        self._groups = []
+        for loops, numbers in dependent_groups(scene, couplings):
+            entries = [couplings[n] for n in numbers]
+            joints = {*loops, *(j for entry in entries for j in (entry.joint, entry.other))}
+            # The order of model/redundancy.py: the same linkage is analysed once.
+            group = sorted(joints, key=lambda j: (scene.joints[j].parent != WORLD_NAME, j))
+            own = [
+                entry._replace(joint=group.index(entry.joint), other=group.index(entry.other))
+                for entry in entries
+            ]
+            self._groups.append((group, Linkage(scene, frames, parts, group, couplings=own)))
 
     def warm_up(self):
         """Compile the kernels and analyse the linkage, at the start of the scene."""

@@ -24,7 +24,7 @@ class Branches:
     """Instants of a Recording from which a simulation can go on.
 
     other : settings that replace recorded ones, see rerun.make_simulation
-    simulation : the one that all branches use; each begins anew
+    simulation : the one that all branches use; each sets its state
     Raises RecordingError, SceneError, ReplayError
     """
 

@@ -103,7 +103,7 @@ def test_a_restored_snapshot_continues_bit_for_bit_and_is_recorded(
             assert answer.startswith("snapshot 'first' at ")
             start = now_ns(answer)
             assert start == last + (1_000_000 if case == "method" else STEP_NS)
-            # What acts is told again.
+            # What acts is published again.
             client.until(lambda: stamp_ns(applied[-1].header.stamp) == start)
             told = {values(m)[:2] for m in applied if stamp_ns(m.header.stamp) == start}
             assert ("puck", (0.0, 0.0, 0.0, 0.3, 0.0, 0.0)) in told

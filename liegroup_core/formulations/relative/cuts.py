@@ -10,7 +10,7 @@ from liegroup_core.joints.elements import ELEMENT, PAIR, WORLD, Element
 from liegroup_core.joints.linkage import RANK_TOLERANCE, Linkage
 from liegroup_core.lie.groups import SE3
 from liegroup_core.model.arrays import JOINT
-from liegroup_core.model.redundancy import generic_poses, independent_rows, loop_groups
+from liegroup_core.model.redundancy import dependent_groups, generic_poses, independent_rows
 from liegroup_core.scene.consistency import resolve_couplings
 
 from .arrays import COUPLED, FREEDOMS, SLIDE
@@ -59,7 +59,7 @@ def cut_rows(scene, frames, parts, tree, links, places, coupled):
         return cut, []
     keep = [np.ones(len(part.names), dtype=bool) for _, _, part in cut]
     # A distance joint is cut also where it closes no loop: then its row is independent.
-    for loops, entries in _components(scene, coupled):
+    for loops, entries in dependent_groups(scene, [coupling for coupling, _ in coupled]):
         closing = [k for k, (j, _, _) in enumerate(cut[:joints]) if j in loops]
         length, matrices = 1.0, [np.zeros((0, _first_freedoms(links)[-1]))]
         if closing:
@@ -122,26 +122,6 @@ def _tree_jacobians(scene, frames, parts, loops, joints, links, places):
         matrix[np.linalg.norm(matrix, axis=1) < RANK_TOLERANCE] = 0.0
         matrices.append(matrix)
     return length, matrices
-
-
-def _components(scene, coupled):
-    """[(joints of loops, numbers of couplings)]: what can depend on each other."""
-    found = [
-        (set(loops), loops, [])
-        for loops in loop_groups([(j.parent, j.child) for j in scene.joints])
-    ]
-    for c, (coupling, _) in enumerate(coupled):
-        own = {coupling.joint, coupling.other}
-        touching = [part for part in found if part[0] & own]
-        found = [part for part in found if not part[0] & own]
-        found.append(
-            (
-                own.union(*(part[0] for part in touching)),
-                sorted(j for part in touching for j in part[1]),
-                [n for part in touching for n in part[2]] + [c],
-            )
-        )
-    return [part[1:] for part in found]
 
 
 def _first_freedoms(links):
