@@ -15,7 +15,9 @@ from liegroup_core.forces.external import no_wrenches, set_wrench
 from liegroup_core.forces.kinds import wanted_values
 from liegroup_core.forces.schedule import (
     AXES,
+    DRIVE,
     SERVO,
+    AppliedMotion,
     AppliedTarget,
     AppliedWrench,
     Instant,
@@ -24,6 +26,7 @@ from liegroup_core.forces.schedule import (
 from liegroup_core.forces.timetable import Timetable
 from liegroup_core.integrators.methods import METHODS, is_positive
 from liegroup_core.integrators.smaller_step import step_that_works
+from liegroup_core.joints.motion import COLUMNS, at, row_at, through
 from liegroup_core.model.build import initial_state
 from liegroup_core.observables.sample import Sample
 from liegroup_core.scene.description import Scene
@@ -141,7 +144,8 @@ class Engine:
         self._integrator = make_integrator(method, self.layout, self.group, self.step, self.options)
         self._work = self._integrator.work
         self._body = {name: i for i, name in enumerate(self.layout.body_names)}
-        self._timetable = Timetable(self.layout.model.forces.applied_wrench, self.step)
+        rows, motions = self.layout.model.forces.applied_wrench, self.layout.motions.values()
+        self._timetable = Timetable(rows, self.step, motions)
         self._warned = self._warned_singular = quiet
         self._start = initial_state(self.layout.centred)
         warm_up(self._touch, self._integrator.kernels)
@@ -207,7 +211,7 @@ class Engine:
         self._work.angle[:] = self.layout.angles(pose, angles)
         self._pose, self._twist, self.steps = pose, twist, int(steps)
         wanted = wanted_values(self.layout.model.forces)
-        self._schedule = WrenchSchedule(n, self.step, wanted)
+        self._schedule = WrenchSchedule(n, self.step, wanted, len(self.layout.motions))
         self._work.wanted[:] = wanted
         self._external = no_wrenches(self.layout.offsets)
         self._applied = []
@@ -270,16 +274,18 @@ class Engine:
         return self.layout.offsets.to_bodies(self._pose, self._twist)
 
     def acting(self):
-        """[AppliedWrench or AppliedTarget] of what acts from now on."""
+        """[AppliedWrench, AppliedTarget or AppliedMotion] of what acts from now on."""
         return [self._applied_at(self.time, *key) for key in self._acting_numbers()]
 
     def _acting_numbers(self):
-        """[(number, axes)] of the nonzero total wrenches, and of all servos."""
+        """[(number, axes)] of the nonzero total wrenches, all servos, and commanded motions."""
         acting = {
             (int(i), axes)
             for axes in AXES
             for i in np.flatnonzero(self._schedule.total[axes].any(axis=1))
         }
+        commanded = np.isfinite(self._schedule.total[DRIVE][:, 0])
+        acting |= {(int(i), DRIVE) for i in np.flatnonzero(commanded)}
         return sorted(acting | {(i, SERVO) for i in self.layout.servos.values()})
 
     def memory(self) -> bytes:
@@ -331,7 +337,7 @@ class Engine:
             self._schedule.act(number, wrench, axes)
             if axes == SERVO:
                 self._work.wanted[number] = wrench
-            else:
+            elif axes in AXES:
                 set_wrench(self._external, number, wrench, axes)
 
     @property
@@ -450,6 +456,69 @@ class Engine:
         begin, end = self._interval(start, duration)
         self._schedule.command_servo(number, float(position), float(velocity), begin, end)
 
+    def command_motion(
+        self,
+        joint: str,
+        times: ArrayLike,
+        positions: ArrayLike,
+        velocities: ArrayLike | None = None,
+        accelerations: ArrayLike | None = None,
+        start: float | None = None,
+    ) -> None:
+        """Command the motion of a driven joint through points, and on at the last velocity.
+
+        joint     : name of a driven joint
+        times     : (m,) s after the start, positive and increasing
+        positions : (m,) rad, which may exceed 2 pi, or m
+        velocities, accelerations : (m,), the last acceleration 0; default: see joints/motion.py
+        start     : as in `apply_wrench`
+        The motion begins with the position, velocity and acceleration that the joint has at the start,
+        and is twice continuously differentiable. It replaces what was commanded from there on.
+        Raises ValueError for a joint that is not driven, wrong shapes or times, or NaN.
+        """
+        number = self._drive(joint)
+        begin, _ = self._interval(start, None)
+        after = np.array(times, dtype=float)
+        points = [positions, velocities, accelerations]
+        points = [part if part is None else np.array(part, dtype=float) for part in points]
+        for name, part in zip(("times", "positions", "velocities", "accelerations"), (after, *points)):
+            if part is not None and (part.shape != (len(after),) or not np.isfinite(part).all()):
+                raise ValueError(f"{name} must be {len(after)} finite numbers, got {part}")
+        if not (len(after) and after[0] > 0.0 and (np.diff(after) > 0.0).all()):
+            raise ValueError(f"times must be positive and increase, got {after}")
+        if points[2] is not None and (points[1] is None or points[2][-1] != 0.0):
+            raise ValueError("accelerations require velocities, and the last one must be 0")
+        # A motion meets the next one at a whole ns, where the step is split.
+        instants = [begin, *(self._schedule.instant(begin.time + time) for time in after)]
+        if not all(before < later for before, later in zip(instants, instants[1:])):
+            raise ValueError("times must be at least 1 ns apart")
+        origins = [instant.time for instant in instants]
+        motion = self._schedule.motion_at(number, begin)
+        if not np.isfinite(motion[0]):
+            motion = row_at(self.layout.motions[joint], begin.time)
+        rows = through(at(motion, begin.time), origins, *points)
+        for instant, row in zip(instants, rows):
+            self._schedule.command_motion(number, row, instant)
+
+    def prescribe(self, joint: str, motion: ArrayLike, start: float | None = None) -> None:
+        """Command a motion (7,) of a driven joint as it is: see AppliedMotion.
+
+        Raises ValueError for a joint that is not driven, or what is no motion.
+        """
+        row = np.array(motion, dtype=float)
+        if row.shape != (COLUMNS,) or not np.isfinite(row).all():
+            raise ValueError(f"a motion must be {COLUMNS} finite numbers, got {motion!r}")
+        begin, _ = self._interval(start, None)
+        self._schedule.command_motion(self._drive(joint), row, begin)
+
+    def _drive(self, joint):
+        """Number of a driven joint. Raises ValueError for another one."""
+        names = tuple(self.layout.motions)
+        if joint not in names:
+            known = ", ".join(names) or "the scene has none"
+            raise ValueError(f"joint {joint!r} is not driven; choose one of: {known}")
+        return names.index(joint)
+
     def _interval(self, start, duration):
         """Instants at which a command starts and ends (None: never). Raises ValueError."""
         for name, value in (("start", start), ("duration", duration)):
@@ -480,8 +549,8 @@ class Engine:
         """End all wrenches and efforts of a source, also those that start later."""
         self._schedule.clear(source)
 
-    def drain_applied(self) -> list[AppliedWrench | AppliedTarget]:
-        """Return the changes of the total wrenches on each body, and of servos, since the last call.
+    def drain_applied(self) -> list[AppliedWrench | AppliedTarget | AppliedMotion]:
+        """Return the changes of total wrenches, of servos and of motions since the last call.
 
         There is one total in body axes and one in world axes. If `change.repeat(simulation)`
         applies the changes again, the run is bit-identical (test/core/test_wrenches.py).
@@ -550,16 +619,18 @@ class Engine:
             total = self._schedule.total[axes][body]
             if axes == SERVO:
                 self._work.wanted[body] = total
-            else:
+            elif axes in AXES:
                 set_wrench(self._external, body, total, axes)
             self._applied.append(self._applied_at(time, body, axes))
 
     def _applied_at(self, time, body, axes):
-        """AppliedWrench or AppliedTarget of a total at a time."""
+        """AppliedWrench, AppliedTarget or AppliedMotion of a total at a time."""
         total = self._schedule.total[axes][body].tolist()
         name = self.layout.names_of_inputs[axes][body]
         if axes == SERVO:
             return AppliedTarget(time, round(time * 1e9), name, *total)
+        if axes == DRIVE:
+            return AppliedMotion(time, round(time * 1e9), name, tuple(total))
         return AppliedWrench(time, round(time * 1e9), name, tuple(total), axes)
 
     def _times_inside(self):
@@ -601,8 +672,14 @@ class Engine:
 
         returns (steps done, status)
         """
-        if len(self._work.acting):
-            self._work.acting[:] = self._timetable.acting(start, h)
+        work = self._work
+        if len(work.acting):
+            work.acting[:] = self._timetable.acting(start, h)
+        if len(work.motions):
+            # The middle is away from all changes: round-off has no influence.
+            work.motions[:] = self.layout.motions_at(start + 0.5 * h, self._schedule.total[DRIVE])
+            whole = h == self.step and start == self.time
+            work.clock[:] = self.steps if whole else 0.0, 0.0 if whole else start, start
         return self._integrator.advance(h, steps, self._pose, self._twist, self._external)
 
     def _joint_name(self, element):
@@ -620,6 +697,7 @@ class Engine:
             body = self.layout.body_names[status >> 8]
         # If a wrench of the scene changes within the step, no smaller step can be suggested.
         if status & 0xFF in (NO_RATTLE_STEP, NOT_CONVERGED) and not self._times_inside():
+            self._work.clock[:] = 0.0, self.time, self.time
             works = step_that_works(self._integrator, self.step, *self.state(), self._external)
             hint = f": {works:g} s works from here" if works else ""
         if status & 0xFF == ROTATION_TOO_LARGE and self.stabilisation != "projection":
@@ -646,6 +724,8 @@ class Engine:
             sample.joint_efforts = self._schedule.efforts
         if len(self._work.wanted):
             sample.wanted = self._work.wanted.copy()
+        if len(self._work.motions):
+            sample.motions = self.layout.motions_at(self.time, self._schedule.total[DRIVE])
         return sample
 
     def energy(self) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 from .errors import SceneError
 from .forces import kinds
 from .forces.joint_effort import unit_wrenches
-from .forces.schedule import AXES, SERVO
+from .forces.schedule import AXES, DRIVE, SERVO
 from .formulations.relative.arrays import PlaneModel
 from .formulations.relative.build import (
     refuse_cut_couplings,
@@ -18,6 +18,7 @@ from .formulations.relative.build import (
 )
 from .formulations.relative.spanning_tree import WORLD_NAME
 from .integrators.methods import RELATIVE
+from .joints.motion import COLUMNS, row_at
 from .joints.pairs import LOWER_PAIRS
 from .lie.groups import UNKNOWN_TURN
 from .model.arrays import Model
@@ -27,6 +28,7 @@ from .observables.reactions import Reactions
 from .observables.sample import Sample
 from .scene.assembly import ready
 from .scene.centres import Offsets
+from .scene.consistency import resolve_drives
 from .scene.description import Scene
 from .scene.massless import lack_of_inertia
 
@@ -69,11 +71,11 @@ class Layout:
     def drifts(self, group):
         """Whether joints drift with a Munthe-Kaas method on a group.
 
-        Cut joints do in relative coordinates, but no couplings, on SE(3)^n all but one lower pair per body to
-        ground, on (SO(3) x R^3)^n all.
+        Cut and driven joints do in relative coordinates, but no couplings, on SE(3)^n all but one lower
+        pair per body to ground, on (SO(3) x R^3)^n all.
         """
         if group == RELATIVE:
-            return len(self.relative.joints) > len(self.relative.couplings)
+            return len(self.relative.joints) > (self.relative.couplings["motion"] < 0).sum()
         joints = self.scene.joints
         held = [body for joint in joints for body in (joint.parent, joint.child)]
         return group == "so3xr3" or any(
@@ -91,7 +93,15 @@ class Layout:
     @property
     def needs_relative(self):
         """Text why only relative coordinates can hold the scene, or ""."""
-        return self.lack_of_inertia or ("it has couplings" if self.scene.couplings else "")
+        if self.lack_of_inertia or self.scene.couplings:
+            return self.lack_of_inertia or "it has couplings"
+        return "it has driven joints" if self.motions else ""
+
+    @cached_property
+    def motions(self):
+        """{joint: (m, 7) its prescribed motions} of the driven joints of the scene, in its order."""
+        drives = resolve_drives(self.centred)
+        return {self.centred.joints[j].name: rows for j, rows in drives.items()}
 
     def with_model(self, model):
         """The layout with other options of its model; what does not depend on them is kept."""
@@ -150,8 +160,21 @@ class Layout:
 
     @cached_property
     def names_of_inputs(self):
-        """{axes: names}: of bodies for wrenches in "body" and "world" axes, of joints for "servo"."""
-        return dict.fromkeys(AXES, self.body_names) | {SERVO: tuple(self.servos)}
+        """{axes: names}: of bodies for wrenches in "body" and "world" axes, of joints for the others."""
+        joints = {SERVO: tuple(self.servos), DRIVE: tuple(self.motions)}
+        return dict.fromkeys(AXES, self.body_names) | joints
+
+    def motions_at(self, time, commanded=None):
+        """(d, 7) motion of each driven joint that holds from a time on; see joints/motion.py.
+
+        commanded : (d, 7) commanded ones, or FROM_SCENE
+        """
+        rows = [row_at(rows, time) for rows in self.motions.values()]
+        found = np.array(rows).reshape(-1, COLUMNS)
+        if commanded is not None:
+            given = np.isfinite(commanded[:, 0])
+            found[given] = commanded[given]
+        return found
 
     def sample(self, pose, twist, time=0.0, time_ns=0, steps=0, near=None):
         """Create a Sample from pose (n, 12) and twist (n, 6) of the body frames, as in a recording.
@@ -183,7 +206,7 @@ def make_layout(scene):
         try:
             described, centred = ready(scene)
             layout = Layout(described, centred, Offsets(described), *build_model(centred))
-            if layout.scene.couplings:
+            if layout.scene.couplings or layout.motions:
                 refuse_cut_couplings(centred)
             if layout.lack_of_inertia:
                 refuse_freedoms_without_inertia(centred)

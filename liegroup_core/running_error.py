@@ -32,7 +32,7 @@ import numpy as np
 from .compiling import kernel
 from .engine import BAUMGARTE_STEPS, Engine
 from .errors import SimulationError
-from .forces.schedule import SERVO
+from .forces.schedule import DRIVE, SERVO
 from .integrators.methods import METHODS
 from .lie.vec3 import load3, load9, sub3, tmatmul3
 from .model.size import mechanism_size
@@ -152,7 +152,7 @@ class RunningError:
         return self._start + (done // period + 1) * period
 
     def changed(self, changes):
-        """Tell the companion of changes of wrenches and servos: [AppliedWrench or AppliedTarget]."""
+        """Tell the companion of changes of inputs: [AppliedWrench, AppliedTarget or AppliedMotion]."""
         if self._start is not None and self._alive:
             for change in changes:
                 change.repeat(self._companion)
@@ -242,6 +242,8 @@ class RunningError:
         for time, name, axes, *wrench in pending["later"]:
             if axes == SERVO:
                 self._companion.command_servo(name, *wrench, time)
+            elif axes == DRIVE:
+                self._companion.prescribe(name, wrench, time)
             else:
                 self._companion.apply_wrench(name, wrench, time, source=axes, axes=axes)
 

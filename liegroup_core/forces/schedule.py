@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Schedule of external wrenches: source, body, start and end.
+"""Schedule of external wrenches and of commands to joints: source, body, start and end.
 
 A source applies at most one wrench to a body. A later wrench of the same source replaces it when
 its time comes; a zero wrench ends it. Wrenches of different sources add. A wrench is constant in
@@ -10,7 +10,8 @@ The effort of a joint is one command with constant wrenches on both bodies (join
 source applies at most one effort to a joint, by the same rules.
 
 The wanted position and velocity of a servo are a command, too, between the same instants. Whatever
-its source, a later one replaces it; without one the servo has the values of the scene.
+its source, a later one replaces it; without one the servo has the values of the scene. So is the
+motion of a driven joint, which holds until the next one: a new one also replaces those that wait.
 """
 
 import bisect
@@ -19,13 +20,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from liegroup_core.joints.motion import FROM_SCENE
+
 NEVER = 1 << 62  # a step that is never reached
 # Decimal times and n * step are each rounded: about half a unit in the last place.
 ROUNDING = 4.0 * np.finfo(float).eps
 HALF_NS = 0.5e-9  # s; stamps are whole nanoseconds
 LATEST = 9.2e9  # s; later stamps do not fit into 64 bits
 AXES = ("body", "world")
-SERVO = "servo"  # stands for axes where a number is that of a servo
+# Stand for axes where a number is that of a servo, or of a driven joint.
+SERVO, DRIVE = "servo", "drive"
 
 
 class Instant(NamedTuple):
@@ -77,12 +81,31 @@ class AppliedTarget(NamedTuple):
         simulation.command_servo(self.joint, self.position, self.velocity, self.time)
 
 
+class AppliedMotion(NamedTuple):
+    """Prescribed motion of a driven joint, from a time on.
+
+    time    : s
+    time_ns : the same in ns
+    joint   : name of the joint
+    motion  : (7,) origin in s and six coefficients, see joints/motion.py
+    """
+
+    time: float
+    time_ns: int
+    joint: str
+    motion: tuple
+
+    def repeat(self, simulation):
+        """Command it to another simulation of the same scene, from its time on."""
+        simulation.prescribe(self.joint, self.motion, self.time)
+
+
 class _Command(NamedTuple):
     start: Instant
     end: Instant
     number: int  # order of arrival: of two with the same start the later wins
     key: tuple  # source, joint or "", body: a later command with the same key replaces it
-    wrenches: tuple  # ((body, wrench), ...); or ((servo, (position, velocity)),)
+    wrenches: tuple  # ((body, wrench), ...); ((servo, (position, velocity)),); ((drive, motion),)
     axes: str
     effort: float  # of the joint
 
@@ -94,19 +117,21 @@ class _Command(NamedTuple):
     @property
     def is_zero(self):
         """True if it ends what acts: a zero wrench or effort."""
-        return self.axes != SERVO and not any(any(wrench) for _, wrench in self.wrenches)
+        return self.axes in AXES and not any(any(wrench) for _, wrench in self.wrenches)
 
 
 class WrenchSchedule:
     """External wrenches that act, and those that start later, for steps of size h in s.
 
     wanted : (k, 2) wanted position and velocity of each servo without a command
+    drives : number of driven joints
     total  : {"body": (n, 6), "world": (n, 6)} sums of the wrenches that act, by their axes;
-             "servo": (k, 2) wanted values
+             "servo": (k, 2) wanted values; "drive": (d, 7) commanded motions, or FROM_SCENE
     """
 
-    def __init__(self, body_count, h, wanted=np.zeros((0, 2))):
-        self._idle = {axes: np.zeros((body_count, 6)) for axes in AXES} | {SERVO: wanted}
+    def __init__(self, body_count, h, wanted=np.zeros((0, 2)), drives=0):
+        self._idle = {axes: np.zeros((body_count, 6)) for axes in AXES}
+        self._idle |= {SERVO: wanted, DRIVE: np.tile(FROM_SCENE, (drives, 1))}
         self.total = {axes: idle.copy() for axes, idle in self._idle.items()}
         self._h = h
         self._waiting = []
@@ -127,7 +152,7 @@ class WrenchSchedule:
         """{joint: total effort} of the joints on which efforts act."""
         totals = {}
         for (_, joint, _), command in sorted(self._acting.items()):
-            if joint:
+            if command.effort:
                 totals[joint] = totals.get(joint, 0.0) + command.effort
         return totals
 
@@ -136,7 +161,7 @@ class WrenchSchedule:
         """[(start in s, number, wrench (6,), axes)] that start later.
 
         The number is that of a body; with the axes "servo" that of a servo, and the wrench its wanted
-        position and velocity.
+        position and velocity; with "drive" that of a driven joint, and the wrench its motion.
         """
         return [
             (c.start.time, number, wrench, c.axes)
@@ -150,7 +175,7 @@ class WrenchSchedule:
         number, axes : as in `waiting`. The source of a wrench is that of its axes
         """
         self._arrived += 1
-        key = ("", "", -2 - number) if axes == SERVO else (axes, "", number)
+        key = (axes, "", number) if axes in AXES else ("", axes, number)
         wrench = tuple(map(float, wrench))
         never, before = self.instant(math.inf), Instant(-1, -math.inf)
         self._acting[key] = _Command(
@@ -193,7 +218,21 @@ class WrenchSchedule:
 
         end : None: until they are replaced
         """
-        self._insert(("", "", -2 - servo), [(servo, (position, velocity))], start, end, SERVO)
+        self._insert(("", SERVO, servo), [(servo, (position, velocity))], start, end, SERVO)
+
+    def command_motion(self, drive, motion, start):
+        """Command the motion (7,) of driven joint number `drive` from an Instant on."""
+        key = "", DRIVE, drive
+        self._waiting = [c for c in self._waiting if c.key != key or c.start < start]
+        self._insert(key, [(drive, motion)], start, None, DRIVE)
+
+    def motion_at(self, drive, instant):
+        """Commanded motion (7,) of a driven joint that will hold at an Instant, or FROM_SCENE."""
+        found = self.total[DRIVE][drive]
+        for command in self._waiting:
+            if command.key == ("", DRIVE, drive) and command.start <= instant:
+                found = command.wrenches[0][1]
+        return np.array(found)
 
     def _insert(self, key, wrenches, start, end, axes, effort=0.0):
         self._arrived += 1

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Start and end times of the scene's applied wrenches, in steps and inside steps.
+"""Times at which inputs of the scene change, in steps and inside steps.
 
-A time inside a step splits the step: the integration stops there and continues with the new
-wrenches, so that the impulse is exact and a method keeps its order. Times of steps and samples do
+Applied wrenches start and end, and prescribed motions go on to the next one. A time inside a step
+splits the step: the integration stops there and continues with the new inputs, so that the impulse is
+exact and a method keeps its order. Times of steps and samples do
 not change. A time within round-off of a step boundary is that boundary.
 """
 
@@ -19,13 +20,18 @@ def acting_at(rows, time):
 
 
 class Timetable:
-    """Starts and ends of the scene's applied wrenches, for steps of a given size."""
+    """Changes of the inputs of a scene, for steps of a given size.
 
-    def __init__(self, rows, step):
+    rows    : of the scene's applied wrenches
+    motions : [(m, 7)] prescribed motions of each driven joint, see joints/motion.py
+    """
+
+    def __init__(self, rows, step, motions=()):
         self._rows = rows
+        times = [rows["start"], rows["end"], *(motion[1:, 0] for motion in motions)]
         self._inside = {}  # step number -> times inside that step
         changes = set()
-        for time in np.unique([rows["start"], rows["end"]]):
+        for time in np.unique(np.concatenate(times)):
             if not np.isfinite(time):
                 continue
             nearest = round(time / step)
@@ -38,12 +44,12 @@ class Timetable:
         self._changes = sorted(changes)
 
     def next_change(self, steps):
-        """First later step that is split, or from which other wrenches act."""
+        """First later step that is split, or from which other inputs hold."""
         at = bisect_right(self._changes, steps)
         return self._changes[at] if at < len(self._changes) else NEVER
 
     def inside(self, steps):
-        """Times in s inside a step at which a wrench starts or ends."""
+        """Times in s inside a step at which an input changes."""
         return self._inside.get(steps, ())
 
     def acting(self, start, duration):

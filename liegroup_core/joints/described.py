@@ -5,7 +5,9 @@ from pydantic import Field, model_validator
 
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.frames import Frame
-from liegroup_core.fields.values import Described, Name, Number, Text
+from liegroup_core.fields.values import Described, Flag, Name, Number, Text
+
+from .motion import Motion
 
 
 class JointBase(Described):
@@ -34,6 +36,14 @@ class JointBase(Described):
         None,
         description="initial joint coordinate that assembly keeps, of revolute, prismatic and screw "
         "joints: angle about z in rad, or displacement along z in m",
+    )
+    driven: Flag = Field(
+        False,
+        description="true: the joint moves as prescribed, whatever effort that requires: at its initial "
+        "rate until a command; of revolute, prismatic and screw joints",
+    )
+    motion: Motion | None = Field(
+        None, description="prescribed motion from the start on, of a driven joint; see there"
     )
     data: dict[Name, Number] | None = Field(
         None,

@@ -49,6 +49,7 @@ class Model(Struct):
     gravity: np.ndarray            # (1, 3) m/s^2, world axes
     bodies: np.ndarray             # (n,) of BODY
     forces: Struct                 # Forces: the rows of every kind (forces/kinds.py)
+    motions: np.ndarray            # (d, 7) of each driven joint at the start: joints/motion.py
     elements: np.ndarray           # of joints.elements.ELEMENT
     joints: np.ndarray             # (m,) of JOINT
     row_residual: np.ndarray       # (rows,) which residual is that of a row that is solved for
@@ -84,6 +85,9 @@ class Work(Struct):
     angle: np.ndarray              # rad, of each torsional spring at the last finished step: state
     acting: np.ndarray             # bool, of each applied wrench of the scene: input of a call
     wanted: np.ndarray             # (k, 2) position and velocity of each servo: input of a call
+    motions: np.ndarray            # (d, 7) motion of each driven joint: input of a call
+    clock: np.ndarray              # (3,) input of a call: a step starts at clock[0] h + clock[1] s,
+                                   # the next at (clock[0] + 1) h + clock[1]; then time of the stage
     stage_pose: np.ndarray         # (n, 12)
     stage_twist: np.ndarray        # (n, 6)
     start_pose: np.ndarray         # (n, 12) at the start of a step that is taken in substeps
@@ -114,7 +118,7 @@ def make_work(model, stages):
         residual=np.zeros(len(model.pivot_floor)), wrench=np.zeros((n, 6)),
         angle=np.zeros(springs), start_angle=np.zeros(springs),
         acting=np.zeros(len(model.forces.applied_wrench), dtype=bool),
-        wanted=wanted_values(model.forces),
+        wanted=wanted_values(model.forces), motions=model.motions.copy(), clock=np.zeros(3),
         stage_pose=np.zeros((n, 12)), stage_twist=np.zeros((n, 6)),
         start_pose=np.zeros((n, 12)), start_twist=np.zeros((n, 6)), velocity=np.zeros((n, 6)),
         slopes=np.zeros(((stages + 1) * n, 12)), report=np.zeros(3))

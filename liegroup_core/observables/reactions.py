@@ -80,7 +80,8 @@ class Reactions:
             np.zeros(len(self._work.angle)),
             np.zeros(len(self._work.acting), dtype=bool),
         )
-        self.at(*state, angles, acting, wanted_values(self._model.space.forces))
+        space = self._model.space
+        self.at(*state, angles, acting, wanted_values(space.forces), None, space.motions, 0.0)
 
     @cached_property
     def undetermined(self):
@@ -105,19 +106,21 @@ class Reactions:
                 found[self.names[j]] = f"{parts}: redundant constraints, {shared}"
         return found
 
-    def at(self, pose, twist, angles, acting, wanted, external=None):
+    def at(self, pose, twist, angles, acting, wanted, external, motions, time):
         """((J, 6) wrenches, (J, 6) mask of the undetermined components, (n, 6) motion) of a state.
 
         pose, twist : (n, 12), (n, 6) of frames at the centres of mass
         angles      : (k,) rad, `Sample.angles`;  acting : mask of the scene's applied wrenches
         wanted      : (k, 2) wanted positions and velocities of the servos
         external    : (n, 16), see forces/external.py; None: no external wrenches
+        motions     : (d, 7) prescribed motions of the driven joints;  time : s
         motion      : angular acceleration and specific force (acceleration less gravity) of every
                       centre of mass, body axes
         Raises SimulationError if the accelerations cannot be computed.
         """
         work, out = self._work, np.empty((len(self.names), 6))
         work.angle[:], work.acting[:], work.wanted[:] = angles, acting, wanted
+        work.motions[:], work.clock[2] = motions, time
         before = work.report[2]
         if external is None:
             external = no_wrenches(self._offsets)

@@ -12,6 +12,9 @@ from liegroup_core.forces import kinds
 from liegroup_core.forces.timetable import ROUNDING, acting_at
 from liegroup_core.formulations.absolute import invariants
 from liegroup_core.formulations.absolute.constraints import position_residuals
+from liegroup_core.joints import motion
+from liegroup_core.joints.kinds import TYPES
+from liegroup_core.lie.groups import within_a_turn
 
 from .along import quaternions, rows
 
@@ -28,6 +31,7 @@ class Sample:
     joint_efforts : {joint: N m or N} of the efforts that acted at the end of the last step
     wanted : (k, 2) wanted positions and velocities of the servos, rad and rad/s, or m and m/s;
              None: those of the scene
+    motions : (d, 7) prescribed motions of the driven joints; None: those of the scene
     The constructor takes pose and twist at the centres of mass; all attributes refer to the body
     frames of the scene. Derived quantities are computed on first access and cached.
     """
@@ -36,6 +40,7 @@ class Sample:
     external = None
     joint_efforts: Mapping[str, float] = MappingProxyType({})
     wanted = None
+    motions = None
 
     def __init__(self, layout, time, time_ns, steps, pose, twist, near):
         self._layout, self._near = layout, near
@@ -110,10 +115,15 @@ class Sample:
     def joint_coordinates(self) -> dict[str, tuple[float, float]]:
         """{joint: (position, velocity)}: revolute joints in rad, rad/s, prismatic in m, m/s.
 
-        The angle is unwrapped if the joint has a torsional spring or is coupled; other angles are
-        between -pi and pi.
+        The angle is unwrapped if the joint has a torsional spring, is coupled or driven; other angles
+        are between -pi and pi.
         """
-        return self._layout.coordinates.at(*self._state, self.angles)
+        found = self._layout.coordinates.at(*self._state, self.angles)
+        for joint, row in zip(self._layout.motions, self._motions):
+            if self._layout.coordinates.units.get(joint) == "rad":
+                angle, rate = found[joint]
+                found[joint] = within_a_turn(angle, motion.at(row, self.time)[0]), rate
+        return found
 
     @cached_property
     def energy(self) -> float:
@@ -124,11 +134,15 @@ class Sample:
     def power(self) -> float:
         """Power of the scene's non-conservative forces, W: the rate of `energy`.
 
-        Motors, servos and the scene's applied wrenches, dampers and drag. The power of external wrenches
-        is not included.
+        Motors, servos and the scene's applied wrenches, dampers, drag, and driven joints. The power of
+        external wrenches is not included.
         """
         forces = self._layout.model.forces
-        return kinds.power(forces, self.angles, self._acting, self._wanted, *self._state)
+        efforts = self.drive_efforts.values()
+        driving = sum(
+            effort * motion.at(row, self.time)[1] for effort, row in zip(efforts, self._motions)
+        )
+        return driving + kinds.power(forces, self.angles, self._acting, self._wanted, *self._state)
 
     @property
     def _acting(self):
@@ -139,7 +153,14 @@ class Sample:
     @cached_property
     def _reactions(self):
         inputs = self.angles, self._acting, self._wanted, self.external
-        return self._layout.reactions.at(*self._state, *inputs)
+        return self._layout.reactions.at(*self._state, *inputs, self._motions, self.time)
+
+    @cached_property
+    def _motions(self):
+        """(d, 7) prescribed motions of the driven joints."""
+        if self.motions is not None:
+            return self.motions
+        return self._layout.motions_at(self.time * (1.0 + ROUNDING))
 
     def _by_joint(self, values):
         return dict(zip(self._layout.reactions.names, values))
@@ -227,6 +248,22 @@ class Sample:
         """Joints whose servo is at its effort limit."""
         at_limit = np.abs(self._servo_efforts[:, 0]) >= kinds.limits(self._layout.model.forces)
         return tuple(joint for joint, is_at in zip(self._layout.servos, at_limit) if is_at)
+
+    @cached_property
+    def drive_efforts(self) -> dict[str, float]:
+        """{driven joint: effort that its motion requires}, N m or N on the child.
+
+        The component of its reaction along its axis, of a screw torque plus pitch times force. Motors,
+        springs and other forces at the joint are no part of it. test/verification/test_driven.py.
+        """
+        scene, reactions = self.scene, self.reactions if self._layout.motions else {}
+        efforts = {}
+        for joint in (joint for joint in scene.joints if joint.driven):
+            wrench = reactions[joint.name]
+            efforts[joint.name] = float(wrench[TYPES[joint.type].rate])
+            if joint.type == "screw":
+                efforts[joint.name] += joint.pitch * float(wrench[5])
+        return efforts
 
     @cached_property
     def spatial_momentum(self) -> NDArray[np.float64]:

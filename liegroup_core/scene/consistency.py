@@ -18,6 +18,7 @@ import numpy as np
 from liegroup_core.errors import SceneError
 from liegroup_core.joints.coupling import coordinate, gap, rate_row, turns
 from liegroup_core.joints.kinds import forbidden_rows, position_residual
+from liegroup_core.joints.motion import prescribed
 from liegroup_core.lie.groups import SE3
 
 from .description import WORLD
@@ -68,12 +69,20 @@ def resolve_elements(scene):
 
 
 class ResolvedCoupling(NamedTuple):
-    """Coupling with its numbers: indices of both joints, ratio, offset; see joints/coupling.py."""
+    """Coupling with its numbers: indices of both joints, ratio, offset; see joints/coupling.py.
+
+    If both are the same joint and the ratio is 0, the coordinate of this joint alone is given.
+    """
 
     joint: int
     other: int
     ratio: float
     offset: float
+
+    @property
+    def is_given(self):
+        """True if the coordinate of one joint alone is given."""
+        return self.joint == self.other
 
 
 def resolve_couplings(scene):
@@ -92,6 +101,26 @@ def resolve_couplings(scene):
         joints = index[coupling.joint], index[coupling.other]
         found.append(ResolvedCoupling(*joints, coupling.ratio, offset))
     return found
+
+
+def resolve_drives(scene):
+    """Prescribed motions of the driven joints of a scene: {joint index: (m, 7)}; see joints/motion.py."""
+    start, frames, found = _start(scene), None, {}
+    for j, joint in enumerate(scene.joints):
+        if joint.driven:
+            frames = resolve_frames(scene) if frames is None else frames
+            C_rel = _relative(start, joint, *frames[j])
+            q, v = coordinate(joint, C_rel), _rate(start, joint, *frames[j])
+            found[j] = prescribed(joint.motion or True, q, v)
+    return found
+
+
+def _rate(start, joint, F_a, F_b):
+    """Rate of a joint with one coordinate at the initial poses and twists."""
+    C_rel = _relative(start, joint, F_a, F_b)
+    from_parent = SE3.Ad(F_b @ SE3.inverse(C_rel) @ SE3.inverse(F_a))
+    V_rel = start[joint.child][1] - from_parent @ start[joint.parent][1]
+    return float(rate_row(joint, F_b) @ V_rel)
 
 
 def _coupled_coordinates(scene):
@@ -128,6 +157,7 @@ def check_consistency(scene):
             problems.append((i, f'joints[{i}] "{joint.name}": {text}'))
     if not problems:
         _check_couplings(scene, start)
+        _check_drives(scene, start)
     if problems:
         i, text = problems[0]
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
@@ -140,11 +170,8 @@ def _check_couplings(scene, start):
     for i, (found, values) in enumerate(zip(resolve_couplings(scene), _coupled_coordinates(scene))):
         ends = [scene.joints[j] for j in (found.joint, found.other)]
         rates = []
-        for joint, (F_a, F_b) in zip(ends, (frames[found.joint], frames[found.other])):
-            C_rel = _relative(start, joint, F_a, F_b)
-            from_parent = SE3.Ad(F_b @ SE3.inverse(C_rel) @ SE3.inverse(F_a))
-            V_rel = start[joint.child][1] - from_parent @ start[joint.parent][1]
-            rates.append(rate_row(joint, F_b) @ V_rel)
+        for joint, pair in zip(ends, (frames[found.joint], frames[found.other])):
+            rates.append(_rate(start, joint, *pair))
         first, second = values
         off = gap(first, second, found.ratio, found.offset, turns(ends[0]))
         slip = rates[0] - found.ratio * rates[1]
@@ -156,6 +183,24 @@ def _check_couplings(scene, start):
                 f"{unit} and {slip:.3g} {unit}/s: {ends[0].name} is at {first:.9g}, {ends[1].name} at "
                 f"{second:.9g}; correct ratio, offset or the start values, or omit offset",
                 place=("couplings", i),
+            )
+
+
+def _check_drives(scene, start):
+    """Raise SceneError for the first driven joint that does not start as its motion says."""
+    frames = resolve_frames(scene)
+    for j, rows in resolve_drives(scene).items():
+        joint = scene.joints[j]
+        q, v = coordinate(joint, _relative(start, joint, *frames[j])), _rate(start, joint, *frames[j])
+        off, slip = gap(q, rows[0, 1], 1.0, 0.0, turns(joint)), v - rows[0, 2]
+        size = 1.0 + abs(q) + abs(rows[0, 1])
+        if abs(off) > TOLERANCE * size or abs(slip) > TOLERANCE * (size + abs(v)):
+            unit = "rad" if turns(joint) else "m"
+            raise SceneError(
+                f'joints[{j}] "{joint.name}": its motion starts at {rows[0, 1]:.9g} {unit} with '
+                f"{rows[0, 2]:.9g} {unit}/s, but the initial poses and velocities are {q:.9g} {unit} "
+                f"and {v:.9g} {unit}/s; correct one of them",
+                place=("joints", j, "motion"),
             )
 
 

@@ -47,6 +47,7 @@ from .names import (
     refuse_coupling,
     refuse_ends,
     refuse_joint,
+    refuse_motion,
     refuse_sensor,
     refuse_twins,
     refuse_two_servos,
@@ -264,6 +265,7 @@ class Scene(Described):
                     f"use it with {', '.join(COUPLED)}",
                     place=("joints", i, "coordinate"),
                 )
+            refuse_motion(joint, self.forces, i)
         kinds = {joint.name: joint.type for joint in self.joints}
         for key, i, link in links:
             if hasattr(link, "joint"):

@@ -108,6 +108,30 @@ def refuse_two_servos(forces):
         first[force.joint] = force.name
 
 
+def refuse_motion(joint, forces, i):
+    """Refuse a prescribed motion of a joint that has not one coordinate, is not driven, or has a servo."""
+    if joint.motion is not None and not joint.driven:
+        raise SceneError(
+            f'joints[{i}] "{joint.name}": motion requires driven: true', place=("joints", i, "motion")
+        )
+    if not joint.driven:
+        return
+    place = ("joints", i, "driven")
+    if joint.type not in COUPLED:
+        raise SceneError(
+            f'joints[{i}] "{joint.name}": a {joint.type} joint cannot be driven; only '
+            f"{', '.join(COUPLED[:-1])} or {COUPLED[-1]} joints can",
+            place=place,
+        )
+    for force in forces:
+        if force.type in ("servo", "linear_servo") and force.joint == joint.name:
+            raise SceneError(
+                f'joints[{i}] "{joint.name}": a driven joint cannot have the servo "{force.name}": '
+                "keep one of them",
+                place=place,
+            )
+
+
 def refuse_coupling(coupling, kinds, i):
     """Refuse a coupling of joints that do not exist, or that have not one coordinate."""
     where = f'couplings[{i}] "{coupling.name}": '

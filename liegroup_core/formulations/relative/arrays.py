@@ -77,6 +77,8 @@ COUPLED = np.dtype(
         ("angle", "i8"),  # unwrapped angle of the second joint, -1: none
         ("sign", "f8"),  # of the second link's coordinate when that of its joint increases
         ("turned", "i8"),  # 1: the residual counts modulo 2 pi
+        ("motion", "i8"),  # of a driven joint: the first coordinate is given; -1: a coupling
+        ("order", "i8"),  # of the derivative that a solve finds: 2 accelerations, 1 rates
     ],
     align=True,
 )
@@ -168,6 +170,8 @@ class RelativeWork(Struct):
     angle: np.ndarray  # that of `space`
     acting: np.ndarray  # that of `space`
     wanted: np.ndarray  # that of `space`
+    motions: np.ndarray  # that of `space`
+    clock: np.ndarray  # that of `space`
     start_angle: np.ndarray  # that of `space`
     report: np.ndarray  # that of `space`
     known: np.ndarray  # (1,) 1 if the rows of the links in pose and twist are those of the state
@@ -221,6 +225,8 @@ def make_relative_work(model, work, stages):
         angle=work.angle,
         acting=work.acting,
         wanted=work.wanted,
+        motions=work.motions,
+        clock=work.clock,
         start_angle=work.start_angle,
         report=work.report,
         **{name: np.zeros((n + links, 12)) for name in ("pose", "stage_pose", "start_pose")},

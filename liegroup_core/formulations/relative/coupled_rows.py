@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rows of couplings beside those of cut joints: residuals and velocities.
+"""Rows of couplings and driven joints beside those of cut joints: residuals and velocities.
 
-A coupling is one of the cut joints, with an element and rows of zeros; what is not zero is added
-here. couplings.py has forces and accelerations.
+Either is one of the cut joints, with an element and rows of zeros; what is not zero is added here.
+couplings.py has forces and accelerations. The row of a driven joint is that of a coupling without a
+second joint, and rheonomic: its coordinate, rate and acceleration are those of its motion at the
+time of the stage, work.clock[2].
 """
 
 from liegroup_core.compiling import kernel
 from liegroup_core.forces.turn import unwrapped
 from liegroup_core.formulations.absolute.constraints import position_residuals
 from liegroup_core.formulations.absolute.projection import ROUND_OFF
+from liegroup_core.joints.motion import acceleration, position, rate
 
 from .kinds import link_coordinate, set_rows
 
@@ -23,8 +26,14 @@ def set_all_rows(model, work):
         slip = 0.0
         for k in range(2):
             slip += coupling["factors"][k] * work.stage_twist[n + coupling["links"][k], 0]
+        bias = 0.0
+        if coupling["motion"] >= 0:
+            bias = rate(work.motions, coupling["motion"], work.clock[2])
+            slip -= bias
+            if coupling["order"] == 2:
+                bias = acceleration(work.motions, coupling["motion"], work.clock[2])
         work.slip[coupling["row"]] = slip
-        work.bias[coupling["row"]] = 0.0
+        work.bias[coupling["row"]] = bias
 
 
 @kernel
@@ -45,6 +54,8 @@ def set_coupled_gaps(model, work, moves, moved):
             first += moves[model.bodies[links[0]]["freedom"], 0]
             second += moves[model.bodies[links[1]]["freedom"], 0]
         first, second = factors[0] * first, factors[1] * second
+        if coupling["motion"] >= 0:
+            second = -position(work.motions, coupling["motion"], work.clock[2])
         gap = first + second - coupling["offset"]
         size = 1.0 + abs(first) + abs(second) + abs(coupling["offset"])
         if coupling["turned"] == 1:

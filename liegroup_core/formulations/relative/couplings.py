@@ -4,7 +4,8 @@
 The row of a coupling is constant in the rates of the tree: sign_0 in that of the first link, -ratio
 sign_1 in that of the second. The coordinate of a joint is its sign times that of its link. As J^T
 lambda, a torque or force acts on each link, and its reaction on the parent link. Rows that are
-linear in coordinates of SO(2) and R are kept by every Runge-Kutta method: they do not drift.
+linear in coordinates of SO(2) and R are kept by every Runge-Kutta method: they do not drift, but for
+those of driven joints, whose motion depends on time.
 
 plane_couplings.py has the same functions for planar mechanisms, coupled_rows.py the rest.
 """

@@ -11,7 +11,7 @@ from liegroup_core.joints.linkage import RANK_TOLERANCE, Linkage
 from liegroup_core.lie.groups import SE3
 from liegroup_core.model.arrays import JOINT
 from liegroup_core.model.redundancy import dependent_groups, generic_poses, independent_rows
-from liegroup_core.scene.consistency import resolve_couplings
+from liegroup_core.scene.consistency import ResolvedCoupling, resolve_couplings
 
 from .arrays import COUPLED, FREEDOMS, SLIDE
 from .links import FIRST_AXIS, SECOND_AXIS, eliminated, link_poses
@@ -22,12 +22,20 @@ COUPLING_PART = Element(PAIR, ("coupling",), np.zeros((1, 6)))
 
 
 def coupled_links(scene, links):
-    """[(ResolvedCoupling, indices of the links of both joints)] of the couplings.
+    """[(ResolvedCoupling, indices of the links of both joints)] of couplings, then of driven joints.
 
     Raises SceneError for a joint that is no joint of the spanning tree.
     """
     of_joint = {link.joint: i for i, link in enumerate(links) if link.joint is not None}
     found = []
+    driven = [j for j, joint in enumerate(scene.joints) if joint.driven]
+    for j in driven:
+        if j not in of_joint:
+            raise SceneError(
+                f'joints[{j}] "{scene.joints[j].name}": it is driven, but closes a loop of driven or '
+                "coupled joints, or its bodies are welded; drive another joint of this loop",
+                ("joints", j, "driven"),
+            )
     for i, coupling in enumerate(resolve_couplings(scene)):
         for end, j in (("joint", coupling.joint), ("other", coupling.other)):
             if j not in of_joint:
@@ -38,7 +46,7 @@ def coupled_links(scene, links):
                     ("couplings", i, end),
                 )
         found.append((coupling, (of_joint[coupling.joint], of_joint[coupling.other])))
-    return found
+    return found + [(ResolvedCoupling(j, j, 0.0, 0.0), (of_joint[j],) * 2) for j in driven]
 
 
 def cut_rows(scene, frames, parts, tree, links, places, coupled):
@@ -68,12 +76,37 @@ def cut_rows(scene, frames, parts, tree, links, places, coupled):
         closing += [joints + c for c in entries]
         rows = _coupling_rows(links, [coupled[c] for c in entries], length)
         matrices = [np.concatenate([matrix, rows]) for matrix in matrices]
-        chosen, _ = independent_rows(matrices, np.zeros(len(matrices[0]), dtype=bool))
+        drives = np.array([False] * len(matrices[0]))
+        drives[len(drives) - len(entries) :] = [coupled[c][0].is_given for c in entries]
+        _refuse_dependent(scene, matrices, drives, [coupled[c][0].joint for c in entries])
+        chosen, _ = independent_rows(matrices, np.zeros(len(drives), dtype=bool))
         at = 0
         for k in closing:
             keep[k] = chosen[at : at + len(keep[k])]
             at += len(keep[k])
     return cut, [np.flatnonzero(rows) for rows in keep]
+
+
+def _refuse_dependent(scene, matrices, drives, joints):
+    """Refuse motions of driven joints that follow from each other: their efforts are undetermined.
+
+    matrices : rows at generic poses;  drives : mask of those of driven joints
+    joints   : of the last rows
+    """
+    for r in np.flatnonzero(drives):
+        others = np.arange(len(drives)) != r
+        if max(map(_rank, matrices)) > max(_rank(matrix[others]) for matrix in matrices):
+            continue
+        j = joints[r - len(drives)]
+        raise SceneError(
+            f'joints[{j}] "{scene.joints[j].name}": its motion follows from that of the other driven '
+            "joints: drive fewer of them",
+            ("joints", j, "driven"),
+        )
+
+
+def _rank(matrix):
+    return np.linalg.matrix_rank(matrix, tol=RANK_TOLERANCE) if matrix.size else 0
 
 
 def _tree_jacobians(scene, frames, parts, loops, joints, links, places):
@@ -136,7 +169,7 @@ def _coupling_rows(links, coupled, length):
     for row, (coupling, ends) in zip(rows, coupled):
         for i, factor in zip(ends, (1.0, -coupling.ratio)):
             unit = 1.0 if links[i].group == SLIDE else length
-            row[first[i]] = links[i].sign * factor / unit
+            row[first[i]] += links[i].sign * factor / unit
         row /= np.linalg.norm(row)
     return rows
 
@@ -293,7 +326,11 @@ def _numbered(coupling):
 
 def _couplings(links, records, joints, coupling, residuals, coupled, counted):
     """(k,) of COUPLED, in the order of the joints; coupling: which of `coupled` a joint is, or -1."""
-    is_angle = [[links[i].group != SLIDE for i in ends] for _, ends in coupled]
+    motions = np.cumsum([entry.is_given for entry, _ in coupled]) - 1
+    is_angle = [
+        (links[a].group != SLIDE, links[b].group != SLIDE and not entry.is_given)
+        for entry, (a, b) in coupled
+    ]
     angles = counted + np.cumsum([0, *(second for _, second in is_angle)])
     rows = []
     for joint, c in zip(joints, coupling):
@@ -312,6 +349,8 @@ def _couplings(links, records, joints, coupling, residuals, coupled, counted):
                 angles[c] if counts else -1,
                 signs[1],
                 turned,
+                motions[c] if entry.is_given else -1,
+                2,
             )
         )
     return np.array(rows, dtype=COUPLED)

@@ -111,7 +111,8 @@ def set_free_residual(model, work):
     spread(model, work)
     _set_right(model, work)
     for c in range(len(model.couplings)):
-        work.right[model.couplings[c]["row"]] = coupled_rate(model, work.acceleration, c)
+        row = model.couplings[c]["row"]
+        work.right[row] = coupled_rate(model, work.acceleration, c) - work.bias[row]
     return 0
 
 
@@ -124,6 +125,7 @@ def set_residual(model, work):
             work.moved[b, c] += work.total_moved[b, c]
     _set_right(model, work)
     for c in range(len(model.couplings)):
+        row = model.couplings[c]["row"]
         rate = coupled_rate(model, work.acceleration, c) + coupled_rate(model, work.total, c)
-        work.right[model.couplings[c]["row"]] = rate
+        work.right[row] = rate - work.bias[row]
     return 0

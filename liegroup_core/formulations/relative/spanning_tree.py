@@ -96,6 +96,7 @@ def _grow(scene, of_group, depth, links, used, root):
     """Add all groups that joints connect to a root, by Prim's method."""
     frontier = list(of_group.get(root, ()))
     coupled = {name for entry in scene.couplings for name in (entry.joint, entry.other)}
+    coupled |= {joint.name for joint in scene.joints if joint.driven}
     while frontier:
         best, key = None, None
         for j, a, b in frontier:

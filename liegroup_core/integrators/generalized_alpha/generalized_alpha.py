@@ -56,6 +56,7 @@ def advance(model, work, memory, numbers, group, h, steps, pose_in, twist_in, ex
     while done < steps and status == OK:
         spaces.begin(model, work, memory, group, pose, twist)
         set_old(memory, numbers)
+        work.clock[2] = (work.clock[0] + (done + 1)) * h + work.clock[1]
         status = newton(model, work, memory, numbers, group, h, pose, external)
         work.report[1] = 0.0
         if status == OK:
@@ -114,7 +115,8 @@ class GeneralizedAlpha:
         self._memory = make_memory(freedoms, len(self._model.row_residual))
         self._advance, self._initialise = SameTypes(advance), SameTypes(initialise)
         # Step size and wrenches for which the memory was initialised; NaN: not initialised.
-        inputs = EXTERNAL_COLUMNS * n + len(self.work.acting) + self.work.wanted.size
+        inputs = EXTERNAL_COLUMNS * n + len(self.work.acting)
+        inputs += self.work.wanted.size + self.work.motions.size
         self._started_for = np.zeros(1 + inputs)
         self.restart()
 
@@ -145,7 +147,13 @@ class GeneralizedAlpha:
     def advance(self, h, steps, pose, twist, external):
         """Take steps of size h in place; returns (steps done, status)."""
         inputs = np.concatenate(
-            ((h,), external.ravel(), self.work.acting, self.work.wanted.ravel())
+            (
+                (h,),
+                external.ravel(),
+                self.work.acting,
+                self.work.wanted.ravel(),
+                self.work.motions.ravel(),
+            )
         )
         if self._started_for.tobytes() != inputs.tobytes():
             dependent = self._initialise(

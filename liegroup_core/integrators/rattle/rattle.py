@@ -91,8 +91,11 @@ def advance(model, work, memory, parts, h, steps, pose_in, twist_in, external_in
     while done < steps and status == OK:
         spaces.begin(model, work, memory, pose, twist, external, done == 0)
         work.report[1] = 0.0
+        start, passed = (work.clock[0] + done) * h + work.clock[1], 0.0
         for part in range(len(parts)):
             size = parts[part] * h
+            passed = passed + parts[part] if part + 1 < len(parts) else 1.0
+            work.clock[2] = start + passed * h
             status = spaces.first_half(model, work, memory, size, done + part == 0)
             if status == OK:
                 status = spaces.second_half(model, work, memory, size, external)
@@ -127,7 +130,7 @@ class Constrained:
         if self._work is self.work:
             self._memory = make_memory(self._model)
         else:
-            self._model = _weightless(self._model)
+            self._model = _for_rates(self._model)
             self._memory = make_link_memory(self._model)
         self._advance = SameTypes(advance)
 
@@ -158,9 +161,11 @@ class Constrained:
         return done, status
 
 
-def _weightless(model):
-    """RelativeModel whose equations of motion are without weight: a step adds impulses of weights."""
-    changes = {"gravity": np.zeros_like(model.gravity)}
+def _for_rates(model):
+    """RelativeModel of equations for rates, not accelerations: a step adds impulses of weights."""
+    couplings = model.couplings.copy()
+    couplings["order"] = 1
+    changes = {"gravity": np.zeros_like(model.gravity), "couplings": couplings}
     if isinstance(model, PlaneModel):
         changes["plane_gravity"] = np.zeros_like(model.plane_gravity)
     return model.replace(**changes)

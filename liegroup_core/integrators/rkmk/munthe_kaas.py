@@ -48,6 +48,7 @@ class Scheme(Struct):
     """Data of a Munthe-Kaas method: tableau of s stages, series of dexpinv."""
 
     a: np.ndarray  # (s + 1, s) the tableau's a, below it its b
+    nodes: np.ndarray  # (s + 1,) its c, then 1: times of the stages in parts of a step
     error: np.ndarray  # (0 to 2, s + 1) weights of the error estimates
     highest: int  # last power of ad in dexpinv, or EXACT
 
@@ -153,6 +154,7 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
         if controlled:
             _save(work, pose, twist, control)
         remaining = h
+        start = (work.clock[0] + done) * h + work.clock[1]
         attempts = 0
         while remaining > 0.0 and status == OK:
             count = 1
@@ -171,6 +173,7 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
                     )
                     if status != OK:
                         break
+                work.clock[2] = start + (h - remaining) + scheme.nodes[stage] * size
                 if stage < stages or controlled:
                     dependent = spaces.accelerate(model, work, external)
                     if dependent >= 0:
@@ -228,6 +231,7 @@ class MuntheKaas:
         self.controlled = method.controlled
         self._scheme = Scheme(
             np.vstack([tableau.a, tableau.b]),
+            np.append(tableau.c, 1.0),
             tableau.e,
             EXACT if options["dexpinv"] == "exact" else max(method.order - 2, 0),
         )
