@@ -208,6 +208,8 @@ def make_layout(scene):
             layout = Layout(described, centred, Offsets(described), *build_model(centred))
             if layout.scene.couplings or layout.motions:
                 refuse_cut_couplings(centred)
+            if layout.motions:
+                layout.relative  # driven joints that depend on others are refused here
             if layout.lack_of_inertia:
                 refuse_freedoms_without_inertia(centred)
             return layout

@@ -10,7 +10,8 @@ is assembled and solved in decimal numbers. Its parts share nothing with the ker
 
     J, right-hand side   first and second derivatives of the constraint functions g of naive.py, by
                          truncated Taylor series (jets.py); index 0: at Vdot = 0. A coupling has
-                         the difference of two coordinates
+                         the difference of two coordinates, a driven joint its coordinate and the
+                         acceleration at the start of its motion
     forces               virtual work, f dq/dX for a law f(q, qdot) of a coordinate q of two bodies,
                          whose derivatives are Jets as well
 
@@ -243,6 +244,17 @@ def _system(scene, wrenches, read):
         shares.append(share)
         rows.append(row)
         right.append(-curvature)
+
+    for joint in scene.joints:
+        if not joint.driven:
+            continue
+        row, q = decimals(np.zeros(n)), _joint_coordinate(frames[joint.name], joint.type != "prismatic")
+        for end, body in enumerate((joint.parent, joint.child)):
+            if body != "world":
+                row[index[body]] += q.slopes[6 * end : 6 * end + 6]
+        shares.append({joint.name: q.slopes[6:12]})
+        rows.append(row)
+        right.append(read.number(joint.motion.accelerations[0]) - q.curvature)
 
     masses, Q = [], decimals(np.zeros(n))
     for name in names:

@@ -198,6 +198,8 @@ def forced(rng, scene):
     own = np.random.default_rng([len(scene.joints), len(scene.bodies), len(forces)])
     for joint in scene.joints:
         some = own.uniform(0.1, 3.0, size=6)
+        if joint.driven:
+            continue
         moves = TYPES[joint.type].turns, TYPES[joint.type].slides
         for kind, allowed in zip((Servo, LinearServo), moves):
             if allowed and some[0] < 0.6:
@@ -270,6 +272,25 @@ def coupled(rng, scene, most):
     if ranks[1] - ranks[0] < len(couplings):
         raise ValueError("a coupling is satisfied already, or holds a loop that moves with it")
     return scene
+
+
+def driven(rng, scene, most):
+    """The scene with up to `most` driven joints, which start with an acceleration."""
+    coordinates = make_layout(scene).sample(*_start(scene)).joint_coordinates
+    joints = list(scene.joints)
+    chosen = [j for j, joint in enumerate(joints) if joint.name in coordinates]
+    if not chosen:
+        raise ValueError("no joint has one coordinate")
+    for j in rng.permutation(chosen)[:most].tolist():
+        q, v = coordinates[joints[j].name]
+        motion = {
+            "times": [0.0, 0.5, 1.0],
+            "positions": [q, *(q + rng.normal(size=2))],
+            "velocities": [v, *rng.normal(size=2)],
+            "accelerations": [20.0 * rng.normal(), rng.normal(), 0.0],
+        }
+        joints[j] = joints[j].remade(driven=True, motion=motion)
+    return scene.remade(joints=joints)
 
 
 def _start(scene):
@@ -346,6 +367,12 @@ def _coupled(rng):
     return coupled(rng, _loops(rng, 3) if rng.random() < 0.5 else _flat(rng), 1)
 
 
+def _driven(rng):
+    if rng.random() < 0.6:
+        return driven(rng, _tree(rng, 2), int(rng.integers(1, 4)))
+    return driven(rng, _loops(rng, 3) if rng.random() < 0.5 else _flat(rng), 1)
+
+
 CLASSES = {
     "tree": _tree,
     "loops": _loops,
@@ -355,6 +382,7 @@ CLASSES = {
     "slender": _slender,
     "large": _large,
     "couplings": _coupled,
+    "driven": _driven,
 }
 
 

@@ -6,6 +6,7 @@ elliptic.py has the exact rotations of a free body and of a symmetric heavy top;
 
 from .trajectory import (
     Distance,
+    MotionChange,
     Reference,
     ServoChange,
     Trajectory,
@@ -16,6 +17,7 @@ from .trajectory import (
 
 __all__ = [
     "Distance",
+    "MotionChange",
     "Reference",
     "ServoChange",
     "Trajectory",

@@ -10,6 +10,7 @@ Kinematics and Dynamics of Mechanical Systems, 1989, chapter 9 (dot-1, dot-2, di
     ANGLE     theta                                 of a coupled joint, and LEVEL of a coupled slide
 
 A coupling is the difference of two such coordinates: q_1 - ratio q_2, less its value at the start.
+A driven joint has one coordinate less its motion: q(t), its rate and its acceleration are given.
 theta is the angle of a screw. Its rate is integrated with the motion, so that it is unwrapped. Each
 equation g = 0 is given with its first and second time derivatives.
 """
@@ -57,6 +58,8 @@ class Equations(NamedTuple):
     coupled: np.ndarray  # (c,) first of the two rows of each coupling, at the end
     ratio: np.ndarray  # (c,)
     offset: np.ndarray  # (c,) q_1 - ratio q_2
+    driven: np.ndarray  # (c,) number of a driven joint, whose ratio is 0; -1: a coupling
+    given: np.ndarray  # (3, d) coordinate, rate, acceleration of driven joints: input of an evaluation
 
 
 @subroutine
@@ -196,5 +199,10 @@ def joint_equations(equations, state, angle, rows_out, gap_out):
         rows_out[first] -= equations.ratio[c] * rows_out[first + 1]
         gap_out[:, first] -= equations.ratio[c] * gap_out[:, first + 1]
         gap_out[0, first] -= equations.offset[c]
+        d = equations.driven[c]
+        if d >= 0:
+            gap_out[:, first] -= equations.given[:, d]
+            if equations.kind[first] == ANGLE:
+                gap_out[0, first] -= 2.0 * np.pi * np.round(gap_out[0, first] / (2.0 * np.pi))
         rows_out[first + 1] = 0.0
         gap_out[:, first + 1] = 0.0

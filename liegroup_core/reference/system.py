@@ -52,6 +52,7 @@ def build_system(scene, pose, angles=None):
     turns += [(joints[force.joint], _law(force)) for force in scene.forces if force.type in TURNING]
     slides = [(joints[force.joint], _law(force)) for force in scene.forces if force.type in SLIDING]
     coupled = [joints[name] for entry in scene.couplings for name in (entry.joint, entry.other)]
+    coupled += [joint for joint in scene.joints if joint.driven for _ in range(2)]
     turns += [(joint, FREE) for joint in coupled if joint.type != "prismatic"]
     known = {} if angles is None else dict(zip((name for name, _ in scene.unwrapped), angles))
     start = np.array(
@@ -134,8 +135,10 @@ def _equations(scene, index, frames, relative, couplings):
         turn.append(angle if turns else -1)
         values.append(start[angle] if turns else relative[joint.name][2, 3])
         angle += turns
-    ratio = np.array([entry.ratio for entry in scene.couplings])
+    drives = np.arange(sum(joint.driven for joint in scene.joints))
+    ratio = np.array([entry.ratio for entry in scene.couplings] + [0.0 for _ in drives])
     values = np.array(values).reshape(-1, 2)
+    values[len(ratio) - len(drives) :] = 0.0
     return Equations(
         _table(kind, (), int),
         _table(body, (2,), int),
@@ -147,6 +150,8 @@ def _equations(scene, index, frames, relative, couplings):
         len(kind) - len(coupled) + 2 * np.arange(len(ratio)),
         ratio,
         values[:, 0] - ratio * values[:, 1],
+        np.concatenate([np.full(len(scene.couplings), -1), drives]),
+        np.zeros((3, len(drives))),
     )
 
 

@@ -8,8 +8,10 @@ from scipy.integrate import DOP853
 from scipy.spatial.transform import Rotation
 
 from liegroup_core.errors import SimulationError
+from liegroup_core.joints.motion import at, row_at
 from liegroup_core.scene.assembly import assembled
 from liegroup_core.scene.centres import Offsets, at_centres_of_mass
+from liegroup_core.scene.consistency import resolve_drives
 
 from .equations import STATE
 from .rigid_body_dae import rate, scaled_equations
@@ -45,6 +47,14 @@ class ServoChange(NamedTuple):
     joint: str
     position: float  # rad or m
     velocity: float  # rad/s or m/s
+
+
+class MotionChange(NamedTuple):
+    """Prescribed motion of a driven joint from `time` on."""
+
+    time: float  # s
+    joint: str
+    motion: tuple  # (7,) see joints/motion.py
 
 
 class Trajectory(NamedTuple):
@@ -91,8 +101,8 @@ def integrate(scene, pose, twist, times, changes=(), start=0.0, rtol=TIGHT):
     twist   : (n, 6) body-fixed, at `start`. Pose and twist are those of the frames at the centres of
               mass, as from Simulation.state
     times   : (k,) s, increasing, not before `start`
-    changes : WrenchChange and ServoChange in the order of their times; before the first one no
-              wrench acts, and wanted values are those of the scene
+    changes : WrenchChange, ServoChange and MotionChange in the order of their times; before the first
+              one no wrench acts, and wanted values and motions are those of the scene
     rtol    : relative and absolute tolerance of DOP853
     returns (Trajectory at `times`, its uncertainty as a Distance: the largest distance so far to
     a run with a tolerance ten times larger)
@@ -156,17 +166,19 @@ class Reference:
 
 
 def _pieces(scene, system, offsets, changes, start, end):
-    """Intervals of constant wrenches and constant wanted values of servos.
+    """Intervals of constant wrenches, constant wanted values of servos, and one motion of each drive.
 
-    returns [(start, end, System, wrenches (n, 15) of loads.add_loads, mask (p,) of applied wrenches)]
+    returns [(start, end, System, wrenches (n, 15) of loads.add_loads, mask (p,) of applied wrenches,
+    [(7,) of each driven joint])]
     """
-    wanted = {}
+    wanted, commanded, motions = {}, {}, resolve_drives(scene)
     index = {body.name: i for i, body in enumerate(scene.bodies)}
     pushes = [force for force in scene.forces if force.type == "applied_wrench"]
     # Sorted by time; changes at the same time keep their order.
     switches = sorted(
         [(change.time, change) for change in changes]
-        + [(time, None) for push in pushes for time in (push.start, push.end) if time is not None],
+        + [(time, None) for push in pushes for time in (push.start, push.end) if time is not None]
+        + [(time, None) for rows in motions.values() for time in rows[1:, 0]],
         key=lambda switch: switch[0],
     )
     wrench = np.zeros((len(scene.bodies), 15))
@@ -185,11 +197,16 @@ def _pieces(scene, system, offsets, changes, start, end):
                 ],
                 dtype=bool,
             )
-            pieces.append((since, until, system, wrench.copy(), acting))
+            driving = [
+                commanded.get(scene.joints[j].name, row_at(rows, middle)) for j, rows in motions.items()
+            ]
+            pieces.append((since, until, system, wrench.copy(), acting, driving))
             since = until
         if isinstance(change, ServoChange):
             wanted[change.joint] = change.position, change.velocity
             system = with_wanted(system, scene, wanted)
+        elif isinstance(change, MotionChange):
+            commanded[change.joint] = np.array(change.motion)
         elif change is not None:
             body = index[change.body]
             if change.axes == "world":
@@ -284,9 +301,11 @@ class _Run:
             )
         return True
 
-    def _begin(self, begin, end, system, wrench, acting):
+    def _begin(self, begin, end, system, wrench, acting, driving):
         def function(t, y):
             slope = np.empty_like(y)
+            for d, motion in enumerate(driving):
+                system.equations.given[:, d] = at(motion, t)
             self._singular[:] = rate(system, self._rank, y, wrench, acting, slope)
             if not np.isfinite(slope).all():  # DOP853 would reduce its step without end
                 raise SimulationError(

@@ -61,6 +61,7 @@ SHARES = {
     "slender": 12,
     "large": 3,
     "couplings": 16,
+    "driven": 16,
 }
 
 
@@ -113,7 +114,7 @@ def judged(name, seed, spaces):
     for space in spaces:
         if space == "plane" and make_layout(scene).normal is None:
             continue
-        if space == "se3" and scene.couplings:
+        if space == "se3" and name in ("couplings", "driven"):
             continue
         if space == "se3" and in_loops and exact.squared_condition > SINGULAR:
             continue

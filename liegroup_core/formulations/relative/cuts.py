@@ -88,7 +88,7 @@ def cut_rows(scene, frames, parts, tree, links, places, coupled):
 
 
 def _refuse_dependent(scene, matrices, drives, joints):
-    """Refuse motions of driven joints that follow from each other: their efforts are undetermined.
+    """Refuse a driven joint whose coordinate other joints determine: its effort is undetermined.
 
     matrices : rows at generic poses;  drives : mask of those of driven joints
     joints   : of the last rows
@@ -99,8 +99,8 @@ def _refuse_dependent(scene, matrices, drives, joints):
             continue
         j = joints[r - len(drives)]
         raise SceneError(
-            f'joints[{j}] "{scene.joints[j].name}": its motion follows from that of the other driven '
-            "joints: drive fewer of them",
+            f'joints[{j}] "{scene.joints[j].name}": it cannot be driven, because the other joints, '
+            "couplings and driven joints already determine its coordinate",
             ("joints", j, "driven"),
         )
 
