@@ -58,7 +58,8 @@ def describe(layout):
         groups              [[body]]: bodies that joints or forces connect, not counting the world
         couplings           [{name, joint, other, ratio, offset}]; offset in rad or m
         kept_momentum       [{bodies, components}] of the conserved momentum, as text; None if a
-                            joint is not a lower pair, or with couplings: not determined then
+                            joint is not a lower pair, or with couplings or driven joints: not
+                            determined then
     Raises SceneError.
     """
     scene, model = layout.scene, layout.model
@@ -85,6 +86,7 @@ def describe(layout):
                 "child": joint.child,
                 "rows": rows[joint.name],
                 "dropped": [row for name, row in dropped if name == joint.name],
+                "driven": joint.driven,
             }
             for joint in scene.joints
         ],
@@ -117,7 +119,7 @@ def describe(layout):
             {"bodies": list(kept.bodies), "components": list(kept.labels)}
             for kept in conserved_momentum(scene)
         ]
-        if only_pairs and not scene.couplings
+        if only_pairs and not scene.couplings and not layout.motions
         else None,
     }
 

@@ -212,6 +212,7 @@ class Engine:
         self._pose, self._twist, self.steps = pose, twist, int(steps)
         wanted = wanted_values(self.layout.model.forces)
         self._schedule = WrenchSchedule(n, self.step, wanted, len(self.layout.motions))
+        self._commanded = self._schedule.total[DRIVE].copy()
         self._work.wanted[:] = wanted
         self._external = no_wrenches(self.layout.offsets)
         self._applied = []
@@ -313,6 +314,7 @@ class Engine:
         self._schedule = copy.deepcopy(snapshot["schedule"])
         self._external[:] = snapshot["external"]
         self._work.wanted[:] = snapshot["wanted"]
+        self._commanded[:] = self._schedule.total[DRIVE]
 
     def acting_now(self):
         """[[body or joint, axes, *wrench]] of what acts, JSON types; see Layout.names_of_inputs."""
@@ -335,10 +337,16 @@ class Engine:
                 raise ValueError(f"no wrench: {axes!r:.20}, {wrench!r:.60}")
             number = names[axes].index(name)
             self._schedule.act(number, wrench, axes)
-            if axes == SERVO:
-                self._work.wanted[number] = wrench
-            elif axes in AXES:
-                set_wrench(self._external, number, wrench, axes)
+            self._set_input(number, wrench, axes)
+
+    def _set_input(self, number, total, axes):
+        """Set a total wrench, wanted values or a motion for the next steps."""
+        if axes == SERVO:
+            self._work.wanted[number] = total
+        elif axes == DRIVE:
+            self._commanded[number] = total
+        else:
+            set_wrench(self._external, number, total, axes)
 
     @property
     def time(self) -> float:
@@ -617,10 +625,7 @@ class Engine:
         """Apply the total wrenches, or wanted values, of [(body, axes)] from a time on."""
         for body, axes in changed:
             total = self._schedule.total[axes][body]
-            if axes == SERVO:
-                self._work.wanted[body] = total
-            elif axes in AXES:
-                set_wrench(self._external, body, total, axes)
+            self._set_input(body, total, axes)
             self._applied.append(self._applied_at(time, body, axes))
 
     def _applied_at(self, time, body, axes):
@@ -677,7 +682,7 @@ class Engine:
             work.acting[:] = self._timetable.acting(start, h)
         if len(work.motions):
             # The middle is away from all changes: round-off has no influence.
-            work.motions[:] = self.layout.motions_at(start + 0.5 * h, self._schedule.total[DRIVE])
+            work.motions[:] = self.layout.motions_at(start + 0.5 * h, self._commanded)
             whole = h == self.step and start == self.time
             work.clock[:] = self.steps if whole else 0.0, 0.0 if whole else start, start
         return self._integrator.advance(h, steps, self._pose, self._twist, self._external)
@@ -725,7 +730,7 @@ class Engine:
         if len(self._work.wanted):
             sample.wanted = self._work.wanted.copy()
         if len(self._work.motions):
-            sample.motions = self.layout.motions_at(self.time, self._schedule.total[DRIVE])
+            sample.motions = self.layout.motions_at(self.time, self._commanded)
         return sample
 
     def energy(self) -> float:

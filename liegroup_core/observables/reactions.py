@@ -21,12 +21,18 @@ from liegroup_core.forces.kinds import wanted_values
 from liegroup_core.formulations.relative.arrays import make_relative_work
 from liegroup_core.formulations.relative.reactions import joint_wrenches, reaction_table
 from liegroup_core.formulations.relative.spanning_tree import WORLD_NAME
-from liegroup_core.joints.kinds import forbidden_rows
+from liegroup_core.joints.kinds import TYPES, forbidden_rows
 from liegroup_core.joints.linkage import RANK_TOLERANCE, Linkage
 from liegroup_core.model.arrays import make_work
 from liegroup_core.model.build import initial_state
 from liegroup_core.model.redundancy import dependent_groups, generic_poses
-from liegroup_core.scene.consistency import resolve_couplings, resolve_elements, resolve_frames
+from liegroup_core.scene.consistency import (
+    ResolvedCoupling,
+    resolve_couplings,
+    resolve_drives,
+    resolve_elements,
+    resolve_frames,
+)
 
 COMPONENTS = ("torque x", "torque y", "torque z", "force x", "force y", "force z")
 MOST = 5  # names in a reason
@@ -37,11 +43,12 @@ VANISHING = 1e-6
 class _Rows(NamedTuple):
     """Rows of a linkage at a pose: unit rows, and their null space.
 
-    of_joint : [(k, 6)] rows of each joint for twists of its child's joint frame, (omega length, v)
-    null     : (rows, d) N of the unit rows
+    shares : (joints, 6, rows) wrench that a unit multiplier of each row exerts on each joint's child,
+             in the axes of the joint frame, (torque / length, force)
+    null   : (rows, d) N of the unit rows
     """
 
-    of_joint: list
+    shares: np.ndarray
     null: np.ndarray
 
 
@@ -60,7 +67,9 @@ class Reactions:
         self._work = make_relative_work(model, make_work(layout.model, 0), 0)
         self._scene = scene = layout.centred
         couplings = resolve_couplings(scene)
+        couplings += [ResolvedCoupling(j, j, 0.0, 0.0) for j in resolve_drives(scene)]
         frames, parts = resolve_frames(scene), resolve_elements(scene)
+        # [(joints, their Linkage that moves, that with its driven joints held)]
         self._groups = []
         for loops, numbers in dependent_groups(scene, couplings):
             entries = [couplings[n] for n in numbers]
@@ -71,7 +80,11 @@ class Reactions:
                 entry._replace(joint=group.index(entry.joint), other=group.index(entry.other))
                 for entry in entries
             ]
-            self._groups.append((group, Linkage(scene, frames, parts, group, couplings=own)))
+            moving, held = (
+                Linkage(scene, frames, parts, group, couplings=kept)
+                for kept in ([entry for entry in own if not entry.is_given], own)
+            )
+            self._groups.append((group, moving, held))
 
     def warm_up(self):
         """Compile the kernels and analyse the linkage, at the start of the scene."""
@@ -87,7 +100,8 @@ class Reactions:
     def undetermined(self):
         """(J, 6) mask of the components that are undetermined at generic poses."""
         mask = np.zeros((len(self.names), 6), dtype=bool)
-        for group, linkage in self._groups:
+        for group, linkage, _ in self._groups:
+            # Driven joints depend on no others (formulations/relative/cuts.py).
             for poses in generic_poses(linkage):
                 mask[group] |= _undetermined(_rows(linkage, poses))
         return mask
@@ -95,7 +109,7 @@ class Reactions:
     def reasons(self, mask):
         """{joint: why some of its components are undetermined}; mask : (J, 6)."""
         found = {}
-        for group, _ in self._groups:
+        for group, *_ in self._groups:
             joints = [j for j in group if mask[j].any()]
             for j in joints:
                 others = [self.names[k] for k in joints if k != j]
@@ -131,7 +145,7 @@ class Reactions:
             return out, self.undetermined, motion
         mask = self.undetermined.copy()  # a singular pose
         places = self._places(pose)
-        for group, linkage in self._groups:
+        for group, _, linkage in self._groups:
             mask[group] |= _undetermined(_rows(linkage, places))
         return out, mask, motion
 
@@ -150,21 +164,13 @@ class Reactions:
         Torques are compared with forces at the linkage's characteristic length.
         """
         out, places = wrenches.copy(), self._places(pose)
-        for group, linkage in self._groups:
+        for group, _, linkage in self._groups:
             rows = _rows(linkage, places)
             units = np.repeat([linkage.length, 1.0], 3)
-            sizes = [
-                np.linalg.lstsq(A.T, wrenches[j] / units, rcond=None)[0]
-                for j, A in zip(group, rows.of_joint)
-            ]
-            joint_rows = sum(len(part) for part in sizes)
-            own = np.zeros(len(rows.null))
-            own[:joint_rows] = np.concatenate(sizes)
-            own -= rows.null @ (rows.null.T @ own)
-            at = 0
-            for j, A in zip(group, rows.of_joint):
-                out[j] = units * (A.T @ own[at : at + len(A)])
-                at += len(A)
+            shares = rows.shares.reshape(6 * len(group), -1)
+            own = np.linalg.lstsq(shares, (wrenches[group] / units).ravel(), rcond=None)[0]
+            excess = shares @ (rows.null @ (rows.null.T @ own))
+            out[group] -= units * excess.reshape(-1, 6)
         return out
 
 
@@ -177,20 +183,19 @@ def _rows(linkage, poses):
     sizes = np.linalg.norm(turned, axis=1)
     left, values, _ = np.linalg.svd(unit)
     rank = int((values > RANK_TOLERANCE).sum())
-    of_joint, at = [], 0
+    shares, at = np.zeros((len(linkage.joints), 6, len(plain))), 0
+    units = np.repeat([linkage.length, 1.0], 3)
     for j, part in enumerate(linkage.parts):
-        rows = forbidden_rows(part, linkage.relative(j, poses)) / np.repeat(
-            [linkage.length, 1.0], 3
-        )
-        of_joint.append(rows / sizes[at : at + len(rows), None])
+        rows = forbidden_rows(part, linkage.relative(j, poses)) / units
+        shares[j, :, at : at + len(rows)] = (rows / sizes[at : at + len(rows), None]).T
         at += len(rows)
-    return _Rows(of_joint, left[:, rank:])
+    for r, entry in enumerate(linkage.couplings, at):
+        for j, factor in ((entry.joint, 1.0), (entry.other, -entry.ratio)):
+            axis = TYPES[linkage.joints[j].type].rate
+            shares[j, axis, r] += factor / units[axis] / sizes[r]
+    return _Rows(shares, left[:, rank:])
 
 
 def _undetermined(rows):
     """(joints, 6) mask of the components of the joints that the null space changes."""
-    mask, at = [], 0
-    for A in rows.of_joint:
-        mask.append(np.abs(A.T @ rows.null[at : at + len(A)]).max(axis=1, initial=0.0) > VANISHING)
-        at += len(A)
-    return np.array(mask).reshape(-1, 6)
+    return np.abs(rows.shares @ rows.null).max(axis=2, initial=0.0) > VANISHING

@@ -119,10 +119,10 @@ class Sample:
         are between -pi and pi.
         """
         found = self._layout.coordinates.at(*self._state, self.angles)
-        for joint, row in zip(self._layout.motions, self._motions):
+        for joint, (position, *_) in self.prescribed.items():
             if self._layout.coordinates.units.get(joint) == "rad":
                 angle, rate = found[joint]
-                found[joint] = within_a_turn(angle, motion.at(row, self.time)[0]), rate
+                found[joint] = within_a_turn(angle, position), rate
         return found
 
     @cached_property
@@ -138,10 +138,8 @@ class Sample:
         external wrenches is not included.
         """
         forces = self._layout.model.forces
-        efforts = self.drive_efforts.values()
-        driving = sum(
-            effort * motion.at(row, self.time)[1] for effort, row in zip(efforts, self._motions)
-        )
+        rates = self.prescribed
+        driving = sum(effort * rates[joint][1] for joint, effort in self.drive_efforts.items())
         return driving + kinds.power(forces, self.angles, self._acting, self._wanted, *self._state)
 
     @property
@@ -248,6 +246,14 @@ class Sample:
         """Joints whose servo is at its effort limit."""
         at_limit = np.abs(self._servo_efforts[:, 0]) >= kinds.limits(self._layout.model.forces)
         return tuple(joint for joint, is_at in zip(self._layout.servos, at_limit) if is_at)
+
+    @property
+    def prescribed(self) -> dict[str, tuple[float, float, float]]:
+        """{driven joint: prescribed position, velocity, acceleration}, rad or m, and per s and s^2."""
+        return {
+            joint: motion.at(row, self.time)
+            for joint, row in zip(self._layout.motions, self._motions)
+        }
 
     @cached_property
     def drive_efforts(self) -> dict[str, float]:

@@ -119,6 +119,7 @@ def sections(facts):
                     joint["name"],
                     joint["type"],
                     f"{joint['parent']} - {joint['child']}"
+                    + (", driven" if joint["driven"] else "")
                     + (f", eliminated: {' '.join(joint['dropped'])}" if joint["dropped"] else ""),
                 )
                 for joint in facts["joints"]
@@ -274,6 +275,7 @@ def _tree_rows(facts):
 
 def _freedom_rows(facts):
     dropped = ", ".join(f"{joint} {row}" for joint, row in facts["dropped_rows"])
+    driven = sum(joint["driven"] for joint in facts["joints"])
     return [
         ("coordinates", str(6 * len(facts["bodies"])), "six per body"),
         ("constraint equations", str(facts["rows"]), "of the joints"),
@@ -287,8 +289,17 @@ def _freedom_rows(facts):
             if facts["couplings"]
             else []
         ),
+        *([("driven joints", str(driven), "one equation each")] if driven else []),
         ("degrees of freedom", str(facts["degrees_of_freedom"]), "remaining"),
     ]
+
+
+def _not_searched(facts):
+    """Why conserved momentum was not searched."""
+    if facts["couplings"]:
+        return "couplings"
+    driven = any(joint["driven"] for joint in facts["joints"])
+    return "driven joints" if driven else "a joint is not a lower pair"
 
 
 def _solve_rows(facts):
@@ -341,7 +352,7 @@ def _conserved_rows(facts):
             (
                 "momentum",
                 "not searched",
-                "couplings" if facts["couplings"] else "a joint is not a lower pair",
+                _not_searched(facts),
             )
         ]
     rows += [

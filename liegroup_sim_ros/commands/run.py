@@ -8,6 +8,7 @@ both cases. Wrong input is refused before a file is opened.
 import math
 import sys
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,8 @@ from liegroup_core.engine import STABILISATIONS, STEP
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.integrators.methods import CONFIGURATION_GROUPS, METHODS
 from liegroup_core.simulation import default_steps
-from liegroup_sim_ros.recording.write_run import ArrayFile, LogFile, TableFile
+from liegroup_sim_ros.recording.write_run import ArrayFile, LogFile
+from liegroup_sim_ros.recording.write_tables import TableFile, TorqueFile
 
 EXIT_STOPPED = 1
 AT_ONCE = 10_000  # largest number of steps between two updates of the progress bar
@@ -64,7 +66,6 @@ def add_arguments(parser):
     )
     parser.add_argument(
         "--out",
-        required=True,
         metavar="FILE",
         help="output file (*.npz, *.csv or *.mcap); it must not exist",
     )
@@ -85,6 +86,11 @@ def add_arguments(parser):
         "--reactions",
         action="store_true",
         help="also write the wrench of every joint on its child (nan: undetermined)",
+    )
+    parser.add_argument(
+        "--torques",
+        metavar="FILE",
+        help="table (*.csv) of the efforts that the motions of driven joints require; it must not exist",
     )
     add_settings(parser)
 
@@ -170,9 +176,15 @@ def dividing_steps(duration, horizon):
 def run(args):
     """Run the subcommand; returns the exit code. Raises SceneError, RunError, OutputError."""
     settings = given_settings(args)
-    kind = {".npz": ArrayFile, ".csv": TableFile, ".mcap": LogFile}.get(Path(args.out).suffix)
-    if kind is None:
-        raise RunError(f"{args.out}: the name must end in .npz, .csv or .mcap")
+    if args.out is None and args.torques is None:
+        raise RunError("give --out FILE or --torques FILE: nothing would be written")
+    kind = None
+    if args.out is not None:
+        kind = {".npz": ArrayFile, ".csv": TableFile, ".mcap": LogFile}.get(Path(args.out).suffix)
+        if kind is None:
+            raise RunError(f"{args.out}: the name must end in .npz, .csv or .mcap")
+    if args.torques is not None and Path(args.torques).suffix != ".csv":
+        raise RunError(f"{args.torques}: the name must end in .csv")
     every = args.every
     if every is None:
         every = 10 if args.method else 1
@@ -187,31 +199,43 @@ def run(args):
             simulation = Simulation(scene, **settings, estimate=args.estimate)
     except ValueError as error:  # SceneError, too, is one
         raise RunError(str(error)) from None
-    if args.reactions:
+    if args.reactions or args.torques:
         simulation.layout.reactions.warm_up()
     steps = whole_steps(args.duration, simulation.step)
     samples = 1 + -(-steps // every)
     started = time.monotonic()
     stopped, code = None, 0
-    with kind(args.out, simulation, every, samples, args.reactions) as file:
-        file.sample(simulation.sample())
+    with ExitStack() as stack:
+        files = []
+        if args.torques:
+            files.append(stack.enter_context(TorqueFile(args.torques, simulation)))
+        if kind:
+            file = kind(args.out, simulation, every, samples, args.reactions)
+            files.append(stack.enter_context(file))
+
+        def write():
+            sample = simulation.sample()
+            for file in files:
+                file.sample(sample)
+
+        write()
         try:
-            _simulate(simulation, steps, every, file, console)
+            _simulate(simulation, steps, every, write, console)
         except SimulationError as error:
             stopped, code = str(error), EXIT_STOPPED
         except KeyboardInterrupt:
             stopped, code = f"interrupted at t = {simulation.time:.9g} s", 130
-        if stopped and simulation.steps > file.last_step:
-            file.sample(simulation.sample())
+        if stopped and simulation.steps > files[0].last_step:
+            write()
         wall = time.monotonic() - started
-        file.finish(simulation, stopped, code == EXIT_STOPPED, wall)
+        for file in files:
+            file.finish(simulation, stopped, code == EXIT_STOPPED, wall)
+    names = " and ".join(name for name in (args.out, args.torques) if name)
     if stopped:
-        print(
-            f"liegroup_sim: {stopped}; the trajectory up to there is in {args.out}", file=sys.stderr
-        )
+        print(f"liegroup_sim: {stopped}; the trajectory up to there is in {names}", file=sys.stderr)
     else:
         print(
-            f"{args.out}: {simulation.time:.9g} s in {steps} steps, {file.count} samples, "
+            f"{names}: {simulation.time:.9g} s in {steps} steps, {files[0].count} samples, "
             f"{wall:.3g} s of wall time{_error_of(simulation)}"
         )
     return code
@@ -226,8 +250,8 @@ def _error_of(simulation):
     return f", estimated error {position:.2g} m, {attitude:.2g} rad"
 
 
-def _simulate(simulation, steps, every, file, console):
-    """Take all steps and write every sample that is due to the file."""
+def _simulate(simulation, steps, every, write, console):
+    """Take all steps; `write` writes a sample when one is due."""
     with Progress(
         TextColumn("simulating"),
         BarColumn(),
@@ -241,7 +265,7 @@ def _simulate(simulation, steps, every, file, console):
             due = min(steps, (simulation.steps // every + 1) * every)
             simulation.advance(min(due - simulation.steps, AT_ONCE))
             if simulation.steps == due:
-                file.sample(simulation.sample())
+                write()
             if time.monotonic() > drawn + REDRAW:
                 drawn = time.monotonic()
                 progress.update(

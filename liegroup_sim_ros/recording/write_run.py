@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of an offline run: arrays for NumPy, a table, or a recording in the format of the node.
+"""Files of an offline run: arrays for NumPy, or a recording in the format of the node.
 
-The classes have sample(sample), finish(simulation, stopped, failed, wall_seconds), `count` and
+Tables are in write_tables.py. The classes have sample(sample), finish(simulation, stopped, failed, wall_seconds), `count` and
 `last_step`. The `with` block closes the file. `stopped` is the reason why the run ended early,
 or None. Existing files are never overwritten.
 """
 
-import csv
 import json
 from pathlib import Path
 
@@ -20,6 +19,7 @@ from . import attachments
 from .checkpoints import Checkpoints
 from .errors import OutputError, RecorderError
 from .write import Recorder
+from .write_tables import has_estimate, joint_names
 
 NODE = "/sim_node"  # the topics have the names that they have in a run of the node
 WORLD_FRAME = "world"
@@ -38,7 +38,7 @@ class ArrayFile:
     def __init__(self, path, simulation, every, samples, reactions=False):
         self.count, self.last_step = 0, -1
         self._path, self._every = Path(path), every
-        self._joints = {"joints": np.array(_joint_names(simulation))} if reactions else {}
+        self._joints = {"joints": np.array(joint_names(simulation))} if reactions else {}
         n = len(simulation.layout.body_names)
         try:
             self._arrays = {
@@ -49,10 +49,10 @@ class ArrayFile:
                 "energy": np.empty(samples),
                 "residual": np.empty(samples),
             }
-            if _has_estimate(simulation):
+            if has_estimate(simulation):
                 self._arrays["errors"] = np.empty((samples, n, 4))
             if reactions:
-                self._arrays["reactions"] = np.empty((samples, len(_joint_names(simulation)), 6))
+                self._arrays["reactions"] = np.empty((samples, len(joint_names(simulation)), 6))
             self._stream = open(self._path, "xb")
         except MemoryError:
             raise OutputError(
@@ -106,104 +106,6 @@ class ArrayFile:
             raise OutputError(f"{self._path}: cannot be written: {error.strerror}") from None
 
 
-class TableFile:
-    """Table *.csv with a header row and a row per sample; numbers are exact when read back.
-
-    Columns, with their units in brackets: time; of each body position x y z (m, world),
-    quaternion qx qy qz qw (body to world), angular velocity wx wy wz (rad/s) and velocity vx vy vz
-    (m/s) in body axes; position and velocity of each joint with one degree of freedom (rad and
-    rad/s, or m and m/s); energy (J); largest constraint residual (m or rad); estimated errors of
-    each body, if the simulation carries an estimate; on request the reaction of each joint, torque
-    tx ty tz (N m) and force fx fy fz (N), see Sample.reactions.
-    """
-
-    BODY = (
-        *(f"{axis} [m]" for axis in "xyz"),
-        *(f"q{axis}" for axis in "xyzw"),
-        *(f"w{axis} [rad/s]" for axis in "xyz"),
-        *(f"v{axis} [m/s]" for axis in "xyz"),
-    )
-    ERRORS = (
-        "position_error [m]",
-        "attitude_error [rad]",
-        "velocity_error [m/s]",
-        "angular_velocity_error [rad/s]",
-    )
-
-    REACTION = (*(f"t{axis} [N m]" for axis in "xyz"), *(f"f{axis} [N]" for axis in "xyz"))
-
-    def __init__(self, path, simulation, _every, _samples, reactions=False):
-        self.count, self.last_step = 0, -1
-        self._path, self._reactions = Path(path), reactions
-        try:
-            self._stream = open(self._path, "x", encoding="utf-8", newline="")
-        except FileExistsError:
-            raise OutputError(
-                f"{path}: the file already exists; remove it or choose another name"
-            ) from None
-        except OSError as error:
-            raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
-        layout = simulation.layout
-        self._joints = layout.coordinates.names
-        units = layout.coordinates.units
-        errors = self.ERRORS if _has_estimate(simulation) else ()
-        self._rows = csv.writer(self._stream)
-        self._write(
-            "time [s]",
-            *(f"{body}.{name}" for body in layout.body_names for name in self.BODY),
-            *(
-                f"{joint}.{what} [{units[joint]}{per}]"
-                for joint in self._joints
-                for what, per in (("position", ""), ("velocity", "/s"))
-            ),
-            "energy [J]",
-            "constraint_residual [m or rad]",
-            *(f"{body}.{name}" for body in layout.body_names for name in errors),
-            *(
-                f"{joint}.{name}"
-                for joint in (_joint_names(simulation) if reactions else ())
-                for name in self.REACTION
-            ),
-        )
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *exception):
-        try:
-            self._stream.close()
-        except OSError as error:
-            raise OutputError(f"{self._path}: cannot be written: {error.strerror}") from None
-
-    def _write(self, *values):
-        try:
-            self._rows.writerow(values)
-        except OSError as error:
-            raise OutputError(f"{self._path}: cannot be written: {error.strerror}") from None
-
-    def sample(self, sample):
-        """Write a row."""
-        bodies = np.hstack([sample.pose[:, 9:], sample.orientation, sample.twist])
-        coordinates = sample.joint_coordinates
-        self._write(
-            sample.time,
-            *bodies.ravel().tolist(),
-            *(float(number) for name in self._joints for number in coordinates[name]),
-            float(sample.energy),
-            float(sample.constraint_residual),
-            *(() if sample.errors is None else sample.errors.ravel().tolist()),
-            *(
-                number
-                for wrench in (sample.reactions.values() if self._reactions else ())
-                for number in wrench.tolist()
-            ),
-        )
-        self.count, self.last_step = self.count + 1, sample.steps
-
-    def finish(self, simulation, stopped, failed, wall_seconds):
-        """Do nothing: all rows are written."""
-
-
 class LogFile:
     """Recording *.mcap in the node's format, without clock and diagnostics (docs/reference/node.md)."""
 
@@ -227,7 +129,7 @@ class LogFile:
             "diagnostics": topics.DIAGNOSTICS.resolved(NODE),
         }
         with_samples = [*sum(pairs, ())]
-        if _has_estimate(simulation):
+        if has_estimate(simulation):
             names["errors"] = topics.ERRORS.resolved(NODE)
             with_samples.append(topics.ERRORS)
         try:
@@ -316,11 +218,3 @@ class LogFile:
                 }
             ),
         )
-
-
-def _joint_names(simulation):
-    return [joint.name for joint in simulation.scene.joints]
-
-
-def _has_estimate(simulation):
-    return simulation.sample().errors is not None

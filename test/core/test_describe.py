@@ -27,6 +27,7 @@ def test_heavy_top():
             "child": "top",
             "rows": ["vx", "vy", "vz"],
             "dropped": [],
+            "driven": False,
         }
     ]
     assert facts["forces"] == [{"name": "spring", "type": "spring_damper", "on": ["world", "top"]}]

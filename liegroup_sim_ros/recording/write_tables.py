@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tables *.csv of an offline run: states of bodies and joints, or efforts of driven joints.
+
+A header row with units in brackets, then a row per sample; numbers are exact when read back. The
+classes are used as those of write_run.py. Existing files are never overwritten.
+"""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from .errors import OutputError
+
+
+class _Table:
+    """Table in a file, with a number of samples and the step of the last one."""
+
+    def __init__(self, path):
+        self.count, self.last_step = 0, -1
+        self._path = Path(path)
+        try:
+            self._stream = open(self._path, "x", encoding="utf-8", newline="")
+        except FileExistsError:
+            raise OutputError(
+                f"{path}: the file already exists; remove it or choose another name"
+            ) from None
+        except OSError as error:
+            raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
+        self._rows = csv.writer(self._stream)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *exception):
+        try:
+            self._stream.close()
+        except OSError as error:
+            raise OutputError(f"{self._path}: cannot be written: {error.strerror}") from None
+
+    def _write(self, *values):
+        try:
+            self._rows.writerow(values)
+        except OSError as error:
+            raise OutputError(f"{self._path}: cannot be written: {error.strerror}") from None
+
+    def finish(self, simulation, stopped, failed, wall_seconds):
+        """Do nothing: all rows are written."""
+
+
+class TableFile(_Table):
+    """Table of states.
+
+    Columns: time; of each body position x y z (m, world),
+    quaternion qx qy qz qw (body to world), angular velocity wx wy wz (rad/s) and velocity vx vy vz
+    (m/s) in body axes; position and velocity of each joint with one degree of freedom (rad and
+    rad/s, or m and m/s); energy (J); largest constraint residual (m or rad); estimated errors of
+    each body, if the simulation carries an estimate; on request the reaction of each joint, torque
+    tx ty tz (N m) and force fx fy fz (N), see Sample.reactions.
+    """
+
+    BODY = (
+        *(f"{axis} [m]" for axis in "xyz"),
+        *(f"q{axis}" for axis in "xyzw"),
+        *(f"w{axis} [rad/s]" for axis in "xyz"),
+        *(f"v{axis} [m/s]" for axis in "xyz"),
+    )
+    ERRORS = (
+        "position_error [m]",
+        "attitude_error [rad]",
+        "velocity_error [m/s]",
+        "angular_velocity_error [rad/s]",
+    )
+
+    REACTION = (*(f"t{axis} [N m]" for axis in "xyz"), *(f"f{axis} [N]" for axis in "xyz"))
+
+    def __init__(self, path, simulation, _every, _samples, reactions=False):
+        super().__init__(path)
+        self._reactions = reactions
+        layout = simulation.layout
+        self._joints = layout.coordinates.names
+        units = layout.coordinates.units
+        errors = self.ERRORS if has_estimate(simulation) else ()
+        self._write(
+            "time [s]",
+            *(f"{body}.{name}" for body in layout.body_names for name in self.BODY),
+            *(
+                f"{joint}.{what} [{units[joint]}{per}]"
+                for joint in self._joints
+                for what, per in (("position", ""), ("velocity", "/s"))
+            ),
+            "energy [J]",
+            "constraint_residual [m or rad]",
+            *(f"{body}.{name}" for body in layout.body_names for name in errors),
+            *(
+                f"{joint}.{name}"
+                for joint in (joint_names(simulation) if reactions else ())
+                for name in self.REACTION
+            ),
+        )
+
+    def sample(self, sample):
+        """Write a row."""
+        bodies = np.hstack([sample.pose[:, 9:], sample.orientation, sample.twist])
+        coordinates = sample.joint_coordinates
+        self._write(
+            sample.time,
+            *bodies.ravel().tolist(),
+            *(float(number) for name in self._joints for number in coordinates[name]),
+            float(sample.energy),
+            float(sample.constraint_residual),
+            *(() if sample.errors is None else sample.errors.ravel().tolist()),
+            *(
+                number
+                for wrench in (sample.reactions.values() if self._reactions else ())
+                for number in wrench.tolist()
+            ),
+        )
+        self.count, self.last_step = self.count + 1, sample.steps
+
+
+class TorqueFile(_Table):
+    """Table of driven joints: time; of each its position, velocity, and the effort that it requires.
+
+    rad, rad/s and N m, or m, m/s and N; nan where redundant constraints leave an effort undetermined.
+    A screw has the angle, and the torque about its axis.
+    """
+
+    def __init__(self, path, simulation):
+        units = {
+            joint.name: ("m", "m/s", "N") if joint.type == "prismatic" else ("rad", "rad/s", "N m")
+            for joint in simulation.scene.joints
+            if joint.driven
+        }
+        if not units:
+            raise OutputError(
+                f"{path}: the scene has no driven joint: add driven: true to those whose efforts you need"
+            )
+        super().__init__(path)
+        self._write(
+            "time [s]",
+            *(
+                f"{joint}.{what} [{unit}]"
+                for joint, of_joint in units.items()
+                for what, unit in zip(("position", "velocity", "effort"), of_joint)
+            ),
+        )
+
+    def sample(self, sample):
+        """Write a row."""
+        efforts, motions = sample.drive_efforts, sample.prescribed
+        self._write(
+            sample.time,
+            *(number for joint in efforts for number in (*motions[joint][:2], efforts[joint])),
+        )
+        self.count, self.last_step = self.count + 1, sample.steps
+
+
+def joint_names(simulation):
+    """Names of all joints of a simulation."""
+    return [joint.name for joint in simulation.scene.joints]
+
+
+def has_estimate(simulation):
+    """Whether a simulation carries an estimate of its error."""
+    return simulation.sample().errors is not None

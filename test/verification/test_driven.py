@@ -1,0 +1,333 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Driven joints: their motion, the motion of the rest, and the efforts that they require.
+
+Independent: reference integration (liegroup_core/reference), closed forms, and the energy balance.
+Accelerations and reactions of random mechanisms with driven joints: test_relative_accelerations.py,
+test_reactions.py.
+"""
+
+import numpy as np
+import pytest
+from scipy.interpolate import make_interp_spline
+
+from liegroup_core import SceneError, Simulation, load_scene
+from liegroup_core.engine import Engine
+from liegroup_core.joints.motion import at, through
+from liegroup_core.reference import MotionChange, integrate
+from liegroup_core.scene.load import scene_from_text
+
+pytestmark = pytest.mark.slow
+G = 9.81
+END = 1.5
+
+PIVOT = """
+name: pivot
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: cart, mass: 3.0, inertia: [0.1, 0.1, 0.1]}
+  - {name: rod, mass: 1.0, inertia: [0.02, 0.03, 0.04], com: [0.1, -0.4, 0.05], rotation_vector: [1.2, 0.1, 0.3]}
+joints:
+  - name: slide
+    type: prismatic
+    parent: world
+    child: cart
+    parent_frame: {axis: [1, 0, 0]}
+    driven: true
+    motion: {times: [0, 0.4, 1.1, 1.5], positions: [0, 0.3, -0.2, 0.1]}
+  - {name: ball, type: spherical, parent: cart, child: rod, child_frame: {}}
+"""
+ARM = """
+name: arm
+gravity: [0, 0, -9.81]
+bodies:
+  - name: upper
+    mass: 2.0
+    inertia: [0.02, 0.03, 0.03, 0.001, 0.002, -0.001]
+    com: [0.3, 0, 0]
+    rotation_vector: [0.5, 0.1, 0.3]
+  - {name: fore, mass: 1.0, inertia: [0.01, 0.02, 0.03], position: [0.6, 0, 0], com: [0.2, 0, 0], rotation_vector: [1.5, 0, 0]}
+  - {name: nut, mass: 0.5, inertia: [0.01, 0.01, 0.02], position: [1.0, 0, 0], com: [0.05, 0.02, 0]}
+joints:
+  - {name: shoulder, type: revolute, parent: world, child: upper, child_frame: {}}
+  - name: elbow
+    type: revolute
+    parent: upper
+    child: fore
+    child_frame: {}
+    driven: true
+    motion: {times: [0, 0.7, 1.5], positions: [0, 0.3, 7.5]}
+  - name: thread
+    type: screw
+    pitch: 0.03
+    parent: fore
+    child: nut
+    child_frame: {rotation_vector: [0.3, 0.4, 0]}
+    driven: true
+    motion: {times: [0, 1.5], positions: [0, 3.0], velocities: [0, 1.0], accelerations: [2, 0]}
+"""
+
+
+def driven(scene, joint, **keys):
+    """Scene with a driven joint."""
+    return scene.remade(
+        joints=[j.remade(driven=True, **keys) if j.name == joint else j for j in scene.joints]
+    )
+
+
+def difference(simulation, exact, k):
+    """Largest difference of rotation matrices and positions, m, to a Trajectory at its time k."""
+    sample = simulation.sample()
+    return max(
+        np.abs(sample.pose[:, :9].reshape(-1, 3, 3) - exact.rotation[k]).max(),
+        np.abs(sample.pose[:, 9:] - exact.position[k]).max(),
+    )
+
+
+ORDERS = {
+    "rkmk4": (4, 0.02),
+    "rkmk8": (8, 0.04),
+    "generalized_alpha": (2, 0.02),
+    "constrained_rattle": (2, 0.02),
+    "constrained_rattle4": (4, 0.02),
+    "constrained_rattle8": (8, 0.06),
+}
+
+
+@pytest.fixture(scope="module", params=[PIVOT, ARM], ids=["pivot", "arm"])
+def moved(request):
+    """(scene, its reference Trajectory at END)."""
+    scene = scene_from_text(request.param)
+    exact, uncertainty = integrate(scene, *Engine(scene, quiet=True).state(), [0.0, END])
+    assert max(part.max() for part in uncertainty) < 1e-11
+    return scene, exact
+
+
+@pytest.mark.parametrize("method", ORDERS)
+def test_methods_keep_their_order(moved, method):
+    """Slope over three steps, against a reference whose motions share only the polynomials.
+
+    Steps that divide the knots of the motions, and steps that do not: END / step need not be whole,
+    so that the step is 1.5 s / n. The slopes are those of smooth problems within a quarter.
+    """
+    scene, exact = moved
+    order, step = ORDERS[method]
+    errors, counts = [], [round(END / step * factor) for factor in (1.0, 1.3, 1.7)]
+    for n in counts:
+        simulation = Engine(scene, method, END / n, quiet=True)
+        simulation.advance(n)
+        errors.append(difference(simulation, exact, 1))
+    slope = -np.polyfit(np.log(counts), np.log(errors), 1)[0]
+    assert order - 0.4 < slope < order + 0.8, errors
+
+
+@pytest.mark.parametrize("options", [{}, {"space": "space"}], ids=["plane", "space"])
+@pytest.mark.parametrize("name", ["slider_crank", "four_bar", "flyball_governor"])
+def test_crank_at_constant_rate(name, options):
+    """The crank turns at its initial rate; the effort's work and that of other forces is the energy.
+
+    Samples at 640 Hz, their spline of degree 7 integrated: motions of up to 10 rad/s have an error of
+    (10 / 640)^8, below round-off of the sum. The spring of the governor is the fastest: 50 rad/s.
+    """
+    scene = load_scene(name)
+    joint = next(j.name for j in scene.joints if j.parent == "world" and j.type == "revolute")
+    scene = driven(scene, joint)
+    engine = Engine(scene, "rkmk8", 1.0 / 2560, stabilisation="projection", quiet=True, **options)
+    exact, uncertainty = integrate(scene, *engine.state(), [0.0, 1.0])
+    samples = [engine.sample()]
+    for _ in range(640):
+        engine.advance(4)
+        samples.append(engine.sample())
+    q, v = samples[0].joint_coordinates[joint]
+    assert samples[-1].prescribed[joint] == (q + v, v, 0.0)
+    assert abs(samples[-1].joint_coordinates[joint][0] - (q + v)) < 1e-13 * (1.0 + abs(q + v))
+    unknown = max(part.max() for part in uncertainty)
+    assert difference(engine, exact, 1) < 1e-10 + unknown
+    times, power = [s.time for s in samples], [s.power for s in samples]
+    work = make_interp_spline(times, power, k=7).integrate(0.0, 1.0)
+    size = np.trapezoid(np.abs(power), times) if hasattr(np, "trapezoid") else np.trapz(np.abs(power), times)
+    assert size > 0.0
+    assert abs(samples[-1].energy - samples[0].energy - work) < 1e-9 * size
+
+
+def test_two_links_against_the_textbook():
+    """Efforts of a planar arm: Spong, Robot Modeling and Control, (7.87), at all samples of a motion."""
+    m1, m2, l1, c1, c2, I1, I2 = 2.0, 1.5, 0.6, 0.25, 0.2, 0.05, 0.03
+    scene = scene_from_text(f"""
+name: two_links
+gravity: [0, -{G}, 0]
+bodies:
+  - {{name: one, mass: {m1}, inertia: [0.04, 0.04, {I1}], com: [{c1}, 0, 0]}}
+  - {{name: two, mass: {m2}, inertia: [0.02, 0.02, {I2}], com: [{c2}, 0, 0], position: [{l1}, 0, 0]}}
+joints:
+  - name: a
+    type: revolute
+    parent: world
+    child: one
+    child_frame: {{}}
+    driven: true
+    motion: {{times: [0, 0.5, 1], positions: [0, 2, -1], velocities: [0, 3, 0]}}
+  - name: b
+    type: revolute
+    parent: one
+    child: two
+    child_frame: {{}}
+    driven: true
+    motion: {{times: [0, 0.7, 1], positions: [0, -1.5, 0.5]}}
+""")
+    engine = Engine(scene, "rkmk4", 0.01, stabilisation="projection", quiet=True)
+    for _ in range(101):
+        sample = engine.sample()
+        (q1, v1, a1), (q2, v2, a2) = sample.prescribed.values()
+        h = m2 * l1 * c2 * np.sin(q2)
+        H12 = I2 + m2 * (c2**2 + l1 * c2 * np.cos(q2))
+        H22 = I2 + m2 * c2**2
+        H11 = I1 + m1 * c1**2 + I2 + m2 * (l1**2 + c2**2 + 2 * l1 * c2 * np.cos(q2))
+        g2 = m2 * c2 * G * np.cos(q1 + q2)
+        g1 = (m1 * c1 + m2 * l1) * G * np.cos(q1) + g2
+        one = H11 * a1 + H12 * a2 - h * v2 * (v2 + 2 * v1) + g1
+        two = H12 * a1 + H22 * a2 + h * v1**2 + g2
+        # Rates after projection are the prescribed ones to round-off.
+        size = 1.0 + H11 * abs(a1) + H12 * abs(a2) + m2 * (v1**2 + v2**2) + g1
+        assert abs(sample.drive_efforts["a"] - one) < 1e-13 * size
+        assert abs(sample.drive_efforts["b"] - two) < 1e-13 * size
+        engine.advance()
+
+
+def test_motions_meet_twice_differentiably():
+    """Position, rate and acceleration at every point, and those that are given there."""
+    times = [0.0, 0.3, 1.0, 1.4]
+    start = (0.2, -1.0, 4.0)
+    for given in (
+        ([1.0, 2.0, 0.5],),
+        ([1.0, 2.0, 0.5], [0.3, 0.0, -2.0]),
+        ([1.0, 2.0, 0.5], [0.3, 0.0, -2.0], [1.0, 2.0, 0.0]),
+    ):
+        rows = through(start, times, *given)
+        assert at(rows[0], 0.0) == pytest.approx(start, abs=1e-15)
+        for i, (before, after) in enumerate(zip(rows, rows[1:])):
+            assert at(before, after[0]) == pytest.approx(at(after, after[0]), abs=1e-11)
+            for part, values in zip(at(after, after[0]), given):
+                assert part == pytest.approx(values[i], abs=1e-11)
+
+
+def commanded(simulation, upto=None):
+    """Take 150 steps of 10 ms with commands at a step, inside one, and one that replaces another."""
+    changes = []
+    plan = {
+        20: lambda: simulation.command_motion("slide", [0.2, 0.5], [0.1, 0.3]),
+        40: lambda: simulation.command_motion("slide", [0.3], [-0.2], [0.1], start=0.4567),
+        60: lambda: simulation.command_motion("slide", [0.4], [0.0], [0.0], [0.0], start=0.7),
+    }
+    for k in range(150 if upto is None else upto):
+        if k in plan:
+            plan[k]()
+        simulation.advance()
+        changes += simulation.drain_applied()
+    return changes
+
+
+def test_commanded_motions_against_the_reference():
+    """A command acts from its time, inside a step too; its motion continues the one before."""
+    scene = scene_from_text(PIVOT)
+    simulation = Simulation(scene, "rkmk8", 0.01, stabilisation="projection")
+    start = simulation.state()
+    changes = commanded(simulation)
+    assert len(changes) >= 5
+    for before, after in zip(changes, changes[1:]):
+        assert at(before.motion, after.time) == pytest.approx(at(after.motion, after.time), abs=1e-9)
+    exact, _ = integrate(
+        scene, *start, [0.0, 1.5], [MotionChange(c.time, c.joint, c.motion) for c in changes]
+    )
+    assert difference(simulation, exact, 1) < 1e-10
+    estimate = simulation.sample().errors.max()
+    assert estimate < 1e-8
+
+
+@pytest.mark.parametrize("options", [{}, {"method": "rkmk4"}, {"method": "generalized_alpha"}])
+def test_repeated_changes_are_bit_identical(options):
+    scene = scene_from_text(PIVOT)
+    one, other = (Simulation(scene, step=0.01, **options) for _ in range(2)) if options else (
+        Simulation(scene, accuracy=1e-6) for _ in range(2)
+    )
+    for change in commanded(one):
+        change.repeat(other)
+    for k in (7, 60, 1, 82):
+        other.advance(k)
+    assert one.state()[0].tobytes() == other.state()[0].tobytes()
+    assert one.state()[1].tobytes() == other.state()[1].tobytes()
+
+
+def test_snapshot_in_a_motion():
+    simulation = Simulation(scene_from_text(PIVOT), accuracy=1e-6)
+    commanded(simulation, 50)
+    kept = simulation.snapshot()
+    simulation.advance(60)
+    end = simulation.state()[0].tobytes()
+    simulation.restore(kept)
+    simulation.advance(60)
+    assert simulation.state()[0].tobytes() == end
+
+
+def text_with(text, **keys):
+    """PIVOT with other keys of its slide."""
+    return text.replace(
+        "driven: true\n    motion: {times: [0, 0.4, 1.1, 1.5], positions: [0, 0.3, -0.2, 0.1]}",
+        "\n    ".join(f"{key}: {value}" for key, value in keys.items()),
+    )
+
+
+@pytest.mark.parametrize(
+    "keys, words",
+    [
+        ({"motion": "{times: [0, 1], positions: [0, 1]}"}, "driven: true"),
+        ({"driven": "true", "motion": "{times: [0, 1], positions: [0.5, 1]}"}, "starts at 0.5 m"),
+        ({"driven": "true", "motion": "{times: [0.1, 1], positions: [0, 1]}"}, "start with 0"),
+        ({"driven": "true", "motion": "{times: [0, 1, 1], positions: [0, 1, 1]}"}, "increase"),
+        ({"driven": "true", "motion": "{times: [0], positions: [0]}"}, "two numbers"),
+        ({"driven": "true", "motion": "{times: [0, 1], positions: [0]}"}, "as many"),
+        ({"driven": "true", "motion": "{times: [0, 1], positions: [0, .nan]}"}, "finite"),
+        (
+            {"driven": "true", "motion": "{times: [0, 1], positions: [0, 1], accelerations: [0, 0]}"},
+            "require velocities",
+        ),
+        (
+            {
+                "driven": "true",
+                "motion": "{times: [0, 1], positions: [0, 1], velocities: [1, 0]}",
+            },
+            "1 m/s",
+        ),
+    ],
+)
+def test_wrong_motions_are_refused(keys, words):
+    with pytest.raises(SceneError, match=words) as error:
+        Simulation(scene_from_text(text_with(PIVOT, **keys)))
+    assert "slide" in str(error.value) or "joints[0]" in str(error.value)
+
+
+def test_what_cannot_be_driven_is_refused():
+    with pytest.raises(SceneError, match="ball.*spherical joint cannot be driven"):
+        scene_from_text(PIVOT.replace("type: spherical", "type: spherical, driven: true"))
+    scene = driven(driven(load_scene("four_bar"), *(j.name for j in load_scene("four_bar").joints[:1])),
+                   load_scene("four_bar").joints[1].name)
+    with pytest.raises(SceneError, match="cannot be driven, because the other joints"):
+        Simulation(scene)
+    with pytest.raises(ValueError, match="has driven joints"):
+        Simulation(scene_from_text(PIVOT), "rkmk4", 0.01, group="se3")
+
+
+def test_wrong_commands_are_refused_and_change_nothing():
+    simulation = Simulation(scene_from_text(PIVOT), "rkmk4", 0.01)
+    for arguments, words in (
+        (("ball", [1.0], [0.0]), "not driven"),
+        (("slide", [0.0], [0.0]), "positive"),
+        (("slide", [1.0, 0.5], [0.0, 0.0]), "increase"),
+        (("slide", [1.0], [0.0, 1.0]), "1 finite"),
+        (("slide", [1.0], [np.nan]), "finite"),
+        (("slide", [1.0], [0.0], None, [0.0]), "require velocities"),
+        (("slide", [1.0], [0.0], [0.0], [1.0]), "last one must be 0"),
+        (("slide", [1.0], [0.0], None, None, np.inf), "finite"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            simulation.command_motion(*arguments)
+    assert simulation.wrench_count == 0
