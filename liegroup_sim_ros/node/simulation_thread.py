@@ -119,7 +119,7 @@ class SimulationServer(threading.Thread):
         """Submit a command; returns its Future.
 
         Commands: "pause", "resume", "reset", "step" (count), "speed" (factor), "clear" (prefix of
-        sources), "place" (poses, twists, reason; see Engine.place), "save" and "restore" (name of a
+        sources), "place" (poses, twists, joints, reason; see Engine.place), "save" and "restore" (name of a
         snapshot), "sample", "hold". The result is one line of text, with two exceptions: "sample"
         returns a Moment, and "hold" returns whether the simulation was running. "hold" is a pause
         that also works after a fault. A "step" in several parts is "advance" (count) for each of
@@ -452,10 +452,10 @@ class SimulationServer(threading.Thread):
         self._simulation.reset()
         return self._restart("reset", "initial state, step 0", "initial state")
 
-    def _place(self, poses, twists, reason):
+    def _place(self, poses, twists, joints, reason):
         self._refuse_if_faulted()
         try:
-            self._simulation.place(poses, twists)
+            self._simulation.place(poses, twists, joints)
         except (SceneError, ValueError) as error:
             raise CommandError(str(error)) from None
         entries = attachments.state(self._simulation, self._next_stamp())
