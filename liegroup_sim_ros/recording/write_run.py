@@ -32,13 +32,17 @@ class ArrayFile:
     twists (k, n, 6) (omega, v) rad/s and m/s in body axes, energy (k,) J,
     residual (k,) largest joint residual, m or rad; errors (k, n, 4) estimated errors, m, rad, m/s
     and rad/s, if the simulation carries an estimate; on request joints (j,) names and reactions
-    (k, j, 6), see Sample.reactions; scene and settings: texts, YAML and JSON
+    (k, j, 6), see Sample.reactions, forces (f,) names and efforts (k, f), see Sample.force_efforts;
+    scene and settings: texts, YAML and JSON
     """
 
     def __init__(self, path, simulation, every, samples, reactions=False):
         self.count, self.last_step = 0, -1
         self._path, self._every = Path(path), every
-        self._joints = {"joints": np.array(_joint_names(simulation))} if reactions else {}
+        self._names = {}
+        if reactions:
+            forces = simulation.layout.joint_forces.names
+            self._names = {"joints": np.array(_joint_names(simulation)), "forces": np.array(forces)}
         n = len(simulation.layout.body_names)
         try:
             self._arrays = {
@@ -53,6 +57,7 @@ class ArrayFile:
                 self._arrays["errors"] = np.empty((samples, n, 4))
             if reactions:
                 self._arrays["reactions"] = np.empty((samples, len(_joint_names(simulation)), 6))
+                self._arrays["efforts"] = np.empty((samples, len(forces)))
             self._stream = open(self._path, "xb")
         except MemoryError:
             raise OutputError(
@@ -87,6 +92,7 @@ class ArrayFile:
                 self._arrays[name][self.count] = value
         if "reactions" in self._arrays:
             self._arrays["reactions"][self.count] = list(sample.reactions.values())
+            self._arrays["efforts"][self.count] = list(sample.force_efforts.values())
         self.count, self.last_step = self.count + 1, sample.steps
 
     def finish(self, simulation, stopped, failed, wall_seconds):
@@ -98,7 +104,7 @@ class ArrayFile:
                 self._stream,
                 **{name: array[: self.count] for name, array in self._arrays.items()},
                 bodies=np.array(simulation.layout.body_names),
-                **self._joints,
+                **self._names,
                 scene=np.array(simulation.scene.text),
                 settings=np.array(json.dumps(settings, indent=1)),
             )
@@ -114,7 +120,8 @@ class TableFile:
     (m/s) in body axes; position and velocity of each joint with one degree of freedom (rad and
     rad/s, or m and m/s); energy (J); largest constraint residual (m or rad); estimated errors of
     each body, if the simulation carries an estimate; on request the reaction of each joint, torque
-    tx ty tz (N m) and force fx fy fz (N), see Sample.reactions.
+    tx ty tz (N m) and force fx fy fz (N), see Sample.reactions, and the effort (N m or N) of each
+    spring, motor and servo at a joint, see Sample.force_efforts.
     """
 
     BODY = (
@@ -164,6 +171,10 @@ class TableFile:
                 for joint in (_joint_names(simulation) if reactions else ())
                 for name in self.REACTION
             ),
+            *(
+                f"{force}.effort [{'N m' if layout.joint_forces.turns[force] else 'N'}]"
+                for force in (layout.joint_forces.names if reactions else ())
+            ),
         )
 
     def __enter__(self):
@@ -197,6 +208,7 @@ class TableFile:
                 for wrench in (sample.reactions.values() if self._reactions else ())
                 for number in wrench.tolist()
             ),
+            *(sample.force_efforts.values() if self._reactions else ()),
         )
         self.count, self.last_step = self.count + 1, sample.steps
 
