@@ -184,8 +184,10 @@ def reactions(layout, world_frame, frame_prefix=""):
 
     def of_force(name):
         codec = WrenchStampedCodec(f"{frame_prefix}{forces.joints[name]}{REACTION}")
-        unit = np.eye(6)[2 if forces.turns[name] else 5]
-        return lambda stamp_ns, sample: codec.encode(stamp_ns, unit * sample.force_efforts[name])
+        before, after = ((0.0,) * k for k in ((2, 3) if forces.turns[name] else (5, 0)))
+        return lambda stamp_ns, sample: codec.encode(
+            stamp_ns, (*before, sample.force_efforts[name], *after)
+        )
 
     encoders = {name: of_joint(name) for name in joints}
     encoders |= {name: of_force(name) for name in forces.names}
@@ -276,7 +278,7 @@ OPTIONAL = {
     "pose_array_rate": (pose_array, "~/poses"),
     "joint_state_rate": (joint_states, "~/joint_states"),
     "tf_rate": (transforms, "/tf"),
-    "reaction_rate": (reactions, "~/JOINT/wrench and ~/FORCE/wrench"),
+    "reaction_rate": (reactions, "~/JOINT/wrench"),
     "sensor_rate": (sensors, "~/SENSOR/..."),
 }
 

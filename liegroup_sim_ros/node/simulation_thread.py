@@ -489,7 +489,9 @@ class SimulationServer(threading.Thread):
             )
         if self._wrenches:
             self._apply_wrenches()
-        self._snapshots[name] = self._simulation.snapshot()
+        if self._trajectory is not None:
+            self._follow_until(self._simulation.steps)
+        self._snapshots[name] = self._simulation.snapshot(), self._follower.snapshot()
         self._event("save", f"{name}, step {self._simulation.steps}")
         return f"saved {name!r} at {self._seconds():.9g} s, step {self._simulation.steps}"
 
@@ -498,11 +500,13 @@ class SimulationServer(threading.Thread):
         if snapshot is None:
             known = ", ".join(sorted(self._snapshots)) or "none, call ~/save_snapshot first"
             raise CommandError(f"unknown snapshot {name!r}; saved are: {known}")
-        self._simulation.restore(snapshot)
+        state, followed = snapshot
+        self._simulation.restore(state)
         entries = attachments.state(self._simulation, self._next_stamp())
-        return self._restart(
-            "state", events.state(f"snapshot {name}", entries), f"snapshot {name!r}"
-        )
+        text = events.state(f"snapshot {name}", entries)
+        result = self._restart("state", text, f"snapshot {name!r}")
+        self._follower.restore(followed)
+        return result
 
     def _next_stamp(self):
         """Stamp of a state that was set: one step after the last one, so that no stamp occurs twice."""
