@@ -26,6 +26,7 @@ from liegroup_core.forces.schedule import (
 from liegroup_core.forces.timetable import Timetable
 from liegroup_core.integrators.methods import METHODS, is_positive
 from liegroup_core.integrators.smaller_step import step_that_works
+from liegroup_core.joints.coupling import COUPLED
 from liegroup_core.joints.motion import COLUMNS, at, row_at, through
 from liegroup_core.model.build import initial_state
 from liegroup_core.observables.sample import Sample
@@ -220,17 +221,21 @@ class Engine:
         if memory is not None:
             self._remember(memory)
 
-    def place(self, poses, twists) -> None:
-        """Give bodies other poses or twists; the other bodies follow through their joints.
+    def place(self, poses=None, twists=None, joints=None) -> None:
+        """Set poses and twists of bodies, and joint coordinates; all other bodies follow.
 
         poses  : {body: (4, 4)} homogeneous poses of body frames
         twists : {body: (6,)} omega rad/s, v m/s; body axes, v of the body frame's origin
-        The given ones are kept exactly. The others are the nearest that satisfy all joints. Bodies
-        without a path of joints to a given one are not changed. Step count and time continue. The
-        wrenches of `apply_wrench` are cleared.
+        joints : {joint: (position, velocity)} of revolute, prismatic and screw joints, rad and rad/s,
+                 or m and m/s; None for one that is not set. Positions may exceed 2 pi
+        The given ones are kept exactly. Joints that are not given keep their coordinates and
+        velocities if `joints` are given and no loop prevents it. Otherwise the others are the nearest
+        that satisfy all joints. Bodies without a path of joints to a given one are not changed. Step
+        count and time continue. The wrenches of `apply_wrench` are cleared.
         Raises SceneError with the joint and its residual if the joints do not allow it, ValueError
-        for an unknown body, NaN or a matrix that is no rotation. The state is then unchanged.
+        for an unknown body or joint, NaN or a matrix that is no rotation. The state is then unchanged.
         """
+        poses, twists, joints = poses or {}, twists or {}, joints or {}
         for body in {*poses, *twists} - self._body.keys():
             raise ValueError(f"unknown body {body!r}; choose one of: {', '.join(self._body)}")
         com = self.layout.offsets.com
@@ -247,8 +252,23 @@ class Engine:
                 raise ValueError(f"expected a finite twist (6,) of {body}, got {given!r}")
             twist[3:] += np.cross(twist[:3], com[self._body[body]])
             centred_twists[body] = twist
-        state = rearranged(self.layout.centred, *self.state(), centred_poses, centred_twists)
-        self.set_state(*state, self.steps, self._work.angle.copy())
+        known = [joint.name for joint in self.scene.joints if joint.type in COUPLED]
+        for joint, values in joints.items():
+            if joint not in known:
+                names = ", ".join(known) or "the scene has none"
+                raise ValueError(
+                    f"joint {joint!r} is not a joint with one coordinate; choose one of: {names}"
+                )
+            if not all(value is None or math.isfinite(value) for value in values):
+                raise ValueError(
+                    f"position and velocity of {joint} must be finite, got {tuple(values)!r}"
+                )
+        counted = [joint for joint, _ in self.scene.unwrapped]
+        angles = dict(zip(counted, self._work.angle.tolist()))
+        *state, angles = rearranged(
+            self.layout.centred, *self.state(), centred_poses, centred_twists, joints, angles
+        )
+        self.set_state(*state, self.steps, np.array([angles[joint] for joint in counted]))
 
     def _remember(self, memory):
         arrays = self._integrator.memory

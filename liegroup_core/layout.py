@@ -24,11 +24,12 @@ from .lie.groups import UNKNOWN_TURN
 from .model.arrays import Model
 from .model.build import build_model
 from .observables.joint_coordinates import JointCoordinates
+from .observables.joint_forces import JointForces
 from .observables.reactions import Reactions
 from .observables.sample import Sample
 from .scene.assembly import ready
 from .scene.centres import Offsets
-from .scene.consistency import resolve_drives
+from .scene.consistency import resolve_drives, resolve_frames
 from .scene.description import Scene
 from .scene.massless import lack_of_inertia
 
@@ -144,8 +145,19 @@ class Layout:
 
     @cached_property
     def reactions(self):
-        """Reactions of the joints."""
+        """Reactions of the joints, and what the forces at them exert."""
         return Reactions(self)
+
+    @cached_property
+    def child_frames(self):
+        """{joint: (4, 4) its frame in the body frame of its child}."""
+        frames = resolve_frames(self.scene)
+        return {joint.name: F_b for joint, (_, F_b) in zip(self.scene.joints, frames)}
+
+    @cached_property
+    def joint_forces(self):
+        """JointForces of the scene."""
+        return JointForces(self.centred, self.joint_frames)
 
     @cached_property
     def unit_efforts(self):

@@ -17,7 +17,7 @@ import numpy as np
 
 from liegroup_core.errors import SimulationError
 from liegroup_core.forces.external import no_wrenches
-from liegroup_core.forces.kinds import wanted_values
+from liegroup_core.forces.kinds import limits, wanted_values
 from liegroup_core.formulations.relative.arrays import make_relative_work
 from liegroup_core.formulations.relative.reactions import joint_wrenches, reaction_table
 from liegroup_core.formulations.relative.spanning_tree import WORLD_NAME
@@ -60,6 +60,7 @@ class Reactions:
 
     def __init__(self, layout):
         self._offsets = layout.offsets
+        self._forces = layout.joint_forces
         self._bodies = layout.body_names
         self.names = tuple(joint.name for joint in layout.scene.joints)
         model = layout.relative_in_space
@@ -93,8 +94,9 @@ class Reactions:
             np.zeros(len(self._work.angle)),
             np.zeros(len(self._work.acting), dtype=bool),
         )
-        space = self._model.space
-        self.at(*state, angles, acting, wanted_values(space.forces), None, space.motions, 0.0)
+        forces, motions = self._model.space.forces, self._model.space.motions
+        self.at(*state, angles, acting, wanted_values(forces), None, motions, 0.0)
+        self._forces.at(forces, angles, *state, np.zeros(len(limits(forces))))
 
     @cached_property
     def undetermined(self):

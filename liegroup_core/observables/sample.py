@@ -168,13 +168,40 @@ class Sample:
         """{joint: (6,)} torque N m, force N that the joint exerts on its child.
 
         In the axes and about the origin of the child's joint frame. NaN for components that redundant
-        constraints leave undetermined, see `undetermined`. Springs, motors and other forces are no
-        part of it; a coupling acts along the axes of its two joints. External wrenches are those of
-        the last step. At the end of a tree of n bodies, errors are about n times those of a wrench:
-        test/verification/test_reactions.py.
+        constraints leave undetermined, see `undetermined`. Springs, motors and other forces are
+        no part of it, see `force_efforts` and `transmitted`; a coupling acts along the axes of its two
+        joints. External wrenches are those of the last step. At the end of a tree of n bodies, errors
+        are about n times those of a wrench: test/verification/test_reactions.py.
         """
         wrenches, mask, _ = self._reactions
         return self._by_joint(np.where(mask, np.nan, wrenches))
+
+    @cached_property
+    def force_efforts(self) -> dict[str, float]:
+        """{force: N m about, or N along the z axis of its joint, on the child}.
+
+        Of the springs, dampers, motors and servos of the scene at joints. Efforts that are commanded are
+        `joint_efforts`.
+        """
+        forces = self._layout.model.forces
+        efforts = self._servo_efforts[:, 0]
+        return self._layout.joint_forces.at(forces, self.angles, *self._state, efforts)
+
+    @cached_property
+    def transmitted(self) -> dict[str, NDArray[np.float64]]:
+        """{joint: (6,)} wrench that passes through a joint to its child; axes as of `reactions`.
+
+        The reaction, `force_efforts` and `joint_efforts`: what an ideal force-torque sensor between the
+        joint and its child shows.
+        """
+        found = {joint: wrench.copy() for joint, wrench in self.reactions.items()}
+        placed = self._layout.joint_forces
+        for force, effort in self.force_efforts.items():
+            found[placed.joints[force]][2 if placed.turns[force] else 5] += effort
+        units = self._layout.coordinates.units
+        for joint, effort in self.joint_efforts.items():
+            found[joint][2 if units[joint] == "rad" else 5] += effort
+        return found
 
     @cached_property
     def accelerations(self) -> dict[str, NDArray[np.float64]]:
@@ -194,6 +221,11 @@ class Sample:
     def sensors(self) -> dict[str, NDArray[np.float64]]:
         """{sensor: its numbers} of the scene's sensors, with noise; see docs/reference/scene_format.md."""
         return {sensor.name: sensor.read(self) for sensor in self.scene.sensors}
+
+    @property
+    def child_frames(self) -> dict[str, NDArray[np.float64]]:
+        """{joint: (4, 4) its frame in the frame of its child}: the frames of `reactions`."""
+        return self._layout.child_frames
 
     @property
     def scene(self):

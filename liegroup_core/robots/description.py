@@ -13,7 +13,7 @@ import numpy as np
 
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.values import suggestion
-from liegroup_core.lie.groups import SE3
+from liegroup_core.lie.groups import SE3, SO3
 
 WORLD = "world"
 LONGEST_MESSAGE = 1500  # characters; names in it can be long
@@ -129,6 +129,27 @@ class Coupling:
 
 
 @dataclass
+class RobotSensor:
+    """Sensor of a link or joint.
+
+    type   : of a sensor of a scene
+    link   : that it is fixed to, or None; joint: that it measures, or None
+    frame  : (4, 4) in the frame of the link, or of the child of the joint; None: the joint frame
+    values : other keys of the sensor of a scene
+    points : [(link, (3,) point)] of a distance
+    """
+
+    name: str
+    type: str
+    line: int = 0
+    link: str | None = None
+    joint: str | None = None
+    frame: np.ndarray | None = None
+    values: dict = field(default_factory=dict)
+    points: list = field(default_factory=list)
+
+
+@dataclass
 class Robot:
     """Whole robot.
 
@@ -149,6 +170,7 @@ class Robot:
     links: dict = field(default_factory=dict)
     joints: list = field(default_factory=list)
     couplings: list = field(default_factory=list)
+    sensors: list = field(default_factory=list)
     roots: list = field(default_factory=list)
     free: bool = False
     gravity: tuple | None = None
@@ -239,6 +261,17 @@ def place(position=(0.0, 0.0, 0.0), rotation=None):
     if rotation is not None:
         pose[:3, :3] = rotation
     return pose
+
+
+def frame_keys(pose):
+    """Keys of a scene for a pose (4, 4); {} for the identity. Round-off next to zero is omitted."""
+    keys = {}
+    if pose[:3, 3].any():
+        keys["position"] = pose[:3, 3]
+    if not np.array_equal(pose[:3, :3], np.eye(3)):
+        found = SO3.to_quaternion(pose[:3, :3])
+        keys["quaternion"] = np.where(np.abs(found) <= 1e-16, 0.0, found)
+    return keys
 
 
 def rotation_of_rpy(roll, pitch, yaw):

@@ -11,13 +11,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from liegroup_core.fields.values import NEGATIVE_ROUND_OFF, TRIANGLE_TOLERANCE
-from liegroup_core.lie.groups import SO3, UNKNOWN_TURN, within_a_turn
+from liegroup_core.lie.groups import UNKNOWN_TURN, within_a_turn
 
 from .additions import added_couplings, added_forces, added_joints
 from .chains import base_of, grouped, kept_joints, locked_joints
-from .description import ONE_COORDINATE, WORLD, listed
+from .description import ONE_COORDINATE, WORLD, frame_keys, listed
 from .names import scene_name, unique_names
 from .resources import find_resource
+from .sensors import add_sensors, check_kept, kept_fixed_joints
 
 # Mass of a link without mass between two joints, relative to the lightest body: its effect on
 # accelerations is below round-off.
@@ -31,7 +32,7 @@ GRAVITY = (0.0, 0.0, -9.81)  # m/s^2, of files that have none
 class SceneParts:
     """Entries of a scene, as keys and values, with the lines of the file that they come from.
 
-    comments : {("bodies", i): text}, also of joints and forces
+    comments : {("bodies", i): text}, also of joints, forces and sensors
     lines    : the same for lines of the file, or paths inside the additions; also of single keys
     names    : {("bodies", name in the scene): name in the file}, also of joints
     frames   : {link: (name of its body or world, (4, 4) pose in the frame of the body)}
@@ -46,6 +47,7 @@ class SceneParts:
     joints: list = field(default_factory=list)
     couplings: list = field(default_factory=list)
     forces: list = field(default_factory=list)
+    sensors: list = field(default_factory=list)
     notes: list = field(default_factory=list)
     comments: dict = field(default_factory=dict)
     lines: dict = field(default_factory=dict)
@@ -62,10 +64,11 @@ def scene_parts(robot, options):
     joints = kept_joints(robot, options, notes)
     options.check_kept({joint.name for joint in joints})
     base = base_of(robot, options, notes)
-    lock = locked_joints(robot, options, values, notes)
+    lock = locked_joints(robot, options, values, notes) - kept_fixed_joints(robot, options)
     grouping = grouped(robot, options, base, joints, lock, values, notes)
     closing = grouping.place(values, options.velocities(robot))
     options.check_velocities({joint.name for joint in grouping.moving})
+    check_kept(options, {joint.name for joint in grouping.moving})
     extra = added_joints(options, grouping)
     closing += extra
     parts = SceneParts(
@@ -83,6 +86,7 @@ def scene_parts(robot, options):
     for i, entry in enumerate(added_forces(options, grouping, parts)):
         parts.lines["forces", len(parts.forces)] = ("forces", i)
         parts.forces.append(entry)
+    add_sensors(robot, options, grouping, parts, used)
     parts.frames = {
         link: (used[id(group)], group.places[link])
         for link, group in grouping.of_link.items()
@@ -153,7 +157,7 @@ def _bodies(robot, grouping, parts, notes):
         _check_inertia(robot, group, line, inertia, body, notes)
         if com.any():
             body["com"] = com
-        body |= _placed(group.pose)
+        body |= frame_keys(group.pose)
         for key, value in zip(("angular_velocity", "linear_velocity"), np.split(group.twist, 2)):
             if value.any():
                 body[key] = value
@@ -216,7 +220,7 @@ def _joints(robot, grouping, parts, body_of, added):
             entry["pitch"] = joint.pitch
         if joint.length is not None:
             entry["length"] = joint.length
-        entry["parent_frame"], entry["child_frame"] = _placed(F_a), _placed(F_b)
+        entry["parent_frame"], entry["child_frame"] = frame_keys(F_a), frame_keys(F_b)
         for key, values in (("coordinate", coordinates), ("rate", rates)):
             value = values.get(joint.name, getattr(joint, key))
             if value is not None:
@@ -350,22 +354,6 @@ def _left_out(robot, grouping):
     for what, names in robot.left_out.items():
         notes.append(f"left out: {len(names)} {what} ({listed(names)})")
     return notes
-
-
-def _placed(pose):
-    """Keys of a scene for a pose (4, 4); {} for the identity."""
-    keys = {}
-    if pose[:3, 3].any():
-        keys["position"] = pose[:3, 3]
-    if not np.array_equal(pose[:3, :3], np.eye(3)):
-        keys["quaternion"] = _quaternion(pose[:3, :3])
-    return keys
-
-
-def _quaternion(R):
-    """Quaternion (4,) of a rotation, without round-off next to zero."""
-    found = SO3.to_quaternion(R)
-    return np.where(np.abs(found) <= 1e-16, 0.0, found)
 
 
 def _from_line(robot, line):

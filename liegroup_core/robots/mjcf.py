@@ -17,6 +17,7 @@ from liegroup_core.lie.groups import SO3
 
 from .apart import run_apart
 from .description import WORLD, Coupling, Link, Robot, RobotJoint, Visual, place, refusal
+from .mjcf_sensors import read_sensors
 from .xml import Reader
 
 TYPES = {"ball": "spherical", "slide": "prismatic", "hinge": "revolute"}
@@ -52,6 +53,7 @@ def robot_of_mjcf(root, path):
     _shapes(robot, model, names)
     _poses(robot, model)
     _others(robot, model)
+    read_sensors(robot, model, names, _rotation, lines)
     return robot
 
 
@@ -286,5 +288,3 @@ def _others(robot, model):
             robot.leave_out(what, actuator["name"], changes_motion=True)
         else:
             robot.leave_out("actuators", actuator["name"])
-    for name in model["sensors"]:
-        robot.leave_out("sensors", name)

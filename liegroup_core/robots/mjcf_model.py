@@ -42,7 +42,7 @@ def arrays_of(path):
             }
             for i in range(model.nu)
         ],
-        "sensors": [model.sensor(i).name or f"sensor_{i}" for i in range(model.nsensor)],
+        "sensors": [_sensor(model, i) for i in range(model.nsensor)],
         "flexes": [f"flex_{i}" for i in range(model.nflex)],
         "plugins": [f"plugin_{i}" for i in range(model.nplugin)],
         "keys": [
@@ -121,8 +121,22 @@ def _equality(model, i):
     return found
 
 
+def _sensor(model, i):
+    """Its site, or the number of its joint; plain: without a limit and a frame of reference."""
+    kind, thing = int(model.sensor_objtype[i]), int(model.sensor_objid[i])
+    return {
+        "name": model.sensor(i).name or f"sensor_{i}",
+        "type": mujoco.mjtSensor(int(model.sensor_type[i])).name.removeprefix("mjSENS_").lower(),
+        "site": _site(model, thing) if kind == mujoco.mjtObj.mjOBJ_SITE else None,
+        "joint": thing if kind == mujoco.mjtObj.mjOBJ_JOINT else None,
+        "plain": not model.sensor_cutoff[i] and int(model.sensor_refid[i]) < 0,
+    }
+
+
 def _site(model, i):
     return {
+        "name": model.site(i).name,
+        "number": int(i),
         "body": int(model.site_bodyid[i]),
         "pos": model.site_pos[i].tolist(),
         "quat": model.site_quat[i].tolist(),

@@ -20,10 +20,12 @@ class Options:
     start     : {joint: coordinate}, rad or m, in place of 0 or of the pose
     start_velocity : {joint: velocity}, rad/s or m/s, in place of 0 or of that of the pose
     lock      : {joint: coordinate} of joints that do not move
+    keep      : fixed joints that are not merged
     only      : links whose chains to the root are kept; empty: all
     joints    : [joint of a scene], between links; its frames are in the frames of the links
     couplings : [coupling of a scene, with names of joints of the robot]
     forces    : [force of a scene], with names of links and joints of the robot
+    sensors   : [sensor of a scene], with names of links and joints of the robot
     srdf      : path of an SRDF file with poses
     gravity, name, description : of the scene, None: as the file says
     joint_label : how errors name one of `joints`, by its index
@@ -35,10 +37,12 @@ class Options:
     start: dict = field(default_factory=dict)
     start_velocity: dict = field(default_factory=dict)
     lock: dict = field(default_factory=dict)
+    keep: list = field(default_factory=list)
     only: list = field(default_factory=list)
     joints: list = field(default_factory=list)
     couplings: list = field(default_factory=list)
     forces: list = field(default_factory=list)
+    sensors: list = field(default_factory=list)
     srdf: object = None
     gravity: list | None = None
     name: str | None = None

@@ -17,6 +17,7 @@ from .description import WORLD, Coupling, Robot, RobotJoint
 from .resources import find_resource, resolve
 from .sdf_frames import Model, text_of
 from .sdf_links import read_link, value_of
+from .sdf_sensors import joint_sensor
 from .xml import Reader, read_xml
 
 TYPES = {
@@ -218,9 +219,10 @@ def _joint(loader, model, element, model_pose):
     if kind == "screw":
         joint.pitch = _pitch(reader, element, name)
     _law(reader, robot, model, element, joint)
-    for tag in ("sensor", "physics"):
-        for part in element.iterfind(tag):
-            robot.leave_out(f"{tag} of joints", part.get("name") or name)
+    for part in element.iterfind("sensor"):
+        joint_sensor(reader, robot, part, joint, frames[1] @ SE3.inverse(turn))
+    for part in element.iterfind("physics"):
+        robot.leave_out("physics of joints", part.get("name") or name)
     robot.joints.append(joint)
 
 

@@ -14,6 +14,7 @@ from liegroup_core.lie.groups import SE3
 from .description import Link, Visual
 from .links import combined
 from .sdf_frames import read_pose, text_of
+from .sdf_sensors import link_sensor
 
 # Parts of a link that have no influence on its motion.
 OF_LINKS = ("pose", "inertial", "visual", "collision", "gravity")
@@ -64,8 +65,10 @@ def read_link(reader, robot, model, element):
     for part in element.iterfind("velocity_decay"):
         if any(value_of(reader, part, key, 0.0) for key in ("linear", "angular")):
             robot.leave_out("velocity_decay of links", name, changes_motion=True)
+    for part in element.iterfind("sensor"):
+        link_sensor(reader, robot, part, name, _place(reader, model, element, part))
     for part in element:
-        if part.tag not in (*OF_LINKS, "kinematic", "velocity_decay"):
+        if part.tag not in (*OF_LINKS, "kinematic", "velocity_decay", "sensor"):
             robot.leave_out(f"{part.tag} of links", part.get("name") or name)
     return link
 

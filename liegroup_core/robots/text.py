@@ -25,7 +25,7 @@ def scene_text(parts):
     if parts.notes:
         lines.append("notes:")
         lines += [f"  - {json.dumps(note, ensure_ascii=False)}" for note in parts.notes]
-    for key in ("bodies", "joints", "couplings", "forces"):
+    for key in ("bodies", "joints", "couplings", "forces", "sensors"):
         entries = getattr(parts, key)
         if entries:
             lines.append(f"{key}:")

@@ -10,6 +10,8 @@ import numpy as np
 from liegroup_core.fields.frames import rotation_z_to
 
 from .description import WORLD, Coupling, Link, Robot, RobotJoint, Visual, place
+from .sdf_frames import read_pose
+from .sdf_sensors import joint_sensor, link_sensor
 from .xml import Reader
 
 # Types of URDF joints: type in a scene.
@@ -61,7 +63,8 @@ def robot_of_urdf(root, file, text):
             joints.append(element)
         elif element.tag != "material" and "}" not in element.tag:
             name = element.get("name") or element.get("reference") or "unnamed"
-            robot.leave_out(element.tag, name)
+            if element.tag != "gazebo" or any(part.tag != "sensor" for part in element):
+                robot.leave_out(element.tag, name)
     if not robot.links:
         raise reader.error(root, "has no <link>: give the description of a robot")
     for element in root:
@@ -78,10 +81,25 @@ def robot_of_urdf(root, file, text):
             )
         lines[joint.name] = joint.line
         robot.joints.append(joint)
+    for element in root.iterfind("gazebo"):
+        _sensors(reader, robot, element)
     _couplings(reader, robot, joints)
     robot.check_couplings()
     _place_links(robot)
     return robot
+
+
+def _sensors(reader, robot, element):
+    """Sensors of a <gazebo> element, which refers to a link or a joint."""
+    name = element.get("reference")
+    joint = next((joint for joint in robot.joints if joint.name == name), None)
+    for sensor in element.iterfind("sensor"):
+        if name in robot.links:
+            link_sensor(reader, robot, sensor, name, read_pose(reader, sensor)[0])
+        elif joint is not None:
+            joint_sensor(reader, robot, sensor, joint, np.eye(4))
+        else:
+            robot.leave_out("sensor", sensor.get("name") or name or "unnamed")
 
 
 def _link(reader, robot, element):

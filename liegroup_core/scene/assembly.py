@@ -69,7 +69,7 @@ def assembled(scene, kept=()):
         linkage = Linkage(centred, frames, parts, joints, held, couplings)
         poses = linkage.nearest(linkage.start)
         if linkage.is_closed(poses):
-            raise _not_kept(linkage, poses, kept_coordinates)
+            raise not_kept(linkage, poses, kept_coordinates)
     if not linkage.is_closed(poses):
         raise cannot_close(linkage, poses)
     linkage = Linkage(centred, frames, parts, joints, (), couplings)
@@ -300,15 +300,16 @@ def cannot_close(linkage, poses):
     )
 
 
-def _not_kept(linkage, poses, entries):
+def not_kept(linkage, poses, entries):
     """SceneError for coordinates that cannot be kept; poses: the nearest ones without them."""
     off = {entry.joint: linkage.coupling_gap(entry, poses) for entry in entries}
-    j = max(off, key=lambda each: abs(off[each]))
+    k = max(off, key=lambda each: abs(off[each]))
     given = {entry.joint: entry.offset for entry in entries}
     nearest = ", ".join(f"{linkage.joints[i].name} {given[i] + off[i]:.12g}" for i in off)
+    j = linkage.numbers[k]
     return SceneError(
-        f'joints[{j}] "{linkage.joints[j].name}": no pose near the start satisfies all joints with the '
-        f"coordinate {given[j]:.12g}; give fewer coordinates, or the nearest ones: {nearest}",
+        f'joints[{j}] "{linkage.joints[k].name}": no pose near the start satisfies all joints with the '
+        f"coordinate {given[k]:.12g}; give fewer coordinates, or the nearest ones: {nearest}",
         ("joints", j, "coordinate"),
     )
 

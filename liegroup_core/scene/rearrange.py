@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""State in which some bodies have given poses or twists; the others follow through their joints.
+"""State in which some bodies have given poses or twists, or some joints given coordinates or rates.
 
-The steps are those of assembly: the nearest poses that satisfy all joints, then the change of
-velocities of least kinetic energy. Bodies without a path of joints to one that is set are not
+The other bodies follow through their joints. What a joint with a given value carries moves with it
+(carried.py). Then the steps are those of assembly: the nearest poses that satisfy all joints, and the
+change of velocities of least kinetic energy. Bodies without a path of joints to what is set are not
 touched.
 
 What is given is kept. If the joints do not allow that, it may change by ROUNDED: the digits that
@@ -12,76 +13,154 @@ single precision, or a number printed for people, has lost.
 import numpy as np
 
 from liegroup_core.errors import SceneError
+from liegroup_core.joints.coupling import rate_row, turns
 from liegroup_core.joints.linkage import Linkage
 
-from .assembly import cannot_close, consistent_velocities
-from .consistency import resolve_couplings, resolve_elements, resolve_frames
+from .assembly import cannot_close, consistent_velocities, not_kept
+from .carried import carried, coordinates_at, with_coupled
+from .consistency import ResolvedCoupling, resolve_couplings, resolve_elements, resolve_frames
 from .description import WORLD
 
 # Largest change of what is given: rad, and relative to the distances and velocities involved.
 ROUNDED = 1e-6
 
 
-def rearranged(scene, pose, twist, poses, twists):
-    """Nearest consistent state with the given poses and twists: pose (n, 12), twist (n, 6).
+def rearranged(scene, pose, twist, poses, twists, joints=None, angles=None):
+    """Nearest consistent state with what is given.
 
     scene  : with body frames at the centres of mass (scene.centres), like all states here
     pose, twist   : (n, 12), (n, 6) present state
     poses, twists : {body: (12,)}, {body: (6,)} of the bodies that are set
+    joints : {joint: (coordinate, rate)} of the joints that are set, rad or m; None: not given
+    angles : {joint: rad} present unwrapped angles
+    returns pose (n, 12), twist (n, 6), {joint: rad} angles to which those of the result are near
     Raises SceneError with the joint that cannot be satisfied and its residual.
     """
     place = {body.name: i for i, body in enumerate(scene.bodies)}
     pose, twist = np.array(pose, dtype=float), np.array(twist, dtype=float)
-    for target, given in ((pose, poses), (twist, twists)):
-        for body, values in given.items():
-            target[place[body]] = values
+    before = [
+        {body: _matrix(pose[i]) for body, i in place.items()} | {WORLD: np.eye(4)},
+        {body: twist[i].copy() for body, i in place.items()} | {WORLD: np.zeros(6)},
+    ]
+    set_parts = {body: _matrix(row) for body, row in poses.items()}, twists
+    start, given = (old | part for old, part in zip(before, set_parts))
     couplings, frames, parts = (
         resolve(scene) for resolve in (resolve_couplings, resolve_frames, resolve_elements)
     )
+    number = {joint.name: j for j, joint in enumerate(scene.joints)}
+    near = {number[name]: angle for name, angle in (angles or {}).items()}
+    # The turns of a coupled joint follow from those of the other one.
+    others = coordinates_at(scene, frames, before[0], {entry.other for entry in couplings}, near)
+    near = {e.joint: e.ratio * others[e.other] + e.offset for e in couplings} | near
+    wanted, rates = (
+        {number[name]: pair[k] for name, pair in (joints or {}).items() if pair[k] is not None}
+        for k in (0, 1)
+    )
+    if joints:
+        now = coordinates_at(scene, frames, before[0], wanted, near)
+        changes = with_coupled(couplings, {j: wanted[j] - now[j] for j in wanted})
+        near |= {j: near[j] + change for j, change in changes.items() if j in near}
+        start, given = carried(
+            scene, frames, before, set_parts, changes, with_coupled(couplings, rates)
+        )
+    ends = {
+        end for j in (*wanted, *rates) for end in (scene.joints[j].parent, scene.joints[j].child)
+    }
     everything = range(len(scene.joints))
-    joints = everything if couplings else _connected(scene.joints, {*poses, *twists})
-    start = {body: _matrix(pose[i]) for body, i in place.items()} | {WORLD: np.eye(4)}
+    bodies = {*poses, *twists, *ends} - {WORLD}
+    numbers = everything if couplings else _connected(scene.joints, bodies)
+    couplings = _counted_from(scene, frames, start, couplings, near)
+    # A coordinate that is kept is a coupling of ratio 0.
+    at = {j: i for i, j in enumerate(numbers)}
+    kept = [ResolvedCoupling(at[j], at[j], 0.0, value) for j, value in wanted.items()]
 
-    def linked(held=()):
-        linkage = Linkage(scene, frames, parts, joints, held, couplings)
+    def linked(held=(), kept=()):
+        linkage = Linkage(scene, frames, parts, numbers, held, [*couplings, *kept])
         linkage.start = start
         return linkage
 
     free = linked()
-    found = _closed(linked(poses.keys()), free, start, poses)
-    for body in free.bodies:
-        if found[body] is not start[body]:
-            pose[place[body]] = np.concatenate([found[body][:3, :3].ravel(), found[body][:3, 3]])
-    given = {body: twist[i].copy() for body, i in place.items()}
-    moving = _moving(scene, given, free, found, set(twists))
-    for body in free.bodies:
+    found = _closed(linked, free, start, poses, kept)
+    for body in {*free.bodies, *poses}:
+        pose[place[body]] = np.concatenate([found[body][:3, :3].ravel(), found[body][:3, 3]])
+    rates = {at[j]: rate for j, rate in rates.items()}
+    moving = _moving(scene, given, free, found, set(twists), rates)
+    for body in {*free.bodies, *twists}:
         twist[place[body]] = moving[body]
-    return pose, twist
+    return pose, twist, {scene.joints[j].name: angle for j, angle in near.items()}
 
 
-def _closed(held, free, start, given):
-    """Poses that satisfy all joints: with the given bodies held, or moved by ROUNDED."""
+def _counted_from(scene, frames, poses, couplings, near):
+    """Couplings for angles of the other joint in (-pi, pi] at these poses.
+
+    near : {j: rad} unwrapped angles, within half a turn
+    """
+    counted = [entry for entry in couplings if turns(scene.joints[entry.other])]
+    others = {entry.other for entry in counted}
+    principal, unwrapped = (
+        coordinates_at(scene, frames, poses, others, angles) for angles in ({}, near)
+    )
+    return [
+        entry._replace(
+            offset=entry.offset + entry.ratio * (unwrapped[entry.other] - principal[entry.other])
+        )
+        if entry in counted
+        else entry
+        for entry in couplings
+    ]
+
+
+def _closed(linked, free, start, given, kept):
+    """Poses that satisfy all joints: with the given bodies and coordinates, or changed by ROUNDED.
+
+    linked : function (bodies that are held, coordinates that are kept) -> Linkage
+    """
+    held = linked(given.keys(), kept)
     found = held.nearest(start)
     if held.is_closed(found):
         return found
     rounded = free.nearest(start)
     moved = [np.abs(rounded[body] - start[body]) for body in given]
     far = max((np.abs(start[body][:3, 3]).max() for body in given), default=0.0)
-    turns = max((change[:3, :3].max() for change in moved), default=0.0)
-    shifts = max((change[:3, 3].max() for change in moved), default=0.0)
-    if free.is_closed(rounded) and turns <= ROUNDED and shifts <= ROUNDED * max(far, free.length):
+    offs = [abs(free.coupling_gap(entry, rounded)) for entry in kept]
+    angular = [turns(free.joints[entry.joint]) for entry in kept]
+    rotations = [off for off, turned in zip(offs, angular) if turned]
+    shifts = [off for off, turned in zip(offs, angular) if not turned]
+    rotations += [change[:3, :3].max() for change in moved]
+    shifts += [change[:3, 3].max() for change in moved]
+    if (
+        free.is_closed(rounded)
+        and max(rotations, default=0.0) <= ROUNDED
+        and max(shifts, default=0.0) <= ROUNDED * max(far, free.length)
+    ):
         return rounded
+    if kept:
+        without = linked(given.keys())
+        nearest = without.nearest(start)
+        if without.is_closed(nearest):
+            raise not_kept(without, nearest, kept)
+        held, found = without, nearest
     raise cannot_close(held, found)
 
 
-def _moving(scene, given, linkage, poses, fixed):
-    """Twists {body: (6,)} that satisfy all joints: with those of `fixed`, or changed by ROUNDED."""
+def _moving(scene, given, linkage, poses, fixed, rates):
+    """Twists {body: (6,)} that satisfy all joints: with those of `fixed`, or changed by ROUNDED.
+
+    rates : {index of a joint of the linkage: rate}, kept in the same way
+    """
     try:
-        return consistent_velocities(scene, given, linkage, poses, {}, fixed)
+        return consistent_velocities(scene, given, linkage, poses, rates, fixed)
     except SceneError:
         found = consistent_velocities(scene, given, linkage, poses, {}, set())
-        most = ROUNDED * max(np.abs(given[body]).max() for body in linkage.bodies)
-        if any(np.abs(found[body] - given[body]).max() > most for body in fixed):
+        sizes = [np.abs(given[body]).max() for body in linkage.bodies]
+        most = ROUNDED * max([*sizes, *map(abs, rates.values())])
+        changes = [np.abs(found[body] - given[body]).max() for body in fixed]
+        V = np.concatenate([found[body] for body in linkage.bodies])
+        for i, rate in rates.items():
+            rows = [np.zeros((0, 6))] * len(linkage.joints)
+            rows[i] = rate_row(linkage.joints[i], linkage.frames[i][1])[None]
+            changes.append(abs((linkage.relative_rows(poses, rows) @ V)[0] - rate))
+        if max(changes, default=0.0) > most:
             raise
         return found
 

@@ -21,7 +21,7 @@ from liegroup_core.robots.read import read_robot
 from liegroup_core.robots.resources import beside
 from liegroup_core.robots.text import scene_text
 
-from .description import FORCES, JOINTS, entries_of, list_of
+from .description import FORCES, JOINTS, SENSORS, entries_of, list_of
 from .yaml_text import Lines, read_yaml
 
 
@@ -68,6 +68,11 @@ class RobotFile(Described):
     lock: ByJoint = Field(
         {}, description="joints that do not move, and their coordinates, rad or m"
     )
+    keep: list_of(Text) = Field(
+        (),
+        description="fixed joints that are not merged, so that their reactions are known; those with a "
+        "force_torque sensor are kept by themselves",
+    )
     only: list_of(Text) = Field(
         (), description="links to keep, with the chains that lead to them; default: all"
     )
@@ -79,6 +84,9 @@ class RobotFile(Described):
     )
     forces: entries_of(FORCES) = Field(
         (), description="forces, with names of links and joints of the robot"
+    )
+    sensors: entries_of(SENSORS) = Field(
+        (), description="sensors, with names of links and joints of the robot"
     )
 
 
@@ -164,11 +172,13 @@ def robot_beside(root, source):
         start=given.start,
         start_velocity=given.start_velocity,
         lock=given.lock,
+        keep=list(given.keep),
         only=list(given.only),
         joints=list(given.joints),
         joint_label="joints[{}]",
         couplings=list(given.couplings),
         forces=list(given.forces),
+        sensors=list(given.sensors),
         gravity=given.gravity,
         name=given.name,
         description=given.description,

@@ -63,6 +63,14 @@ def add_arguments(parser):
         help="keep these links and the chains that lead to them; cut the others",
     )
     parser.add_argument(
+        "--keep",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="JOINT",
+        help="fixed joints that are not merged, so that their reactions are known",
+    )
+    parser.add_argument(
         "--close",
         nargs=3,
         action="append",
@@ -87,6 +95,7 @@ def run(args):
         start=_values(args.start, "start"),
         start_velocity=_values(args.start_velocity, "start-velocity"),
         lock=_values(args.lock, "lock"),
+        keep=args.keep,
         only=args.only,
         joints=[_closing(*entry) for entry in args.close],
         name=args.name,

@@ -14,7 +14,7 @@ from liegroup_core.joints.linkage import inverse
 from liegroup_core.scene.consistency import resolve_frames
 
 WORLD = "world"
-URDF_TYPES = {"revolute": "continuous", "prismatic": "prismatic"}
+URDF_TYPES = {"revolute": "continuous", "prismatic": "prismatic", "fixed": "fixed"}
 # Distance of an axis from an origin, in units of the largest coordinate: round-off of the scene's poses.
 BESIDE = 1e-14
 
@@ -40,8 +40,8 @@ def link_of_body(scene):
 def links_and_joints(scene):
     """({link: (body or world, (4, 4) pose in the frame of the body)}, [UrdfJoint]) of a scene.
 
-    The joints are a tree from the world. Joints of one angle or displacement come first, with the
-    names of ~/joint_states; what they do not reach is floating.
+    The joints are a tree from the world. Joints of one angle or displacement, with the names of
+    ~/joint_states, and fixed ones; what they do not reach is floating.
     """
     robot = scene.robot
     links = {body.name: (body.name, np.eye(4)) for body in scene.bodies}
@@ -84,6 +84,8 @@ def _joint(links, joint, label, ends, body, A, B, sign):
     near, far = ends
     axis, at = sign * B[:3, 2], B[:3, 3]
     kind, data = URDF_TYPES[joint.type], joint.data or {}
+    if kind == "fixed":
+        return [UrdfJoint(label, kind, near, far, A @ inverse(B))]
     if kind == "prismatic" or np.abs(np.cross(at, axis)).max() <= BESIDE * np.abs(at).max():
         return [UrdfJoint(label, kind, near, far, A @ inverse(B), axis, data)]
     middle = _unused(f"{label}_frame", links)

@@ -166,27 +166,38 @@ def joint_states(layout, world_frame, frame_prefix=""):
 def reactions(layout, world_frame, frame_prefix=""):
     """geometry_msgs/WrenchStamped of every joint: `Sample.reactions`, NaN where undetermined.
 
-    The frame is the child's joint frame, `JOINT_reaction`; see `fixed_frames`. Raises ValueError
-    if a joint has the name of a body, whose ~/BODY/wrench is an input.
+    Also of every spring, motor and servo at a joint: `Sample.force_efforts`, on the child. The frame
+    is the child's joint frame, `JOINT_reaction`; see `fixed_frames`. Raises ValueError if a joint or
+    force has the name of a body, whose ~/BODY/wrench is an input.
     """
-    joints = [joint.name for joint in layout.scene.joints]
-    for name in joints:
-        if name in layout.body_names:
-            raise ValueError(
-                f"~/{name}/wrench is the input for body {name}: give joint {name} another name"
-            )
+    joints, forces = [joint.name for joint in layout.scene.joints], layout.joint_forces
+    for what, names in (("joint", joints), ("force", forces.names)):
+        for name in names:
+            if name in layout.body_names:
+                raise ValueError(
+                    f"~/{name}/wrench is the input for body {name}: give {what} {name} another name"
+                )
 
     def of_joint(name):
         codec = WrenchStampedCodec(f"{frame_prefix}{name}{REACTION}")
         return lambda stamp_ns, sample: codec.encode(stamp_ns, sample.reactions[name])
 
-    return [(f"~/{name}/wrench", WrenchStampedCodec.TYPE, of_joint(name)) for name in joints]
+    def of_force(name):
+        codec = WrenchStampedCodec(f"{frame_prefix}{forces.joints[name]}{REACTION}")
+        before, after = ((0.0,) * k for k in ((2, 3) if forces.turns[name] else (5, 0)))
+        return lambda stamp_ns, sample: codec.encode(
+            stamp_ns, (*before, sample.force_efforts[name], *after)
+        )
+
+    encoders = {name: of_joint(name) for name in joints}
+    encoders |= {name: of_force(name) for name in forces.names}
+    return [(f"~/{name}/wrench", WrenchStampedCodec.TYPE, encoders[name]) for name in encoders]
 
 
 def fixed_frames(layout, frame_prefix=""):
     """Serialized tf2_msgs/TFMessage of the frames that are fixed in links: of joints and sensors.
 
-    JOINT_reaction is the joint frame of the child; a force_torque sensor has it too.
+    JOINT_reaction is the joint frame of the child; a force_torque sensor without a frame has it too.
     """
     scene = layout.scene
     of_child = {
@@ -196,7 +207,8 @@ def fixed_frames(layout, frame_prefix=""):
     frames = {f"{joint}{REACTION}": place for joint, place in of_child.items()}
     for sensor in scene.sensors:
         if sensor.type == "force_torque":
-            frames[sensor.name] = of_child[sensor.joint]
+            child, frame = of_child[sensor.joint]
+            frames[sensor.name] = child, sensor.frame.pose if sensor.frame else frame
         elif hasattr(sensor, "frame"):
             frames[sensor.name] = sensor.body, (sensor.frame or Frame()).pose
     links, template, slots = link_of_body(scene), Template(), []

@@ -30,6 +30,7 @@ REASONS = (
     "repeated_joint",
     "no_servo",
     "no_position",
+    "jump_too_large",
     "stamp_too_old",
     "stamp_too_far",
     "too_many",
@@ -81,7 +82,7 @@ class JointCommandInput(JointInput):
         self._decoder = JointStateDecoder(self.most_names)
         self._checked = ()  # names of the last accepted message
 
-    def read_array(self, payload, names, interface, held):
+    def read_array(self, payload, names, interface, held, jumps=None):
         """As `read`, of a serialized Float64MultiArray: numbers of one interface for these joints.
 
         interface : "position", "velocity" or "effort"
@@ -97,24 +98,26 @@ class JointCommandInput(JointInput):
                 lambda: f"{len(numbers)} numbers for the {len(names)} joints of command_joints",
             )
         fields = [numbers if kind == interface else () for kind in INTERFACES]
-        return self._commands(names, fields, 0, 0, held, None)
+        return self._commands(names, fields, 0, 0, held, None, jumps)
 
-    def read(self, payload, now_ns, held, lasting, stamped=True):
+    def read(self, payload, now_ns, held, lasting, stamped=True, jumps=None):
         """[JointEffort or Target] of a serialized JointState. Raises Refusal.
 
         now_ns  : current stamp
         held    : number of commands that act now or start later
         lasting : s, duration of a command; None: until the next one
         stamped : False: time stamps are ignored
+        jumps   : Jumps, or None for no limit
         """
         try:
             stamp_ns, names, *fields = self._decoder.decode(payload)
         except MessageError as error:
             text = str(error)
             self.refuse("damaged", lambda: text)
-        return self._commands(names, fields, stamp_ns if stamped else 0, now_ns, held, lasting)
+        stamp_ns = stamp_ns if stamped else 0
+        return self._commands(names, fields, stamp_ns, now_ns, held, lasting, jumps)
 
-    def _commands(self, names, fields, stamp_ns, now_ns, held, lasting):
+    def _commands(self, names, fields, stamp_ns, now_ns, held, lasting, jumps):
         if names != self._checked:
             self.check_names(names)
         for kind, values in zip(INTERFACES, fields):
@@ -135,7 +138,7 @@ class JointCommandInput(JointInput):
             for name, *target in zip(names, position, velocity)
             if not all(map(math.isnan, target))
         ]
-        self._check_servos(wanted)
+        self._check_servos(wanted, jumps)
         target = ", ".join(names)
         age = OLDEST if lasting is None else lasting
         if stamp_ns and stamp_ns < now_ns - round(age * 1e9):
@@ -161,7 +164,7 @@ class JointCommandInput(JointInput):
             for name, position, velocity in wanted
         ]
 
-    def _check_servos(self, wanted):
+    def _check_servos(self, wanted, jumps):
         for name, position, velocity in wanted:
             if name not in self.servos:
                 kind = "velocity" if math.isnan(position) else "position"
@@ -180,6 +183,8 @@ class JointCommandInput(JointInput):
                         "stiffness: give a position too, or a servo with stiffness 0"
                     ),
                 )
+            if jumps is not None and self.servos[name]:
+                self.refuse_jump(name, jumps.positions[self.joints[name]], position, jumps.most)
 
 
 def _or_zero(value):

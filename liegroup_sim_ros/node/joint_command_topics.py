@@ -8,6 +8,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from .counted_input import Refusal
 from .joint_command_input import JointCommandInput
+from .joint_input import Jumps
 from .parameters import ParameterError
 from .trajectory_input import TrajectoryInput
 from .wrench_topics import DEPTH
@@ -20,7 +21,7 @@ class JointCommandTopics:
 
     node   : rclpy Node
     layout : Layout of the scene
-    values : parameters; command_timeout and command_stamps are read for every message
+    values : parameters; command_timeout, command_stamps and command_jump are read for every message
     server : SimulationServer
     qos    : QosOverrides
     Raises ParameterError for command_joints that are not joints of the scene.
@@ -80,6 +81,13 @@ class JointCommandTopics:
     def _lasting(self):
         return self._values.command_timeout or None
 
+    @property
+    def _jumps(self):
+        values = self._values
+        if not values.command_jump:
+            return None
+        return Jumps(values.command_jump, self._server.positions, values.trajectory_period)
+
     def _read(self, payload):
         server = self._server
         commands = self.input.read(
@@ -88,18 +96,25 @@ class JointCommandTopics:
             server.wrenches_held,
             self._lasting,
             self._values.command_stamps,
+            self._jumps,
         )
         server.push(commands, self._lasting)
 
     def _read_array(self, payload):
         commands = self.input.read_array(
-            payload, self._names, self._values.command_interface, self._server.wrenches_held
+            payload,
+            self._names,
+            self._values.command_interface,
+            self._server.wrenches_held,
+            self._jumps,
         )
         self._server.push(commands, self._lasting)
 
     def _read_trajectory(self, payload):
         self._server.follow(
-            self.trajectories.read(payload, self._server.stamp_ns, self._values.command_stamps)
+            self.trajectories.read(
+                payload, self._server.stamp_ns, self._values.command_stamps, self._jumps
+            )
         )
 
     def figures(self):

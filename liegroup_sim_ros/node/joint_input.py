@@ -1,10 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """What all inputs that name joints share: the joints of a scene, and refused names. Imports no ROS."""
 
+from typing import NamedTuple
+
 from liegroup_core.forces.kinds import servos
 from liegroup_sim_ros.messages.commands import joint_labels
 
 from .counted_input import LONGEST_NAME, CountedInput
+
+
+class Jumps(NamedTuple):
+    """What a commanded position may differ from that of its joint.
+
+    most      : rad or m
+    positions : {joint of the scene: present position}
+    period    : s, in which a trajectory may move a joint by so much
+    """
+
+    most: float
+    positions: dict
+    period: float
 
 
 class JointInput(CountedInput):
@@ -13,11 +28,13 @@ class JointInput(CountedInput):
     joints     : {name in messages: joint of the scene} of the joints with one coordinate
     servos     : {name in messages: whether its servo needs a wanted position}
     most_names : number of names that a message can have
+    units      : {joint of the scene: "rad" or "m"}
     """
 
     def __init__(self, what, counted, reasons, layout):
         super().__init__(what, counted, reasons)
         scene, names = layout.scene, layout.coordinates.names
+        self.units = layout.coordinates.units
         self.joints = dict(zip(joint_labels(names, scene.robot), names))
         self._others = set(joint_labels([joint.name for joint in scene.joints], scene.robot))
         if scene.robot is not None:
@@ -48,3 +65,15 @@ class JointInput(CountedInput):
             )
         if len(set(names)) < len(names):
             self.refuse("repeated_joint", lambda: "it names a joint twice; name each one once")
+
+    def refuse_jump(self, name, before, after, most):
+        """Refuse a commanded position that is too far from the one before it. Raises Refusal."""
+        if abs(after - before) > most:
+            unit = self.units[self.joints[name]]
+            self.refuse(
+                "jump_too_large",
+                lambda: (
+                    f"it moves {name} from {before:.6g} to {after:.6g} {unit}, by more than {most:.6g} "
+                    f"{unit} at once (parameter command_jump): approach it in smaller steps"
+                ),
+            )

@@ -182,6 +182,8 @@ class SimNode(Node):
         setattr(self._values, name, value)
         if name == "real_time_factor":
             self.ask("speed", value)
+        elif name == "command_jump":
+            self.ask("watch", value > 0.0)
         elif name == "arrow_scale":
             self.scene_run.outputs.set_arrow_scale(value)
 

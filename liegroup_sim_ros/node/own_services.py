@@ -11,12 +11,15 @@ import numpy as np
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import parameter_value_to_python
 
+from liegroup_core.joints.coupling import COUPLED
 from liegroup_core.lie.groups import SO3
+from liegroup_sim_ros.messages.commands import joint_labels
 
 from .counted_input import MOST
 from .wrench_input import Push
 
 NOT_UNIT = 1e-3  # largest difference of a quaternion's norm from 1
+OF_JOINTS = ("position", "velocity")
 SOURCE = "service"
 LONGEST_SHOWN = 60  # characters of a wrong value in an error text
 
@@ -44,13 +47,22 @@ def _answering(node, serve):
 
 
 def set_state(node, values):
-    """Set BODY/pose (x y z qx qy qz qw, world axes) and BODY/twist (angular, linear, body axes)."""
-    poses, twists = {}, {}
+    """Set BODY/pose (x y z qx qy qz qw, world axes), BODY/twist (angular, linear, body axes),
+    JOINT/position and JOINT/velocity (rad and rad/s, or m and m/s).
+    """
+    poses, twists, joints = {}, {}, {}
     for name, value in values.items():
-        body, _, kind = name.rpartition("/")
+        owner, _, kind = name.rpartition("/")
+        if kind in OF_JOINTS:
+            if type(value) not in (int, float) or not math.isfinite(value):
+                raise Wrong(f"{name} must be a finite number, got {_shown(value)}")
+            joints.setdefault(_joint(node, owner), [None, None])[OF_JOINTS.index(kind)] = value
+            continue
         if kind not in ("pose", "twist"):
-            raise Wrong(f"unknown name {name!r}: give BODY/pose or BODY/twist")
-        _check_body(node, body)
+            raise Wrong(
+                f"unknown name {name!r}: give BODY/pose, BODY/twist, JOINT/position or JOINT/velocity"
+            )
+        body = _body(node, owner)
         if kind == "pose":
             numbers = _vector(name, value, 7)
             norm = np.linalg.norm(numbers[3:])
@@ -61,7 +73,7 @@ def set_state(node, values):
             poses[body][:3, :3] = SO3.from_quaternion(numbers[3:] / norm)
         else:
             twists[body] = _vector(name, value, 6)
-    return node.ask("place", poses, twists, " and ".join(values))
+    return node.ask("place", poses, twists, joints, " and ".join(values))
 
 
 def apply_wrench(node, values):
@@ -70,7 +82,7 @@ def apply_wrench(node, values):
     for name in values.keys() - known:
         raise Wrong(f"unknown name {name!r}: choose from {', '.join(sorted(known))}")
     body, axes = values.get("body", ""), values.get("axes", "body")
-    _check_body(node, body)
+    body = _body(node, body)
     if axes not in ("body", "world"):
         raise Wrong(f"axes must be 'body' or 'world', got {_shown(axes)}")
     force, torque, point = (
@@ -106,10 +118,27 @@ def _values(request):
     return values
 
 
-def _check_body(node, body):
-    names = node.scene_run.simulation.layout.body_names
-    if body not in names:
-        raise Wrong(f"unknown body {_shown(body)}; choose one of: {', '.join(names)}")
+def _body(node, name):
+    """Name of a body in the scene; of a robot also that of its link."""
+    scene = node.scene_run.simulation.scene
+    names = [body.name for body in scene.bodies]
+    links = {} if scene.robot is None else {link: body for body, link in scene.robot.links.items()}
+    if name in names:
+        return name
+    if not isinstance(name, str) or name not in links:
+        raise Wrong(f"unknown body {_shown(name)}; choose one of: {', '.join(names)}")
+    return links[name]
+
+
+def _joint(node, name):
+    """Name in the scene of a joint with one coordinate, from that in messages."""
+    scene = node.scene_run.simulation.scene
+    joints = [joint.name for joint in scene.joints if joint.type in COUPLED]
+    known = dict(zip(joint_labels(joints, scene.robot), joints))
+    if name not in known:
+        names = ", ".join(known) or "the scene has none"
+        raise Wrong(f"{_shown(name)} is not a joint with one coordinate; choose one of: {names}")
+    return known[name]
 
 
 def _vector(name, value, size):

@@ -250,6 +250,15 @@ TABLE = (
         read_only=False,
     ),
     Entry(
+        "command_jump",
+        0.0,
+        "largest distance of a commanded position of a servo from the present one of its joint, rad or m; "
+        "of a trajectory: largest change within trajectory_period. Larger ones are refused; 0: no limit",
+        read_only=False,
+        low=0.0,
+        high=1e6,
+    ),
+    Entry(
         "command_joints",
         "",
         "joints of ~/commands, separated by commas, in the order of its numbers; empty: no such topic",

@@ -67,13 +67,22 @@ class SimulationServer(threading.Thread):
     paused     : start paused
     base_ns    : stamp of step 0
     origin     : text of the event `start` besides the name of the scene
+    watching   : keep `positions`, {joint: rad or m} after the last block of steps
 
     The state is "running", "paused" or "faulted". After a SimulationError the last valid state is
     kept, and only a reset continues. `failure` is the exception that ended the thread, or None.
     """
 
     def __init__(
-        self, simulation, output, factor=1.0, paused=False, base_ns=0, origin="", follow_period=2e-3
+        self,
+        simulation,
+        output,
+        factor=1.0,
+        paused=False,
+        base_ns=0,
+        origin="",
+        follow_period=2e-3,
+        watching=False,
     ):
         super().__init__(name="simulation", daemon=True)
         self._simulation = simulation
@@ -106,6 +115,8 @@ class SimulationServer(threading.Thread):
         self._slow = False  # at the last diagnostics
         self._servos = bool(simulation.layout.servos)
         self._saturated, self._saturations = set(), 0  # servos at their limit; how often reached
+        self._watching = False
+        self._watch(watching)
         self._reference_energy = None  # J, at the last known instant without an applied wrench
         self.pacer = Pacer(factor, sleep=self._wake.wait)
         self.state = "paused" if paused else "running"
@@ -119,9 +130,10 @@ class SimulationServer(threading.Thread):
         """Submit a command; returns its Future.
 
         Commands: "pause", "resume", "reset", "step" (count), "speed" (factor), "clear" (prefix of
-        sources), "place" (poses, twists, reason; see Engine.place), "save" and "restore" (name of a
-        snapshot), "sample", "hold". The result is one line of text, with two exceptions: "sample"
-        returns a Moment, and "hold" returns whether the simulation was running. "hold" is a pause
+        sources), "watch" (whether `positions` are kept), "place" (poses, twists, joints, reason; see
+        Engine.place), "save" and "restore" (name of a snapshot), "sample", "hold". The result is one
+        line of text, with two exceptions: "sample" returns a Moment, and "hold" returns whether the
+        simulation was running. "hold" is a pause
         that also works after a fault. A "step" in several parts is "advance" (count) for each of
         them, then "stepped" (steps of all). The exception of the Future is CommandError. The Future
         is cancelled if the thread ends first.
@@ -138,6 +150,7 @@ class SimulationServer(threading.Thread):
             "save": self._save,
             "restore": self._restore,
             "speed": self._speed,
+            "watch": self._watch,
             "clear": self._clear,
             "sample": self._sample,
             "hold": self._hold,
@@ -353,8 +366,15 @@ class SimulationServer(threading.Thread):
                 self._sent_ns[i] = self.stamp_ns
                 sample = sample or self._simulation.sample()
                 send(self.stamp_ns, sample)
+        if self._watching:
+            sample = sample or self._simulation.sample()
+            self._keep_positions(sample)
         if self._servos and sample is not None:
             self._tell_of_saturation(sample)
+
+    def _keep_positions(self, sample):
+        coordinates = sample.joint_coordinates
+        self.positions = {joint: position for joint, (position, _) in coordinates.items()}
 
     def _tell_of_saturation(self, sample):
         """Count servos that reach their limit; send an event for the first time of each."""
@@ -452,10 +472,10 @@ class SimulationServer(threading.Thread):
         self._simulation.reset()
         return self._restart("reset", "initial state, step 0", "initial state")
 
-    def _place(self, poses, twists, reason):
+    def _place(self, poses, twists, joints, reason):
         self._refuse_if_faulted()
         try:
-            self._simulation.place(poses, twists)
+            self._simulation.place(poses, twists, joints)
         except (SceneError, ValueError) as error:
             raise CommandError(str(error)) from None
         entries = attachments.state(self._simulation, self._next_stamp())
@@ -469,7 +489,9 @@ class SimulationServer(threading.Thread):
             )
         if self._wrenches:
             self._apply_wrenches()
-        self._snapshots[name] = self._simulation.snapshot()
+        if self._trajectory is not None:
+            self._follow_until(self._simulation.steps)
+        self._snapshots[name] = self._simulation.snapshot(), self._follower.snapshot()
         self._event("save", f"{name}, step {self._simulation.steps}")
         return f"saved {name!r} at {self._seconds():.9g} s, step {self._simulation.steps}"
 
@@ -478,11 +500,13 @@ class SimulationServer(threading.Thread):
         if snapshot is None:
             known = ", ".join(sorted(self._snapshots)) or "none, call ~/save_snapshot first"
             raise CommandError(f"unknown snapshot {name!r}; saved are: {known}")
-        self._simulation.restore(snapshot)
+        state, followed = snapshot
+        self._simulation.restore(state)
         entries = attachments.state(self._simulation, self._next_stamp())
-        return self._restart(
-            "state", events.state(f"snapshot {name}", entries), f"snapshot {name!r}"
-        )
+        text = events.state(f"snapshot {name}", entries)
+        result = self._restart("state", text, f"snapshot {name!r}")
+        self._follower.restore(followed)
+        return result
 
     def _next_stamp(self):
         """Stamp of a state that was set: one step after the last one, so that no stamp occurs twice."""
@@ -547,6 +571,12 @@ class SimulationServer(threading.Thread):
             self.pacer.start(self._seconds())
         self._event("speed", f"real-time factor {factor:g}")
         return f"real-time factor {factor:g}"
+
+    def _watch(self, watching):
+        self._watching = watching
+        if watching:
+            self._keep_positions(self._simulation.sample())
+        return "positions are kept" if watching else "positions are not kept"
 
     def _clear(self, prefix):
         for source in self._simulation.wrench_sources:

@@ -68,7 +68,7 @@ class Entities:
         pose = _pose(state.pose) if sets["pose"] else moment.sample.poses[body]
         twists = {body: _twist(state.twist, pose[:3, :3])} if sets["twist"] else {}
         poses = {body: pose} if sets["pose"] else {}
-        done, text = self._ask("place", poses, twists, f"{_listed(sets)} of {body}")
+        done, text = self._ask("place", poses, twists, {}, f"{_listed(sets)} of {body}")
         if not done:
             # A twist that the joints do not allow is reported as one, and has no code of its own.
             at_pose = sets["pose"] and "velocities" not in text

@@ -11,7 +11,11 @@ The first segment begins with positions and velocities of the joints when the tr
 the last point its positions are held.
 """
 
+import copy
 import math
+
+# Attributes of a Follower that say what it follows, from when on, and how far.
+STATE = ("_active", "_waiting", "_start", "_sent", "_ends")
 
 
 class Trajectory:
@@ -109,6 +113,22 @@ class Follower:
     def clear(self):
         """Forget all trajectories."""
         self._active = self._waiting = None
+
+    def snapshot(self):
+        """Copy of what is followed and waits, for `restore`."""
+        return copy.deepcopy(self._state)
+
+    def restore(self, snapshot):
+        """Follow what a snapshot had; times are those of its state."""
+        self._state = copy.deepcopy(snapshot)
+
+    @property
+    def _state(self):
+        return [vars(self).get(name) for name in STATE]
+
+    @_state.setter
+    def _state(self, values):
+        vars(self).update(zip(STATE, values))
 
     def follow(self, trajectory, start):
         """Replace the present trajectory, at a time in s: now or later."""

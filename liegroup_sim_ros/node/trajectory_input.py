@@ -23,6 +23,7 @@ REASONS = (
     "no_points",
     "wrong_times",
     "moving_at_end",
+    "jump_too_large",
     "effort",
     "stamp_too_old",
     "stamp_too_far",
@@ -37,11 +38,12 @@ class TrajectoryInput(JointInput):
     def __init__(self, layout):
         super().__init__("joint trajectory", "joint_trajectories", REASONS, layout)
 
-    def read(self, payload, now_ns, stamped=True):
+    def read(self, payload, now_ns, stamped=True, jumps=None):
         """Trajectory of a serialized JointTrajectory. Raises Refusal.
 
         now_ns  : current stamp
         stamped : False: the time stamp is ignored
+        jumps   : Jumps, or None for no limit
         """
         try:
             stamp_ns, names, points = decode_trajectory(payload, self.most_names)
@@ -69,6 +71,8 @@ class TrajectoryInput(JointInput):
             )
         if any(points[-1].velocity):
             self.refuse("moving_at_end", lambda: "the velocities of its last point must be zero")
+        if jumps is not None:
+            self._check_jumps(names, points, jumps)
         if not stamped:
             stamp_ns = 0
         if stamp_ns and stamp_ns + times[-1] < now_ns:
@@ -97,3 +101,13 @@ class TrajectoryInput(JointInput):
                 )
             if not all(map(math.isfinite, values)):
                 self.refuse("not_finite", lambda: f"{kind} of point {k} are not finite")
+
+    def _check_jumps(self, names, points, jumps):
+        """Refuse a segment that moves a joint by more than the limit in a period, on average."""
+        before = [jumps.positions[self.joints[name]] for name in names]
+        since = 0
+        for point in points:
+            most = jumps.most * max(1.0, 1e-9 * (point.time_ns - since) / jumps.period)
+            for name, first, last in zip(names, before, point.position):
+                self.refuse_jump(name, first, last, most)
+            before, since = point.position, point.time_ns

@@ -158,7 +158,7 @@ class Recording:
 
     @cached_property
     def reactions(self) -> dict[str, ReactionTrack]:
-        """{joint: ReactionTrack} of ~/JOINT/wrench; force-torque sensors, too, by their names."""
+        """{joint: ReactionTrack} of ~/JOINT/wrench; by their names also forces and force-torque sensors."""
         found: dict[str, list] = {}
         with ErrorsWithPath(self.path):
             for messages, channels in self._source.messages(self.channels):

@@ -32,13 +32,17 @@ class ArrayFile:
     twists (k, n, 6) (omega, v) rad/s and m/s in body axes, energy (k,) J,
     residual (k,) largest joint residual, m or rad; errors (k, n, 4) estimated errors, m, rad, m/s
     and rad/s, if the simulation carries an estimate; on request joints (j,) names and reactions
-    (k, j, 6), see Sample.reactions; scene and settings: texts, YAML and JSON
+    (k, j, 6), see Sample.reactions, forces (f,) names and efforts (k, f), see Sample.force_efforts;
+    scene and settings: texts, YAML and JSON
     """
 
     def __init__(self, path, simulation, every, samples, reactions=False):
         self.count, self.last_step = 0, -1
         self._path, self._every = Path(path), every
-        self._joints = {"joints": np.array(joint_names(simulation))} if reactions else {}
+        self._names = {}
+        if reactions:
+            forces = simulation.layout.joint_forces.names
+            self._names = {"joints": np.array(joint_names(simulation)), "forces": np.array(forces)}
         n = len(simulation.layout.body_names)
         try:
             self._arrays = {
@@ -53,6 +57,7 @@ class ArrayFile:
                 self._arrays["errors"] = np.empty((samples, n, 4))
             if reactions:
                 self._arrays["reactions"] = np.empty((samples, len(joint_names(simulation)), 6))
+                self._arrays["efforts"] = np.empty((samples, len(forces)))
             self._stream = open(self._path, "xb")
         except MemoryError:
             raise OutputError(
@@ -87,6 +92,7 @@ class ArrayFile:
                 self._arrays[name][self.count] = value
         if "reactions" in self._arrays:
             self._arrays["reactions"][self.count] = list(sample.reactions.values())
+            self._arrays["efforts"][self.count] = list(sample.force_efforts.values())
         self.count, self.last_step = self.count + 1, sample.steps
 
     def finish(self, simulation, stopped, failed, wall_seconds):
@@ -98,7 +104,7 @@ class ArrayFile:
                 self._stream,
                 **{name: array[: self.count] for name, array in self._arrays.items()},
                 bodies=np.array(simulation.layout.body_names),
-                **self._joints,
+                **self._names,
                 scene=np.array(simulation.scene.text),
                 settings=np.array(json.dumps(settings, indent=1)),
             )

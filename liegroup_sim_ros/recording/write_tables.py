@@ -56,7 +56,8 @@ class TableFile(_Table):
     (m/s) in body axes; position and velocity of each joint with one degree of freedom (rad and
     rad/s, or m and m/s); energy (J); largest constraint residual (m or rad); estimated errors of
     each body, if the simulation carries an estimate; on request the reaction of each joint, torque
-    tx ty tz (N m) and force fx fy fz (N), see Sample.reactions.
+    tx ty tz (N m) and force fx fy fz (N), see Sample.reactions, and the effort (N m or N) of each
+    spring, motor and servo at a joint, see Sample.force_efforts.
     """
 
     BODY = (
@@ -97,6 +98,10 @@ class TableFile(_Table):
                 for joint in (joint_names(simulation) if reactions else ())
                 for name in self.REACTION
             ),
+            *(
+                f"{force}.effort [{'N m' if layout.joint_forces.turns[force] else 'N'}]"
+                for force in (layout.joint_forces.names if reactions else ())
+            ),
         )
 
     def sample(self, sample):
@@ -115,6 +120,7 @@ class TableFile(_Table):
                 for wrench in (sample.reactions.values() if self._reactions else ())
                 for number in wrench.tolist()
             ),
+            *(sample.force_efforts.values() if self._reactions else ()),
         )
         self.count, self.last_step = self.count + 1, sample.steps
 

@@ -136,3 +136,131 @@ def test_the_estimate_starts_again():
     assert simulation.largest_error == 0.0 and simulation.steps == 24
     simulation.advance(24)
     assert np.isfinite(simulation.largest_error)
+
+
+ARM = """
+name: arm
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: base, mass: 3, inertia: [1, 2, 2.5], position: [1, 2, 3], rotation_vector: [0.2, 0.1, 0],
+     angular_velocity: [0.3, -0.1, 0.2], linear_velocity: [1, 0, 0.5]}
+  - {name: upper, mass: 1, inertia: [0.1, 0.2, 0.2], com: [0.25, 0, 0.1]}
+  - {name: lower, mass: 1, inertia: [0.1, 0.2, 0.2], com: [0.2, 0, 0]}
+  - {name: nut, mass: 0.5, inertia: [0.1, 0.1, 0.1]}
+  - {name: stone, mass: 1, inertia: [1, 1, 1], position: [9, 9, 9]}
+joints:
+  - {name: shoulder, type: revolute, parent: base, child: upper,
+     parent_frame: {position: [0, 0.1, 0], axis: [0, 1, 0]}, child_frame: {axis: [0, 1, 0]}}
+  - {name: rail, type: prismatic, parent: lower, child: upper,
+     parent_frame: {position: [-0.2, 0, 0], axis: [1, 0, 1]},
+     child_frame: {position: [0.5, 0, 0], axis: [1, 0, 1]}}
+  - {name: bolt, type: screw, pitch: 0.02, parent: lower, child: nut,
+     parent_frame: {position: [0.3, 0, 0]}, child_frame: {}}
+forces:
+  - {name: spring, type: torsional_spring_damper, joint: shoulder, stiffness: 1}
+assemble: true
+"""
+
+
+@pytest.mark.parametrize("group", ["relative", "se3"])
+def test_joints_take_their_values_and_the_others_keep_theirs(group):
+    """A floating tree: whole turns of a spring's joint too, and what is free of it keeps its bits."""
+    engine = Engine(scene_from_text(ARM), "rkmk4", 1e-3, group, quiet=True)
+    engine.place({}, {}, {"rail": (0.1, 0.5), "bolt": (0.4, -2.0)})
+    engine.advance(20)
+    before, stone = engine.sample(), engine.state()[0][4]
+    engine.place(joints={"shoulder": (7.5, -1.0)})
+    after = engine.sample()
+    assert after.joint_coordinates["shoulder"] == pytest.approx((7.5, -1.0), abs=1e-13)
+    assert after.joint_coordinates["rail"] == pytest.approx(
+        before.joint_coordinates["rail"], abs=1e-13
+    )
+    assert np.abs(after.poses["base"] - before.poses["base"]).max() <= 1e-14
+    assert np.abs(after.twists["base"] - before.twists["base"]).max() <= 1e-13
+    assert np.array_equal(engine.state()[0][4], stone)
+    for sample in before, after:
+        between = SE3.inverse(sample.poses["lower"]) @ sample.poses["nut"]
+        assert between[2, 3] == pytest.approx(0.02 * np.arctan2(between[1, 0], between[0, 0]))
+    relative = [SE3.inverse(s.poses["lower"]) @ s.poses["nut"] for s in (before, after)]
+    assert np.abs(relative[0] - relative[1]).max() <= 1e-14
+    assert after.constraint_residual <= 1e-14
+    assert np.abs(rows(engine)[0] @ engine.state()[1].ravel()).max() <= 1e-13
+    assert engine.steps == 20
+
+
+def test_bodies_and_joints_are_set_together():
+    """The arm moves with its base."""
+    engine = Engine(scene_from_text(ARM), "rkmk4", 1e-3, quiet=True)
+    base, twist = pose([0.1, 0.2, 0.3], [4.0, 5.0, 6.0]), [0.1, 0.2, 0.3, 1.0, 2.0, 3.0]
+    engine.place({"base": base}, {"base": twist}, {"shoulder": (0.5, 0.0), "rail": (None, 0.2)})
+    sample = engine.sample()
+    assert np.abs(sample.poses["base"] - base).max() <= 1e-14
+    assert np.abs(sample.twists["base"] - twist).max() <= 1e-13
+    assert sample.joint_coordinates["shoulder"] == pytest.approx((0.5, 0.0), abs=1e-13)
+    assert sample.joint_coordinates["rail"] == pytest.approx((0.0, 0.2), abs=1e-13)
+    shoulder = pose([0, 0, 0], [0, 0.1, 0]) @ pose([0, 0.5, 0], [0, 0, 0])
+    assert np.abs(sample.poses["upper"] - base @ shoulder).max() <= 1e-14
+    assert sample.constraint_residual <= 1e-14
+
+
+def test_a_loop_closes_about_a_joint_that_is_set():
+    """The crank's angle and rate are kept; coupler and rocker follow, and refusals give the nearest."""
+    engine = Engine(load_scene("four_bar"), "rkmk4", 1e-3, quiet=True)
+    engine.advance(10)
+    (joint, (angle, _)), *others = engine.sample().joint_coordinates.items()
+    engine.place(joints={joint: (angle + 0.3, 2.5)})
+    sample = engine.sample()
+    assert sample.joint_coordinates[joint] == pytest.approx((angle + 0.3, 2.5), abs=1e-12)
+    assert sample.constraint_residual <= 1e-12
+    assert np.abs(rows(engine)[0] @ engine.state()[1].ravel()).max() <= 1e-12
+    # All angles and rates, with six digits, are those of this pose.
+    rounded = {
+        name: (round(q, 7), round(v, 7)) for name, (q, v) in sample.joint_coordinates.items()
+    }
+    engine.place(joints=rounded)
+    assert engine.sample().constraint_residual <= 1e-12
+    before = engine.state()
+    other = others[-1][0]
+    wrong = rounded | {other: (rounded[other][0] + 0.1, 0.0)}
+    with pytest.raises(SceneError, match=r"no pose near the start .* the nearest ones: "):
+        engine.place(joints=wrong)
+    with pytest.raises(SceneError, match=r"contradict each other"):
+        engine.place(joints={joint: (None, 1.0), other: (None, -9.0)})
+    for values in ({"nothing": (1.0, None)}, {joint: (np.nan, None)}, {joint: (None, np.inf)}):
+        with pytest.raises(ValueError, match="is not a joint|must be finite"):
+            engine.place(joints=values)
+    assert all(np.array_equal(a, b) for a, b in zip(before, engine.state()))
+
+
+GEARS = """
+name: gears
+gravity: [0, 0, 0]
+bodies:
+  - {name: a, mass: 1, inertia: [0.2, 0.2, 0.3], angular_velocity: [0, 0, 20]}
+  - {name: b, mass: 2, inertia: [0.4, 0.4, 0.5], position: [1, 0, 0], angular_velocity: [0, 0, -14]}
+joints:
+  - {name: ja, type: revolute, parent: world, child: a, child_frame: {}}
+  - {name: jb, type: revolute, parent: world, child: b, child_frame: {}}
+couplings:
+  - {name: mesh, joint: jb, other: ja, ratio: -0.7}
+"""
+
+
+def test_gears_keep_their_turns_and_follow_in_both_directions():
+    engine = Engine(scene_from_text(GEARS), "rkmk4", 1e-3, quiet=True)
+    engine.advance(600)
+    before = engine.sample()
+    assert before.joint_coordinates["ja"][0] == pytest.approx(12.0, abs=1e-9)
+    engine.place({}, {"a": np.zeros(6)})  # after two turns: the poses stay
+    assert np.abs(engine.sample().pose - before.pose).max() <= 1e-12
+    assert not engine.sample().twist.any()
+    engine.place(joints={"ja": (30.0, 1.0)})
+    found = engine.sample().joint_coordinates
+    assert found["ja"] == pytest.approx((30.0, 1.0), abs=1e-12)
+    assert found["jb"] == pytest.approx((-21.0, -0.7), abs=1e-12)
+    engine.place(joints={"jb": (1.4, None)})
+    found = engine.sample().joint_coordinates
+    assert found["ja"] == pytest.approx((-2.0, 1.0), abs=1e-12)
+    engine.advance(1)
+    with pytest.raises(SceneError, match="no pose near the start"):
+        engine.place(joints={"ja": (0.0, 0.0), "jb": (0.5, 0.0)})

@@ -358,7 +358,7 @@ UNUSUAL = """<sdf version="1.9"><model name="m"><self_collide>true</self_collide
 <velocity_decay><linear>0.1</linear></velocity_decay>
 <visual name="ground"><geometry><plane/></geometry></visual></link>
 <joint name="j" type="revolute"><parent>world</parent><child>a</child><physics/><origin/>
-<sensor name="torque" type="force_torque"/>
+<sensor name="touch" type="contact"/>
 <axis><xyz>0 1 0</xyz><initial_position>0.4</initial_position><dynamics dampin="1"/></axis></joint>
 </model></sdf>"""
 
@@ -373,7 +373,7 @@ def test_what_sdf_has_and_a_scene_has_not_is_noted(tmp_path):
         "changes the motion: velocity_decay of links, left out: a",
         "changes the motion: initial_position of joints, left out: j",
         "left out: 1 visuals that are not drawn (ground)",
-        "left out: 1 sensor of joints (torque)",
+        "left out: 1 sensor of joints (touch)",
         "left out: 1 physics of joints (j)",
         "left out: 1 self_collide (m)",
         "left out: 3 unknown parts of the SDF file (<orgin> in <inertial> of line 2, <origin> in "

@@ -102,6 +102,48 @@ def test_accelerations_are_the_rates_of_the_twists():
     assert found[3:] == pytest.approx(rate[3:] + np.cross(w, v), abs=1e-6)
 
 
+def test_a_force_torque_sensor_in_its_own_frame_and_on_the_parent():
+    """The same wrench about another point, in other axes; a drive is measured on request."""
+    frame = {"position": [0.1, -0.2, 0.3], "rotation_vector": [0.2, 0.5, -0.4]}
+    at_joint = {"type": "force_torque", "joint": "hinge"}
+    moved = at_joint | {"frame": frame, "acts_on": "parent"}
+    drive = {"name": "drive", "type": "motor", "joint": "hinge", "torque": 3.0}
+    scene = pendulum(at_joint, moved, at_joint | {"measures": "transmitted"})
+    scene = Scene(**scene.model_dump(exclude_unset=True) | {"forces": [drive]})
+    values = read(scene)
+    R = Rotation.from_rotvec([0.2, 0.5, -0.4])
+    axes = scene.joints[0].child_frame.pose[:3, :3]
+    torque, force = axes @ values["s0"][:3], axes @ values["s0"][3:]  # axes of the rod
+    assert np.linalg.norm(force) > 1.0
+    expected = [*R.inv().apply(torque - np.cross([0.1, -0.2, 0.3], force)), *R.inv().apply(force)]
+    assert -values["s1"] == pytest.approx(expected, abs=1e-13)
+    assert values["s2"] - values["s0"] == pytest.approx([0, 0, 3.0, 0, 0, 0], abs=1e-13)
+
+
+def test_a_sensor_with_a_frame_keeps_what_is_determined():
+    """Two coaxial hinges share the force along their axis: it is unknown in the axes that it enters."""
+    body = {"name": "door", "mass": 1.0, "inertia": [1, 1, 1], "com": (0.4, 0, 0)}
+    joints = [
+        {
+            "name": f"h{k}",
+            "type": "revolute",
+            "parent": "world",
+            "child": "door",
+            "child_frame": {"position": (0, 0, k)},
+        }
+        for k in (0, 1)
+    ]
+    turned = {"rotation_vector": [0, 0, 0.5]}
+    sensors = [
+        {"name": "plain", "type": "force_torque", "joint": "h0"},
+        {"name": "turned", "type": "force_torque", "joint": "h0", "frame": turned},
+    ]
+    scene = Scene(name="d", gravity=(0, 0, -G), bodies=[body], joints=joints, sensors=sensors)
+    values = read(scene)
+    assert np.isnan(values["plain"]).any() and not np.isnan(values["plain"]).all()
+    assert np.array_equal(np.isnan(values["plain"]), np.isnan(values["turned"]))
+
+
 def test_force_torque_encoder_pose_and_distance():
     angle, rate = -0.4, 1.3
     scene = pendulum(

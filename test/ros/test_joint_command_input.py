@@ -17,6 +17,7 @@ from liegroup_sim_ros.messages.codecs import MessageError
 from liegroup_sim_ros.messages.commands import JointStateDecoder
 from liegroup_sim_ros.node.counted_input import FARTHEST, MOST, Refusal
 from liegroup_sim_ros.node.joint_command_input import JointCommandInput, Target
+from liegroup_sim_ros.node.joint_input import Jumps
 
 NOW, NAN = 5 * 10**9, math.nan
 SCENE = """
@@ -136,6 +137,28 @@ def test_refusals_are_one_line(layout, changed, reason):
     assert caught.value.reason == reason and caught.value.first
     assert "\n" not in str(caught.value) and len(str(caught.value)) < 300
     assert reader.accepted == 0 and reader.refused[reason] == 1
+
+
+def test_positions_far_from_their_joint_are_refused(layout):
+    """From the present position; velocities, efforts and joints without a position have no limit."""
+    reader, jumps = JointCommandInput(layout), Jumps(0.25, {"pin": 7.0, "rail": 0.0}, 0.002)
+    taken = message(["pin", "rail"], [7.25, NAN], [90.0, NAN], [0.0, 99.0])
+    assert len(reader.read(taken, NOW, 0, None, jumps=jumps)) == 3
+    for position in (7.2501, 6.7499, 7.0 - 2.0 * math.pi):
+        with pytest.raises(Refusal) as caught:
+            reader.read(message(["pin"], [position]), NOW, 0, None, jumps=jumps)
+        assert caught.value.reason == "jump_too_large" and len(str(caught.value)) < 300
+    assert "it moves pin from 7 to 7.2501 rad, by more than 0.25 rad at once" in first_refusal(
+        layout, message(["pin"], [7.2501]), jumps
+    )
+    assert (reader.accepted, reader.refused["jump_too_large"]) == (1, 3)
+    assert reader.read(message(["pin"], [-99.0]), NOW, 0, None)
+
+
+def first_refusal(layout, payload, jumps):
+    with pytest.raises(Refusal) as caught:
+        JointCommandInput(layout).read(payload, NOW, 0, None, jumps=jumps)
+    return str(caught.value)
 
 
 def test_joints_of_a_robot_have_the_names_of_its_file(tmp_path):

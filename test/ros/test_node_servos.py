@@ -130,6 +130,28 @@ def test_commands_without_a_servo_are_refused(client, node):
     assert not any(node.states[-1].velocity)
 
 
+def test_a_position_beyond_command_jump_is_refused_and_counted(client, node):
+    """The limit is set while the node runs; it holds from the present position, also after a step."""
+    count = "joint_commands_refused_jump_too_large"
+    known, taken = node.figure(count), node.figure("joint_commands_accepted")
+    assert client.set(NODE, command_jump=0.2).successful
+    node.command(name=["hinge"], position=[0.3])
+    client.until(lambda: node.steps(100) and node.figure(count) == known + 1, what="refusal")
+    assert not any(node.states[-1].velocity)
+    node.command(name=["hinge"], position=[0.19])
+    client.until(lambda: node.steps(100) and abs(node.states[-1].position[0]) > 0.15, what="motion")
+    node.command(name=["hinge"], position=[0.3])
+    client.until(
+        lambda: node.steps(100) and node.figure("joint_commands_accepted") == taken + 2, what="both"
+    )
+    assert client.set(NODE, command_jump=0.0).successful
+    node.command(name=["hinge"], position=[-9.0])
+    client.until(
+        lambda: node.steps(100) and node.figure("joint_commands_accepted") == taken + 3, what="all"
+    )
+    assert node.figure(count) == known + 1
+
+
 def test_every_part_of_the_recording_is_repeated_and_analysed(process, node):
     """A part that begins while a command acts has it; the reference integration follows it."""
     node.command(name=["hinge", "slide"], position=[0.3, 0.0], velocity=[0.0, 0.05])

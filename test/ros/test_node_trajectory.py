@@ -104,6 +104,27 @@ def test_servos_follow_a_trajectory_from_its_stamp(process, node):
     assert np.abs(found[times < -1e-4]).max() == 0.0
 
 
+def test_a_restored_snapshot_continues_its_trajectory(client, process, node):
+    """Bit for bit, both one that is followed and one that waits."""
+    start = node.now() + 50_300_000
+    process.lead.publish(trajectory(["elbow", "shoulder"], (0.5, [0.4, -0.3]), stamp=start))
+    for steps in (20, 200):  # before it starts, and within
+        node.steps(steps)
+        assert client.call(f"{NODE}/save_snapshot").success
+        found = []
+        for _ in range(2):
+            begin = node.now()
+            node.steps(300)
+            since = ((stamp_ns(s.header.stamp) - begin, s) for s in node.states)
+            found.append({ns: (*s.position, *s.velocity) for ns, s in since if ns > 0})
+            assert client.call(f"{NODE}/restore_snapshot").success
+            client.until(lambda: node.now() > begin + 300_000_000)
+        both = found[0].keys() & found[1].keys()  # a burst of messages may have gaps
+        assert 300_000_000 in both and len(both) > 20
+        assert all(found[0][ns] == found[1][ns] for ns in both)
+        assert np.ptp([found[0][ns][:2] for ns in both], axis=0).min() > 0.05
+
+
 def test_a_position_command_takes_its_joint_from_the_trajectory(process, node):
     process.lead.publish(trajectory(["elbow", "shoulder"], (1.0, [0.5, 0.5], [0.0, 0.0])))
     node.steps(200)

@@ -349,6 +349,33 @@ def test_a_run_writes_the_reactions_on_request(tmp_path, capsys):
     assert curves["crank_coupler"][1] == pytest.approx(size, rel=1e-6)
 
 
+def test_a_run_writes_the_efforts_of_forces_at_joints_beside_the_reactions(tmp_path):
+    scene = tmp_path / "driven.yaml"
+    scene.write_text(
+        "name: driven\ngravity: [0, 0, 0]\nbodies: [{name: arm, mass: 1, inertia: [1, 1, 1]}, "
+        "{name: cart, mass: 2, inertia: [1, 1, 1]}]\njoints:\n"
+        "  - {name: hinge, type: revolute, parent: world, child: arm, child_frame: {}}\n"
+        "  - {name: rail, type: prismatic, parent: arm, child: cart, child_frame: {axis: [1, 0, 0]}}\n"
+        "forces:\n  - {name: drive, type: motor, joint: hinge, torque: 2}\n"
+        "  - {name: spring, type: linear_spring_damper, joint: rail, stiffness: 5, rest_position: 1}\n"
+    )
+    arguments = ["run", str(scene), "--method", "rkmk4", "--step", "1e-3", "--every", "100"]
+    for name in ("run.npz", "run.csv", "run.mcap"):
+        out = ["--duration", "0.1", "--reactions", "--out", str(tmp_path / name)]
+        assert main([*arguments, *out]) == 0
+    arrays = np.load(tmp_path / "run.npz")
+    assert arrays["forces"].tolist() == ["drive", "spring"]
+    assert arrays["efforts"][0].tolist() == [2.0, 5.0] and arrays["efforts"][1, 1] < 5.0
+    with open(tmp_path / "run.csv", newline="") as file:
+        row = list(csv.DictReader(file))[1]
+    written = [float(row["drive.effort [N m]"]), float(row["spring.effort [N]"])]
+    assert written == arrays["efforts"][1].tolist()
+    recorded = read_recording(tmp_path / "run.mcap").reactions
+    assert set(recorded) == {"hinge", "rail", "drive", "spring"}
+    assert recorded["drive"].wrench[1].tolist() == [0, 0, written[0], 0, 0, 0]
+    assert recorded["spring"].wrench[1].tolist() == [0, 0, 0, 0, 0, written[1]]
+
+
 def test_a_joint_with_the_name_of_a_body_has_no_topic_for_its_reaction(tmp_path, capsys):
     scene = tmp_path / "one.yaml"
     scene.write_text(

@@ -9,6 +9,7 @@ from geometry_msgs.msg import PoseStamped, TwistStamped
 from node_process import NodeProcess, stamp_ns
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
 
 from liegroup_sim_ros.commands.main import main
 
@@ -19,7 +20,11 @@ gravity: [0, 0, 0]
 bodies:
   - {name: arm, mass: 2, inertia: [3, 3, 1], com: [1, 0, 0]}
   - {name: stone, mass: 2, inertia: [3, 2, 4], position: [5, 6, 7]}
+  - {name: crank, mass: 1, inertia: [1, 1, 1], position: [9, 0, 0]}
+  - {name: slide, mass: 1, inertia: [1, 1, 1], position: [9, 0, 0]}
 joints:
+  - {name: axle, type: revolute, parent: world, child: crank, child_frame: {}}
+  - {name: rail, type: prismatic, parent: crank, child: slide, child_frame: {axis: [1, 0, 0]}}
   - {name: hinge, type: spherical, parent: world, child: arm,
      parent_frame: {position: [0, 0, 0]}, child_frame: {position: [0, 0, 0]}}
 """
@@ -30,6 +35,7 @@ class Own:
         self._client = client
         self.pose = client.listen(f"{NODE}/stone/pose", PoseStamped)
         self.twist = client.listen(f"{NODE}/stone/twist", TwistStamped)
+        self.joints = client.listen(f"{NODE}/joint_states", JointState)
         self.record = folder / "run.mcap"
 
     def call(self, service, values):
@@ -67,6 +73,7 @@ def own(client, tmp_path_factory):
         "scene": folder / "rig.yaml",
         "method": "rkmk4",
         "start_paused": True,
+        "joint_state_rate": 1000.0,
         "record": folder / "run.mcap",
     }
     with NodeProcess(parameters, [f"__node:={NODE[1:]}"]) as process:
@@ -95,6 +102,21 @@ def test_a_state_is_set_and_joints_stay_closed(own):
     assert twist == pytest.approx([0, 0, 0, 0, 0, 4.0], abs=1e-12)
 
 
+def test_joints_are_set_by_name(own):
+    """Those that are not named keep position and velocity; both are those of the next step."""
+    for values, expected in (
+        ([("axle/position", 0.5), ("axle/velocity", 2.0)], [0.502, 0.0, 2.0, 0.0]),
+        ([("rail/position", 3), ("rail/velocity", 0.0), ("axle/velocity", 0)], [0.502, 3.0, 0, 0]),
+        ([("rail/velocity", -1.0)], [0.502, 2.999, 0.0, -1.0]),
+    ):
+        done, text = own.call("set_state", values)
+        assert done and text.startswith(" and ".join(name for name, _ in values))
+        own.step(1)
+        message = own.joints[-1]
+        assert message.name == ["axle", "rail"]
+        assert [*message.position, *message.velocity] == pytest.approx(expected, abs=1e-5)
+
+
 def test_a_force_at_a_point_has_its_torque_for_its_duration(own):
     """No rotation at the start: w_z = r x f / I_z t, until it ends inside a step."""
     assert own.call("set_state", [("stone/pose", [0.0] * 6 + [1.0]), ("stone/twist", [0.0] * 6)])[0]
@@ -120,7 +142,11 @@ def test_a_force_at_a_point_has_its_torque_for_its_duration(own):
     "service, values, text",
     [
         ("set_state", [], "no values are given"),
-        ("set_state", [("leg/pose", [0.0] * 7)], "unknown body 'leg'; choose one of: arm, stone"),
+        (
+            "set_state",
+            [("leg/pose", [0.0] * 7)],
+            "unknown body 'leg'; choose one of: arm, stone, crank, slide",
+        ),
         ("set_state", [("stone/place", [0.0])], "unknown name 'stone/place'"),
         ("set_state", [("stone/pose", [0.0] * 7)], "its quaternion has norm 0, not 1"),
         ("set_state", [("stone/twist", [0.0] * 5)], "stone/twist must be 6 finite numbers"),
@@ -133,6 +159,15 @@ def test_a_force_at_a_point_has_its_torque_for_its_duration(own):
             "violates this joint by 3 m/s",
         ),
         ("set_state", [("stone/twist", [0.0] * 6)] * 2, "a name occurs twice"),
+        ("set_state", [("hinge/position", 0.1)], "'hinge' is not a joint with one coordinate"),
+        ("set_state", [("axle/position", float("inf"))], "axle/position must be a finite number"),
+        ("set_state", [("axle/velocity", "1")], "axle/velocity must be a finite number, got '1'"),
+        ("set_state", [("axle/velocity", True)], "axle/velocity must be a finite number, got True"),
+        (
+            "set_state",
+            [("axle/position", 0.5), ("crank/pose", [9.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])],
+            "give fewer coordinates, or the nearest ones: axle 0",
+        ),
         ("apply_wrench", [("body", "stone"), ("force", [1.0] * 3)], "duration must be a number"),
         ("apply_wrench", [("body", "stone"), ("duration", -1.0)], "duration must be a number"),
         ("apply_wrench", [("duration", 1.0)], "unknown body ''"),

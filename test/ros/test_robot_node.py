@@ -42,6 +42,23 @@ def test_a_node_serves_a_urdf_file_to_rviz(client, tmp_path):
     assert states[-1].position[2] == states[-1].velocity[2] == 0.0
 
 
+def test_a_fixed_joint_that_is_kept_is_fixed_for_robot_state_publisher(tmp_path):
+    path = tmp_path / "arm.sdf"
+    sensor = '<sensor name="cell" type="force_torque"/></joint>'
+    path.write_text(ARM_SDF.replace("<child>tool</child></joint>", f"<child>tool</child>{sensor}"))
+    scene = load_scene(path)
+    assert [joint.type for joint in scene.joints] == ["revolute", "prismatic", "fixed"]
+    path = tmp_path / "again.urdf"
+    path.write_text(robot_description(scene))
+    again = read_robot(path)
+    (flange,) = [joint for joint in again.joints if joint.name == "flange"]
+    assert (flange.type, flange.parent, flange.child) == ("fixed", "slide", "tool")
+    assert not any(joint.type == "floating" for joint in again.joints)
+    place = flange.parent_frame @ inverse(flange.child_frame)
+    expected = inverse(scene.bodies[1].pose) @ scene.bodies[2].pose
+    assert place == pytest.approx(expected, abs=1e-12)
+
+
 def test_tf_has_the_frames_of_all_links(tmp_path):
     path = tmp_path / "arm.urdf"
     path.write_text(ARM_URDF)

@@ -22,7 +22,7 @@ from liegroup_sim_ros.report.shapes import MOST_TRIANGLES, robot_shapes
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "how-to" / "robot.md").read_text()
 [ROBOT] = re.findall(r"```xml\n(.*?)```", PAGE, re.DOTALL)
-[CLOSED] = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
+[CLOSED, SENSED] = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
 BLOCKS = re.findall(r"```sh\n(.*?)\n```", PAGE, re.DOTALL)
 LINES = [shlex.split(line) for block in BLOCKS for line in block.splitlines()]
 
@@ -31,6 +31,7 @@ LINES = [shlex.split(line) for block in BLOCKS for line in block.splitlines()]
 def folder(tmp_path, monkeypatch):
     (tmp_path / "arm.urdf").write_text(ROBOT)
     (tmp_path / "closed.yaml").write_text(CLOSED)
+    (tmp_path / "sensed.yaml").write_text(SENSED)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -41,7 +42,9 @@ def test_all_commands_of_the_page(folder, capsys):
         if program == "liegroup_sim":
             assert main(arguments) == 0, arguments
             done.append(arguments[0])
-    assert done == ["describe", "run", "analyze", "import", "run", "describe", "run"]
+    closed, sensed = ["describe", "run"], ["describe", "run", "import"]
+    assert done == ["describe", "run", "analyze", "import", "run", *closed, *sensed]
+    assert {"flange", "shoulder", "elbow"} < set(read_recording("sensed.mcap").reactions)
     read = capsys.readouterr()
     printed = " ".join(read.out.split())
     assert "arm: changes the motion: joint limits are not enforced: shoulder" in read.err

@@ -18,6 +18,7 @@ from liegroup_sim_ros.messages.codecs import MessageError
 from liegroup_sim_ros.messages.commands import Point, decode_array, decode_trajectory
 from liegroup_sim_ros.node.counted_input import FARTHEST, MOST, Refusal
 from liegroup_sim_ros.node.joint_command_input import JointCommandInput
+from liegroup_sim_ros.node.joint_input import Jumps
 from liegroup_sim_ros.node.trajectory import Follower, Trajectory, between
 from liegroup_sim_ros.node.trajectory_input import TrajectoryInput
 
@@ -213,6 +214,28 @@ def test_refused_trajectories_are_one_line(layout, changed, reason):
     assert caught.value.reason == reason and caught.value.first
     assert "\n" not in str(caught.value) and len(str(caught.value)) < 300
     assert reader.accepted == 0 and reader.refused[reason] == 1
+
+
+@pytest.mark.parametrize(
+    "points, fits",
+    [
+        ([(0.5, (0.1, 0.2)), (1.0, (0.3, 0.1))], True),  # 0.4 m/s on average, from 0 m
+        ([(0.0, (0.09, 0.0)), (1.0, (0.3, 0.1))], True),
+        ([(0.0, (0.11, 0.0)), (1.0, (0.3, 0.1))], False),  # at once
+        ([(0.0, (0.0, 0.0)), (0.01, (0.49, 0.1))], True),
+        ([(0.0, (0.0, 0.0)), (0.01, (0.51, 0.1))], False),  # 0.1 in 2 ms
+        ([(0.001, (0.0, 0.11)), (1.0, (0.0, 0.0))], False),
+    ],
+)
+def test_a_trajectory_that_jumps_is_refused(layout, points, fits):
+    """The first segment begins at the present positions."""
+    reader, jumps = TrajectoryInput(layout), Jumps(0.1, {"pin": 0.0, "rail": 0.0}, 0.002)
+    if fits:
+        assert reader.read(message(points=points), NOW, jumps=jumps)
+        return
+    with pytest.raises(Refusal) as caught:
+        reader.read(message(points=points), NOW, jumps=jumps)
+    assert caught.value.reason == "jump_too_large" and "at once" in str(caught.value)
 
 
 @given(st.binary(max_size=200))

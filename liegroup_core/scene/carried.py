@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bodies that follow joints with given coordinates and rates, along a spanning tree.
+
+Every joint of the tree that is not given keeps its relative pose and its relative velocity: what a
+joint carries moves with it as one. In a tree this is the whole answer; in loops it is the guess from
+which the nearest consistent state is found (rearrange.py).
+"""
+
+import numpy as np
+
+from liegroup_core.joints.coupling import coordinate, turns
+from liegroup_core.joints.kinds import TYPES
+from liegroup_core.joints.linkage import inverse
+from liegroup_core.lie.groups import SE3, within_a_turn
+
+from .description import WORLD
+
+
+def relative_pose(scene, frames, j, poses):
+    """C_rel (4, 4) of joint j; poses {body: (4, 4)} with the world."""
+    joint, (F_a, F_b) = scene.joints[j], frames[j]
+    return inverse(poses[joint.parent] @ F_a) @ poses[joint.child] @ F_b
+
+
+def coordinates_at(scene, frames, poses, numbers, near):
+    """{j: coordinate} of joints, rad or m; near: {j: rad} an angle within half a turn of it."""
+    found = {}
+    for j in numbers:
+        found[j] = coordinate(scene.joints[j], relative_pose(scene, frames, j, poses))
+        if j in near and turns(scene.joints[j]):
+            found[j] = within_a_turn(found[j], near[j])
+    return found
+
+
+def with_coupled(couplings, values):
+    """{j: value} of joints, and of those that couplings tie to them: changes, or rates."""
+    values, before = dict(values), -1
+    while len(values) != before:
+        before = len(values)
+        for entry in couplings:
+            if entry.other in values and entry.joint not in values:
+                values[entry.joint] = entry.ratio * values[entry.other]
+            elif entry.joint in values and entry.other not in values and entry.ratio:
+                values[entry.other] = values[entry.joint] / entry.ratio
+    return values
+
+
+def carried(scene, frames, before, given, changes, rates):
+    """Poses {body: (4, 4)} and twists {body: (6,)} after a change of joints and of some bodies.
+
+    frames  : (parent frame, child frame) of every joint
+    before  : poses and twists of all bodies and the world
+    given   : those of bodies that are set
+    changes : {j: change of the coordinate}, rad or m; rates: {j: rate}, rad/s or m/s
+    """
+    poses, twists = (old | part for old, part in zip(before, given))
+    changed = set().union(*given)
+    for j, near, far in _from_the_roots(scene, changes.keys() | rates.keys(), changed):
+        if not (near in changed or j in changes or j in rates):
+            continue
+        changed.add(far)
+        joint, (F_a, F_b) = scene.joints[j], frames[j]
+        direction = _direction(joint)
+        C_rel, V_rel = _relative(scene, frames, j, *before)
+        C_rel = C_rel @ SE3.exp(changes.get(j, 0.0) * direction)
+        if j in rates:
+            V_rel = V_rel + (rates[j] - V_rel[TYPES[joint.type].rate]) * direction
+        between = F_a @ C_rel @ inverse(F_b)  # child's frame in that of the parent
+        V_rel = SE3.Ad(F_b) @ V_rel
+        if far == joint.child:
+            pose = poses[near] @ between
+            twist = SE3.Ad(inverse(between)) @ twists[near] + V_rel
+        else:
+            pose = poses[near] @ inverse(between)
+            twist = SE3.Ad(between) @ (twists[near] - V_rel)
+        for target, value, own in zip((poses, twists), (pose, twist), given):
+            if far not in own:
+                target[far] = value
+    return poses, twists
+
+
+def _relative(scene, frames, j, poses, twists):
+    """C_rel (4, 4) and V_rel (6,) of joint j, axes of the child's joint frame."""
+    joint, (F_a, F_b) = scene.joints[j], frames[j]
+    C_rel = relative_pose(scene, frames, j, poses)
+    V_a, V_b = (
+        SE3.Ad(inverse(frame)) @ twists[body]
+        for frame, body in ((F_a, joint.parent), (F_b, joint.child))
+    )
+    return C_rel, V_b - SE3.Ad(inverse(C_rel)) @ V_a
+
+
+def _direction(joint):
+    """(6,) relative twist at a rate of 1; 0 of a joint without one coordinate."""
+    rate, direction = TYPES[joint.type].rate, np.zeros(6)
+    if rate is not None:
+        direction[rate] = 1.0
+        if rate == 2:
+            direction[5] = getattr(joint, "pitch", 0.0)
+    return direction
+
+
+def _from_the_roots(scene, wanted, set_bodies):
+    """[(joint, body before it, body behind it)] of a spanning tree, with the wanted joints if possible.
+
+    Roots: the world, then bodies that are set.
+    """
+    names = [WORLD, *set_bodies, *(body.name for body in scene.bodies)]
+    leader = {name: name for name in names}
+
+    def find(name):
+        while leader[name] != name:
+            name = leader[name]
+        return name
+
+    beside = {name: [] for name in names}
+    for j in sorted(range(len(scene.joints)), key=lambda j: (j not in wanted, j)):
+        a, b = scene.joints[j].parent, scene.joints[j].child
+        if find(a) != find(b):
+            leader[find(b)] = find(a)
+            beside[a].append((j, b))
+            beside[b].append((j, a))
+    reached = set()
+    for root in names:
+        pending = [] if root in reached else [root]
+        reached.add(root)
+        for body in pending:
+            for j, far in beside[body]:
+                if far not in reached:
+                    reached.add(far)
+                    pending.append(far)
+                    yield j, body, far

@@ -1,0 +1,294 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sensors of robot files, fixed joints that are kept, and sensors that a user adds to a robot."""
+
+import numpy as np
+import pytest
+
+from liegroup_core import SceneError, Simulation, load_scene
+from liegroup_core.lie.groups import SO3
+from liegroup_core.robots.options import Options
+from liegroup_core.scene.load import scene_of
+from liegroup_sim_ros.commands.main import main
+
+G = 9.81
+ARM = """<robot name="arm">
+  <link name="base"/>
+  <link name="upper"><inertial><origin xyz="0.25 0 0"/><mass value="2"/>
+    <inertia ixx="0.002" iyy="0.04" izz="0.04" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="flange_link"/>
+  <link name="tool"><inertial><origin xyz="0.05 0 0.01"/><mass value="0.3"/>
+    <inertia ixx="0.0004" iyy="0.0004" izz="0.0004" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="tcp"/>
+  <joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
+    <limit lower="-2" upper="2" effort="50" velocity="3"/><dynamics damping="0.2"/></joint>
+  <joint name="flange" type="fixed"><parent link="upper"/><child link="flange_link"/>
+    <origin xyz="0.4 0 0"/></joint>
+  <joint name="wrist" type="fixed"><parent link="flange_link"/><child link="tool"/>
+    <origin xyz="0.02 0 0" rpy="0.1 0.2 0.3"/></joint>
+  <joint name="tcp_joint" type="fixed"><parent link="tool"/><child link="tcp"/><origin xyz="0 0 0.1"/></joint>
+  {more}
+</robot>"""
+MOVING = Options(start={"shoulder": 0.3}, start_velocity={"shoulder": 2.0})
+
+
+def arm(tmp_path, more="", name="arm.urdf"):
+    path = tmp_path / name
+    path.write_text(ARM.format(more=more))
+    return path
+
+
+def sampled(scene, steps=0):
+    simulation = Simulation(scene, "rkmk8", 1e-3, estimate=False, quiet=True)
+    simulation.advance(steps)
+    return simulation.sample()
+
+
+def tool_wrench(sample, body="tool"):
+    """Wrench (6,) that the tool needs about the origin of its link, axes of the link: Newton and Euler."""
+    m, com, inertia = 0.3, np.array([0.05, 0, 0.01]), 0.0004 * np.eye(3)
+    w, R = sample.twists[body][:3], sample.poses[body][:3, :3]
+    turning, moving = np.split(sample.accelerations[body], 2)
+    moving = moving + np.cross(turning, com) + np.cross(w, np.cross(w, com))
+    force = m * (moving - R.T @ [0, 0, -G])
+    torque = inertia @ turning + np.cross(w, inertia @ w) + np.cross(com, force)
+    return np.concatenate([torque, force])
+
+
+def test_a_fixed_joint_that_is_kept_has_its_reaction_and_changes_no_motion(tmp_path):
+    path = arm(tmp_path)
+    kept, merged = (
+        sampled(
+            scene_of(
+                path, Options(start={"shoulder": 0.3}, start_velocity={"shoulder": 2.0}, keep=k)
+            ),
+            200,
+        )
+        for k in (["wrist"], [])
+    )
+    assert set(kept.reactions) == {"shoulder", "wrist"} and set(merged.reactions) == {"shoulder"}
+    assert np.abs(kept.poses["upper"] - merged.poses["upper"]).max() <= 1e-13
+    assert kept.reactions["wrist"] == pytest.approx(tool_wrench(kept), rel=1e-11, abs=1e-12)
+    assert kept.reactions["shoulder"] == pytest.approx(merged.reactions["shoulder"], abs=1e-11)
+    assert np.linalg.norm(kept.reactions["wrist"][3:]) > 0.3 * G
+
+
+def test_a_base_that_is_fixed_to_the_world_shows_what_it_carries(tmp_path):
+    text = ARM.format(more="").replace(
+        '<link name="base"/>', '<link name="floor"/><link name="base"/>'
+    )
+    text = text.replace(
+        '<joint name="shoulder"',
+        '<joint name="foot" type="fixed"><parent link="floor"/><child link="base"/></joint>'
+        '<joint name="shoulder"',
+        1,
+    )
+    path = tmp_path / "stand.urdf"
+    path.write_text(text)
+    sample = sampled(scene_of(path, Options(keep=["foot"])))
+    pressed = sample.reactions["shoulder"][3:]
+    frame = sample.child_frames["shoulder"][:3, :3]
+    onto = sample.poses["upper"][:3, :3] @ frame @ pressed
+    assert sample.poses["base"][:3, :3] @ sample.reactions["foot"][3:] == pytest.approx(
+        onto, abs=1e-12
+    )
+
+
+@pytest.mark.parametrize(
+    "keep, text",
+    [
+        ("wrst", "keep: joint 'wrst' is not in the robot; did you mean \"wrist\""),
+        ("shoulder", 'keep: joint "shoulder" is revolute: only fixed joints are merged'),
+        ("tcp_joint", 'keep: joint "tcp_joint" has no mass behind it, or is cut'),
+    ],
+)
+def test_a_joint_that_cannot_be_kept_is_refused(tmp_path, keep, text):
+    with pytest.raises(SceneError) as error:
+        scene_of(arm(tmp_path), Options(keep=[keep]))
+    assert text in str(error.value) and "\n" not in str(error.value)
+
+
+GAZEBO = """<gazebo reference="wrist"><sensor name="cell" type="force_torque"><force_torque>{cell}
+  </force_torque></sensor></gazebo>
+<gazebo reference="tcp"><sensor name="imu" type="imu"><pose>0 0.1 0.02 0 0 1</pose><imu>
+  <angular_velocity>{noise}</angular_velocity><linear_acceleration/></imu></sensor>
+  <sensor name="eye" type="camera"/></gazebo>
+<gazebo reference="shoulder"><sensor name="drive" type="force_torque"><force_torque>
+  <measure_direction>parent_to_child</measure_direction></force_torque></sensor></gazebo>
+<gazebo reference="upper"><material>Blue</material></gazebo>"""
+NOISE = '<{0}><noise type="gaussian"><mean>{1}</mean><stddev>0.01</stddev></noise></{0}>'
+
+
+def test_sensors_in_a_urdf_file_are_those_of_the_scene(tmp_path):
+    noise = "".join(NOISE.format(axis, mean) for axis, mean in zip("xyz", (0.1, 0.2, 0.3)))
+    path = arm(tmp_path, GAZEBO.format(cell="", noise=noise))
+    scene = scene_of(path, MOVING)
+    assert [sensor.name for sensor in scene.sensors] == ["cell", "imu", "drive"]
+    imu = scene.sensors[1]
+    assert imu.body == "tool" and imu.angular_velocity_noise == 0.01
+    assert imu.angular_velocity_bias == (0.1, 0.2, 0.3)
+    assert imu.frame.pose[:3, 3] == pytest.approx([0, 0.1, 0.12], abs=1e-15)
+    assert imu.frame.pose[:3, :3] == pytest.approx(SO3.exp([0, 0, 1.0]), abs=1e-15)
+    assert "left out: 1 sensor of links (eye)" in scene.notes
+    assert "left out: 1 gazebo (upper)" in scene.notes
+    sample = sampled(scene, 100)
+    assert -sample.sensors["cell"] == pytest.approx(tool_wrench(sample), rel=1e-11, abs=1e-12)
+    # The drive's sensor is in the axes of the child and shows the damper, too.
+    (damper,) = sample.force_efforts.values()
+    R = sample.child_frames["shoulder"][:3, :3]
+    shown = np.concatenate([R.T @ sample.sensors["drive"][:3], R.T @ sample.sensors["drive"][3:]])
+    expected = sample.reactions["shoulder"] + [0, 0, damper, 0, 0, 0]
+    assert abs(damper) > 0.1 and shown == pytest.approx(expected, abs=1e-12)
+
+
+SDF = """<sdf version="1.9"><model name="arm"><static>false</static>
+<link name="upper"><inertial><mass>2</mass></inertial></link>
+<link name="tool"><pose>0.4 0 0 0.1 0.2 0.3</pose><inertial><pose>0.05 0 0.01 0 0 0</pose><mass>0.3</mass>
+  <inertia><ixx>0.0004</ixx><iyy>0.0004</iyy><izz>0.0004</izz></inertia></inertial>
+  <sensor name="imu" type="imu"><pose>0 0 0.1 0 0 0</pose></sensor></link>
+<joint name="shoulder" type="revolute"><parent>world</parent><child>upper</child>
+  <axis><xyz>0 1 0</xyz></axis></joint>
+<joint name="wrist" type="fixed"><pose>0.01 0.02 0.03 0.5 0 0</pose><parent>upper</parent><child>tool</child>
+  <sensor name="cell" type="force_torque"><pose>0 0 0 0 0.7 0</pose><force_torque>
+  <frame>{frame}</frame><measure_direction>{direction}</measure_direction>{more}</force_torque></sensor></joint>
+</model></sdf>"""
+
+
+@pytest.mark.parametrize("frame", ["child", "parent", "sensor"])
+@pytest.mark.parametrize("direction, sign", [("child_to_parent", -1.0), ("parent_to_child", 1.0)])
+def test_a_force_torque_sensor_of_sdf_has_its_axes_its_point_and_its_sign(
+    tmp_path, frame, direction, sign
+):
+    """The torque is about the origin of the joint, in all axes."""
+    path = tmp_path / "arm.sdf"
+    path.write_text(SDF.format(frame=frame, direction=direction, more=""))
+    sample = sampled(load_scene(path))
+    wrench = tool_wrench(sample)
+    torque = wrench[:3] - np.cross([0.01, 0.02, 0.03], wrench[3:])
+    to_child = {
+        "child": np.eye(3),
+        "parent": sample.poses["tool"][:3, :3].T @ sample.poses["upper"][:3, :3],
+        "sensor": SO3.exp([0.5, 0, 0]) @ SO3.exp([0, 0.7, 0]),
+    }[frame]
+    expected = sign * np.concatenate([to_child.T @ torque, to_child.T @ wrench[3:]])
+    assert sample.sensors["cell"] == pytest.approx(expected, rel=1e-11, abs=1e-12)
+
+
+def test_what_a_sensor_of_sdf_has_and_a_scene_has_not_is_noted(tmp_path):
+    path = tmp_path / "arm.sdf"
+    quantized = '<force><x><noise type="gaussian_quantized"><stddev>1</stddev></noise></x></force>'
+    path.write_text(SDF.format(frame="child", direction="child_to_parent", more=quantized))
+    scene = load_scene(path)
+    assert "left out: 1 noise of sensors that a scene does not have (cell)" in scene.notes
+    path.write_text(SDF.format(frame="moon", direction="child_to_parent", more=""))
+    scene = load_scene(path)
+    assert [sensor.name for sensor in scene.sensors] == ["imu"]
+    assert any("force_torque sensors with moon axes" in note for note in scene.notes)
+    # Nothing measures the joint: it is merged.
+    assert [joint.name for joint in scene.joints] == ["shoulder"]
+
+
+MJCF = """<mujoco><worldbody>
+<body name="upper" pos="0.1 0.2 0.3" euler="20 10 -30">
+  <joint name="swing" type="hinge" axis="0.3 -0.5 1" damping="0.7" stiffness="3"/>
+  <joint name="lift" type="slide" axis="0 0.2 1" stiffness="90"/>
+  <inertial pos="0.1 0.02 -0.03" mass="2.5" diaginertia="0.02 0.03 0.025"/>
+  <site name="mid" pos="0.2 0.01 0" euler="10 20 30"/>
+  <body name="tool" pos="0.3 0.1 0" euler="0 40 0">
+    <inertial pos="0 0 0.1" mass="0.4" diaginertia="0.001 0.001 0.0015"/>
+    <site name="end" pos="0.01 0.02 0.03" euler="0 15 25"/></body></body>
+</worldbody><sensor>
+<force name="end_force" site="end"/><torque name="end_torque" site="end"/>
+<torque name="mid_torque" site="mid"/><force name="mid_force" site="mid"/>
+<accelerometer name="acc" site="end" noise="0.1"/><gyro name="gyro" site="end"/>
+<framequat name="turn" objtype="site" objname="end"/>
+<framepos name="spot" objtype="site" objname="mid"/><velocimeter name="speed" site="mid"/>
+<jointpos name="angle" joint="swing"/><jointvel name="rate" joint="swing"/><touch name="touch" site="mid"/>
+<gyro name="clipped" site="mid" cutoff="3"/>
+</sensor></mujoco>"""
+
+
+def test_sensors_of_mjcf_show_what_mujoco_shows(tmp_path):
+    mujoco = pytest.importorskip("mujoco")
+    path = tmp_path / "arm.xml"
+    path.write_text(MJCF)
+    start, rates = {"swing": 0.3, "lift": -0.2}, {"swing": 2.0, "lift": 0.7}
+    scene = scene_of(path, Options(start=start, start_velocity=rates))
+    assert [(sensor.name, sensor.type) for sensor in scene.sensors] == [
+        ("acc", "imu"),
+        ("end_force", "force_torque"),
+        ("mid_torque", "force_torque"),
+        ("spot", "pose"),
+        ("angle", "encoder"),
+    ]
+    assert "left out: 3 sensors (rate, clipped, touch)" in scene.notes
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = list(start.values()), list(rates.values())
+    mujoco.mj_forward(model, data)
+    w, *v = data.sensor("turn").data
+    shown = {name: data.sensor(name).data for name in ("acc", "gyro", "spot", "speed")}
+    values = sampled(scene).sensors
+    expected = {
+        "acc": [*v, w, *shown["gyro"], *shown["acc"]],
+        "end_force": [*data.sensor("end_torque").data, *data.sensor("end_force").data],
+        "mid_torque": [*data.sensor("mid_torque").data, *data.sensor("mid_force").data],
+        "angle": [0.3],
+    }
+    for name, numbers in expected.items():
+        assert values[name] == pytest.approx(numbers, rel=1e-10, abs=1e-10), name
+    assert values["spot"][:3] == pytest.approx(shown["spot"], abs=1e-14)
+    assert values["spot"][7:10] == pytest.approx(shown["speed"], abs=1e-13)
+
+
+ADDED = """robot: arm.urdf
+start: {shoulder: 0.305}
+sensors:
+  - {name: cell, type: force_torque, joint: wrist, frame: {position: [0, 0, 0.1]}, force_noise: 0}
+  - {name: tip, type: pose, body: tcp, frame: {position: [0, 0, 0.1]}}
+  - {name: imu, type: imu, body: flange_link, seed: 4}
+  - {name: disc, type: encoder, joint: shoulder, resolution: 0.01}
+  - {name: rope, type: distance, parent: tcp, child: base, parent_point: [0, 0, 0.1], child_point: [1, 0, 0]}
+"""
+
+
+def test_sensors_beside_a_robot_name_its_links_and_joints(tmp_path, capsys):
+    arm(tmp_path)
+    path = tmp_path / "sensed.yaml"
+    path.write_text(ADDED)
+    scene = load_scene(path)
+    sample = sampled(scene)
+    wrench = tool_wrench(sample)
+    moved = wrench[:3] - np.cross([0, 0, 0.1], wrench[3:])
+    assert sample.sensors["cell"] == pytest.approx([*moved, *wrench[3:]], abs=1e-12)
+    tip = sample.poses["tool"] @ [0, 0, 0.2, 1.0]
+    assert sample.sensors["tip"][:3] == pytest.approx(tip[:3], abs=1e-15)
+    assert sample.sensors["disc"] == pytest.approx([0.3], abs=1e-15)
+    assert sample.sensors["rope"][0] == pytest.approx(
+        np.linalg.norm(tip[:3] - [1, 0, 0]), abs=1e-14
+    )
+    assert scene.sensors[2].seed == 4 and scene.sensors[2].body == "upper"
+    # The scene that is written is the same.
+    assert main(["import", str(path), "--out", str(tmp_path / "all.yaml")]) == 0
+    capsys.readouterr()
+    again = sampled(load_scene(tmp_path / "all.yaml"))
+    assert all(np.array_equal(again.sensors[name], sample.sensors[name]) for name in again.sensors)
+
+
+@pytest.mark.parametrize(
+    "entry, text",
+    [
+        ("{name: s, type: imu, body: hand}", "sensors[0] \"s\": link 'hand' is not a link"),
+        ("{name: s, type: imu, body: base}", 'sensors[0] "s": link base does not move'),
+        ("{name: s, type: encoder, joint: wrist}", 'sensors[0] "s": joint wrist is merged'),
+        ("{name: s, type: force_torque, joint: tcp_joint}", "joint tcp_joint is merged"),
+        ("{name: s, type: distance, parent: tool, child: tcp}", "its links move as one body"),
+        ("{name: upper, type: imu, body: tcp}", "this name is already used"),
+    ],
+)
+def test_a_sensor_that_does_not_fit_the_robot_is_refused_with_its_line(tmp_path, entry, text):
+    arm(tmp_path)
+    path = tmp_path / "sensed.yaml"
+    path.write_text(f"robot: arm.urdf\nsensors:\n  - {entry}\n")
+    with pytest.raises(SceneError) as error:
+        load_scene(path)
+    assert text in str(error.value) and ":3: " in str(error.value)
