@@ -16,6 +16,7 @@ from liegroup_core.fields.values import suggestion
 from liegroup_core.lie.groups import SE3
 
 WORLD = "world"
+MISSING_MESHES = "mesh files that are not there"  # in notes
 LONGEST_MESSAGE = 1500  # characters; names in it can be long
 # Coordinates of joints; those of a closing joint follow from the others.
 COORDINATES = {

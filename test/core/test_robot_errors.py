@@ -141,13 +141,44 @@ def test_the_message_of_mujocos_compiler_is_passed_on(tmp_path):
     assert "invalid keyword: 'wheel'" in refusal(path)
 
 
-def test_a_mesh_of_mjcf_that_is_missing_has_its_line(tmp_path):
+MESHES = """<mujoco><compiler meshdir="meshes" texturedir="pictures" {rule}/><asset>
+<mesh name="m" file="nope.stl" scale="1e-3 1e-3 1e-3"/>
+<texture name="t" type="2d" file="nope.png"/><material name="paint" texture="t"/>
+<texture name="sky" type="skybox" fileleft="left.png" fileright="right.png"/>
+<hfield name="hills" file="hills.png" size="1 1 1 1"/></asset>
+<worldbody><geom type="hfield" hfield="hills"/><body name="arm"><joint name="j"/>
+{inertial}<geom type="mesh" mesh="m" material="paint" {mass}/>
+<geom type="box" size="0.1 0.2 0.3"/><geom type="box" mesh="m" mass="0"/></body></worldbody></mujoco>"""
+OWN = '<inertial pos="0 0 0.5" mass="2" diaginertia="1 1 1"/>'
+
+
+@pytest.mark.parametrize(
+    "inertial, mass, rule, expected",
+    [
+        (OWN, "", "", 2.0),
+        ("", 'density="0"', "", 48.0),
+        ("", 'group="4"', 'inertiagrouprange="0 2"', 48.0),
+        ("", "", "", None),
+        ("", 'mass="1"', "", None),
+        (OWN, "", 'inertiafromgeom="true"', None),
+    ],
+)
+def test_a_mesh_of_mjcf_may_be_missing_unless_a_mass_follows_from_it(
+    inertial, mass, rule, expected, tmp_path
+):
     path = tmp_path / "mesh.xml"
-    path.write_text(
-        '<mujoco><asset>\n<mesh name="m" file="nope.stl"/></asset><worldbody><body><joint/>'
-        '<geom type="mesh" mesh="m"/></body></worldbody></mujoco>'
-    )
-    assert refusal(path).startswith(f"{path}:2: mjcf: ")
+    path.write_text(MESHES.format(inertial=inertial, mass=mass, rule=rule))
+    if expected is None:
+        text = refusal(path)
+        assert text.startswith(f"{path}:2: mjcf: mesh file 'meshes/nope.stl' is not there"), text
+        assert 'the mass of body "arm" follows' in text
+        return
+    scene = load_scene(path)
+    assert scene.bodies[0].mass == pytest.approx(expected, rel=1e-12)
+    assert "changes the motion: no contact, 3 collision shapes of arm" in " ".join(scene.notes)
+    (note,) = [note for note in scene.notes if "mesh files" in note]
+    assert note.startswith("left out: 2 mesh files that are not there (meshes/nope.stl of arm, ")
+    assert [visual.kind for visual in scene.robot.visuals["arm"]] == ["box"]
 
 
 XACRO = """<robot name="two" xmlns:xacro="http://www.ros.org/wiki/xacro">
