@@ -341,6 +341,7 @@ def _left_out(robot, grouping):
                 notes.append(
                     f"changes the motion: without the coupling of {name} and {other}, which is cut"
                 )
+    notes += [f"{what}: {listed(names)}" for what, names in robot.remarks.items()]
     for what, names in robot.changes.items():
         notes.append(f"changes the motion: {what}, left out: {listed(names)}")
     for name in grouping.of_link:

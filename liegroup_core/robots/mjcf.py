@@ -16,7 +16,17 @@ from liegroup_core.fields.frames import rotation_z_to
 from liegroup_core.lie.groups import SO3
 
 from .apart import run_apart
-from .description import MISSING_MESHES, WORLD, Coupling, Link, Robot, RobotJoint, Visual, place, refusal
+from .description import (
+    MISSING_MESHES,
+    WORLD,
+    Coupling,
+    Link,
+    Robot,
+    RobotJoint,
+    Visual,
+    place,
+    refusal,
+)
 from .xml import Reader
 
 TYPES = {"ball": "spherical", "slide": "prismatic", "hinge": "revolute"}

@@ -9,13 +9,15 @@ import os
 
 import mujoco
 
+from liegroup_core.errors import SceneError
+
 MESH_SCALE = (1.0, 1.0, 1.0)
 
 
 def compiled_without_files(path):
     """(compiled model, {number of a geom: address of its mesh} of the meshes that are not there).
 
-    Raises ValueError if the mass of a body follows from such a mesh.
+    Raises SceneError if the mass of a body follows from such a mesh.
     """
     spec = mujoco.MjSpec.from_file(path)
     missing = {}
@@ -29,9 +31,9 @@ def compiled_without_files(path):
     for geom in without:
         if _has_mass(geom, spec):
             body = f'body "{geom.parent.name}"' if geom.parent.name else "a body without a name"
-            raise ValueError(
+            raise SceneError(
                 f"mesh file '{missing[geom.meshname]}' is not there, and the mass of {body} follows "
-                "from it, because the body has no <inertial> of its own"
+                "from it: supply the file, or give the body an <inertial>"
             )
     _replace_pictures(spec)
     model = spec.compile()

@@ -20,7 +20,9 @@ def arrays_of(path):
         "bodies": [_body(model, i) for i in range(1, model.nbody)],
         "joints": [_joint(model, i) for i in range(model.njnt)],
         "equalities": [_equality(model, i) for i in range(model.neq)],
-        "geoms": [_geom(model, i) | {"missing": without_file.get(i, "")} for i in range(model.ngeom)],
+        "geoms": [
+            _geom(model, i) | {"missing": without_file.get(i, "")} for i in range(model.ngeom)
+        ],
         "tendons": [
             {
                 "name": model.tendon(i).name or f"tendon_{i}",

@@ -25,6 +25,7 @@ class Options:
     couplings : [coupling of a scene, with names of joints of the robot]
     forces    : [force of a scene], with names of links and joints of the robot
     srdf      : path of an SRDF file with poses
+    xacro     : {name: text} arguments of a xacro file
     gravity, name, description : of the scene, None: as the file says
     joint_label : how errors name one of `joints`, by its index
     place     : function: path inside the additions -> text that an error starts with
@@ -40,6 +41,7 @@ class Options:
     couplings: list = field(default_factory=list)
     forces: list = field(default_factory=list)
     srdf: object = None
+    xacro: dict = field(default_factory=dict)
     gravity: list | None = None
     name: str | None = None
     description: str | None = None
