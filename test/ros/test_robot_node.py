@@ -188,6 +188,32 @@ def test_the_generated_urdf_moves_with_the_joint_states(name, tmp_path):
         assert all(len(robot.links[body.name].visuals) == 1 for body in scene.bodies)
 
 
+@pytest.mark.parametrize("name", ["five_bar", "lift", "platform", "apart", "slider_crank"])
+def test_other_parsers_place_the_links_as_tf_does(name, tmp_path):
+    """Needs urdfdom's Python port and yourdfpy: pip install urdf_parser_py yourdfpy."""
+    urdfdom, yourdfpy = (pytest.importorskip(each) for each in ("urdf_parser_py.urdf", "yourdfpy"))
+    path, make = name, {"five_bar": five_bar, "lift": lift, "platform": platform}.get(name)
+    if name == "apart":
+        pytest.importorskip("mujoco")
+        path = tmp_path / "apart.xml"
+        path.write_text(APART_XML)
+    simulation = Simulation(load_scene(make(tmp_path) if make else path))
+    simulation.advance(200)
+    written = tmp_path / "description.urdf"
+    written.write_text(robot_description(simulation.scene))
+    frames, values = transforms_of(simulation)
+    described = urdfdom.URDF.from_xml_file(str(written))
+    other = yourdfpy.URDF.load(written, load_meshes=False)
+    other.update_cfg({each: values[each] for each in other.actuated_joint_names if each in values})
+    assert {link.name for link in described.links} | {"world"} == set(frames)
+    held = [joint for joint in described.joints if joint.type != "floating"]
+    for joint in held:
+        assert joint.type == "fixed" or joint.name in values
+        pose = frames[joint.parent] @ other.get_transform(joint.child, joint.parent)
+        assert np.abs(pose - frames[joint.child]).max() < 1e-12
+    assert len(held) >= 2
+
+
 LOOSE = {
     "stewart.sdf": 7,
     "ball_chain": 10,
