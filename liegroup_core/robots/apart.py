@@ -14,6 +14,8 @@ import resource
 import subprocess
 import sys
 import tempfile
+import time
+from contextlib import suppress
 from pathlib import Path
 from xml.dom import expatbuilder, minidom
 
@@ -23,7 +25,9 @@ from liegroup_core.fields.values import suggestion
 from .description import refusal
 
 SECONDS = 60
-BYTES = 2 * 2**30  # private memory that is mapped; the largest models of dm_control take 0.5 GB
+BYTES = 2 * 2**30  # in memory; the largest models of dm_control take 0.5 GB
+ADDRESSES = 8 * 2**30  # mapped; MuJoCo maps 3.4 GB for dm_control's rodent and uses 0.1 GB of it
+LOOK = 0.02  # s between looks at the memory of a tool
 LARGEST_OUTPUT = 32 * 2**20  # bytes; large models have 1 MB, read they take ten times as much
 MISSING = 3  # exit code: the package of the tool is not installed
 ADVISED = 4  # exit code: the message says what to do
@@ -36,34 +40,30 @@ def run_apart(tool, path, arguments=()):
     """Text that a tool prints for a file. Raises SceneError with the tool's own message."""
     command = [sys.executable, "-P", "-m", __name__, tool, str(Path(path).resolve()), *arguments]
     folders = [str(Path(__file__).resolve().parents[2]), os.environ.get("PYTHONPATH", "")]
-    try:
-        # MuJoCo writes a log into the working folder.
-        with tempfile.TemporaryDirectory() as folder:
-            texts = [Path(folder, name) for name in ("output", "errors")]
-            with texts[0].open("wb") as output, texts[1].open("wb") as errors:
-                done = subprocess.run(
-                    command,
-                    cwd=folder,
-                    env=os.environ
-                    | {"PYTHONPATH": os.pathsep.join(filter(None, folders))}
-                    | {"OPENBLAS_NUM_THREADS": "1"},  # a buffer for each core is memory, too
-                    stdin=subprocess.DEVNULL,
-                    stdout=output,
-                    stderr=errors,
-                    timeout=SECONDS,
-                )
-            found, problems = (_head(text) for text in texts)
-    except subprocess.TimeoutExpired:
-        raise refusal(
-            path, 0, f"{tool} did not end within {SECONDS} s: make the file smaller"
-        ) from None
+    # MuJoCo writes a log into the working folder.
+    with tempfile.TemporaryDirectory() as folder:
+        texts = [Path(folder, name) for name in ("output", "errors")]
+        with texts[0].open("wb") as output, texts[1].open("wb") as errors:
+            returncode = _ended(
+                command,
+                cwd=folder,
+                env=os.environ
+                | {"PYTHONPATH": os.pathsep.join(filter(None, folders))}
+                | {"OPENBLAS_NUM_THREADS": "1"},  # a buffer for each core is memory, too
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=errors,
+            )
+        found, problems = (_head(text) for text in texts)
+    if returncode is None:
+        raise refusal(path, 0, f"{tool} did not end within {SECONDS} s: make the file smaller")
     if len(found) >= LARGEST_OUTPUT:
         raise refusal(
             path, 0, f"{tool} made more than {LARGEST_OUTPUT >> 20} MiB: make the file smaller"
         )
-    if done.returncode == 0:
+    if returncode == 0:
         return found.decode(errors="replace")
-    if done.returncode == MISSING:
+    if returncode == MISSING:
         package = PACKAGES[tool]
         raise refusal(
             path,
@@ -71,7 +71,7 @@ def run_apart(tool, path, arguments=()):
             f"is read by the package {package}, which is not installed: pip install {package}",
         )
     text = [line for line in problems.decode(errors="replace").splitlines() if line.strip()]
-    if done.returncode < 0 or any(sign in line for sign in NO_MEMORY for line in text):
+    if returncode < 0 or any(sign in line for sign in NO_MEMORY for line in text):
         raise refusal(
             path,
             0,
@@ -81,8 +81,37 @@ def run_apart(tool, path, arguments=()):
     if not line.isdecimal() or file == str(Path(path).resolve()):
         file = path
     line = int(line) if line.isdecimal() else 0
-    advice = "" if done.returncode == ADVISED else "; correct the file"
+    advice = "" if returncode == ADVISED else "; correct the file"
     raise refusal(file, line, f"{tool}: {(' '.join(text) or 'failed')[-400:]}{advice}")
+
+
+def _ended(command, **options):
+    """Exit code of a command; None if it does not end within SECONDS, and is killed.
+
+    One that has more than BYTES in memory is killed, too; its exit code is that of the signal.
+    """
+    end, page, late = time.monotonic() + SECONDS, resource.getpagesize(), False
+    with subprocess.Popen(command, **options) as process:
+        try:
+            while process.poll() is None and not late:
+                late = time.monotonic() > end
+                if late or _pages(process.pid) * page > BYTES:
+                    process.kill()
+                    process.wait()
+                else:
+                    with suppress(subprocess.TimeoutExpired):
+                        process.wait(LOOK)
+        finally:
+            process.kill()  # it ends with this one; nothing if it has ended
+    return None if late else process.returncode
+
+
+def _pages(number):
+    """Pages that a process has in memory."""
+    try:
+        return int(Path(f"/proc/{number}/statm").read_text().split()[1])
+    except (OSError, IndexError):  # it has just ended, or this system does not tell
+        return 0
 
 
 def _head(path):
@@ -94,7 +123,7 @@ def _head(path):
 def _bound():
     """Bound memory, time and output of this process."""
     for kind, limit in (
-        (resource.RLIMIT_DATA, BYTES),
+        (resource.RLIMIT_AS, ADDRESSES),
         (resource.RLIMIT_CPU, SECONDS),
         (resource.RLIMIT_FSIZE, LARGEST_OUTPUT),
     ):
