@@ -171,7 +171,8 @@ def imported(layout):
 
     links, bodies       number of links of the file, and of bodies of the scene: links that fixed
                         and locked joints hold together are one body, those of the world are none
-    file_coordinates, coordinates  of all joints of the file, and of those of the spanning tree
+    file_coordinates, coordinates  of the joints of the file's tree, and of the scene's spanning tree;
+                        a part that floats has six
     predicted_ns        predicted cost of a stage, as in `formulation`
     whole_predicted_ns  the same with all links and joints: without `lock` and `only`; None if there
                         are none, or if the whole robot is no scene
@@ -192,9 +193,8 @@ def imported(layout):
         "bodies": len(layout.scene.bodies),
         "file_coordinates": coordinates,
         "coordinates": sum(
-            COORDINATES[layout.scene.joints[j].type]
+            COORDINATES["floating" if j is None else layout.scene.joints[j].type]
             for _, _, j in tree_of(layout.centred).links
-            if j is not None
         ),
         "predicted_ns": _predicted(layout),
         "whole_predicted_ns": whole,

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tools that expand or compile a file, each in a process of its own with bounded time and memory.
 
-    python -m liegroup_core.robots.apart xacro FILE        prints the expanded XML
-    python -m liegroup_core.robots.apart mjcf FILE         prints the compiled model as JSON
+    python -m liegroup_core.robots.apart xacro FILE [NAME:=VALUE ...]   prints the expanded XML
+    python -m liegroup_core.robots.apart mjcf FILE                      prints the compiled model as JSON
 
 A wrong file cannot take this process down, whatever the tool does with it. Where a tool fails, its
 message is on stderr, and the place "file:line" on stdout if it is known.
@@ -14,48 +14,56 @@ import resource
 import subprocess
 import sys
 import tempfile
+import time
+from contextlib import suppress
 from pathlib import Path
 from xml.dom import expatbuilder, minidom
+
+from liegroup_core.errors import SceneError
+from liegroup_core.fields.values import suggestion
 
 from .description import refusal
 
 SECONDS = 60
-BYTES = 8 * 2**30  # address space
+BYTES = 2 * 2**30  # in memory; the largest models of dm_control take 0.5 GB
+ADDRESSES = 8 * 2**30  # mapped; MuJoCo maps 3.4 GB for dm_control's rodent and uses 0.1 GB of it
+LOOK = 0.02  # s between looks at the memory of a tool
 LARGEST_OUTPUT = 32 * 2**20  # bytes; large models have 1 MB, read they take ten times as much
 MISSING = 3  # exit code: the package of the tool is not installed
+ADVISED = 4  # exit code: the message says what to do
+# Parts of the messages of the tools for a lack of memory.
+NO_MEMORY = ("MemoryError", "bad_alloc", "Could not allocate memory", "unknown exception")
 PACKAGES = {"xacro": "xacro", "mjcf": "mujoco"}
 
 
-def run_apart(tool, path):
+def run_apart(tool, path, arguments=()):
     """Text that a tool prints for a file. Raises SceneError with the tool's own message."""
-    command = [sys.executable, "-P", "-m", __name__, tool, str(Path(path).resolve())]
+    command = [sys.executable, "-P", "-m", __name__, tool, str(Path(path).resolve()), *arguments]
     folders = [str(Path(__file__).resolve().parents[2]), os.environ.get("PYTHONPATH", "")]
-    try:
-        # MuJoCo writes a log into the working folder.
-        with tempfile.TemporaryDirectory() as folder:
-            texts = [Path(folder, name) for name in ("output", "errors")]
-            with texts[0].open("wb") as output, texts[1].open("wb") as errors:
-                done = subprocess.run(
-                    command,
-                    cwd=folder,
-                    env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, folders))},
-                    stdin=subprocess.DEVNULL,
-                    stdout=output,
-                    stderr=errors,
-                    timeout=SECONDS,
-                )
-            found, problems = (_head(text) for text in texts)
-    except subprocess.TimeoutExpired:
-        raise refusal(
-            path, 0, f"{tool} did not end within {SECONDS} s: make the file smaller"
-        ) from None
+    # MuJoCo writes a log into the working folder.
+    with tempfile.TemporaryDirectory() as folder:
+        texts = [Path(folder, name) for name in ("output", "errors")]
+        with texts[0].open("wb") as output, texts[1].open("wb") as errors:
+            returncode = _ended(
+                command,
+                cwd=folder,
+                env=os.environ
+                | {"PYTHONPATH": os.pathsep.join(filter(None, folders))}
+                | {"OPENBLAS_NUM_THREADS": "1"},  # a buffer for each core is memory, too
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=errors,
+            )
+        found, problems = (_head(text) for text in texts)
+    if returncode is None:
+        raise refusal(path, 0, f"{tool} did not end within {SECONDS} s: make the file smaller")
     if len(found) >= LARGEST_OUTPUT:
         raise refusal(
             path, 0, f"{tool} made more than {LARGEST_OUTPUT >> 20} MiB: make the file smaller"
         )
-    if done.returncode == 0:
+    if returncode == 0:
         return found.decode(errors="replace")
-    if done.returncode == MISSING:
+    if returncode == MISSING:
         package = PACKAGES[tool]
         raise refusal(
             path,
@@ -63,13 +71,47 @@ def run_apart(tool, path):
             f"is read by the package {package}, which is not installed: pip install {package}",
         )
     text = [line for line in problems.decode(errors="replace").splitlines() if line.strip()]
-    if done.returncode < 0 or any("MemoryError" in line or "bad_alloc" in line for line in text):
-        raise refusal(path, 0, f"{tool} ran out of memory or crashed on it: simplify the file")
+    if returncode < 0 or any(sign in line for sign in NO_MEMORY for line in text):
+        raise refusal(
+            path,
+            0,
+            f"{tool} needs more than {BYTES >> 30} GiB of memory for it, or crashes: simplify the file",
+        )
     file, _, line = found.decode(errors="replace").strip().rpartition(":")
     if not line.isdecimal() or file == str(Path(path).resolve()):
         file = path
     line = int(line) if line.isdecimal() else 0
-    raise refusal(file, line, f"{tool}: {(' '.join(text) or 'failed')[-400:]}; correct the file")
+    advice = "" if returncode == ADVISED else "; correct the file"
+    raise refusal(file, line, f"{tool}: {(' '.join(text) or 'failed')[-400:]}{advice}")
+
+
+def _ended(command, **options):
+    """Exit code of a command; None if it does not end within SECONDS, and is killed.
+
+    One that has more than BYTES in memory is killed, too; its exit code is that of the signal.
+    """
+    end, page, late = time.monotonic() + SECONDS, resource.getpagesize(), False
+    with subprocess.Popen(command, **options) as process:
+        try:
+            while process.poll() is None and not late:
+                late = time.monotonic() > end
+                if late or _pages(process.pid) * page > BYTES:
+                    process.kill()
+                    process.wait()
+                else:
+                    with suppress(subprocess.TimeoutExpired):
+                        process.wait(LOOK)
+        finally:
+            process.kill()  # it ends with this one; nothing if it has ended
+    return None if late else process.returncode
+
+
+def _pages(number):
+    """Pages that a process has in memory."""
+    try:
+        return int(Path(f"/proc/{number}/statm").read_text().split()[1])
+    except (OSError, IndexError):  # it has just ended, or this system does not tell
+        return 0
 
 
 def _head(path):
@@ -81,7 +123,7 @@ def _head(path):
 def _bound():
     """Bound memory, time and output of this process."""
     for kind, limit in (
-        (resource.RLIMIT_AS, BYTES),
+        (resource.RLIMIT_AS, ADDRESSES),
         (resource.RLIMIT_CPU, SECONDS),
         (resource.RLIMIT_FSIZE, LARGEST_OUTPUT),
     ):
@@ -90,12 +132,35 @@ def _bound():
         resource.setrlimit(kind, (limit, hard))
 
 
-def _expand(path):
-    """Expanded XML of a xacro file."""
+def _expand(path, *arguments):
+    """Expanded XML of a xacro file; arguments: NAME:=VALUE, as of the command xacro."""
     import xacro
 
     expatbuilder.ExpatBuilderNS = _PlacedBuilder  # that minidom makes its elements with
-    return xacro.process_file(path).toprettyxml(indent="  ")
+    given = _Arguments(text.split(":=", 1) for text in arguments)
+    names = set(given)
+    expanded = xacro.process_file(path, mappings=given)
+    for name in sorted(names - given.asked):
+        known = sorted(given.asked)
+        hint = suggestion(name, known) if known else "it has none"
+        raise SceneError(f"argument {name!r:.60} is not used by the file; {hint}")
+    return expanded.toprettyxml(indent="  ")
+
+
+class _Arguments(dict):
+    """Arguments of a xacro file; asked: names that the file declares or uses."""
+
+    def __init__(self, given):
+        super().__init__(given)
+        self.asked = set()
+
+    def __contains__(self, name):
+        self.asked.add(name)
+        return super().__contains__(name)
+
+    def __getitem__(self, name):
+        self.asked.add(name)
+        return super().__getitem__(name)
 
 
 class _PlacedBuilder(expatbuilder.ExpatBuilderNS):
@@ -127,11 +192,11 @@ def _compile(path):
     return json.dumps(arrays_of(path))
 
 
-def main(tool, path):
+def main(tool, *arguments):
     """Print the result, or one line why there is none; returns the exit code."""
     _bound()
     try:
-        print({"xacro": _expand, "mjcf": _compile}[tool](path))
+        print({"xacro": _expand, "mjcf": _compile}[tool](*arguments))
     except ModuleNotFoundError as error:
         if error.name == PACKAGES[tool]:
             return MISSING
@@ -139,6 +204,9 @@ def main(tool, path):
         return 1
     except SystemExit:
         return 1
+    except SceneError as error:
+        print(error, file=sys.stderr)
+        return ADVISED
     except RecursionError:
         print("it contains itself, or is nested too deep", file=sys.stderr)
         return 1

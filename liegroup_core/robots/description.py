@@ -16,6 +16,7 @@ from liegroup_core.fields.values import suggestion
 from liegroup_core.lie.groups import SE3, SO3
 
 WORLD = "world"
+MISSING_MESHES = "mesh files that are not there"  # in notes
 LONGEST_MESSAGE = 1500  # characters; names in it can be long
 # Coordinates of joints; those of a closing joint follow from the others.
 COORDINATES = {
@@ -27,6 +28,7 @@ COORDINATES = {
     "cylindrical": 2,
     "spherical": 3,
     "planar": 3,
+    "floating": 6,
 }
 # Types of joints that have one coordinate.
 ONE_COORDINATE = ("revolute", "prismatic", "screw")
@@ -157,6 +159,7 @@ class Robot:
     roots    : links that the file's tree starts from; `base` fixes or frees them
     free     : True if the roots float unless a joint holds them, as in SDF and MJCF
     gravity  : (3,) m/s^2, or None if the file has none
+    remarks  : {what: [names]} of what the import has done
     left_out : {what: [names]} of what has no place in a scene and does not change the motion
     changes  : {what: [names]} of what is left out and changes the motion
     poses    : {name of a pose: {joint: coordinate}}; velocities: {its name: {joint: velocity}}
@@ -174,6 +177,7 @@ class Robot:
     roots: list = field(default_factory=list)
     free: bool = False
     gravity: tuple | None = None
+    remarks: dict = field(default_factory=dict)
     left_out: dict = field(default_factory=dict)
     changes: dict = field(default_factory=dict)
     poses: dict = field(default_factory=dict)
@@ -181,12 +185,33 @@ class Robot:
     locked: dict = field(default_factory=dict)
     text: str = ""
 
-    @property
-    def size(self):
-        """(number of links, sum of the coordinates of all joints that close no loop)."""
-        joints = (joint for joint in self.joints if not joint.closes)
-        links = sum(name != WORLD for name in self.links)
-        return links, sum(COORDINATES.get(joint.type, 0) for joint in joints)
+    def size(self, base):
+        """(number of links, joint coordinates of its tree); base: as of robots.options.Options.
+
+        A part that no joint connects to the world has the six coordinates of a free body, too.
+        """
+        part = {name: name for name in (WORLD, *self.links)}
+
+        def part_of(name):
+            while part[name] != name:
+                part[name] = part[part[name]]
+                name = part[name]
+            return name
+
+        ends = [(WORLD, name, 0) for name in self.roots if base == "fixed"]
+        ends += [
+            (joint.parent, joint.child, COORDINATES[joint.type])
+            for joint in self.joints
+            if not joint.closes and joint.type != "floating"
+        ]
+        coordinates = 0
+        for parent, child, own in ends:
+            first, second = part_of(parent), part_of(child)
+            if first != second:  # else it closes a loop
+                part[second] = first
+                coordinates += own
+        parts = {part_of(name) for name in part}
+        return len(part) - 1, coordinates + COORDINATES["floating"] * (len(parts) - 1)
 
     def error(self, line, message):
         """SceneError at a line of the file."""
@@ -226,6 +251,10 @@ class Robot:
                     f"joints mimic each other in a circle: {' -> '.join([*seen[:6], name])}; "
                     "one of them must move by itself",
                 )
+
+    def remark(self, what, name):
+        """Note what the import has done with something of the file."""
+        self.remarks.setdefault(what, []).append(name)
 
     def leave_out(self, what, name, changes_motion=False):
         """Note something of the file that the scene does not have."""

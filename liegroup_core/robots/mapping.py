@@ -15,7 +15,7 @@ from liegroup_core.lie.groups import UNKNOWN_TURN, within_a_turn
 
 from .additions import added_couplings, added_forces, added_joints
 from .chains import base_of, grouped, kept_joints, locked_joints
-from .description import ONE_COORDINATE, WORLD, frame_keys, listed
+from .description import MISSING_MESHES, ONE_COORDINATE, WORLD, frame_keys, listed
 from .names import scene_name, unique_names
 from .resources import find_resource
 from .sensors import add_sensors, check_kept, kept_fixed_joints
@@ -345,12 +345,13 @@ def _left_out(robot, grouping):
                 notes.append(
                     f"changes the motion: without the coupling of {name} and {other}, which is cut"
                 )
+    notes += [f"{what}: {listed(names)}" for what, names in robot.remarks.items()]
     for what, names in robot.changes.items():
         notes.append(f"changes the motion: {what}, left out: {listed(names)}")
     for name in grouping.of_link:
         for visual in robot.links[name].visuals if name in robot.links else ():
             if visual.mesh and find_resource(visual.mesh, robot.file) is None:
-                robot.leave_out("mesh files that are not there", f"{visual.mesh} of {name}")
+                robot.leave_out(MISSING_MESHES, f"{visual.mesh} of {name}")
     for what, names in robot.left_out.items():
         notes.append(f"left out: {len(names)} {what} ({listed(names)})")
     return notes

@@ -16,7 +16,17 @@ from liegroup_core.fields.frames import rotation_z_to
 from liegroup_core.lie.groups import SO3
 
 from .apart import run_apart
-from .description import WORLD, Coupling, Link, Robot, RobotJoint, Visual, place, refusal
+from .description import (
+    MISSING_MESHES,
+    WORLD,
+    Coupling,
+    Link,
+    Robot,
+    RobotJoint,
+    Visual,
+    place,
+    refusal,
+)
 from .mjcf_sensors import read_sensors
 from .xml import Reader
 
@@ -246,7 +256,9 @@ def _shapes(robot, model, names):
         name = names[geom["body"] - 1]
         if geom["collides"]:
             robot.leave_out("collision", name, changes_motion=True)
-        if geom["type"] in VISUALS:
+        if geom["missing"]:
+            robot.leave_out(MISSING_MESHES, f"{geom['missing']} of {name}")
+        elif geom["type"] in VISUALS:
             x, y, z = geom["size"]
             size = {"box": (2 * x, 2 * y, 2 * z), "sphere": (x,)}.get(geom["type"], (x, 2 * y))
             kind = "cylinder" if geom["type"] == "capsule" else geom["type"]

@@ -4,10 +4,12 @@
 import mujoco
 import numpy as np
 
+from .mjcf_missing import compiled_without_files
+
 
 def arrays_of(path):
     """Dict of JSON types of the model of an MJCF file. Quaternions are w, x, y, z, as in MuJoCo."""
-    model = mujoco.MjModel.from_xml_path(path)
+    model, without_file = _compiled(path)
     off = model.opt.disableflags
     return {
         "name": _text(model.names, 0),
@@ -18,7 +20,9 @@ def arrays_of(path):
         "bodies": [_body(model, i) for i in range(1, model.nbody)],
         "joints": [_joint(model, i) for i in range(model.njnt)],
         "equalities": [_equality(model, i) for i in range(model.neq)],
-        "geoms": [_geom(model, i) for i in range(model.ngeom)],
+        "geoms": [
+            _geom(model, i) | {"missing": without_file.get(i, "")} for i in range(model.ngeom)
+        ],
         "tendons": [
             {
                 "name": model.tendon(i).name or f"tendon_{i}",
@@ -55,6 +59,16 @@ def arrays_of(path):
         ],
         "qpos0": model.qpos0.tolist(),
     }
+
+
+def _compiled(path):
+    """(compiled model, {number of a geom: address of its mesh} of the meshes that are not there)."""
+    try:
+        return mujoco.MjModel.from_xml_path(path), {}
+    except ValueError as error:
+        if "Error opening file" not in str(error):
+            raise
+    return compiled_without_files(path)
 
 
 def _text(names, start):

@@ -27,6 +27,7 @@ class Options:
     forces    : [force of a scene], with names of links and joints of the robot
     sensors   : [sensor of a scene], with names of links and joints of the robot
     srdf      : path of an SRDF file with poses
+    xacro     : {name: text} arguments of a xacro file
     gravity, name, description : of the scene, None: as the file says
     joint_label : how errors name one of `joints`, by its index
     place     : function: path inside the additions -> text that an error starts with
@@ -44,6 +45,7 @@ class Options:
     forces: list = field(default_factory=list)
     sensors: list = field(default_factory=list)
     srdf: object = None
+    xacro: dict = field(default_factory=dict)
     gravity: list | None = None
     name: str | None = None
     description: str | None = None

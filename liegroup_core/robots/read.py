@@ -19,15 +19,16 @@ def is_robot_file(path):
     return Path(path).suffix.lower() in SUFFIXES or bool(root_tag(path))
 
 
-def read_robot(path, srdf=None):
+def read_robot(path, srdf=None, arguments=None):
     """Robot of a URDF, xacro, SDF or MJCF file. Raises SceneError.
 
-    srdf : path of an SRDF file with poses, or None
+    srdf      : path of an SRDF file with poses, or None
+    arguments : {name: text} of a xacro file
     """
     if not os.path.isfile(path):
         raise refusal(path, 0, "is not a file: give the path of a URDF, xacro, SDF or MJCF file")
     try:
-        robot = _read(path)
+        robot = _read(path, arguments or {})
         if srdf is not None:
             states = _group_states(srdf)
             known = {joint.name for joint in robot.joints}
@@ -47,16 +48,19 @@ def read_robot(path, srdf=None):
     return robot
 
 
-def _read(path):
+def _read(path, arguments):
     root = read_xml(path)
     if root.tag == "robot":
         if Path(path).suffix == ".xacro" or any("xacro}" in each.tag for each in root.iter()):
-            text = run_apart("xacro", path)
+            given = [f"{name}:={value}" for name, value in arguments.items()]
+            text = run_apart("xacro", path, given)
             # Lines are those of the expanded text.
             file = f"{path} (expanded)"
             return robot_of_urdf(read_xml(file, text), file, text)
+        _refuse_arguments(path, arguments)
         text = Path(path).read_text(encoding="utf-8", errors="replace")
         return robot_of_urdf(root, path, text)
+    _refuse_arguments(path, arguments)
     if root.tag == "mujoco":
         return robot_of_mjcf(root, path)
     if root.tag == "sdf":
@@ -66,6 +70,14 @@ def _read(path):
         root.sourceline,
         f"has the root element <{root.tag:.40}>; a robot's file has <robot> (URDF), <sdf> or <mujoco>",
     )
+
+
+def _refuse_arguments(path, arguments):
+    """Raise SceneError for arguments of a file that takes none."""
+    if arguments:
+        raise refusal(
+            path, 0, f"is no xacro file and takes no arguments: omit {listed(list(arguments))}"
+        )
 
 
 def _group_states(path):

@@ -26,7 +26,7 @@ def read_link(reader, robot, model, element):
     link = Link(name, element.sourceline, 1.0, inertia=np.eye(3))
     inertial = element.find("inertial")
     if inertial is None:
-        robot.leave_out("links without <inertial>, with the format's 1 kg and 1 kg m^2", name)
+        robot.remark("without <inertial>, with the format's 1 kg and 1 kg m^2", name)
     else:
         mass, inertia = inertial.find("mass"), inertial.find("inertia")
         pose = read_pose(reader, inertial)[0]
@@ -114,7 +114,7 @@ def _fill(reader, robot, model, element, link):
         )
     factor = 1.0 if inertial.find("mass") is None else link.mass / mass
     link.mass, link.com, link.inertia = factor * mass, com, factor * inertia
-    robot.leave_out("automatic inertias, computed from the collision shapes", link.name)
+    robot.remark("inertia computed from the collision shapes", link.name)
 
 
 def _solid(reader, solid):

@@ -8,7 +8,8 @@ scene in which every pose, velocity and joint frame is explicit:
 2. A joint frame that is not given is placed where the other frame of the joint is at these poses.
    A length that is not given is the distance at these poses, an offset of a coupling that of these.
 3. Poses: the nearest ones that satisfy all joints (Newton's method on the group). Bodies marked
-   `fixed` keep the given pose, joints with a `coordinate` keep it.
+   `fixed` keep the given pose, joints with a `coordinate` keep it. More coordinates than the
+   mechanism has degrees of freedom may be rounded ones: they may then move by COORDINATE_ROUNDING.
 4. Velocities: with V0 the given ones, the change of least kinetic energy,
        min (V - V0)^T M (V - V0)   subject to   J V = 0, the given joint rates, the velocities of
    `fixed` bodies, and the components listed in `kept`.
@@ -22,7 +23,7 @@ import scipy
 
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.frames import ROTATIONS, Frame
-from liegroup_core.joints.coupling import rate_row
+from liegroup_core.joints.coupling import rate_row, turns
 from liegroup_core.joints.linkage import RANK_TOLERANCE, Linkage
 from liegroup_core.lie.groups import SE3, SO3
 
@@ -37,8 +38,15 @@ from .consistency import (
 from .description import WORLD
 from .massless import invertible_inertia, lack_of_inertia
 
+# Largest change of given coordinates that contradict each other: rad, and relative to the length of the
+# linkage. Three digits of an angle.
+COORDINATE_ROUNDING = 1e-3
+
 # Largest residual of the velocities, relative to the velocities involved: round-off.
 TOLERANCE = 1e-10
+
+# Position residual of a joint that is not satisfied: far above round-off, in units as above.
+OPEN = 1e-9
 
 
 def assembled(scene, kept=()):
@@ -69,7 +77,7 @@ def assembled(scene, kept=()):
         linkage = Linkage(centred, frames, parts, joints, held, couplings)
         poses = linkage.nearest(linkage.start)
         if linkage.is_closed(poses):
-            raise not_kept(linkage, poses, kept_coordinates)
+            scene = _with_moved_coordinates(scene, linkage, poses, kept_coordinates)
     if not linkage.is_closed(poses):
         raise cannot_close(linkage, poses)
     linkage = Linkage(centred, frames, parts, joints, (), couplings)
@@ -279,9 +287,19 @@ def _keys(pose):
 
 
 def cannot_close(linkage, poses):
-    """SceneError for the joint with the largest position residual."""
-    gaps = [linkage.gap(j, poses) for j in range(len(linkage.joints))]
-    sizes = [max(gap / linkage.length, tilt) for gap, tilt in gaps]
+    """SceneError for the joint with the largest position residual.
+
+    Of the joints that the start violates: those of a tree that it satisfies are not to blame.
+    """
+    gaps, before = (
+        [linkage.gap(j, each) for j in range(len(linkage.joints))]
+        for each in (poses, linkage.start)
+    )
+    sizes, open_before = (
+        [max(gap / linkage.length, tilt) for gap, tilt in each] for each in (gaps, before)
+    )
+    if max(open_before, default=0.0) > OPEN:
+        sizes = [size if was > OPEN else 0.0 for size, was in zip(sizes, open_before)]
     for i, entry in enumerate(linkage.couplings):
         off = abs(linkage.coupling_gap(entry, poses))
         if off > max(sizes):
@@ -300,11 +318,33 @@ def cannot_close(linkage, poses):
     )
 
 
+def _with_moved_coordinates(scene, linkage, poses, entries):
+    """Scene with a note of the coordinates that close the joints in place of the given, rounded ones.
+
+    poses, entries : the nearest poses without the coordinates of the entries
+    Raises SceneError if a coordinate would move by more than COORDINATE_ROUNDING.
+    """
+    off = {entry.joint: linkage.coupling_gap(entry, poses) for entry in entries}
+    given = {entry.joint: entry.offset for entry in entries}
+    unit = {j: 1.0 if turns(linkage.joints[j]) else linkage.length for j in off}
+    if any(abs(off[j]) > COORDINATE_ROUNDING * unit[j] for j in off):
+        raise not_kept(linkage, poses, entries)
+    moved = ", ".join(
+        f"{linkage.joints[j].name} by {off[j]:.3g} {'rad' if turns(linkage.joints[j]) else 'm'} to "
+        f"{given[j] + off[j]:.12g}"
+        for j in off
+    )
+    note = (
+        f"changes the motion: start values contradict each other, moved to close the loops: {moved}"
+    )
+    return scene.remade(notes=[*scene.notes, note])
+
+
 def not_kept(linkage, poses, entries):
     """SceneError for coordinates that cannot be kept; poses: the nearest ones without them."""
     off = {entry.joint: linkage.coupling_gap(entry, poses) for entry in entries}
-    k = max(off, key=lambda each: abs(off[each]))
     given = {entry.joint: entry.offset for entry in entries}
+    k = max(off, key=lambda each: abs(off[each]))
     nearest = ", ".join(f"{linkage.joints[i].name} {given[i] + off[i]:.12g}" for i in off)
     j = linkage.numbers[k]
     return SceneError(

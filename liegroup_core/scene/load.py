@@ -47,7 +47,7 @@ def scene_of(name_or_path, options=None):
         if options is not None:
             raise SceneError(
                 f"{path}: is a scene file: write base, start, start_velocity, lock, only, pose, "
-                "joints and name into it instead of options"
+                "joints, xacro and name into it instead of options"
             )
         if os.path.getsize(path) > LARGEST_FILE:
             raise SceneError(

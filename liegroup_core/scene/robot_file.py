@@ -10,11 +10,12 @@ forces:
 from collections.abc import Mapping
 from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, WithJsonSchema
 
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.values import Described, Name, Number, Text, Vector3
 from liegroup_core.joints.coupling import Coupling
+from liegroup_core.robots.chains import base_of
 from liegroup_core.robots.mapping import scene_parts
 from liegroup_core.robots.options import BASES, Options
 from liegroup_core.robots.read import read_robot
@@ -35,6 +36,29 @@ def _mapped(value):
 
 # {joint: number}; a key without a value is an empty one.
 ByJoint = Annotated[dict[str, Number], BeforeValidator(_mapped)]
+
+
+def _arguments(value):
+    """{name: text} of the arguments of xacro, which are texts."""
+    if value is None:
+        return {}
+    if not isinstance(value, Mapping):
+        raise ValueError("must be a mapping of names to values, such as {length: 0.5}")
+    found = {}
+    for name, each in value.items():
+        if not isinstance(each, (str, bool, int, float)):
+            raise ValueError(f"must have one text, number or truth value for {name!r:.60}")
+        found[name] = {True: "true", False: "false"}[each] if isinstance(each, bool) else str(each)
+    return found
+
+
+Arguments = Annotated[
+    dict[str, str],
+    BeforeValidator(_arguments),
+    WithJsonSchema(
+        {"type": "object", "additionalProperties": {"type": ["string", "number", "boolean"]}}
+    ),
+]
 
 
 class RobotFile(Described):
@@ -60,6 +84,7 @@ class RobotFile(Described):
     srdf: Text | None = Field(
         None, description="path of an SRDF file with group states, relative to this file"
     )
+    xacro: Arguments = Field({}, description="arguments of a xacro file, by name")
     start: ByJoint = Field({}, description="joint coordinates at the start, rad or m")
     start_velocity: ByJoint = Field(
         {},
@@ -150,8 +175,8 @@ def robot_text(path, options=None, added_line=None):
     added_line : function: path inside the additions -> "file:line"
     """
     options = options or Options()
-    robot = read_robot(path, options.srdf)
-    size = robot.size
+    robot = read_robot(path, options.srdf, options.xacro)
+    size = robot.size(base_of(robot, options, []))
     parts = scene_parts(robot, options)
     text = scene_text(parts)
 
@@ -183,6 +208,7 @@ def robot_beside(root, source):
         name=given.name,
         description=given.description,
         srdf=given.srdf and beside(source, given.srdf),
+        xacro=given.xacro,
         place=lambda path: f"{at(path)}: ",
     )
     return robot_text(beside(source, given.robot), options, at)

@@ -32,6 +32,9 @@ def add_arguments(parser):
         "with package:// or model://",
     )
     parser.add_argument(
+        "arguments", nargs="*", metavar="NAME:=VALUE", help="arguments of a xacro file"
+    )
+    parser.add_argument(
         "--out", metavar="FILE", help="scene file; it must not exist (default: standard output)"
     )
     parser.add_argument(
@@ -99,6 +102,7 @@ def run(args):
         only=args.only,
         joints=[_closing(*entry) for entry in args.close],
         name=args.name,
+        xacro=_arguments(args.arguments),
     )
     scene = scene_of(args.robot, None if options == Options() else options)
     if args.out is None:
@@ -112,6 +116,19 @@ def run(args):
     for note in scene.notes:
         print(f"  {note}", file=sys.stderr)
     return 0
+
+
+def _arguments(entries):
+    """{name: text} of NAME:=VALUE texts."""
+    found = {}
+    for entry in entries:
+        name, separator, text = entry.partition(":=")
+        if not separator or not name.strip():
+            raise RobotError(f"{entry:.80}: give arguments of xacro as NAME:=VALUE")
+        if name.strip() in found:
+            raise RobotError(f"argument {name.strip()} is given twice: keep one")
+        found[name.strip()] = text.strip()
+    return found
 
 
 def _values(entries, option):

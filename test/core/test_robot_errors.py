@@ -141,13 +141,44 @@ def test_the_message_of_mujocos_compiler_is_passed_on(tmp_path):
     assert "invalid keyword: 'wheel'" in refusal(path)
 
 
-def test_a_mesh_of_mjcf_that_is_missing_has_its_line(tmp_path):
+MESHES = """<mujoco><compiler meshdir="meshes" texturedir="pictures" {rule}/><asset>
+<mesh name="m" file="nope.stl" scale="1e-3 1e-3 1e-3"/>
+<texture name="t" type="2d" file="nope.png"/><material name="paint" texture="t"/>
+<texture name="sky" type="skybox" fileleft="left.png" fileright="right.png"/>
+<hfield name="hills" file="hills.png" size="1 1 1 1"/></asset>
+<worldbody><geom type="hfield" hfield="hills"/><body name="arm"><joint name="j"/>
+{inertial}<geom type="mesh" mesh="m" material="paint" {mass}/>
+<geom type="box" size="0.1 0.2 0.3"/><geom type="box" mesh="m" mass="0"/></body></worldbody></mujoco>"""
+OWN = '<inertial pos="0 0 0.5" mass="2" diaginertia="1 1 1"/>'
+
+
+@pytest.mark.parametrize(
+    "inertial, mass, rule, expected",
+    [
+        (OWN, "", "", 2.0),
+        ("", 'density="0"', "", 48.0),
+        ("", 'group="4"', 'inertiagrouprange="0 2"', 48.0),
+        ("", "", "", None),
+        ("", 'mass="1"', "", None),
+        (OWN, "", 'inertiafromgeom="true"', None),
+    ],
+)
+def test_a_mesh_of_mjcf_may_be_missing_unless_a_mass_follows_from_it(
+    inertial, mass, rule, expected, tmp_path
+):
     path = tmp_path / "mesh.xml"
-    path.write_text(
-        '<mujoco><asset>\n<mesh name="m" file="nope.stl"/></asset><worldbody><body><joint/>'
-        '<geom type="mesh" mesh="m"/></body></worldbody></mujoco>'
-    )
-    assert refusal(path).startswith(f"{path}:2: mjcf: ")
+    path.write_text(MESHES.format(inertial=inertial, mass=mass, rule=rule))
+    if expected is None:
+        text = refusal(path)
+        assert text.startswith(f"{path}:2: mjcf: mesh file 'meshes/nope.stl' is not there"), text
+        assert 'the mass of body "arm" follows' in text
+        return
+    scene = load_scene(path)
+    assert scene.bodies[0].mass == pytest.approx(expected, rel=1e-12)
+    assert "changes the motion: no contact, 3 collision shapes of arm" in " ".join(scene.notes)
+    (note,) = [note for note in scene.notes if "mesh files" in note]
+    assert note.startswith("left out: 2 mesh files that are not there (meshes/nope.stl of arm, ")
+    assert [visual.kind for visual in scene.robot.visuals["arm"]] == ["box"]
 
 
 XACRO = """<robot name="two" xmlns:xacro="http://www.ros.org/wiki/xacro">
@@ -179,6 +210,42 @@ def test_xacro_files(tmp_path):
     path.write_text(XACRO.replace('<link name="${name}">', '<xacro:rod name="b"/><link name="x">'))
     start = time.perf_counter()
     assert "xacro" in refusal(path) and time.perf_counter() - start < SECONDS
+
+
+XACRO_WITH_ARGUMENTS = (
+    XACRO.replace('<xacro:property name="length" value="0.5"/>', '<xacro:arg name="m" default="1"/>'
+        '<xacro:arg name="length" default="0.5"/><xacro:property name="length" value="$(arg length)"/>')
+    .replace('<mass value="1"/>', '<mass value="$(arg m)"/>')
+)  # fmt: skip
+
+
+def test_arguments_of_xacro(tmp_path):
+    path, beside = tmp_path / "two.urdf.xacro", tmp_path / "two.yaml"
+    path.write_text(XACRO_WITH_ARGUMENTS)
+    assert load_scene(path).bodies[0].mass == 1.0
+    (body,) = scene_from_robot(path, Options(xacro={"m": "3", "length": "0.8"})).bodies
+    assert (body.mass, body.com) == (3.0, (0.4, 0.0, 0.0))
+    beside.write_text("robot: two.urdf.xacro\nxacro: {m: 2.5, length: 1}\n")
+    (body,) = load_scene(beside).bodies
+    assert (body.mass, body.com) == (2.5, (0.5, 0.0, 0.0))
+    with pytest.raises(
+        SceneError, match="'lenght' is not used by the file; did you mean \"length\"?"
+    ):
+        scene_from_robot(path, Options(xacro={"lenght": "3"}))
+    beside.write_text("robot: two.urdf.xacro\nxacro: {m: [1]}\n")
+    assert refusal(beside).startswith(f"{beside}:2: xacro must have one text, number")
+    plain = urdf(tmp_path, "arm", "arm")
+    with pytest.raises(SceneError, match="is no xacro file and takes no arguments: omit m"):
+        scene_from_robot(plain, Options(xacro={"m": "1"}))
+
+
+def test_a_model_that_needs_too_much_memory_is_refused(tmp_path):
+    text = '<body><freejoint/><geom size="0.1"/></body>'
+    for _ in range(3):
+        text = f'<replicate count="200" offset="1 0 0">{text}</replicate>'
+    path = tmp_path / "many.xml"
+    path.write_text(f"<mujoco><worldbody>{text}</worldbody></mujoco>")
+    assert "mjcf needs more than 2 GiB of memory" in refusal(path)
 
 
 def mutated(text, rng):
@@ -558,6 +625,51 @@ def test_start_values_that_a_loop_cannot_keep_are_refused_with_the_nearest(tmp_p
                 ],
             ),
         )
+
+
+@pytest.mark.parametrize("digits, moved", [(15, False), (4, True), (1, None)])
+def test_rounded_start_values_of_a_loop_are_moved(digits, moved, tmp_path):
+    """All five angles of a closed five-bar, which has two freedoms, with few digits."""
+    (tmp_path / "five_bar.urdf").write_text(five_bar_urdf())
+    path = tmp_path / "loop.yaml"
+    path.write_text(LOOP.format("{left_crank: 0.2, right_crank: -0.1}"))
+    exact = Simulation(load_scene(path), "rkmk4", 1e-3).sample().joint_coordinates
+    names = ("left_crank", "left_elbow", "right_crank", "right_elbow")
+    start = {name: round(float(exact[name][0]), digits) for name in names}
+    path.write_text(LOOP.format(str(start).replace("'", "")))
+    if moved is None:
+        assert "no pose near the start satisfies all joints" in refusal(path)
+        return
+    scene = load_scene(path)
+    notes = [note for note in scene.differences if "start values" in note]
+    assert bool(notes) is moved
+    if moved:
+        changes = re.findall(r"(\w+) by (-?[\d.e-]+) rad to (-?[\d.]+)", notes[0])
+        found = Simulation(scene, "rkmk4", 1e-3).sample().joint_coordinates
+        assert {name for name, _, _ in changes} == set(names)
+        for name, change, value in changes:
+            assert abs(float(change)) < 1e-4 and float(value) == pytest.approx(found[name][0])
+            assert float(value) - start[name] == pytest.approx(float(change), abs=1e-6)
+
+
+def test_a_loop_that_cannot_close_names_the_closing_joint(tmp_path):
+    path = tmp_path / "five_bar.urdf"
+    path.write_text(five_bar_urdf())
+    (tmp_path / "loop.yaml").write_text(
+        LOOP.format("").replace("child_frame: {}", "child_frame: {position: [9, 0, 0]}")
+    )
+    text = refusal(tmp_path / "loop.yaml")
+    assert f'{tmp_path / "loop.yaml"}:5: joints[0] "tip": cannot be assembled' in text
+    far = Joint(
+        name="close_left_end_ground",
+        type="revolute",
+        parent="left_end",
+        child="ground",
+        parent_frame={},
+        child_frame={"position": [9.0, 0.0, 0.0]},
+    )
+    with pytest.raises(SceneError, match='--close "close_left_end_ground": cannot be assembled'):
+        scene_from_robot(path, Options(joints=[far]))
 
 
 def test_a_coordinate_is_of_joints_that_have_one(tmp_path):

@@ -317,7 +317,9 @@ def test_automatic_inertias_follow_from_the_collision_shapes(shape, tmp_path):
         f'<collision name="c"><pose>1 0 0 0 0 0</pose><geometry>{shape}</geometry></collision>'
         "</link></model>"
     )
-    body = load_scene(sdf(tmp_path, text, "1.11")).bodies[0]
+    scene = load_scene(sdf(tmp_path, text, "1.11"))
+    body = scene.bodies[0]
+    assert "inertia computed from the collision shapes: a" in scene.notes
     assert body.mass == pytest.approx(500 * volume, rel=1e-14)
     assert body.com == (1.0, 0.0, 0.0)
     assert body.inertia[:3] == pytest.approx(500 * volume * np.array(moments), rel=1e-13)

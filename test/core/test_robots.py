@@ -22,6 +22,7 @@ from robot_texts import (
 
 from liegroup_core import Scene, SceneError, Simulation, load_scene
 from liegroup_core.describe import describe
+from liegroup_core.joints.kinds import Joint
 from liegroup_core.layout import make_layout
 from liegroup_core.robots.options import Options
 from liegroup_core.scene import scene_from_text
@@ -263,6 +264,34 @@ def test_describe_says_what_an_import_saved(options, bodies, coordinates, tmp_pa
     smaller = bool(options.lock or options.only)
     assert saved["whole_predicted_ns"] == (whole if smaller else None)
     assert not smaller or saved["predicted_ns"] < whole
+
+
+TIP = Joint(
+    name="tip",
+    type="revolute",
+    parent="left_end",
+    child="right_end",
+    parent_frame={},
+    child_frame={},
+)
+
+
+@pytest.mark.parametrize(
+    "text, options, file, scene",
+    [
+        # Six legs of 2 + 1 coordinates and a plate on the ball of one of them.
+        (stewart_sdf(), Options(), 21, 21),
+        # The base and the tip have no mass: their joints are held.
+        (ARM_URDF, Options(base="floating"), 9, 7),
+        (five_bar_urdf(), Options(joints=[TIP]), 4, 4),
+        (five_bar_urdf().replace("continuous", "floating", 1), Options(joints=[TIP]), 9, 4),
+    ],
+)
+def test_joint_coordinates_count_what_floats(text, options, file, scene, tmp_path):
+    path = tmp_path / f"robot.{'sdf' if text.startswith('<sdf') else 'urdf'}"
+    path.write_text(text)
+    saved = describe(make_layout(scene_from_robot(path, options)))["import"]
+    assert (saved["file_coordinates"], saved["coordinates"]) == (file, scene)
 
 
 CLOSED_FIVE_BAR = """robot: five_bar.urdf

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A robot's URDF file in a running node: what RViz and robot_state_publisher take from it."""
 
+import signal
+
 import numpy as np
 import pytest
 from node_process import COMPILING, NodeProcess
@@ -203,6 +205,32 @@ def test_the_generated_urdf_moves_with_the_joint_states(name, tmp_path):
         assert all(len(robot.links[body.name].visuals) == 1 for body in scene.bodies)
 
 
+@pytest.mark.parametrize("name", ["five_bar", "lift", "platform", "apart", "slider_crank"])
+def test_other_parsers_place_the_links_as_tf_does(name, tmp_path):
+    """Needs urdfdom's Python port and yourdfpy: pip install urdf_parser_py yourdfpy."""
+    urdfdom, yourdfpy = (pytest.importorskip(each) for each in ("urdf_parser_py.urdf", "yourdfpy"))
+    path, make = name, {"five_bar": five_bar, "lift": lift, "platform": platform}.get(name)
+    if name == "apart":
+        pytest.importorskip("mujoco")
+        path = tmp_path / "apart.xml"
+        path.write_text(APART_XML)
+    simulation = Simulation(load_scene(make(tmp_path) if make else path))
+    simulation.advance(200)
+    written = tmp_path / "description.urdf"
+    written.write_text(robot_description(simulation.scene))
+    frames, values = transforms_of(simulation)
+    described = urdfdom.URDF.from_xml_file(str(written))
+    other = yourdfpy.URDF.load(written, load_meshes=False)
+    other.update_cfg({each: values[each] for each in other.actuated_joint_names if each in values})
+    assert {link.name for link in described.links} | {"world"} == set(frames)
+    held = [joint for joint in described.joints if joint.type != "floating"]
+    for joint in held:
+        assert joint.type == "fixed" or joint.name in values
+        pose = frames[joint.parent] @ other.get_transform(joint.child, joint.parent)
+        assert np.abs(pose - frames[joint.child]).max() < 1e-12
+    assert len(held) >= 2
+
+
 LOOSE = {
     "stewart.sdf": 7,
     "ball_chain": 10,
@@ -324,6 +352,51 @@ def test_the_node_runs_closed_loops(make, joints, client, tmp_path):
     else:
         own = {joint.name for joint in robot.joints if joint.type != "fixed"}
         assert own <= set(joints) and set(joints) - own <= {"tip", "pin0", "pin1"}
+
+
+WRONG_ADDITIONS = [
+    ("forces:\n  - {name: pull, type: applied_wrench, body: left_bar, force: [0, 0]}", 6, "3 numbers"),
+    ("forces:\n  - {name: pull, type: applied_wrench, body: left_bar, force: [.nan, 0, 0]}", 6, "finite"),
+    ("forces:\n  - {name: s, type: spring_damper, parent: left, stiffness: 1}", 6, "_point is missing"),
+    ("forces:\n  - {name: s, type: drag, body: [left], linear: 1}", 6, "body must be text"),
+    ("start: {left_cranc: 0.1}", 5, 'did you mean "left_crank"'),
+    ("start: {left_crank: 0.1, left_elbow: 0.5, right_elbow: 1}", 5, "no pose near the start"),
+    ("robot: gone.urdf", 5, "is given twice"),
+    ("forces: [{", 5, "YAML"),
+]  # fmt: skip
+
+
+def test_a_wrong_file_beside_the_robot_keeps_the_scene_that_runs(client, tmp_path):
+    path = five_bar(tmp_path)
+    right = path.read_text()
+    with NodeProcess({"scene": path, "joint_state_rate": 50.0}, remap=["__node:=reloaded"]) as node:
+        states = client.listen("/reloaded/joint_states", JointState)
+        client.until(lambda: moved(states), COMPILING, "motion")
+        for text, line, expected in WRONG_ADDITIONS:
+            path.write_text(f"{right}{text}\n")
+            answer = client.call("/reloaded/reload")
+            assert not answer.success and "\n" not in answer.message
+            assert f"{path}:{line}: " in answer.message and expected in answer.message, (
+                text,
+                answer.message,
+            )
+        (tmp_path / "five_bar.urdf").write_text("<robot><link/>")
+        path.write_text(right)
+        answer = client.call("/reloaded/reload")
+        assert (
+            not answer.success and f"{tmp_path / 'five_bar.urdf'}:1: is not XML" in answer.message
+        )
+        # The previous scene goes on: its time does not start again.
+        before, count = states[-1].header.stamp, len(states)
+        client.until(lambda: len(states) > count + 10, what="more joint states")
+        after = states[-1].header.stamp
+        assert (after.sec, after.nanosec) > (before.sec, before.nanosec)
+        (tmp_path / "five_bar.urdf").write_text(five_bar_urdf())
+        path.write_text(f"{right}start: {{left_crank: 0.1}}\n")
+        assert client.call("/reloaded/reload").success
+        node.send(signal.SIGINT)
+        code, errors = node.wait()
+        assert code == 0 and "Traceback" not in errors
 
 
 @pytest.mark.parametrize(

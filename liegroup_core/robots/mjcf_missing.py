@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""MJCF whose files of meshes and pictures are not there. Used in a process of its own, see apart.py.
+
+MuJoCo's compiler refuses a model with a missing file. The motion depends on such a file only where
+the mass of a body follows from a mesh. All others are replaced by a placeholder.
+"""
+
+import os
+
+import mujoco
+
+from liegroup_core.errors import SceneError
+
+MESH_SCALE = (1.0, 1.0, 1.0)
+
+
+def compiled_without_files(path):
+    """(compiled model, {number of a geom: address of its mesh} of the meshes that are not there).
+
+    Raises SceneError if the mass of a body follows from such a mesh.
+    """
+    spec = mujoco.MjSpec.from_file(path)
+    missing = {}
+    for mesh in spec.meshes:
+        address = _missing(mesh.file, mesh.compiler.meshdir, spec)
+        if address:
+            missing[mesh.name] = address
+            mesh.file, mesh.content_type, mesh.scale = "", "", MESH_SCALE
+            mesh.make_sphere(subdivision=0)
+    without = [geom for geom in spec.geoms if geom.meshname in missing]
+    for geom in without:
+        if _has_mass(geom, spec):
+            body = f'body "{geom.parent.name}"' if geom.parent.name else "a body without a name"
+            raise SceneError(
+                f"mesh file '{missing[geom.meshname]}' is not there, and the mass of {body} follows "
+                "from it: supply the file, or give the body an <inertial>"
+            )
+    _replace_pictures(spec)
+    model = spec.compile()
+    return model, {geom.id: missing[geom.meshname] for geom in without}
+
+
+def _missing(file, folder, spec):
+    """Address of a file relative to the model, or "" if it is there or none is named."""
+    if not file:
+        return ""
+    address = os.path.join(folder, os.path.basename(file) if spec.strippath else file)
+    return "" if os.path.exists(os.path.join(spec.modelfiledir, address)) else address
+
+
+def _has_mass(geom, spec):
+    """True if a body has mass or inertia from this geom."""
+    rule, kinds = geom.compiler.inertiafromgeom, mujoco.mjtInertiaFromGeom
+    if geom.parent.name == "world" or rule == kinds.mjINERTIAFROMGEOM_FALSE:
+        return False
+    if rule == kinds.mjINERTIAFROMGEOM_AUTO and geom.parent.explicitinertial:
+        return False
+    first, last = geom.compiler.inertiagrouprange
+    own = geom.density if geom.mass != geom.mass else geom.mass  # NaN: not given
+    return first <= geom.group <= last and own > 0.0
+
+
+def _replace_pictures(spec):
+    """Replace what only a viewer or contact needs: textures, height fields and skins."""
+    for texture in spec.textures:
+        if _missing(texture.file, texture.compiler.texturedir, spec) or any(
+            _missing(file, texture.compiler.texturedir, spec) for file in texture.cubefiles
+        ):
+            texture.file, texture.content_type = "", ""
+            texture.cubefiles = [""] * len(texture.cubefiles)
+            texture.builtin = mujoco.mjtBuiltin.mjBUILTIN_FLAT
+            texture.width = texture.height = 1
+    for field in spec.hfields:
+        if _missing(field.file, field.compiler.meshdir, spec):
+            field.file, field.content_type = "", ""
+            field.nrow = field.ncol = 2
+            field.userdata = [0.0] * 4
+    for skin in list(spec.skins):
+        if _missing(skin.file, skin.compiler.meshdir, spec):
+            spec.delete(skin)
