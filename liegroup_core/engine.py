@@ -26,11 +26,12 @@ from liegroup_core.forces.schedule import (
 from liegroup_core.forces.timetable import Timetable
 from liegroup_core.integrators.methods import METHODS, is_positive
 from liegroup_core.integrators.smaller_step import step_that_works
-from liegroup_core.joints.coupling import COUPLED
-from liegroup_core.joints.motion import COLUMNS, at, row_at, through
+from liegroup_core.joints.coupling import COUPLED, gap, turns
+from liegroup_core.joints.motion import COLUMNS, at, row_at, through, uniform
 from liegroup_core.model.build import initial_state
 from liegroup_core.observables.sample import Sample
-from liegroup_core.scene.description import Scene
+from liegroup_core.scene.consistency import joint_state
+from liegroup_core.scene.description import WORLD, Scene
 from liegroup_core.scene.rearrange import rearranged
 
 from .errors import SimulationError
@@ -58,6 +59,7 @@ BAUMGARTE_STEPS = 10
 # Largest entry of R R^T - 1 that `set_state` accepts.
 NO_ROTATION = 1e-6
 METHOD, STEP = "rkmk4", 1e-3  # defaults; s
+MOVED = 1e-9  # relative change of a driven joint's coordinate or rate by which `place` moves it
 
 
 def _stabilised(model, kind, time, step):
@@ -231,7 +233,8 @@ class Engine:
         The given ones are kept exactly. Joints that are not given keep their coordinates and
         velocities if `joints` are given and no loop prevents it. Otherwise the others are the nearest
         that satisfy all joints. Bodies without a path of joints to a given one are not changed. Step
-        count and time continue. The wrenches of `apply_wrench` are cleared.
+        count and time continue. The wrenches of `apply_wrench` are cleared. A driven joint that is moved
+        goes on from there at its new velocity.
         Raises SceneError with the joint and its residual if the joints do not allow it, ValueError
         for an unknown body or joint, NaN or a matrix that is no rotation. The state is then unchanged.
         """
@@ -268,7 +271,28 @@ class Engine:
         *state, angles = rearranged(
             self.layout.centred, *self.state(), centred_poses, centred_twists, joints, angles
         )
+        commanded = self._commanded.copy()
         self.set_state(*state, self.steps, np.array([angles[joint] for joint in counted]))
+        for number, motion in enumerate(self._motions_after(commanded)):
+            self._schedule.act(number, motion, DRIVE)
+            self._set_input(number, motion, DRIVE)
+
+    def _motions_after(self, commanded):
+        """Motions of all driven joints after a state was set: those before, or at constant rate."""
+        scene, frames = self.layout.centred, self.layout.joint_frames
+        index = {joint.name: j for j, joint in enumerate(scene.joints)}
+        start = {WORLD: (np.eye(4), np.zeros(6))}
+        for body, pose, twist in zip(scene.bodies, *self.state()):
+            place = np.eye(4)
+            place[:3, :3], place[:3, 3] = pose[:9].reshape(3, 3), pose[9:]
+            start[body.name] = place, twist
+        for joint, motion in zip(self.layout.motions, self.layout.motions_at(self.time, commanded)):
+            joint = scene.joints[index[joint]]
+            q, v = joint_state(start, joint, *frames[index[joint.name]])
+            was = at(motion, self.time)
+            off = gap(q, was[0], 1.0, 0.0, turns(joint))
+            kept = max(abs(off), abs(v - was[1])) <= MOVED * (1.0 + abs(was[0]) + abs(v))
+            yield motion if kept else uniform(self.time, was[0] + off, v)
 
     def _remember(self, memory):
         arrays = self._integrator.memory
@@ -509,7 +533,9 @@ class Engine:
         after = np.array(times, dtype=float)
         points = [positions, velocities, accelerations]
         points = [part if part is None else np.array(part, dtype=float) for part in points]
-        for name, part in zip(("times", "positions", "velocities", "accelerations"), (after, *points)):
+        for name, part in zip(
+            ("times", "positions", "velocities", "accelerations"), (after, *points)
+        ):
             if part is not None and (part.shape != (len(after),) or not np.isfinite(part).all()):
                 raise ValueError(f"{name} must be {len(after)} finite numbers, got {part}")
         if not (len(after) and after[0] > 0.0 and (np.diff(after) > 0.0).all()):

@@ -221,7 +221,7 @@ def make_layout(scene):
             if layout.scene.couplings or layout.motions:
                 refuse_cut_couplings(centred)
             if layout.motions:
-                layout.relative  # driven joints that depend on others are refused here
+                _ = layout.relative  # refuses driven joints that depend on others
             if layout.lack_of_inertia:
                 refuse_freedoms_without_inertia(centred)
             return layout

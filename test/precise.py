@@ -248,7 +248,10 @@ def _system(scene, wrenches, read):
     for joint in scene.joints:
         if not joint.driven:
             continue
-        row, q = decimals(np.zeros(n)), _joint_coordinate(frames[joint.name], joint.type != "prismatic")
+        row, q = (
+            decimals(np.zeros(n)),
+            _joint_coordinate(frames[joint.name], joint.type != "prismatic"),
+        )
         for end, body in enumerate((joint.parent, joint.child)):
             if body != "world":
                 row[index[body]] += q.slopes[6 * end : 6 * end + 6]

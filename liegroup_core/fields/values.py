@@ -74,7 +74,7 @@ def suggestion(word, options):
     """Hint for an unknown word: the most similar option, if any, and all options."""
     close = difflib.get_close_matches(str(word), options, n=1, cutoff=0.7)
     meant = f'did you mean "{close[0]}"? ' if close else ""
-    return f"{meant}choose one of: {', '.join(options[:12])}{', ...' if len(options) > 12 else ''}"
+    return f"{meant}choose one of: {', '.join(options[:20])}{', ...' if len(options) > 20 else ''}"
 
 
 def _number(value):

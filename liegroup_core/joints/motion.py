@@ -123,9 +123,7 @@ def _quintic(origin, duration, start, end):
     q0, v0, a0 = start
     q1, v1, a1 = end
     T = duration
-    rest = np.array(
-        [q1 - q0 - T * (v0 + 0.5 * T * a0), T * (v1 - v0 - T * a0), T * T * (a1 - a0)]
-    )
+    rest = np.array([q1 - q0 - T * (v0 + 0.5 * T * a0), T * (v1 - v0 - T * a0), T * T * (a1 - a0)])
     return np.array([origin, q0, v0, 0.5 * a0, *(_END @ rest / T ** np.arange(3.0, 6.0))])
 
 
@@ -166,7 +164,9 @@ def prescribed(motion, q, v):
         return uniform(0.0, q, v)[None]
     v0 = v if motion.velocities is None else motion.velocities[0]
     a0 = 0.0 if motion.accelerations is None else motion.accelerations[0]
-    rest = [None if part is None else part[1:] for part in (motion.velocities, motion.accelerations)]
+    rest = [
+        None if part is None else part[1:] for part in (motion.velocities, motion.accelerations)
+    ]
     return through((motion.positions[0], v0, a0), motion.times, motion.positions[1:], *rest)
 
 

@@ -198,7 +198,8 @@ def _pieces(scene, system, offsets, changes, start, end):
                 dtype=bool,
             )
             driving = [
-                commanded.get(scene.joints[j].name, row_at(rows, middle)) for j, rows in motions.items()
+                commanded.get(scene.joints[j].name, row_at(rows, middle))
+                for j, rows in motions.items()
             ]
             pieces.append((since, until, system, wrench.copy(), acting, driving))
             since = until

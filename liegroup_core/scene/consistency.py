@@ -105,14 +105,23 @@ def resolve_couplings(scene):
 
 def resolve_drives(scene):
     """Prescribed motions of the driven joints of a scene: {joint index: (m, 7)}; see joints/motion.py."""
-    start, frames, found = _start(scene), None, {}
-    for j, joint in enumerate(scene.joints):
-        if joint.driven:
-            frames = resolve_frames(scene) if frames is None else frames
-            C_rel = _relative(start, joint, *frames[j])
-            q, v = coordinate(joint, C_rel), _rate(start, joint, *frames[j])
-            found[j] = prescribed(joint.motion or True, q, v)
-    return found
+    if not any(joint.driven for joint in scene.joints):
+        return {}
+    start, frames = _start(scene), resolve_frames(scene)
+    return {
+        j: prescribed(joint.motion or True, *joint_state(start, joint, *frames[j]))
+        for j, joint in enumerate(scene.joints)
+        if joint.driven
+    }
+
+
+def joint_state(start, joint, F_a, F_b):
+    """(coordinate, rate) of a joint with one coordinate: rad in (-pi, pi] or m, and per s.
+
+    start : {name: (pose (4, 4), twist (6,))} of its bodies and the world
+    """
+    C_rel = _relative(start, joint, F_a, F_b)
+    return coordinate(joint, C_rel), _rate(start, joint, F_a, F_b)
 
 
 def _rate(start, joint, F_a, F_b):
@@ -191,7 +200,7 @@ def _check_drives(scene, start):
     frames = resolve_frames(scene)
     for j, rows in resolve_drives(scene).items():
         joint = scene.joints[j]
-        q, v = coordinate(joint, _relative(start, joint, *frames[j])), _rate(start, joint, *frames[j])
+        q, v = joint_state(start, joint, *frames[j])
         off, slip = gap(q, rows[0, 1], 1.0, 0.0, turns(joint)), v - rows[0, 2]
         size = 1.0 + abs(q) + abs(rows[0, 1])
         if abs(off) > TOLERANCE * size or abs(slip) > TOLERANCE * (size + abs(v)):

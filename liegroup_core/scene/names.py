@@ -112,7 +112,8 @@ def refuse_motion(joint, forces, i):
     """Refuse a prescribed motion of a joint that has not one coordinate, is not driven, or has a servo."""
     if joint.motion is not None and not joint.driven:
         raise SceneError(
-            f'joints[{i}] "{joint.name}": motion requires driven: true', place=("joints", i, "motion")
+            f'joints[{i}] "{joint.name}": motion requires driven: true',
+            place=("joints", i, "motion"),
         )
     if not joint.driven:
         return

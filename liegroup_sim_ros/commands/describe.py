@@ -348,13 +348,7 @@ def _conserved_rows(facts):
         )
     ]
     if facts["kept_momentum"] is None:
-        return rows + [
-            (
-                "momentum",
-                "not searched",
-                _not_searched(facts),
-            )
-        ]
+        return rows + [("momentum", "not searched", _not_searched(facts))]
     rows += [
         ("momentum", component, _listed(conserved["bodies"]))
         for conserved in facts["kept_momentum"]

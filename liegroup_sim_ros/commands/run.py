@@ -65,9 +65,7 @@ def add_arguments(parser):
         help="simulated time in s, a multiple of the step",
     )
     parser.add_argument(
-        "--out",
-        metavar="FILE",
-        help="output file (*.npz, *.csv or *.mcap); it must not exist",
+        "--out", metavar="FILE", help="output file (*.npz, *.csv or *.mcap); it must not exist"
     )
     parser.add_argument(
         "--every",

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files of an offline run: arrays for NumPy, or a recording in the format of the node.
 
-Tables are in write_tables.py. The classes have sample(sample), finish(simulation, stopped, failed, wall_seconds), `count` and
-`last_step`. The `with` block closes the file. `stopped` is the reason why the run ended early,
-or None. Existing files are never overwritten.
+Tables are in write_tables.py. The classes have sample(sample), finish(simulation, stopped, failed,
+wall_seconds), `count` and `last_step`. The `with` block closes the file. `stopped` is the reason why
+the run ended early, or None. Existing files are never overwritten.
 """
 
 import json

@@ -19,8 +19,8 @@ from liegroup_core.scene.description import FORCES, JOINTS
 
 # Properties of a Sample that depend on the body frames; all others belong to the mechanism.
 OF_FRAMES = {"pose", "twist", "rows", "poses", "twists", "positions", "pose_matrices"}
-OF_FRAMES |= {"accelerations", "external", "scene"}
-ABSENT = {"error", "errors", "wanted"}  # None without an estimate, and without servos
+OF_FRAMES |= {"accelerations", "child_frames", "external", "scene"}
+ABSENT = {"error", "errors", "wanted", "motions"}  # None without estimate, servos, driven joints
 
 
 def pair(name, seed=0):

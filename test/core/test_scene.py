@@ -32,6 +32,7 @@ from liegroup_core.scene import (
     yaml_text,
 )
 from liegroup_core.scene import load as load_module
+from liegroup_core.joints.motion import Motion
 from liegroup_core.scene.description import FORCES, JOINTS, SENSORS, Coupling
 from liegroup_core.scene.robot_file import RobotFile
 from liegroup_core.scene.shapes import SHAPES
@@ -429,7 +430,7 @@ def test_numbers_and_text_survive_a_round_trip_bit_for_bit(
 
 # ---------------------------------------------------------------- documentation
 
-MODELS = (Scene, Body, *SHAPES, *JOINTS, Coupling, Frame, *FORCES, *SENSORS, RobotFile)
+MODELS = (Scene, Body, *SHAPES, *JOINTS, Motion, Coupling, Frame, *FORCES, *SENSORS, RobotFile)
 
 
 def test_every_field_is_documented():
